@@ -1,0 +1,500 @@
+"""Scalar expression graphs: models are traced once, differentiated exactly, and compiled.
+
+A mechanism is written as an ordinary Python function of numbers.  Called with floats, arrays or complex
+numbers it computes; called with `Expression`s it is *traced*: every operation becomes a node of a `Graph`.
+From the graph come exact derivatives (`jacobian`, `reverse`, `forward`), an interpreter (`evaluate`, the
+oracle of the tests) and the compiled filter (`hygrokf.compilation`).
+
+Equal nodes are made once (hash-consing), zeros and ones vanish when they are met: a sparse model costs what its
+non-zeros cost.  A product that meets a sum becomes one fused multiply-add *in the graph*, so that every program
+made from it rounds alike, wherever the compiler puts it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
+
+UNARY = ("neg", "exp", "log", "sqrt")
+BINARY = ("add", "sub", "mul", "div", "lt")
+TERNARY = ("fma", "select")  # fma(a, b, c) = a b + c ; select(a, b, c) = b where a else c
+
+
+class Graph:
+    """A growing list of nodes `(operation, arguments)`; arguments are indices of earlier nodes."""
+
+    def __init__(self) -> None:
+        self.nodes: list[tuple] = []
+        self._index: dict[tuple, int] = {}
+
+    def _node(self, key: tuple) -> Expression:
+        index = self._index.get(key)
+        if index is None:
+            index = len(self.nodes)
+            self._index[key] = index
+            self.nodes.append(key)
+        return Expression(self, index)
+
+    def constant(self, value: float) -> Expression:
+        return self._node(("const", float(value)))
+
+    def symbol(self, name: str) -> Expression:
+        """A named leaf; the same name gives the same leaf."""
+        return self._node(("symbol", name))
+
+    def lift(self, value: Expression | float) -> Expression:
+        if isinstance(value, Expression):
+            if value.graph is not self:
+                raise ValueError("an expression of another graph was mixed in: trace the model once, whole")
+            return value
+        return self.constant(value)
+
+    def number(self, index: int) -> float | None:
+        """The value of a constant node, None for every other node."""
+        node = self.nodes[index]
+        return node[1] if node[0] == "const" else None
+
+    # -- construction with the simplifications that keep sparse models sparse --------------------------------
+    def make(self, operation: str, *arguments: Expression) -> Expression:
+        index = [a.index for a in arguments]
+        value = [self.number(i) for i in index]
+        if all(v is not None for v in value):
+            return self.constant(_fold(operation, value))
+        rule = getattr(self, "_make_" + operation, None)
+        if rule is not None:
+            simple = rule(arguments, value)
+            if simple is not None:
+                return simple
+        if operation in ("add", "mul") and index[0] > index[1]:
+            index.reverse()
+        if operation == "fma" and index[0] > index[1]:
+            index[0], index[1] = index[1], index[0]
+        return self._node((operation, *index))
+
+    def _make_add(self, a: Sequence[Expression], v: list) -> Expression | None:
+        if v[0] == 0.0:
+            return a[1]
+        if v[1] == 0.0:
+            return a[0]
+        for x, y in ((a[0], a[1]), (a[1], a[0])):
+            node = self.nodes[x.index]
+            if node[0] == "mul":
+                return self.make("fma", Expression(self, node[1]), Expression(self, node[2]), y)
+            if node[0] == "neg":
+                return self.make("sub", y, Expression(self, node[1]))
+        return None
+
+    def _make_sub(self, a: Sequence[Expression], v: list) -> Expression | None:
+        if v[1] == 0.0:
+            return a[0]
+        if v[0] == 0.0:
+            return self.make("neg", a[1])
+        if a[0].index == a[1].index:
+            return self.constant(0.0)
+        left, right = self.nodes[a[0].index], self.nodes[a[1].index]
+        if right[0] == "neg":
+            return self.make("add", a[0], Expression(self, right[1]))
+        if right[0] == "mul":
+            minus = self.make("neg", Expression(self, right[1]))
+            return self.make("fma", minus, Expression(self, right[2]), a[0])
+        if left[0] == "mul":
+            minus = self.make("neg", a[1])
+            return self.make("fma", Expression(self, left[1]), Expression(self, left[2]), minus)
+        return None
+
+    def _make_mul(self, a: Sequence[Expression], v: list) -> Expression | None:
+        if v[0] == 0.0 or v[1] == 0.0:
+            return self.constant(0.0)
+        for k in (0, 1):
+            if v[k] == 1.0:
+                return a[1 - k]
+            if v[k] == -1.0:
+                return self.make("neg", a[1 - k])
+            if v[k] is not None and self.nodes[a[1 - k].index][0] == "mul":
+                _, i, j = self.nodes[a[1 - k].index]
+                for p, q in ((i, j), (j, i)):
+                    if self.number(p) is not None:  # c (d x) = (c d) x
+                        return self.make("mul", self.constant(v[k] * self.number(p)), Expression(self, q))
+        left, right = self.nodes[a[0].index], self.nodes[a[1].index]
+        if left[0] == "neg" and right[0] == "neg":
+            return self.make("mul", Expression(self, left[1]), Expression(self, right[1]))
+        if left[0] == "neg":
+            return self.make("neg", self.make("mul", Expression(self, left[1]), a[1]))
+        if right[0] == "neg":
+            return self.make("neg", self.make("mul", a[0], Expression(self, right[1])))
+        return None
+
+    def _make_fma(self, a: Sequence[Expression], v: list) -> Expression | None:
+        if v[0] == 0.0 or v[1] == 0.0:
+            return a[2]
+        if v[2] == 0.0:
+            return self.make("mul", a[0], a[1])
+        for k in (0, 1):
+            if v[k] == 1.0:
+                return self.make("add", a[1 - k], a[2])
+            if v[k] == -1.0:
+                return self.make("sub", a[2], a[1 - k])
+        if v[0] is not None and v[1] is not None:
+            return self.make("add", self.constant(v[0] * v[1]), a[2])
+        return None
+
+    def _make_div(self, a: Sequence[Expression], v: list) -> Expression | None:
+        if v[0] == 0.0:
+            return self.constant(0.0)
+        if v[1] is not None:
+            return self.make("mul", a[0], self.constant(1.0 / v[1]))
+        if v[0] != 1.0:  # reciprocals are nodes of their own: those of parameters leave the time loop
+            return self.make("mul", a[0], self.make("div", self.constant(1.0), a[1]))
+        return None
+
+    def _make_neg(self, a: Sequence[Expression], v: list) -> Expression | None:
+        node = self.nodes[a[0].index]
+        if node[0] == "neg":
+            return Expression(self, node[1])
+        if node[0] == "sub":
+            return self.make("sub", Expression(self, node[2]), Expression(self, node[1]))
+        return None
+
+    def _make_select(self, a: Sequence[Expression], v: list) -> Expression | None:
+        if v[0] is not None:
+            return a[1] if v[0] else a[2]
+        return a[1] if a[1].index == a[2].index else None
+
+    # -- walking ---------------------------------------------------------------------------------------------
+    def needed(self, outputs: Iterable[Expression], stop: Iterable[int] = ()) -> list[int]:
+        """Indices of the nodes that `outputs` need, in an order in which they can be computed.
+
+        Nodes in `stop` are included but not looked into.
+        """
+        halt = set(stop)
+        seen: set[int] = set()
+        stack = [e.index for e in outputs]
+        while stack:
+            i = stack.pop()
+            if i in seen:
+                continue
+            seen.add(i)
+            if i not in halt:
+                stack.extend(arguments(self.nodes[i]))
+        return sorted(seen)
+
+    def evaluate(self, outputs: Sequence[Expression | float], values: Mapping[str, object]) -> list:
+        """Compute `outputs` with numbers, arrays or complex numbers put in for the symbols (an interpreter)."""
+        lifted = [self.lift(e) for e in outputs]
+        result: dict[int, object] = {}
+        for i in self.needed(lifted):
+            node = self.nodes[i]
+            if node[0] == "const":
+                result[i] = node[1]
+            elif node[0] == "symbol":
+                result[i] = values[node[1]]
+            else:
+                result[i] = _compute(node[0], [result[j] for j in node[1:]])
+        return [result[e.index] for e in lifted]
+
+    def substitute(self, outputs: Sequence[Expression | float], values: Mapping[int, Expression]) -> list:
+        """`outputs` with the nodes whose indices are in `values` replaced."""
+        lifted = [self.lift(e) for e in outputs]
+        result: dict[int, Expression] = dict(values)
+        for i in self.needed(lifted, values):
+            if i not in result:
+                node = self.nodes[i]
+                arguments_ = [result[j] for j in arguments(node)]
+                result[i] = self.make(node[0], *arguments_) if arguments_ else Expression(self, i)
+        return [result[e.index] for e in lifted]
+
+
+class Expression:
+    """One node of a graph, with the operators of a number."""
+
+    __slots__ = ("graph", "index")
+    __array_priority__ = 1000
+    __array_ufunc__ = None
+
+    def __init__(self, graph: Graph, index: int) -> None:
+        self.graph = graph
+        self.index = index
+
+    def _make(self, operation: str, left: object, right: object) -> Expression:
+        return self.graph.make(operation, self.graph.lift(left), self.graph.lift(right))
+
+    def __add__(self, other):
+        return self._make("add", self, other)
+
+    def __radd__(self, other):
+        return self._make("add", other, self)
+
+    def __sub__(self, other):
+        return self._make("sub", self, other)
+
+    def __rsub__(self, other):
+        return self._make("sub", other, self)
+
+    def __mul__(self, other):
+        return self._make("mul", self, other)
+
+    def __rmul__(self, other):
+        return self._make("mul", other, self)
+
+    def __truediv__(self, other):
+        return self._make("div", self, other)
+
+    def __rtruediv__(self, other):
+        return self._make("div", other, self)
+
+    def __lt__(self, other):
+        return self._make("lt", self, other)
+
+    def __gt__(self, other):
+        return self._make("lt", other, self)
+
+    def __neg__(self):
+        return self.graph.make("neg", self)
+
+    def __pow__(self, exponent):
+        if isinstance(exponent, int) and 0 <= exponent <= 8:
+            result = self.graph.constant(1.0)
+            for _ in range(exponent):
+                result = result * self
+            return result
+        return exp(exponent * log(self))
+
+    def __bool__(self):
+        raise TypeError("a model must not branch on a traced value with `if`: write where(condition, a, b)")
+
+    def __repr__(self) -> str:
+        return f"Expression({self.graph.nodes[self.index]})"
+
+
+def _fold(operation: str, value: Sequence[float]) -> float:
+    return float(_compute(operation, value))
+
+
+def _compute(operation: str, v: Sequence) -> object:
+    match operation:
+        case "add":
+            return v[0] + v[1]
+        case "sub":
+            return v[0] - v[1]
+        case "mul":
+            return v[0] * v[1]
+        case "div":
+            return v[0] / v[1]
+        case "fma":
+            return v[0] * v[1] + v[2]
+        case "neg":
+            return -v[0]
+        case "lt":
+            return np.less(np.real(v[0]), np.real(v[1]))
+        case "select":
+            return np.where(v[0], v[1], v[2])
+        case _:
+            return getattr(np, operation)(v[0])
+
+
+def arguments(node: tuple) -> tuple[int, ...]:
+    """The indices of a node's arguments."""
+    return () if node[0] in ("const", "symbol") else node[1:]
+
+
+# -- functions for those who write mechanisms ----------------------------------------------------------------
+def _unary(name: str, number: Callable) -> Callable:
+    def function(value):
+        return value.graph.make(name, value) if isinstance(value, Expression) else number(value)
+
+    function.__name__ = name
+    function.__doc__ = f"{name} of a number, an array or a traced expression."
+    return function
+
+
+exp = _unary("exp", np.exp)
+log = _unary("log", np.log)
+sqrt = _unary("sqrt", np.sqrt)
+
+
+def where(condition, yes, no):
+    """`yes` where `condition` holds, else `no`; for numbers, arrays and traced expressions alike."""
+    for value in (condition, yes, no):
+        if isinstance(value, Expression):
+            g = value.graph
+            return g.make("select", g.lift(condition), g.lift(yes), g.lift(no))
+    return np.where(condition, yes, no)
+
+
+def maximum(a, b):
+    """The larger of two; its derivative is that of the larger."""
+    return where(_less(a, b), b, a)
+
+
+def minimum(a, b):
+    """The smaller of two; its derivative is that of the smaller."""
+    return where(_less(b, a), b, a)
+
+
+def _less(a, b):
+    return a < b if isinstance(a, Expression) or isinstance(b, Expression) else np.real(a) < np.real(b)
+
+
+# -- derivatives ---------------------------------------------------------------------------------------------
+def _partials(graph: Graph, i: int) -> list[tuple[int, Expression]]:
+    """(argument, derivative of node i with respect to it)."""
+    node = graph.nodes[i]
+    e = [Expression(graph, j) for j in arguments(node)]
+    one = graph.constant(1.0)
+    match node[0]:
+        case "add":
+            return [(node[1], one), (node[2], one)]
+        case "sub":
+            return [(node[1], one), (node[2], -one)]
+        case "mul":
+            return [(node[1], e[1]), (node[2], e[0])]
+        case "fma":
+            return [(node[1], e[1]), (node[2], e[0]), (node[3], one)]
+        case "div":
+            inverse = 1.0 / e[1]
+            return [(node[1], inverse), (node[2], -(Expression(graph, i) * inverse))]
+        case "neg":
+            return [(node[1], -one)]
+        case "exp":
+            return [(node[1], Expression(graph, i))]
+        case "log":
+            return [(node[1], 1.0 / e[0])]
+        case "sqrt":
+            return [(node[1], 0.5 / Expression(graph, i))]
+        case "select":
+            zero = graph.constant(0.0)
+            return [(node[2], where(e[0], one, zero)), (node[3], where(e[0], zero, one))]
+        case _:  # const, symbol, lt
+            return []
+
+
+def reverse(
+    graph: Graph, seeds: Mapping[int, Expression], leaves: Iterable[int]
+) -> dict[int, Expression]:
+    """Adjoints of `leaves` (node indices), given the adjoints `seeds` of output nodes: reverse mode.
+
+    The walk stops at the leaves; what does not depend on a leaf is not visited.
+    """
+    stop = set(leaves)
+    order = graph.needed([Expression(graph, i) for i in seeds], stop)
+    active = _depends(graph, order, stop)
+    adjoint: dict[int, Expression] = dict(seeds)
+    for i in reversed(order):
+        if i in stop or i not in active or i not in adjoint:
+            continue
+        bar = adjoint[i]
+        for j, slope in _partials(graph, i):
+            if j in active:
+                adjoint[j] = adjoint[j] + slope * bar if j in adjoint else slope * bar
+    return {i: adjoint[i] for i in stop if i in adjoint}
+
+
+def forward(
+    graph: Graph,
+    outputs: Sequence[Expression],
+    tangents: Mapping[int, Expression],
+    stop: Iterable[int] = (),
+) -> list[Expression]:
+    """Directional derivatives of `outputs` along `tangents` of leaf nodes: forward mode."""
+    halt = set(stop) | set(tangents)
+    order = graph.needed(outputs, halt)
+    active = _depends(graph, order, set(tangents))
+    zero = graph.constant(0.0)
+    dot: dict[int, Expression] = dict(tangents)
+    for i in order:
+        if i in dot or i not in active:
+            continue
+        total = zero
+        for j, slope in _partials(graph, i):
+            if j in dot:
+                total = total + slope * dot[j]
+        dot[i] = total
+    return [dot.get(e.index, zero) for e in outputs]
+
+
+def jacobian(outputs: Sequence[Expression | float], variables: Sequence[Expression]) -> list[list]:
+    """Exact partial derivatives, rows = outputs, columns = variables; structural zeros are the float 0.0."""
+    graph = variables[0].graph
+    lifted = [graph.lift(e) for e in outputs]
+    rows = []
+    for e in lifted:
+        bar = reverse(graph, {e.index: graph.constant(1.0)}, [v.index for v in variables])
+        rows.append([_plain(bar.get(v.index, 0.0)) for v in variables])
+    return rows
+
+
+def _plain(value: Expression | float) -> Expression | float:
+    if isinstance(value, Expression):
+        number = value.graph.number(value.index)
+        return value if number is None else number
+    return value
+
+
+def _depends(graph: Graph, order: Sequence[int], leaves: set[int]) -> set[int]:
+    active = set()
+    for i in order:
+        if i in leaves or any(j in active for j in arguments(graph.nodes[i])):
+            active.add(i)
+    return active
+
+
+def depends_on(graph: Graph, expression: Expression | float, names: Iterable[str]) -> bool:
+    """Whether an expression contains one of the named symbols."""
+    if not isinstance(expression, Expression):
+        return False
+    wanted = set(names)
+    nodes = graph.nodes
+    return any(
+        nodes[i][0] == "symbol" and nodes[i][1] in wanted for i in graph.needed([expression])
+    )
+
+
+# -- small matrices of expressions ---------------------------------------------------------------------------
+Matrix = list[list]
+
+
+def product(a: Matrix, b: Matrix) -> Matrix:
+    """Matrix product that skips structural zeros."""
+    rows, inner, columns = len(a), len(b), len(b[0])
+    return [
+        [dot([a[i][k] for k in range(inner)], [b[k][j] for k in range(inner)]) for j in range(columns)]
+        for i in range(rows)
+    ]
+
+
+def dot(a: Sequence, b: Sequence):
+    """Scalar product that skips structural zeros."""
+    total = 0.0
+    for x, y in zip(a, b, strict=True):
+        if not is_zero(x) and not is_zero(y):
+            total = x * y if is_zero(total) else total + x * y
+    return total
+
+
+def is_zero(value: Expression | float) -> bool:
+    return (not isinstance(value, Expression) and value == 0.0) or (
+        isinstance(value, Expression) and value.graph.number(value.index) == 0.0
+    )
+
+
+def add(a: Matrix, b: Matrix) -> Matrix:
+    return [[x + y for x, y in zip(r, s, strict=True)] for r, s in zip(a, b, strict=True)]
+
+
+def scale(factor, a: Matrix) -> Matrix:
+    return [[0.0 if is_zero(x) else factor * x for x in row] for row in a]
+
+
+def identity(n: int) -> Matrix:
+    return [[1.0 if i == j else 0.0 for j in range(n)] for i in range(n)]
+
+
+def transpose(a: Matrix) -> Matrix:
+    return [list(row) for row in zip(*a, strict=True)]
+
+
+def factorials(count: int) -> list[float]:
+    """0!, 1!, … as floats."""
+    return [float(math.factorial(k)) for k in range(count)]

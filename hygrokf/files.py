@@ -1,0 +1,58 @@
+"""Files are written whole or not at all."""
+
+from __future__ import annotations
+
+import os
+import secrets
+from contextlib import suppress
+from pathlib import Path
+
+
+def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:
+    """Write a file so that a reader sees the old content or the new one, never a part.
+
+    path: the file; its directory must exist. A symbolic link is followed, and a file that was
+        there keeps its permissions.
+    content: all bytes of the file.
+
+    The bytes go to a temporary file in the same directory, are forced to the disk and renamed
+    over the target. If anything fails on the way, the temporary file is removed and the target
+    stays as it was. Returns the path. Raises OSError as the system gives it.
+    """
+    target = Path(os.path.realpath(path))
+    temporary = target.with_name(f".{target.name}.{secrets.token_hex(6)}.part")
+    # O_EXCL with mode 0o666 leaves the permissions to the user's umask, as open() would.
+    flags = os.O_WRONLY | os.O_CREAT | os.O_EXCL | getattr(os, "O_BINARY", 0)
+    descriptor = os.open(temporary, flags, 0o666)
+    try:
+        with os.fdopen(descriptor, "wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        with suppress(FileNotFoundError):
+            os.chmod(temporary, target.stat().st_mode & 0o7777)
+        os.replace(temporary, target)
+    except BaseException:
+        with suppress(OSError):
+            temporary.unlink()
+        raise
+    _force_directory(target.parent)
+    return Path(path)
+
+
+def write_text_whole(path: str | os.PathLike[str], text: str) -> Path:
+    """Write a text file (UTF-8, line ends as given) whole or not at all.
+
+    path, errors: as for `write_bytes_whole`.
+    """
+    return write_bytes_whole(path, text.encode("utf-8"))
+
+
+def _force_directory(directory: Path) -> None:
+    """Make the renaming itself survive a power cut; not every system can, none needs it."""
+    with suppress(OSError):
+        descriptor = os.open(directory, os.O_RDONLY)
+        try:
+            os.fsync(descriptor)
+        finally:
+            os.close(descriptor)

@@ -1,0 +1,236 @@
+"""Maximum likelihood: bounded Fisher scoring from several starts.
+
+In the coordinates z (see `parameters`) the penalised log-likelihood l(z) = ln L + ln prior is climbed with the exact
+score g and the expected information I of the innovations' sensitivities,
+
+    (I + λ diag I) δ = g,
+
+λ by Levenberg and Marquardt; coordinates at a bound that the score pushes outwards are held there.
+Shapes: d free parameters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.likelihood import Likelihood
+from hygrokf.parameters import Coordinates
+
+GAIN_TOLERANCE = 1e-5
+"""A climb has converged when the next full step promises less than this much log-likelihood."""
+MAXIMUM_PASSES = 60
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where one climb ended: coordinates z (d,), penalised log-likelihood, whether it converged, and why it stopped."""
+
+    z: np.ndarray
+    objective: float
+    converged: bool
+    message: str
+    passes: int
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The best optimum of several climbs.
+
+    `values` all parameters; `loglik` without the prior; `others` the distinct optima found besides (objective, values);
+    `at_bounds` free parameters that ended at a bound.
+    """
+
+    coordinates: Coordinates
+    z: np.ndarray
+    values: dict[str, float]
+    loglik: float
+    objective: float
+    converged: bool
+    message: str
+    at_bounds: tuple[str, ...]
+    others: tuple[tuple[float, dict[str, float]], ...] = ()
+
+
+class Objective:
+    """Penalised log-likelihood of the free coordinates, with score and information."""
+
+    def __init__(self, likelihood: Likelihood, coordinates: Coordinates) -> None:
+        self.likelihood = likelihood
+        self.coordinates = coordinates
+        self._place = coordinates.place()
+        self._count = len(coordinates.parameters)
+
+    def value(self, z: np.ndarray) -> float:
+        try:
+            value = self.likelihood.value(self.coordinates.values(z))
+        except FloatingPointError:
+            return -math.inf
+        return value + self.coordinates.log_prior(z)[0]
+
+    def score(self, z: np.ndarray) -> tuple[float, np.ndarray]:
+        """l and its gradient (d,)."""
+        value, gradient = self.likelihood.score(self.coordinates.values(z))
+        prior, slope, _ = self.coordinates.log_prior(z)
+        return value + prior, gradient[self._place] * self.coordinates.slopes(z) + slope
+
+    def information(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """l, its gradient (d,) and the expected information (d, d), the prior's included."""
+        directions = np.zeros((self._count, len(z)))
+        directions[self._place, np.arange(len(z))] = self.coordinates.slopes(z)
+        found = self.likelihood.sensitivities(self.coordinates.values(z), directions)
+        prior, slope, curvature = self.coordinates.log_prior(z)
+        return found.loglik + prior, found.score + slope, found.information + np.diag(curvature)
+
+    def scores(self, z: np.ndarray) -> np.ndarray:
+        """Each instant's share (T, d) of the score, without the prior."""
+        directions = np.zeros((self._count, len(z)))
+        directions[self._place, np.arange(len(z))] = self.coordinates.slopes(z)
+        return self.likelihood.sensitivities(self.coordinates.values(z), directions, each=True).scores
+
+
+def climb(
+    objective: Objective,
+    start: np.ndarray,
+    passes: int = MAXIMUM_PASSES,
+    tolerance: float = GAIN_TOLERANCE,
+) -> Optimum:
+    """Bounded Fisher scoring from one start (d,)."""
+    lower, upper = objective.coordinates.lower, objective.coordinates.upper
+    z = np.clip(start, lower, upper)
+    damping = 1e-3
+    value, gradient, information = objective.information(z)
+    if not math.isfinite(value):
+        return Optimum(z, -math.inf, False, "the likelihood is not finite at the start", 0)
+    for done in range(1, passes + 1):
+        free = ~(((z <= lower) & (gradient <= 0)) | ((z >= upper) & (gradient >= 0)))
+        if not free.any():
+            return Optimum(z, value, True, "converged: every free parameter is at a bound", done)
+        if _promise(information, gradient, free, z, lower, upper, 1e-9)[1] < tolerance:
+            return Optimum(z, value, True, "converged", done)
+        for _ in range(25):
+            step, promised = _promise(information, gradient, free, z, lower, upper, damping)
+            if promised > 0:
+                trial = objective.value(z + step)
+                if trial - value > 0.05 * promised:
+                    damping = max(damping / (10.0 if trial - value > 0.5 * promised else 2.0), 1e-9)
+                    break
+                if promised < 0.1 * tolerance:
+                    return Optimum(z, value, True, "converged to rounding", done)
+            damping = max(damping, 1e-6) * 6.0
+        else:
+            return Optimum(z, value, False, "no step improves the likelihood, yet its score is not zero", done)
+        new = z + step
+        z = new
+        value, gradient, information = objective.information(z)
+    return Optimum(z, value, False, f"stopped after {passes} passes", passes)
+
+
+def _damped_step(information: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:
+    diagonal = np.maximum(np.diag(information), 1e-12 * max(float(np.max(np.diag(information))), 1e-300))
+    root = 1.0 / np.sqrt(diagonal)
+    scaled = information * root[:, None] * root[None, :] + damping * np.eye(len(gradient))
+    try:
+        return root * np.linalg.solve(scaled, root * gradient)
+    except np.linalg.LinAlgError:
+        return root * np.linalg.lstsq(scaled, root * gradient, rcond=1e-12)[0]
+
+
+def _promise(
+    information: np.ndarray,
+    gradient: np.ndarray,
+    free: np.ndarray,
+    z: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    damping: float,
+) -> tuple[np.ndarray, float]:
+    """The damped step, kept short and within the bounds, and the gain that the quadratic model promises for it."""
+    step = np.zeros_like(z)
+    step[free] = _damped_step(information[np.ix_(free, free)], gradient[free], damping)
+    longest = np.max(np.abs(step) / np.maximum(1.5, 0.5 * np.abs(z)))
+    step = np.clip(z + step / max(1.0, longest), lower, upper) - z
+    return step, float(gradient @ step - 0.5 * step @ information @ step)
+
+
+def starts(coordinates: Coordinates, values: Mapping[str, float] | None, count: int) -> list[np.ndarray]:
+    """The stated start and `count`−1 more that differ in the noise parameters: a Halton sequence over e^±2.5."""
+    first = coordinates.start(values)
+    noisy = [i for i, p in enumerate(coordinates.free) if p.noise]
+    result = [first]
+    primes = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37]
+    for k in range(1, count if noisy else 1):
+        z = first.copy()
+        for place, i in enumerate(noisy):
+            z[i] += 5.0 * (_halton(k, primes[place % len(primes)]) - 0.5)
+        result.append(np.clip(z, coordinates.lower, coordinates.upper))
+    return result
+
+
+def _halton(index: int, base: int) -> float:
+    result, fraction = 0.0, 1.0
+    while index > 0:
+        fraction /= base
+        result += fraction * (index % base)
+        index //= base
+    return result
+
+
+def maximise(
+    likelihood: Likelihood,
+    values: Mapping[str, float] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    count: int = 4,
+    progress: Callable[[str], None] | None = None,
+    more_starts: Sequence[Mapping[str, float]] = (),
+) -> Estimate:
+    """Maximum likelihood from several starts; other optima are reported, not hidden.
+
+    `values` start values of some parameters, `fixed` those to be held, `count` starts over the noise parameters,
+    `more_starts` further complete starts.  Short climbs from every start are followed to the end for the two best.
+    """
+    coordinates = Coordinates(likelihood.model.parameters, fixed)
+    objective = Objective(likelihood, coordinates)
+    candidates = starts(coordinates, values, count)
+    candidates += [coordinates.start(v) for v in more_starts]
+    short = []
+    for k, z in enumerate(candidates):
+        if progress is not None:
+            progress(f"start {k + 1} of {len(candidates)}")
+        short.append(climb(objective, z, passes=15 if len(candidates) > 1 else MAXIMUM_PASSES, tolerance=1e-2))
+    short.sort(key=lambda o: -o.objective)
+    optima: list[Optimum] = []
+    for o in short[:1] + [o for o in short[1:] if _far(o, short[0])]:
+        worth = not optima or o.objective > optima[0].objective - 50.0
+        done = climb(objective, o.z) if worth and len(optima) < 3 else o
+        if not any(not _far(done, kept) for kept in optima):
+            optima.append(done)
+    optima.sort(key=lambda o: -o.objective)
+    best = optima[0]
+    values_ = coordinates.values(best.z)
+    margin = 1e-9
+    at = tuple(
+        p.name
+        for p, z, a, b in zip(coordinates.free, best.z, coordinates.lower, coordinates.upper, strict=True)
+        if z <= a + margin or z >= b - margin
+    )
+    message = best.message if best.converged else f"not converged: {best.message}; try more starts or other start values"
+    return Estimate(
+        coordinates=coordinates,
+        z=best.z,
+        values=values_,
+        loglik=likelihood.value(values_),
+        objective=best.objective,
+        converged=best.converged,
+        message=message,
+        at_bounds=at,
+        others=tuple((o.objective, coordinates.values(o.z)) for o in optima[1:]),
+    )
+
+
+def _far(a: Optimum, b: Optimum) -> bool:
+    """Whether two optima differ by more than unfinished climbing explains."""
+    return abs(a.objective - b.objective) > 0.5 or float(np.max(np.abs(a.z - b.z))) > 0.7

@@ -1,0 +1,325 @@
+"""Log-likelihood of the innovations, its score, its sensitivities: pure functions of the parameters.
+
+    ln L(θ) = −½ Σ_k (ln 2πS_k + e_k²/S_k),    e_k the innovation of reading k, S_k its variance.
+
+Shapes: T instants, n states, k outputs, d parameters (all of the model, in its order).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from hygrokf.discretisation import MAXIMUM_RATE_STEP
+from hygrokf.emission import LANES
+from hygrokf.model import Model
+from hygrokf.recursion import Recursion, pack, trace_width, unpack
+from hygrokf.timeline import Timeline
+
+CHUNK = 4096
+"""Instants for which sensitivities are held in memory at a time."""
+INITIAL = ("prior", "stationary", "diffuse")
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """A normal distribution of the state: mean (n,), covariance (n, n), at `time_h`; also a checkpoint of a filter."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    time_h: float = 0.0
+
+
+@dataclass(frozen=True)
+class Sensitivities:
+    """Innovations and their derivatives, summed up: log-likelihood, score (r,), expected information (r, r).
+
+    `scores` (T, r) holds each instant's share of the score, if it was asked for; r directions.
+    """
+
+    loglik: float
+    score: np.ndarray
+    information: np.ndarray
+    scores: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Trace:
+    """All moments of one filter run.
+
+    `prior_mean` (T, n), `prior_covariance` (T, n, n) before the readings of an instant, `mean`, `covariance` after;
+    `prediction` (T, k) and `variance` (T, k) of every output, each given the readings taken before it;
+    `transition` (T, n, n) the derivative of the state with respect to the one at the instant before;
+    `last` the Gaussian to go on from.
+    """
+
+    prior_mean: np.ndarray
+    prior_covariance: np.ndarray
+    prediction: np.ndarray
+    variance: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+    transition: np.ndarray
+    loglik: float
+    last: Gaussian
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """The likelihood of one model on one timeline.
+
+    `initial`: "prior" (each mechanism's own), "stationary" (steady state at the first inputs), "diffuse" (exact, for
+    the states named in `diffuse_states`, by default all; the others keep their prior), or a `Gaussian`.
+    """
+
+    model: Model
+    timeline: Timeline
+    initial: str | Gaussian = "prior"
+    diffuse_states: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        unknown = sorted(set(self.diffuse_states) - set(self.model.states))
+        if unknown:
+            raise ValueError(f"diffuse_states: unknown {unknown}; the model has {list(self.model.states)}")
+        if not isinstance(self.initial, Gaussian) and self.initial not in INITIAL:
+            raise ValueError(f"initial: expected one of {INITIAL} or a Gaussian, found {self.initial!r}")
+
+    @property
+    def _diffuse(self) -> bool:
+        return self.initial == "diffuse"
+
+    @property
+    def recursion(self) -> Recursion:
+        return self.model.diffuse_recursion if self._diffuse else self.model.recursion
+
+    # -- numbers that the compiled loops start from ----------------------------------------------------------
+    def theta(self, values: Mapping[str, float]) -> np.ndarray:
+        """Parameter values (d,) in the model's order."""
+        return np.array([values[p.name] for p in self.model.parameters], dtype=float)
+
+    @cached_property
+    def _samples(self) -> dict[str, np.ndarray]:
+        """Inputs at instants that span the record's range: where rates are looked up for the sub-steps."""
+        t = self.timeline
+        rows = set(np.linspace(0, len(t) - 1, 24).astype(int))
+        u = t.u[1:]
+        for column in u.T:
+            rows |= {int(np.argmin(column)), int(np.argmax(column))}
+        chosen = np.array(sorted(rows))
+        named = {name: u[chosen, i] for i, name in enumerate(t.varying)}
+        for i, name in enumerate(t.regimes):
+            named[name] = t.steps[t.key[chosen], 1 + i]
+        return named
+
+    def rate(self, values: Mapping[str, float]) -> float:
+        """Bound on the model's fastest rate [1/h] over the record."""
+        r = self.recursion
+        mean, _ = self.model.initial(values, self._samples)
+        known = {f"p:{name}": v for name, v in values.items()}
+        known |= {f"m{i}": np.asarray(v) for i, v in enumerate(mean)}
+        known |= {f"b:{name}": v for name, v in self._samples.items()}
+        known |= {f"g:{name}": v for name, v in self._samples.items()}
+        n = r.n
+        flat = [v for row in r.jacobian for v in row]
+        matrix = [np.asarray(v, dtype=float) for v in r.graph.evaluate(flat, known)]
+        bound = 0.0
+        for i in range(n):
+            total = np.abs(matrix[i * n + i])
+            for j in range(n):
+                if j != i:
+                    total = total + np.sqrt(np.abs(matrix[i * n + j] * matrix[j * n + i]))
+            bound = max(bound, float(np.max(total)))
+        return bound
+
+    def _keys(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+        """Key table (sub-step length and regimes) and the number of sub-steps of every key."""
+        steps = self.timeline.steps
+        parts = np.ceil(steps[:, 0] * (self.rate(values) / MAXIMUM_RATE_STEP) - 1e-9)
+        parts = np.where(steps[:, 0] > 0, np.maximum(parts, 1), 0)
+        if not np.all(np.isfinite(parts)) or parts.max(initial=0) > 100_000:
+            raise FloatingPointError("the model's rates are not finite, or far above what the steps can carry")
+        keys = steps.copy()
+        keys[:, 0] = steps[:, 0] / np.maximum(parts, 1)
+        return np.ascontiguousarray(keys), parts.astype(np.int32)
+
+    def first_inputs(self) -> dict[str, float]:
+        t = self.timeline
+        named = {name: float(t.u[1, i]) for i, name in enumerate(t.varying)}
+        return named | {name: float(t.steps[t.key[0], 1 + i]) for i, name in enumerate(t.regimes)}
+
+    def first_state(self, values: Mapping[str, object]) -> np.ndarray:
+        """Packed moments before the first reading; complex values give complex moments (for derivatives)."""
+        n = len(self.model.states)
+        if isinstance(self.initial, Gaussian):
+            return np.concatenate([self.initial.mean, pack(np.asarray(self.initial.covariance))])
+        mean, variance = self.model.initial(values, self.first_inputs())
+        mean = np.array(mean)
+        covariance = np.diag(np.array(variance))
+        if self.initial == "stationary":
+            mean, covariance = self._stationary(values, mean)
+        if not self._diffuse:
+            return np.concatenate([mean, pack(covariance)])
+        chosen = self.diffuse_states or self.model.states
+        infinite = np.array([float(name in chosen) for name in self.model.states])
+        covariance = covariance * np.outer(1.0 - infinite, 1.0 - infinite)
+        return np.concatenate([mean * (1.0 - infinite), pack(covariance), pack(np.diag(infinite))])
+
+    def _stationary(self, values: Mapping[str, object], mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Steady state at the first inputs and the covariance that solves A P + P A' + Q = 0."""
+        n = len(mean)
+        u = self.first_inputs()
+        for _ in range(5):  # one step where the model is linear
+            matrix = self._jacobian_at(values, mean, u)
+            rates = np.array(self.model.evaluate(list(mean), u, values).rates)
+            mean = mean - np.linalg.solve(matrix, rates)
+        noise = np.array(self.model.noise(values))
+        matrix = self._jacobian_at(values, mean, u)
+        if np.linalg.eigvals(matrix).real.max() >= 0:
+            raise ValueError(
+                "initial='stationary': the model has no stationary state; use 'prior', 'diffuse' or a Gaussian"
+            )
+        eye = np.eye(n)
+        flat = np.linalg.solve(np.kron(matrix, eye) + np.kron(eye, matrix), -noise.reshape(-1))
+        return mean, flat.reshape(n, n)
+
+    def _jacobian_at(self, values: Mapping, mean: np.ndarray, u: Mapping) -> np.ndarray:
+        r = self.recursion
+        known = {f"p:{name}": v for name, v in values.items()}
+        known |= {f"m{i}": v for i, v in enumerate(mean)}
+        known |= {f"{kind}:{name}": v for name, v in u.items() for kind in ("b", "g")}
+        return np.array([[v for v in r.graph.evaluate(row, known)] for row in r.jacobian])
+
+    def _first_state_slopes(self, values: Mapping[str, float]) -> np.ndarray:
+        """Derivatives (d, w) of the first moments, by complex steps (exact to rounding)."""
+        width = len(self.first_state(values))
+        result = np.zeros((len(self.model.parameters), width))
+        if isinstance(self.initial, Gaussian):
+            return result
+        for i, p in enumerate(self.model.parameters):
+            moved = dict(values)
+            moved[p.name] = values[p.name] + 1e-30j
+            result[i] = np.imag(self.first_state(moved)) * 1e30
+        return result
+
+    def _common(self, values: Mapping[str, float], state: np.ndarray, part: slice = slice(None)) -> tuple:
+        t = self.timeline
+        keys, parts = self._keys(values)
+        # a view, not a copy: the compiled loop also reads the row in front of the first instant
+        u = t.u[1:][part]
+        key, y, reset = t.key[part], t.y[part], t.reset[part]
+        table = np.empty(max(1, len(keys) * len(self.recursion.key_nodes)))
+        return (len(key), len(keys), self.theta(values), keys, parts, table, key, u, y, reset, state, state.copy())
+
+    @staticmethod
+    def _loglik(out: np.ndarray) -> float:
+        return -0.5 * float(out[0] + out[1] + out[2] * math.log(2.0 * math.pi))
+
+    # -- verbs -----------------------------------------------------------------------------------------------
+    def value(self, values: Mapping[str, float]) -> float:
+        """ln L; −inf where the filter breaks down (a variance that is not positive)."""
+        out = np.zeros(3)
+        state = np.ascontiguousarray(self.first_state(values), dtype=float)
+        self.recursion.code("value")("value", *self._common(values, state), out)
+        value = self._loglik(out)
+        return value if math.isfinite(value) else -math.inf
+
+    def score(self, values: Mapping[str, float]) -> tuple[float, np.ndarray]:
+        """ln L and its exact derivatives (d,) with respect to all parameters, by one backward pass."""
+        r = self.recursion
+        state = np.ascontiguousarray(self.first_state(values), dtype=float)
+        common = self._common(values, state)
+        parts = common[4]
+        width = len(state)
+        out, theta_bar, state_bar = np.zeros(3), np.zeros(len(r.p)), np.zeros(width)
+        store = np.empty((2 * len(self.timeline), width))
+        key_bar = np.zeros(max(1, len(common[3]) * len(r.key_nodes)))
+        buffer = np.empty((max(int(parts.max(initial=1)), len(r.updates)) + 1, width))
+        r.code("adjoint")("adjoint", *common, out, store, key_bar, theta_bar, state_bar, buffer)
+        return self._loglik(out), theta_bar + self._first_state_slopes(values) @ state_bar
+
+    def sensitivities(
+        self, values: Mapping[str, float], directions: np.ndarray, each: bool = False, gain: bool = True
+    ) -> Sensitivities:
+        """Score and expected information along directions (d, r) of the parameters.
+
+            I = Σ_k ∂e_k ∂e_k'/S_k + ½ ∂S_k ∂S_k'/S_k²
+        Without `gain` the filter runs free (no reading corrects the state): the output error's derivatives.
+        """
+        count = directions.shape[1]
+        blocks = range(0, max(count, 1), LANES)
+        padded = np.zeros((directions.shape[0], len(blocks) * LANES))
+        padded[:, :count] = directions
+        first = np.ascontiguousarray(self.first_state(values), dtype=float)
+        slopes = self._first_state_slopes(values).T @ padded
+        states = [first.copy() for _ in blocks]
+        dots = [np.ascontiguousarray(slopes[:, b : b + LANES]) for b in blocks]
+        seeds = [np.ascontiguousarray(padded[:, b : b + LANES]) for b in blocks]
+        score, information, loglik = np.zeros(count), np.zeros((count, count)), 0.0
+        scores = np.zeros((len(self.timeline), count)) if each else None
+        for start in range(0, len(self.timeline), CHUNK):
+            part = slice(start, min(start + CHUNK, len(self.timeline)))
+            e, s, de, ds, value = self._tangent_part(values, part, states, dots, seeds, gain)
+            de, ds = de[..., :count], ds[..., :count]
+            share = -(e / s)[..., None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[..., None] * ds
+            loglik += value
+            score += share.sum(axis=(0, 1))
+            if scores is not None:
+                scores[part] = share.sum(axis=1)
+            a = (de / np.sqrt(s)[..., None]).reshape(-1, count)
+            b = (ds / (math.sqrt(2.0) * s)[..., None]).reshape(-1, count)
+            information += a.T @ a + b.T @ b
+        return Sensitivities(loglik, score, information, scores)
+
+    def _tangent_part(
+        self, values: Mapping[str, float], part: slice, states: list, dots: list, seeds: list, gain: bool
+    ) -> tuple:
+        r = self.recursion
+        count, outputs = part.stop - part.start, len(r.updates)
+        derivatives: list[tuple[np.ndarray, np.ndarray]] = []
+        for state, dot, seed in zip(states, dots, seeds, strict=True):
+            common = self._common(values, state, part)
+            out, e, s = np.zeros(3), np.zeros((count, outputs)), np.ones((count, outputs))
+            de, ds = np.zeros((count, outputs, LANES)), np.zeros((count, outputs, LANES))
+            key_dot = np.empty(max(1, len(common[3]) * len(r.key_nodes)) * LANES)
+            r.code("tangent", gain)("tangent", *common, out, seed, dot, key_dot, e, s, de, ds)
+            derivatives.append((de, ds))
+        return (
+            e,
+            s,
+            np.concatenate([d[0] for d in derivatives], axis=2),
+            np.concatenate([d[1] for d in derivatives], axis=2),
+            self._loglik(out),
+        )
+
+    def trace(self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None) -> Trace:
+        """Run the filter and keep all moments; without `gain` readings are looked at but not used.
+
+        `start` begins from a given Gaussian at the instant before the timeline's first (a checkpoint).
+        """
+        r = self.recursion
+        n, outputs = r.n, len(r.updates)
+        if start is None:
+            state = np.ascontiguousarray(self.first_state(values), dtype=float)
+        else:
+            state = np.concatenate([start.mean, pack(start.covariance)])
+        out = np.zeros(3)
+        rows = np.empty((len(self.timeline), trace_width(n, outputs, self._diffuse)))
+        r.code("trace", gain)("trace", *self._common(values, state), out, rows)
+        width = len(state)
+        q = n * (n + 1) // 2
+        before, after = rows[:, :width], rows[:, width + 2 * outputs : 2 * width + 2 * outputs]
+        return Trace(
+            prior_mean=before[:, :n],
+            prior_covariance=unpack(before[:, n : n + q], n),
+            prediction=rows[:, width : width + 2 * outputs : 2],
+            variance=rows[:, width + 1 : width + 2 * outputs : 2],
+            mean=after[:, :n],
+            covariance=unpack(after[:, n : n + q], n),
+            transition=rows[:, 2 * width + 2 * outputs :].reshape(-1, n, n),
+            loglik=self._loglik(out),
+            last=Gaussian(state[:n].copy(), unpack(state[n : n + q], n), float(self.timeline.time[-1])),
+        )

@@ -1,0 +1,207 @@
+"""The thermal network of the paper (Fig. 2), its heat release and its disturbances."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hygrokf.model import Mechanism
+from hygrokf.parameters import Parameter
+
+PAPER = "Field-measurement based hygrothermal modelling of the converter-cabinet climate in wind turbines"
+
+
+def thermal_network() -> Mechanism:
+    """Converter mass between the cabinet air and the ambient: equations (2) and (3) of the paper.
+
+    With τ = (R_AT+R_IC) C [h] and ρ = R_AT/(R_AT+R_IC) [1],
+        dT_conv/dt = (T_amb − T_conv + f_ΔT/ρ)/τ,    T_conv,a = ρ T_conv + (1−ρ) T_amb,
+    f_ΔT [K] the sum of all heat releases. R_AT, R_IC and C alone do not show in the data.
+    """
+
+    def quantities(p, x, u):
+        air = p.resistance_ratio * x.converter_temperature + (1.0 - p.resistance_ratio) * u.ambient_temperature
+        return {"cabinet_air_temperature": air}
+
+    def drift(p, x, u, q, s):
+        drive = u.ambient_temperature - x.converter_temperature + s.heat_release / p.resistance_ratio
+        return {"converter_temperature": drive / p.thermal_time_constant}
+
+    return Mechanism(
+        name="thermal_network",
+        parameters=(
+            Parameter(
+                "thermal_time_constant", "h", 2.0, 0.02, 200.0, positive=True,
+                meaning="(R_AT+R_IC) C",
+            ),
+            Parameter(
+                "resistance_ratio", "1", 0.9, 0.2, 1.0,
+                meaning="R_AT/(R_AT+R_IC); 1 where the air follows the converter mass alone",
+            ),
+        ),
+        states=("converter_temperature",),
+        inputs=("ambient_temperature",),
+        quantities=quantities,
+        drift=drift,
+        initial=lambda p, u: {"converter_temperature": (u.ambient_temperature + 5.0, 25.0)},
+        meaning="heat stored in the converter and lost to the ambient",
+        source=f"{PAPER}, equations (2) and (3)",
+    )  # fmt: skip
+
+
+def measured_air() -> Mechanism:
+    """The cabinet air temperature taken from its readings (linear between them) instead of a model: the cascade."""
+    return Mechanism(
+        name="measured_air",
+        inputs=("cabinet_temperature", "ambient_temperature"),
+        quantities=lambda p, x, u: {"cabinet_air_temperature": u.cabinet_temperature},
+        meaning="cabinet air temperature as an input",
+    )
+
+
+def heat_release(
+    order: int = 2,
+    ambient: bool = True,
+    standstill_ambient: bool = True,
+    operation: bool = True,
+    standstill: bool = True,
+    preheating: bool = False,
+    reference_K: float = 283.15,
+    gap_covariance: Sequence[Sequence[float]] | None = None,
+    gap_time_h: float = 24.0,
+    start: dict | None = None,
+) -> Mechanism:
+    """Heat release by operating point, f_ΔT = Q R_AT [K], a polynomial for operation and one for standstill.
+
+    In operation (P > 0), with p = P/P_rated:  a₀ + a₁ p + … + a_K p^K + a_T (T_amb − T_ref);
+    at standstill (P ≤ 0):                     b₀ + b_T (T_amb − T_ref);
+    known pre-heating adds `preheating_heat` times its duty.  Inputs are zero-order over the interval of the power.
+    Over long gaps of the power the features take their mean and a random heat release with their covariance
+    `gap_covariance` (features operating, p, …, p^K) and correlation time `gap_time_h` [h] is added.
+    """
+    given = start or {}
+    both = operation and standstill
+    parameters: list[Parameter] = []
+
+    def parameter(name: str, unit: str, value: float, bound: float, meaning: str) -> None:
+        parameters.append(
+            Parameter(name, unit, given.get(name, value), -bound, bound, null=0.0, meaning=meaning)
+        )
+
+    powers = [f"power_{k}" for k in range(1, order + 1)] if operation else []
+    if operation:
+        parameter("heat_release_operation", "K", 3.0, 60.0, "heat release at zero power in operation")
+        for k, name in enumerate(powers, start=1):
+            parameter(f"heat_release_{name}", "K", 0.0, 200.0, f"coefficient of (P/P_rated)^{k}")
+        if ambient:
+            parameter("heat_release_operation_ambient", "K/K", 0.0, 2.0, "slope over the ambient temperature")
+    if standstill:
+        parameter("heat_release_standstill", "K", 2.0, 60.0, "heat release at standstill")
+        if standstill_ambient:
+            parameter("heat_release_standstill_ambient", "K/K", 0.0, 2.0, "slope over the ambient temperature")
+    if preheating:
+        parameter("preheating_heat", "K", 5.0, 80.0, "heat release of the known pre-heating")
+
+    def contributions(p, x, u, q):
+        warm = u.ambient_temperature - reference_K
+        total = 0.0
+        if operation:
+            share = u.operating if both else 1.0
+            active = p.heat_release_operation
+            if ambient:
+                active = active + p.heat_release_operation_ambient * warm
+            total = total + share * active
+            for name in powers:
+                total = total + getattr(p, f"heat_release_{name}") * getattr(u, name)
+        if standstill:
+            idle = p.heat_release_standstill
+            if standstill_ambient:
+                idle = idle + p.heat_release_standstill_ambient * warm
+            total = total + ((1.0 - u.operating) * idle if both else idle)
+        if preheating:
+            total = total + p.preheating_heat * u.preheating
+        if gap_covariance is not None:
+            total = total + u.power_unknown * x.unknown_heat
+        return {"heat_release": total}
+
+    def unknown_variance(p):
+        slopes = [p.heat_release_operation - (p.heat_release_standstill if standstill else 0.0)] if both else [0.0]
+        slopes += [getattr(p, f"heat_release_{name}") for name in powers]
+        total = 0.0
+        for row, a in zip(gap_covariance or (), slopes, strict=True):
+            for value, b in zip(row, slopes, strict=True):
+                total = total + value * a * b
+        return total + 1e-4  # a release that does not vary is known to 0.01 K, not exactly
+
+    gap = gap_covariance is not None
+    return Mechanism(
+        name="heat_release",
+        parameters=tuple(parameters),
+        states=("unknown_heat",) if gap else (),
+        inputs=(
+            "ambient_temperature",
+            *(("operating",) if both else ()),
+            *powers,
+            *(("preheating",) if preheating else ()),
+            *(("power_unknown",) if gap else ()),
+        ),
+        contributions=contributions,
+        drift=(lambda p, x, u, q, s: {"unknown_heat": x.unknown_heat * (-1.0 / gap_time_h)}) if gap else None,
+        diffusion=(lambda p: {"unknown_heat": unknown_variance(p) * (2.0 / gap_time_h)}) if gap else None,
+        initial=(lambda p, u: {"unknown_heat": (0.0, unknown_variance(p))}) if gap else None,
+        settings={
+            "order": order, "ambient": ambient, "standstill_ambient": standstill_ambient,
+            "operation": operation, "standstill": standstill, "preheating": preheating,
+            "reference_K": reference_K, "gap_time_h": gap_time_h,
+            "gap_covariance": None if gap_covariance is None else [list(map(float, r)) for r in gap_covariance],
+            "start": dict(given),
+        },
+        meaning="heat that the converter releases into the cabinet",
+        source=f"{PAPER}, equation (1) and Fig. 4",
+    )  # fmt: skip
+
+
+def heat_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25) -> Mechanism:
+    """A coloured disturbance of the heat release: an Ornstein–Uhlenbeck process w_T [K].
+
+    dw = −w/θ dt + sd √(2/θ) dW.  Sun, wind, doors, ventilation and everything else that the network does not
+    know leave such a trace; a model without it takes the trace for the cabinet's own time constant.
+    `shortest_h`, `longest_h` bound the correlation time θ [h] to what the readings can resolve.
+    """
+    return Mechanism(
+        name="heat_disturbance",
+        parameters=(
+            Parameter(
+                "heat_disturbance_sd", "K", 1.0, 1e-3, 50.0, positive=True, null=0.0, noise=True,
+                meaning="standard deviation of the coloured heat disturbance, as Q R_AT",
+            ),
+            Parameter(
+                "heat_disturbance_time", "h", min(max(6.0, 2 * shortest_h), longest_h / 2), shortest_h, longest_h,
+                positive=True, noise=True, meaning="its correlation time",
+            ),
+        ),
+        states=("heat_disturbance",),
+        contributions=lambda p, x, u, q: {"heat_release": x.heat_disturbance},
+        drift=lambda p, x, u, q, s: {"heat_disturbance": -x.heat_disturbance / p.heat_disturbance_time},
+        diffusion=lambda p: {
+            "heat_disturbance": 2.0 * p.heat_disturbance_sd * p.heat_disturbance_sd / p.heat_disturbance_time
+        },
+        initial=lambda p, u: {"heat_disturbance": (0.0, p.heat_disturbance_sd * p.heat_disturbance_sd)},
+        settings={"longest_h": longest_h, "shortest_h": shortest_h},
+        meaning="coloured disturbance of the heat flow",
+        leaves="slowly wandering residuals; a time constant that is too long",
+    )  # fmt: skip
+
+
+def thermal_diffusion() -> Mechanism:
+    """White heat-flow noise on the converter temperature [K/√h]."""
+    return Mechanism(
+        name="thermal_diffusion",
+        parameters=(
+            Parameter(
+                "thermal_diffusion", "K/h^0.5", 0.1, 1e-4, 20.0, positive=True, null=0.0, noise=True,
+                meaning="intensity of the white disturbance of the converter temperature",
+            ),
+        ),
+        diffusion=lambda p: {"converter_temperature": p.thermal_diffusion * p.thermal_diffusion},
+        meaning="white disturbance of the heat flow",
+    )  # fmt: skip

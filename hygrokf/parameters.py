@@ -1,0 +1,137 @@
+"""Parameters: what a number is called, where it may lie, and in which coordinate it is estimated.
+
+Structure (a `Parameter`), numbers (a mapping name -> value) and what is held fixed are three separate things.
+Estimation moves in the coordinate z: z = ln θ for positive parameters, z = θ otherwise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A normal prior of one parameter [the parameter's unit]: knowledge from outside the record."""
+
+    mean: float
+    sd: float
+
+    def log_density(self, value: float) -> float:
+        return -0.5 * ((value - self.mean) / self.sd) ** 2 - math.log(self.sd * math.sqrt(2 * math.pi))
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter: name, unit, start value, bounds, coordinate, prior, meaning.
+
+    `positive` parameters are estimated as logarithms; their lower bound must be above zero.
+    `noise` marks parameters of disturbances and sensors: estimation starts several times over these.
+    `null` is the value at which the parameter's mechanism has no effect (None: it has none).
+    """
+
+    name: str
+    unit: str
+    start: float
+    lower: float
+    upper: float
+    positive: bool = False
+    prior: Prior | None = None
+    null: float | None = None
+    noise: bool = False
+    meaning: str = ""
+
+    def __post_init__(self) -> None:
+        if not self.lower < self.upper:
+            raise ValueError(f"{self.name}: expected lower < upper, found {self.lower} and {self.upper}")
+        if not self.lower <= self.start <= self.upper:
+            raise ValueError(
+                f"{self.name}: expected a start within {self.lower} … {self.upper}, found {self.start}"
+            )
+        if self.positive and self.lower <= 0:
+            raise ValueError(f"{self.name}: a positive parameter needs a lower bound above 0, found {self.lower}")
+
+    def to_coordinate(self, value: float) -> float:
+        return math.log(value) if self.positive else value
+
+    def from_coordinate(self, z: float) -> float:
+        return math.exp(z) if self.positive else z
+
+    def slope(self, value: float) -> float:
+        """dθ/dz at the value."""
+        return value if self.positive else 1.0
+
+
+class Coordinates:
+    """The free parameters of an estimation and the way between their values θ and coordinates z.
+
+    `parameters` all parameters of a model; `fixed` values of those that are not estimated.
+    """
+
+    def __init__(self, parameters: Sequence[Parameter], fixed: Mapping[str, float] | None = None) -> None:
+        self.parameters = tuple(parameters)
+        self.fixed = dict(fixed or {})
+        known = {p.name for p in self.parameters}
+        unknown = sorted(set(self.fixed) - known)
+        if unknown:
+            raise KeyError(f"fixed values for unknown parameters {unknown}; the model has {sorted(known)}")
+        self.free = tuple(p for p in self.parameters if p.name not in self.fixed)
+        self.names = tuple(p.name for p in self.free)
+        self.lower = np.array([p.to_coordinate(p.lower) for p in self.free])
+        self.upper = np.array([p.to_coordinate(p.upper) for p in self.free])
+
+    def start(self, values: Mapping[str, float] | None = None) -> np.ndarray:
+        """z (d,) of the stated values, else of the parameters' starts; moved into the bounds."""
+        given = values or {}
+        z = [p.to_coordinate(_inside(p, given.get(p.name, p.start))) for p in self.free]
+        return np.clip(np.array(z, dtype=float), self.lower, self.upper)
+
+    def values(self, z: np.ndarray) -> dict[str, float]:
+        """All parameters' values (free and fixed) at z."""
+        free = {p.name: p.from_coordinate(float(v)) for p, v in zip(self.free, z, strict=True)}
+        return {p.name: free.get(p.name, self.fixed.get(p.name, math.nan)) for p in self.parameters}
+
+    def slopes(self, z: np.ndarray) -> np.ndarray:
+        """dθ/dz (d,) of the free parameters."""
+        return np.array([p.slope(p.from_coordinate(float(v))) for p, v in zip(self.free, z, strict=True)])
+
+    def place(self) -> np.ndarray:
+        """Positions (d,) of the free parameters among all."""
+        index = {p.name: i for i, p in enumerate(self.parameters)}
+        return np.array([index[name] for name in self.names], dtype=int)
+
+    def holding(self, more: Mapping[str, float]) -> Coordinates:
+        """The same estimation with further parameters fixed."""
+        return Coordinates(self.parameters, {**self.fixed, **more})
+
+    def log_prior(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """Log prior density, its gradient (d,) and minus its second derivative (d,) in z.
+
+        The density is that of θ (no Jacobian): the maximum stays where the penalised likelihood has it.
+        """
+        total, gradient, curvature = 0.0, np.zeros(len(self.free)), np.zeros(len(self.free))
+        for i, (p, v) in enumerate(zip(self.free, z, strict=True)):
+            if p.prior is not None:
+                value = p.from_coordinate(float(v))
+                slope = p.slope(value)
+                total += p.prior.log_density(value)
+                gradient[i] = -(value - p.prior.mean) / p.prior.sd**2 * slope
+                curvature[i] = (slope / p.prior.sd) ** 2
+        return total, gradient, curvature
+
+
+def _inside(p: Parameter, value: float) -> float:
+    return min(max(value, p.lower), p.upper)
+
+
+def unique(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
+    """The parameters, refusing a name that two mechanisms use for different things."""
+    seen: dict[str, Parameter] = {}
+    for p in parameters:
+        if p.name in seen:
+            raise ValueError(f"two mechanisms bring a parameter named {p.name!r}: rename one of them")
+        seen[p.name] = p
+    return tuple(seen.values())

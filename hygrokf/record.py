@@ -1,0 +1,252 @@
+"""What was measured: series of readings, each on its own clock, in SI units."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.signals import signal_named
+
+HOLDS = ("linear", "zero-order")
+
+
+@dataclass(frozen=True)
+class Series:
+    """The readings of one signal, at their own times.
+
+    signal: a name of the signal table.
+    time: [s] (T,) since 1970-01-01T00:00Z, strictly increasing; for means the END of the interval.
+    value: [SI unit of the signal table] (T,); NaN = missing.
+    hold: "linear" for instants, "zero-order" for means: the value holds over
+        (time - interval_s, time].
+    interval_s: [s] averaging interval; 0 for instants.
+    resolution: [SI unit] spacing of the readings' grid; 0 = none found.
+    accuracy: [SI unit] stated 95 % accuracy of the sensor; None: the signal table's default.
+    clock_uncertainty_s: [s] stated standard uncertainty of the source's clock.
+    source: file and column.
+
+    The arrays are copied and made read-only. Raises ValueError that lists everything wrong.
+    """
+
+    signal: str
+    time: np.ndarray
+    value: np.ndarray
+    hold: str = "linear"
+    interval_s: float = 0.0
+    resolution: float = 0.0
+    accuracy: float | None = None
+    clock_uncertainty_s: float = 0.0
+    source: str = ""
+
+    def __post_init__(self) -> None:
+        faults = []
+        try:
+            signal_named(self.signal)
+        except KeyError as unknown:
+            faults.append(str(unknown.args[0]))
+        time = np.array(self.time, dtype=float)
+        value = np.array(self.value, dtype=float)
+        if time.ndim != 1 or time.shape != value.shape:
+            faults.append(
+                f"time and value must be arrays of one dimension and one length, "
+                f"found shapes {time.shape} and {value.shape}"
+            )
+        elif not np.isfinite(time).all():
+            faults.append("every time must be a finite number of seconds")
+        elif np.any(np.diff(time) <= 0.0):
+            first = int(np.argmax(np.diff(time) <= 0.0)) + 1
+            faults.append(f"time must increase strictly; reading {first} does not")
+        if np.isinf(value).any():
+            faults.append("value must be finite, or NaN where a reading is missing")
+        if self.hold not in HOLDS:
+            faults.append(
+                f'hold must be one of {", ".join(HOLDS)}, found "{self.hold}"'
+            )
+        for name in ("interval_s", "resolution", "clock_uncertainty_s"):
+            number = getattr(self, name)
+            if not (math.isfinite(number) and number >= 0.0):
+                faults.append(f"{name} must be a finite number ≥ 0, found {number}")
+        if self.accuracy is not None and not (
+            math.isfinite(self.accuracy) and self.accuracy >= 0
+        ):
+            faults.append(
+                f"accuracy must be a finite number ≥ 0 or None, found {self.accuracy}"
+            )
+        if faults:
+            raise ValueError(f"series {self.signal}: " + "; ".join(faults))
+        for name, array in (("time", time), ("value", value)):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __eq__(self, other: object) -> bool:
+        # The generated comparison would ask an array for its truth value.
+        if not isinstance(other, Series):
+            return NotImplemented
+        return all(
+            np.array_equal(
+                getattr(self, field.name), getattr(other, field.name), equal_nan=True
+            )
+            if field.name in ("time", "value")
+            else getattr(self, field.name) == getattr(other, field.name)
+            for field in dataclasses.fields(self)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def missing(self) -> np.ndarray:
+        """(T,) True where a reading is missing."""
+        return np.isnan(self.value)
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where the record was taken.
+
+    latitude_deg: [deg] -90…90, north positive. longitude_deg: [deg] -180…360, east positive.
+    altitude_m: [m] above sea level, or None. Raises ValueError outside of these ranges.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float | None = None
+
+    def __post_init__(self) -> None:
+        limits = (
+            ("latitude_deg", self.latitude_deg, -90.0, 90.0),
+            ("longitude_deg", self.longitude_deg, -180.0, 360.0),
+            ("altitude_m", self.altitude_m, -500.0, 9000.0),
+        )
+        faults = [
+            f"{name} must lie within {low:g} … {high:g}, found {number}"
+            for name, number, low, high in limits
+            if number is not None and not low <= number <= high
+        ]
+        if faults:
+            raise ValueError("site: " + "; ".join(faults))
+
+
+@dataclass(frozen=True)
+class Record:
+    """All series of one enclosure; never resampled onto one grid.
+
+    name: of the enclosure.
+    series: one per signal.
+    site: where it stands, or None.
+    rated_power_W: [W] rated power, or None.
+    until_s: [s] end of the identification period since 1970-01-01T00:00Z; None: whole record.
+    warnings: what was masked or repaired, one sentence each.
+    provenance: (file name, SHA-256) of every file read.
+
+    Raises ValueError for a signal that occurs twice.
+    """
+
+    name: str
+    series: tuple[Series, ...]
+    site: Site | None = None
+    rated_power_W: float | None = None
+    until_s: float | None = None
+    warnings: tuple[str, ...] = ()
+    provenance: tuple[tuple[str, str], ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "series", tuple(self.series))
+        object.__setattr__(self, "warnings", tuple(self.warnings))
+        object.__setattr__(self, "provenance", tuple(self.provenance))
+        names = self.signals
+        twice = sorted({name for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(
+                f"record {self.name}: more than one series of {', '.join(twice)}"
+            )
+        if self.rated_power_W is not None and not 0.0 < self.rated_power_W < math.inf:
+            raise ValueError(
+                f"record {self.name}: rated_power_W must be a number above 0, "
+                f"found {self.rated_power_W}"
+            )
+
+    @property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the signals in the record."""
+        return tuple(one.signal for one in self.series)
+
+    def __contains__(self, signal: object) -> bool:
+        return signal in self.signals
+
+    def __getitem__(self, signal: str) -> Series:
+        for one in self.series:
+            if one.signal == signal:
+                return one
+        raise KeyError(
+            f"record {self.name} has no {signal}; it has {', '.join(self.signals) or 'no signals'}"
+        )
+
+    @property
+    def start_s(self) -> float:
+        """Start of the earliest reading (of its interval, for means) [s]; NaN if empty."""
+        starts = [one.time[0] - one.interval_s for one in self.series if len(one)]
+        return float(min(starts)) if starts else math.nan
+
+    @property
+    def end_s(self) -> float:
+        """Time of the latest reading [s]; NaN if empty."""
+        ends = [one.time[-1] for one in self.series if len(one)]
+        return float(max(ends)) if ends else math.nan
+
+    def window(self, start_s: float, end_s: float) -> Record:
+        """The readings with start_s ≤ time ≤ end_s [s].
+
+        A mean belongs to the window that holds the end of its interval. Series without a reading
+        in the window are left out. `until_s` is kept where it lies inside of the window.
+        """
+        if not start_s <= end_s:
+            raise ValueError(f"window: start {start_s} must not be after end {end_s}")
+        kept = []
+        for one in self.series:
+            first = np.searchsorted(one.time, start_s, side="left")
+            last = np.searchsorted(one.time, end_s, side="right")
+            if last > first:
+                kept.append(
+                    dataclasses.replace(
+                        one, time=one.time[first:last], value=one.value[first:last]
+                    )
+                )
+        inside = self.until_s is not None and start_s < self.until_s < end_s
+        return dataclasses.replace(
+            self, series=tuple(kept), until_s=self.until_s if inside else None
+        )
+
+    def identification(self) -> Record:
+        """The identification period: readings up to and including `until_s`."""
+        if self.until_s is None:
+            return self
+        return self.window(-math.inf, self.until_s)
+
+    def validation(self) -> Record:
+        """The validation period: readings after `until_s`; no series if there is no such period."""
+        if self.until_s is None:
+            return dataclasses.replace(self, series=())
+        return self.window(float(np.nextafter(self.until_s, math.inf)), math.inf)
+
+    def replace_series(
+        self, *changed: Series, warnings: tuple[str, ...] = ()
+    ) -> Record:
+        """A record in which series are exchanged for others of the same signal.
+
+        changed: the new series. warnings: sentences to add to the record's own.
+        Raises KeyError for a signal that the record does not have.
+        """
+        new = {one.signal: one for one in changed}
+        for signal in new:
+            self[signal]
+        return dataclasses.replace(
+            self,
+            series=tuple(new.get(one.signal, one) for one in self.series),
+            warnings=self.warnings + warnings,
+        )

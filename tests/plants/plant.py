@@ -1,0 +1,253 @@
+"""Plants: random cabinets under weather and operation, with their truth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from plants.cabinet import Cabinet, Forcing, Trajectory, integrate
+from plants.drivers import MINUTE_S, Drivers, own_drivers
+from plants.effects import DISTURBANCES, Effect, HeatDisturbance, VapourDisturbance
+from plants.loggers import Logging, PlantSeries, log_plant
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What an estimate is held against.
+
+    tau_h: [h] (R_AT + R_IC) C_conv. rho: [-] R_AT / (R_AT + R_IC). hygric_h: [h] R_D* V* at the
+    means cabinet_K and ambient_K [K] of the record. hygric_constant_h: [h] k of equation (4).
+    operation_K, standstill_K: heat release in kelvin, as `Cabinet` has it in watts.
+    preheating_K: [K]. heat: and vapour: the disturbances. biases: (signal, bias in its unit).
+    clock_offset_min: [min] by which the cabinet logger's stamps are late.
+    class_right: whether the base model's class holds the plant.
+    """
+
+    tau_h: float
+    rho: float
+    hygric_h: float
+    hygric_constant_h: float
+    cabinet_K: float
+    ambient_K: float
+    operation_K: tuple[float, ...]
+    standstill_K: tuple[float, ...]
+    preheating_K: float
+    heat: HeatDisturbance
+    vapour: VapourDisturbance
+    biases: tuple[tuple[str, float], ...]
+    clock_offset_min: float
+    class_right: bool
+
+
+@dataclass(frozen=True)
+class Plant:
+    """A cabinet, what drives it, what happened in it and what is known of it."""
+
+    name: str
+    seed: int
+    cabinet: Cabinet
+    drivers: Drivers
+    effects: tuple[Effect, ...]
+    forcing: Forcing
+    trajectory: Trajectory
+    series: tuple[PlantSeries, ...]
+    truth: Truth
+
+    def __getitem__(self, signal: str) -> PlantSeries:
+        for one in self.series:
+            if one.signal == signal:
+                return one
+        raise KeyError(f"{self.name} has no {signal}")
+
+
+def random_cabinet(random: np.random.Generator, **given: object) -> Cabinet:
+    """A cabinet within the ranges of wind-turbine converters.
+
+    given: `tau_h`, `rho`, `hygric_h` (at 292 K inside, 283 K outside) fix what is otherwise
+    drawn; any other name is a field of `Cabinet`.
+    """
+
+    def choose(name: str, drawn: float) -> float:
+        return float(given.pop(name, drawn))  # type: ignore[arg-type]
+
+    tau_h = choose("tau_h", float(np.exp(random.uniform(np.log(0.8), np.log(3.0)))))
+    rho = choose("rho", random.uniform(0.72, 0.93))
+    hygric_h = choose("hygric_h", float(np.exp(random.uniform(np.log(0.15), np.log(0.8)))))
+    outer = random.uniform(0.012, 0.04)
+    volume = random.uniform(1.5, 6.0)
+    span, bend = random.uniform(3.5, 6.5), random.uniform(0.5, 2.0)
+    operation_K = (random.uniform(6.5, 9.0), span + bend, -bend, random.uniform(-0.2, -0.02))
+    standstill_K = (random.uniform(4.5, 6.0), random.uniform(-0.12, -0.02))
+    preheating_K = random.uniform(6.0, 11.0)
+    made = Cabinet(
+        heat_capacity=3600.0 * tau_h * rho / outer,
+        outer_resistance=outer,
+        inner_resistance=outer * (1.0 / rho - 1.0),
+        volume=volume,
+        gap=1.0,
+        operation_W=tuple(part / outer for part in operation_K),  # type: ignore[arg-type]
+        standstill_W=tuple(part / outer for part in standstill_K),  # type: ignore[arg-type]
+        preheating_W=preheating_K / outer,
+    )
+    made = replace(made, gap=made.hygric_h(292.0, 283.0) / hygric_h)
+    return replace(made, **given)  # type: ignore[arg-type]
+
+
+def _forcing(
+    seed: np.random.SeedSequence, cabinet: Cabinet, drivers: Drivers, effects: Sequence[Effect]
+) -> Forcing:
+    steps = drivers.time.size - 1
+    heat_W = cabinet.heat_release(
+        drivers.power_W[:-1], drivers.held_ambient_K, drivers.preheating[:-1]
+    )
+    forcing = Forcing(heat_W=heat_W, vapour_kg_s=np.zeros(steps))
+    for effect, child in zip(effects, seed.spawn(len(effects)), strict=True):
+        forcing = effect.force(np.random.default_rng(child), cabinet, drivers, forcing)
+    return forcing
+
+
+def build_plant(
+    name: str,
+    seed: int,
+    drivers: Drivers,
+    logging: Logging,
+    *,
+    disturbance: str = "ou",
+    effects: Sequence[Effect] = (),
+    wall: bool = False,
+    inputs_exact: bool = True,
+    substeps: int = 1,
+    **given: object,
+) -> Plant:
+    """A plant under given drivers; see `plant` for the arguments."""
+    if disturbance not in DISTURBANCES:
+        raise ValueError(f"disturbance must be one of {DISTURBANCES}, found {disturbance!r}")
+    # The second word keeps these streams apart from those of the drivers.
+    making, forcing_seed, logger_seed = np.random.SeedSequence([seed, 1]).spawn(3)
+    random = np.random.default_rng(making)
+    wall_h, wall_place = random.uniform(4.0, 12.0), random.uniform(0.3, 0.7)
+    quiet = disturbance == "none"
+    heat = HeatDisturbance(
+        kind=disturbance,
+        free_run_K=0.0 if quiet else random.uniform(1.2, 1.75),
+        correlation_h=float(np.exp(random.uniform(np.log(4.0), np.log(14.0)))),
+        diffusion_K=0.0 if quiet else random.uniform(0.03, 0.08),
+    )
+    vapour = VapourDisturbance(
+        kind=disturbance,
+        free_run_kg_m3=0.0 if quiet else 1e-3 * random.uniform(0.34, 0.45),
+        correlation_h=float(np.exp(random.uniform(np.log(3.0), np.log(10.0)))),
+        diffusion_kg_m3=0.0 if quiet else 1e-3 * random.uniform(0.01, 0.03),
+    )
+    cabinet = random_cabinet(random, **given)
+    if wall:
+        # Time constant of the wall between its two halves of R_AT.
+        between = cabinet.outer_resistance * wall_place * (1.0 - wall_place)
+        cabinet = replace(cabinet, wall_capacity=3600.0 * wall_h / between, wall_place=wall_place)
+    every = (heat, vapour, *effects)
+    forcing = _forcing(forcing_seed, cabinet, drivers, every)
+    trajectory = integrate(
+        cabinet, MINUTE_S, drivers.ambient_K, drivers.ambient_kg_m3, forcing, substeps
+    )
+    series, biases = log_plant(np.random.default_rng(logger_seed), drivers, trajectory, logging)
+    inside, outside = float(trajectory.cabinet_K.mean()), float(drivers.ambient_K.mean())
+    outer = cabinet.outer_resistance
+    truth = Truth(
+        tau_h=cabinet.thermal_h,
+        rho=cabinet.rho,
+        hygric_h=cabinet.hygric_h(inside, outside),
+        hygric_constant_h=cabinet.hygric_constant_h,
+        cabinet_K=inside,
+        ambient_K=outside,
+        operation_K=tuple(outer * part for part in cabinet.operation_W),
+        standstill_K=tuple(outer * part for part in cabinet.standstill_W),
+        preheating_K=outer * cabinet.preheating_W,
+        heat=heat,
+        vapour=vapour,
+        biases=biases,
+        clock_offset_min=logging.clock_offset_min,
+        class_right=(
+            disturbance in ("ou", "none")
+            and not effects
+            and not wall
+            and inputs_exact
+            and cabinet.vapour_balance == "paper"
+            and logging.clock_offset_min == 0.0
+            and logging.sensor_errors != "all"
+            and logging.power_gap_days == 0.0
+            and bool(drivers.power_known.all())
+        ),
+    )
+    return Plant(name, seed, cabinet, drivers, every, forcing, trajectory, series, truth)
+
+
+def plant(
+    seed: int,
+    *,
+    days: float = 180.0,
+    logger_step_min: float = 15.0,
+    logger_mean: bool = False,
+    clock_offset_min: float = 0.0,
+    sensor_errors: str = "cabinet",
+    missing: float = 0.01,
+    power_gap_days: float = 0.0,
+    ambient_humidity: str = "relative",
+    ambient_step_min: int = 10,
+    inputs_exact: bool = True,
+    power: str = "wind",
+    standstill: bool = True,
+    preheating: bool = False,
+    disturbance: str = "ou",
+    effects: Sequence[Effect] = (),
+    wall: bool = False,
+    **given: object,
+) -> Plant:
+    """A random plant; with the defaults the base model's class holds it.
+
+    seed: the same seed gives the same plant, and options that do not concern the weather, the
+    cabinet or the disturbances leave these as they are. logger_step_min ... ambient_humidity:
+    see `Logging`. ambient_step_min ... preheating: see `own_drivers`. disturbance: one of
+    DISTURBANCES, for the heat and the vapour flow. effects: further ones. wall: a second
+    thermal mass of 4 to 12 h. given: `tau_h`, `rho`, `hygric_h` or a field of `Cabinet`, which
+    are otherwise drawn.
+    """
+    drivers = own_drivers(
+        np.random.default_rng(np.random.SeedSequence([seed, 0])),
+        days=days,
+        ambient_step_min=ambient_step_min,
+        inputs_exact=inputs_exact,
+        power=power,
+        standstill=standstill,
+        preheating=preheating,
+    )
+    logging = Logging(
+        logger_step_min=logger_step_min,
+        logger_mean=logger_mean,
+        clock_offset_min=clock_offset_min,
+        sensor_errors=sensor_errors,
+        missing=missing,
+        power_gap_days=power_gap_days,
+        ambient_humidity=ambient_humidity,
+    )
+    return build_plant(
+        f"plant-{seed}",
+        seed,
+        drivers,
+        logging,
+        disturbance=disturbance,
+        effects=effects,
+        wall=wall,
+        inputs_exact=inputs_exact,
+        **given,
+    )
+
+
+def undisturbed(made: Plant, substeps: int = 1) -> Trajectory:
+    """The free run of the bare physics with the true parameters: no effects at all."""
+    forcing = _forcing(np.random.SeedSequence(0), made.cabinet, made.drivers, ())
+    drivers = made.drivers
+    return integrate(
+        made.cabinet, MINUTE_S, drivers.ambient_K, drivers.ambient_kg_m3, forcing, substeps
+    )
