@@ -54,17 +54,13 @@ def describe(record: Record) -> dict[str, Any]:
             "longitude_deg": site.longitude_deg,
             "altitude_m": site.altitude_m,
         },
-        "rated_power_kW": None
-        if record.rated_power_W is None
-        else record.rated_power_W / 1e3,
+        "rated_power_kW": None if record.rated_power_W is None else record.rated_power_W / 1e3,
         "identification": _period_of(record.identification()),
         "validation": _period_of(record.validation()),
         "signals": [_describe_series(series) for series in record.series],
         "warnings": list(record.warnings),
         "doubts": list(doubts(record)),
-        "files": [
-            {"file": file, "sha256": digest} for file, digest in record.provenance
-        ],
+        "files": [{"file": file, "sha256": digest} for file, digest in record.provenance],
     }
 
 
@@ -94,11 +90,7 @@ def _describe_series(series: Series) -> dict[str, Any]:
     if math.isfinite(step) and regular > 0.5:
         expected = max(expected, round((series.time[-1] - series.time[0]) / step) + 1)
     gaps = np.diff(times)
-    long = (
-        gaps > (_GAP_STEPS + 0.01) * step
-        if math.isfinite(step)
-        else np.zeros(0, dtype=bool)
-    )
+    long = gaps > (_GAP_STEPS + 0.01) * step if math.isfinite(step) else np.zeros(0, dtype=bool)
     widest = int(np.argmax(gaps)) if len(gaps) else None
     shown = from_si(there, row.display, row)
     accuracy = row.default_accuracy if series.accuracy is None else series.accuracy
@@ -121,9 +113,7 @@ def _describe_series(series: Series) -> dict[str, Any]:
         "hold": series.hold,
         "interval_s": series.interval_s,
         "unit": row.display,
-        "resolution": _number(
-            difference_from_si(series.resolution, row.display, row), 4
-        ),
+        "resolution": _number(difference_from_si(series.resolution, row.display, row), 4),
         "accuracy": None
         if accuracy is None
         else _number(difference_from_si(accuracy, row.display, row), 4),
@@ -200,18 +190,12 @@ def _doubts_of_power(record: Record) -> list[str]:
             "cannot be identified apart from operation"
         )
     elif standstill > 0.9:
-        said.append(
-            f"hardly any operation: {100 * standstill:.0f} % of the power readings are ≤ 0"
-        )
+        said.append(f"hardly any operation: {100 * standstill:.0f} % of the power readings are ≤ 0")
     if record.rated_power_W is None:
-        said.append(
-            "no rated power: stationary periods cannot be found; state rated_power_kW"
-        )
+        said.append("no rated power: stationary periods cannot be found; state rated_power_kW")
     elif there.max() < 0.3 * record.rated_power_W:
         share = 100.0 * there.max() / record.rated_power_W
-        said.append(
-            f"active power never exceeds {share:.0f} % of the rated power: right unit?"
-        )
+        said.append(f"active power never exceeds {share:.0f} % of the rated power: right unit?")
     for signal in record.signals:
         if signal.startswith("cabinet_") and len(record[signal]):
             covered = _covered(record[signal], power)
@@ -225,9 +209,7 @@ def _doubts_of_power(record: Record) -> list[str]:
 
 def _covered(series: Series, other: Series) -> float:
     """Share of the readings of a series that lie within the span of another [-]."""
-    inside = (series.time >= other.time[0] - other.interval_s) & (
-        series.time <= other.time[-1]
-    )
+    inside = (series.time >= other.time[0] - other.interval_s) & (series.time <= other.time[-1])
     return float(np.mean(inside))
 
 
@@ -242,9 +224,7 @@ def _doubts_of_climate(record: Record) -> list[str]:
     for signal in record.signals:
         one = record[signal]
         if one.missing.mean() > 0.3:
-            said.append(
-                f"{signal}: {100 * one.missing.mean():.0f} % of its readings are missing"
-            )
+            said.append(f"{signal}: {100 * one.missing.mean():.0f} % of its readings are missing")
     if "ambient_temperature" in record:
         step, _ = modal_step(record["ambient_temperature"].time)
         if step >= 3600.0:
@@ -325,14 +305,12 @@ def _doubts_of_clocks(record: Record) -> list[str]:
         if len(series) > 2 and regular < 0.9:
             source = series.source.split(", column")[0] or series.signal
             text = f"{100 * regular:.0f} % of the steps are {duration_text(step)}"
-            irregular.setdefault(
-                f"irregular steps in {source}: only {text}", []
-            ).append(series.signal)
+            irregular.setdefault(f"irregular steps in {source}: only {text}", []).append(
+                series.signal
+            )
     said += list(irregular)
     if record.site is not None and "global_horizontal_irradiance" in record:
-        lag = _solar_lag(
-            record["global_horizontal_irradiance"], record.site.longitude_deg
-        )
+        lag = _solar_lag(record["global_horizontal_irradiance"], record.site.longitude_deg)
         if lag is not None and abs(lag) > _SOLAR_LAG_MIN * 60.0:
             direction = "after" if lag > 0 else "before"
             said.append(
@@ -376,11 +354,7 @@ def describe_text(description: dict[str, Any]) -> str:
     lines = [_heading(description), ""]
     for name in ("identification", "validation"):
         part = description[name]
-        text = (
-            "none"
-            if part is None
-            else f"{part['start']} to {part['end']}, {part['days']:.1f} d"
-        )
+        text = "none" if part is None else f"{part['start']} to {part['end']}, {part['days']:.1f} d"
         lines.append(f"{name:<15} {text}")
     head = (
         "signal",
@@ -425,9 +399,7 @@ def _heading(description: dict[str, Any]) -> str:
     if site is not None:
         north = "N" if site["latitude_deg"] >= 0 else "S"
         east = "E" if site["longitude_deg"] >= 0 else "W"
-        parts.append(
-            f"{abs(site['latitude_deg']):g}°{north} {abs(site['longitude_deg']):g}°{east}"
-        )
+        parts.append(f"{abs(site['latitude_deg']):g}°{north} {abs(site['longitude_deg']):g}°{east}")
     return ", ".join(parts)
 
 
@@ -440,9 +412,7 @@ def _row(one: dict[str, Any]) -> tuple[str, ...]:
     if one["mean"] is None:
         values = "-"
     else:
-        values = (
-            f"{one['mean']:.4g} ({one['minimum']:.4g} … {one['maximum']:.4g}){unit}"
-        )
+        values = f"{one['mean']:.4g} ({one['minimum']:.4g} … {one['maximum']:.4g}){unit}"
     return (
         one["signal"],
         str(one["readings"]),

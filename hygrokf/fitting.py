@@ -98,7 +98,42 @@ def climb(
     passes: int = MAXIMUM_PASSES,
     tolerance: float = GAIN_TOLERANCE,
 ) -> Optimum:
-    """Bounded Fisher scoring from one start (d,)."""
+    """Bounded Fisher scoring from one start (d,).
+
+    Far from the optimum the expected information can mislead; where scoring sticks, a quasi-Newton climb by the
+    score alone leads on, and scoring finishes.
+    """
+    found = _scoring(objective, start, passes, tolerance)
+    for _ in range(3):
+        if found.converged or not math.isfinite(found.objective) or passes < MAXIMUM_PASSES:
+            break
+        again = _scoring(objective, _quasi_newton(objective, found.z), passes, tolerance)
+        if again.objective <= found.objective + tolerance:
+            break
+        found = again
+    return found
+
+
+def _quasi_newton(objective: Objective, start: np.ndarray) -> np.ndarray:
+    from scipy.optimize import minimize
+
+    def downhill(z: np.ndarray) -> tuple[float, np.ndarray]:
+        try:
+            value, gradient = objective.score(z)
+        except FloatingPointError:
+            return 1e300, np.zeros_like(z)
+        if not (math.isfinite(value) and np.all(np.isfinite(gradient))):
+            return 1e300, np.zeros_like(z)
+        return -value, -gradient
+
+    bounds = list(zip(objective.coordinates.lower, objective.coordinates.upper, strict=True))
+    found = minimize(
+        downhill, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 300, "maxcor": 20}
+    )
+    return found.x
+
+
+def _scoring(objective: Objective, start: np.ndarray, passes: int, tolerance: float) -> Optimum:
     lower, upper = objective.coordinates.lower, objective.coordinates.upper
     z = np.clip(start, lower, upper)
     damping = 1e-3

@@ -35,47 +35,64 @@ def cache_directory() -> Path:
     return root / "hygrokf"
 
 
-@cache
-def _target() -> tuple[llvm.TargetMachine, str, bool]:
+def _machine() -> llvm.TargetMachine:
+    """A new target machine (an engine takes ownership of the one it is given)."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
-    processor = llvm.get_host_cpu_name()
-    features = llvm.get_host_cpu_features()
-    machine = llvm.Target.from_default_triple().create_target_machine(
-        opt=2, cpu=processor, features=features.flatten(), jit=True
+    return llvm.Target.from_default_triple().create_target_machine(
+        opt=2,
+        cpu=llvm.get_host_cpu_name(),
+        features=llvm.get_host_cpu_features().flatten(),
+        jit=True,
     )
-    identity = f"{llvm.llvm_version_info} {machine.triple} {processor} {features.flatten()}"
-    fused = bool(features.get("fma", False)) or machine.triple.startswith(("aarch64", "arm64"))
-    return machine, identity, fused
 
 
+@cache
+def _identity() -> str:
+    """What the meaning of compiled code depends on besides its text."""
+    features = llvm.get_host_cpu_features().flatten()
+    return f"{llvm.llvm_version_info} {llvm.get_process_triple()} {llvm.get_host_cpu_name()} {features}"
+
+
+@cache
 def has_fused_multiply_add() -> bool:
     """Whether the processor rounds a b + c once; without it the compiled code rounds twice (and stays fast)."""
-    return _target()[2]
+    arm = llvm.get_process_triple().startswith(("aarch64", "arm64"))
+    return arm or bool(llvm.get_host_cpu_features().get("fma", False))
 
 
-class Code:
-    """Compiled functions of one module; keeps the engine alive as long as a function may be called."""
+_engines: dict[str, llvm.ExecutionEngine] = {}  # for the life of the process: code that may run is never freed
 
-    def __init__(self, text: str, functions: Sequence[str]) -> None:
-        machine, identity, _ = _target()
-        key = hashlib.sha256((identity + "\n" + text).encode()).hexdigest()
+
+def _engine(text: str) -> llvm.ExecutionEngine:
+    key = hashlib.sha256((_identity() + "\n" + text).encode()).hexdigest()
+    if key not in _engines:
+        machine = _machine()
         path = cache_directory() / "code-1" / f"{key}.o"
-        self._engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
         stored = _read(path)
         if stored is None:
             module = llvm.parse_assembly(text)
             module.verify()
-            options = llvm.create_pipeline_tuning_options(speed_level=2)
-            llvm.create_pass_builder(machine, options).getModulePassManager().run(
-                module, llvm.create_pass_builder(machine, options)
+            builder = llvm.create_pass_builder(
+                machine, llvm.create_pipeline_tuning_options(speed_level=2)
             )
+            builder.getModulePassManager().run(module, builder)
             stored = machine.emit_object(module)
             _write(path, stored)
-        self._engine.add_object_file(llvm.ObjectFileRef.from_data(stored))
-        self._engine.finalize_object()
+        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+        engine.add_object_file(llvm.ObjectFileRef.from_data(stored))
+        engine.finalize_object()
+        _engines[key] = engine
+    return _engines[key]
+
+
+class Code:
+    """Compiled functions of one module."""
+
+    def __init__(self, text: str, functions: Sequence[str]) -> None:
+        engine = _engine(text)
         self._functions = {
-            name: ctypes.CFUNCTYPE(None)(self._engine.get_function_address(name)) for name in functions
+            name: ctypes.CFUNCTYPE(None)(engine.get_function_address(name)) for name in functions
         }
 
     def __call__(self, function: str, *arguments: np.ndarray | int) -> None:

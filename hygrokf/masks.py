@@ -143,17 +143,13 @@ def mask_saturated(series: Series) -> tuple[Series, tuple[str, ...]]:
             f"{_label(series)}: saturated humidity, {_readings(above)} above 100 % set to 100 % "
             f"({_period(series, above)})"
         )
-        return dataclasses.replace(series, value=np.fmin(series.value, 1.0)), (
-            sentence,
-        )
+        return dataclasses.replace(series, value=np.fmin(series.value, 1.0)), (sentence,)
     limit = min(SATURATED, _ceiling(series.value))
     saturated = series.value >= limit - 1e-9
     if not saturated.any():
         return series, ()
     step, _ = modal_step(series.time)
-    hours = (
-        f", {duration_text(saturated.sum() * step)} in all" if np.isfinite(step) else ""
-    )
+    hours = f", {duration_text(saturated.sum() * step)} in all" if np.isfinite(step) else ""
     sentence = (
         f"{_label(series)}: saturated humidity, {_readings(saturated)} of at least "
         f"{100.0 * limit:.4g} % masked{hours} ({_period(series, saturated)}); they are censored "
@@ -196,9 +192,7 @@ def mask_frozen(series: Series) -> tuple[Series, tuple[str, ...]]:
     idle = np.zeros(len(starts), dtype=bool)
     if row.idle is not None:
         idle = (value[starts] >= row.idle[0]) & (value[starts] <= row.idle[1])
-    frozen_runs = _frozen_runs(
-        value, starts, lengths, idle, _quiet_range(series, value)
-    )
+    frozen_runs = _frozen_runs(value, starts, lengths, idle, _quiet_range(series, value))
     if not len(frozen_runs):
         return series, ()
     frozen = np.zeros(len(series), dtype=bool)
@@ -262,9 +256,7 @@ def _frozen_runs(
     return np.array(sorted(frozen), dtype=int)
 
 
-def _quiet_stretch(
-    value: np.ndarray, length: int, quiet: float, cut: np.ndarray
-) -> bool:
+def _quiet_stretch(value: np.ndarray, length: int, quiet: float, cut: np.ndarray) -> bool:
     """Whether some window of `length` readings stays within `quiet`, not constant, not cut."""
     count = len(value) - length + 1
     if count <= 0:

@@ -12,6 +12,7 @@ import warnings as python_warnings
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -106,13 +107,14 @@ def read_table(
     """
     file = Path(path)
     faults: list[str] = []
+    zone = None
     if timezone is not None:
         try:
             zone = zone_named(timezone)
         except ValueError as unknown:
-            raise TableFault([str(unknown)]) from None
-    else:
-        zone = None
+            faults.append(str(unknown))
+            # Any zone will do to look for further faults.
+            zone = UTC
     content = _content(file)
     digest = hashlib.sha256(content).hexdigest()
     wanted = list(dict.fromkeys(columns))
@@ -120,9 +122,7 @@ def read_table(
         frame = _parquet_frame(content, wanted, time_column, faults)
         source = None
     else:
-        source = _CsvSource(
-            content, file.name, separator, decimal, comment, tuple(missing)
-        )
+        source = _CsvSource(content, file.name, separator, decimal, comment, tuple(missing))
         frame = source.frame(wanted, time_column, faults)
     if len(frame) == 0 and not faults:
         raise TableFault(["expected readings, found no row below the header"])
@@ -147,9 +147,7 @@ def read_table(
         time = stamps.time
         column = f'column "{time_column}"'
         if stamps.unreadable.any():
-            where = _where(
-                np.flatnonzero(stamps.unreadable), frame[time_column], source
-            )
+            where = _where(np.flatnonzero(stamps.unreadable), frame[time_column], source)
             faults.append(
                 f"{column}: expected ISO 8601 stamps"
                 + (f' or "{time_format}"' if time_format else "")
@@ -164,14 +162,10 @@ def read_table(
                 '"Europe/Berlin" in this source'
             )
         elif zone is not None and not ignore_offset and _all_aware(frame[time_column]):
-            warnings.append(
-                f'timezone = "{timezone}" is not used: the stamps carry offsets'
-            )
+            warnings.append(f'timezone = "{timezone}" is not used: the stamps carry offsets')
         warnings += stamps.warnings
         given = frame[time_column].notna().to_numpy()
-        lost = ~given & np.any(
-            [np.isfinite(one) for one in values.values()] or [~given], axis=0
-        )
+        lost = ~given & np.any([np.isfinite(one) for one in values.values()] or [~given], axis=0)
         if lost.any():
             where = _lines(np.flatnonzero(lost), source)
             warnings.append(f"{int(lost.sum())} rows without a stamp left out: {where}")
@@ -179,9 +173,7 @@ def read_table(
         raise TableFault(faults)
     keep = np.isfinite(time)
     if not keep.any():
-        raise TableFault(
-            ["expected readings, found no row with a stamp that can be used"]
-        )
+        raise TableFault(["expected readings, found no row with a stamp that can be used"])
     return Table(
         time[keep],
         {name: array[keep] for name, array in values.items()},
@@ -194,18 +186,12 @@ def _content(file: Path) -> bytes:
     """All bytes of a file. Raises TableFault for what is no readable file."""
     name = file.name.lower()
     if not name.endswith(SUFFIXES):
-        raise TableFault(
-            [f"expected a file of the kind {', '.join(SUFFIXES)}, found {file.name}"]
-        )
+        raise TableFault([f"expected a file of the kind {', '.join(SUFFIXES)}, found {file.name}"])
     try:
         content = file.read_bytes()
     except FileNotFoundError:
-        near = (
-            [one.name for one in file.parent.iterdir()] if file.parent.is_dir() else []
-        )
-        raise TableFault(
-            [f"no such file: {file}{suggestion(file.name, near)}"]
-        ) from None
+        near = [one.name for one in file.parent.iterdir()] if file.parent.is_dir() else []
+        raise TableFault([f"no such file: {file}{suggestion(file.name, near)}"]) from None
     except OSError as refused:
         raise TableFault([f"cannot be read: {refused.strerror or refused}"]) from None
     if not content:
@@ -215,9 +201,7 @@ def _content(file: Path) -> bytes:
 
 def _column_fault(name: str, found: Sequence[str], holder: str) -> str:
     """A missing column, with the columns there are."""
-    shown = ", ".join(f'"{one}"' for one in found[:40]) + (
-        " …" if len(found) > 40 else ""
-    )
+    shown = ", ".join(f'"{one}"' for one in found[:40]) + (" …" if len(found) > 40 else "")
     return f'no column "{name}" ({holder} has {shown}){suggestion(name, found)}'
 
 
@@ -241,9 +225,7 @@ class _CsvSource:
             if not content.strip():
                 raise TableFault(["the file is empty"])
         if content[:4] in (b"PK\x03\x04", b"\xd0\xcf\x11\xe0"):
-            raise TableFault(
-                ["is an Excel file or a ZIP archive; export it as CSV text"]
-            )
+            raise TableFault(["is an Excel file or a ZIP archive; export it as CSV text"])
         if content[:4] == b"PAR1":
             raise TableFault(["is a Parquet file; name it .parquet"])
         self.content, self.encoding = _decodable(content)
@@ -307,16 +289,12 @@ class _CsvSource:
                 continue
             head = self.content[:65536].decode(self.encoding, errors="replace")
             for line in head.splitlines()[:_HEADER_WITHIN]:
-                names = [
-                    cell.strip().strip('"').lstrip("# ") for cell in line.split(other)
-                ]
+                names = [cell.strip().strip('"').lstrip("# ") for cell in line.split(other)]
                 if len(names) > 1 and time_column in names:
                     return other
         return None
 
-    def frame(
-        self, wanted: list[str], time_column: str, faults: list[str]
-    ) -> pandas.DataFrame:
+    def frame(self, wanted: list[str], time_column: str, faults: list[str]) -> pandas.DataFrame:
         """The wanted columns as pandas reads them; columns that are not there become faults."""
         import pandas as pd
 
@@ -330,9 +308,7 @@ class _CsvSource:
             if count == 1:
                 positions[name] = layout.names.index(name)
             elif count > 1:
-                faults.append(
-                    f'line {layout.header_line}: column "{name}" occurs {count} times'
-                )
+                faults.append(f'line {layout.header_line}: column "{name}" occurs {count} times')
             elif name != time_column:
                 holder = f"line {layout.header_line}"
                 faults.append(_column_fault(name, layout.names, holder))
@@ -348,9 +324,7 @@ class _CsvSource:
                     encoding=self.encoding,
                     sep=self.separator,
                     decimal=self.decimal,
-                    comment=self.comment
-                    if self.comment and len(self.comment) == 1
-                    else None,
+                    comment=self.comment if self.comment and len(self.comment) == 1 else None,
                     header=None,
                     skiprows=layout.header_line,
                     usecols=[positions[name] for name in order],
@@ -374,10 +348,7 @@ class _CsvSource:
             data = np.frombuffer(self.content, dtype=np.uint8)
             ends = np.flatnonzero(data == 10)
             marks = np.flatnonzero(data == ord(self.separator))
-            cells = (
-                np.diff(np.searchsorted(marks, np.append(ends, len(data))), prepend=0)
-                + 1
-            )
+            cells = np.diff(np.searchsorted(marks, np.append(ends, len(data))), prepend=0) + 1
             if not np.any(cells[self.layout.header_line :] > width):
                 return []
         wide, example = [], ""
@@ -421,9 +392,7 @@ def _decodable(content: bytes) -> tuple[bytes, str]:
             raise TableFault([f"is no text: {broken}"]) from None
     if b"\x00" in content:
         line = content[: content.index(b"\x00")].count(b"\n") + 1
-        raise TableFault(
-            [f"line {line}: is no text (a zero byte); the file may be damaged"]
-        )
+        raise TableFault([f"line {line}: is no text (a zero byte); the file may be damaged"])
     content = content.removeprefix(b"\xef\xbb\xbf")
     if b"\r" in content and b"\n" not in content:
         content = content.replace(b"\r", b"\n")
@@ -449,19 +418,15 @@ def _parquet_frame(
 
     try:
         import pyarrow
-        import pyarrow.parquet as parquet
+        from pyarrow import parquet
     except ImportError:
         raise TableFault(
-            [
-                'reading .parquet needs the extra "parquet": pip install "hygrokf[parquet]"'
-            ]
+            ['reading .parquet needs the extra "parquet": pip install "hygrokf[parquet]"']
         ) from None
     try:
         file = parquet.ParquetFile(pyarrow.BufferReader(content))
         found = list(file.schema_arrow.names)
-        there = [
-            name for name in dict.fromkeys([time_column, *wanted]) if name in found
-        ]
+        there = [name for name in dict.fromkeys([time_column, *wanted]) if name in found]
         for name in dict.fromkeys([time_column, *wanted]):
             if name not in found:
                 faults.append(_column_fault(name, found, "the file"))
@@ -487,14 +452,10 @@ def _numbers(
     if pd.api.types.is_datetime64_any_dtype(column.dtype):
         return np.full(len(column), np.nan), column.notna().to_numpy()
     text = column.astype(object)
-    flags = text.map(
-        {"true": 1.0, "false": 0.0, "True": 1.0, "False": 0.0, True: 1.0, False: 0.0}
-    )
+    flags = text.map({"true": 1.0, "false": 0.0, "True": 1.0, "False": 0.0, True: 1.0, False: 0.0})
     plain = text.map(lambda one: one.strip() if isinstance(one, str) else one)
     if decimal != ".":
-        plain = plain.map(
-            lambda one: one.replace(decimal, ".") if isinstance(one, str) else one
-        )
+        plain = plain.map(lambda one: one.replace(decimal, ".") if isinstance(one, str) else one)
     absent = text.isna() | plain.isin([*MISSING, *missing])
     numbers = pd.to_numeric(plain.where(~absent, None), errors="coerce").astype(float)
     numbers = numbers.where(numbers.notna(), flags.astype(float))
@@ -536,9 +497,7 @@ def _text_fault(
 def _where(rows: np.ndarray, column: pandas.Series, source: _CsvSource | None) -> str:
     """The first few rows with what they hold, such as: line 7 "error", line 9 "error", …"""
     shown = rows[:_SHOWN]
-    numbers = (
-        source.line_numbers(shown) if source is not None else [row + 1 for row in shown]
-    )
+    numbers = source.line_numbers(shown) if source is not None else [row + 1 for row in shown]
     label = "line" if source is not None else "row"
     parts = [
         f'{label} {number} "{str(column.iloc[row])[:40]}"'
@@ -560,9 +519,7 @@ def _numbered(lines: Sequence[int], total: int | None = None) -> str:
     return f"line{'s' if count > 1 else ''} {listed}" + (" …" if count > _SHOWN else "")
 
 
-def _stamp_remedy(
-    column: pandas.Series, unreadable: np.ndarray, time_column: str
-) -> str:
+def _stamp_remedy(column: pandas.Series, unreadable: np.ndarray, time_column: str) -> str:
     words = [str(one).strip() for one in column[unreadable].iloc[:200]]
     if time_column in words:
         return "; the header is repeated among the rows: remove these lines"
@@ -591,6 +548,5 @@ def _all_aware(column: pandas.Series) -> bool:
     first = column.dropna()
     return (
         len(first) > 0
-        and re.search(r"([zZ]|UTC|GMT|[+-]\d{2}(:?\d{2})?)\s*$", str(first.iloc[0]))
-        is not None
+        and re.search(r"([zZ]|UTC|GMT|[+-]\d{2}(:?\d{2})?)\s*$", str(first.iloc[0])) is not None
     )

@@ -62,19 +62,13 @@ class Series:
         if np.isinf(value).any():
             faults.append("value must be finite, or NaN where a reading is missing")
         if self.hold not in HOLDS:
-            faults.append(
-                f'hold must be one of {", ".join(HOLDS)}, found "{self.hold}"'
-            )
+            faults.append(f'hold must be one of {", ".join(HOLDS)}, found "{self.hold}"')
         for name in ("interval_s", "resolution", "clock_uncertainty_s"):
             number = getattr(self, name)
             if not (math.isfinite(number) and number >= 0.0):
                 faults.append(f"{name} must be a finite number ≥ 0, found {number}")
-        if self.accuracy is not None and not (
-            math.isfinite(self.accuracy) and self.accuracy >= 0
-        ):
-            faults.append(
-                f"accuracy must be a finite number ≥ 0 or None, found {self.accuracy}"
-            )
+        if self.accuracy is not None and not (math.isfinite(self.accuracy) and self.accuracy >= 0):
+            faults.append(f"accuracy must be a finite number ≥ 0 or None, found {self.accuracy}")
         if faults:
             raise ValueError(f"series {self.signal}: " + "; ".join(faults))
         for name, array in (("time", time), ("value", value)):
@@ -89,9 +83,7 @@ class Series:
         if not isinstance(other, Series):
             return NotImplemented
         return all(
-            np.array_equal(
-                getattr(self, field.name), getattr(other, field.name), equal_nan=True
-            )
+            np.array_equal(getattr(self, field.name), getattr(other, field.name), equal_nan=True)
             if field.name in ("time", "value")
             else getattr(self, field.name) == getattr(other, field.name)
             for field in dataclasses.fields(self)
@@ -162,9 +154,7 @@ class Record:
         names = self.signals
         twice = sorted({name for name in names if names.count(name) > 1})
         if twice:
-            raise ValueError(
-                f"record {self.name}: more than one series of {', '.join(twice)}"
-            )
+            raise ValueError(f"record {self.name}: more than one series of {', '.join(twice)}")
         if self.rated_power_W is not None and not 0.0 < self.rated_power_W < math.inf:
             raise ValueError(
                 f"record {self.name}: rated_power_W must be a number above 0, "
@@ -213,9 +203,7 @@ class Record:
             last = np.searchsorted(one.time, end_s, side="right")
             if last > first:
                 kept.append(
-                    dataclasses.replace(
-                        one, time=one.time[first:last], value=one.value[first:last]
-                    )
+                    dataclasses.replace(one, time=one.time[first:last], value=one.value[first:last])
                 )
         inside = self.until_s is not None and start_s < self.until_s < end_s
         return dataclasses.replace(
@@ -234,9 +222,7 @@ class Record:
             return dataclasses.replace(self, series=())
         return self.window(float(np.nextafter(self.until_s, math.inf)), math.inf)
 
-    def replace_series(
-        self, *changed: Series, warnings: tuple[str, ...] = ()
-    ) -> Record:
+    def replace_series(self, *changed: Series, warnings: tuple[str, ...] = ()) -> Record:
         """A record in which series are exchanged for others of the same signal.
 
         changed: the new series. warnings: sentences to add to the record's own.

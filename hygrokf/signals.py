@@ -117,9 +117,7 @@ class Signal:
         return UNITS[self.unit].dimension
 
 
-def _temperature(
-    name: str, low: float, high: float, meaning: str, accuracy=None
-) -> Signal:
+def _temperature(name: str, low: float, high: float, meaning: str, accuracy=None) -> Signal:
     """Signal in kelvin from a range in degrees Celsius."""
     return Signal(
         name,
@@ -134,9 +132,7 @@ def _temperature(
 
 def _relative_humidity(name: str, meaning: str, accuracy=None) -> Signal:
     """Relative humidity: exactly 0 is a dead sensor, up to 105 % is a saturated one."""
-    return Signal(
-        name, "1", 0.005, 1.05, meaning, accuracy, display="%", idle=(0.97, 1.05)
-    )
+    return Signal(name, "1", 0.005, 1.05, meaning, accuracy, display="%", idle=(0.97, 1.05))
 
 
 def _vapour_density(name: str, meaning: str) -> Signal:
@@ -145,21 +141,15 @@ def _vapour_density(name: str, meaning: str) -> Signal:
 
 def _irradiance(name: str, meaning: str) -> Signal:
     """Irradiance: pyranometers show a few W/m2 below zero at night."""
-    return Signal(
-        name, "W/m2", -20.0, 1600.0, meaning, display="W/m2", idle=(-20.0, 5.0)
-    )
+    return Signal(name, "W/m2", -20.0, 1600.0, meaning, display="W/m2", idle=(-20.0, 5.0))
 
 
 def _duty(name: str, meaning: str) -> Signal:
     return Signal(name, "1", 0.0, 1.0, meaning, display="1", idle=(-math.inf, math.inf))
 
 
-def _power(
-    name: str, low: float, high: float, idle_high: float, meaning: str
-) -> Signal:
-    return Signal(
-        name, "W", low, high, meaning, display="kW", idle=(-math.inf, idle_high)
-    )
+def _power(name: str, low: float, high: float, idle_high: float, meaning: str) -> Signal:
+    return Signal(name, "W", low, high, meaning, display="kW", idle=(-math.inf, idle_high))
 
 
 _WATER = "over liquid water, also below 0 °C"
@@ -183,22 +173,14 @@ SIGNALS: dict[str, Signal] = {
             100,
             f"dew point of the cabinet air, {_WATER}",
         ),
-        _temperature(
-            "cabinet_wall_temperature", -60, 120, "inner face of the cabinet wall"
-        ),
-        _temperature(
-            "converter_temperature", -60, 200, "power semiconductors or their heat sink"
-        ),
-        _temperature(
-            "coolant_temperature", -60, 150, "liquid coolant entering the converter"
-        ),
+        _temperature("cabinet_wall_temperature", -60, 120, "inner face of the cabinet wall"),
+        _temperature("converter_temperature", -60, 200, "power semiconductors or their heat sink"),
+        _temperature("coolant_temperature", -60, 150, "liquid coolant entering the converter"),
         _temperature("ambient_temperature", -80, 60, "outside air in the shade"),
         _relative_humidity(
             "ambient_relative_humidity", f"outside air at ambient_temperature, {_WATER}"
         ),
-        _vapour_density(
-            "ambient_absolute_humidity", "vapour mass per volume of outside air"
-        ),
+        _vapour_density("ambient_absolute_humidity", "vapour mass per volume of outside air"),
         _temperature(
             "ambient_dew_point_temperature",
             -80,
@@ -213,18 +195,10 @@ SIGNALS: dict[str, Signal] = {
             "air pressure at the site",
             display="hPa",
         ),
-        _temperature(
-            "nacelle_temperature", -60, 100, "air in the nacelle around the cabinet"
-        ),
-        _relative_humidity(
-            "nacelle_relative_humidity", f"air in the nacelle, {_WATER}"
-        ),
-        _temperature(
-            "tower_temperature", -60, 100, "air in the tower base around the cabinet"
-        ),
-        _relative_humidity(
-            "tower_relative_humidity", f"air in the tower base, {_WATER}"
-        ),
+        _temperature("nacelle_temperature", -60, 100, "air in the nacelle around the cabinet"),
+        _relative_humidity("nacelle_relative_humidity", f"air in the nacelle, {_WATER}"),
+        _temperature("tower_temperature", -60, 100, "air in the tower base around the cabinet"),
+        _relative_humidity("tower_relative_humidity", f"air in the tower base, {_WATER}"),
         _power(
             "active_power",
             -5e6,
@@ -276,9 +250,7 @@ SIGNALS: dict[str, Signal] = {
             display="deg",
             idle=(-math.inf, math.inf),
         ),
-        _irradiance(
-            "global_horizontal_irradiance", "sun and sky on a horizontal plane"
-        ),
+        _irradiance("global_horizontal_irradiance", "sun and sky on a horizontal plane"),
         _irradiance("diffuse_horizontal_irradiance", "sky alone on a horizontal plane"),
         _irradiance("direct_normal_irradiance", "sun alone on a plane that faces it"),
         Signal(
@@ -358,11 +330,7 @@ def unit_fault(unit: str, signal: str | Signal) -> str | None:
     choice = ", ".join(fitting)
     if unit not in UNITS:
         known = _OTHER_SPELLINGS.get(unit.lower().strip())
-        hint = (
-            f'; did you mean "{known}"?'
-            if known in fitting
-            else suggestion(unit, fitting)
-        )
+        hint = f'; did you mean "{known}"?' if known in fitting else suggestion(unit, fitting)
         return f'unknown unit "{unit}" for {row.name}; units that fit: {choice}{hint}'
     return (
         f'unit "{unit}" is one of {UNITS[unit].dimension}, but {row.name} is '
@@ -440,12 +408,8 @@ def signal_table_markdown() -> str:
         "| --- | --- | --- | --- | --- | --- |",
     ]
     for row in SIGNALS.values():
-        low, high = (
-            float(from_si(bound, row.display, row)) for bound in (row.low, row.high)
-        )
-        limits = f"{low:.4g} … {high:.4g}" + (
-            "" if row.display == "1" else f" {row.display}"
-        )
+        low, high = (float(from_si(bound, row.display, row)) for bound in (row.low, row.high))
+        limits = f"{low:.4g} … {high:.4g}" + ("" if row.display == "1" else f" {row.display}")
         accuracy = ""
         if row.default_accuracy is not None:
             shown = difference_from_si(row.default_accuracy, row.display, row)
@@ -464,7 +428,5 @@ def signal_table_markdown() -> str:
         "| --- | --- | --- | --- |",
     ]
     for unit in UNITS.values():
-        lines.append(
-            f"| {unit.name} | {unit.dimension} | {unit.factor:.9g} | {unit.offset:.9g} |"
-        )
+        lines.append(f"| {unit.name} | {unit.dimension} | {unit.factor:.9g} | {unit.offset:.9g} |")
     return "\n".join(lines) + "\n"

@@ -31,9 +31,7 @@ def duration(text: str) -> float:
     """
     found = _DURATION.match(text) if isinstance(text, str) else None
     if found is None:
-        raise ValueError(
-            f'expected a duration such as "30s", "10min" or "1h", found {text!r}'
-        )
+        raise ValueError(f'expected a duration such as "30s", "10min" or "1h", found {text!r}')
     return float(found[1]) * _SECONDS[found[2]]
 
 
@@ -74,9 +72,7 @@ def zone_named(text: str) -> tzinfo:
     text: as written in the case file. Raises ValueError that says what is wrong with it.
     """
     if not isinstance(text, str) or not text.strip():
-        raise ValueError(
-            f'timezone must be text such as "+01:00" or "Europe/Berlin", not {text!r}'
-        )
+        raise ValueError(f'timezone must be text such as "+01:00" or "Europe/Berlin", not {text!r}')
     name = text.strip()
     if name.upper() in ("UTC", "Z", "GMT"):
         return UTC
@@ -114,9 +110,7 @@ def moment(value: Any) -> float:
             f'expected an ISO 8601 stamp such as "2020-12-01T00:00:00Z", found {value!s}'
         )
     if stamp.tzinfo is None:
-        raise ValueError(
-            f'stamp "{value!s}" has no offset: add Z for UTC, or such as +01:00'
-        )
+        raise ValueError(f'stamp "{value!s}" has no offset: add Z for UTC, or such as +01:00')
     return stamp.timestamp()
 
 
@@ -185,9 +179,7 @@ def read_stamps(
     return Stamps(np.where(naive, utc, seconds), unreadable, nothing, warnings)
 
 
-def _parse(
-    text: pandas.Series, time_format: str | None
-) -> tuple[pandas.Series, np.ndarray]:
+def _parse(text: pandas.Series, time_format: str | None) -> tuple[pandas.Series, np.ndarray]:
     """Datetimes (NaT where unreadable) and which of them carry no offset."""
     import pandas as pd
 
@@ -200,19 +192,13 @@ def _parse(
     if failed.any():
         # 24:00 and a trailing "UTC" are common in exports and mean only one thing.
         kept = text[failed].astype(str).str.strip()
-        midnight = kept.str.contains(
-            r"[T ]24:00(?::00(?:\.0+)?)?(?:$|[Z+\- ])", regex=True
-        )
+        midnight = kept.str.contains(r"[T ]24:00(?::00(?:\.0+)?)?(?:$|[Z+\- ])", regex=True)
         plain = kept.str.replace(r"([T ])24:00", r"\g<1>00:00", regex=True)
         plain = plain.str.replace(r"\s*(?:UTC|GMT)$", "Z", regex=True)
         repaired, repaired_naive = _parse_iso(plain)
         if repaired.notna().any():
-            repaired = repaired + pd.to_timedelta(
-                midnight.to_numpy().astype(int), unit="D"
-            )
-            if (parsed.dt.tz is None) != (
-                repaired.dt.tz is None
-            ) or parsed.dt.tz is not None:
+            repaired = repaired + pd.to_timedelta(midnight.to_numpy().astype(int), unit="D")
+            if (parsed.dt.tz is None) != (repaired.dt.tz is None) or parsed.dt.tz is not None:
                 parsed, repaired = _as_utc(parsed), _as_utc(repaired)
             parsed = parsed.astype(repaired.dtype)
             parsed[failed] = repaired
@@ -223,9 +209,7 @@ def _parse(
 def _parse_iso(text: pandas.Series) -> tuple[pandas.Series, np.ndarray]:
     import pandas as pd
 
-    numbers = text.astype(str).str.fullmatch(
-        r"\s*\d{1,4}\s*|\s*\d{9,}\s*|\s*\d+\.\d*\s*"
-    )
+    numbers = text.astype(str).str.fullmatch(r"\s*\d{1,4}\s*|\s*\d{9,}\s*|\s*\d+\.\d*\s*")
     if numbers.any():
         # Years, Excel days and Unix seconds must not pass as stamps.
         text = text.where(~numbers, None)
@@ -239,10 +223,7 @@ def _parse_iso(text: pandas.Series) -> tuple[pandas.Series, np.ndarray]:
 
 
 def _has_offset(text: str) -> bool:
-    return (
-        _DATE_ALONE.match(text.strip()) is None
-        and _ENDS_IN_OFFSET.search(text) is not None
-    )
+    return _DATE_ALONE.match(text.strip()) is None and _ENDS_IN_OFFSET.search(text) is not None
 
 
 def _without_offset(text: pandas.Series) -> pandas.Series:
@@ -398,9 +379,7 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
         if double_days[double]:
             facts.append(f"one hour comes twice on {_days(double_days[double])}")
         if facts:
-            warnings.append(
-                f"summer-time hole: {' and '.join(facts)}; perhaps {reason}"
-            )
+            warnings.append(f"summer-time hole: {' and '.join(facts)}; perhaps {reason}")
     return tuple(warnings)
 
 

@@ -197,10 +197,11 @@ def integrate(
     stored = cabinet.volume * equivalent * ambient / air if closed else equivalent
     store = _runge_kutta(
         np.array([converter, wall, stored]),
-        ambient_K,
-        ambient_kg_m3,
-        forcing.heat_W,
-        forcing.vapour_kg_s,
+        # One layout of the arrays, or the kernel is compiled once more for slices.
+        np.ascontiguousarray(ambient_K),
+        np.ascontiguousarray(ambient_kg_m3),
+        np.ascontiguousarray(forcing.heat_W),
+        np.ascontiguousarray(forcing.vapour_kg_s),
         float(step_s),
         substeps,
         (

@@ -1,0 +1,437 @@
+"""The form of a case file: its keys, their types, and the line on which each stands."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from hygrokf.record import HOLDS, Site
+from hygrokf.signals import SIGNALS, Signal, suggestion, unit_fault
+from hygrokf.stamps import duration, moment, stamp_text
+
+STAMPS = ("instant", "start", "middle", "end")
+"""What a stamp marks: an instant, or a place in the interval that was averaged over."""
+
+_CASE_KEYS = ("name", "rated_power_kW", "site", "source", "identification")
+_SITE_KEYS = ("latitude_deg", "longitude_deg", "altitude_m")
+_IDENTIFICATION_KEYS = ("until", "start")
+_SOURCE_KEYS = (
+    "file",
+    "time",
+    "timezone",
+    "stamp",
+    "interval",
+    "hold",
+    "clock_uncertainty",
+    "separator",
+    "decimal",
+    "comment",
+    "missing",
+    "time_format",
+    "ignore_offset",
+    "signals",
+)
+_COLUMN_KEYS = ("column", "unit", "accuracy", "resolution")
+
+
+@dataclass(frozen=True)
+class StatedColumn:
+    """One signal of a source, as the case file states it.
+
+    signal: its row of the signal table. column: its name in the file. unit: of the column.
+    accuracy, resolution: [unit] or None.
+    """
+
+    signal: Signal
+    column: str
+    unit: str
+    accuracy: float | None
+    resolution: float | None
+
+
+@dataclass(frozen=True)
+class StatedSource:
+    """One [[source]] of the case file.
+
+    file: relative to the case file. time: column of the stamps. columns: one for each signal.
+    stamp: one of `STAMPS`. interval_s: [s] averaged over, or None: the step.
+    hold: "linear", "zero-order" or None: as the stamp has it.
+    clock_uncertainty_s: [s]. reading: further arguments of `read_table`.
+    """
+
+    file: str
+    time: str
+    columns: tuple[StatedColumn, ...]
+    stamp: str
+    interval_s: float | None
+    hold: str | None
+    clock_uncertainty_s: float
+    reading: dict[str, Any]
+
+
+class CaseLines:
+    """Finds the line of the case file on which a key stands, so that faults can name it."""
+
+    def __init__(self, name: str, text: str) -> None:
+        self.name = name
+        self.lines = [line.split("#")[0] for line in text.splitlines()]
+        heads = [
+            number
+            for number, line in enumerate(self.lines)
+            if re.match(r"\s*\[\[\s*source\s*\]\]", line)
+        ]
+        ends = [
+            next(
+                (
+                    other
+                    for other in range(head + 1, len(self.lines))
+                    if re.match(r"\s*\[(?!\s*source\s*\.)", self.lines[other])
+                ),
+                len(self.lines),
+            )
+            for head in heads
+        ]
+        self.blocks = list(zip(heads, ends, strict=True))
+
+    def at(self, block: int | None, *keys: str) -> str:
+        """ "case.toml, line 7", or the file's name alone where the line is not found.
+
+        block: number of the [[source]], or None for the rest of the file.
+        keys: the first of these that stands on a line gives the line.
+        """
+        inside = [number for first, last in self.blocks for number in range(first, last)]
+        if block is None:
+            numbers = [number for number in range(len(self.lines)) if number not in set(inside)]
+        elif block < len(self.blocks):
+            numbers = list(range(*self.blocks[block]))
+        else:
+            numbers = list(range(len(self.lines)))
+        for key in keys:
+            pattern = re.compile(rf"(?<![\w.-])(?:signals\.)?[\"']?{re.escape(key)}[\"']?\s*[.=\]]")
+            for number in numbers:
+                if pattern.search(self.lines[number]):
+                    return f"{self.name}, line {number + 1}"
+        if block is not None and block < len(self.blocks):
+            return f"{self.name}, line {self.blocks[block][0] + 1}"
+        return self.name
+
+
+@dataclass(frozen=True)
+class StatedCase:
+    """What a case file states, as far as it is sound.
+
+    name: of the enclosure. site: or None. rated_power_W: [W] or None.
+    start_s, until_s: [s] limits of the identification period since 1970-01-01T00:00Z, or None.
+    sources: that can be read. declared: every signal named, with the number of its source.
+    lines: finds the line of a key.
+    """
+
+    name: str
+    site: Site | None
+    rated_power_W: float | None
+    start_s: float | None
+    until_s: float | None
+    sources: tuple[StatedSource, ...]
+    declared: dict[str, int]
+    lines: CaseLines
+
+
+def stated_case(content: dict[str, Any], file: Path, text: str) -> tuple[StatedCase, list[str]]:
+    """What a case file states, and every fault of its form.
+
+    content: the parsed TOML. file: its path. text: what it was parsed from.
+    """
+    faults: list[str] = []
+    lines = CaseLines(file.name, text)
+    _unknown_keys(content, _CASE_KEYS, "", lines, None, faults)
+    name = _text(content, "name", lines, None, faults) or file.stem
+    site = _site(content.get("site"), lines, faults)
+    rated = _positive(content, "rated_power_kW", lines, None, faults)
+    start_s, until_s = _periods(content.get("identification"), lines, faults)
+    sources, declared = _sources(content.get("source"), lines, faults)
+    case = StatedCase(
+        name,
+        site,
+        None if rated is None else 1e3 * rated,
+        start_s,
+        until_s,
+        tuple(sources),
+        declared,
+        lines,
+    )
+    return case, faults
+
+
+def _unknown_keys(
+    table: dict[str, Any],
+    known: tuple[str, ...],
+    of: str,
+    lines: CaseLines,
+    block: int | None,
+    faults: list[str],
+) -> None:
+    for key in table:
+        if key not in known:
+            faults.append(
+                f'{lines.at(block, key)}: unknown key "{key}"{of}; expected '
+                f"{', '.join(known)}{suggestion(key, known)}"
+            )
+
+
+def _text(
+    table: dict[str, Any], key: str, lines: CaseLines, block: int | None, faults: list[str]
+) -> str | None:
+    """A text that may be absent."""
+    value = table.get(key)
+    if value is None:
+        return None
+    if isinstance(value, str) and value:
+        return value
+    faults.append(f"{lines.at(block, key)}: {key} must be text in quotes, found {value!r}")
+    return None
+
+
+def _number(value: Any) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+        return None
+    return float(value)
+
+
+def _positive(
+    table: dict[str, Any], key: str, lines: CaseLines, block: int | None, faults: list[str]
+) -> float | None:
+    if key not in table:
+        return None
+    number = _number(table[key])
+    if number is None or number <= 0.0:
+        faults.append(
+            f"{lines.at(block, key)}: {key} must be a number above 0, found {table[key]!r}"
+        )
+        return None
+    return number
+
+
+def _site(table: Any, lines: CaseLines, faults: list[str]) -> Site | None:
+    if table is None:
+        return None
+    if not isinstance(table, dict):
+        faults.append(f"{lines.at(None, 'site')}: expected a table [site], found {table!r}")
+        return None
+    before = len(faults)
+    _unknown_keys(table, _SITE_KEYS, " in [site]", lines, None, faults)
+    for key in _SITE_KEYS[:2]:
+        if key not in table:
+            faults.append(f"{lines.at(None, 'site')}: [site] needs {key}")
+    for key, value in table.items():
+        if key in _SITE_KEYS and _number(value) is None:
+            faults.append(f"{lines.at(None, key)}: {key} must be a number, found {value!r}")
+    if len(faults) > before:
+        return None
+    try:
+        return Site(**{key: float(value) for key, value in table.items()})
+    except ValueError as outside:
+        faults.append(f"{lines.at(None, 'site', 'latitude_deg')}: {outside}")
+        return None
+
+
+def _periods(table: Any, lines: CaseLines, faults: list[str]) -> tuple[float | None, float | None]:
+    """Start and end of the identification period [s]."""
+    if table is None:
+        return None, None
+    if not isinstance(table, dict):
+        faults.append(f"{lines.name}: expected a table [identification], found {table!r}")
+        return None, None
+    _unknown_keys(table, _IDENTIFICATION_KEYS, " in [identification]", lines, None, faults)
+    moments: dict[str, float | None] = {"start": None, "until": None}
+    for key in moments:
+        if key in table:
+            try:
+                moments[key] = moment(table[key])
+            except ValueError as wrong:
+                faults.append(f"{lines.at(None, key)}: {key}: {wrong}")
+    start_s, until_s = moments["start"], moments["until"]
+    if start_s is not None and until_s is not None and start_s >= until_s:
+        faults.append(
+            f"{lines.at(None, 'start')}: start {stamp_text(start_s)} must be before until "
+            f"{stamp_text(until_s)}"
+        )
+        return None, None
+    return start_s, until_s
+
+
+def _sources(
+    tables: Any, lines: CaseLines, faults: list[str]
+) -> tuple[list[StatedSource], dict[str, int]]:
+    """The sources that can be read, and every signal named with the number of its source."""
+    declared: dict[str, int] = {}
+    if not tables:
+        faults.append(f"{lines.name}: names no source; expected one [[source]] for each file")
+        return [], declared
+    if not isinstance(tables, list) or not all(isinstance(one, dict) for one in tables):
+        faults.append(f"{lines.at(None, 'source')}: write [[source]] with two brackets")
+        tables = [tables] if isinstance(tables, dict) else []
+    sources = []
+    for block, table in enumerate(tables):
+        columns = _columns(table.get("signals"), lines, block, faults)
+        for name in table["signals"] if isinstance(table.get("signals"), dict) else ():
+            if name in declared and name in SIGNALS:
+                other = lines.at(declared[name], name).split(", ")[-1]
+                faults.append(
+                    f"{lines.at(block, name)}: signals.{name} is named a second time (first: "
+                    f"{other}); a record has one series of a signal"
+                )
+            declared.setdefault(name, block)
+        source = _source(table, columns, lines, block, faults)
+        if source is not None:
+            sources.append(source)
+    return sources, declared
+
+
+def _columns(
+    table: Any, lines: CaseLines, block: int, faults: list[str]
+) -> tuple[StatedColumn, ...]:
+    if not isinstance(table, dict) or not table:
+        faults.append(
+            f"{lines.at(block)}: this source names no signal; expected such as "
+            'signals.cabinet_temperature = { column = "…", unit = "degC" }'
+        )
+        return ()
+    columns = []
+    for name, entry in table.items():
+        where = lines.at(block, name)
+        if name not in SIGNALS:
+            faults.append(
+                f'{where}: unknown signal "{name}"{suggestion(name, SIGNALS)}'
+                " (docs/signals.md lists them all)"
+            )
+            continue
+        if not isinstance(entry, dict):
+            faults.append(f'{where}: {name} must be {{ column = "…", unit = "…" }}')
+            continue
+        before = len(faults)
+        _unknown_keys(entry, _COLUMN_KEYS, f" in signals.{name}", lines, block, faults)
+        for key in ("column", "unit"):
+            value = entry.get(key)
+            if not isinstance(value, str) or (key == "column" and not value):
+                faults.append(
+                    f"{where}: signals.{name} needs {key}"
+                    + ("" if value is None else f" as text, found {value!r}")
+                )
+        if isinstance(entry.get("unit"), str):
+            wrong = unit_fault(entry["unit"], name)
+            if wrong is not None:
+                faults.append(f"{where}: {wrong}")
+        sizes = {}
+        for key in ("accuracy", "resolution"):
+            sizes[key] = _number(entry.get(key))
+            if key in entry and (sizes[key] is None or sizes[key] < 0.0):
+                faults.append(
+                    f"{where}: {key} must be a number ≥ 0 in the unit of the column, found "
+                    f"{entry[key]!r}"
+                )
+        if len(faults) == before:
+            columns.append(StatedColumn(SIGNALS[name], entry["column"], entry["unit"], **sizes))
+    return tuple(columns)
+
+
+def _source(
+    table: dict[str, Any],
+    columns: tuple[StatedColumn, ...],
+    lines: CaseLines,
+    block: int,
+    faults: list[str],
+) -> StatedSource | None:
+    _unknown_keys(table, _SOURCE_KEYS, " in [[source]]", lines, block, faults)
+    words = {
+        key: _text(table, key, lines, block, faults)
+        for key in (
+            "file",
+            "time",
+            "timezone",
+            "time_format",
+            "comment",
+            "separator",
+            "decimal",
+        )
+    }
+    for key in ("file", "time"):
+        if key not in table:
+            faults.append(f"{lines.at(block)}: this source needs {key}")
+    for key in ("separator", "comment", "decimal"):
+        if words[key] is not None and len(words[key]) != 1:
+            faults.append(
+                f'{lines.at(block, key)}: {key} must be one character, found "{words[key]}"'
+            )
+            words[key] = None
+    separator, decimal = words["separator"] or ",", words["decimal"] or "."
+    if separator == decimal:
+        faults.append(
+            f"{lines.at(block, 'decimal', 'separator')}: separator and decimal are both "
+            f'"{decimal}"; state another one of the two'
+        )
+    choices = {}
+    for key, allowed in (("stamp", STAMPS), ("hold", HOLDS)):
+        choices[key] = _text(table, key, lines, block, faults)
+        if choices[key] is not None and choices[key] not in allowed:
+            faults.append(
+                f"{lines.at(block, key)}: {key} must be one of {', '.join(allowed)}, found "
+                f'"{choices[key]}"{suggestion(choices[key], allowed)}'
+            )
+            choices[key] = None
+    lengths: dict[str, float | None] = {"interval": None, "clock_uncertainty": None}
+    for key in lengths:
+        if key in table:
+            try:
+                lengths[key] = duration(table[key])
+            except ValueError as wrong:
+                faults.append(f"{lines.at(block, key)}: {key}: {wrong}")
+    stamp = choices["stamp"] or "instant"
+    if lengths["interval"] is not None and stamp == "instant" and choices["hold"] != "zero-order":
+        faults.append(
+            f"{lines.at(block, 'interval')}: an interval needs to know where in it the stamp is: "
+            'state stamp = "start", "middle" or "end"'
+        )
+    if lengths["interval"] == 0.0:
+        faults.append(f"{lines.at(block, 'interval')}: interval must be longer than 0")
+        lengths["interval"] = None
+    missing = table.get("missing", [])
+    if not isinstance(missing, list) or not all(isinstance(one, str) for one in missing):
+        faults.append(
+            f'{lines.at(block, "missing")}: missing must be a list of texts such as ["error"], '
+            f"found {missing!r}"
+        )
+        missing = []
+    ignore = table.get("ignore_offset", False)
+    if not isinstance(ignore, bool):
+        faults.append(
+            f"{lines.at(block, 'ignore_offset')}: ignore_offset must be true or false, found "
+            f"{ignore!r}"
+        )
+    elif ignore and words["timezone"] is None:
+        faults.append(
+            f"{lines.at(block, 'ignore_offset')}: ignore_offset = true needs the timezone of the "
+            "clock"
+        )
+    if words["file"] is None or words["time"] is None:
+        return None
+    return StatedSource(
+        file=words["file"],
+        time=words["time"],
+        columns=columns,
+        stamp=stamp,
+        interval_s=lengths["interval"],
+        hold=choices["hold"],
+        clock_uncertainty_s=lengths["clock_uncertainty"] or 0.0,
+        reading={
+            "timezone": words["timezone"],
+            "separator": separator,
+            "decimal": decimal,
+            "comment": words["comment"],
+            "missing": tuple(missing),
+            "time_format": words["time_format"],
+            "ignore_offset": ignore is True,
+        },
+    )
