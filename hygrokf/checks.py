@@ -11,7 +11,7 @@ from hygrokf.masks import mask_frozen, mask_out_of_range, mask_saturated
 from hygrokf.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 from hygrokf.record import Record, Series
 from hygrokf.signals import difference_from_si, from_si, signal_named
-from hygrokf.stamps import duration_text, modal_step, period_text, stamp_text
+from hygrokf.stamps import duration_text, modal_step, stamp_text
 
 _DAY = 86400.0
 _GAP_STEPS = 3.0
@@ -29,7 +29,7 @@ def mask(record: Record) -> Record:
     changed, warnings = [], []
     for series in record.series:
         for treat in (mask_out_of_range, mask_frozen, mask_saturated):
-            series, said = treat(series)  # noqa: PLW2901
+            series, said = treat(series)
             warnings += said
         changed.append(series)
     return record.replace_series(*changed, warnings=tuple(warnings))

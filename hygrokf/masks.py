@@ -207,10 +207,8 @@ def mask_frozen(series: Series) -> tuple[Series, tuple[str, ...]]:
         f"({period_text(first, last)})"
     )
     if frozen.sum() > 0.5 * len(value):
-        return series, (
-            f"{_label(series)}: perhaps a frozen sensor: {what}; not masked, since these are more "
-            "than half of the readings",
-        )
+        doubt = f"perhaps a frozen sensor: {what}; not masked, since these are more than half"
+        return series, (f"{_label(series)}: {doubt} of the readings",)
     return _masked(series, frozen), (
         f"{_label(series)}: frozen sensor, {what}; {_readings(frozen)} masked",
     )

@@ -363,10 +363,8 @@ class _CsvSource:
         remedy = ""
         if self.separator == "," and re.search(r"\d,\d+(,|$)", example):
             remedy = "; numbers with a decimal comma need another separator or quotes: export again"
-        return [
-            f"{_numbered(wide)}: expected {width} cells as in the header (line "
-            f'{self.layout.header_line}), found more: "{example[:80]}"{remedy}'
-        ]
+        header = f"expected {width} cells as in the header (line {self.layout.header_line})"
+        return [f'{_numbered(wide)}: {header}, found more: "{example[:80]}"{remedy}']
 
     def line_numbers(self, rows: np.ndarray) -> list[int]:
         """Line numbers of rows of the frame."""

@@ -298,7 +298,8 @@ def near_names(name: str, candidates: Iterable[str], count: int = 3) -> list[str
 def suggestion(name: str, candidates: Iterable[str]) -> str:
     """Half a sentence that names the nearest candidates, or nothing if none is near."""
     near = near_names(name, candidates)
-    return f"; did you mean {' or '.join(f'"{one}"' for one in near)}?" if near else ""
+    quoted = " or ".join(f'"{one}"' for one in near)
+    return f"; did you mean {quoted}?" if near else ""
 
 
 def signal_named(name: str) -> Signal:
@@ -393,16 +394,18 @@ def in_words(value: float, signal: str | Signal) -> str:
 
 def signal_table_markdown() -> str:
     """The page docs/signals.md: the signal table and the unit table."""
-    lines = [
-        "# Signals",
-        "",
-        "Made from the table in `hygrokf/signals.py` by `signal_table_markdown()`; "
-        "change the table, not this page.",
-        "",
+    introduction = (
         "A case file names a signal, the column that holds it and the unit of that column. "
         "Inside the package every value is in the SI unit of this table. Readings outside of "
         "the physical range are masked and said as a warning. The accuracy is the 95 % accuracy "
-        "assumed for the sensor where the case file states none.",
+        "assumed for the sensor where the case file states none."
+    )
+    lines = [
+        "# Signals",
+        "",
+        "Made from the table in `hygrokf/signals.py`; change the table, not this page.",
+        "",
+        introduction,
         "",
         "| signal | unit inside | units in a case file | range | accuracy | meaning |",
         "| --- | --- | --- | --- | --- | --- |",

@@ -74,7 +74,7 @@ def _weather(
     def process(correlation_h: float) -> np.ndarray:
         return ornstein_uhlenbeck(random, size, step_h, correlation_h)
 
-    mean, swing = random.uniform(8.5, 11.5), random.uniform(5.0, 7.0)
+    mean, swing = random.uniform(7.2, 10.0), random.uniform(4.6, 6.4)
     season = np.cos(2.0 * np.pi * (knots / DAY_S - 24.0) / 365.2425)
     synoptic = process(random.uniform(50.0, 90.0))
     clearness = 0.5 * (1.0 + np.tanh(process(15.0) - 0.4))
@@ -82,7 +82,7 @@ def _weather(
     irradiance = (240.0 + 760.0 * clearness) * sun**1.1
     night = (sun == 0.0) * clearness
     base = mean - swing * season + random.uniform(2.3, 3.4) * synoptic
-    warming = 0.013 * low_pass(irradiance, step_h, 2.7) - 2.2 * low_pass(night, step_h, 3.5)
+    warming = 0.019 * low_pass(irradiance, step_h, 2.7) - 2.8 * low_pass(night, step_h, 3.5)
     celsius = base + warming + 0.8 * process(7.0) + 0.2 * process(0.6)
     depression = 1.0 + 1.4 * np.logaddexp(0.0, process(25.0)) + 0.4 * process(4.0)
     dew = np.minimum(base - depression, celsius - 0.4 - 0.3 * np.abs(process(12.0)))

@@ -1,0 +1,277 @@
+"""Which model a record calls for: a `Design` is a model with the constants that turn any record into its inputs.
+
+A design is made from the identification period alone and then used, unchanged, on every record: the same one later, a
+sister turbine, a forecast.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from hygrokf import mechanisms as library
+from hygrokf.model import Mechanism, Model, compose
+from hygrokf.record import Record, Series
+from hygrokf.recursion import LINEAR, REGIME, ZERO_ORDER
+from hygrokf.signals import signal_named
+
+HOLDS = {
+    "ambient_temperature": LINEAR,
+    "ambient_absolute_humidity": LINEAR,
+    "exchange_factor": LINEAR,
+    "cabinet_temperature": LINEAR,
+    "operating": ZERO_ORDER,
+    "preheating": ZERO_ORDER,
+    "power_unknown": REGIME,
+    **{f"power_{k}": ZERO_ORDER for k in range(1, 6)},
+}
+"""Holds of the inputs of the base models between their own times."""
+TEMPERATURE = "cabinet_temperature"
+HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
+BRIDGE_H = 1.0
+"""[h] gaps of the power up to this length are bridged by the value before them; over longer ones it is unknown."""
+AMBIENT_BRIDGE_H = 6.0
+"""[h] gaps of the ambient series up to this length are bridged linearly; over longer ones readings are left out."""
+SETTLING_H = 12.0
+"""[h] after a long gap of the ambient series readings are left out for this long, until the state has forgotten it."""
+JOINT = "joint"
+CASCADE = "cascade"
+
+
+@dataclass(frozen=True)
+class Design:
+    """A model and how its inputs come from a record.
+
+    `mechanisms` pairs (name, settings) of the library; `averaged` outputs read as interval means, with the interval
+    [h]; `power_scale_W` the power that counts as 1; `power_order` the largest power of it; `power_mean` the means of
+    the features (operating, p, …) that stand for an unknown power; `humidity` the humidity signal that is observed.
+    """
+
+    mechanisms: tuple[tuple[str, dict], ...]
+    averaged: Mapping[str, float] = field(default_factory=dict)
+    power_scale_W: float | None = None
+    power_order: int = 0
+    power_mean: tuple[float, ...] = ()
+    humidity: str | None = None
+    statements: tuple[str, ...] = ()
+    holds: Mapping[str, str] = field(default_factory=dict)
+
+    @cached_property
+    def model(self) -> Model:
+        made: list[Mechanism] = [library.LIBRARY[name](**settings) for name, settings in self.mechanisms]
+        return compose(made, {**HOLDS, **self.holds}, self.averaged)
+
+    def to_json(self) -> dict:
+        """Everything that makes the design again, as plain data."""
+        return asdict(self)
+
+    @classmethod
+    def from_json(cls, data: Mapping) -> Design:
+        known = dict(data)
+        known["mechanisms"] = tuple((name, dict(settings)) for name, settings in known["mechanisms"])
+        known["power_mean"] = tuple(known["power_mean"])
+        known["statements"] = tuple(known["statements"])
+        return cls(**known)
+
+
+def reading_step_h(series: Series) -> float:
+    """Median distance of readings [h]."""
+    time = series.time[~series.missing]
+    return float(np.median(np.diff(time))) / 3600.0 if len(time) > 1 else 1.0
+
+
+def accuracy_of(series: Series) -> float:
+    """Stated accuracy, else the signal table's default, else 0 [SI unit]."""
+    if series.accuracy is not None:
+        return series.accuracy
+    return signal_named(series.signal).default_accuracy or 0.0
+
+
+def observed_humidity(record: Record) -> str | None:
+    """The humidity signal of the cabinet that a likelihood uses: the logger's own relative humidity if there is one."""
+    if not {"ambient_absolute_humidity", "ambient_relative_humidity", "ambient_dew_point_temperature"} & set(
+        record.signals
+    ):
+        return None
+    for name in HUMIDITIES:
+        if name in record and np.isfinite(record[name].value).sum() >= 50:
+            return name
+    return None
+
+
+def power_scale(record: Record) -> float | None:
+    """Power that counts as 1 [W]: the rated power, else the record's 99.9 % quantile; None without power."""
+    if "active_power" not in record:
+        return None
+    value = record["active_power"].value
+    value = value[np.isfinite(value)]
+    if len(value) < 10:
+        return None
+    top = float(np.quantile(value, 0.999))
+    return record.rated_power_W or (top if top > 0 else None)
+
+
+def design(
+    record: Record,
+    *,
+    kind: str = JOINT,
+    power_order: int = 2,
+    operation_ambient: bool = True,
+    standstill_ambient: bool = True,
+    heat_start: Mapping[str, float] | None = None,
+    coloured: bool = True,
+) -> Design:
+    """The base model that a record calls for.
+
+    `kind`: "joint" (thermal and hygric state in one filter), "thermal" (temperature alone), or "cascade" (the hygric
+    model on the measured temperature).  `coloured=False` leaves the coloured disturbances out.
+    """
+    statements: list[str] = []
+    chosen: list[tuple[str, dict]] = []
+    averaged: dict[str, float] = {}
+    humidity = observed_humidity(record) if kind != "thermal" else None
+    scale = power_scale(record) if kind != CASCADE else None
+    mean: tuple[float, ...] = ()
+    reference = float(np.nanmean(record["ambient_temperature"].value))
+    if kind != CASCADE:
+        chosen.append(("thermal_network", {}))
+        release, mean, said = _release(
+            record, scale, power_order, operation_ambient, standstill_ambient, reference, heat_start or {}
+        )
+        chosen.append(("heat_release", release))
+        statements += said
+        temperature = record[TEMPERATURE]
+        if coloured:
+            chosen.append(("heat_disturbance", _correlation_bounds(temperature, record)))
+        chosen.append(("thermal_diffusion", {}))
+        chosen.append(("temperature_sensor", _sensor(temperature)))
+        if temperature.interval_s > 0:
+            averaged[TEMPERATURE] = temperature.interval_s / 3600.0
+        power_order = release["order"] if release["operation"] else 0
+    else:
+        chosen.append(("measured_air", {}))
+        power_order = 0
+    if humidity is not None:
+        series = record[humidity]
+        chosen.append(("hygric_exchange", {}))
+        if coloured:
+            chosen.append(("vapour_disturbance", _correlation_bounds(series, record)))
+        chosen.append(("hygric_diffusion", {}))
+        relative = humidity == "cabinet_relative_humidity"
+        settings = _sensor(series)
+        if not relative:
+            settings = {name: value * 1e3 for name, value in settings.items()}
+        chosen.append(("humidity_sensor" if relative else "absolute_humidity_sensor", settings))
+        if series.interval_s > 0:
+            averaged[humidity] = series.interval_s / 3600.0
+    elif kind != "thermal":
+        statements.append("no humidity inside and outside: the hygric model is left out")
+    return Design(
+        mechanisms=tuple(chosen),
+        averaged=averaged,
+        power_scale_W=scale,
+        power_order=power_order,
+        power_mean=mean,
+        humidity=humidity,
+        statements=tuple(statements),
+    )
+
+
+def _sensor(series: Series) -> dict[str, float]:
+    return {"accuracy": accuracy_of(series), "resolution": float(series.resolution)}
+
+
+def _correlation_bounds(series: Series, record: Record) -> dict[str, float]:
+    """Bounds of a disturbance's correlation time: what the readings' step and the record's length can resolve."""
+    step = reading_step_h(series)
+    length = (record.end_s - record.start_s) / 3600.0
+    shortest = max(step, 0.1)
+    return {"shortest_h": shortest, "longest_h": max(min(length / 10.0, 200.0), 4.0 * shortest)}
+
+
+def _release(
+    record: Record,
+    scale: float | None,
+    order: int,
+    ambient: bool,
+    standstill_ambient: bool,
+    reference: float,
+    start: Mapping[str, float],
+) -> tuple[dict, tuple[float, ...], list[str]]:
+    """Settings of the heat release, the mean features, and what is to be said about it."""
+    statements = []
+    settings: dict = {"reference_K": reference, "start": dict(start)}
+    if "preheating" in record and np.nanmax(record["preheating"].value, initial=0.0) > 0:
+        settings["preheating"] = True
+    if scale is None:
+        settings |= {"operation": False, "standstill": True, "standstill_ambient": standstill_ambient, "order": 0}
+        statements.append("no power in the record: all of it counts as standstill")
+        return settings, (), statements
+    series = record["active_power"]
+    value = series.value[~series.missing] / scale
+    running = value > 0
+    operation, standstill = bool(running.mean() > 0.01), bool((~running).mean() > 0.01)
+    if not standstill:
+        statements.append("hardly any standstill in the record: the heat release at standstill is that of operation")
+    if not operation:
+        statements.append("hardly any operation in the record: its heat release cannot be identified")
+        settings |= {"operation": False, "standstill": True, "standstill_ambient": standstill_ambient, "order": 0}
+        return settings, (), statements
+    distinct = float(np.ptp(np.quantile(value[running], [0.02, 0.98])))
+    if distinct < 0.05 and order > 0:
+        order = 0
+        statements.append("the power hardly varies: the heat release has no slope over it")
+    features = power_features(value, order)
+    settings |= {
+        "order": order,
+        "ambient": ambient,
+        "operation": True,
+        "standstill": standstill,
+        "standstill_ambient": standstill_ambient,
+    }
+    if _longest_gap_h(series, record) > BRIDGE_H:
+        chosen = features if standstill else np.column_stack([np.zeros(len(value)), features[:, 1:]])
+        settings["gap_covariance"] = np.cov(chosen.T, bias=True).reshape(order + 1, order + 1).tolist()
+        settings["gap_time_h"] = _correlation_time_h(series)
+    return settings, tuple(features.mean(axis=0)), statements
+
+
+def power_features(relative_power: np.ndarray, order: int) -> np.ndarray:
+    """Features (T, order+1) of the relative power [1]: operating, and operating · p^k."""
+    running = (relative_power > 0).astype(float)
+    return np.column_stack([running, *(running * relative_power**k for k in range(1, order + 1))])
+
+
+def _longest_gap_h(power: Series, record: Record) -> float:
+    """Longest time without known power within the span of the cabinet's readings [h]."""
+    spans = [record[n] for n in (TEMPERATURE, *HUMIDITIES) if n in record]
+    first, last = min(s.time[0] for s in spans), max(s.time[-1] for s in spans)
+    known = power.time[~power.missing]
+    edges = np.concatenate([[first], known[(known > first) & (known < last)], [last]])
+    return float(np.max(np.diff(edges))) / 3600.0
+
+
+def _correlation_time_h(series: Series) -> float:
+    """Lag at which the autocorrelation falls below 1/e [h]."""
+    value = series.value - np.nanmean(series.value)
+    step = float(np.median(np.diff(series.time))) / 3600.0
+    value = np.where(np.isfinite(value), value, 0.0)
+    variance = float(value @ value)
+    if variance <= 0:
+        return 24.0
+    for lag in range(1, min(len(value) // 2, int(240 / step))):
+        if float(value[lag:] @ value[:-lag]) < variance / np.e:
+            return max(lag * step, 0.5)
+    return 240.0
+
+
+def extended(base: Design, additions: Sequence[tuple[str, dict]], holds: Mapping[str, str] | None = None) -> Design:
+    """The design with more mechanisms of the library."""
+    from dataclasses import replace
+
+    return replace(
+        base, mechanisms=(*base.mechanisms, *additions), holds={**base.holds, **(holds or {})}
+    )
