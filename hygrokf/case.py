@@ -129,10 +129,20 @@ def _case_text(file: Path) -> tuple[str, dict[str, Any]]:
     try:
         return text, tomllib.loads(text.replace("\r\n", "\n"))
     except tomllib.TOMLDecodeError as wrong:
-        found = re.search(r"\(at line (\d+), column (\d+)\)", str(wrong))
-        where = f"line {found[1]}, column {found[2]}: " if found else ""
-        reason = re.sub(r"\s*\(at [^)]*\)", "", str(wrong))
-        raise CaseFault(str(file), [f"{where}not valid TOML: {reason}"]) from None
+        raise CaseFault(str(file), [_syntax_fault(str(wrong), text)]) from None
+
+
+def _syntax_fault(reason: str, text: str) -> str:
+    """What is wrong with the TOML, with its line."""
+    found = re.search(r"\(at line (\d+), column (\d+)\)", reason)
+    reason = re.sub(r"\s*\(at [^)]*\)$", "", reason)
+    if "('source',)" in reason:
+        reason += "; write [[source]] with two brackets, once for each file"
+    if found is None:
+        return f"not valid TOML: {reason}"
+    line = text.splitlines()[int(found[1]) - 1 : int(found[1])]
+    shown = f", in: {line[0].strip()[:80]}" if line else ""
+    return f"line {found[1]}, column {found[2]}: not valid TOML: {reason}{shown}"
 
 
 def _source_series(
@@ -240,7 +250,10 @@ def _unit_mistaken(one: StatedColumn, raw: np.ndarray) -> str | None:
     ]
     middle = float(np.median(finite))
     if row.name == "ambient_temperature" and unit == "degC" and fits > 0.5 and middle > 45.0:
-        fits, better = 0.0, ["degF"]
+        return (
+            f"ambient_temperature is called degC, but half of its readings exceed {middle:.4g}, "
+            "hotter than any climate; they would fit as degF: correct the unit or the column"
+        )
     if fits >= 0.5 or (fits > 0.0 and not better):
         return None
     limits = f"{in_words(row.low, row)} … {in_words(row.high, row)}"

@@ -225,16 +225,21 @@ def _site(table: Any, lines: CaseLines, faults: list[str]) -> Site | None:
     for key in _SITE_KEYS[:2]:
         if key not in table:
             faults.append(f"{lines.at(None, 'site')}: [site] needs {key}")
-    for key, value in table.items():
-        if key in _SITE_KEYS and _number(value) is None:
-            faults.append(f"{lines.at(None, key)}: {key} must be a number, found {value!r}")
-    if len(faults) > before:
-        return None
+    numbers = {"latitude_deg": 0.0, "longitude_deg": 0.0, "altitude_m": None}
+    for key in _SITE_KEYS:
+        if key in table:
+            number = _number(table[key])
+            if number is None:
+                faults.append(
+                    f"{lines.at(None, key)}: {key} must be a number, found {table[key]!r}"
+                )
+            else:
+                numbers[key] = number
     try:
-        return Site(**{key: float(value) for key, value in table.items()})
+        site = Site(**numbers)
     except ValueError as outside:
-        faults.append(f"{lines.at(None, 'site', 'latitude_deg')}: {outside}")
-        return None
+        faults.append(f"{lines.at(None, 'latitude_deg', 'site')}: {outside}")
+    return site if len(faults) == before else None
 
 
 def _periods(table: Any, lines: CaseLines, faults: list[str]) -> tuple[float | None, float | None]:
@@ -432,6 +437,6 @@ def _source(
             "comment": words["comment"],
             "missing": tuple(missing),
             "time_format": words["time_format"],
-            "ignore_offset": ignore is True,
+            "ignore_offset": ignore is True and words["timezone"] is not None,
         },
     )

@@ -17,7 +17,7 @@ _DAY = 86400.0
 _GAP_STEPS = 3.0
 _SHORT_RECORD_D = 14.0
 _SHORT_VALIDATION_D = 7.0
-_SOLAR_LAG_MIN = 30.0
+_SOLAR_LAG_MIN = 20.0
 
 
 def mask(record: Record) -> Record:
@@ -215,11 +215,14 @@ def _covered(series: Series, other: Series) -> float:
 
 def _doubts_of_climate(record: Record) -> list[str]:
     said = []
-    if "cabinet_temperature" not in record:
+    humid = any(f"cabinet_{kind}" in record for kind in _HUMIDITIES)
+    if "cabinet_temperature" not in record and not humid:
+        said.append("no cabinet signal: nothing can be identified or scored")
+    elif "cabinet_temperature" not in record:
         said.append("no cabinet temperature: the thermal model cannot be identified")
-    if not any(f"cabinet_{kind}" in record for kind in _HUMIDITIES):
+    elif not humid:
         said.append("no cabinet humidity: only the thermal model can be identified")
-    elif not any(f"ambient_{kind}" in record for kind in _HUMIDITIES):
+    if humid and not any(f"ambient_{kind}" in record for kind in _HUMIDITIES):
         said.append("no ambient humidity: the hygric model has no input")
     for signal in record.signals:
         one = record[signal]
@@ -408,7 +411,7 @@ def _row(one: dict[str, Any]) -> tuple[str, ...]:
     step_unit = " K" if one["unit"] == "degC" else unit
     hold = one["hold"]
     if one["interval_s"]:
-        hold = f"mean of {duration_text(one['interval_s'])}"
+        hold = f"{hold} {duration_text(one['interval_s'])}"
     if one["mean"] is None:
         values = "-"
     else:

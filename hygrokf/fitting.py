@@ -221,27 +221,35 @@ def maximise(
     count: int = 4,
     progress: Callable[[str], None] | None = None,
     more_starts: Sequence[Mapping[str, float]] = (),
+    search: Likelihood | None = None,
 ) -> Estimate:
     """Maximum likelihood from several starts; other optima are reported, not hidden.
 
     `values` start values of some parameters, `fixed` those to be held, `count` starts over the noise parameters,
-    `more_starts` further complete starts.  Short climbs from every start are followed to the end for the two best.
+    `more_starts` further complete starts.  Short climbs from every start, on a shorter stretch of the record if `search`
+    gives one, are followed to the end on the whole for those that lead to different places.
     """
     coordinates = Coordinates(likelihood.model.parameters, fixed)
     objective = Objective(likelihood, coordinates)
+    scout = objective if search is None else Objective(search, coordinates)
     candidates = starts(coordinates, values, count)
     candidates += [coordinates.start(v) for v in more_starts]
     short = []
     for k, z in enumerate(candidates):
         if progress is not None:
             progress(f"start {k + 1} of {len(candidates)}")
-        short.append(climb(objective, z, passes=15 if len(candidates) > 1 else MAXIMUM_PASSES, tolerance=1e-2))
+        several = len(candidates) > 1
+        short.append(climb(scout, z, passes=15 if several else 25, tolerance=1e-2) if several or search else Optimum(z, 0.0, False, "", 0))
     short.sort(key=lambda o: -o.objective)
     optima: list[Optimum] = []
-    for o in short[:1] + [o for o in short[1:] if _far(o, short[0])]:
-        worth = not optima or o.objective > optima[0].objective - 50.0
-        done = climb(objective, o.z) if worth and len(optima) < 3 else o
-        if not any(not _far(done, kept) for kept in optima):
+    if progress is not None:
+        progress("climb")
+    for k, o in enumerate(short):
+        # worth following to the end: the best, and others that may still overtake it
+        if k > 0 and (len(optima) >= 3 or o.objective < short[0].objective - 50.0 or not _far(o, short[0])):
+            continue
+        done = climb(objective, o.z)
+        if all(_far(done, kept) for kept in optima):
             optima.append(done)
     optima.sort(key=lambda o: -o.objective)
     best = optima[0]

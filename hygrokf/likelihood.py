@@ -214,6 +214,12 @@ class Likelihood:
         table = np.empty(max(1, len(keys) * len(self.recursion.key_nodes)))
         return (len(key), len(keys), self.theta(values), keys, parts, table, key, u, y, reset, state, state.copy())
 
+    @cached_property
+    def _store(self) -> np.ndarray:
+        """Moments that the backward pass needs; kept between calls (fresh memory costs more than the filter)."""
+        r = self.recursion
+        return np.empty((2 * len(self.timeline), len(r.state)))
+
     @staticmethod
     def _loglik(out: np.ndarray) -> float:
         return -0.5 * float(out[0] + out[1] + out[2] * math.log(2.0 * math.pi))
@@ -235,7 +241,7 @@ class Likelihood:
         parts = common[4]
         width = len(state)
         out, theta_bar, state_bar = np.zeros(3), np.zeros(len(r.p)), np.zeros(width)
-        store = np.empty((2 * len(self.timeline), width))
+        store = self._store
         key_bar = np.zeros(max(1, len(common[3]) * len(r.key_nodes)))
         buffer = np.empty((max(int(parts.max(initial=1)), len(r.updates)) + 1, width))
         r.code("adjoint")("adjoint", *common, out, store, key_bar, theta_bar, state_bar, buffer)
@@ -250,14 +256,7 @@ class Likelihood:
         Without `gain` the filter runs free (no reading corrects the state): the output error's derivatives.
         """
         count = directions.shape[1]
-        blocks = range(0, max(count, 1), LANES)
-        padded = np.zeros((directions.shape[0], len(blocks) * LANES))
-        padded[:, :count] = directions
-        first = np.ascontiguousarray(self.first_state(values), dtype=float)
-        slopes = self._first_state_slopes(values).T @ padded
-        states = [first.copy() for _ in blocks]
-        dots = [np.ascontiguousarray(slopes[:, b : b + LANES]) for b in blocks]
-        seeds = [np.ascontiguousarray(padded[:, b : b + LANES]) for b in blocks]
+        states, dots, seeds = self._tangent_start(values, directions)
         score, information, loglik = np.zeros(count), np.zeros((count, count)), 0.0
         scores = np.zeros((len(self.timeline), count)) if each else None
         for start in range(0, len(self.timeline), CHUNK):
@@ -273,6 +272,25 @@ class Likelihood:
             b = (ds / (math.sqrt(2.0) * s)[..., None]).reshape(-1, count)
             information += a.T @ a + b.T @ b
         return Sensitivities(loglik, score, information, scores)
+
+    def _tangent_start(self, values: Mapping[str, float], directions: np.ndarray) -> tuple[list, list, list]:
+        """First moments, their tangents and the directions, in blocks of `LANES`."""
+        count = directions.shape[1]
+        blocks = range(0, max(count, 1), LANES)
+        padded = np.zeros((directions.shape[0], len(blocks) * LANES))
+        padded[:, :count] = directions
+        first = np.ascontiguousarray(self.first_state(values), dtype=float)
+        slopes = self._first_state_slopes(values).T @ padded
+        states = [first.copy() for _ in blocks]
+        dots = [np.ascontiguousarray(slopes[:, b : b + LANES]) for b in blocks]
+        seeds = [np.ascontiguousarray(padded[:, b : b + LANES]) for b in blocks]
+        return states, dots, seeds
+
+    def residuals(self, values: Mapping[str, float], directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Free-run residuals (T, k), NaN without reading, and their slopes (T, k, r) along directions (d, r)."""
+        states, dots, seeds = self._tangent_start(values, directions)
+        e, _, de, _, _ = self._tangent_part(values, slice(0, len(self.timeline)), states, dots, seeds, False)
+        return np.where(np.isfinite(self.timeline.y), e, np.nan), de[..., : directions.shape[1]]
 
     def _tangent_part(
         self, values: Mapping[str, float], part: slice, states: list, dots: list, seeds: list, gain: bool

@@ -19,6 +19,12 @@ FROZEN_MINIMUM = 6
 QUIET_STEPS = 2.0
 """Steps of the resolution within which readings count as quiet, for the frozen-sensor check."""
 
+QUIET_LEAST = {"temperature": 0.1, "fraction": 0.005}
+"""[SI unit] range that counts as quiet however fine the resolution, by dimension."""
+
+QUIET_SHARE = 0.005
+"""Least quiet range of other dimensions, as a share of the range of the series' readings."""
+
 _FEWEST_READINGS = 50
 
 
@@ -36,14 +42,18 @@ def order_readings(
     warnings = []
     backward = np.diff(time) < 0.0
     if backward.any():
-        first = int(np.argmax(backward)) + 1
+        first = int(np.argmax(backward))
+        step_back = f"{stamp_text(time[first + 1])} after {stamp_text(time[first])}"
         order = np.argsort(time, kind="stable")
         time = time[order]
         values = {name: array[order] for name, array in values.items()}
-        warnings.append(
-            f"unsorted stamps: {int(backward.sum())} times a stamp is earlier than the one before, "
-            f"first in row {first + 1} of the readings; sorted"
-        )
+        if backward.mean() > 0.9:
+            warnings.append("unsorted stamps: the newest come first; turned round")
+        else:
+            warnings.append(
+                f"unsorted stamps: {int(backward.sum())} of {len(time)} are earlier than the one "
+                f"before, first {step_back}; sorted"
+            )
     fresh = np.append(True, np.diff(time) > 0.0)
     if fresh.all():
         return time, values, tuple(warnings)
@@ -85,11 +95,10 @@ def detect_resolution(values: np.ndarray) -> float:
     if len(distinct) < 5:
         return 0.0
     distance = np.abs(finite - distinct[np.argmax(counts)])
-    noise = np.maximum(1e-9, 3e-7 * np.abs(finite))
+    noise = max(1e-9, 5e-7 * float(np.quantile(np.abs(finite), 0.95)))
     for spacing in _SPACINGS:
         away = np.abs(distance - spacing * np.round(distance / spacing))
-        on_grid = (away <= noise) & (noise <= 0.1 * spacing)
-        if np.mean(on_grid) >= 0.99:
+        if noise <= 0.1 * spacing and np.mean(away <= noise) >= 0.99:
             return spacing
     return 0.0
 
@@ -176,9 +185,9 @@ def mask_frozen(series: Series) -> tuple[Series, tuple[str, ...]]:
 
     A run of identical readings is called frozen if it has at least `FROZEN_MINIMUM` readings,
     is more than twice as long as the 99th percentile of the record's own runs, and is longer than
-    the longest quiet stretch that the record shows elsewhere: readings within `QUIET_STEPS` steps of
-    the resolution, but not all the same. So a coarse sensor in still weather vouches for itself,
-    and readings in the signal's idle range (calm, night, standstill, saturated air) are never
+    the longest quiet stretch that the record shows elsewhere: readings that stay within a few steps
+    of the resolution (and at least `QUIET_LEAST`), but not all the same. So a coarse sensor in still
+    weather vouches for itself, and readings in the signal's idle range (calm, night, standstill, saturated air) are never
     called frozen. The first reading of a run is kept. Where more than half of the readings would
     go, the source repeats readings as a rule: nothing is masked and the warning says so.
     """
@@ -215,12 +224,15 @@ def mask_frozen(series: Series) -> tuple[Series, tuple[str, ...]]:
 
 
 def _quiet_range(series: Series, value: np.ndarray) -> float:
-    """Range within which a stretch of readings counts as quiet [SI unit]."""
-    if series.resolution > 0.0:
-        return (QUIET_STEPS + 1e-6) * series.resolution
-    changes = np.abs(np.diff(value))
-    changes = changes[changes > 0.0]
-    return 0.05 * float(np.median(changes)) if len(changes) else 0.0
+    """Range within which a stretch of readings counts as quiet [SI unit].
+
+    Besides the steps of the resolution there is a least range, because the mean of readings on a
+    coarse grid lies on a fine one.
+    """
+    low, high = np.quantile(value, (0.005, 0.995))
+    dimension = signal_named(series.signal).dimension
+    least = QUIET_LEAST.get(dimension, QUIET_SHARE * float(high - low))
+    return max(QUIET_STEPS * series.resolution, least) * (1.0 + 1e-6)
 
 
 def _frozen_runs(

@@ -155,11 +155,12 @@ def read_table(
                 + _stamp_remedy(frame[time_column], stamps.unreadable, time_column)
             )
         if stamps.naive.any():
-            example = frame[time_column].iloc[int(np.argmax(stamps.naive))]
+            rows = np.flatnonzero(stamps.naive)
             faults.append(
-                f'{column}: stamps without an offset, such as "{example}", need a zone: state '
-                'timezone = "UTC", a fixed offset such as "+01:00", or a name such as '
-                '"Europe/Berlin" in this source'
+                f"{column}: {len(rows)} of {len(frame)} stamps have no offset "
+                f"({_where(rows[:1], frame[time_column], source)}); state their zone in this "
+                'source: timezone = "UTC", a fixed offset such as "+01:00", or a name such as '
+                '"Europe/Berlin"'
             )
         elif zone is not None and not ignore_offset and _all_aware(frame[time_column]):
             warnings.append(f'timezone = "{timezone}" is not used: the stamps carry offsets')
@@ -168,7 +169,9 @@ def read_table(
         lost = ~given & np.any([np.isfinite(one) for one in values.values()] or [~given], axis=0)
         if lost.any():
             where = _lines(np.flatnonzero(lost), source)
-            warnings.append(f"{int(lost.sum())} rows without a stamp left out: {where}")
+            count = int(lost.sum())
+            rows = "1 row" if count == 1 else f"{count} rows"
+            warnings.append(f"{rows} without a stamp left out: {where}")
     if faults:
         raise TableFault(faults)
     keep = np.isfinite(time)
@@ -186,12 +189,16 @@ def _content(file: Path) -> bytes:
     """All bytes of a file. Raises TableFault for what is no readable file."""
     name = file.name.lower()
     if not name.endswith(SUFFIXES):
+        if file.is_dir():
+            raise TableFault(["is a directory, not a file"])
         raise TableFault([f"expected a file of the kind {', '.join(SUFFIXES)}, found {file.name}"])
     try:
         content = file.read_bytes()
     except FileNotFoundError:
         near = [one.name for one in file.parent.iterdir()] if file.parent.is_dir() else []
         raise TableFault([f"no such file: {file}{suggestion(file.name, near)}"]) from None
+    except IsADirectoryError:
+        raise TableFault(["is a directory, not a file"]) from None
     except OSError as refused:
         raise TableFault([f"cannot be read: {refused.strerror or refused}"]) from None
     if not content:
@@ -339,7 +346,12 @@ class _CsvSource:
         except pd.errors.EmptyDataError:
             return pd.DataFrame({name: [] for name in order})
         except (pd.errors.ParserError, UnicodeDecodeError) as broken:
-            faults.append(f"cannot be read as CSV: {broken}")
+            open_quote = re.search(r"EOF inside string starting at row (\d+)", str(broken))
+            if open_quote is not None:
+                line = int(open_quote[1]) + 1
+                faults.append(f"line {line}: a quotation mark is opened and never closed")
+            else:
+                faults.append(f"cannot be read as CSV: {broken}")
             return pd.DataFrame()
 
     def _width_faults(self, width: int) -> list[str]:
@@ -532,7 +544,9 @@ def _stamp_remedy(column: pandas.Series, unreadable: np.ndarray, time_column: st
         if all(re.fullmatch(pattern, word) for word in words):
             ask = " (or month first: %m/%d)" if "/" in form else ""
             return f'; state time_format = "{form}"{ask} in this source'
-    if len(words) < len(column) / 2:
+    if all(word.startswith("#") for word in words):
+        return '; if these are comments, state comment = "#" in this source'
+    if unreadable.sum() < len(column) / 2:
         return "; correct or remove these lines"
     return '; state the form of the stamps, such as time_format = "%d.%m.%Y %H:%M", in this source'
 

@@ -114,7 +114,7 @@ def moment(value: Any) -> float:
             stamp = None
     if not isinstance(stamp, datetime):
         # A ValueError throughout: the text of a case file is wrong, not a caller's type.
-        raise ValueError(f"expected an ISO 8601 stamp such as {example}, found {value!r}")  # noqa: TRY004
+        raise ValueError(f'expected an ISO 8601 stamp such as {example}, found "{value}"')  # noqa: TRY004
     if stamp.tzinfo is None:
         raise ValueError(f'stamp "{value!s}" has no offset: add Z for UTC, or such as +01:00')
     return stamp.timestamp()
@@ -365,6 +365,14 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
         if season and abs(len(of_day) - _HOUR / step) < 1.5 and np.ptp(of_day) < _HOUR:
             double_days[season].append(day)
     warnings = []
+    moved = sorted(set(gap_days["spring"]) & set(double_days["spring"]))
+    if moved:
+        warnings.append(
+            f"summer-time hole: one hour is missing and the next comes twice on {_days(moved)}: the "
+            "export moved the readings of the hour that summer time skips"
+        )
+    for days in (gap_days["spring"], double_days["spring"]):
+        days[:] = [day for day in days if day not in moved]
     for gap, double, reason in (
         ("spring", "autumn", _CLOCK_CHANGES),
         ("autumn", "spring", _CLOCK_DOES_NOT_CHANGE),

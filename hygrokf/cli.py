@@ -1,0 +1,245 @@
+"""The command line: each command is one function of the package."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hygrokf.version import __version__
+
+if TYPE_CHECKING:
+    from hygrokf.record import Record
+
+USER_FAULT = 2
+"""Exit status of a mistake that the user can mend."""
+
+
+class UserFault(Exception):
+    """A mistake of the user's, told without a traceback."""
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit status (0, 2 for the user's mistakes, 130 when interrupted)."""
+    # the filter's matrices are tiny: more BLAS threads only wait for each other
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if not hasattr(options, "command"):
+        parser.print_help()
+        return 0
+    try:
+        return options.command(options)
+    except KeyboardInterrupt:
+        print("interrupted; nothing half-written is left", file=sys.stderr)
+        return 130
+    except BrokenPipeError:
+        sys.stderr.close()
+        return 0
+    except Exception as fault:
+        if type(fault).__name__ not in _USER_FAULTS:
+            raise
+        print(f"hygrokf: {fault}", file=sys.stderr)
+        return USER_FAULT
+
+
+_USER_FAULTS = ("UserFault", "CaseFault", "TableFault", "ResultFault", "ReportFault")
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="hygrokf",
+        description="Hygrothermal models of converter cabinets in wind turbines by Kalman filtering.",
+    )
+    parser.add_argument("--version", action="version", version=f"hygrokf {__version__}")
+    commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+
+    def command(name: str, function: Any, text: str) -> argparse.ArgumentParser:
+        made = commands.add_parser(name, help=text, description=text)
+        made.set_defaults(command=function)
+        return made
+
+    demo = command("demo", _demo, "make a synthetic turbine, fit it, evaluate and report it")
+    demo.add_argument("--out", type=Path, required=True, help="directory for the case and the results")
+    demo.add_argument("--seed", type=int, default=1, help="seed of the synthetic turbine (default 1)")
+    _json(demo)
+    check = command("check", _check, "say what was read from a case: spans, steps, gaps, clocks, doubts")
+    check.add_argument("case", type=Path, metavar="CASE.toml")
+    _json(check)
+    fit = command("fit", _fit, "identify the models of a case")
+    fit.add_argument("case", type=Path, metavar="CASE.toml")
+    fit.add_argument("--out", type=Path, required=True, help="directory for fit.json, series.npz and report.html")
+    fit.add_argument(
+        "--criterion",
+        choices=("likelihood", "simulation"),
+        default="likelihood",
+        help="innovations (default) or the free run's error, as in the paper",
+    )
+    fit.add_argument("--kind", choices=("joint", "cascade"), default=None, help="one filter, or hygric on the measured temperature")
+    fit.add_argument("--starts", type=int, default=4, help="starts over the noise parameters (default 4)")
+    _json(fit)
+    simulate = command("simulate", _simulate, "run a fitted model on the inputs of a case, without its readings")
+    simulate.add_argument("fit", type=Path, metavar="FIT.json")
+    simulate.add_argument("case", type=Path, metavar="CASE.toml")
+    simulate.add_argument("--out", type=Path, required=True, help="CSV file to write")
+    _json(simulate)
+    evaluate = command("evaluate", _evaluate, "score a fitted model on a case")
+    evaluate.add_argument("fit", type=Path, metavar="FIT.json")
+    evaluate.add_argument("case", type=Path, metavar="CASE.toml")
+    _json(evaluate)
+    report = command("report", _report, "write report.html again from a directory of results")
+    report.add_argument("directory", type=Path, metavar="DIR")
+    return parser
+
+
+def _json(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+class Progress:
+    """A progress bar on standard error; silent where there is no terminal to look at it."""
+
+    def __init__(self, total: int) -> None:
+        from tqdm import tqdm
+
+        self._bar = tqdm(total=total, file=sys.stderr, disable=None, bar_format="{l_bar}{bar}| {elapsed} {postfix}")
+
+    def __call__(self, text: str) -> None:
+        self._bar.set_postfix_str(text, refresh=False)
+        if self._bar.n < self._bar.total - 1:
+            self._bar.update()
+
+    def close(self) -> None:
+        self._bar.n = self._bar.total
+        self._bar.set_postfix_str("done")
+        self._bar.close()
+
+
+def _record(path: Path, cabinet: bool = True) -> Record:
+    from hygrokf.case import read_case
+
+    return read_case(path, cabinet=cabinet)
+
+
+def _identify(record: Record, options: argparse.Namespace) -> Any:
+    from hygrokf.identification import identify
+
+    progress = Progress(16)
+    try:
+        fit = identify(
+            record,
+            criterion=getattr(options, "criterion", "likelihood"),
+            starts=getattr(options, "starts", 4),
+            progress=progress,
+            **({"kind": options.kind} if getattr(options, "kind", None) else {}),
+        )
+    except ValueError as fault:
+        raise UserFault(str(fault)) from fault
+    progress.close()
+    return fit
+
+
+def _write(fit: Any, out: Path) -> Path:
+    from hygrokf.report import write_report
+    from hygrokf.results import write_fit
+
+    _directory(out)
+    write_fit(fit, out)
+    return write_report(out)
+
+
+def _directory(path: Path) -> None:
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except OSError as fault:
+        raise UserFault(f"--out {path}: expected a directory that can be written, found: {fault.strerror}") from None
+
+
+def _print(data: Any, text: str, as_json: bool) -> None:
+    from hygrokf.results import dump
+
+    print(dump(data) if as_json else text, end="" if as_json else "\n")
+
+
+def _demo(options: argparse.Namespace) -> int:
+    from hygrokf.report import report_text
+    from hygrokf.synthetic import synthetic_turbine, write_case
+
+    _directory(options.out)
+    case = write_case(synthetic_turbine(seed=options.seed), options.out)
+    print(f"synthetic turbine written: {case}", file=sys.stderr)
+    fit = _identify(_record(case), options)
+    page = _write(fit, options.out)
+    _print(fit.to_json(), report_text(fit.to_json()), options.json)
+    print(f"report: {page}", file=sys.stderr)
+    return 0
+
+
+def _check(options: argparse.Namespace) -> int:
+    from hygrokf.checks import describe, describe_text
+
+    found = describe(_record(options.case))
+    _print(found, describe_text(found), options.json)
+    return 0
+
+
+def _fit(options: argparse.Namespace) -> int:
+    from hygrokf.report import report_text
+
+    if options.starts < 1:
+        raise UserFault(f"--starts: expected a whole number from 1, found {options.starts}")
+    record = _record(options.case)
+    for warning in record.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    fit = _identify(record, options)
+    page = _write(fit, options.out)
+    _print(fit.to_json(), report_text(fit.to_json()), options.json)
+    print(f"report: {page}", file=sys.stderr)
+    return 0
+
+
+def _simulate(options: argparse.Namespace) -> int:
+    from hygrokf.files import write_text_whole
+    from hygrokf.results import read_fit
+    from hygrokf.tables import simulation_csv, simulation_summary
+
+    fit = read_fit(options.fit)
+    record = _record(options.case, cabinet=False)
+    try:
+        text, summary = simulation_csv(fit, record), simulation_summary(fit, record)
+    except ValueError as fault:
+        raise UserFault(str(fault)) from fault
+    if not options.out.parent.is_dir():
+        raise UserFault(f"--out {options.out}: expected a file in an existing directory; make {options.out.parent} first")
+    write_text_whole(options.out, text)
+    _print(summary, f"{summary['n']} instants written: {options.out}", options.json)
+    return 0
+
+
+def _evaluate(options: argparse.Namespace) -> int:
+    from hygrokf.results import read_fit
+    from hygrokf.tables import evaluation, evaluation_text
+
+    fit = read_fit(options.fit)
+    record = _record(options.case)
+    try:
+        found = evaluation(fit, record)
+    except ValueError as fault:
+        raise UserFault(str(fault)) from fault
+    _print(found, evaluation_text(found), options.json)
+    return 0
+
+
+def _report(options: argparse.Namespace) -> int:
+    from hygrokf.report import write_report
+
+    print(write_report(options.directory))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,223 @@
+"""Free run, forecasts and derived quantities of an identified model, with their uncertainty.
+
+Shapes: T instants, n states, k outputs, d parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.design import Design
+from hygrokf.drivers import Run
+from hygrokf.likelihood import Gaussian, Likelihood, Trace
+from hygrokf.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
+
+QUANTITIES = ("temperature_K", "relative_humidity", "absolute_humidity_g_m3")
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the logger is expected to show: value and standard deviation of the reading (T,) each.
+
+    `temperature` [K], `relative_humidity` [1], `absolute_humidity` [g/m³] as computed from the other two readings; None
+    where the model lacks the quantity.
+    """
+
+    temperature: tuple[np.ndarray, np.ndarray] | None
+    relative_humidity: tuple[np.ndarray, np.ndarray] | None
+    absolute_humidity: tuple[np.ndarray, np.ndarray] | None
+
+    def of(self, quantity: str) -> tuple[np.ndarray, np.ndarray] | None:
+        """By the names used in reports: temperature_K, relative_humidity, absolute_humidity_g_m3."""
+        return getattr(self, quantity.removesuffix("_K").removesuffix("_g_m3"))
+
+
+def measured(run: Run) -> dict[str, np.ndarray]:
+    """Readings (T,) by quantity; absolute humidity from relative humidity and temperature of the same instant."""
+    t = run.timeline
+    nothing = np.full(len(t), np.nan)
+    temperature = t.reading("cabinet_temperature") if "cabinet_temperature" in t.outputs else None
+    if temperature is None and "cabinet_temperature" in t.varying:
+        temperature = t.input("cabinet_temperature")
+    result = {"temperature_K": nothing if temperature is None else temperature}
+    result["relative_humidity"] = nothing
+    result["absolute_humidity_g_m3"] = nothing
+    if "cabinet_relative_humidity" in t.outputs:
+        humidity = t.reading("cabinet_relative_humidity")
+        result["relative_humidity"] = humidity
+        if temperature is not None:
+            result["absolute_humidity_g_m3"] = 1e3 * absolute_humidity(humidity, _filled(t.time, temperature))
+    elif "cabinet_absolute_humidity" in t.outputs:
+        result["absolute_humidity_g_m3"] = t.reading("cabinet_absolute_humidity")
+    return result
+
+
+def _filled(time: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Readings interpolated over at most half an hour, NaN beyond."""
+    there = np.isfinite(value)
+    if there.sum() < 2:
+        return value
+    known = time[there]
+    after = np.clip(np.searchsorted(known, time), 0, len(known) - 1)
+    before = np.clip(np.searchsorted(known, time, side="right") - 1, 0, len(known) - 1)
+    near = (known[after] - known[before] <= 0.55) & (time >= known[0]) & (time <= known[-1])
+    return np.where(near, np.interp(time, known, value[there]), np.nan)
+
+
+def project(
+    design: Design,
+    values: Mapping[str, float],
+    run: Run,
+    mean: np.ndarray,
+    covariance: np.ndarray,
+    function: Callable,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Value (T,) and variance (T,) of a function of the model's equations, to first order in the state's covariance.
+
+    `function(equations, x, u)` -> (T,); the slopes come from complex steps.
+    """
+    t = run.timeline
+    model = design.model
+    u = {name: t.input(name) for name in model.inputs}
+    n = len(model.states)
+    # the oracle's constants are floats, so inputs broadcast against (T,) states
+    def at(state: list) -> np.ndarray:
+        equations = model.evaluate(state, u, values)
+        return np.broadcast_to(np.asarray(function(equations, dict(zip(model.states, state, strict=True)), u)), len(t))
+
+    columns = [mean[:, i] for i in range(n)]
+    value = np.real(at(columns))
+    slopes = np.empty((len(t), n))
+    for i in range(n):
+        moved = list(columns)
+        moved[i] = columns[i] + 1e-30j
+        slopes[:, i] = np.imag(at(moved)) * 1e30
+    return value, np.einsum("ti,tij,tj->t", slopes, covariance, slopes)
+
+
+def air_temperature(equations, x, u):
+    """T_conv,a [K] of the model."""
+    return equations.quantities["cabinet_air_temperature"]
+
+
+def air_humidity(equations, x, u):
+    """c_conv,a [g/m³] of the model, equation (5)."""
+    return x["vapour"] * u["ambient_temperature"] / equations.quantities["cabinet_air_temperature"]
+
+
+def predicted_readings(design: Design, run: Run, trace: Trace) -> Prediction:
+    """What the logger is expected to show, before the readings of each instant."""
+    outputs = design.model.outputs
+    found: dict[str, tuple[np.ndarray, np.ndarray]] = {}
+    for i, name in enumerate(outputs):
+        found[name] = (trace.prediction[:, i], np.sqrt(trace.variance[:, i]))
+    temperature = found.get("cabinet_temperature")
+    relative = found.get("cabinet_relative_humidity")
+    absolute = found.get("cabinet_absolute_humidity")
+    warm = temperature
+    if warm is None and "cabinet_temperature" in design.model.inputs:
+        value = run.timeline.input("cabinet_temperature")
+        warm = (value, np.zeros_like(value))
+    if relative is not None and warm is not None:
+        value = 1e3 * absolute_humidity(relative[0], warm[0])
+        by_humidity = value / np.where(relative[0] != 0, relative[0], np.nan) * relative[1]
+        by_temperature = 1e3 * absolute_humidity_slope_temperature(relative[0], warm[0]) * warm[1]
+        # the two readings' errors are strongly anticorrelated through e_s(T): the vapour content is what is
+        # uncertain, so the spread is taken from the state where the model has one
+        if "vapour" in design.model.states:
+            state = design.model.states.index("vapour")
+            share = np.sqrt(np.maximum(trace.prior_covariance[:, state, state], 0.0))
+            noise = value / np.where(relative[0] != 0, relative[0], np.nan) * _noise(design, trace, run)
+            spread = np.hypot(share, noise)
+        else:
+            spread = np.hypot(by_humidity, by_temperature)
+        absolute = (value, spread)
+    return Prediction(temperature, relative, absolute)
+
+
+def _noise(design: Design, trace: Trace, run: Run) -> float:
+    """Lowest standard deviation of the humidity reading met in the run: its own noise [1]."""
+    i = design.model.outputs.index("cabinet_relative_humidity")
+    del run
+    return float(np.sqrt(np.nanmin(trace.variance[:, i])))
+
+
+def free_run(
+    design: Design, values: Mapping[str, float], run: Run, parameter_spread: Mapping[str, float] | None = None
+) -> Prediction:
+    """The model driven by its inputs alone, from the start of the run to its end, with the predictive spread.
+
+    `parameter_spread` adds each parameter's standard error [its unit], to first order and taken one by one.
+    """
+    blind = run.timeline.with_readings(np.full_like(run.timeline.y, np.nan))
+    likelihood = Likelihood(design.model, blind)
+    made = predicted_readings(design, run, likelihood.trace(values))
+    for name, se in (parameter_spread or {}).items():
+        if not (np.isfinite(se) and se > 0):
+            continue
+        moved = predicted_readings(design, run, likelihood.trace({**values, name: values[name] + 0.1 * se}))
+        made = Prediction(*(_wider(a, b) for a, b in zip(_parts(made), _parts(moved), strict=True)))
+    return made
+
+
+def _parts(p: Prediction) -> tuple:
+    return p.temperature, p.relative_humidity, p.absolute_humidity
+
+
+def _wider(a: tuple | None, b: tuple | None) -> tuple | None:
+    if a is None or b is None:
+        return a
+    return a[0], np.hypot(a[1], 10.0 * (b[0] - a[0]))
+
+
+def forecasts(
+    design: Design,
+    values: Mapping[str, float],
+    run: Run,
+    first: int,
+    leads_h: tuple[float, ...] = (1.0, 6.0, 24.0),
+    count: int = 250,
+) -> dict[float, dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    """Forecasts from filtered states at `count` instants after instant `first`: (reading, prediction, sd) by lead.
+
+    Inputs are those of the record (a perfect weather forecast), readings after the start are not used.
+    """
+    t = run.timeline
+    likelihood = Likelihood(design.model, t)
+    trace = likelihood.trace(values)
+    known = measured(run)
+    there = np.flatnonzero(np.isfinite(t.y).any(axis=1) & run.scored)
+    there = there[there >= first]
+    result: dict[float, dict[str, list]] = {lead: {q: [] for q in QUANTITIES} for lead in leads_h}
+    if len(there) < 10:
+        return {}
+    starts = there[np.unique(np.linspace(0, len(there) - 1, min(count, len(there))).astype(int))]
+    step = float(np.median(np.diff(t.time[there])))
+    for start in starts:
+        last = int(np.searchsorted(t.time, t.time[start] + max(leads_h) + step, side="right"))
+        if last - start < 3:
+            continue
+        part = t.window(start + 1, last)
+        part = part.with_readings(np.full_like(part.y, np.nan))
+        state = Gaussian(trace.mean[start], trace.covariance[start])
+        ahead = Likelihood(design.model, part).trace(values, start=state)
+        piece = Run(part, run.operating[start + 1 : last], run.scored[start + 1 : last])
+        made = predicted_readings(design, piece, ahead)
+        for lead in leads_h:
+            for quantity in QUANTITIES:
+                pair = made.of(quantity)
+                if pair is None:
+                    continue
+                seen = known[quantity][start + 1 : last]
+                usable = np.flatnonzero(np.isfinite(seen) & piece.scored)
+                if len(usable) == 0:
+                    continue
+                at = usable[np.argmin(np.abs(part.time[usable] - t.time[start] - lead))]
+                if abs(part.time[at] - t.time[start] - lead) <= 0.6 * step:
+                    result[lead][quantity].append((seen[at], pair[0][at], pair[1][at]))
+    return {
+        lead: {q: tuple(np.array(rows).T) for q, rows in found.items() if rows} for lead, found in result.items()
+    }
