@@ -138,11 +138,15 @@ def _syntax_fault(reason: str, text: str) -> str:
     reason = re.sub(r"\s*\(at [^)]*\)$", "", reason)
     if "('source',)" in reason:
         reason += "; write [[source]] with two brackets, once for each file"
-    if found is None:
-        return f"not valid TOML: {reason}"
-    line = text.splitlines()[int(found[1]) - 1 : int(found[1])]
+    if found is not None:
+        number, where = int(found[1]), f"line {found[1]}, column {found[2]}"
+    else:
+        # The parser gives no line at the end of the document.
+        number = len(text.rstrip().splitlines())
+        where = f"line {number}, at the end"
+    line = text.splitlines()[number - 1 : number]
     shown = f", in: {line[0].strip()[:80]}" if line else ""
-    return f"line {found[1]}, column {found[2]}: not valid TOML: {reason}{shown}"
+    return f"{where}: not valid TOML: {reason}{shown}"
 
 
 def _source_series(

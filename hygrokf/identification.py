@@ -19,12 +19,13 @@ from hygrokf.confidence import (
     uncertainty,
     wald_bounds,
 )
-from hygrokf.design import CASCADE, JOINT, Design, design
+from hygrokf.design import CASCADE, JOINT, Design, design, extended
 from hygrokf.drivers import Run, run
 from hygrokf.evaluation import bands, baselines, scores, sensor_share
 from hygrokf.fitting import Estimate, Objective, climb, maximise
 from hygrokf.likelihood import Likelihood
 from hygrokf.mechanisms.hygric import exchange_factor, hygric_time_constant
+from hygrokf.parameters import Coordinates
 from hygrokf.output_error import OutputError, fit_output_error
 from hygrokf.record import Record
 from hygrokf.simulation import free_run, measured
@@ -35,6 +36,9 @@ LEVEL = 0.95
 STARTS = 4
 SEARCH_DAYS = 30.0
 """[d] stretch of the record on which the starts over the noise parameters are tried."""
+SECOND = ("second_heat_disturbance", "second_vapour_disturbance")
+SCREEN_GAIN = 3.0
+"""Log-likelihood that a second disturbance must gain on the shorter stretch to be tried on the whole."""
 CRITERIA = ("likelihood", "simulation")
 Progress = Callable[[str], None]
 
@@ -121,21 +125,29 @@ class _Stage:
     """One likelihood on its way from design to bounds."""
 
     def __init__(self, record: Record, early: Record, base: Design, say: Progress) -> None:
-        self.record, self.early, self.base, self.say = record, early, base, say
-        self.run_: Run = run(base, early)
-        self.likelihood = Likelihood(base.model, self.run_.timeline)
+        self.record, self.early, self.say = record, early, say
         self.bounds: dict[str, Bounds] = {}
+        self._set(base)
+
+    def _set(self, base: Design) -> None:
+        self.base = base
+        self.run_: Run = run(base, self.early)
+        self.likelihood = Likelihood(base.model, self.run_.timeline)
+
+    def _search(self) -> Likelihood | None:
+        """The likelihood of a shorter stretch, for trying starts and second disturbances."""
+        t = self.run_.timeline
+        if t.time[-1] <= 2.0 * 24.0 * SEARCH_DAYS:
+            return None
+        return Likelihood(self.base.model, t.window(0, int(np.searchsorted(t.time, 24.0 * SEARCH_DAYS))))
 
     def estimate(self, starts: int, profiles: bool) -> None:
-        model = self.base.model
-        t = self.run_.timeline
-        search = None
-        if t.time[-1] > 2.0 * 24.0 * SEARCH_DAYS:
-            last = int(np.searchsorted(t.time, 24.0 * SEARCH_DAYS))
-            search = Likelihood(model, t.window(0, last))
         self.estimate_: Estimate = maximise(
-            self.likelihood, count=starts, progress=self.say, search=search
+            self.likelihood, count=starts, progress=self.say, search=self._search()
         )
+        for name in SECOND:
+            if name.replace("second_", "") in [m for m, _ in self.base.mechanisms]:
+                self._second(name)
         self.objective = Objective(self.likelihood, self.estimate_.coordinates)
         self.say("observed information")
         self.uncertainty_: Uncertainty = uncertainty(self.objective, self.estimate_)
@@ -148,6 +160,35 @@ class _Stage:
                 else:
                     self.bounds[name] = wald_bounds(self.estimate_, self.uncertainty_, name, LEVEL)
         self.clock = self._clock()
+
+    def _second(self, name: str) -> None:
+        """Add a second disturbance of a kind where the likelihood of the whole record pays for it (BIC).
+
+        It is first tried on a shorter stretch, faster and slower than the first one; a real disturbance rarely has one
+        time scale alone, and what is left over would be taken for the cabinet's own dynamics.
+        """
+        self.say(f"{name.replace('_', ' ')}?")
+        before, found = (self.base, self.likelihood, self.run_), self.estimate_
+        settings = next(s for m, s in self.base.mechanisms if m == name.replace("second_", ""))
+        first = found.values[name.replace("second_", "") + "_time"]
+        sd = found.values[name.replace("second_", "") + "_sd"]
+        short = self._search() or self.likelihood
+        plain = climb(Objective(short, found.coordinates), found.z, passes=12, tolerance=1e-2)
+        self._set(extended(self.base, [(name, {**settings, "start_h": first / 5.0})]))
+        scout = self._search() or self.likelihood
+        best = None
+        for factor in (0.2, 5.0):
+            start = {**found.values, f"{name}_time": first * factor, f"{name}_sd": 0.4 * sd}
+            coordinates = Coordinates(self.base.model.parameters)
+            there = climb(Objective(scout, coordinates), coordinates.start(start), passes=20, tolerance=1e-2)
+            if best is None or there.objective > best.objective:
+                best = there
+        if best.objective - plain.objective > SCREEN_GAIN:
+            wider = maximise(self.likelihood, coordinates.values(best.z), count=1)
+            if wider.objective - found.objective > math.log(max(self.run_.timeline.n_readings, 3)):
+                self.estimate_ = wider
+                return
+        self.base, self.likelihood, self.run_ = before
 
     def _clock(self) -> dict[str, dict]:
         """Shift of each log time constant by one standard uncertainty of each source's clock."""

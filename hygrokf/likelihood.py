@@ -151,6 +151,12 @@ class Likelihood:
         named = {name: float(t.u[1, i]) for i, name in enumerate(t.varying)}
         return named | {name: float(t.steps[t.key[0], 1 + i]) for i, name in enumerate(t.regimes)}
 
+    def first_gaussian(self, values: Mapping[str, float]) -> Gaussian:
+        """Moments of the state before the first reading (the finite part, for a diffuse start)."""
+        n = len(self.model.states)
+        state = np.asarray(self.first_state(values), dtype=float)
+        return Gaussian(state[:n], unpack(state[n : n + n * (n + 1) // 2], n), float(self.timeline.time[0]))
+
     def first_state(self, values: Mapping[str, object]) -> np.ndarray:
         """Packed moments before the first reading; complex values give complex moments (for derivatives)."""
         n = len(self.model.states)

@@ -14,6 +14,7 @@ import hashlib
 import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 
@@ -126,4 +127,5 @@ def _write(path: Path, body: bytes) -> None:
         temporary.write_bytes(body + hashlib.sha256(body).digest())
         os.replace(temporary, path)
     except OSError:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):  # where the folder could not be made there is nothing to remove
+            temporary.unlink(missing_ok=True)

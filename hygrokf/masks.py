@@ -95,7 +95,7 @@ def detect_resolution(values: np.ndarray) -> float:
     if len(distinct) < 5:
         return 0.0
     distance = np.abs(finite - distinct[np.argmax(counts)])
-    noise = max(1e-9, 5e-7 * float(np.quantile(np.abs(finite), 0.95)))
+    noise = max(1e-9, 3e-7 * float(np.quantile(np.abs(finite), 0.95)))
     for spacing in _SPACINGS:
         away = np.abs(distance - spacing * np.round(distance / spacing))
         if noise <= 0.1 * spacing and np.mean(away <= noise) >= 0.99:
@@ -152,7 +152,7 @@ def mask_saturated(series: Series) -> tuple[Series, tuple[str, ...]]:
             f"{_label(series)}: saturated humidity, {_readings(above)} above 100 % set to 100 % "
             f"({_period(series, above)})"
         )
-        return dataclasses.replace(series, value=np.fmin(series.value, 1.0)), (sentence,)
+        return dataclasses.replace(series, value=np.minimum(series.value, 1.0)), (sentence,)
     limit = min(SATURATED, _ceiling(series.value))
     saturated = series.value >= limit - 1e-9
     if not saturated.any():

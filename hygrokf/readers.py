@@ -510,7 +510,7 @@ def _where(rows: np.ndarray, column: pandas.Series, source: _CsvSource | None) -
     numbers = source.line_numbers(shown) if source is not None else [row + 1 for row in shown]
     label = "line" if source is not None else "row"
     parts = [
-        f'{label} {number} "{str(column.iloc[row])[:40]}"'
+        f'{label} {number} "{str(column.iloc[row]).strip()[:40]}"'
         for number, row in zip(numbers, shown, strict=False)
     ]
     return ", ".join(parts) + (", …" if len(rows) > _SHOWN else "")

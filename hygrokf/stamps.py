@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+import warnings as python_warnings
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
 from typing import TYPE_CHECKING, Any
@@ -114,7 +115,7 @@ def moment(value: Any) -> float:
             stamp = None
     if not isinstance(stamp, datetime):
         # A ValueError throughout: the text of a case file is wrong, not a caller's type.
-        raise ValueError(f'expected an ISO 8601 stamp such as {example}, found "{value}"')  # noqa: TRY004
+        raise ValueError(f'expected an ISO 8601 stamp such as {example}, found "{value}"')
     if stamp.tzinfo is None:
         raise ValueError(f'stamp "{value!s}" has no offset: add Z for UTC, or such as +01:00')
     return stamp.timestamp()
@@ -220,8 +221,11 @@ def _parse_iso(text: pandas.Series) -> tuple[pandas.Series, np.ndarray]:
         # Years, Excel days and Unix seconds must not pass as stamps.
         text = text.where(~numbers, None)
     try:
-        parsed = pd.to_datetime(text, format="ISO8601", errors="coerce")
-    except ValueError:
+        with python_warnings.catch_warnings():
+            # Offsets that change within a column are an error in pandas 3, a warning before.
+            python_warnings.simplefilter("error", FutureWarning)
+            parsed = pd.to_datetime(text, format="ISO8601", errors="coerce")
+    except (ValueError, FutureWarning):
         parsed = pd.to_datetime(text, format="ISO8601", errors="coerce", utc=True)
         offsets = text.map(_has_offset, na_action="ignore").eq(True)
         return parsed, ~offsets.to_numpy()

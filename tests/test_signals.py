@@ -46,7 +46,24 @@ def test_every_row_of_the_table_is_sound(signal):
 
 
 def test_units_of_the_issue_are_all_there():
-    named = "K degC degF % 1 Pa hPa kPa W kW MW g/m3 kg/m3 m/s W/m2 mm".split()
+    named = [
+        "K",
+        "degC",
+        "degF",
+        "%",
+        "1",
+        "Pa",
+        "hPa",
+        "kPa",
+        "W",
+        "kW",
+        "MW",
+        "g/m3",
+        "kg/m3",
+        "m/s",
+        "W/m2",
+        "mm",
+    ]
     assert set(named) <= set(UNITS)
 
 

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
-from hygrokf.mechanisms.hygric import hygric_diffusion, hygric_exchange, vapour_disturbance
+from hygrokf.mechanisms.hygric import (
+    hygric_diffusion,
+    hygric_exchange,
+    second_vapour_disturbance,
+    vapour_disturbance,
+)
 from hygrokf.mechanisms.network import linear_network
 from hygrokf.mechanisms.sensors import absolute_humidity_sensor, humidity_sensor, temperature_sensor
 from hygrokf.mechanisms.thermal import (
     heat_disturbance,
     heat_release,
     measured_air,
+    second_heat_disturbance,
     thermal_diffusion,
     thermal_network,
 )
@@ -20,9 +26,11 @@ LIBRARY = {
         measured_air,
         heat_release,
         heat_disturbance,
+        second_heat_disturbance,
         thermal_diffusion,
         hygric_exchange,
         vapour_disturbance,
+        second_vapour_disturbance,
         hygric_diffusion,
         temperature_sensor,
         humidity_sensor,

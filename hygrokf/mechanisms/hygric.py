@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hygrokf.mechanisms.thermal import PAPER
+from hygrokf.mechanisms.thermal import PAPER, ornstein_uhlenbeck
 from hygrokf.model import Mechanism
 from hygrokf.parameters import Parameter
 
@@ -54,38 +54,26 @@ def hygric_exchange() -> Mechanism:
     )  # fmt: skip
 
 
-def vapour_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25) -> Mechanism:
+def vapour_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 6.0) -> Mechanism:
     """A coloured disturbance of the vapour flow, as an Ornstein–Uhlenbeck error w [g/m³] of the ambient air.
 
     `shortest_h`, `longest_h` bound its correlation time [h] to what the readings can resolve.
     """
-    return Mechanism(
-        name="vapour_disturbance",
-        parameters=(
-            Parameter(
-                "vapour_disturbance_sd", "g/m3", 0.3, 1e-4, 20.0, positive=True, null=0.0, noise=True,
-                meaning="standard deviation of the coloured vapour disturbance",
-            ),
-            Parameter(
-                "vapour_disturbance_time", "h", min(max(6.0, 2 * shortest_h), longest_h / 2), shortest_h, longest_h,
-                positive=True, noise=True, meaning="its correlation time",
-            ),
-        ),
-        states=("vapour_disturbance",),
-        contributions=lambda p, x, u, q: {"ambient_vapour": x.vapour_disturbance},
-        drift=lambda p, x, u, q, s: {"vapour_disturbance": -x.vapour_disturbance / p.vapour_disturbance_time},
-        diffusion=lambda p: {
-            "vapour_disturbance": 2.0
-            * p.vapour_disturbance_sd
-            * p.vapour_disturbance_sd
-            / p.vapour_disturbance_time
-        },
-        initial=lambda p, u: {
-            "vapour_disturbance": (0.0, p.vapour_disturbance_sd * p.vapour_disturbance_sd)
-        },
-        settings={"longest_h": longest_h, "shortest_h": shortest_h},
-        meaning="coloured disturbance of the vapour flow",
-        leaves="slowly wandering humidity residuals; a hygric time constant that is too long",
+    return ornstein_uhlenbeck(
+        "vapour_disturbance", "ambient_vapour", "g/m3", 0.3, start_h, (shortest_h, longest_h), (1e-4, 20.0),
+        {"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
+        "coloured disturbance of the vapour flow, as an error of the ambient air",
+        "slowly wandering humidity residuals; a hygric time constant that is too long",
+    )  # fmt: skip
+
+
+def second_vapour_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 1.0) -> Mechanism:
+    """A second coloured disturbance of the vapour flow on another time scale, where one is not enough."""
+    return ornstein_uhlenbeck(
+        "second_vapour_disturbance", "ambient_vapour", "g/m3", 0.1, start_h, (shortest_h, longest_h), (1e-4, 20.0),
+        {"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
+        "second coloured disturbance of the vapour flow, as an error of the ambient air",
+        "innovations that are not white although one coloured disturbance is there",
     )  # fmt: skip
 
 

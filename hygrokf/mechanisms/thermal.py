@@ -160,35 +160,62 @@ def heat_release(
     )  # fmt: skip
 
 
-def heat_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25) -> Mechanism:
-    """A coloured disturbance of the heat release: an Ornstein–Uhlenbeck process w_T [K].
+def ornstein_uhlenbeck(
+    name: str, target: str, unit: str, sd: float, time_h: float, bounds_h: tuple[float, float], sd_range: tuple[float, float],
+    settings: dict, meaning: str, leaves: str,
+) -> Mechanism:
+    """A coloured disturbance w of a named sum: dw = −w/θ dt + sd √(2/θ) dW, correlation time θ within `bounds_h` [h]."""
 
-    dw = −w/θ dt + sd √(2/θ) dW.  Sun, wind, doors, ventilation and everything else that the network does not
-    know leave such a trace; a model without it takes the trace for the cabinet's own time constant.
-    `shortest_h`, `longest_h` bound the correlation time θ [h] to what the readings can resolve.
-    """
+    def variance(p):
+        value = getattr(p, f"{name}_sd")
+        return value * value
+
+    shortest, longest = bounds_h
     return Mechanism(
-        name="heat_disturbance",
+        name=name,
         parameters=(
             Parameter(
-                "heat_disturbance_sd", "K", 1.0, 1e-3, 50.0, positive=True, null=0.0, noise=True,
-                meaning="standard deviation of the coloured heat disturbance, as Q R_AT",
+                f"{name}_sd", unit, sd, *sd_range, positive=True, null=0.0, noise=True,
+                meaning=f"standard deviation of the {meaning}",
             ),
             Parameter(
-                "heat_disturbance_time", "h", min(max(6.0, 2 * shortest_h), longest_h / 2), shortest_h, longest_h,
-                positive=True, noise=True, meaning="its correlation time",
+                f"{name}_time", "h", min(max(time_h, shortest), longest), shortest, longest, positive=True, noise=True,
+                meaning="its correlation time",
             ),
         ),
-        states=("heat_disturbance",),
-        contributions=lambda p, x, u, q: {"heat_release": x.heat_disturbance},
-        drift=lambda p, x, u, q, s: {"heat_disturbance": -x.heat_disturbance / p.heat_disturbance_time},
-        diffusion=lambda p: {
-            "heat_disturbance": 2.0 * p.heat_disturbance_sd * p.heat_disturbance_sd / p.heat_disturbance_time
-        },
-        initial=lambda p, u: {"heat_disturbance": (0.0, p.heat_disturbance_sd * p.heat_disturbance_sd)},
-        settings={"longest_h": longest_h, "shortest_h": shortest_h},
-        meaning="coloured disturbance of the heat flow",
-        leaves="slowly wandering residuals; a time constant that is too long",
+        states=(name,),
+        contributions=lambda p, x, u, q: {target: getattr(x, name)},
+        drift=lambda p, x, u, q, s: {name: -getattr(x, name) / getattr(p, f"{name}_time")},
+        diffusion=lambda p: {name: 2.0 * variance(p) / getattr(p, f"{name}_time")},
+        initial=lambda p, u: {name: (0.0, variance(p))},
+        settings=settings,
+        meaning=meaning,
+        leaves=leaves,
+    )  # fmt: skip
+
+
+def heat_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 6.0) -> Mechanism:
+    """A coloured disturbance of the heat release: an Ornstein–Uhlenbeck process w_T [K].
+
+    Sun, wind, doors, ventilation and everything else that the network does not know leave such a trace; a model
+    without it takes the trace for the cabinet's own time constant.  `shortest_h`, `longest_h` bound the correlation
+    time [h] to what the readings can resolve.
+    """
+    return ornstein_uhlenbeck(
+        "heat_disturbance", "heat_release", "K", 1.0, start_h, (shortest_h, longest_h), (1e-3, 50.0),
+        {"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
+        "coloured disturbance of the heat flow, as Q R_AT",
+        "slowly wandering residuals; a time constant that is too long",
+    )  # fmt: skip
+
+
+def second_heat_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 1.0) -> Mechanism:
+    """A second coloured disturbance of the heat release on another time scale, where one is not enough."""
+    return ornstein_uhlenbeck(
+        "second_heat_disturbance", "heat_release", "K", 0.3, start_h, (shortest_h, longest_h), (1e-3, 50.0),
+        {"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
+        "second coloured disturbance of the heat flow, as Q R_AT",
+        "innovations that are not white although one coloured disturbance is there",
     )  # fmt: skip
 
 

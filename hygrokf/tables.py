@@ -1,0 +1,129 @@
+"""What `hygrokf simulate` and `hygrokf evaluate` give: tables of a fit on another record."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from datetime import UTC, datetime
+
+import numpy as np
+
+from hygrokf.drivers import Run, run
+from hygrokf.evaluation import PERIODS, SCORED, bands, baselines, scores, sensor_share
+from hygrokf.identification import Fit
+from hygrokf.record import Record
+from hygrokf.simulation import Prediction, free_run
+
+COLUMNS = {
+    "cabinet_temperature_degC": "temperature_K",
+    "cabinet_relative_humidity_pct": "relative_humidity",
+    "cabinet_absolute_humidity_g_m3": "absolute_humidity_g_m3",
+}
+"""Columns of a simulation file and the quantities they hold; each has a second one with its standard deviation."""
+
+
+def simulated(fit: Fit, record: Record) -> tuple[Run, Prediction]:
+    """The fitted model driven by a record's inputs alone."""
+    made = run(fit.design, record)
+    return made, free_run(fit.design, fit.values, made, fit.standard_errors)
+
+
+def simulation_csv(fit: Fit, record: Record) -> str:
+    """Free run as CSV text: time (UTC), three quantities with their standard deviations, and whether inputs are known."""
+    made, predicted = simulated(fit, record)
+    t = made.timeline
+    stamps = np.datetime_as_string(
+        (np.round(t.origin_s + t.time * 3600.0).astype("int64")).astype("datetime64[s]"), unit="s"
+    )
+    columns, names = [], []
+    for name, quantity in COLUMNS.items():
+        pair = predicted.of(quantity)
+        if pair is None:
+            continue
+        value, sd = pair
+        if quantity == "temperature_K":
+            value = value - 273.15
+        elif quantity == "relative_humidity":
+            value, sd = 100.0 * value, 100.0 * sd
+        columns += [value, sd]
+        names += [name, f"{name}_sd"]
+    buffer = io.StringIO()
+    buffer.write(",".join(["time", *names, "inputs_known"]) + "\n")
+    for stamp, row, known in zip(stamps, np.column_stack(columns), made.scored, strict=True):
+        numbers = ",".join("" if not np.isfinite(v) else f"{v:.4f}" for v in row)
+        buffer.write(f"{stamp}Z,{numbers},{int(known)}\n")
+    return buffer.getvalue()
+
+
+def simulation_summary(fit: Fit, record: Record) -> dict:
+    """Span and means of a simulation."""
+    made, predicted = simulated(fit, record)
+    t = made.timeline
+    ends = [datetime.fromtimestamp(t.origin_s + h * 3600.0, UTC).isoformat(timespec="seconds") for h in (t.time[0], t.time[-1])]
+    means = {
+        quantity: float(np.mean(pair[0]))
+        for quantity in COLUMNS.values()
+        if (pair := predicted.of(quantity)) is not None
+    }
+    return {
+        "fit": fit.name,
+        "record": record.name,
+        "start": ends[0],
+        "end": ends[1],
+        "n": len(t),
+        "share_with_known_inputs": float(made.scored.mean()),
+        "means": means,
+    }
+
+
+def evaluation(fit: Fit, record: Record) -> dict:
+    """Scores, baselines, sensor share and band coverage of a fit on a record."""
+    made, predicted = simulated(fit, record)
+    table = scores(made, predicted, record.until_s)
+    return {
+        "fit": fit.name,
+        "record": record.name,
+        "rmse": table,
+        "baselines": baselines(made, record.until_s),
+        "sensor_share": sensor_share(record, made, table),
+        "bands": bands(fit.design, fit.values, made, predicted, record.until_s),
+    }
+
+
+def evaluation_text(found: Mapping) -> str:
+    """The evaluation as a fixed-width table: Table III of the paper with the baselines below it."""
+    lines = [f"{found['fit']} on {found['record']}: root mean squared error of the free run", ""]
+    head = f"{'':34}{'operation':>12}{'standstill':>12}{'total':>12}{'n':>9}"
+    for period in PERIODS:
+        if not any(found["rmse"][period][q]["n"]["total"] for q in SCORED):
+            continue
+        lines += [period, head]
+        for quantity, unit in zip(SCORED, ("temperature [K]", "absolute humidity [g/m3]"), strict=True):
+            lines.append(_row(f"  model, {unit}", found["rmse"][period][quantity]))
+            for name, guess in found["baselines"][period].items():
+                if quantity in guess:
+                    lines.append(_row(f"  {_BASELINES[name]}", guess[quantity]))
+        lines.append("")
+    lines += ["coverage of the 95 % bands" + (" (validation)" if found["rmse"]["validation"]["temperature_K"]["n"]["total"] else "")]
+    for lead, by_quantity in found["bands"].items():
+        cells = [
+            f"{q.rsplit('_', 1)[0].replace('_', ' ')} {100 * c['coverage']:.1f} % (n {c['n']})"
+            for q, c in by_quantity.items()
+            if c["coverage"] is not None
+        ]
+        lines.append(f"  {lead:9} " + ", ".join(cells))
+    return "\n".join(lines)
+
+
+_BASELINES = {
+    "ambient": "c = c_amb",
+    "ambient_pressure_balance": "c = c_amb T_amb/T_conv,a",
+    "no_dynamics": "release without heat storage",
+}
+
+
+def _row(label: str, cells: Mapping) -> str:
+    numbers = "".join(
+        f"{'–':>12}" if cells[r] is None else f"{cells[r]:12.2f}" for r in ("operation", "standstill", "total")
+    )
+    return f"{label:34}{numbers}{cells['n']['total']:9d}"
