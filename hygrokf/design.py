@@ -7,7 +7,7 @@ sister turbine, a forecast.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -167,7 +167,7 @@ def design(
         chosen.append(("humidity_sensor" if relative else "absolute_humidity_sensor", settings))
         if series.interval_s > 0:
             averaged[humidity] = series.interval_s / 3600.0
-    elif kind != "thermal":
+    elif kind == JOINT:
         statements.append("no humidity inside and outside: the hygric model is left out")
     return Design(
         mechanisms=tuple(chosen),
@@ -270,8 +270,19 @@ def _correlation_time_h(series: Series) -> float:
 
 def extended(base: Design, additions: Sequence[tuple[str, dict]], holds: Mapping[str, str] | None = None) -> Design:
     """The design with more mechanisms of the library."""
-    from dataclasses import replace
+    return replace(base, mechanisms=(*base.mechanisms, *additions), holds={**base.holds, **(holds or {})})
 
-    return replace(
-        base, mechanisms=(*base.mechanisms, *additions), holds={**base.holds, **(holds or {})}
-    )
+
+def merged(parts: Sequence[Design]) -> Design:
+    """One joint design from those of a cascade: the hygric part's air temperature comes from the thermal part."""
+    first = parts[0]
+    for part in parts[1:]:
+        first = replace(
+            first,
+            mechanisms=(*first.mechanisms, *(m for m in part.mechanisms if m[0] != "measured_air")),
+            averaged={**first.averaged, **part.averaged},
+            humidity=first.humidity or part.humidity,
+            statements=tuple(dict.fromkeys((*first.statements, *part.statements))),
+            holds={**first.holds, **part.holds},
+        )
+    return first

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cached_property
 
@@ -19,7 +19,7 @@ from hygrokf.confidence import (
     uncertainty,
     wald_bounds,
 )
-from hygrokf.design import CASCADE, JOINT, Design, design, extended
+from hygrokf.design import CASCADE, JOINT, Design, design, extended, merged, reading_step_h
 from hygrokf.drivers import Run, run
 from hygrokf.evaluation import bands, baselines, scores, sensor_share
 from hygrokf.fitting import Estimate, Objective, climb, maximise
@@ -33,9 +33,12 @@ from hygrokf.thermal import thermal_poles
 from hygrokf.version import __version__
 
 LEVEL = 0.95
+TIME_CONSTANTS = ("thermal_time_constant", "hygric_k")
 STARTS = 4
 SEARCH_DAYS = 30.0
 """[d] stretch of the record on which the starts over the noise parameters are tried."""
+DEFAULT_KIND = CASCADE
+"""Decided by trial: docs/decisions/0002-joint-or-cascade.md."""
 SECOND = ("second_heat_disturbance", "second_vapour_disturbance")
 SCREEN_GAIN = 3.0
 """Log-likelihood that a second disturbance must gain on the shorter stretch to be tried on the whole."""
@@ -75,7 +78,7 @@ def identify(
     record: Record,
     *,
     criterion: str = "likelihood",
-    kind: str = JOINT,
+    kind: str = DEFAULT_KIND,
     starts: int = STARTS,
     profiles: bool = True,
     progress: Progress | None = None,
@@ -87,6 +90,8 @@ def identify(
     sets of time constants are always shown.  `kind`: "joint" or "cascade".  Raises ValueError for unknown options and
     for records from which nothing can be identified.
     """
+    if kind not in (JOINT, CASCADE):
+        raise ValueError(f"kind: expected {JOINT!r} or {CASCADE!r}, found {kind!r}")
     if criterion not in CRITERIA:
         raise ValueError(f"criterion: expected one of {CRITERIA}, found {criterion!r}")
     say = progress or (lambda text: None)
@@ -95,19 +100,19 @@ def identify(
 
     say("heat-release regression")
     regression = heat_release_regression(early)
-    base = design(early, kind="joint" if kind == JOINT else "thermal", **_orders(regression))
-    stage = _Stage(record, early, base, say)
-    stage.estimate(starts, profiles)
-    hygric = None
-    if kind == CASCADE:
-        hygric = _Stage(record, early, design(early, kind=CASCADE), say)
-        if hygric.base.humidity is not None:
-            hygric.estimate(starts, profiles)
-        else:
-            hygric = None
+    orders = _orders(regression)
+    stages = []
+    for part in (JOINT,) if kind == JOINT else ("thermal", CASCADE):
+        base = design(early, kind=part, **orders)
+        if part == CASCADE and base.humidity is None:
+            continue
+        stages.append(_Stage(record, early, base, say))
+        stages[-1].estimate(starts, profiles)
     say("output-error fit")
-    simulated = _simulation(early, base, stage.estimate_.values)
-    return _assemble(record, early, stage, hygric, simulated, regression, criterion, kind, say)
+    whole = merged([stage.base for stage in stages])
+    values = {name: value for stage in stages for name, value in stage.estimate_.values.items()}
+    simulated = _simulation(early, whole, values)
+    return _assemble(record, stages, whole, values, simulated, regression, criterion, kind, say)
 
 
 def _orders(regression) -> dict:
@@ -151,7 +156,7 @@ class _Stage:
         self.objective = Objective(self.likelihood, self.estimate_.coordinates)
         self.say("observed information")
         self.uncertainty_: Uncertainty = uncertainty(self.objective, self.estimate_)
-        for name in ("thermal_time_constant", "hygric_k"):
+        for name in TIME_CONSTANTS:
             if name in self.estimate_.coordinates.names:
                 if profiles:
                     self.bounds[name] = profile(
@@ -160,6 +165,28 @@ class _Stage:
                 else:
                     self.bounds[name] = wald_bounds(self.estimate_, self.uncertainty_, name, LEVEL)
         self.clock = self._clock()
+        self.sampling = self._sampling()
+
+    def _sampling(self) -> dict | None:
+        """Shift of the log time constants when every second ambient reading is left out.
+
+        What the ambient does between its readings is interpolated; this says how much that could matter.
+        """
+        thinned = [
+            replace(s, time=s.time[::2], value=s.value[::2])
+            for s in self.early.series
+            if s.signal.startswith("ambient_") and s.hold == "linear"
+        ]
+        if not thinned:
+            return None
+        self.say("ambient sampling")
+        other = Likelihood(self.base.model, run(self.base, self.early.replace_series(*thinned)).timeline)
+        there = climb(Objective(other, self.estimate_.coordinates), self.estimate_.z, passes=8, tolerance=0.05)
+        values = self.estimate_.coordinates.values(there.z)
+        return {
+            "step_h": reading_step_h(thinned[0]) / 2.0,
+            **{name: math.log(values[name] / self.estimate_.values[name]) for name in self.bounds},
+        }
 
     def _second(self, name: str) -> None:
         """Add a second disturbance of a kind where the likelihood of the whole record pays for it (BIC).
@@ -312,9 +339,12 @@ def _entry(stage: _Stage, name: str, scale: float, simulated: Mapping[str, Outpu
         "threshold": factor * normal_quantile(b.level) ** 2,
         "curve": [[float(x) * scale, float(y)] for x, y in b.curve],
         "clock": clock or None,
+        "sampling": None,
         "simulation": None,
         "disagreement": None,
     }
+    if stage.sampling is not None:
+        entry["sampling"] = {"ambient_step_h": stage.sampling["step_h"], "shift_ln_when_halved": stage.sampling[name]}
     other = simulated.get(name)
     if other is not None:
         low, high = other.bounds(name, positive=True)
@@ -350,9 +380,9 @@ def _with_clock(stage: _Stage, name: str, b: Bounds) -> tuple[float, float, dict
 
 def _assemble(
     record: Record,
-    early: Record,
-    stage: _Stage,
-    hygric: _Stage | None,
+    stages: list[_Stage],
+    whole: Design,
+    values: dict[str, float],
     simulated: Mapping[str, OutputError],
     regression,
     criterion: str,
@@ -360,23 +390,26 @@ def _assemble(
     say: Progress,
 ) -> Fit:
     say("free run and scores")
-    values = dict(stage.estimate_.values)
     if criterion == "simulation":
         for found in simulated.values():
             values |= {name: found.values[name] for name in found.names if name in values}
     errors = {
-        p.name: standard_error(stage.estimate_, stage.uncertainty_, p.name) for p in stage.estimate_.coordinates.free
+        p.name: standard_error(stage.estimate_, stage.uncertainty_, p.name)
+        for stage in stages
+        for p in stage.estimate_.coordinates.free
     }
-    whole = run(stage.base, record)
-    predicted = free_run(stage.base, values, whole, errors)
-    thermal = _thermal_entry(stage, simulated)
-    moist = _hygric_entry(hygric or stage, simulated)
-    table = scores(whole, predicted, record.until_s)
-    lines = [*stage.base.statements, *(hygric.base.statements if hygric else ())]
+    made = run(whole, record)
+    predicted = free_run(whole, values, made, errors)
+    thermal = next((e for stage in stages if (e := _thermal_entry(stage, simulated))), None)
+    moist = next((e for stage in stages if (e := _hygric_entry(stage, simulated))), None)
+    table = scores(made, predicted, record.until_s)
+    lines = list(dict.fromkeys(line for stage in stages for line in stage.base.statements))
     lines += [e["disagreement"] for e in (thermal, moist) if e and e["disagreement"]]
-    lines += _remarks(stage)
-    n = stage.run_.timeline.n_readings
-    d = len(stage.estimate_.z)
+    lines += [line for stage in stages for line in _remarks(stage)]
+    n = sum(stage.run_.timeline.n_readings for stage in stages)
+    d = sum(len(stage.estimate_.z) for stage in stages)
+    loglik = sum(stage.estimate_.loglik for stage in stages)
+    first = stages[0]
     results: dict = {
         "name": record.name,
         "version": __version__,
@@ -385,36 +418,38 @@ def _assemble(
         "criterion": criterion,
         "kind": kind,
         "rated_power_kW": None if record.rated_power_W is None else record.rated_power_W / 1e3,
-        "period": _period(record, stage),
-        "design": stage.base.to_json(),
+        "site": None if record.site is None else asdict(record.site),
+        "period": _period(record, first),
+        "design": whole.to_json(),
         "statements": lines,
         "warnings": list(record.warnings),
         "provenance": [list(p) for p in record.provenance],
-        "parameters": _parameters(stage, values, errors),
+        "parameters": {name: row for stage in stages for name, row in _parameters(stage, values, errors).items()},
         "time_constants": {"thermal": thermal, "hygric": moist},
-        "loglik": stage.estimate_.loglik,
-        "aic": 2.0 * d - 2.0 * stage.estimate_.loglik,
-        "bic": d * math.log(max(n, 1)) - 2.0 * stage.estimate_.loglik,
+        "loglik": loglik,
+        "aic": 2.0 * d - 2.0 * loglik,
+        "bic": d * math.log(max(n, 1)) - 2.0 * loglik,
         "n_obs": n,
-        "converged": stage.estimate_.converged and (hygric is None or hygric.estimate_.converged),
-        "message": stage.estimate_.message,
+        "converged": all(stage.estimate_.converged for stage in stages),
+        "message": "; ".join(dict.fromkeys(stage.estimate_.message for stage in stages)),
         "other_optima": [
-            {"objective": o, **{k: v[k] for k in ("thermal_time_constant", "hygric_k") if k in v}}
+            {"objective": o, **{k: v[k] for k in TIME_CONSTANTS if k in v}}
+            for stage in stages
             for o, v in stage.estimate_.others
         ],
-        "at_bounds": list(stage.estimate_.at_bounds),
-        "flat": list(stage.uncertainty_.flat),
-        "trade_offs": [list(t) for t in stage.uncertainty_.trade_offs],
+        "at_bounds": [name for stage in stages for name in stage.estimate_.at_bounds],
+        "flat": [name for stage in stages for name in stage.uncertainty_.flat],
+        "trade_offs": [list(t) for stage in stages for t in stage.uncertainty_.trade_offs],
         "rmse": table,
-        "baselines": baselines(whole, record.until_s),
-        "sensor_share": sensor_share(record, whole, table),
-        "bands": bands(stage.base, values, whole, predicted, record.until_s),
+        "baselines": baselines(made, record.until_s),
+        "sensor_share": sensor_share(record, made, table),
+        "bands": bands(whole, values, made, predicted, record.until_s),
         "heat_release": regression.to_json(),
     }
     say("innovations")
-    series = _series(stage, values, whole, predicted, record)
-    results["innovations"] = _diagnosis(stage, whole, series, record)
-    return Fit(record.name, stage.base, values, results, series)
+    series = _series(whole, values, made, predicted, record)
+    results["innovations"] = _diagnosis(made, series, record)
+    return Fit(record.name, whole, values, results, series)
 
 
 def _period(record: Record, stage: _Stage) -> dict:
@@ -439,6 +474,13 @@ def _remarks(stage: _Stage) -> list[str]:
             "resistance_ratio is at its bound 1: the readings show no fast feed-through of the ambient temperature, "
             "R_IC cannot be told from 0"
         )
+    for name, label in (("thermal_time_constant", "thermal"), ("hygric_k", "hygric")):
+        shift = (stage.sampling or {}).get(name, 0.0)
+        if name in stage.bounds and abs(shift) > 0.1:
+            lines.append(
+                f"every second ambient reading left out, the {label} time constant changes by {100 * math.expm1(shift):+.0f} %: "
+                f"readings every {60 * stage.sampling['step_h']:.0f} min hardly resolve it"
+            )
     others = [name for name in estimate.at_bounds if name != "resistance_ratio"]
     if others:
         lines.append(f"at a bound, so without standard error: {', '.join(others)}")
@@ -470,7 +512,7 @@ def _parameters(stage: _Stage, values: Mapping[str, float], errors: Mapping[str,
     return rows
 
 
-def _series(stage: _Stage, values: Mapping, whole: Run, predicted, record: Record) -> dict[str, np.ndarray]:
+def _series(base: Design, values: Mapping, whole: Run, predicted, record: Record) -> dict[str, np.ndarray]:
     t = whole.timeline
     known = measured(whole)
     nothing = np.full(len(t), np.nan)
@@ -478,7 +520,7 @@ def _series(stage: _Stage, values: Mapping, whole: Run, predicted, record: Recor
     def pair(quantity: str) -> tuple[np.ndarray, np.ndarray]:
         return predicted.of(quantity) or (nothing, nothing)
 
-    trace = Likelihood(stage.base.model, t).trace(values)
+    trace = Likelihood(base.model, t).trace(values)
     standard = (t.y - trace.prediction) / np.sqrt(trace.variance)
 
     def innovation(*names: str) -> np.ndarray:
@@ -515,7 +557,7 @@ def _series(stage: _Stage, values: Mapping, whole: Run, predicted, record: Recor
     }
 
 
-def _diagnosis(stage: _Stage, whole: Run, series: Mapping[str, np.ndarray], record: Record) -> dict:
+def _diagnosis(whole: Run, series: Mapping[str, np.ndarray], record: Record) -> dict:
     """Whiteness of the innovations on the identification period."""
     from hygrokf.diagnosis import diagnose
 

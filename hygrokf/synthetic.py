@@ -31,7 +31,7 @@ LONGITUDE_DEG = -0.95
 
 _REFERENCE_K = 283.15
 _FREEZING_K = 273.15
-_COARSE_MIN = 10
+_COARSE_MIN = 1
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ def _sun_height(time: np.ndarray) -> np.ndarray:
 def _weather(seed: np.random.SeedSequence, time: np.ndarray) -> _Weather:
     """Weather of an English site each minute: seasons, days, fronts, clouds, rain, wind."""
     random, gusts = (np.random.default_rng(child) for child in seed.spawn(2))
-    # Slow weather is made on a coarse grid and interpolated: air has no minute-scale jumps.
+    # Outdoor air is rough down to the minute: what a logger sees every ten minutes is a sample, not a mean.
     coarse = np.arange(time[0], time[-1] + 60.0 * _COARSE_MIN, 60.0 * _COARSE_MIN)
     step_h = _COARSE_MIN / 60.0
 

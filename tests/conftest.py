@@ -273,3 +273,73 @@ def joint() -> Case:
 def averaged() -> Case:
     """600 instants of the joint model read as means over each step, with pre-heating and a gap in the power."""
     return _make_case("joint", 0.25 * np.arange(600), 14, means=True, preheating=True, gap=True)
+
+
+@pytest.fixture(scope="session")
+def joint_moments() -> Callable[..., Callable]:
+    """(case, values) -> (k, mean, covariance) -> moments at instant k from those at k−1, by scipy's integrator.
+
+    The extended Kalman filter's moment equations of the joint model, written here once more: states are the converter's
+    temperature, the heat disturbance, c* and the vapour disturbance, in the model's order.
+    """
+    from scipy.integrate import solve_ivp
+
+    def prepare(case: Case, p: Mapping[str, float]) -> Callable:
+        order = ["converter_temperature", "heat_disturbance", "vapour", "vapour_disturbance"]
+        assert list(case.model.states) == order
+        time, u = case.timeline.time, case.inputs
+        ratio, tau = p["resistance_ratio"], p["thermal_time_constant"]
+        noise = np.diag(
+            [
+                p["thermal_diffusion"] ** 2,
+                2 * p["heat_disturbance_sd"] ** 2 / p["heat_disturbance_time"],
+                p["hygric_diffusion"] ** 2,
+                2 * p["vapour_disturbance_sd"] ** 2 / p["vapour_disturbance_time"],
+            ]
+        )
+
+        def advance(k: int, mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            on = u["operating"][k]
+            power = p["heat_release_power_1"] * u["power_1"][k] + p["heat_release_power_2"] * u["power_2"][k]
+            length = time[k] - time[k - 1]
+
+            def rates(t: float, z: np.ndarray) -> np.ndarray:
+                share = t / length
+                outside, damp, factor = (
+                    (1 - share) * u[n][k - 1] + share * u[n][k]
+                    for n in ("ambient_temperature", "ambient_absolute_humidity", "exchange_factor")
+                )
+                warm = outside - 283.15
+                release = power + on * (
+                    p["heat_release_operation"] + p["heat_release_operation_ambient"] * warm
+                )
+                release += (1 - on) * (
+                    p["heat_release_standstill"] + p["heat_release_standstill_ambient"] * warm
+                )
+                converter, heat, vapour, vapour_error = z[:4]
+                rate = (ratio * converter + (1 - ratio) * outside) * factor / p["hygric_k"]
+                drive = damp - vapour + vapour_error
+                drift = [
+                    (outside - converter + (release + heat) / ratio) / tau,
+                    -heat / p["heat_disturbance_time"],
+                    rate * drive,
+                    -vapour_error / p["vapour_disturbance_time"],
+                ]
+                slope = np.array(
+                    [
+                        [-1 / tau, 1 / ratio / tau, 0, 0],
+                        [0, -1 / p["heat_disturbance_time"], 0, 0],
+                        [ratio * factor / p["hygric_k"] * drive, 0, -rate, rate],
+                        [0, 0, 0, -1 / p["vapour_disturbance_time"]],
+                    ]
+                )
+                product = slope @ z[4:].reshape(4, 4)
+                return np.concatenate([drift, (product + product.T + noise).ravel()])
+
+            start = np.concatenate([mean, covariance.ravel()])
+            end = solve_ivp(rates, (0.0, length), start, method="DOP853", rtol=1e-13, atol=1e-14).y[:, -1]
+            return end[:4], end[4:].reshape(4, 4)
+
+        return advance
+
+    return prepare

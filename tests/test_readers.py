@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
 
 from hygrokf.readers import TableFault, read_table
 
@@ -333,3 +335,24 @@ class TestParquet:
         monkeypatch.setitem(sys.modules, "pyarrow", None)
         (fault,) = faults(write(b"PAR1", "a.parquet"))
         assert 'pip install "hygrokf[parquet]"' in fault
+
+
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(data=st.data())
+def test_a_damaged_file_is_read_or_refused_but_never_breaks(write, data):
+    content = GOOD
+    for _ in range(data.draw(st.integers(1, 3))):
+        place = data.draw(st.integers(0, len(content)))
+        gone = data.draw(st.integers(0, 12))
+        new = data.draw(st.text(alphabet='",;\n\r\t#\0é .-Z+:0123456789eTn\\', max_size=4))
+        content = content[:place] + new + content[place + gone :]
+    zone = data.draw(st.sampled_from([None, "Europe/Berlin", "+01:00"]))
+    path = write(content.encode(data.draw(st.sampled_from(["utf-8", "utf-16", "cp1252"]))))
+    try:
+        read = read_table(path, ["T", "RH"], "time", timezone=zone)
+    except TableFault as refused:
+        assert refused.faults
+        assert all(refused.faults)
+    else:
+        assert np.isfinite(read.time).all()
+        assert all(len(array) == len(read.time) for array in read.values.values())
