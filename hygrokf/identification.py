@@ -23,12 +23,13 @@ from hygrokf.design import CASCADE, JOINT, Design, design, extended, merged, rea
 from hygrokf.drivers import Run, run
 from hygrokf.evaluation import bands, baselines, scores, sensor_share
 from hygrokf.fitting import Estimate, Objective, climb, maximise
+from hygrokf.kalman import smooth
 from hygrokf.likelihood import Likelihood
 from hygrokf.mechanisms.hygric import exchange_factor, hygric_time_constant
 from hygrokf.parameters import Coordinates
 from hygrokf.output_error import OutputError, fit_output_error
-from hygrokf.record import Record
-from hygrokf.simulation import free_run, measured
+from hygrokf.record import Record, Series
+from hygrokf.simulation import air_temperature, free_run, measured, project
 from hygrokf.thermal import thermal_poles
 from hygrokf.version import __version__
 
@@ -106,13 +107,34 @@ def identify(
         base = design(early, kind=part, **orders)
         if part == CASCADE and base.humidity is None:
             continue
-        stages.append(_Stage(record, early, base, say))
+        driven = early
+        if part == CASCADE:
+            say("smoothed cabinet temperature")
+            driven = early.replace_series(smoothed_temperature(stages[0], base.humidity))
+        stages.append(_Stage(record, driven, base, say))
         stages[-1].estimate(starts, profiles)
     say("output-error fit")
     whole = merged([stage.base for stage in stages])
     values = {name: value for stage in stages for name, value in stage.estimate_.values.items()}
     simulated = _simulation(early, whole, values)
     return _assemble(record, stages, whole, values, simulated, regression, criterion, kind, say)
+
+
+def smoothed_temperature(stage: _Stage, humidity: str) -> Series:
+    """The cabinet air temperature given all its readings [K], at its own times and those of the humidity.
+
+    The hygric model divides by e_s(T): with raw readings their noise would weaken that dependence, as errors in a
+    regressor do, and end up in the humidity sensor's bias; the smoothed temperature is free of it.
+    """
+    t, base = stage.run_.timeline, stage.base
+    mean, covariance = smooth(stage.likelihood, stage.estimate_.values)
+    air, _ = project(base, stage.estimate_.values, stage.run_, mean, covariance, air_temperature)
+    seconds = t.origin_s + 3600.0 * t.time
+    raw = stage.early["cabinet_temperature"]
+    moist = stage.early[humidity]
+    time = np.union1d(raw.time[~raw.missing], moist.time[~moist.missing])
+    time = time[(time >= seconds[0]) & (time <= seconds[-1])]
+    return replace(raw, time=time, value=np.interp(time, seconds, air), hold="linear", interval_s=0.0)
 
 
 def _orders(regression) -> dict:

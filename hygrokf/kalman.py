@@ -29,10 +29,10 @@ def smooth(likelihood: Likelihood, values: Mapping[str, float]) -> tuple[np.ndar
     masked = found.covariance * kept[:, :, None] * kept[:, None, :]
     cross = np.einsum("tij,tkj->tik", masked[:-1], found.transition[1:])
     prior = found.prior_covariance[1:]
-    # states without any variance (a running mean just begun) make the prior singular: a least-squares inverse
+    # scaled to a correlation matrix; the ridge only matters for states without any variance (a mean just begun)
     scale = np.sqrt(np.maximum(np.einsum("tii->ti", prior), 1e-300))
     normal = prior / scale[:, :, None] / scale[:, None, :]
-    inverse = np.linalg.pinv(normal, rcond=1e-13, hermitian=True) / scale[:, :, None] / scale[:, None, :]
+    inverse = np.linalg.inv(normal + 1e-13 * np.eye(mean.shape[1])) / scale[:, :, None] / scale[:, None, :]
     gain = cross @ inverse
     for k in range(len(mean) - 2, -1, -1):
         g = gain[k]

@@ -201,7 +201,7 @@ class Recursion:
         found: set[int] = set()
         for i in self.graph.needed(outputs):
             if stages[i] == stage:
-                found.update(j for j in arguments(self.graph.nodes[i]) if stages[j] < stage)
+                found.update(j for j in self._read_by(i) if stages[j] < stage)
             elif any(e.index == i for e in outputs):
                 found.add(i)
         known = sorted(found)
@@ -209,6 +209,13 @@ class Recursion:
             [i for i in known if stages[i] == _PARAMETER],
             [i for i in known if stages[i] == _KEY],
         )
+
+    def _read_by(self, i: int) -> list[int]:
+        """Nodes whose numbers node i needs; a condition is no number, what it compares is carried in its place."""
+        found = []
+        for j in arguments(self.graph.nodes[i]):
+            found.extend(arguments(self.graph.nodes[j]) if self.graph.nodes[j][0] == "lt" else [j])
+        return found
 
     @cached_property
     def _blocks(self) -> list[_Block]:

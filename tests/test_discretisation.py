@@ -28,7 +28,7 @@ SECOND, QUARTER, DAY, FORTNIGHT = 1.0 / 3600.0, 0.25, 24.0, 336.0
 def network(seed: int, n: int = 3) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """A, B, Q of a random chain of heat stores: time constants from minutes to weeks [1/h]."""
     random = np.random.default_rng(seed)
-    capacity = 10.0 ** random.uniform(-1.5, 2.0, n)
+    capacity = 10.0 ** random.uniform(-1.0, 2.0, n)
     conductance = np.zeros((n, n))
     for i in range(n):
         for j in range(i):
