@@ -66,8 +66,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True) -> Record:
     case, faults = stated_case(content, file, text)
     if "ambient_temperature" not in case.declared:
         faults.append(
-            f"{file.name}: no source names signals.ambient_temperature, the input that no model "
-            "goes without"
+            f"{file.name}: no source names signals.ambient_temperature, the input that no model goes without"
         )
     if cabinet and not any(signal in case.declared for signal in _IDENTIFIABLE):
         faults.append(
@@ -98,9 +97,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True) -> Record:
         whole = whole and not wrong
     unique = {one.signal: one for one in series}
     faults += _overlap_faults(tuple(unique.values()))
-    record = Record(
-        case.name, tuple(unique.values()), case.site, case.rated_power_W, None, tuple(warnings)
-    )
+    record = Record(case.name, tuple(unique.values()), case.site, case.rated_power_W, None, tuple(warnings))
     if whole and series:
         faults += _period_faults(record, case)
     if faults:
@@ -191,9 +188,7 @@ def _source_series(
                 hold,
                 length,
                 difference_to_si(resolution, one.unit, one.signal),
-                None
-                if one.accuracy is None
-                else difference_to_si(one.accuracy, one.unit, one.signal),
+                None if one.accuracy is None else difference_to_si(one.accuracy, one.unit, one.signal),
                 source.clock_uncertainty_s,
                 f'{source.file}, column "{one.column}"',
             )
@@ -216,9 +211,7 @@ def _no_step(source: StatedSource, step: float, regular: float) -> str:
     )
 
 
-def _end_of_interval(
-    time: np.ndarray, length: float, stamp: str, hold: str
-) -> tuple[np.ndarray, float]:
+def _end_of_interval(time: np.ndarray, length: float, stamp: str, hold: str) -> tuple[np.ndarray, float]:
     """Times as a Series has them, and the interval's length [s]."""
     shift = {"instant": 0.0, "start": length, "middle": 0.5 * length, "end": 0.0}[stamp]
     if hold == "linear":
@@ -248,9 +241,7 @@ def _unit_mistaken(one: StatedColumn, raw: np.ndarray) -> str | None:
             )
     fits = _share_in_range(finite, unit, row)
     better = [
-        other
-        for other in fitting_units(row)
-        if other != unit and _share_in_range(finite, other, row) > 0.5
+        other for other in fitting_units(row) if other != unit and _share_in_range(finite, other, row) > 0.5
     ]
     middle = float(np.median(finite))
     if row.name == "ambient_temperature" and unit == "degC" and fits > 0.5 and middle > 45.0:
@@ -273,9 +264,7 @@ def _share_in_range(values: np.ndarray, unit: str, signal: Signal) -> float:
     return float(np.mean((converted >= signal.low) & (converted <= signal.high)))
 
 
-def _power_mistaken(
-    one: StatedColumn, raw: np.ndarray, rated_W: float
-) -> tuple[str | None, str | None]:
+def _power_mistaken(one: StatedColumn, raw: np.ndarray, rated_W: float) -> tuple[str | None, str | None]:
     """Power that does not go with the rated power: a fault if impossible, a warning if doubtful."""
     finite = to_si(raw[np.isfinite(raw)], one.unit, one.signal)
     if not len(finite):

@@ -79,9 +79,7 @@ class CaseLines:
         self.name = name
         self.lines = [line.split("#")[0] for line in text.splitlines()]
         heads = [
-            number
-            for number, line in enumerate(self.lines)
-            if re.match(r"\s*\[\[\s*source\s*\]\]", line)
+            number for number, line in enumerate(self.lines) if re.match(r"\s*\[\[\s*source\s*\]\]", line)
         ]
         ends = [
             next(
@@ -207,9 +205,7 @@ def _positive(
         return None
     number = _number(table[key])
     if number is None or number <= 0.0:
-        faults.append(
-            f"{lines.at(block, key)}: {key} must be a number above 0, found {table[key]!r}"
-        )
+        faults.append(f"{lines.at(block, key)}: {key} must be a number above 0, found {table[key]!r}")
         return None
     return number
 
@@ -230,9 +226,7 @@ def _site(table: Any, lines: CaseLines, faults: list[str]) -> Site | None:
         if key in table:
             number = _number(table[key])
             if number is None:
-                faults.append(
-                    f"{lines.at(None, key)}: {key} must be a number, found {table[key]!r}"
-                )
+                faults.append(f"{lines.at(None, key)}: {key} must be a number, found {table[key]!r}")
             else:
                 numbers[key] = number
     try:
@@ -267,9 +261,7 @@ def _periods(table: Any, lines: CaseLines, faults: list[str]) -> tuple[float | N
     return start_s, until_s
 
 
-def _sources(
-    tables: Any, lines: CaseLines, faults: list[str]
-) -> tuple[list[StatedSource], dict[str, int]]:
+def _sources(tables: Any, lines: CaseLines, faults: list[str]) -> tuple[list[StatedSource], dict[str, int]]:
     """The sources that can be read, and every signal named with the number of its source."""
     declared: dict[str, int] = {}
     if not tables:
@@ -295,9 +287,7 @@ def _sources(
     return sources, declared
 
 
-def _columns(
-    table: Any, lines: CaseLines, block: int, faults: list[str]
-) -> tuple[StatedColumn, ...]:
+def _columns(table: Any, lines: CaseLines, block: int, faults: list[str]) -> tuple[StatedColumn, ...]:
     if not isinstance(table, dict) or not table:
         faults.append(
             f"{lines.at(block)}: this source names no signal; expected such as "
@@ -334,8 +324,7 @@ def _columns(
             sizes[key] = _number(entry.get(key))
             if key in entry and (sizes[key] is None or sizes[key] < 0.0):
                 faults.append(
-                    f"{where}: {key} must be a number ≥ 0 in the unit of the column, found "
-                    f"{entry[key]!r}"
+                    f"{where}: {key} must be a number ≥ 0 in the unit of the column, found {entry[key]!r}"
                 )
         if len(faults) == before:
             columns.append(StatedColumn(SIGNALS[name], entry["column"], entry["unit"], **sizes))
@@ -367,9 +356,7 @@ def _source(
             faults.append(f"{lines.at(block)}: this source needs {key}")
     for key in ("separator", "comment", "decimal"):
         if words[key] is not None and len(words[key]) != 1:
-            faults.append(
-                f'{lines.at(block, key)}: {key} must be one character, found "{words[key]}"'
-            )
+            faults.append(f'{lines.at(block, key)}: {key} must be one character, found "{words[key]}"')
             words[key] = None
     separator, decimal = words["separator"] or ",", words["decimal"] or "."
     if separator == decimal:
@@ -412,13 +399,11 @@ def _source(
     ignore = table.get("ignore_offset", False)
     if not isinstance(ignore, bool):
         faults.append(
-            f"{lines.at(block, 'ignore_offset')}: ignore_offset must be true or false, found "
-            f"{ignore!r}"
+            f"{lines.at(block, 'ignore_offset')}: ignore_offset must be true or false, found {ignore!r}"
         )
     elif ignore and words["timezone"] is None:
         faults.append(
-            f"{lines.at(block, 'ignore_offset')}: ignore_offset = true needs the timezone of the "
-            "clock"
+            f"{lines.at(block, 'ignore_offset')}: ignore_offset = true needs the timezone of the clock"
         )
     if words["file"] is None or words["time"] is None:
         return None

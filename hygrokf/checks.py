@@ -114,9 +114,7 @@ def _describe_series(series: Series) -> dict[str, Any]:
         "interval_s": series.interval_s,
         "unit": row.display,
         "resolution": _number(difference_from_si(series.resolution, row.display, row), 4),
-        "accuracy": None
-        if accuracy is None
-        else _number(difference_from_si(accuracy, row.display, row), 4),
+        "accuracy": None if accuracy is None else _number(difference_from_si(accuracy, row.display, row), 4),
         "minimum": _number(shown.min()) if len(shown) else None,
         "mean": _number(shown.mean()) if len(shown) else None,
         "maximum": _number(shown.max()) if len(shown) else None,
@@ -200,9 +198,7 @@ def _doubts_of_power(record: Record) -> list[str]:
         if signal.startswith("cabinet_") and len(record[signal]):
             covered = _covered(record[signal], power)
             if covered < 0.5:
-                said.append(
-                    f"active power covers only {100 * covered:.0f} % of the period of {signal}"
-                )
+                said.append(f"active power covers only {100 * covered:.0f} % of the period of {signal}")
             break
     return said
 
@@ -308,9 +304,7 @@ def _doubts_of_clocks(record: Record) -> list[str]:
         if len(series) > 2 and regular < 0.9:
             source = series.source.split(", column")[0] or series.signal
             text = f"{100 * regular:.0f} % of the steps are {duration_text(step)}"
-            irregular.setdefault(f"irregular steps in {source}: only {text}", []).append(
-                series.signal
-            )
+            irregular.setdefault(f"irregular steps in {source}: only {text}", []).append(series.signal)
     said += list(irregular)
     if record.site is not None and "global_horizontal_irradiance" in record:
         lag = _solar_lag(record["global_horizontal_irradiance"], record.site.longitude_deg)

@@ -72,17 +72,26 @@ def _parser() -> argparse.ArgumentParser:
     _json(check)
     fit = command("fit", _fit, "identify the models of a case")
     fit.add_argument("case", type=Path, metavar="CASE.toml")
-    fit.add_argument("--out", type=Path, required=True, help="directory for fit.json, series.npz and report.html")
+    fit.add_argument(
+        "--out", type=Path, required=True, help="directory for fit.json, series.npz and report.html"
+    )
     fit.add_argument(
         "--criterion",
         choices=("likelihood", "simulation"),
         default="likelihood",
         help="innovations (default) or the free run's error, as in the paper",
     )
-    fit.add_argument("--kind", choices=("joint", "cascade"), default=None, help="one filter, or hygric on the measured temperature")
+    fit.add_argument(
+        "--kind",
+        choices=("joint", "cascade"),
+        default=None,
+        help="one filter, or hygric on the measured temperature",
+    )
     fit.add_argument("--starts", type=int, default=4, help="starts over the noise parameters (default 4)")
     _json(fit)
-    simulate = command("simulate", _simulate, "run a fitted model on the inputs of a case, without its readings")
+    simulate = command(
+        "simulate", _simulate, "run a fitted model on the inputs of a case, without its readings"
+    )
     simulate.add_argument("fit", type=Path, metavar="FIT.json")
     simulate.add_argument("case", type=Path, metavar="CASE.toml")
     simulate.add_argument("--out", type=Path, required=True, help="CSV file to write")
@@ -106,7 +115,9 @@ class Progress:
     def __init__(self, total: int) -> None:
         from tqdm import tqdm
 
-        self._bar = tqdm(total=total, file=sys.stderr, disable=None, bar_format="{l_bar}{bar}| {elapsed} {postfix}")
+        self._bar = tqdm(
+            total=total, file=sys.stderr, disable=None, bar_format="{l_bar}{bar}| {elapsed} {postfix}"
+        )
 
     def __call__(self, text: str) -> None:
         self._bar.set_postfix_str(text, refresh=False)
@@ -156,7 +167,9 @@ def _directory(path: Path) -> None:
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as fault:
-        raise UserFault(f"--out {path}: expected a directory that can be written, found: {fault.strerror}") from None
+        raise UserFault(
+            f"--out {path}: expected a directory that can be written, found: {fault.strerror}"
+        ) from None
 
 
 def _print(data: Any, text: str, as_json: bool) -> None:
@@ -214,7 +227,9 @@ def _simulate(options: argparse.Namespace) -> int:
     except ValueError as fault:
         raise UserFault(str(fault)) from fault
     if not options.out.parent.is_dir():
-        raise UserFault(f"--out {options.out}: expected a file in an existing directory; make {options.out.parent} first")
+        raise UserFault(
+            f"--out {options.out}: expected a file in an existing directory; make {options.out.parent} first"
+        )
     write_text_whole(options.out, text)
     _print(summary, f"{summary['n']} instants written: {options.out}", options.json)
     return 0

@@ -207,7 +207,12 @@ def _release(
     if "preheating" in record and np.nanmax(record["preheating"].value, initial=0.0) > 0:
         settings["preheating"] = True
     if scale is None:
-        settings |= {"operation": False, "standstill": True, "standstill_ambient": standstill_ambient, "order": 0}
+        settings |= {
+            "operation": False,
+            "standstill": True,
+            "standstill_ambient": standstill_ambient,
+            "order": 0,
+        }
         statements.append("no power in the record: all of it counts as standstill")
         return settings, (), statements
     series = record["active_power"]
@@ -215,10 +220,17 @@ def _release(
     running = value > 0
     operation, standstill = bool(running.mean() > 0.01), bool((~running).mean() > 0.01)
     if not standstill:
-        statements.append("hardly any standstill in the record: the heat release at standstill is that of operation")
+        statements.append(
+            "hardly any standstill in the record: the heat release at standstill is that of operation"
+        )
     if not operation:
         statements.append("hardly any operation in the record: its heat release cannot be identified")
-        settings |= {"operation": False, "standstill": True, "standstill_ambient": standstill_ambient, "order": 0}
+        settings |= {
+            "operation": False,
+            "standstill": True,
+            "standstill_ambient": standstill_ambient,
+            "order": 0,
+        }
         return settings, (), statements
     distinct = float(np.ptp(np.quantile(value[running], [0.02, 0.98])))
     if distinct < 0.05 and order > 0:
@@ -268,7 +280,9 @@ def _correlation_time_h(series: Series) -> float:
     return 240.0
 
 
-def extended(base: Design, additions: Sequence[tuple[str, dict]], holds: Mapping[str, str] | None = None) -> Design:
+def extended(
+    base: Design, additions: Sequence[tuple[str, dict]], holds: Mapping[str, str] | None = None
+) -> Design:
     """The design with more mechanisms of the library."""
     return replace(base, mechanisms=(*base.mechanisms, *additions), holds={**base.holds, **(holds or {})})
 

@@ -86,31 +86,27 @@ def step(
     inputs = [_between(start, end, c) for c in NODES]
     points = [_predictor(field, state, start, end, c, h) for c in NODES] if field.nonlinear else [state] * 2
     a1, a2 = (field.jacobian_at(x, u) for x, u in zip(points, inputs, strict=True))
-    b1, b2 = (
-        field.rest_at(x, u, a) for x, u, a in zip(points, inputs, (a1, a2), strict=True)
-    )
+    b1, b2 = (field.rest_at(x, u, a) for x, u, a in zip(points, inputs, (a1, a2), strict=True))
     difference = _difference(a2, a1)
     correction = math.sqrt(3.0) / 12.0 * h * h
     mean_rate = [[_mean(x, y) for x, y in zip(r, s, strict=True)] for r, s in zip(a1, a2, strict=True)]
     omega = add(
         scale(h, mean_rate),
-        scale(correction, _difference(product(a2, a1), product(a1, a2)) if _any(difference) else _zeros(n, n)),
+        scale(
+            correction, _difference(product(a2, a1), product(a1, a2)) if _any(difference) else _zeros(n, n)
+        ),
     )
     slope = [_minus(y, x) / ((NODES[1] - NODES[0]) * h) for x, y in zip(b1, b2, strict=True)]
     level = [_minus(x, s * (NODES[0] * h)) for x, s in zip(b1, slope, strict=True)]
     constant = [h * b + correction * dot(row, level) for b, row in zip(level, difference, strict=True)]
     linear = [h * (h * s + correction * dot(row, slope)) for s, row in zip(slope, difference, strict=True)]
     exponential, phi1, phi2 = _exponentials(omega)
-    mean = [
-        dot(exponential[i], state) + dot(phi1[i], constant) + dot(phi2[i], linear) for i in range(n)
-    ]
+    mean = [dot(exponential[i], state) + dot(phi1[i], constant) + dot(phi2[i], linear) for i in range(n)]
     spread = add(product(difference, noise), transpose(product(difference, noise)))
     accumulated = _accumulated(omega, add(scale(h, noise), scale(correction, spread)))
     return Step(
         mean=[graph.lift(v) for v in mean],
-        covariance=[
-            [graph.lift(v) for v in row] for row in congruence(exponential, covariance, accumulated)
-        ],
+        covariance=[[graph.lift(v) for v in row] for row in congruence(exponential, covariance, accumulated)],
         transition=exponential,
         noise=accumulated,
     )
@@ -147,9 +143,7 @@ class _Field:
         if not self.nonlinear:
             return zero
         value = self.value_at(x, u)
-        return [
-            _minus(value[i], dot(a[i], x)) if self.curved[i] else zero[i] for i in range(len(value))
-        ]
+        return [_minus(value[i], dot(a[i], x)) if self.curved[i] else zero[i] for i in range(len(value))]
 
 
 def _between(start: Mapping, end: Mapping, c: float) -> dict[str, Expression]:
@@ -193,9 +187,7 @@ def _taylor(centre: float, weight: int | None, order: int) -> list[float]:
         moments = (
             (1.0 / (k + j + 1) if weight == 0 else 1.0 / ((k + j + 1) * (k + j + 2))) for j in range(terms)
         )
-        result.append(
-            inverse[k] * math.fsum((-centre) ** j * inverse[j] * m for j, m in enumerate(moments))
-        )
+        result.append(inverse[k] * math.fsum((-centre) ** j * inverse[j] * m for j, m in enumerate(moments)))
     return result
 
 

@@ -196,7 +196,9 @@ def _feature_names(design: Design) -> list[str]:
 def _further(record: Record, name: str, time: np.ndarray) -> np.ndarray:
     """Any other signal as an input; unknown values take the record's mean."""
     if name not in record:
-        raise ValueError(f"the model reads {name!r}, which the record does not have: {', '.join(record.signals)}")
+        raise ValueError(
+            f"the model reads {name!r}, which the record does not have: {', '.join(record.signals)}"
+        )
     value = at_times(record[name], time, AMBIENT_BRIDGE_H)
     return np.where(np.isnan(value), np.nanmean(record[name].value), value)
 

@@ -181,9 +181,7 @@ class Writer:
     def _fma(self, kind: str, a: Sequence[str]) -> str:
         if has_fused_multiply_add():
             suffix = "f64" if kind == SCALAR else f"v{LANES}f64"
-            return self.value(
-                f"call {kind} @llvm.fma.{suffix}({kind} {a[0]}, {kind} {a[1]}, {kind} {a[2]})"
-            )
+            return self.value(f"call {kind} @llvm.fma.{suffix}({kind} {a[0]}, {kind} {a[1]}, {kind} {a[2]})")
         return self.value(f"fadd {kind} {self.value(f'fmul {kind} {a[0]}, {a[1]}')}, {a[2]}")
 
     def as_vector(self, kind: str, value: str) -> str:
@@ -191,9 +189,7 @@ class Writer:
         if kind == VECTOR:
             return value
         first = self.value(f"insertelement {VECTOR} poison, double {value}, i64 0")
-        return self.value(
-            f"shufflevector {VECTOR} {first}, {VECTOR} poison, <{LANES} x i32> zeroinitializer"
-        )
+        return self.value(f"shufflevector {VECTOR} {first}, {VECTOR} poison, <{LANES} x i32> zeroinitializer")
 
 
 def _align(kind: str) -> int:

@@ -74,9 +74,7 @@ def baselines(run: Run, until_s: float | None) -> dict:
     for period, chosen in masks.items():
         result[period] = {
             name: {
-                quantity: rmse(
-                    np.where(chosen & run.scored, known[quantity] - value, np.nan), run.operating
-                )
+                quantity: rmse(np.where(chosen & run.scored, known[quantity] - value, np.nan), run.operating)
                 for quantity, value in guess.items()
             }
             for name, guess in guesses.items()
@@ -109,7 +107,9 @@ def sensor_share(record: Record, run: Run, found: Mapping) -> dict:
     """
     known = measured(run)
     variance: dict[str, float] = {}
-    temperature = accuracy_of(record["cabinet_temperature"]) / 1.96 if "cabinet_temperature" in record else 0.0
+    temperature = (
+        accuracy_of(record["cabinet_temperature"]) / 1.96 if "cabinet_temperature" in record else 0.0
+    )
     if temperature:
         variance["temperature_K"] = temperature**2
     if "cabinet_relative_humidity" in record and np.isfinite(known["absolute_humidity_g_m3"]).any():

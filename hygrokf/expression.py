@@ -370,9 +370,7 @@ def _partials(graph: Graph, i: int) -> list[tuple[int, Expression]]:
             return []
 
 
-def reverse(
-    graph: Graph, seeds: Mapping[int, Expression], leaves: Iterable[int]
-) -> dict[int, Expression]:
+def reverse(graph: Graph, seeds: Mapping[int, Expression], leaves: Iterable[int]) -> dict[int, Expression]:
     """Adjoints of `leaves` (node indices), given the adjoints `seeds` of output nodes: reverse mode.
 
     The walk stops at the leaves; what does not depend on a leaf is not visited.
@@ -446,9 +444,7 @@ def depends_on(graph: Graph, expression: Expression | float, names: Iterable[str
         return False
     wanted = set(names)
     nodes = graph.nodes
-    return any(
-        nodes[i][0] == "symbol" and nodes[i][1] in wanted for i in graph.needed([expression])
-    )
+    return any(nodes[i][0] == "symbol" and nodes[i][1] in wanted for i in graph.needed([expression]))
 
 
 # -- small matrices of expressions ---------------------------------------------------------------------------

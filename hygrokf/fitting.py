@@ -157,7 +157,9 @@ def _scoring(objective: Objective, start: np.ndarray, passes: int, tolerance: fl
                     return Optimum(z, value, True, "converged to rounding", done)
             damping = max(damping, 1e-6) * 6.0
         else:
-            return Optimum(z, value, False, "no step improves the likelihood, yet its score is not zero", done)
+            return Optimum(
+                z, value, False, "no step improves the likelihood, yet its score is not zero", done
+            )
         new = z + step
         z = new
         value, gradient, information = objective.information(z)
@@ -239,7 +241,11 @@ def maximise(
         if progress is not None:
             progress(f"start {k + 1} of {len(candidates)}")
         several = len(candidates) > 1
-        short.append(climb(scout, z, passes=15 if several else 25, tolerance=1e-2) if several or search else Optimum(z, 0.0, False, "", 0))
+        short.append(
+            climb(scout, z, passes=15 if several else 25, tolerance=1e-2)
+            if several or search
+            else Optimum(z, 0.0, False, "", 0)
+        )
     short.sort(key=lambda o: -o.objective)
     optima: list[Optimum] = []
     if progress is not None:
@@ -260,7 +266,11 @@ def maximise(
         for p, z, a, b in zip(coordinates.free, best.z, coordinates.lower, coordinates.upper, strict=True)
         if z <= a + margin or z >= b - margin
     )
-    message = best.message if best.converged else f"not converged: {best.message}; try more starts or other start values"
+    message = (
+        best.message
+        if best.converged
+        else f"not converged: {best.message}; try more starts or other start values"
+    )
     return Estimate(
         coordinates=coordinates,
         z=best.z,

@@ -26,8 +26,8 @@ from hygrokf.fitting import Estimate, Objective, climb, maximise
 from hygrokf.kalman import smooth
 from hygrokf.likelihood import Likelihood
 from hygrokf.mechanisms.hygric import exchange_factor, hygric_time_constant
-from hygrokf.parameters import Coordinates
 from hygrokf.output_error import OutputError, fit_output_error
+from hygrokf.parameters import Coordinates
 from hygrokf.record import Record, Series
 from hygrokf.simulation import air_temperature, free_run, measured, project
 from hygrokf.thermal import thermal_poles
@@ -203,7 +203,9 @@ class _Stage:
             return None
         self.say("ambient sampling")
         other = Likelihood(self.base.model, run(self.base, self.early.replace_series(*thinned)).timeline)
-        there = climb(Objective(other, self.estimate_.coordinates), self.estimate_.z, passes=8, tolerance=0.05)
+        there = climb(
+            Objective(other, self.estimate_.coordinates), self.estimate_.z, passes=8, tolerance=0.05
+        )
         values = self.estimate_.coordinates.values(there.z)
         return {
             "step_h": reading_step_h(thinned[0]) / 2.0,
@@ -255,7 +257,9 @@ class _Stage:
             for sign in (-1.0, 1.0):
                 moved = self.early.replace_series(*(replace(s, time=s.time + sign * delta) for s in same))
                 shifted = Likelihood(self.base.model, run(self.base, moved).timeline)
-                there = climb(Objective(shifted, self.estimate_.coordinates), self.estimate_.z, passes=6, tolerance=0.05)
+                there = climb(
+                    Objective(shifted, self.estimate_.coordinates), self.estimate_.z, passes=6, tolerance=0.05
+                )
                 found[sign] = self.estimate_.coordinates.values(there.z)
             shifts[key] = {
                 "clock_uncertainty_s": delta,
@@ -356,7 +360,9 @@ def _entry(stage: _Stage, name: str, scale: float, simulated: Mapping[str, Outpu
         "upper_h": None if math.isinf(upper) else upper * scale,
         "level": b.level,
         "method": b.method + (" with clock uncertainty" if clock else ""),
-        "statement": b.statement.replace(" h", " h at 273 K") if name == "hygric_k" and b.statement else b.statement,
+        "statement": b.statement.replace(" h", " h at 273 K")
+        if name == "hygric_k" and b.statement
+        else b.statement,
         "factor": factor,
         "threshold": factor * normal_quantile(b.level) ** 2,
         "curve": [[float(x) * scale, float(y)] for x, y in b.curve],
@@ -366,7 +372,10 @@ def _entry(stage: _Stage, name: str, scale: float, simulated: Mapping[str, Outpu
         "disagreement": None,
     }
     if stage.sampling is not None:
-        entry["sampling"] = {"ambient_step_h": stage.sampling["step_h"], "shift_ln_when_halved": stage.sampling[name]}
+        entry["sampling"] = {
+            "ambient_step_h": stage.sampling["step_h"],
+            "shift_ln_when_halved": stage.sampling[name],
+        }
     other = simulated.get(name)
     if other is not None:
         low, high = other.bounds(name, positive=True)
@@ -396,7 +405,10 @@ def _with_clock(stage: _Stage, name: str, b: Bounds) -> tuple[float, float, dict
     if not clock or b.lower <= 0 or math.isinf(b.upper):
         return b.lower, b.upper, clock
     extra = normal_quantile(b.level) * math.sqrt(variance)
-    down, up = (math.hypot(math.log(b.value / b.lower), extra), math.hypot(math.log(b.upper / b.value), extra))
+    down, up = (
+        math.hypot(math.log(b.value / b.lower), extra),
+        math.hypot(math.log(b.upper / b.value), extra),
+    )
     return b.value * math.exp(-down), b.value * math.exp(up), clock
 
 
@@ -446,7 +458,9 @@ def _assemble(
         "statements": lines,
         "warnings": list(record.warnings),
         "provenance": [list(p) for p in record.provenance],
-        "parameters": {name: row for stage in stages for name, row in _parameters(stage, values, errors).items()},
+        "parameters": {
+            name: row for stage in stages for name, row in _parameters(stage, values, errors).items()
+        },
         "time_constants": {"thermal": thermal, "hygric": moist},
         "loglik": loglik,
         "aic": 2.0 * d - 2.0 * loglik,
@@ -509,7 +523,9 @@ def _remarks(stage: _Stage) -> list[str]:
     if found.flat:
         lines.append(f"not pinned down by this record: {', '.join(found.flat)}")
     for a, b, r in found.trade_offs:
-        lines.append(f"{a} and {b} trade off against each other (correlation {r:.2f}): only a combination is identified")
+        lines.append(
+            f"{a} and {b} trade off against each other (correlation {r:.2f}): only a combination is identified"
+        )
     if not estimate.converged:
         lines.append(estimate.message)
     return lines

@@ -122,4 +122,3 @@ def observation(
         moved[i] += 1e-30j
         row[i] = np.imag(model.evaluate(moved, u, values).outputs[name][0]) * 1e30
     return float(np.real(prediction)), row, float(variance)
-

@@ -17,7 +17,8 @@ import numpy as np
 from hygrokf.discretisation import MAXIMUM_RATE_STEP
 from hygrokf.emission import LANES
 from hygrokf.model import Model
-from hygrokf.recursion import Recursion, pack, trace_width, unpack
+from hygrokf.moments import pack, trace_width, unpack
+from hygrokf.recursion import Recursion
 from hygrokf.timeline import Timeline
 
 CHUNK = 4096
@@ -141,7 +142,9 @@ class Likelihood:
         parts = np.ceil(steps[:, 0] * (self.rate(values) / MAXIMUM_RATE_STEP) - 1e-9)
         parts = np.where(steps[:, 0] > 0, np.maximum(parts, 1), 0)
         if not np.all(np.isfinite(parts)) or parts.max(initial=0) > 100_000:
-            raise FloatingPointError("the model's rates are not finite, or far above what the steps can carry")
+            raise FloatingPointError(
+                "the model's rates are not finite, or far above what the steps can carry"
+            )
         keys = steps.copy()
         keys[:, 0] = steps[:, 0] / np.maximum(parts, 1)
         return np.ascontiguousarray(keys), parts.astype(np.int32)
@@ -159,7 +162,6 @@ class Likelihood:
 
     def first_state(self, values: Mapping[str, object]) -> np.ndarray:
         """Packed moments before the first reading; complex values give complex moments (for derivatives)."""
-        n = len(self.model.states)
         if isinstance(self.initial, Gaussian):
             return np.concatenate([self.initial.mean, pack(np.asarray(self.initial.covariance))])
         mean, variance = self.model.initial(values, self.first_inputs())
@@ -218,7 +220,20 @@ class Likelihood:
         u = t.u[1:][part]
         key, y, reset = t.key[part], t.y[part], t.reset[part]
         table = np.empty(max(1, len(keys) * len(self.recursion.key_nodes)))
-        return (len(key), len(keys), self.theta(values), keys, parts, table, key, u, y, reset, state, state.copy())
+        return (
+            len(key),
+            len(keys),
+            self.theta(values),
+            keys,
+            parts,
+            table,
+            key,
+            u,
+            y,
+            reset,
+            state,
+            state.copy(),
+        )
 
     @cached_property
     def _store(self) -> np.ndarray:

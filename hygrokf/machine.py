@@ -62,7 +62,9 @@ def has_fused_multiply_add() -> bool:
     return arm or bool(llvm.get_host_cpu_features().get("fma", False))
 
 
-_engines: dict[str, llvm.ExecutionEngine] = {}  # for the life of the process: code that may run is never freed
+_engines: dict[
+    str, llvm.ExecutionEngine
+] = {}  # for the life of the process: code that may run is never freed
 
 
 def _engine(text: str) -> llvm.ExecutionEngine:
@@ -74,9 +76,7 @@ def _engine(text: str) -> llvm.ExecutionEngine:
         if stored is None:
             module = llvm.parse_assembly(text)
             module.verify()
-            builder = llvm.create_pass_builder(
-                machine, llvm.create_pipeline_tuning_options(speed_level=2)
-            )
+            builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
             builder.getModulePassManager().run(module, builder)
             stored = machine.emit_object(module)
             _write(path, stored)

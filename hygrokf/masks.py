@@ -105,8 +105,7 @@ def detect_resolution(values: np.ndarray) -> float:
 
 _SPACINGS = tuple(
     sorted(
-        {m * 10.0**e for e in range(-7, 4) for m in (1.0, 2.0, 2.5, 5.0)}
-        | {2.0**-k for k in range(1, 9)},
+        {m * 10.0**e for e in range(-7, 4) for m in (1.0, 2.0, 2.5, 5.0)} | {2.0**-k for k in range(1, 9)},
         reverse=True,
     )
 )
@@ -218,9 +217,7 @@ def mask_frozen(series: Series) -> tuple[Series, tuple[str, ...]]:
     if frozen.sum() > 0.5 * len(value):
         doubt = f"perhaps a frozen sensor: {what}; not masked, since these are more than half"
         return series, (f"{_label(series)}: {doubt} of the readings",)
-    return _masked(series, frozen), (
-        f"{_label(series)}: frozen sensor, {what}; {_readings(frozen)} masked",
-    )
+    return _masked(series, frozen), (f"{_label(series)}: frozen sensor, {what}; {_readings(frozen)} masked",)
 
 
 def _quiet_range(series: Series, value: np.ndarray) -> float:

@@ -143,7 +143,9 @@ class Model:
             outputs[name] = (state[f"mean_{name}"], outputs[name][1])
         missing = [n for n in self.states if n not in rates]
         if missing:
-            raise ValueError(f"no rate is given for the states {missing}: a mechanism's drift must return all of its own")
+            raise ValueError(
+                f"no rate is given for the states {missing}: a mechanism's drift must return all of its own"
+            )
         return Equations(quantities, dict(sums), [rates[n] for n in self.states], outputs)
 
     def noise(self, p: Mapping[str, object]) -> list[list]:
@@ -218,9 +220,7 @@ def compose(
 
 def extend(model: Model, mechanism: Mechanism, holds: Mapping[str, str] | None = None) -> Model:
     """The model with one mechanism more; at the mechanism's null values it is the old model exactly."""
-    return replace(
-        model, mechanisms=(*model.mechanisms, mechanism), holds={**model.holds, **(holds or {})}
-    )
+    return replace(model, mechanisms=(*model.mechanisms, mechanism), holds={**model.holds, **(holds or {})})
 
 
 def without(model: Model, name: str) -> Model:

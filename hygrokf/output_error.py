@@ -31,7 +31,9 @@ class OutputError:
         i = self.names.index(name)
         reach = normal_quantile(level) * math.sqrt(max(self.covariance[i, i], 0.0))
         if positive:
-            return self.values[name] * math.exp(-min(reach, 50.0)), self.values[name] * math.exp(min(reach, 50.0))
+            return self.values[name] * math.exp(-min(reach, 50.0)), self.values[name] * math.exp(
+                min(reach, 50.0)
+            )
         return self.values[name] - reach, self.values[name] + reach
 
 
@@ -54,7 +56,11 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
         total = 0.0
         for column in e.T:
             seen = column[np.isfinite(column)]
-            total += 0.5 * len(seen) * math.log(float(seen @ seen) / max(len(seen), 1) + 1e-300) if len(seen) else 0.0
+            total += (
+                0.5 * len(seen) * math.log(float(seen @ seen) / max(len(seen), 1) + 1e-300)
+                if len(seen)
+                else 0.0
+            )
         return total
 
     e, slopes = residuals(z)
@@ -85,9 +91,7 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
     _, matrix, scores = _normal_equations(e, slopes)
     inverse = positive_inverse(matrix)
     spread = long_run_variance(scores, likelihood.timeline.time, 48.0)
-    sd = tuple(
-        float(np.sqrt(np.nanmean(c**2))) if np.isfinite(c).any() else math.nan for c in e.T
-    )
+    sd = tuple(float(np.sqrt(np.nanmean(c**2))) if np.isfinite(c).any() else math.nan for c in e.T)
     return OutputError(coordinates.values(z), coordinates.names, inverse @ spread @ inverse, sd, converged)
 
 

@@ -52,7 +52,9 @@ class Parameter:
                 f"{self.name}: expected a start within {self.lower} … {self.upper}, found {self.start}"
             )
         if self.positive and self.lower <= 0:
-            raise ValueError(f"{self.name}: a positive parameter needs a lower bound above 0, found {self.lower}")
+            raise ValueError(
+                f"{self.name}: a positive parameter needs a lower bound above 0, found {self.lower}"
+            )
 
     def to_coordinate(self, value: float) -> float:
         return math.log(value) if self.positive else value

@@ -71,9 +71,7 @@ def _log_saturation_slope(temperature: np.ndarray, coefficients: tuple[float, ..
     return -a / temperature**2 + c + 2.0 * d * temperature + e / temperature
 
 
-def _saturation(
-    temperature: Number, coefficients: tuple[float, ...], valid: tuple[float, float]
-) -> Number:
+def _saturation(temperature: Number, coefficients: tuple[float, ...], valid: tuple[float, float]) -> Number:
     kelvin = _as_number(temperature)
     with np.errstate(all="ignore"):
         pressure = np.exp(_log_saturation(kelvin, coefficients))
@@ -85,9 +83,7 @@ def _saturation_slope(
 ) -> Number:
     kelvin = _as_number(temperature)
     with np.errstate(all="ignore"):
-        slope = np.exp(_log_saturation(kelvin, coefficients)) * _log_saturation_slope(
-            kelvin, coefficients
-        )
+        slope = np.exp(_log_saturation(kelvin, coefficients)) * _log_saturation_slope(kelvin, coefficients)
     return _only_within(_between(kelvin, *valid), slope)
 
 
@@ -185,9 +181,7 @@ def vapour_pressure(relative_humidity: Number, temperature: Number) -> Number:
     return _as_number(relative_humidity) * saturation_pressure_water(temperature)
 
 
-def vapour_pressure_from_absolute_humidity(
-    absolute_humidity: Number, temperature: Number
-) -> Number:
+def vapour_pressure_from_absolute_humidity(absolute_humidity: Number, temperature: Number) -> Number:
     """Vapour pressure from absolute humidity, e = c R_v T [Pa].
 
     absolute_humidity: [kg/m3], any shape. temperature: [K] > 0, any shape; NaN otherwise.

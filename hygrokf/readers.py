@@ -448,9 +448,7 @@ def _parquet_frame(
         raise TableFault([f"cannot be read as Parquet: {reason}"]) from None
 
 
-def _numbers(
-    column: pandas.Series, decimal: str, missing: tuple[str, ...]
-) -> tuple[np.ndarray, np.ndarray]:
+def _numbers(column: pandas.Series, decimal: str, missing: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of a column and where it holds text instead."""
     import pandas as pd
 

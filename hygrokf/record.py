@@ -157,8 +157,7 @@ class Record:
             raise ValueError(f"record {self.name}: more than one series of {', '.join(twice)}")
         if self.rated_power_W is not None and not 0.0 < self.rated_power_W < math.inf:
             raise ValueError(
-                f"record {self.name}: rated_power_W must be a number above 0, "
-                f"found {self.rated_power_W}"
+                f"record {self.name}: rated_power_W must be a number above 0, found {self.rated_power_W}"
             )
 
     @property
@@ -202,13 +201,9 @@ class Record:
             first = np.searchsorted(one.time, start_s, side="left")
             last = np.searchsorted(one.time, end_s, side="right")
             if last > first:
-                kept.append(
-                    dataclasses.replace(one, time=one.time[first:last], value=one.value[first:last])
-                )
+                kept.append(dataclasses.replace(one, time=one.time[first:last], value=one.value[first:last]))
         inside = self.until_s is not None and start_s < self.until_s < end_s
-        return dataclasses.replace(
-            self, series=tuple(kept), until_s=self.until_s if inside else None
-        )
+        return dataclasses.replace(self, series=tuple(kept), until_s=self.until_s if inside else None)
 
     def identification(self) -> Record:
         """The identification period: readings up to and including `until_s`."""

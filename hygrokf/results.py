@@ -53,9 +53,13 @@ def read_fit(path: Path) -> Fit:
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:
-        raise ResultFault(f"{file}: expected a result of `hygrokf fit`, found no such file; run `hygrokf fit` first") from None
+        raise ResultFault(
+            f"{file}: expected a result of `hygrokf fit`, found no such file; run `hygrokf fit` first"
+        ) from None
     except (OSError, ValueError) as fault:
-        raise ResultFault(f"{file}: expected JSON written by `hygrokf fit`, found {fault}; run `hygrokf fit` again") from None
+        raise ResultFault(
+            f"{file}: expected JSON written by `hygrokf fit`, found {fault}; run `hygrokf fit` again"
+        ) from None
     needed = {"name", "design", "parameters", "time_constants"}
     missing = sorted(needed - set(data)) if isinstance(data, dict) else sorted(needed)
     if missing:
@@ -63,4 +67,6 @@ def read_fit(path: Path) -> Fit:
     try:
         return Fit.from_json(data)
     except (KeyError, TypeError, ValueError) as fault:
-        raise ResultFault(f"{file}: written by another version of hygrokf or damaged ({fault}); run `hygrokf fit` again") from None
+        raise ResultFault(
+            f"{file}: written by another version of hygrokf or damaged ({fault}); run `hygrokf fit` again"
+        ) from None

@@ -177,9 +177,7 @@ SIGNALS: dict[str, Signal] = {
         _temperature("converter_temperature", -60, 200, "power semiconductors or their heat sink"),
         _temperature("coolant_temperature", -60, 150, "liquid coolant entering the converter"),
         _temperature("ambient_temperature", -80, 60, "outside air in the shade"),
-        _relative_humidity(
-            "ambient_relative_humidity", f"outside air at ambient_temperature, {_WATER}"
-        ),
+        _relative_humidity("ambient_relative_humidity", f"outside air at ambient_temperature, {_WATER}"),
         _vapour_density("ambient_absolute_humidity", "vapour mass per volume of outside air"),
         _temperature(
             "ambient_dew_point_temperature",

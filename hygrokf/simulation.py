@@ -83,10 +83,13 @@ def project(
     model = design.model
     u = {name: t.input(name) for name in model.inputs}
     n = len(model.states)
+
     # the oracle's constants are floats, so inputs broadcast against (T,) states
     def at(state: list) -> np.ndarray:
         equations = model.evaluate(state, u, values)
-        return np.broadcast_to(np.asarray(function(equations, dict(zip(model.states, state, strict=True)), u)), len(t))
+        return np.broadcast_to(
+            np.asarray(function(equations, dict(zip(model.states, state, strict=True)), u)), len(t)
+        )
 
     columns = [mean[:, i] for i in range(n)]
     value = np.real(at(columns))
@@ -219,5 +222,6 @@ def forecasts(
                 if abs(part.time[at] - t.time[start] - lead) <= 0.6 * step:
                     result[lead][quantity].append((seen[at], pair[0][at], pair[1][at]))
     return {
-        lead: {q: tuple(np.array(rows).T) for q, rows in found.items() if rows} for lead, found in result.items()
+        lead: {q: tuple(np.array(rows).T) for q, rows in found.items() if rows}
+        for lead, found in result.items()
     }

@@ -146,9 +146,7 @@ class _Weather:
 
 def _recursion(gain: float, drive: np.ndarray, start: float) -> np.ndarray:
     """x[0] = start, x[n + 1] = gain x[n] + drive[n]; one entry more than `drive`."""
-    return np.array(
-        list(accumulate(drive.tolist(), lambda state, push: gain * state + push, initial=start))
-    )
+    return np.array(list(accumulate(drive.tolist(), lambda state, push: gain * state + push, initial=start)))
 
 
 def _ornstein_uhlenbeck(
@@ -251,9 +249,7 @@ def _operation(
     return power, preheating
 
 
-def _step_with_ramp(
-    rate: np.ndarray, before: np.ndarray, after: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _step_with_ramp(rate: np.ndarray, before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Gain and drive of dx/dt = rate (u - x) over a minute in which u runs straight."""
     turns = rate * MINUTE_H
     gain = np.exp(-turns)

@@ -59,7 +59,10 @@ def simulation_summary(fit: Fit, record: Record) -> dict:
     """Span and means of a simulation."""
     made, predicted = simulated(fit, record)
     t = made.timeline
-    ends = [datetime.fromtimestamp(t.origin_s + h * 3600.0, UTC).isoformat(timespec="seconds") for h in (t.time[0], t.time[-1])]
+    ends = [
+        datetime.fromtimestamp(t.origin_s + h * 3600.0, UTC).isoformat(timespec="seconds")
+        for h in (t.time[0], t.time[-1])
+    ]
     means = {
         quantity: float(np.mean(pair[0]))
         for quantity in COLUMNS.values()
@@ -104,7 +107,10 @@ def evaluation_text(found: Mapping) -> str:
                 if quantity in guess:
                     lines.append(_row(f"  {_BASELINES[name]}", guess[quantity]))
         lines.append("")
-    lines += ["coverage of the 95 % bands" + (" (validation)" if found["rmse"]["validation"]["temperature_K"]["n"]["total"] else "")]
+    lines += [
+        "coverage of the 95 % bands"
+        + (" (validation)" if found["rmse"]["validation"]["temperature_K"]["n"]["total"] else "")
+    ]
     for lead, by_quantity in found["bands"].items():
         cells = [
             f"{q.rsplit('_', 1)[0].replace('_', ' ')} {100 * c['coverage']:.1f} % (n {c['n']})"
@@ -124,6 +130,7 @@ _BASELINES = {
 
 def _row(label: str, cells: Mapping) -> str:
     numbers = "".join(
-        f"{'–':>12}" if cells[r] is None else f"{cells[r]:12.2f}" for r in ("operation", "standstill", "total")
+        f"{'–':>12}" if cells[r] is None else f"{cells[r]:12.2f}"
+        for r in ("operation", "standstill", "total")
     )
     return f"{label:34}{numbers}{cells['n']['total']:9d}"

@@ -24,7 +24,8 @@ def _network(design: Design) -> Model:
     parts = [m for m in design.model.mechanisms if m.name in NETWORK]
     if not parts:
         raise ValueError(
-            "the design has no thermal network; its mechanisms are " + ", ".join(name for name, _ in design.mechanisms)
+            "the design has no thermal network; its mechanisms are "
+            + ", ".join(name for name, _ in design.mechanisms)
         )
     drive = Mechanism(
         name="heat_input",
@@ -34,7 +35,9 @@ def _network(design: Design) -> Model:
     return compose([*parts, drive], dict.fromkeys(INPUTS, ZERO_ORDER))
 
 
-def state_space(design: Design, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def state_space(
+    design: Design, values: Mapping[str, float]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """A (n, n) [1/h], B (n, 2), C (1, n), D (1, 2) of the network; inputs `INPUTS`, output T_conv,a.
 
     The network is linear: each column is its answer to a unit state or input.

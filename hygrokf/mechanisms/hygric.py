@@ -67,7 +67,9 @@ def vapour_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start
     )  # fmt: skip
 
 
-def second_vapour_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 1.0) -> Mechanism:
+def second_vapour_disturbance(
+    longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 1.0
+) -> Mechanism:
     """A second coloured disturbance of the vapour flow on another time scale, where one is not enough."""
     return ornstein_uhlenbeck(
         "second_vapour_disturbance", "ambient_vapour", "g/m3", 0.1, start_h, (shortest_h, longest_h), (1e-4, 20.0),

@@ -33,7 +33,8 @@ def linear_network(
         diffusion=intensities,
         initial=initial,
         outputs={
-            key: (lambda p, x, u, q, s, function=function: function(p, x, u)) for key, function in outputs.items()
+            key: (lambda p, x, u, q, s, function=function: function(p, x, u))
+            for key, function in outputs.items()
         },
         meaning="a linear network given by the user",
     )

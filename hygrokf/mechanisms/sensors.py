@@ -29,7 +29,14 @@ def _bias(name: str, unit: str, accuracy: float) -> tuple[Parameter, ...]:
 
 def _noise(name: str, unit: str, start: float, lower: float, upper: float) -> Parameter:
     return Parameter(
-        f"{name}_noise", unit, start, lower, upper, positive=True, noise=True, meaning="white noise of a single reading"
+        f"{name}_noise",
+        unit,
+        start,
+        lower,
+        upper,
+        positive=True,
+        noise=True,
+        meaning="white noise of a single reading",
     )
 
 
@@ -63,7 +70,9 @@ def humidity_sensor(accuracy: float = 0.02, resolution: float = 0.0) -> Mechanis
 
     def output(p, x, u, q, s):
         pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
-        value = pressure / _saturation_pressure(q.cabinet_air_temperature) + s.cabinet_relative_humidity_reading
+        value = (
+            pressure / _saturation_pressure(q.cabinet_air_temperature) + s.cabinet_relative_humidity_reading
+        )
         if bias:
             value = value + p.cabinet_relative_humidity_bias
         return value, p.cabinet_relative_humidity_noise * p.cabinet_relative_humidity_noise + floor

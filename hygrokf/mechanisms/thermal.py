@@ -19,7 +19,9 @@ def thermal_network() -> Mechanism:
     """
 
     def quantities(p, x, u):
-        air = p.resistance_ratio * x.converter_temperature + (1.0 - p.resistance_ratio) * u.ambient_temperature
+        air = (
+            p.resistance_ratio * x.converter_temperature + (1.0 - p.resistance_ratio) * u.ambient_temperature
+        )
         return {"cabinet_air_temperature": air}
 
     def drift(p, x, u, q, s):
@@ -97,7 +99,9 @@ def heat_release(
     if standstill:
         parameter("heat_release_standstill", "K", 2.0, 60.0, "heat release at standstill")
         if standstill_ambient:
-            parameter("heat_release_standstill_ambient", "K/K", 0.0, 2.0, "slope over the ambient temperature")
+            parameter(
+                "heat_release_standstill_ambient", "K/K", 0.0, 2.0, "slope over the ambient temperature"
+            )
     if preheating:
         parameter("preheating_heat", "K", 5.0, 80.0, "heat release of the known pre-heating")
 
@@ -124,7 +128,9 @@ def heat_release(
         return {"heat_release": total}
 
     def unknown_variance(p):
-        slopes = [p.heat_release_operation - (p.heat_release_standstill if standstill else 0.0)] if both else [0.0]
+        slopes = (
+            [p.heat_release_operation - (p.heat_release_standstill if standstill else 0.0)] if both else [0.0]
+        )
         slopes += [getattr(p, f"heat_release_{name}") for name in powers]
         total = 0.0
         for row, a in zip(gap_covariance or (), slopes, strict=True):
@@ -161,8 +167,16 @@ def heat_release(
 
 
 def ornstein_uhlenbeck(
-    name: str, target: str, unit: str, sd: float, time_h: float, bounds_h: tuple[float, float], sd_range: tuple[float, float],
-    settings: dict, meaning: str, leaves: str,
+    name: str,
+    target: str,
+    unit: str,
+    sd: float,
+    time_h: float,
+    bounds_h: tuple[float, float],
+    sd_range: tuple[float, float],
+    settings: dict,
+    meaning: str,
+    leaves: str,
 ) -> Mechanism:
     """A coloured disturbance w of a named sum: dw = −w/θ dt + sd √(2/θ) dW, correlation time θ within `bounds_h` [h]."""
 
@@ -209,7 +223,9 @@ def heat_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h
     )  # fmt: skip
 
 
-def second_heat_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 1.0) -> Mechanism:
+def second_heat_disturbance(
+    longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 1.0
+) -> Mechanism:
     """A second coloured disturbance of the heat release on another time scale, where one is not enough."""
     return ornstein_uhlenbeck(
         "second_heat_disturbance", "heat_release", "K", 0.3, start_h, (shortest_h, longest_h), (1e-3, 50.0),

@@ -58,6 +58,14 @@ def _recursion(factor: float, drive: np.ndarray, start: float) -> np.ndarray:
     return lfilter([1.0], [1.0, -factor], drive)
 
 
+def _ramp(rate: np.ndarray | float, drive: np.ndarray) -> np.ndarray:
+    """What a linear course of the drive adds over each step to a first-order lag; `rate` step over time constant [1]."""
+    factor = np.exp(-rate)
+    late = 1.0 - (1.0 - factor) / rate
+    before = np.concatenate([drive[:1], drive[:-1]])
+    return (1.0 - factor - late) * before + late * drive
+
+
 def _coloured(random: np.random.Generator, count: int, sd: float, time_h: float) -> np.ndarray:
     factor = np.exp(-STEP_H / time_h)
     return _recursion(factor, sd * np.sqrt(1.0 - factor**2) * random.normal(size=count), sd * random.normal())
@@ -85,12 +93,13 @@ def _with_gaps(random: np.random.Generator, values: np.ndarray) -> np.ndarray:
 def _temperature(
     random: np.random.Generator, u: Mapping[str, np.ndarray], v: Mapping[str, float], release: np.ndarray
 ) -> np.ndarray:
-    """Converter temperature [K] of the thermal network with white diffusion, inputs held over each step."""
-    factor = np.exp(-STEP_H / v["thermal_time_constant"])
-    level = u["ambient_temperature"] + release / v["resistance_ratio"]
+    """Converter temperature [K] of the thermal network with white diffusion: ambient linear, release held over a step."""
+    rate = STEP_H / v["thermal_time_constant"]
+    factor = np.exp(-rate)
+    ambient = u["ambient_temperature"]
     noise = v["thermal_diffusion"] * np.sqrt(0.5 * v["thermal_time_constant"] * (1.0 - factor**2))
-    drive = (1.0 - factor) * level + noise * random.normal(size=len(level))
-    return _recursion(factor, drive, level[0])
+    drive = _ramp(rate, ambient) + (1.0 - factor) * release / v["resistance_ratio"]
+    return _recursion(factor, drive + noise * random.normal(size=len(ambient)), ambient[0] + release[0])
 
 
 def thermal(count: int, seed: int = 1) -> Case:
@@ -148,12 +157,12 @@ def joint(count: int, seed: int = 2) -> Case:
     drive = u["ambient_absolute_humidity"] + _coloured(
         random, count, v["vapour_disturbance_sd"], v["vapour_disturbance_time"]
     )
-    keep = np.exp(-STEP_H * air * u["exchange_factor"] / v["hygric_k"])
+    rate = STEP_H * air * u["exchange_factor"] / v["hygric_k"]
     kicks = v["hygric_diffusion"] * np.sqrt(STEP_H) * random.normal(size=count)
     vapour = np.empty(count)
     now = drive[0]
-    for k, (share, outside, kick) in enumerate(zip(keep.tolist(), drive.tolist(), kicks.tolist(), strict=True)):
-        now = outside + share * (now - outside) + kick
+    for k, (keep, push) in enumerate(zip(np.exp(-rate).tolist(), (_ramp(rate, drive) + kicks).tolist(), strict=True)):
+        now = keep * now + push
         vapour[k] = now
     humidity = vapour * VAPOUR * ambient / saturation_pressure_water(air)
     readings = {

@@ -204,24 +204,23 @@ def _last_line(done: subprocess.CompletedProcess) -> str:
 
 
 def memory(quick: bool) -> Iterator[Figure]:
-    """Bytes an instant: the timeline's arrays and what a likelihood, a score and an information allocate at their peak."""
+    """Bytes an instant: the timeline's arrays and what a likelihood, a score and an information allocate and keep."""
     count = 26_000 if quick else 262_000
-    for name, case in (("thermal, 1 state", cases.thermal(count)), ("joint, 4 states", cases.joint(count))):
-        likelihood, values = case.likelihood, case.values
-        t = likelihood.timeline
-        held = sum(a.nbytes for a in (t.time, t.key, t.steps, t.u, t.y, t.reset)) / count
+    for name, make in (("thermal, 1 state", cases.thermal), ("joint, 4 states", cases.joint)):
+        case = make(count)
+        t, values = case.likelihood.timeline, case.values
         directions = np.eye(len(values))
-        calls: dict[str, Callable[[], object]] = {
-            "value": lambda likelihood=likelihood, values=values: likelihood.value(values),
-            "score": lambda likelihood=likelihood, values=values: likelihood.score(values),
-            "score and information": lambda likelihood=likelihood, values=values, d=directions: (
-                likelihood.sensitivities(values, d)
-            ),
+        held = sum(a.nbytes for a in (t.time, t.key, t.steps, t.u, t.y, t.reset)) / count
+        calls: dict[str, Callable[[Likelihood], object]] = {
+            "value": lambda made, values=values: made.value(values),
+            "score": lambda made, values=values: made.score(values),
+            "score and information": lambda made, values=values, d=directions: made.sensitivities(values, d),
         }
         for what, call in calls.items():
-            call()
+            call(Likelihood(case.likelihood.model, t.window(0, 100)))  # the compiler's memory is not the likelihood's
+            fresh = Likelihood(case.likelihood.model, t)
             tracemalloc.start()
-            call()
+            call(fresh)
             peak = tracemalloc.get_traced_memory()[1] / count
             tracemalloc.stop()
             yield Figure(

@@ -1,0 +1,28 @@
+"""How moments of a state are laid out in memory: a mean, then the lower triangle of a covariance by rows."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def place(i: int, j: int) -> int:
+    """Place of entry (i, j) in a packed lower triangle."""
+    i, j = max(i, j), min(i, j)
+    return i * (i + 1) // 2 + j
+
+
+def trace_width(n: int, outputs: int, diffuse: bool = False) -> int:
+    """Numbers in one row of a trace: moments before and after, two for every output, the transition matrix."""
+    return 2 * (n + (2 if diffuse else 1) * (n * (n + 1) // 2)) + 2 * outputs + n * n
+
+
+def unpack(packed: np.ndarray, n: int) -> np.ndarray:
+    """Packed lower triangles (..., q) as symmetric matrices (..., n, n)."""
+    index = np.array([[place(i, j) for j in range(n)] for i in range(n)])
+    return packed[..., index]
+
+
+def pack(matrix: np.ndarray) -> np.ndarray:
+    """Symmetric matrices (..., n, n) as packed lower triangles (..., q)."""
+    rows, columns = np.tril_indices(matrix.shape[-1])
+    return np.ascontiguousarray(matrix[..., rows, columns])
