@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from hygrokf import mechanisms as library
+from hygrokf.loops import LINEAR, REGIME, ZERO_ORDER
 from hygrokf.model import Mechanism, Model, compose
 from hygrokf.record import Record, Series
-from hygrokf.recursion import LINEAR, REGIME, ZERO_ORDER
 from hygrokf.signals import signal_named
 
 HOLDS = {

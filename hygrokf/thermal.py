@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.design import Design
+from hygrokf.loops import ZERO_ORDER
 from hygrokf.model import Mechanism, Model, compose
-from hygrokf.recursion import ZERO_ORDER
 
 if TYPE_CHECKING:
     import control

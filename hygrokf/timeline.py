@@ -13,8 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.loops import REGIME
 from hygrokf.model import Model
-from hygrokf.recursion import REGIME
 
 
 @dataclass(frozen=True)
