@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from hygrokf import mechanisms as library
+from hygrokf.ambient import ambient_absolute_humidity, reading_noise
 from hygrokf.loops import LINEAR, REGIME, ZERO_ORDER
 from hygrokf.model import Mechanism, Model, compose
 from hygrokf.record import Record, Series
@@ -33,8 +34,6 @@ TEMPERATURE = "cabinet_temperature"
 HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
 BRIDGE_H = 1.0
 """[h] gaps of the power up to this length are bridged by the value before them; over longer ones it is unknown."""
-AMBIENT_BRIDGE_H = 6.0
-"""[h] gaps of the ambient series up to this length are bridged linearly; over longer ones readings are left out."""
 SETTLING_H = 12.0
 """[h] after a long gap of the ambient series readings are left out for this long, until the state has forgotten it."""
 JOINT = "joint"
@@ -47,7 +46,8 @@ class Design:
 
     `mechanisms` pairs (name, settings) of the library; `averaged` outputs read as interval means, with the interval
     [h]; `power_scale_W` the power that counts as 1; `power_order` the largest power of it; `power_mean` the means of
-    the features (operating, p, …) that stand for an unknown power; `humidity` the humidity signal that is observed.
+    the features (operating, p, …) that stand for an unknown power; `humidity` the humidity signal that is observed;
+    `ambient_noise` (q, r) of ambient signals whose readings are smoothed before use (see `ambient`).
     """
 
     mechanisms: tuple[tuple[str, dict], ...]
@@ -56,6 +56,7 @@ class Design:
     power_order: int = 0
     power_mean: tuple[float, ...] = ()
     humidity: str | None = None
+    ambient_noise: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     statements: tuple[str, ...] = ()
     holds: Mapping[str, str] = field(default_factory=dict)
 
@@ -74,6 +75,7 @@ class Design:
         known["mechanisms"] = tuple((name, dict(settings)) for name, settings in known["mechanisms"])
         known["power_mean"] = tuple(known["power_mean"])
         known["statements"] = tuple(known["statements"])
+        known["ambient_noise"] = {name: tuple(pair) for name, pair in known["ambient_noise"].items()}
         return cls(**known)
 
 
@@ -176,8 +178,18 @@ def design(
         power_order=power_order,
         power_mean=mean,
         humidity=humidity,
+        ambient_noise=ambient_noise(record),
         statements=tuple(statements),
     )
+
+
+def ambient_noise(record: Record) -> dict[str, tuple[float, float]]:
+    """Noise of the ambient readings that a model uses; for humidity that of the absolute humidity computed from them."""
+    found = {"ambient_temperature": reading_noise(record["ambient_temperature"])}
+    vapour = ambient_absolute_humidity(record)
+    if vapour is not None:
+        found["ambient_absolute_humidity"] = reading_noise(vapour)
+    return {name: pair for name, pair in found.items() if pair is not None}
 
 
 def _sensor(series: Series) -> dict[str, float]:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, smoothed
 from hygrokf.design import (
-    AMBIENT_BRIDGE_H,
     BRIDGE_H,
     HUMIDITIES,
     SETTLING_H,
@@ -16,7 +16,6 @@ from hygrokf.design import (
     power_features,
 )
 from hygrokf.mechanisms.hygric import exchange_factor
-from hygrokf.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 from hygrokf.record import Record, Series
 from hygrokf.timeline import Timeline, timeline
 
@@ -32,49 +31,6 @@ class Run:
     timeline: Timeline
     operating: np.ndarray
     scored: np.ndarray
-
-
-def ambient_absolute_humidity(record: Record) -> Series | None:
-    """Vapour concentration of the ambient air [kg/m³] at the times of its humidity readings; None without any."""
-    if "ambient_absolute_humidity" in record:
-        return record["ambient_absolute_humidity"]
-    for name, convert in (
-        ("ambient_relative_humidity", absolute_humidity),
-        ("ambient_dew_point_temperature", absolute_humidity_from_dew_point),
-    ):
-        if name in record:
-            series = record[name]
-            temperature = at_times(record["ambient_temperature"], series.time, AMBIENT_BRIDGE_H)
-            return Series(
-                signal="ambient_absolute_humidity",
-                time=series.time,
-                value=convert(series.value, temperature),
-                hold=series.hold,
-                interval_s=series.interval_s,
-                clock_uncertainty_s=series.clock_uncertainty_s,
-                source=series.source,
-            )
-    return None
-
-
-def at_times(series: Series, time: np.ndarray, bridge_h: float) -> np.ndarray:
-    """A series at other times [s] by its own hold; NaN outside it and inside gaps longer than `bridge_h` [h]."""
-    there = ~series.missing
-    known, value = series.time[there], series.value[there]
-    if len(known) == 0:
-        return np.full(len(time), np.nan)
-    after = np.clip(np.searchsorted(known, time, side="left"), 0, len(known) - 1)
-    before = np.clip(np.searchsorted(known, time, side="right") - 1, 0, len(known) - 1)
-    if series.hold == "linear":
-        result = np.interp(time, known, value, left=np.nan, right=np.nan)
-        wide = known[after] - known[before] > bridge_h * 3600.0
-        return np.where(wide, np.nan, result)
-    # a mean holds over (end − interval, end]; a hole after it is bridged by the value before it
-    inside = (time > known[after] - max(series.interval_s, 1e-6)) & (time <= known[after])
-    result = np.where(inside, value[after], value[before])
-    gap = np.where(inside, 0.0, known[after] - series.interval_s - known[before])
-    outside = (time > known[-1] + bridge_h * 3600.0) | (time <= known[0] - max(series.interval_s, 1e-6))
-    return np.where((gap > bridge_h * 3600.0) | outside, np.nan, result)
 
 
 def _changes(series: Series, first: float, last: float) -> np.ndarray:
@@ -97,6 +53,7 @@ def run(design: Design, record: Record) -> Run:
     ambient = {"ambient_temperature": record["ambient_temperature"]}
     if vapour is not None:
         ambient["ambient_absolute_humidity"] = vapour
+    ambient = {name: smoothed(series, design.ambient_noise.get(name)) for name, series in ambient.items()}
     if TEMPERATURE in inputs_of:
         ambient[TEMPERATURE] = record[TEMPERATURE]
     observed = [record[name] for name in (TEMPERATURE, *HUMIDITIES) if name in record]

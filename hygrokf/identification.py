@@ -40,6 +40,8 @@ SEARCH_DAYS = 30.0
 """[d] stretch of the record on which the starts over the noise parameters are tried."""
 DEFAULT_KIND = CASCADE
 """Decided by trial: docs/decisions/0002-joint-or-cascade.md."""
+FEWEST = 50
+"""Readings below which nothing is identified."""
 SECOND = ("second_heat_disturbance", "second_vapour_disturbance")
 SCREEN_GAIN = 3.0
 """Log-likelihood that a second disturbance must gain on the shorter stretch to be tried on the whole."""
@@ -97,6 +99,7 @@ def identify(
         raise ValueError(f"criterion: expected one of {CRITERIA}, found {criterion!r}")
     say = progress or (lambda text: None)
     early = record.identification()
+    _refuse(early)
     from hygrokf.stationary import heat_release_regression
 
     say("heat-release regression")
@@ -120,6 +123,19 @@ def identify(
     return _assemble(record, stages, whole, values, simulated, regression, criterion, kind, say)
 
 
+def _refuse(early: Record) -> None:
+    """Say what is missing where nothing can be identified."""
+    missing = [
+        f"{name}: expected at least {FEWEST} readings in the identification period, found {found}"
+        for name in ("cabinet_temperature", "ambient_temperature")
+        if (found := int(np.isfinite(early[name].value).sum()) if name in early else 0) < FEWEST
+    ]
+    if missing:
+        raise ValueError(
+            "; ".join(missing) + ": both temperatures are needed, also for the humidity; check the case with `hygrokf check`"
+        )
+
+
 def smoothed_temperature(stage: _Stage, humidity: str) -> Series:
     """The cabinet air temperature given all its readings [K], at its own times and those of the humidity.
 
@@ -127,8 +143,9 @@ def smoothed_temperature(stage: _Stage, humidity: str) -> Series:
     regressor do, and end up in the humidity sensor's bias; the smoothed temperature is free of it.
     """
     t, base = stage.run_.timeline, stage.base
-    mean, covariance = smooth(stage.likelihood, stage.estimate_.values)
-    air, _ = project(base, stage.estimate_.values, stage.run_, mean, covariance, air_temperature)
+    values = stage.estimate_.values
+    mean, _ = smooth(stage.likelihood, values, covariance=False)
+    air, _ = project(base, values, stage.run_, mean, None, air_temperature)
     seconds = t.origin_s + 3600.0 * t.time
     raw = stage.early["cabinet_temperature"]
     moist = stage.early[humidity]
@@ -380,6 +397,10 @@ def _entry(stage: _Stage, name: str, scale: float, simulated: Mapping[str, Outpu
     if other is not None:
         low, high = other.bounds(name, positive=True)
         value = other.values[name]
+        if high > 1e3 * low:
+            entry["simulation"] = {"value_h": value * scale, "lower_h": 0.0, "upper_h": None}
+            entry["simulation"]["statement"] = "not identifiable from the free run"
+            return entry
         entry["simulation"] = {"value_h": value * scale, "lower_h": low * scale, "upper_h": high * scale}
         apart = abs(math.log(value / b.value))
         reach = math.hypot(
@@ -393,6 +414,20 @@ def _entry(stage: _Stage, name: str, scale: float, simulated: Mapping[str, Outpu
                 "the model lacks something"
             )
     return entry
+
+
+def _by_simulation(entry: dict | None) -> dict | None:
+    """The entry with the output-error estimate in front and the innovations' beside it."""
+    if entry is None or entry["simulation"] is None:
+        return entry
+    keys = ("value_h", "lower_h", "upper_h")
+    return {
+        **entry,
+        "statement": "",
+        **entry["simulation"],
+        "method": "output error, sandwich",
+        "likelihood": {key: entry[key] for key in (*keys, "method")},
+    }
 
 
 def _with_clock(stage: _Stage, name: str, b: Bounds) -> tuple[float, float, dict]:
@@ -436,6 +471,8 @@ def _assemble(
     predicted = free_run(whole, values, made, errors)
     thermal = next((e for stage in stages if (e := _thermal_entry(stage, simulated))), None)
     moist = next((e for stage in stages if (e := _hygric_entry(stage, simulated))), None)
+    if criterion == "simulation":
+        thermal, moist = _by_simulation(thermal), _by_simulation(moist)
     table = scores(made, predicted, record.until_s)
     lines = list(dict.fromkeys(line for stage in stages for line in stage.base.statements))
     lines += [e["disagreement"] for e in (thermal, moist) if e and e["disagreement"]]
@@ -529,6 +566,21 @@ def _remarks(stage: _Stage) -> list[str]:
     if not estimate.converged:
         lines.append(estimate.message)
     return lines
+
+
+def _rows(
+    stages: list[_Stage], values: Mapping[str, float], errors: Mapping[str, float], simulated: Mapping[str, OutputError]
+) -> dict:
+    """The parameter table; bounds of what the output error estimated come from its own sandwich."""
+    rows = {name: row for stage in stages for name, row in _parameters(stage, values, errors).items()}
+    positive = {p.name: p.positive for stage in stages for p in stage.base.model.parameters}
+    for found in simulated.values():
+        for name in found.names:
+            if name in rows:
+                lower, upper = found.bounds(name, positive[name])
+                se = 0.5 * (upper - lower) / normal_quantile(LEVEL)
+                rows[name] |= {"value": found.values[name], "lower": lower, "upper": upper, "se": se}
+    return rows
 
 
 def _parameters(stage: _Stage, values: Mapping[str, float], errors: Mapping[str, float]) -> dict:

@@ -10,36 +10,82 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.likelihood import Gaussian, Likelihood
+from hygrokf.likelihood import Gaussian, Likelihood, Trace
 
 if TYPE_CHECKING:
     from filterpy.kalman import ExtendedKalmanFilter
 
 
-def smooth(likelihood: Likelihood, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+def smooth(
+    likelihood: Likelihood, values: Mapping[str, float], covariance: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
     """Smoothed means (T, n) and covariances (T, n, n): every state given all readings.
 
-    Rauch–Tung–Striebel on the filter's own moments and transitions (extended where the model is nonlinear):
-        G_k = P_k Φ' (P⁻_{k+1})⁻¹,  m^s_k = m_k + G_k (m^s_{k+1} − m⁻_{k+1}),  P^s_k = P_k + G_k (P^s_{k+1} − P⁻_{k+1}) G_k'.
-    A running mean that begins anew at an instant carries nothing over it and is left out of the backward step there.
+    Modified Bryson–Frazier recursion, which inverts no covariance: with C_j = I − K_j H_j of the readings j of an
+    instant and Φ the transition to it, backwards
+        λ⁻ = C' λ − H' e/S,   Λ⁻ = C' Λ C + H' H/S  (reading by reading),   λ = Φ' λ⁻,   Λ = Φ' Λ⁻ Φ,
+        m^s = m⁻ − P⁻ λ⁻,     P^s = P⁻ − P⁻ Λ⁻ P⁻.
+    A running mean that begins anew carries nothing over its reset.  Without `covariance` the second array is empty.
+    Source: Bierman 1973, doi:10.1016/0005-1098(73)90051-4.
     """
     found = likelihood.trace(values)
-    mean, covariance = found.mean.copy(), found.covariance.copy()
-    kept = _carried(likelihood)
-    masked = found.covariance * kept[:, :, None] * kept[:, None, :]
-    cross = np.einsum("tij,tkj->tik", masked[:-1], found.transition[1:])
-    prior = found.prior_covariance[1:]
-    # scaled to a correlation matrix; the ridge only matters for states without any variance (a mean just begun)
-    scale = np.sqrt(np.maximum(np.einsum("tii->ti", prior), 1e-300))
-    normal = prior / scale[:, :, None] / scale[:, None, :]
-    inverse = np.linalg.inv(normal + 1e-13 * np.eye(mean.shape[1])) / scale[:, :, None] / scale[:, None, :]
-    gain = cross @ inverse
-    for k in range(len(mean) - 2, -1, -1):
-        g = gain[k]
-        mean[k] += g @ (mean[k + 1] - found.prior_mean[k + 1])
-        step = covariance[k] + g @ (covariance[k + 1] - found.prior_covariance[k + 1]) @ g.T
-        covariance[k] = 0.5 * (step + step.T)
-    return mean, covariance
+    through, push, weight = _readings(likelihood, values, found)
+    n = found.mean.shape[1]
+    back = np.swapaxes(found.transition, 1, 2).copy()
+    back[1:] *= _carried(likelihood)[:-1, :, None]
+    vectors = np.empty_like(found.mean)
+    matrices = np.empty_like(found.covariance) if covariance else np.empty((0, n, n))
+    vector, matrix = np.zeros(n), np.zeros((n, n))
+    for k in range(len(vectors) - 1, -1, -1):
+        b = through[k]
+        vector = b @ vector + push[k]
+        vectors[k] = vector
+        vector = back[k] @ vector
+        if covariance:
+            matrix = b @ matrix @ b.T + weight[k]
+            matrices[k] = matrix
+            matrix = back[k] @ matrix @ back[k].T
+    mean = found.prior_mean - np.einsum("tij,tj->ti", found.prior_covariance, vectors)
+    if not covariance:
+        return mean, matrices
+    prior = found.prior_covariance
+    return mean, prior - prior @ matrices @ prior
+
+
+def _readings(
+    likelihood: Likelihood, values: Mapping[str, float], found: Trace
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the readings of each instant do to the backward recursion: C' (T, n, n), −H' e/S (T, n), H' H/S (T, n, n)."""
+    model, t = likelihood.model, likelihood.timeline
+    count, n = found.prior_mean.shape
+    u = {name: t.input(name) for name in model.inputs}
+    mean, covariance = found.prior_mean, found.prior_covariance
+    through = np.broadcast_to(np.eye(n), (count, n, n)).copy()
+    push, weight = np.zeros((count, n)), np.zeros((count, n, n))
+    for j, name in enumerate(model.outputs):
+        there = np.isfinite(t.y[:, j])
+
+        def shown(state: list, name: str = name) -> np.ndarray:
+            return np.broadcast_to(np.asarray(model.evaluate(state, u, values).outputs[name][0]), count)
+
+        columns = [mean[:, i] for i in range(n)]
+        row = np.empty((count, n))
+        for i in range(n):
+            moved = list(columns)
+            moved[i] = columns[i] + 1e-30j
+            row[:, i] = np.imag(shown(moved)) * 1e30
+        spread = found.variance[:, j]
+        error = np.where(there, t.y[:, j] - found.prediction[:, j], 0.0)
+        row = np.where(there[:, None], row, 0.0)
+        gain = np.einsum("tij,tj->ti", covariance, row) / spread[:, None]
+        # λ⁻ = C₁'(C₂'(…λ…) − H₂' e₂/S₂) − H₁' e₁/S₁: later readings are seen through the earlier ones
+        pulled = np.einsum("tij,tj->ti", through, row)
+        push -= pulled * (error / spread)[:, None]
+        weight += pulled[:, :, None] * pulled[:, None, :] / spread[:, None, None]
+        through = through - pulled[:, :, None] * gain[:, None, :]
+        mean = mean + gain * error[:, None]
+        covariance = covariance - gain[:, :, None] * gain[:, None, :] * spread[:, None, None]
+    return through, push, weight
 
 
 def _carried(likelihood: Likelihood) -> np.ndarray:

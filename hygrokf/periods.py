@@ -108,6 +108,7 @@ class Cells:
 
 
 def known(record: Record, name: str) -> bool:
+    """Whether a record has at least two readings of a signal."""
     return name in record and int(np.isfinite(record[name].value).sum()) > 1
 
 
@@ -159,16 +160,15 @@ def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> C
 
     cabinet, cabinet_range, change = course(TEMPERATURE)
     ambient, ambient_range, ambient_change = course(AMBIENT)
-    known = np.isfinite(cabinet + ambient + np.diff(np.array(ambient_range), axis=0)[0])
-    known &= np.isfinite(np.diff(np.array(cabinet_range), axis=0)[0])
+    usable = np.isfinite(sum((*cabinet_range, *ambient_range), cabinet + ambient))
     power, running = np.zeros(len(span)), np.zeros(len(span))
     if scale_W:
         relative = at_times(record[POWER], middle, _bridge_h(record[POWER])) / scale_W
         power, running = mean(relative), mean((relative > 0).astype(float))
-        known &= np.isfinite(power)
+        usable &= np.isfinite(power)
     if heated:
         # As in `drivers.run`, a duty that nobody wrote down is none.
-        known &= ~(mean((np.nan_to_num(at_times(record[PREHEATING], middle, 24.0)) > 0).astype(float)) > 0)
+        usable &= ~(mean((np.nan_to_num(at_times(record[PREHEATING], middle, 24.0)) > 0).astype(float)) > 0)
     width_K, width = 2.0 * TEMPERATURE_TOLERANCE_K, 2.0 * POWER_TOLERANCE
     ranges = (
         (cabinet_range[0] / width_K, cabinet_range[1] / width_K),
@@ -177,7 +177,17 @@ def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> C
     )
     regime = np.where(running > 1.0 - 1e-9, 1, np.where(running < 1e-9, 0, -1))
     return Cells(
-        edges[:-1], edges[1:], cabinet, ambient, power, running, ranges, change, ambient_change, regime, known
+        edges[:-1],
+        edges[1:],
+        cabinet,
+        ambient,
+        power,
+        running,
+        ranges,
+        change,
+        ambient_change,
+        regime,
+        usable,
     )
 
 
@@ -199,7 +209,7 @@ def earliest_starts(cells: Cells, longest_h: float) -> np.ndarray:
     broken[1:] |= (cells.regime[1:] != cells.regime[:-1]) | (cells.start[1:] > cells.end[:-1])
     # A run may not reach back beyond the cell after the last unusable one, or the last change of regime.
     barrier = np.maximum.accumulate(np.where(broken, place + (~fine).astype(int), 0))
-    typical_h = float(np.median(cells.end - cells.start)) / 3600.0
+    typical_h = float(np.quantile(cells.end - cells.start, 0.1)) / 3600.0
     levels = max(1, math.ceil(math.log2(longest_h / typical_h + 2.0)))
     table = [[(np.nan_to_num(low), np.nan_to_num(high)) for low, high in cells.ranges]]
     for k in range(levels - 1):
@@ -290,7 +300,7 @@ def choose_length(
     cell_h = float(np.median(cells.end - cells.start)) / 3600.0 if len(cells.start) else shortest_h
     steps = max(1, math.ceil(math.log(longest_h / shortest_h) / math.log(1.25)))
     lengths = np.geomspace(shortest_h, longest_h, steps + 1)
-    lengths = np.unique(np.ceil(lengths / cell_h - 1e-3)) * cell_h
+    lengths = np.round(np.unique(np.ceil(lengths / cell_h - 1e-3)) * cell_h, 6)
     shortest = periods_of_length(cells, earliest, regime, float(lengths[0]))
     if len(shortest) < ENOUGH[0] or shortest.n_episodes < ENOUGH[1]:
         return Choice(float(lengths[0]), shortest, "even the shortest yields few periods")
@@ -315,7 +325,7 @@ def rough_time_constant(cells: Cells) -> float | None:
     The mean of equations (2) and (3) over a block of length h is exact, with Δ the change over it:
         T_conv,a − T_amb = f_ΔT − τ ΔT_conv,a/h + (1−ρ) τ ΔT_amb/h.
     Coloured disturbances of f_ΔT move T_conv,a too; power and ambient temperature of earlier blocks do not know them
-    and stand in for ΔT_conv,a. It serves the choice of a window only.
+    and stand in for ΔT_conv,a. It serves the choice of a length and the settling of periods; the likelihood knows better.
     """
     if len(cells.start) < FEWEST_BLOCKS:
         return None
@@ -338,11 +348,11 @@ def rough_time_constant(cells: Cells) -> float | None:
         return None
     varies = spread > 1e-9
     table[:, varies] /= spread[varies]
-    known_sides, change = table[:, :5][:, varies[:5]], table[:, 5]
-    instruments = np.column_stack([known_sides, table[:, 6:][:, varies[6:]]])
+    exogenous, change = table[:, :5][:, varies[:5]], table[:, 5]
+    instruments = np.column_stack([exogenous, table[:, 6:][:, varies[6:]]])
     stand_in = instruments @ np.linalg.lstsq(instruments, change, rcond=1e-8)[0]
-    design = np.column_stack([known_sides, change])
-    staged = np.column_stack([known_sides, stand_in])
+    design = np.column_stack([exogenous, change])
+    staged = np.column_stack([exogenous, stand_in])
     response = (cells.cabinet - cells.ambient)[there]
     response = response - response.mean()
     inverse = np.linalg.pinv(staged, rcond=1e-8)

@@ -72,12 +72,12 @@ def project(
     values: Mapping[str, float],
     run: Run,
     mean: np.ndarray,
-    covariance: np.ndarray,
+    covariance: np.ndarray | None,
     function: Callable,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Value (T,) and variance (T,) of a function of the model's equations, to first order in the state's covariance.
 
-    `function(equations, x, u)` -> (T,); the slopes come from complex steps.
+    `function(equations, x, u)` -> (T,); the slopes come from complex steps.  Without a covariance the variance is zero.
     """
     t = run.timeline
     model = design.model
@@ -93,6 +93,8 @@ def project(
 
     columns = [mean[:, i] for i in range(n)]
     value = np.real(at(columns))
+    if covariance is None:
+        return value, np.zeros_like(value)
     slopes = np.empty((len(t), n))
     for i in range(n):
         moved = list(columns)

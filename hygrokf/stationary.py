@@ -11,6 +11,7 @@ import numpy as np
 
 from hygrokf.design import TEMPERATURE, power_scale, reading_step_h
 from hygrokf.mechanisms.thermal import heat_release
+from hygrokf.parameters import Parameter
 from hygrokf.periods import (
     AMBIENT,
     ENOUGH,
@@ -18,7 +19,15 @@ from hygrokf.periods import (
     POWER,
     POWER_TOLERANCE,
     STANDSTILL,
+    Cells,
+    Choice,
     Periods,
+    cell_edges,
+    cells_between,
+    choose_length,
+    earliest_starts,
+    known,
+    rough_time_constant,
 )
 from hygrokf.record import Record
 
@@ -32,6 +41,8 @@ FEWEST = (8, 5)
 """Periods and episodes below which there is no regression."""
 EPISODES_A_PARAMETER = 3
 """Episodes that each coefficient needs."""
+LEAST_AMBIENT_K = 2.0
+"""[K] spread of the ambient temperature without which a slope over it is not tried."""
 WORSE = 1.1
 """[1] periods are not settled by a time constant that makes their error larger by more than this factor."""
 JSON_POINTS = 2000
@@ -161,6 +172,7 @@ def heat_release_regression(
     reference_K: float | None = None,
     time_constant_h: float | None = None,
     largest_order: int = 3,
+    settle: bool = True,
 ) -> HeatRelease:
     """Heat release f_ΔT = Q R_AT [K] in operation and at standstill, by regression over quasi-stationary periods.
 
@@ -171,13 +183,15 @@ def heat_release_regression(
     reference_K: [K] T_ref; None: the mean of the ambient readings, as in `design.design`.
     time_constant_h: [h] thermal time constant, where one is known; None: a rough one is estimated.
     largest_order: [1] 0 … 3, largest K tried.
+    settle: whether what a period still warms or cools is taken off its difference; False: the paper's regression.
 
-    Periods are three time constants long: what a period's own change ΔT_conv,a leaves in its mean difference is
-    τ ΔT_conv,a/window, at most a third of a kelvin at the stated tolerance. Where that yields fewer than 30 periods
-    in 10 episodes, or loses a quarter of the range of power or ambient temperature, shorter ones are taken, down
-    to an hour or two steps of the slowest series. Periods are laid from the end of a stationary stretch backwards,
-    so that the rest of a transient at its start is left out. Standard errors are clustered by episode; they do not
-    know the sensors' accuracy. Periods with known pre-heating are left out.
+    Periods (`periods.Periods`) are three time constants long, so that what a period's own change ΔT_conv,a makes of
+    its mean difference, −τ ΔT_conv,a/window by equation (2), is a third of a kelvin at most. Where that yields fewer
+    than 30 periods in 10 episodes, or loses a quarter of the range of power or ambient temperature, shorter ones are
+    taken, down to an hour or two steps of the slowest series. As short ones are not settled, this share is taken off
+    the difference before the regression where `settle` is True and cross-validation does not speak against it.
+    Standard errors are clustered by episode; they know neither the sensors' accuracy nor a form left out. Known
+    pre-heating is left out. Between the powers that periods reach the form is an interpolation.
 
     A regime with too few periods is None, and the statement says so. Raises ValueError for arguments out of range.
     Source: equation (1), Fig. 3 and Fig. 4 of the paper.
@@ -193,41 +207,43 @@ def heat_release_regression(
         faults.append(f"largest_order must be 0, 1, 2 or 3, found {largest_order}")
     if faults:
         raise ValueError("heat_release_regression: " + "; ".join(faults))
-    known = record.identification()
-    missing = [name for name in (TEMPERATURE, AMBIENT) if not _known(known, name)]
+    early = record.identification()
+    missing = [name for name in (TEMPERATURE, AMBIENT) if not known(early, name)]
     if missing:
-        said = f"no reading of {' and '.join(missing)}: no heat release from stationary periods"
+        said = f"no readings of {' and '.join(missing)}: no heat release from stationary periods"
         return HeatRelease(None, None, reference_K, scale_W, time_constant_h, said)
     if reference_K is None:
-        reference_K = float(np.nanmean(known[AMBIENT].value))
-    if scale_W is None:
-        scale_W = power_scale(known)
-    if scale_W is not None and not _known(known, POWER):
-        scale_W = None
+        reference_K = float(np.nanmean(early[AMBIENT].value))
     statements = []
-    if scale_W is None:
+    if not known(early, POWER):
+        scale_W = None
         statements.append("no power in the record: all of it counts as standstill")
-    used = [known[name] for name in (TEMPERATURE, AMBIENT, *((POWER,) if scale_W else ()))]
+    elif scale_W is None:
+        scale_W = power_scale(early)
+        if scale_W is None:
+            statements.append("the power never rises above zero: all of the record counts as standstill")
+    used = [early[name] for name in (TEMPERATURE, AMBIENT, *((POWER,) if scale_W else ()))]
     slowest_h = max(max(reading_step_h(one), one.interval_s / 3600.0) for one in used)
     first, last = max(one.time[0] - one.interval_s for one in used), min(one.time[-1] for one in used)
     rough = time_constant_h is None
     if rough:
         blocks = np.arange(first, last, 3600.0 * max(1.0, slowest_h))
-        time_constant_h = _rough_time_constant(_cells(known, scale_W, blocks))
-    cells = _cells(known, scale_W, _edges(used[-1] if scale_W else used[0], first, last))
+        time_constant_h = rough_time_constant(cells_between(early, scale_W, blocks))
+    cells = cells_between(early, scale_W, cell_edges(used[-1] if scale_W else used[0], first, last))
     shortest_h = max(SHORTEST_H, 2.0 * slowest_h)
     wanted_h = LONGEST_H if time_constant_h is None else min(TIME_CONSTANTS * time_constant_h, LONGEST_H)
     wanted_h = max(wanted_h, shortest_h)
-    earliest = _earliest_starts(cells, wanted_h)
+    earliest = earliest_starts(cells, wanted_h)
     made: dict[str, Regression | None] = {OPERATION: None, STANDSTILL: None}
     for regime in (OPERATION, STANDSTILL) if scale_W else (STANDSTILL,):
-        window_h, points, why = _choose_window(cells, earliest, regime, shortest_h, wanted_h)
-        n, episodes = len(points.power), _count(points.episode)
-        if n < FEWEST[0] or episodes < FEWEST[1]:
-            statements.append(_too_few(cells, regime, n, episodes, window_h))
+        choice = choose_length(cells, earliest, regime, shortest_h, wanted_h)
+        if len(choice.periods) < FEWEST[0] or choice.periods.n_episodes < FEWEST[1]:
+            statements.append(_too_few(cells, regime, choice))
             continue
-        lead = _lead(window_h, wanted_h, time_constant_h, rough, why)
-        fit = _regression(regime, points, window_h, reference_K, time_constant_h, largest_order, lead)
+        fit = _regression(
+            regime, choice, reference_K, time_constant_h, largest_order, settle,
+            _lead(wanted_h, shortest_h, time_constant_h, rough, choice.reason),
+        )  # fmt: skip
         made[regime] = fit
         statements.append(fit.statement)
     return HeatRelease(
@@ -238,7 +254,7 @@ def heat_release_regression(
 # --- regression -----------------------------------------------------------------------------
 
 
-def _parameters(regime: str, order: int, ambient: bool) -> tuple:
+def _parameters(regime: str, order: int, ambient: bool) -> tuple[Parameter, ...]:
     """Parameters of the mechanism, in the order of `_regressors`."""
     running = regime == OPERATION
     made = heat_release(
@@ -247,7 +263,7 @@ def _parameters(regime: str, order: int, ambient: bool) -> tuple:
     return made.parameters
 
 
-def _regressors(points: Points, order: int, ambient: bool, reference_K: float) -> np.ndarray:
+def _regressors(points: Periods, order: int, ambient: bool, reference_K: float) -> np.ndarray:
     columns = [points.power**k for k in range(order + 1)]
     return np.column_stack([*columns, points.ambient_K - reference_K] if ambient else columns)
 
@@ -270,91 +286,111 @@ def _left_out(regressors: np.ndarray, response: np.ndarray, episode: np.ndarray)
     return np.array(sums)
 
 
-def _choose_form(
-    regime: str, points: Points, reference_K: float, largest_order: int
-) -> tuple[tuple[Candidate, ...], int, bool]:
-    """Every form tried, and the simplest whose error is within a standard error of the best one's."""
+def _forms(regime: str, points: Periods, largest_order: int) -> list[tuple[int, bool]]:
+    """Forms (order, ambient slope) that the spread of the periods allows, the constant first."""
     orders = 0
     if regime == OPERATION and np.ptp(np.quantile(points.power, [0.02, 0.98])) >= 2.0 * POWER_TOLERANCE:
-        orders = min(largest_order, _classes(points, points.power, 0.1) - 1)
-    slopes = (False, True) if np.ptp(np.quantile(points.ambient_K, [0.05, 0.95])) >= 2.0 else (False,)
-    episodes, n = _count(points.episode), len(points.power)
-    tried: dict[tuple[int, bool], np.ndarray] = {}
-    for order in range(max(orders, 0) + 1):
-        for ambient in slopes:
-            size = order + 1 + ambient
-            if size > 1 and episodes < EPISODES_A_PARAMETER * size:
-                continue
-            sums = _left_out(
-                _regressors(points, order, ambient, reference_K), points.difference_K, points.episode
-            )
-            if sums is not None:
-                tried[order, ambient] = sums
-    best = min(tried, key=lambda form: tried[form].sum())
+        orders = max(0, min(largest_order, points.classes(points.power, 0.1) - 1))
+    warm = np.ptp(np.quantile(points.ambient_K, [0.05, 0.95])) >= LEAST_AMBIENT_K
+    forms = [
+        (order, ambient) for order in range(orders + 1) for ambient in ((False, True) if warm else (False,))
+    ]
+    most = points.n_episodes // EPISODES_A_PARAMETER
+    return [form for form in forms if form == (0, False) or form[0] + 1 + form[1] <= most]
+
+
+def _cross_validate(
+    points: Periods, response: np.ndarray, forms: list[tuple[int, bool]], reference_K: float
+) -> tuple[Candidate, ...]:
+    """Every form, and as chosen the simplest whose error is within a standard error of the best one's.
+
+    The standard error is that of the difference of both errors over episodes: what all forms miss alike, such as the
+    disturbance of the day, does not hide a slope.
+    """
+    tried = {}
+    for form in forms:
+        sums = _left_out(_regressors(points, *form, reference_K), response, points.episode)
+        if sums is not None:
+            tried[form] = sums
+    best = min(tried.values(), key=lambda sums: float(sums.sum()))
     counts = np.unique(points.episode, return_counts=True)[1]
-    rows, within = [], []
+    n, episodes = len(points), points.n_episodes
+    rows = {}
     for form, sums in tried.items():
-        above = sums - tried[best]
-        excess = float(above.sum()) / n
-        spread = above - counts * excess
-        se = math.sqrt(episodes / (episodes - 1.0) * float(spread @ spread)) / n
-        rows.append(Candidate(*form, math.sqrt(float(sums.sum()) / n), excess, se))
-        if excess <= se + 1e-12:
-            within.append((form[0] + form[1], float(sums.sum()), form))
-    chosen = min(within)[2]
-    marked = tuple(
-        Candidate(c.order, c.ambient, c.error_K, c.excess, c.excess_se, (c.order, c.ambient) == chosen)
-        for c in rows
-    )
-    return marked, *chosen
+        excess = float((sums - best).sum()) / n
+        apart = sums - best - counts * excess
+        se = math.sqrt(episodes / (episodes - 1.0) * float(apart @ apart)) / n
+        rows[form] = (math.sqrt(float(sums.sum()) / n), excess, se)
+    within = [form for form, (_, excess, se) in rows.items() if excess <= se + 1e-12]
+    chosen = min(within, key=lambda form: (form[0] + form[1], rows[form][0]))
+    return tuple(Candidate(*form, *row, form == chosen) for form, row in rows.items())
 
 
 def _regression(
     regime: str,
-    points: Points,
-    window_h: float,
+    choice: Choice,
     reference_K: float,
     time_constant_h: float | None,
     largest_order: int,
+    settle: bool,
     lead: str,
 ) -> Regression:
     """Least squares with errors clustered by episode, and Huber's M-estimate beside it."""
     from statsmodels.regression.linear_model import OLS
     from statsmodels.robust.robust_linear_model import RLM
 
-    candidates, order, ambient = _choose_form(regime, points, reference_K, largest_order)
-    regressors = _regressors(points, order, ambient, reference_K)
-    fit = OLS(points.difference_K, regressors).fit(cov_type="cluster", cov_kwds={"groups": points.episode})
+    points, forms = choice.periods, _forms(regime, choice.periods, largest_order)
+    response, transient_K, settled = points.difference_K, None, False
+    candidates = _cross_validate(points, response, forms, reference_K)
+    if time_constant_h is not None:
+        lag = time_constant_h * points.rate_K_h
+        transient_K = float(np.sqrt(np.mean(lag**2)))
+        if settle:
+            others = _cross_validate(points, response + lag, forms, reference_K)
+            # A time constant that is none of this cabinet's makes the difference worse, not better.
+            settled = min(c.error_K for c in others) <= WORSE * min(c.error_K for c in candidates)
+            if settled:
+                response, candidates = response + lag, others
+    chosen = next(c for c in candidates if c.chosen)
+    regressors = _regressors(points, chosen.order, chosen.ambient, reference_K)
+    fit = OLS(response, regressors).fit(cov_type="cluster", cov_kwds={"groups": points.episode})
     sd = math.sqrt(float(fit.scale))
     robust = fit.params
     if sd > 1e-6:  # without scatter there is nothing to be robust against, and its scale is 0
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            robust = RLM(points.difference_K, regressors).fit().params
-    names = [parameter.name for parameter in _parameters(regime, order, ambient)]
+            huber = RLM(response, regressors).fit().params
+        if np.isfinite(huber).all():
+            robust = huber
+    names = [parameter.name for parameter in _parameters(regime, chosen.order, chosen.ambient)]
     coefficients = {
-        name: Coefficient(float(a), float(b), float(c))
-        for name, a, b, c in zip(names, fit.params, np.sqrt(np.diag(fit.cov_params())), robust, strict=True)
+        name: Coefficient(float(value), float(se), float(other))
+        for name, value, se, other in zip(names, fit.params, fit.bse, robust, strict=True)
     }
-    transient_K = None
-    if time_constant_h is not None:
-        lag = time_constant_h * points.change_K * 3600.0 / (points.end_s - points.start_s)
-        transient_K = float(np.sqrt(np.mean(lag**2)))
-    said = _said(regime, points, window_h, lead, order, ambient, coefficients, sd, transient_K)
+    words = [
+        f"{regime}: {_many(len(points), 'quasi-stationary period')} of {choice.window_h:.3g} h in "
+        f"{_many(points.n_episodes, 'episode')} ({lead})",
+        _form_said(regime, points, chosen, sd),
+        *_transient_said(transient_K, settled, settle),
+        *_doubts(points, coefficients),
+    ]
     return Regression(
         regime=regime,
-        n_points=len(points.power),
-        n_episodes=_count(points.episode),
-        window_h=window_h,
-        order=order,
-        ambient=ambient,
+        n_points=len(points),
+        n_episodes=points.n_episodes,
+        window_h=choice.window_h,
+        order=chosen.order,
+        ambient=chosen.ambient,
         coefficients=coefficients,
         candidates=candidates,
         r2=0.0 if regressors.shape[1] == 1 else float(fit.rsquared),
         residual_sd_K=sd,
         transient_K=transient_K,
-        points=replace(points, fitted_K=regressors @ fit.params),
-        statement=said,
+        settled=settled,
+        points=points,
+        settled_K=response,
+        fitted_K=regressors @ fit.params,
+        statement="; ".join(words),
     )
 
 
@@ -365,61 +401,63 @@ def _many(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def _too_few(cells: _Cells, regime: str, n: int, episodes: int, window_h: float) -> str:
+def _lead(wanted_h: float, shortest_h: float, time_constant_h: float | None, rough: bool, reason: str) -> str:
+    """Why the periods are as long as they are."""
+    if time_constant_h is None:
+        wanted = f"the time constant is not known: as long as there are enough, up to {wanted_h:.3g} h"
+    else:
+        source = "a rough" if rough else "the given"
+        wanted = f"{wanted_h:.3g} h wanted by {source} time constant of {time_constant_h:.2g} h"
+        if wanted_h == shortest_h:
+            wanted = f"the shortest that is taken; {source} time constant is {time_constant_h:.2g} h"
+    return f"{wanted}; {reason}" if reason else wanted
+
+
+def _too_few(cells: Cells, regime: str, choice: Choice) -> str:
     hours = float((cells.end - cells.start)[cells.regime == (regime == OPERATION)].sum()) / 3600.0
     if hours <= 0.0:
         return f"{regime}: none in the record"
     return (
-        f"{regime}: {_many(n, 'quasi-stationary period')} of {window_h:.3g} h in {_many(episodes, 'episode')} "
-        f"of {hours:.0f} h are too few for a regression, which takes {FEWEST[0]} in {FEWEST[1]}: the heat release "
-        "is left to the likelihood"
+        f"{regime}: {_many(len(choice.periods), 'quasi-stationary period')} of {choice.window_h:.3g} h in "
+        f"{_many(choice.periods.n_episodes, 'episode')} within {hours:.0f} h are too few for a regression, which takes "
+        f"{FEWEST[0]} in {FEWEST[1]}: the heat release is left to the likelihood"
     )
 
 
-def _lead(window_h: float, wanted_h: float, time_constant_h: float | None, rough: bool, why: str) -> str:
-    """Why the periods are as long as they are."""
-    if time_constant_h is None:
-        wanted = "the time constant is not known, so the longest window that serves"
-    else:
-        source = "a rough" if rough else "the given"
-        wanted = f"wanted {wanted_h:.3g} h by {source} time constant of {time_constant_h:.2g} h"
-    return f"{wanted}; {why}" if why else wanted
-
-
-def _said(
-    regime: str,
-    points: Points,
-    window_h: float,
-    lead: str,
-    order: int,
-    ambient: bool,
-    coefficients: Mapping[str, Coefficient],
-    sd: float,
-    transient_K: float | None,
-) -> str:
-    episodes = _count(points.episode)
-    shape = ("constant", "linear in the power", "quadratic in the power", "cubic in the power")[order]
-    text = (
-        f"{regime}: {_many(len(points.power), 'quasi-stationary period')} of {window_h:.3g} h in "
-        f"{_many(episodes, 'episode')} ({lead}); the difference is {shape}"
-        f"{' with a slope' if ambient else ' without a slope'} over the ambient temperature, by cross-validation; "
-        f"residual {sd:.2g} K"
-    )
-    if transient_K is not None:
-        text += f"; changes within the periods leave {transient_K:.2g} K of it"
-    if regime == OPERATION and order == 0:
+def _form_said(regime: str, points: Periods, chosen: Candidate, sd: float) -> str:
+    shape = ("constant", "linear in the power", "quadratic in the power", "cubic in the power")[chosen.order]
+    slope = "with a slope" if chosen.ambient else "without a slope"
+    text = f"the difference is {shape}, {slope} over the ambient temperature (by cross-validation); residual {sd:.2g} K"
+    if regime == OPERATION and chosen.order == 0:
         low, high = np.quantile(points.power, [0.02, 0.98])
         if high - low < 2.0 * POWER_TOLERANCE:
-            text += (
-                f"; the power hardly varies ({low:.2f} … {high:.2f} of rated), which leaves no slope over it"
-            )
-    apart = [name for name, c in coefficients.items() if abs(c.value - c.robust) > 2.0 * c.se + 1e-9]
-    if apart:
-        listed = ", ".join(
-            f"{name} {coefficients[name].value:.3g} ± {coefficients[name].se:.2g} against {coefficients[name].robust:.3g}"
-            for name in apart
-        )
-        text += f"; least squares and the robust fit differ by more than two standard errors: {listed}"
-    if episodes < 2 * ENOUGH[1]:
-        text += f"; with {episodes} episodes the standard errors are optimistic"
+            text += f"; the power hardly varies ({low:.2f} … {high:.2f} of rated), so its slope is unknown"
     return text
+
+
+def _transient_said(transient_K: float | None, settled: bool, settle: bool) -> list[str]:
+    if transient_K is None:
+        return []
+    if settled:
+        return [f"{transient_K:.2g} K by warming and cooling within the periods is taken off"]
+    if settle:
+        return [
+            "the time constant does not explain the warming and cooling within the periods: nothing is taken off"
+        ]
+    return [f"{transient_K:.2g} K of it by warming and cooling within the periods"]
+
+
+def _doubts(points: Periods, coefficients: Mapping[str, Coefficient]) -> list[str]:
+    said = []
+    apart = [
+        f"{name} {c.value:.3g} ± {c.se:.2g} against {c.robust:.3g}"
+        for name, c in coefficients.items()
+        if abs(c.value - c.robust) > 2.0 * c.se + 1e-9
+    ]
+    if apart:
+        said.append(
+            f"least squares and the robust fit differ by more than two standard errors: {', '.join(apart)}"
+        )
+    if points.n_episodes < 2 * ENOUGH[1]:
+        said.append(f"with {points.n_episodes} episodes the standard errors are optimistic")
+    return said

@@ -1,0 +1,117 @@
+"""Ambient series at any time, the noise of their readings, and the ambient that they most likely belong to.
+
+Readings with noise, used as an input, weaken what depends on them, as errors in a regressor do: with 0.05 K on the
+ambient temperature the resistance ratio and the time constants come out wrong by several times their standard error.
+The mean of the true course given all readings has no such effect; it is computed here under a local level,
+
+    x(t+Δ) = x(t) + N(0, q Δ),    reading = x + N(0, r),
+
+between whose smoothed values the course is linear (the mean of a Brownian bridge).  r and q come from the
+autocovariances γ of the readings' increments: noise makes γ₁ − γ₂ = −r where the weather's own increments are equally
+correlated at both lags, and γ₀ = q Δ + 2 r.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hygrokf.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
+from hygrokf.record import Record, Series
+
+AMBIENT_BRIDGE_H = 6.0
+"""[h] gaps of the ambient series up to this length are bridged linearly; over longer ones readings are left out."""
+FEWEST = 200
+"""Readings below which no noise is estimated."""
+
+
+def reading_noise(series: Series) -> tuple[float, float] | None:
+    """(q, r): variance of the level's increments per second and of a reading's noise; None where it cannot be told.
+
+    Raises nothing: irregular, short or averaged series give None and are used as they are.
+    """
+    there = ~series.missing
+    time, value = series.time[there], series.value[there]
+    if series.hold != "linear" or len(time) < FEWEST:
+        return None
+    step = np.diff(time)
+    usual = float(np.median(step))
+    regular = np.abs(step - usual) < 0.1 * usual
+    increment = np.where(regular, np.diff(value), np.nan)
+    # a front that passes is no noise: increments beyond five times the usual spread are left out
+    spread = 1.4826 * float(np.nanmedian(np.abs(increment - np.nanmedian(increment))))
+    if not spread > 0:
+        return None
+    increment = np.where(np.abs(increment) < 8.0 * spread, increment, np.nan)
+    gamma = [float(np.nanmean(increment[lag:] * increment[: len(increment) - lag])) for lag in range(3)]
+    noise = gamma[2] - gamma[1]
+    level = gamma[0] - 2.0 * noise
+    if noise <= 0 or level <= 0:
+        return None
+    return level / usual, noise
+
+
+def smoothed(series: Series, noise: tuple[float, float] | None) -> Series:
+    """The mean of the true course at the readings' times, given all readings; gaps stay gaps."""
+    if noise is None or series.hold != "linear":
+        return series
+    from scipy.linalg import solveh_banded
+
+    there = ~series.missing
+    time, value = series.time[there], series.value[there]
+    if len(time) < 3:
+        return series
+    q, r = noise
+    coupling = r / (q * np.diff(time))
+    bands = np.zeros((2, len(time)))
+    bands[1] = 1.0
+    bands[1, :-1] += coupling
+    bands[1, 1:] += coupling
+    bands[0, 1:] = -coupling
+    result = series.value.copy()
+    result[there] = solveh_banded(bands, value)
+    return replace(series, value=result)
+
+
+def ambient_absolute_humidity(record: Record) -> Series | None:
+    """Vapour concentration of the ambient air [kg/m³] at the times of its humidity readings; None without any."""
+    if "ambient_absolute_humidity" in record:
+        return record["ambient_absolute_humidity"]
+    for name, convert in (
+        ("ambient_relative_humidity", absolute_humidity),
+        ("ambient_dew_point_temperature", absolute_humidity_from_dew_point),
+    ):
+        if name in record:
+            series = record[name]
+            temperature = at_times(record["ambient_temperature"], series.time, AMBIENT_BRIDGE_H)
+            return Series(
+                signal="ambient_absolute_humidity",
+                time=series.time,
+                value=convert(series.value, temperature),
+                hold=series.hold,
+                interval_s=series.interval_s,
+                clock_uncertainty_s=series.clock_uncertainty_s,
+                source=series.source,
+            )
+    return None
+
+
+def at_times(series: Series, time: np.ndarray, bridge_h: float) -> np.ndarray:
+    """A series at other times [s] by its own hold; NaN outside it and inside gaps longer than `bridge_h` [h]."""
+    there = ~series.missing
+    known, value = series.time[there], series.value[there]
+    if len(known) == 0:
+        return np.full(len(time), np.nan)
+    after = np.clip(np.searchsorted(known, time, side="left"), 0, len(known) - 1)
+    before = np.clip(np.searchsorted(known, time, side="right") - 1, 0, len(known) - 1)
+    if series.hold == "linear":
+        result = np.interp(time, known, value, left=np.nan, right=np.nan)
+        wide = known[after] - known[before] > bridge_h * 3600.0
+        return np.where(wide, np.nan, result)
+    # a mean holds over (end − interval, end]; a hole after it is bridged by the value before it
+    inside = (time > known[after] - max(series.interval_s, 1e-6)) & (time <= known[after])
+    result = np.where(inside, value[after], value[before])
+    gap = np.where(inside, 0.0, known[after] - series.interval_s - known[before])
+    outside = (time > known[-1] + bridge_h * 3600.0) | (time <= known[0] - max(series.interval_s, 1e-6))
+    return np.where((gap > bridge_h * 3600.0) | outside, np.nan, result)

@@ -1,0 +1,188 @@
+"""The whole way from a record to a fit, on plants made by other means (tests/plants) and on the synthetic turbine."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plants import plant
+from plants.as_record import to_record
+
+from hygrokf.design import Design
+from hygrokf.identification import Fit, identify
+from hygrokf.likelihood import Likelihood
+from hygrokf.record import Record
+from hygrokf.results import ResultFault, dump, read_fit, write_fit
+
+DAYS = 45
+
+
+def without(record: Record, *signals: str) -> Record:
+    return replace(record, series=tuple(s for s in record.series if s.signal not in signals))
+
+
+@pytest.fixture(scope="module")
+def made():
+    return plant(7, days=DAYS)
+
+
+@pytest.fixture(scope="module")
+def record(made):
+    whole = to_record(made)
+    return replace(whole, until_s=whole.end_s - 10 * 86400.0)
+
+
+@pytest.fixture(scope="module")
+def fit(record) -> Fit:
+    return identify(record, starts=2)
+
+
+def test_time_constants_are_recovered_within_their_bounds(fit, made):
+    """Seed 7 is one draw: the bounds are 95 %, so three times their half width is what must hold here."""
+    for part, truth in (("thermal", made.truth.tau_h), ("hygric", made.truth.hygric_h)):
+        entry = fit.results["time_constants"][part]
+        half = 0.5 * math.log(entry["upper_h"] / entry["lower_h"])
+        assert abs(math.log(entry["value_h"] / truth)) < 1.5 * half
+        assert half < 0.15
+        assert entry["method"] == "profile"
+    assert fit.results["converged"] is True
+
+
+def test_free_run_errs_as_the_plant_does(fit, made):
+    """Free-run errors are those of the plant's own disturbances (1–2 K, 0.3–0.5 g/m³), and the baselines are worse."""
+    found = fit.results["rmse"]["identification"]
+    assert 0.9 < found["temperature_K"]["total"] < 2.2
+    assert 0.25 < found["absolute_humidity_g_m3"]["total"] < 0.6
+    static = fit.results["baselines"]["identification"]["no_dynamics"]["temperature_K"]["total"]
+    assert static > found["temperature_K"]["total"]
+
+
+def test_bands_hold_on_the_validation_period(fit):
+    """The 1 h and 6 h bands hold 95 % to within what ten days of dependent forecasts allow."""
+    for lead in ("1h", "6h"):
+        for quantity in ("temperature_K", "relative_humidity"):
+            cell = fit.results["bands"][lead][quantity]
+            assert cell["n"] > 100
+            assert 0.85 < cell["coverage"] <= 1.0
+
+
+def test_validation_readings_touch_nothing(record, fit):
+    """Readings after `until` may change scores, never an estimate."""
+    late = record["cabinet_temperature"]
+    spoilt = np.where(late.time > record.until_s, late.value + 5.0, late.value)
+    other = identify(record.replace_series(replace(late, value=spoilt)), starts=2)
+    assert other.values == fit.values
+    assert other.results["time_constants"] == fit.results["time_constants"]
+    before = fit.results["rmse"]["validation"]["temperature_K"]["total"]
+    assert other.results["rmse"]["validation"]["temperature_K"]["total"] > before + 1.0
+
+
+def test_joint_and_cascade_agree(record, fit):
+    joint = identify(record, kind="joint", starts=1)
+    for part in ("thermal", "hygric"):
+        a, b = (f.results["time_constants"][part] for f in (fit, joint))
+        assert b["lower_h"] < a["value_h"] < b["upper_h"]
+
+
+def test_white_noise_alone_is_wrong_and_proud(record, made):
+    """The warning that everything rests on: without coloured disturbances τ comes out far too long."""
+    from hygrokf.design import design
+    from hygrokf.drivers import run
+    from hygrokf.fitting import maximise
+
+    early = record.identification()
+    white = design(early, kind="thermal", coloured=False)
+    found = maximise(Likelihood(white.model, run(white, early).timeline), count=2)
+    assert found.values["thermal_time_constant"] > 1.5 * made.truth.tau_h
+
+
+def test_record_without_humidity_or_power_is_legal(record):
+    dry = identify(without(record, "cabinet_relative_humidity"), starts=1)
+    assert dry.results["time_constants"]["hygric"] is None
+    assert dry.results["rmse"]["identification"]["absolute_humidity_g_m3"]["total"] is None
+    idle = identify(without(record, "active_power"), starts=1)
+    assert any("counts as standstill" in line for line in idle.results["statements"])
+    assert idle.results["rmse"]["identification"]["temperature_K"]["operation"] is None
+    assert idle.results["rmse"]["identification"]["temperature_K"]["standstill"] is not None
+
+
+def test_record_without_cabinet_temperature_is_refused(record):
+    with pytest.raises(ValueError, match="cabinet_temperature: expected at least 50 readings"):
+        identify(without(record, "cabinet_temperature"))
+    with pytest.raises(ValueError, match="criterion: expected one of"):
+        identify(record, criterion="guess")
+    with pytest.raises(ValueError, match="kind: expected"):
+        identify(record, kind="both")
+
+
+def test_simulation_criterion_puts_the_free_run_first(record, fit):
+    other = identify(record, criterion="simulation", starts=1)
+    entry = other.results["time_constants"]["thermal"]
+    assert entry["method"].startswith("output error")
+    assert entry["likelihood"]["value_h"] == pytest.approx(fit.results["time_constants"]["thermal"]["value_h"], rel=0.02)
+    ours = other.results["rmse"]["identification"]["temperature_K"]["total"]
+    assert ours <= fit.results["rmse"]["identification"]["temperature_K"]["total"] + 0.01
+    assert other.values["thermal_time_constant"] == pytest.approx(entry["value_h"])
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        ({"power": "constant"}, "hardly any standstill"),
+        ({"standstill": False}, "hardly any standstill"),
+        ({"rho": 1.0}, ""),
+        ({"ambient_step_min": 60}, ""),
+        ({"logger_mean": True}, ""),
+        ({"power_gap_days": 4}, ""),
+    ],
+)
+def test_poor_records_give_honest_bounds(options, part):
+    """Constant power, no standstill, R_IC = 0, hourly ambient, interval means, a long power gap: bounds hold the truth
+    or at the least lie within half again of it, and what is missing is said."""
+    other = plant(8, days=40, **options)
+    found = identify(to_record(other), starts=1).results
+    for name, truth in (("thermal", other.truth.tau_h), ("hygric", other.truth.hygric_h)):
+        entry = found["time_constants"][name]
+        upper = math.inf if entry["upper_h"] is None else entry["upper_h"]
+        assert entry["lower_h"] / 1.15 < truth < upper * 1.15
+    assert any(part in line for line in found["statements"]) or not part
+
+
+def test_clock_uncertainty_widens_the_hygric_bounds(record, fit):
+    series = [
+        replace(s, clock_uncertainty_s=180.0, source="ambient.csv, " + s.signal)
+        for s in record.series
+        if s.signal.startswith("ambient_")
+    ]
+    other = identify(record.replace_series(*series), starts=1)
+    plain, wide = (f.results["time_constants"]["hygric"] for f in (fit, other))
+    ratio = math.log(wide["upper_h"] / wide["lower_h"]) / math.log(plain["upper_h"] / plain["lower_h"])
+    assert ratio > 1.3
+    assert "clock" in wide["method"]
+
+
+def test_fit_round_trip(fit, tmp_path):
+    path = write_fit(fit, tmp_path)
+    text = path.read_text()
+    assert "NaN" not in text
+    assert "Infinity" not in text
+    again = read_fit(path)
+    assert dict(again.values) == {n: row["value"] for n, row in json.loads(text)["parameters"].items()}
+    assert again.design.model.states == fit.design.model.states
+    assert Design.from_json(json.loads(dump(fit.design.to_json()))) == again.design
+    arrays = np.load(tmp_path / "series.npz")
+    assert len(arrays["time_s"]) == len(arrays["temperature_simulated"])
+
+
+def test_damaged_fit_files_are_refused_in_one_line(fit, tmp_path):
+    with pytest.raises(ResultFault, match="no such file"):
+        read_fit(tmp_path / "none.json")
+    (tmp_path / "half.json").write_text(dump(fit.to_json())[:2000])
+    with pytest.raises(ResultFault, match="run `hygrokf fit` again"):
+        read_fit(tmp_path / "half.json")
+    (tmp_path / "other.json").write_text('{"a": 1}')
+    with pytest.raises(ResultFault, match="it lacks design, name"):
+        read_fit(tmp_path / "other.json")
