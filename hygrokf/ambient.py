@@ -47,7 +47,8 @@ def reading_noise(series: Series) -> tuple[float, float] | None:
     gamma = [float(np.nanmean(increment[lag:] * increment[: len(increment) - lag])) for lag in range(3)]
     noise = gamma[2] - gamma[1]
     level = gamma[0] - 2.0 * noise
-    if noise <= 0 or level <= 0:
+    # both autocovariances are uncertain by γ₀/√T: what is below three times that is no finding
+    if noise <= 3.0 * np.sqrt(2.0 / np.isfinite(increment).sum()) * gamma[0] or level <= 0:
         return None
     return level / usual, noise
 

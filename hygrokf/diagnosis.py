@@ -209,7 +209,7 @@ def _moments(name: str, e: np.ndarray, result: dict) -> list[_Test]:
             "variance",
             "variance",
             _two_sided((variance - 1.0) / spread),
-            f"{name} innovations are {100 * abs(math.sqrt(variance) - 1):.0f} % {wide} than the filter states "
+            f"{name} innovations are {100 * abs(math.sqrt(variance) - 1):.0f} % {wide} than the filter says "
             f"(variance {variance:.2f} instead of 1): its one-step band is "
             f"{'too narrow' if variance > 1 else 'too wide'}",
         ),
@@ -247,11 +247,9 @@ def _autocorrelation(
         "limit_all": limit_all,
     }
     tests = []
-    for k, span in ((hour, "an hour"), (lags, f"{lags * step:.3g} h")):
-        if k == lags and tests and hour == lags:
-            break
+    for k in dict.fromkeys((lags, hour)):
         worst = int(np.argmax(np.abs(values[:k])))
-        span = span if k * step <= 1.5 or k == lags else f"{k * step:.3g} h"
+        span = f"{k * step:.3g} h"
         tests.append(
             _Test(
                 name,

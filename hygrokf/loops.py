@@ -522,9 +522,16 @@ class _Emission:
                     values, derivatives = run(outputs, leaves, key)
                     total.take(w, values[-2][1], values[-1][1])
                     place = w.integer("add", row, c)
-                    w.store(SCALAR, values[-3][1], w.at(SCALAR, "%e", place))
+                    error, error_dot = values[-3][1], derivatives[-3]
+                    if r.diffuse:  # a reading that only resolves an infinite variance has no quadratic form
+                        none = w.value(f"fcmp oeq double {values[-1][1]}, {literal(0.0)}")
+                        error = w.value(f"select i1 {none}, double {literal(0.0)}, double {error}")
+                        error_dot = w.value(
+                            f"select i1 {none}, {VECTOR} zeroinitializer, {VECTOR} {error_dot}"
+                        )
+                    w.store(SCALAR, error, w.at(SCALAR, "%e", place))
                     w.store(SCALAR, values[-2][1], w.at(SCALAR, "%s", place))
-                    w.store(VECTOR, derivatives[-3], w.at(VECTOR, "%edot", place))
+                    w.store(VECTOR, error_dot, w.at(VECTOR, "%edot", place))
                     w.store(VECTOR, derivatives[-2], w.at(VECTOR, "%sdot", place))
                     if self.gain:
                         for s, (_, name) in zip(slots.values(), values, strict=False):

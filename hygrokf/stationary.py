@@ -43,8 +43,11 @@ EPISODES_A_PARAMETER = 3
 """Episodes that each coefficient needs."""
 LEAST_AMBIENT_K = 2.0
 """[K] spread of the ambient temperature without which a slope over it is not tried."""
-WORSE = 1.1
-"""[1] periods are not settled by a time constant that makes their error larger by more than this factor."""
+WORSE = 2.0
+"""[1] periods are not settled by a time constant that makes their error larger by more than this factor.
+
+Some growth is right: a slow cabinet smooths the disturbances of its heat release, and settling undoes it.
+"""
 JSON_POINTS = 2000
 """Points that the plain data hold at most."""
 
@@ -286,11 +289,26 @@ def _left_out(regressors: np.ndarray, response: np.ndarray, episode: np.ndarray)
     return np.array(sums)
 
 
+def _supported_order(points: Periods, largest: int) -> int:
+    """Largest order K of which each of K+1 equal parts of the power's range is met in enough episodes.
+
+    Periods crowd at standstill's edge and at rated power, as the wind between them is never still: without such a
+    rule a curve through both ends swings wide in the middle, where cross-validation has nothing to hold it to.
+    """
+    low, high = points.power.min(), points.power.max()
+    for order in range(largest, 0, -1):
+        part = np.minimum(((points.power - low) / (high - low) * (order + 1)).astype(int), order)
+        met = [len(np.unique(points.episode[part == k])) for k in range(order + 1)]
+        if min(met) >= EPISODES_A_PARAMETER:
+            return order
+    return 0
+
+
 def _forms(regime: str, points: Periods, largest_order: int) -> list[tuple[int, bool]]:
     """Forms (order, ambient slope) that the spread of the periods allows, the constant first."""
     orders = 0
     if regime == OPERATION and np.ptp(np.quantile(points.power, [0.02, 0.98])) >= 2.0 * POWER_TOLERANCE:
-        orders = max(0, min(largest_order, points.classes(points.power, 0.1) - 1))
+        orders = _supported_order(points, largest_order)
     warm = np.ptp(np.quantile(points.ambient_K, [0.05, 0.95])) >= LEAST_AMBIENT_K
     forms = [
         (order, ambient) for order in range(orders + 1) for ambient in ((False, True) if warm else (False,))
@@ -347,7 +365,6 @@ def _regression(
         transient_K = float(np.sqrt(np.mean(lag**2)))
         if settle:
             others = _cross_validate(points, response + lag, forms, reference_K)
-            # A time constant that is none of this cabinet's makes the difference worse, not better.
             settled = min(c.error_K for c in others) <= WORSE * min(c.error_K for c in candidates)
             if settled:
                 response, candidates = response + lag, others
@@ -370,7 +387,7 @@ def _regression(
     words = [
         f"{regime}: {_many(len(points), 'quasi-stationary period')} of {choice.window_h:.3g} h in "
         f"{_many(points.n_episodes, 'episode')} ({lead})",
-        _form_said(regime, points, chosen, sd),
+        _form_said(regime, points, chosen, sd, max(c.order for c in candidates) < largest_order),
         *_transient_said(transient_K, settled, settle),
         *_doubts(points, coefficients),
     ]
@@ -424,7 +441,7 @@ def _too_few(cells: Cells, regime: str, choice: Choice) -> str:
     )
 
 
-def _form_said(regime: str, points: Periods, chosen: Candidate, sd: float) -> str:
+def _form_said(regime: str, points: Periods, chosen: Candidate, sd: float, limited: bool) -> str:
     shape = ("constant", "linear in the power", "quadratic in the power", "cubic in the power")[chosen.order]
     slope = "with a slope" if chosen.ambient else "without a slope"
     text = f"the difference is {shape}, {slope} over the ambient temperature (by cross-validation); residual {sd:.2g} K"
@@ -432,6 +449,9 @@ def _form_said(regime: str, points: Periods, chosen: Candidate, sd: float) -> st
         low, high = np.quantile(points.power, [0.02, 0.98])
         if high - low < 2.0 * POWER_TOLERANCE:
             text += f"; the power hardly varies ({low:.2f} … {high:.2f} of rated), so its slope is unknown"
+            return text
+    if regime == OPERATION and limited:
+        text += "; higher orders were not tried, as too few episodes reach every part of the range of power"
     return text
 
 
@@ -442,7 +462,7 @@ def _transient_said(transient_K: float | None, settled: bool, settle: bool) -> l
         return [f"{transient_K:.2g} K by warming and cooling within the periods is taken off"]
     if settle:
         return [
-            "the time constant does not explain the warming and cooling within the periods: nothing is taken off"
+            "by the time constant, warming and cooling within the periods would make far more than they show: nothing is taken off"
         ]
     return [f"{transient_K:.2g} K of it by warming and cooling within the periods"]
 

@@ -219,11 +219,12 @@ def _make_case(
     truth = _simulated(random, time, inputs, VALUES)
     interval = float(time[1] - time[0])
     outputs = {"cabinet_temperature": "air", "cabinet_relative_humidity": "humidity"}
-    averaged = dict.fromkeys(outputs, interval) if means else {}
     if kind == "cascade":
         inputs["cabinet_temperature"] = truth["air"] + 0.03 * random.normal(size=len(time))
-        averaged.pop("cabinet_temperature", None)
-    model = compose(_mechanisms(kind, preheating, gap), HOLDS, averaged)
+    mechanisms = _mechanisms(kind, preheating, gap)
+    read_by = [name for mechanism in mechanisms for name in mechanism.outputs]
+    averaged = {name: interval for name in read_by} if means else {}
+    model = compose(mechanisms, HOLDS, averaged)
     values = {p.name: VALUES[p.name] for p in model.parameters}
     readings, resets = {}, {}
     for name, truth_name in outputs.items():

@@ -221,7 +221,6 @@ def test_settling_takes_the_transients_bias_off() -> None:
                 settle * found.time_constant_h * fit.points.rate_K_h,
                 atol=1e-9,
             )
-    print(np.mean(plain), np.mean(settled))
     assert np.mean(plain) > 0.4
     assert abs(np.mean(settled)) < 0.5 * np.mean(plain)
 
@@ -310,6 +309,19 @@ def test_the_largest_order_is_respected() -> None:
         fit = heat_release_regression(block_record(2, scatter_K=0.3), largest_order=largest).operation
         assert fit.order == largest
         assert max(c.order for c in fit.candidates) == largest
+
+
+def test_no_curve_is_drawn_through_powers_that_no_period_reaches() -> None:
+    ends = heat_release_regression(
+        block_record(9, scatter_K=0.3, powers=(-0.01, 0.02, 0.1, 0.9, 1.0))
+    ).operation
+    assert {c.order for c in ends.candidates} == {0, 1}
+    assert "higher orders were not tried" in ends.statement
+    middle = heat_release_regression(block_record(9, scatter_K=0.3, powers=(-0.01, 0.02, 0.5, 1.0))).operation
+    assert {c.order for c in middle.candidates} == {0, 1, 2}
+    whole = heat_release_regression(block_record(9, scatter_K=0.3)).operation
+    assert {c.order for c in whole.candidates} == {0, 1, 2, 3}
+    assert "not tried" not in whole.statement
 
 
 def test_a_disagreement_of_the_robust_fit_is_said() -> None:

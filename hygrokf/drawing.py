@@ -1,0 +1,277 @@
+"""How figures look, and how a long record becomes a small drawing: style, envelopes, calendar axes, SVG and PNG text.
+
+matplotlib is imported inside the functions that need it, without its global state (`pyplot`).
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+MEASURED = "#1b5fa8"
+SIMULATED = "#c1272d"
+AMBIENT = "#e3a112"
+INK = "#22272e"
+QUIET = "#6b7480"
+RULE = "#d5dae0"
+SHADE = "#e9eef4"
+WARM_TO_COLD = ("#16365c", "#2b6ca3", "#6aa5c9", "#c9a227", "#c8641e", "#8f1d14")
+"""Cold to warm in six steps that differ in lightness as well as in hue."""
+WIDTH_IN = 7.3
+"""[in] width of every figure: the text width of an A4 page."""
+BINS = 520
+"""Stretches of time over the width of a page; each keeps its least and its largest value."""
+DAY_S = 86400.0
+
+_STYLE = {
+    "font.family": "sans-serif",
+    "font.sans-serif": ["DejaVu Sans"],
+    "font.size": 7.5,
+    "axes.titlesize": 8.0,
+    "axes.titleweight": "bold",
+    "axes.titlelocation": "left",
+    "axes.titlepad": 5.0,
+    "axes.labelsize": 7.5,
+    "axes.labelcolor": INK,
+    "axes.edgecolor": QUIET,
+    "axes.linewidth": 0.6,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "axes.grid": True,
+    "axes.axisbelow": True,
+    "axes.formatter.use_mathtext": False,
+    "axes.formatter.useoffset": False,
+    "axes.unicode_minus": True,
+    "grid.color": RULE,
+    "grid.linewidth": 0.4,
+    "xtick.labelsize": 7.0,
+    "ytick.labelsize": 7.0,
+    "xtick.color": QUIET,
+    "ytick.color": QUIET,
+    "xtick.labelcolor": INK,
+    "ytick.labelcolor": INK,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.minor.size": 0.0,
+    "ytick.minor.size": 0.0,
+    "text.color": INK,
+    "text.parse_math": False,
+    "legend.frameon": False,
+    "legend.fontsize": 7.0,
+    "legend.handlelength": 1.6,
+    "legend.columnspacing": 1.4,
+    "legend.handletextpad": 0.5,
+    "legend.borderaxespad": 0.0,
+    "lines.linewidth": 0.9,
+    "lines.solid_capstyle": "butt",
+    "patch.linewidth": 0.0,
+    "hatch.linewidth": 0.4,
+    "figure.facecolor": "white",
+    "savefig.facecolor": "white",
+    "svg.fonttype": "none",
+    "path.simplify": True,
+    "path.simplify_threshold": 0.15,
+}
+FONTS = "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, 'Liberation Sans', sans-serif"
+"""Fonts of the page; the drawings are laid out with a wider one, so that their labels fit with any of these."""
+
+
+class NothingToShow(ValueError):
+    """The data for a figure are missing; the message is one sentence that says which, and why."""
+
+
+@contextmanager
+def styled() -> Iterator[None]:
+    """Everything drawn inside looks alike; matplotlib's own settings are as before afterwards."""
+    import matplotlib
+
+    plain = {name: value for name, value in matplotlib.rcParamsDefault.items() if not name.startswith("backend")}
+    with matplotlib.rc_context({**plain, **_STYLE}):
+        yield
+
+
+def new_figure(height_in: float) -> Figure:
+    """An empty figure [in] of the page's width, on no screen."""
+    from matplotlib.figure import Figure
+
+    return Figure(figsize=(WIDTH_IN, height_in))
+
+
+def svg(figure: Figure, name: str) -> str:
+    """The figure as standalone SVG text; `name` (letters, digits, -) makes its identifiers unique on a page."""
+    with styled():
+        import matplotlib
+
+        matplotlib.rcParams["svg.hashsalt"] = name
+        buffer = io.StringIO()
+        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    text = buffer.getvalue()
+    text = re.sub(r"<\?xml.*?\?>\s*|<!DOCTYPE.*?>\s*|<metadata>.*?</metadata>\s*|<!--.*?-->\s*", "", text, flags=re.S)
+    text = re.sub(r'(\b(?:d|x|y|points|x1|y1|x2|y2|width|height)=")([^"]*)"', _rounded, text)
+    text = re.sub(r"'DejaVu Sans'(?:, [^;\"]*)?", FONTS, text)
+    text = re.sub(r' id="(?!' + re.escape(name) + r'-)', f' id="{name}-', text)
+    text = text.replace('href="#', f'href="#{name}-').replace("url(#", f"url(#{name}-")
+    return re.sub(r"\n\s*", "\n", text)
+
+
+def _rounded(match: re.Match) -> str:
+    return match.group(1) + re.sub(r"(\d+\.\d\d)\d+", r"\1", match.group(2)) + '"'
+
+
+def inline_svg(figure: Figure, name: str, title: str) -> str:
+    """The figure as SVG for the body of an HTML page: scales with the page, names no host, has a spoken `title`."""
+    from html import escape
+
+    text = svg(figure, name)
+    text = re.sub(r' xmlns(?::xlink)?="[^"]*"', "", text).replace("xlink:href", "href")
+    head = text.index("<svg")
+    end = text.index(">", head)
+    box = re.search(r'viewBox="[^"]*"', text[head:end])
+    label = escape(title, quote=True)
+    return f'<svg {box.group(0) if box else ""} role="img" aria-label="{label}">{text[end + 1 :]}'
+
+
+def png(figure: Figure, dpi: int = 150) -> bytes:
+    """The figure as a PNG image, for documents that cannot hold SVG."""
+    with styled():
+        buffer = io.BytesIO()
+        figure.savefig(buffer, format="png", dpi=dpi)
+    return buffer.getvalue()
+
+
+# --- long records ----------------------------------------------------------------------------
+
+
+def envelope(time: np.ndarray, value: np.ndarray, span: tuple[float, float], bins: int = BINS) -> tuple:
+    """A line (time, value) of at most about 2 `bins` points that shows every extreme of a longer one.
+
+    time: [s] (T,) increasing. value: (T,) NaN where there is none. span: [s] what the axis shows.
+    Gaps of more than three steps, and wider than what a bin shows, break the line (NaN).
+    """
+    inside = np.isfinite(value) & (time >= span[0]) & (time <= span[1])
+    x, y = time[inside], value[inside]
+    if len(x) == 0:
+        return x, y
+    step = float(np.median(np.diff(x))) if len(x) > 1 else 0.0
+    if len(x) > 2 * bins:
+        starts, place = _bins(x, span, bins)
+        low, high = np.minimum.reduceat(y, starts), np.maximum.reduceat(y, starts)
+        ends = np.append(starts[1:], len(y)) - 1
+        rising = y[ends] >= y[starts]
+        width = (span[1] - span[0]) / bins
+        x = np.column_stack([place - 0.25 * width, place + 0.25 * width]).ravel()
+        y = np.column_stack([np.where(rising, low, high), np.where(rising, high, low)]).ravel()
+        step = max(step, width / 1.2)
+    return _broken(x, 3.0 * step, y)
+
+
+def band(
+    time: np.ndarray, low: np.ndarray, high: np.ndarray, span: tuple[float, float], bins: int = BINS
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Lower and upper edge (time, low, high) of a band, thinned as in `envelope`."""
+    inside = np.isfinite(low) & np.isfinite(high) & (time >= span[0]) & (time <= span[1])
+    x, below, above = time[inside], low[inside], high[inside]
+    if len(x) == 0:
+        return x, below, above
+    step = float(np.median(np.diff(x))) if len(x) > 1 else 0.0
+    if len(x) > bins:
+        starts, x = _bins(x, span, bins)
+        below, above = np.minimum.reduceat(below, starts), np.maximum.reduceat(above, starts)
+        step = max(step, (span[1] - span[0]) / bins)
+    return _broken(x, 3.0 * step, below, above)
+
+
+def _bins(x: np.ndarray, span: tuple[float, float], bins: int) -> tuple[np.ndarray, np.ndarray]:
+    width = (span[1] - span[0]) / bins
+    number = np.minimum((x - span[0]) // width, bins - 1)
+    starts = np.flatnonzero(np.append(True, np.diff(number) > 0))
+    return starts, span[0] + (number[starts] + 0.5) * width
+
+
+def _broken(x: np.ndarray, limit: float, *values: np.ndarray) -> tuple:
+    breaks = np.flatnonzero(np.diff(x) > max(limit, 1e-9)) + 1
+    if limit <= 0:
+        breaks = breaks[:0]
+    middle = 0.5 * (x[breaks - 1] + x[breaks])
+    return (np.insert(x, breaks, middle), *(np.insert(v, breaks, np.nan) for v in values))
+
+
+def stretches(time: np.ndarray, flag: np.ndarray, least: float = 0.0) -> list[tuple[float, float]]:
+    """Spans (start, end) of `time` over which `flag` (T,) holds; pauses shorter than `least` are closed."""
+    flag = np.asarray(flag, dtype=bool)
+    if not flag.any():
+        return []
+    edges = np.diff(np.concatenate([[0], flag.astype(int), [0]]))
+    starts, ends = time[np.flatnonzero(edges == 1)], time[np.flatnonzero(edges == -1) - 1]
+    joined = [[float(starts[0]), float(ends[0])]]
+    for start, end in zip(starts[1:], ends[1:], strict=True):
+        if start - joined[-1][1] < least:
+            joined[-1][1] = float(end)
+        else:
+            joined.append([float(start), float(end)])
+    return [(start, end) for start, end in joined]
+
+
+# --- axes ------------------------------------------------------------------------------------
+
+
+def days(time_s: np.ndarray | float) -> np.ndarray | float:
+    """Seconds since 1970-01-01T00:00Z as days, what matplotlib's calendar axes count in."""
+    return np.asarray(time_s, dtype=float) / DAY_S
+
+
+def calendar(axes: Axes, span: tuple[float, float], ticks: int = 9, labels: bool = True) -> None:
+    """A calendar axis in UTC over `span` [s]."""
+    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
+
+    low, high = span
+    if not high > low:
+        low, high = low - 1800.0, high + 1800.0
+    axes.set_xlim(days(low), days(high))
+    locator = AutoDateLocator(minticks=3, maxticks=ticks)
+    axes.xaxis.set_major_locator(locator)
+    if labels:
+        axes.xaxis.set_major_formatter(ConciseDateFormatter(locator, show_offset=False))
+    else:
+        axes.tick_params(labelbottom=False)
+
+
+def logarithmic(axes: Axes, which: str, ticks: int = 6) -> None:
+    """A logarithmic axis ("x" or "y") with plain numbers at 1, 2, 5."""
+    from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter, NullLocator
+
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    (axes.set_xscale if which == "x" else axes.set_yscale)("log")
+    low, high = axes.get_xlim() if which == "x" else axes.get_ylim()
+    decades = math.log10(high / low)
+    axis.set_major_locator(LogLocator(base=10.0, subs=(1.0, 2.0, 5.0) if decades < 2.2 else (1.0,), numticks=ticks + 4))
+    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+    axis.set_minor_locator(NullLocator())
+    axis.set_minor_formatter(NullFormatter())
+
+
+def key(axes: Axes, handles: list, columns: int | None = None, anchor: tuple[float, float] = (0.0, 1.02)) -> None:
+    """A key above the axes, flush left, in one line."""
+    axes.legend(handles=handles, loc="lower left", bbox_to_anchor=anchor, ncols=columns or len(handles))
+
+
+def empty(axes: Axes, sentence: str) -> None:
+    """Axes that say in one sentence why they are empty."""
+    import textwrap
+
+    axes.set_axis_off()
+    axes.text(
+        0.5, 0.5, "\n".join(textwrap.wrap(sentence, 34)), ha="center", va="center", color=QUIET, transform=axes.transAxes
+    )

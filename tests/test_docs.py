@@ -1,0 +1,219 @@
+"""The pages say what is true: their code runs, their links resolve, their tables and pictures are there."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md")])
+RUNNER = """
+import subprocess, sys
+from pathlib import Path
+
+page, languages = Path(sys.argv[1]), sys.argv[2].split(",")
+
+def bash(text):
+    command = f'hygrokf() {{ "{sys.executable}" -m hygrokf.cli "$@"; }}\\n' + text
+    subprocess.run(["bash", "-euo", "pipefail", "-c", command], check=True)
+
+lines, block, language = [], [], None
+for line in page.read_text(encoding="utf-8").split("\\n"):
+    kept = ""  # other lines become empty ones, so that a traceback names lines of the page
+    if line.startswith("```"):
+        if language == "bash" and "bash" in languages:
+            kept = f"bash({chr(10).join(block)!r})"
+        language, block = (line[3:].strip() or "text", []) if language is None else (None, [])
+    elif language == "python" and "python" in languages:
+        kept = line
+    elif language is not None:
+        block.append(line)
+    lines.append(kept)
+exec(compile("\\n".join(lines), str(page), "exec"), {"__name__": "__main__", "bash": bash})
+"""
+
+
+def run_page(page: Path, directory: Path, languages: str) -> subprocess.CompletedProcess[str]:
+    """Blocks of a page in their order, as one program in an empty directory; warnings are errors."""
+    environment = {
+        **os.environ,
+        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep),
+        "PYTHONWARNINGS": "error",
+        "PYTHONIOENCODING": "utf-8",
+        "MPLBACKEND": "Agg",
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+    }
+    return subprocess.run(
+        [sys.executable, "-c", RUNNER, str(page), languages],
+        cwd=directory, env=environment, capture_output=True, text=True, encoding="utf-8", timeout=600,
+    )  # fmt: skip
+
+
+def prose(text: str) -> str:
+    """A page without its code blocks and inline code."""
+    return re.sub(r"`[^`\n]*`", "", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE))
+
+
+def anchors(text: str) -> set[str]:
+    """Anchors that GitHub makes of a page's headings."""
+    heads = re.findall(
+        r"^#+ (.*)$", re.sub(r"^```.*?^```", "", text, flags=re.DOTALL | re.MULTILINE), re.MULTILINE
+    )
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+
+
+def broken_links(page: Path, text: str) -> list[str]:
+    """Relative links of a page that lead nowhere."""
+    broken = []
+    for target in re.findall(r"\]\(([^)\s]+)\)", prose(text)):
+        if re.match(r"[a-z]+:", target):
+            continue
+        name, _, anchor = target.partition("#")
+        file = (page.parent / name).resolve() if name else page
+        if not file.exists():
+            broken.append(target)
+        elif anchor and file.suffix == ".md":
+            there = text if file == page else file.read_text(encoding="utf-8")
+            if anchor not in anchors(there):
+                broken.append(target)
+    return broken
+
+
+@pytest.mark.parametrize(
+    ("page", "languages", "made"),
+    [
+        (ROOT / "README.md", "python", ["turbine/case.toml"]),
+        (
+            DOCS / "tutorial.md",
+            "python,bash",
+            ["result/report.html", "simulated.csv", "step.png", "bode.png"],
+        ),
+        (DOCS / "add_a_mechanism.md", "python,bash", ["turbine/case.toml"]),
+    ],
+    ids=lambda value: value.name if isinstance(value, Path) else "",
+)
+def test_the_code_of_a_page_runs(page: Path, languages: str, made: list[str], tmp_path: Path) -> None:
+    done = run_page(page, tmp_path, languages)
+    assert done.returncode == 0, f"{page.name}\n{done.stdout[-2000:]}\n{done.stderr[-4000:]}"
+    assert [name for name in made if not (tmp_path / name).is_file()] == []
+
+
+def test_a_failing_block_fails_and_names_its_line(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(
+        "# A page\n\n```python\na = 1\n```\n\n```bash\ntrue\n```\n\n```python\nassert a == 2\n```\n"
+    )
+    done = run_page(page, tmp_path, "python,bash")
+    assert done.returncode != 0 and "page.md" in done.stderr and "line 12" in done.stderr
+    page.write_text("```bash\nfalse\ntrue\n```\n")
+    assert run_page(page, tmp_path, "python,bash").returncode != 0
+    assert run_page(page, tmp_path, "python").returncode == 0
+
+
+def test_readme_opens_with_the_two_commands_and_a_tour_of_ten_lines() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    blocks = re.findall(r"^```(\w+)\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE)
+    assert [language for language, _ in blocks[:2]] == ["bash", "python"]
+    assert [line.split()[0] for line in blocks[0][1].splitlines()] == ["scripts/demo", "scripts/test"]
+    assert all((ROOT / name).is_file() for name in ("scripts/demo", "scripts/test"))
+    assert len([line for line in blocks[1][1].splitlines() if line.strip()]) == 10
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: str(page.relative_to(ROOT)))
+def test_every_relative_link_resolves(page: Path) -> None:
+    assert broken_links(page, page.read_text(encoding="utf-8")) == []
+
+
+def test_a_broken_link_is_found(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    text = (
+        "# One head\n[a](page.md) [b](none.md) [c](#one-head) [d](#two) [e](https://x.org) `[f](code.md)`\n"
+    )
+    page.write_text(text)
+    assert broken_links(page, text) == ["none.md", "#two"]
+
+
+def test_every_page_is_linked_from_the_readme_or_the_index() -> None:
+    linked = set()
+    for page in (ROOT / "README.md", DOCS / "index.md"):
+        for target in re.findall(r"\]\(([^)\s#]+)", prose(page.read_text(encoding="utf-8"))):
+            linked.add((page.parent / target).resolve())
+    assert [str(page.relative_to(ROOT)) for page in DOCS.rglob("*.md") if page.resolve() not in linked] == []
+
+
+def test_pictures_are_small_and_shown() -> None:
+    shown = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    pictures = sorted((DOCS / "pictures").glob("*.png"))
+    assert pictures
+    for picture in pictures:
+        assert picture.stat().st_size <= 150_000, picture.name
+        assert f"pictures/{picture.name})" in shown, f"{picture.name} is on no page"
+
+
+def test_every_table_of_the_pictures_script_is_filled() -> None:
+    script = (ROOT / "scripts" / "pictures").read_text(encoding="utf-8")
+    made = set(re.findall(r'write_table\("([\w.]+)", "([\w ]+)"', script))
+    found = set()
+    for page in DOCS.glob("*.md"):
+        for name, body in re.findall(
+            r"<!-- made by scripts/pictures: ([\w ]+) -->(.*?)<!-- end -->",
+            page.read_text(encoding="utf-8"),
+            re.DOTALL,
+        ):
+            assert re.search(r"^\| --- ", body, re.MULTILINE) and body.count("\n| ") >= 3, (
+                f"{page.name}: {name} is empty"
+            )
+            found.add((page.name, name))
+    assert found == made
+
+
+def test_the_floor_plan_is_the_house() -> None:
+    """Every module stands once in the picture, and what it imports stands below it."""
+    text = (DOCS / "house.md").read_text(encoding="utf-8")
+    plan = re.search(r"^```text\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
+    assert plan is not None
+    rows = [line.split() for line in plan[1].splitlines()]
+    floor = {name: len(rows) - i for i, row in enumerate(rows) for name in row}
+    assert len(floor) == sum(map(len, rows))
+    package = ROOT / "hygrokf"
+    modules = {f.stem for f in package.glob("*.py")} - {"__init__"}
+    modules |= {f.parent.name for f in package.glob("*/__init__.py")}
+    assert set(floor) == modules
+    faults = []
+    for file in package.rglob("*.py"):
+        own = file.relative_to(package).parts[0].removesuffix(".py")
+        if own == "__init__":
+            continue
+        for name in sorted(imported(file)):
+            if name != own and floor[name] >= floor[own]:
+                faults.append(f"{own} imports {name}")
+    assert faults == []
+
+
+def imported(file: Path) -> set[str]:
+    """Modules of the package that a file imports, wherever the import stands; those for type hints alone left out."""
+    tree = ast.parse(file.read_text(encoding="utf-8"))
+    hints = {
+        id(inner)
+        for node in ast.walk(tree)
+        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
+        for inner in ast.walk(node)
+    }
+    found = set()
+    for node in ast.walk(tree):
+        if (
+            isinstance(node, ast.ImportFrom)
+            and id(node) not in hints
+            and (node.module or "").startswith("hygrokf")
+        ):
+            parts = (node.module or "").split(".")
+            found |= {parts[1]} if len(parts) > 1 else {alias.name for alias in node.names}
+    return found
