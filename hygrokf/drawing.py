@@ -97,7 +97,9 @@ def styled() -> Iterator[None]:
     """Everything drawn inside looks alike; matplotlib's own settings are as before afterwards."""
     import matplotlib
 
-    plain = {name: value for name, value in matplotlib.rcParamsDefault.items() if not name.startswith("backend")}
+    plain = {
+        name: value for name, value in matplotlib.rcParamsDefault.items() if not name.startswith("backend")
+    }
     with matplotlib.rc_context({**plain, **_STYLE}):
         yield
 
@@ -116,12 +118,18 @@ def svg(figure: Figure, name: str) -> str:
 
         matplotlib.rcParams["svg.hashsalt"] = name
         buffer = io.StringIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+        figure.savefig(
+            buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None}
+        )
     text = buffer.getvalue()
-    text = re.sub(r"<\?xml.*?\?>\s*|<!DOCTYPE.*?>\s*|<metadata>.*?</metadata>\s*|<!--.*?-->\s*", "", text, flags=re.S)
+    text = re.sub(
+        r"<\?xml.*?\?>\s*|<!DOCTYPE.*?>\s*|<metadata>.*?</metadata>\s*|<!--.*?-->\s*", "", text, flags=re.S
+    )
     text = re.sub(r'(\b(?:d|x|y|points|x1|y1|x2|y2|width|height)=")([^"]*)"', _rounded, text)
-    text = re.sub(r"'DejaVu Sans'(?:, [^;\"]*)?", FONTS, text)
-    text = re.sub(r' id="(?!' + re.escape(name) + r'-)', f' id="{name}-', text)
+    text = re.sub(r" font-family: [^;\"]*;", "", text)
+    text = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>\s*", "", text, flags=re.S)
+    text = text.replace("<svg ", f'<svg font-family="{FONTS}" stroke-linejoin="round" ', 1)
+    text = re.sub(r' id="(?!' + re.escape(name) + r"-)", f' id="{name}-', text)
     text = text.replace('href="#', f'href="#{name}-').replace("url(#", f"url(#{name}-")
     return re.sub(r"\n\s*", "\n", text)
 
@@ -140,7 +148,8 @@ def inline_svg(figure: Figure, name: str, title: str) -> str:
     end = text.index(">", head)
     box = re.search(r'viewBox="[^"]*"', text[head:end])
     label = escape(title, quote=True)
-    return f'<svg {box.group(0) if box else ""} role="img" aria-label="{label}">{text[end + 1 :]}'
+    kept = f'{box.group(0) if box else ""} font-family="{FONTS}" stroke-linejoin="round"'
+    return f'<svg {kept} role="img" aria-label="{label}">{text[end + 1 :]}'
 
 
 def png(figure: Figure, dpi: int = 150) -> bytes:
@@ -256,13 +265,17 @@ def logarithmic(axes: Axes, which: str, ticks: int = 6) -> None:
     (axes.set_xscale if which == "x" else axes.set_yscale)("log")
     low, high = axes.get_xlim() if which == "x" else axes.get_ylim()
     decades = math.log10(high / low)
-    axis.set_major_locator(LogLocator(base=10.0, subs=(1.0, 2.0, 5.0) if decades < 2.2 else (1.0,), numticks=ticks + 4))
+    axis.set_major_locator(
+        LogLocator(base=10.0, subs=(1.0, 2.0, 5.0) if decades < 2.2 else (1.0,), numticks=ticks + 4)
+    )
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
     axis.set_minor_formatter(NullFormatter())
 
 
-def key(axes: Axes, handles: list, columns: int | None = None, anchor: tuple[float, float] = (0.0, 1.02)) -> None:
+def key(
+    axes: Axes, handles: list, columns: int | None = None, anchor: tuple[float, float] = (0.0, 1.02)
+) -> None:
     """A key above the axes, flush left, in one line."""
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=anchor, ncols=columns or len(handles))
 
@@ -273,5 +286,11 @@ def empty(axes: Axes, sentence: str) -> None:
 
     axes.set_axis_off()
     axes.text(
-        0.5, 0.5, "\n".join(textwrap.wrap(sentence, 34)), ha="center", va="center", color=QUIET, transform=axes.transAxes
+        0.5,
+        0.5,
+        "\n".join(textwrap.wrap(sentence, 34)),
+        ha="center",
+        va="center",
+        color=QUIET,
+        transform=axes.transAxes,
     )

@@ -63,9 +63,10 @@ class Fit:
     series: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @cached_property
-    def standard_errors(self) -> dict[str, float]:
-        found = self.results["parameters"]
-        return {name: row["se"] for name, row in found.items() if row["se"] is not None}
+    def covariance(self) -> tuple[tuple[str, ...], np.ndarray]:
+        """Names and covariance (r, r) of the parameters that have one, in their own units."""
+        found = self.results["covariance"]
+        return tuple(found["names"]), np.array(found["matrix"], dtype=float).reshape(len(found["names"]), -1)
 
     def to_json(self) -> dict:
         return dict(self.results)
@@ -470,7 +471,8 @@ def _assemble(
         for p in stage.estimate_.coordinates.free
     }
     made = run(whole, record)
-    predicted = free_run(whole, values, made, errors)
+    spread = _covariance(stages, simulated if criterion == "simulation" else {}, values)
+    predicted = free_run(whole, values, made, spread)
     thermal = next((e for stage in stages if (e := _thermal_entry(stage, simulated))), None)
     moist = next((e for stage in stages if (e := _hygric_entry(stage, simulated))), None)
     if criterion == "simulation":
@@ -500,6 +502,7 @@ def _assemble(
         "parameters": {
             name: row for stage in stages for name, row in _parameters(stage, values, errors).items()
         },
+        "covariance": {"names": list(spread[0]), "matrix": spread[1].tolist()},
         "time_constants": {"thermal": thermal, "hygric": moist},
         "loglik": loglik,
         "aic": 2.0 * d - 2.0 * loglik,
@@ -568,6 +571,35 @@ def _remarks(stage: _Stage) -> list[str]:
     if not estimate.converged:
         lines.append(estimate.message)
     return lines
+
+
+def _covariance(
+    stages: list[_Stage], simulated: Mapping[str, OutputError], values: Mapping[str, float]
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """Covariance of all estimated parameters in their units: the sandwich of every stage, or of the output error."""
+    blocks: list[tuple[tuple[str, ...], np.ndarray]] = []
+    for stage in stages:
+        slopes = {p.name: p.slope(values[p.name]) for p in stage.base.model.parameters}
+        taken = {name for found in simulated.values() for name in found.names}
+        names = tuple(n for n in stage.uncertainty_.names if n not in taken)
+        place = [stage.uncertainty_.place(n) for n in names]
+        scale = np.array([slopes[n] for n in names])
+        # the wider of the two pictures on the diagonal, the sandwich's correlations
+        matrix = stage.uncertainty_.sandwich[np.ix_(place, place)]
+        wald = np.diag(stage.uncertainty_.wald)[place]
+        grow = np.sqrt(np.maximum(1.0, wald / np.maximum(np.diag(matrix), 1e-300)))
+        blocks.append((names, matrix * np.outer(grow * scale, grow * scale)))
+        for found in simulated.values():
+            if set(found.names) <= set(slopes):
+                scale = np.array([slopes[n] for n in found.names])
+                blocks.append((found.names, found.covariance * np.outer(scale, scale)))
+    names = tuple(n for part, _ in blocks for n in part)
+    result = np.zeros((len(names), len(names)))
+    first = 0
+    for part, matrix in blocks:
+        result[first : first + len(part), first : first + len(part)] = matrix
+        first += len(part)
+    return names, result
 
 
 def _rows(

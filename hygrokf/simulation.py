@@ -5,7 +5,7 @@ Shapes: T instants, n states, k outputs, d parameters.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -151,31 +151,60 @@ def _noise(design: Design, trace: Trace, run: Run) -> float:
 
 
 def free_run(
-    design: Design, values: Mapping[str, float], run: Run, parameter_spread: Mapping[str, float] | None = None
+    design: Design,
+    values: Mapping[str, float],
+    run: Run,
+    covariance: tuple[Sequence[str], np.ndarray] | None = None,
 ) -> Prediction:
     """The model driven by its inputs alone, from the start of the run to its end, with the predictive spread.
 
-    `parameter_spread` adds each parameter's standard error [its unit], to first order and taken one by one.
+    `covariance` (names, (r, r) in the parameters' units) adds the parameters' uncertainty to first order.
     """
     blind = run.timeline.with_readings(np.full_like(run.timeline.y, np.nan))
     likelihood = Likelihood(design.model, blind)
     made = predicted_readings(design, run, likelihood.trace(values))
-    for name, se in (parameter_spread or {}).items():
-        if not (np.isfinite(se) and se > 0):
-            continue
-        moved = predicted_readings(design, run, likelihood.trace({**values, name: values[name] + 0.1 * se}))
-        made = Prediction(*(_wider(a, b) for a, b in zip(_parts(made), _parts(moved), strict=True)))
-    return made
+    if covariance is None:
+        return made
+    names, matrix = covariance
+    place = {p.name: i for i, p in enumerate(design.model.parameters)}
+    directions = np.zeros((len(place), len(names)))
+    directions[[place[name] for name in names], np.arange(len(names))] = 1.0
+    # with readings of zero the free run's residuals are minus the predictions, at every instant
+    zero = Likelihood(design.model, run.timeline.with_readings(np.zeros_like(run.timeline.y)))
+    _, slopes = zero.residuals(values, directions)
+    rows = {name: -slopes[:, j] for j, name in enumerate(design.model.outputs)}
+    warm = rows.get("cabinet_temperature")
+    moist = rows.get("cabinet_relative_humidity")
+    vapour = rows.get("cabinet_absolute_humidity")
+    if made.absolute_humidity is not None and moist is not None:
+        humidity, kelvin = made.relative_humidity[0], _temperature(made, run)
+        vapour = (made.absolute_humidity[0] / humidity)[:, None] * moist
+        if warm is not None:
+            vapour = vapour + 1e3 * absolute_humidity_slope_temperature(humidity, kelvin)[:, None] * warm
+    return Prediction(
+        *(
+            _wider(pair, jacobian, matrix)
+            for pair, jacobian in (
+                (made.temperature, warm),
+                (made.relative_humidity, moist),
+                (made.absolute_humidity, vapour),
+            )
+        )
+    )
 
 
-def _parts(p: Prediction) -> tuple:
-    return p.temperature, p.relative_humidity, p.absolute_humidity
+def _temperature(made: Prediction, run: Run) -> np.ndarray:
+    if made.temperature is not None:
+        return made.temperature[0]
+    return run.timeline.input("cabinet_temperature")
 
 
-def _wider(a: tuple | None, b: tuple | None) -> tuple | None:
-    if a is None or b is None:
-        return a
-    return a[0], np.hypot(a[1], 10.0 * (b[0] - a[0]))
+def _wider(pair: tuple | None, jacobian: np.ndarray | None, matrix: np.ndarray) -> tuple | None:
+    """A prediction with the variance J V J' of its parameters added."""
+    if pair is None or jacobian is None:
+        return pair
+    extra = np.einsum("ti,ti->t", jacobian @ matrix, jacobian)
+    return pair[0], np.sqrt(pair[1] ** 2 + np.maximum(extra, 0.0))
 
 
 def forecasts(

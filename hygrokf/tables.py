@@ -25,7 +25,7 @@ COLUMNS = {
 def simulated(fit: Fit, record: Record) -> tuple[Run, Prediction]:
     """The fitted model driven by a record's inputs alone."""
     made = run(fit.design, record)
-    return made, free_run(fit.design, fit.values, made, fit.standard_errors)
+    return made, free_run(fit.design, fit.values, made, fit.covariance)
 
 
 def simulation_csv(fit: Fit, record: Record) -> str:

@@ -152,7 +152,7 @@ def absolute(case: object) -> object:
         hygric_diffusion(),
         absolute_humidity_sensor(),
     ]
-    averaged = dict.fromkeys(["cabinet_absolute_humidity"] * len(case.model.averaged), 0.25)
+    averaged = {"cabinet_absolute_humidity": 0.25} if case.model.averaged else {}
     model = compose(mechanisms, case.model.holds, averaged)
     grams = 30.0 * case.readings["cabinet_relative_humidity"] - 5.0
     values = {n: v for n, v in case.values.items() if "relative" not in n} | {

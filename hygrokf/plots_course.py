@@ -1,0 +1,386 @@
+"""Figures of the record: whole series with band and error, excerpts, and the error over the point of operation."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hygrokf.drawing import (
+    AMBIENT,
+    BINS,
+    INK,
+    MEASURED,
+    QUIET,
+    SHADE,
+    SIMULATED,
+    NothingToShow,
+    band,
+    calendar,
+    days,
+    envelope,
+    key,
+    new_figure,
+    stretches,
+    styled,
+)
+from hygrokf.excerpts import choose_excerpts
+from hygrokf.lookup import array
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+KELVIN = 273.15
+LEVEL_SD = 1.959964
+TEMPERATURE = "temperature"
+HUMIDITY = "absolute_humidity"
+AXIS_LABEL = {TEMPERATURE: "temperature [°C]", HUMIDITY: "absolute humidity [g/m³]"}
+ERROR_LABEL = {TEMPERATURE: "sim. − meas. [K]", HUMIDITY: "sim. − meas. [g/m³]"}
+NARROW = 170
+"""Stretches of time over the width of an excerpt."""
+AMBIENT_SERIES = {TEMPERATURE: "ambient_temperature", HUMIDITY: "ambient_absolute_humidity"}
+
+
+# --- the record ------------------------------------------------------------------------------
+
+
+class _Record:
+    """Both quantities of a record in the units of the figures [°C, g/m³], its span and its shaded stretches [s]."""
+
+    def __init__(self, series: Mapping[str, np.ndarray]) -> None:
+        self.time = np.atleast_1d(np.asarray(series.get("time_s", np.empty(0)), dtype=float))
+        self.series = series
+        if len(self.time) == 0 or not np.isfinite(self.time).all():
+            raise NothingToShow("series.npz holds no instants, so there is nothing to draw over time.")
+        self.span = (float(self.time[0]), float(self.time[-1]))
+        self.until = float(np.asarray(series.get("until_s", math.nan), dtype=float).ravel()[0])
+        self.scored = array(series, "scored") != 0
+        self.power = array(series, "power")
+        self.operating = array(series, "operating") > 0
+        self.preheating = np.nan_to_num(array(series, "preheating"))
+
+    @property
+    def has_power(self) -> bool:
+        return bool(np.isfinite(self.power).any() and (self.operating.any() or np.nanmax(self.power) > 0))
+
+    @property
+    def validation(self) -> bool:
+        return math.isfinite(self.until) and self.until < self.span[1]
+
+    def quantity(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+        """Measured, simulated, its standard deviation, ambient (T,)."""
+        shift = KELVIN if name == TEMPERATURE else 0.0
+        measured, simulated = (
+            array(self.series, f"{name}_{kind}") - shift for kind in ("measured", "simulated")
+        )
+        return (
+            measured,
+            simulated,
+            array(self.series, f"{name}_sd"),
+            array(self.series, AMBIENT_SERIES[name]) - shift,
+        )
+
+    def known(self, name: str) -> bool:
+        measured, simulated, _, _ = self.quantity(name)
+        return bool(np.isfinite(measured).any() or np.isfinite(simulated).any())
+
+
+def figure_temperature(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
+    """Cabinet temperature over the whole record, error of the free run, relative power (Fig. 6 of the paper)."""
+    return _whole(_Record(series), TEMPERATURE, "The fit has no cabinet temperature to show.")
+
+
+def figure_humidity(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
+    """Absolute humidity over the whole record and error of the free run (Fig. 8 of the paper)."""
+    why = "There is no cabinet humidity: the record, or the model, lacks it."
+    return _whole(_Record(series), HUMIDITY, why)
+
+
+def _whole(record: _Record, name: str, why: str) -> Figure:
+    if not record.known(name):
+        raise NothingToShow(why)
+    power = name == TEMPERATURE and record.has_power
+    with styled():
+        figure = new_figure(4.3 if power else 3.5)
+        grid = figure.add_gridspec(
+            3 if power else 2, 1, height_ratios=(3.2, 1.1, 1.0) if power else (3.2, 1.1), hspace=0.14,
+            left=0.075, right=0.995, top=0.925, bottom=0.07 if power else 0.085,
+        )  # fmt: skip
+        main, error = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
+        _course(main, record, name, record.span)
+        main.set_ylabel(AXIS_LABEL[name])
+        key(main, _handles(record, name))
+        measured, simulated, _, _ = record.quantity(name)
+        difference = simulated - measured
+        error.axhline(0.0, color=QUIET, linewidth=0.6)
+        _line(error, record, difference, SIMULATED, 0.6)
+        error.set_ylabel(ERROR_LABEL[name])
+        every = [main, error]
+        if power:
+            low = figure.add_subplot(grid[2])
+            _power(low, record, record.span)
+            every.append(low)
+        for axes in every:
+            calendar(axes, record.span, 12, labels=axes is every[-1])
+            _shade(axes, record, record.span)
+        figure.align_ylabels(every)
+        _mark_validation(main, record)
+        every[-1].set_xlabel("UTC", loc="right", labelpad=-2)
+    return figure
+
+
+def _course(
+    axes: Axes, record: _Record, name: str, span: tuple[float, float], width: float = 0.8, bins: int = BINS
+) -> None:
+    """Ambient, measured, simulated with its 95 % band."""
+    measured, simulated, sd, ambient = record.quantity(name)
+    t, below, above = band(record.time, simulated - LEVEL_SD * sd, simulated + LEVEL_SD * sd, span, bins)
+    axes.fill_between(days(t), below, above, color=SIMULATED, alpha=0.17, linewidth=0)
+    for value, colour in ((ambient, AMBIENT), (measured, MEASURED), (simulated, SIMULATED)):
+        t, v = envelope(record.time, value, span, bins)
+        single = np.isfinite(v).sum() == 1
+        axes.plot(days(t), v, color=colour, linewidth=width, marker="o" if single else None, markersize=3)
+    _robust_limits(axes, [measured, simulated, ambient], record, span)
+
+
+def _robust_limits(axes: Axes, values: list[np.ndarray], record: _Record, span: tuple[float, float]) -> None:
+    """Limits that show every reading, but not every excess of the band."""
+    inside = (record.time >= span[0]) & (record.time <= span[1])
+    there = [v[inside & np.isfinite(v)] for v in values]
+    there = [v for v in there if len(v)]
+    if there:
+        low, high = min(float(v.min()) for v in there), max(float(v.max()) for v in there)
+        margin = 0.07 * (high - low) or 1.0
+        axes.set_ylim(low - margin, high + margin)
+
+
+def _line(axes: Axes, record: _Record, value: np.ndarray, colour: str, width: float) -> None:
+    t, v = envelope(record.time, value, record.span)
+    axes.plot(
+        days(t),
+        v,
+        color=colour,
+        linewidth=width,
+        marker="o" if np.isfinite(v).sum() == 1 else None,
+        markersize=3,
+    )
+
+
+def _power(axes: Axes, record: _Record, span: tuple[float, float], bins: int = BINS) -> None:
+    from matplotlib.lines import Line2D
+
+    t, v = envelope(record.time, record.power, span, bins)
+    axes.plot(days(t), v, color=INK, linewidth=0.5)
+    axes.fill_between(days(t), 0.0, v, color=INK, alpha=0.12)
+    axes.set_ylim(-0.05, 1.08)
+    axes.set_ylabel("power / rated")
+    for start, end in stretches(record.time, record.preheating > 0, least=1800.0):
+        if end >= span[0] and start <= span[1]:
+            axes.add_line(
+                Line2D(
+                    [days(start), days(end)],
+                    [1.03, 1.03],
+                    color=SIMULATED,
+                    linewidth=3.0,
+                    solid_capstyle="butt",
+                )
+            )
+
+
+def _shade(axes: Axes, record: _Record, span: tuple[float, float]) -> None:
+    if record.validation:
+        axes.axvspan(days(max(record.until, span[0])), days(span[1]), color=SHADE, zorder=0, linewidth=0)
+    least = (span[1] - span[0]) / 300.0
+    for start, end in stretches(record.time, ~record.scored, least):
+        if end >= span[0] and start <= span[1]:
+            axes.axvspan(
+                days(max(start, span[0])), days(min(end, span[1])), facecolor="none", edgecolor="#9aa4b1",
+                hatch="////", linewidth=0.0, zorder=0.5,
+            )  # fmt: skip
+
+
+def _handles(record: _Record, name: str, period: bool = True) -> list:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    measured, simulated, sd, ambient = record.quantity(name)
+    handles: list = []
+    for value, colour, label in (
+        (measured, MEASURED, "measured"),
+        (simulated, SIMULATED, "simulated"),
+        (ambient, AMBIENT, "ambient"),
+    ):
+        if np.isfinite(value).any():
+            handles.append(Line2D([], [], color=colour, linewidth=1.6, label=label))
+    if np.isfinite(sd).any():
+        handles.insert(-1, Patch(facecolor=SIMULATED, alpha=0.17, label="95 % band"))
+    if not record.scored.all():
+        handles.append(
+            Patch(facecolor="white", edgecolor="#9aa4b1", hatch="//////", label="inputs unknown, not scored")
+        )
+    if period and record.preheating.any() and name == TEMPERATURE:
+        handles.append(Line2D([], [], color=SIMULATED, linewidth=3.0, label="pre-heating (above the power)"))
+    return handles
+
+
+def _mark_validation(axes: Axes, record: _Record) -> None:
+    if not record.validation:
+        return
+    place = max(record.until, record.span[0])
+    near_end = (record.span[1] - place) / max(record.span[1] - record.span[0], 1.0) < 0.12
+    axes.annotate(
+        "validation", (days(record.span[1] if near_end else place), 1.0), xycoords=("data", "axes fraction"),
+        xytext=(-3 if near_end else 3, -3), textcoords="offset points", ha="right" if near_end else "left", va="top",
+        color=QUIET, fontsize=7.0, fontstyle="italic",
+    )  # fmt: skip
+
+
+def figure_excerpts(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
+    """Up to three closer views (Fig. 7 of the paper) of both quantities and the power."""
+    record = _Record(series)
+    names = [name for name in (TEMPERATURE, HUMIDITY) if record.known(name)]
+    usable = {name: array(series, name) for name in _EXCERPT_SERIES} | {"time_s": record.time}
+    chosen = choose_excerpts(usable) if names else ()
+    if not chosen:
+        raise NothingToShow("The record is too short for excerpts.")
+    rows = len(names) + record.has_power
+    with styled():
+        figure = new_figure(0.75 + 1.55 * len(names) + 0.75 * record.has_power)
+        height = figure.get_size_inches()[1]
+        grid = figure.add_gridspec(
+            rows, len(chosen), height_ratios=[1.55] * len(names) + [0.7] * record.has_power, hspace=0.16, wspace=0.17,
+            left=0.072, right=0.995, top=1.0 - 0.52 / height, bottom=0.3 / height,
+        )  # fmt: skip
+        left: list[Axes] = []
+        for column, excerpt in enumerate(chosen):
+            span = (excerpt.start_s, excerpt.end_s)
+            for row in range(rows):
+                axes = figure.add_subplot(grid[row, column])
+                if row < len(names):
+                    _course(axes, record, names[row], span, 1.0, NARROW)
+                else:
+                    _power(axes, record, span, NARROW)
+                    axes.set_ylabel("")
+                calendar(axes, span, 7, labels=row == rows - 1)
+                _shade(axes, record, span)
+                if column == 0:
+                    axes.set_ylabel(AXIS_LABEL[names[row]] if row < len(names) else "power / rated")
+                    left.append(axes)
+                if row == 0:
+                    late = record.validation and span[0] >= record.until
+                    axes.set_title(f"({'abc'[column]}) {excerpt.reason}{' (validation)' if late else ''}")
+        figure.align_ylabels(left)
+        top = left[0]
+        key(top, _handles(record, names[0]), anchor=(0.0, 1.0 + 0.24 / (top.get_position().height * height)))
+    return figure
+
+
+_EXCERPT_SERIES = (
+    "temperature_measured", "temperature_simulated", "absolute_humidity_measured", "absolute_humidity_simulated",
+    "ambient_temperature", "power", "operating", "preheating", "scored",
+)  # fmt: skip
+
+
+# --- residuals -------------------------------------------------------------------------------
+
+
+def figure_residuals(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
+    """Error of the free run over power, ambient temperature and hour of the day: what the model still owes."""
+    record = _Record(series)
+    errors = {}
+    for name in (TEMPERATURE, HUMIDITY):
+        measured, simulated, _, _ = record.quantity(name)
+        value = np.where(record.scored, simulated - measured, np.nan)
+        if np.isfinite(value).sum() >= 30:
+            errors[name] = value
+    if not errors:
+        raise NothingToShow("Fewer than 30 readings can be compared with the free run.")
+    ambient = array(series, "ambient_temperature") - KELVIN
+    hour = (record.time / 3600.0) % 24.0
+    columns: list[tuple[str, np.ndarray, np.ndarray]] = []
+    if record.has_power:
+        columns.append(("power / rated [1]", np.where(record.operating, record.power, np.nan), _POWER_EDGES))
+    low, high = (
+        np.nanquantile(ambient, [0.005, 0.995]) if np.isfinite(ambient).any() else (math.nan, math.nan)
+    )
+    if math.isfinite(low) and high - low > 1.0:
+        columns.append(("ambient temperature [°C]", ambient, np.linspace(low, high, 11)))
+    columns.append(("hour of the day [UTC]", hour, np.arange(0.0, 25.0, 2.0)))
+    late = record.time > record.until if record.validation else np.zeros(len(record.time), bool)
+    with styled():
+        figure = new_figure(0.45 + 1.65 * len(errors))
+        height = figure.get_size_inches()[1]
+        grid = figure.add_gridspec(
+            len(errors), len(columns), hspace=0.14, wspace=0.12, left=0.072, right=0.995,
+            top=1.0 - 0.2 / height, bottom=0.36 / height,
+        )  # fmt: skip
+        left = []
+        for row, (name, error) in enumerate(errors.items()):
+            reach = float(np.nanquantile(np.abs(error), 0.97))
+            for column, (label, x, edges) in enumerate(columns):
+                axes = figure.add_subplot(grid[row, column])
+                axes.axhline(0.0, color=INK, linewidth=0.7)
+                if column == 0 and record.has_power:
+                    _box(axes, 0.0, error[~record.operating], 0.02, MEASURED)
+                for a, b in itertools.pairwise(edges):
+                    inside = (x >= a) & (x < b)
+                    _box(axes, 0.5 * (a + b), error[inside & ~late], 0.36 * (b - a), MEASURED)
+                    part = error[inside & late]
+                    part = part[np.isfinite(part)]
+                    if len(part) >= 10:
+                        axes.plot([0.5 * (a + b)], [np.median(part)], "D", color=SIMULATED, markersize=3.2)
+                axes.set_ylim(-reach, reach)
+                if row < len(errors) - 1:
+                    axes.tick_params(labelbottom=False)
+                else:
+                    axes.set_xlabel(label)
+                if column == 0:
+                    axes.set_ylabel(
+                        f"{'temperature' if name == TEMPERATURE else 'humidity'}: {ERROR_LABEL[name]}"
+                    )
+                    left.append(axes)
+                else:
+                    axes.tick_params(labelleft=False)
+                if label.startswith("hour"):
+                    axes.set_xticks(np.arange(0, 25, 6))
+                elif label.startswith("power"):
+                    axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["stop", "0.25", "0.5", "0.75", "1"])
+        figure.align_ylabels(left)
+        _residual_key(left[0], bool(late.any()))
+    return figure
+
+
+_POWER_EDGES = np.array([0.035, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.02])
+
+
+def _box(axes: Axes, x: float, values: np.ndarray, half: float, colour: str) -> None:
+    """Median, middle half and middle nine tenths of at least ten values."""
+    values = values[np.isfinite(values)]
+    if len(values) < 10:
+        return
+    least, low, middle, high, most = np.quantile(values, [0.05, 0.25, 0.5, 0.75, 0.95])
+    axes.plot([x, x], [least, most], color=colour, linewidth=0.7)
+    axes.fill_between([x - half, x + half], low, high, color=colour, alpha=0.25)
+    axes.plot([x - half, x + half], [middle, middle], color=colour, linewidth=1.6)
+
+
+def _residual_key(axes: Axes, validation: bool) -> None:
+    from matplotlib.lines import Line2D
+    from matplotlib.patches import Patch
+
+    handles = [
+        Line2D([], [], color=MEASURED, linewidth=1.6, label="median"),
+        Patch(facecolor=MEASURED, alpha=0.25, label="middle half"),
+        Line2D([], [], color=MEASURED, linewidth=0.7, label="middle 90 %"),
+    ]
+    if validation:
+        handles.append(
+            Line2D(
+                [], [], color=SIMULATED, marker="D", markersize=3.2, linewidth=0, label="median in validation"
+            )
+        )
+    key(axes, handles)
