@@ -31,7 +31,7 @@ _WHERE = {
     "Gaussian": "likelihood",
     "maximise": "fitting",
     "identify": "identification",
-    "Fit": "identification",
+    "Fit": "fit",
     "read_fit": "results",
     "write_fit": "results",
     "write_report": "report",
@@ -48,7 +48,7 @@ _WHERE = {
 if TYPE_CHECKING:
     from hygrokf.case import CaseFault as CaseFault
     from hygrokf.case import read_case as read_case
-    from hygrokf.identification import Fit as Fit
+    from hygrokf.fit import Fit as Fit
     from hygrokf.identification import identify as identify
 
 

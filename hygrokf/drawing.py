@@ -242,19 +242,52 @@ def days(time_s: np.ndarray | float) -> np.ndarray | float:
 
 
 def calendar(axes: Axes, span: tuple[float, float], ticks: int = 9, labels: bool = True) -> None:
-    """A calendar axis in UTC over `span` [s]."""
-    from matplotlib.dates import AutoDateLocator, ConciseDateFormatter
-
+    """A calendar axis in UTC over `span` [s] with at most `ticks` ticks; the first one names year or month."""
     low, high = span
     if not high > low:
         low, high = low - 1800.0, high + 1800.0
     axes.set_xlim(days(low), days(high))
-    locator = AutoDateLocator(minticks=3, maxticks=ticks)
-    axes.xaxis.set_major_locator(locator)
-    if labels:
-        axes.xaxis.set_major_formatter(ConciseDateFormatter(locator, show_offset=False))
-    else:
+    at, words = calendar_ticks(low, high, ticks)
+    axes.set_xticks(days(at), words if labels else [""] * len(at))
+    if not labels:
         axes.tick_params(labelbottom=False)
+
+
+_STEPS = (
+    *((hours, "h") for hours in (1, 2, 3, 6, 12)),
+    *((number, "D") for number in (1, 2, 7, 14)),
+    *((number, "M") for number in (1, 2, 3, 6, 12, 24, 60, 120)),
+)
+
+
+def calendar_ticks(low: float, high: float, ticks: int) -> tuple[np.ndarray, list[str]]:
+    """Round instants [s] between `low` and `high` [s], at most `ticks`, and what to write there (UTC)."""
+    first, last = (np.datetime64(math.floor(v), "s") for v in (low, high))
+    at, unit = np.array([first]), "s"
+    for step, unit in (
+        _STEPS if high - low > 7200.0 else ((max(1, math.ceil((high - low) / 60.0 / ticks)), "m"),)
+    ):
+        # whole multiples since 1970 fall on midnights and on Januaries; weeks begin on Mondays
+        start = first.astype(f"datetime64[{unit}]").astype(int)
+        shift = 4 if (step, unit) in ((7, "D"), (14, "D")) else 0
+        start = (start - shift) // step * step + shift
+        every = np.arange(start, last.astype(f"datetime64[{unit}]").astype(int) + step + 1, step)
+        at = every.astype(f"datetime64[{unit}]").astype("datetime64[s]")
+        at = at[(at >= first) & (at <= last)]
+        if len(at) <= ticks:
+            break
+    moments = [one.item() for one in at]
+    words, before = [], None
+    for one in moments:
+        coarse, fine = {
+            "m": (f"{one.day} {one:%b %Y}", f"{one:%H:%M}"),
+            "h": (f"{one.day} {one:%b %Y}", f"{one:%H:%M}"),
+            "D": (f"{one:%b %Y}", f"{one.day}"),
+            "M": (f"{one:%Y}", f"{one:%b}"),
+        }.get(unit, ("", ""))
+        words.append(fine if coarse == before else f"{fine}\n{coarse}" + (" UTC" if before is None else ""))
+        before = coarse
+    return at.astype(float), words
 
 
 def logarithmic(axes: Axes, which: str, ticks: int = 6) -> None:

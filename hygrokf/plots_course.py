@@ -39,7 +39,7 @@ LEVEL_SD = 1.959964
 TEMPERATURE = "temperature"
 HUMIDITY = "absolute_humidity"
 AXIS_LABEL = {TEMPERATURE: "temperature [°C]", HUMIDITY: "absolute humidity [g/m³]"}
-ERROR_LABEL = {TEMPERATURE: "sim. − meas. [K]", HUMIDITY: "sim. − meas. [g/m³]"}
+ERROR_LABEL = {TEMPERATURE: "error [K]", HUMIDITY: "error [g/m³]"}
 NARROW = 170
 """Stretches of time over the width of an excerpt."""
 AMBIENT_SERIES = {TEMPERATURE: "ambient_temperature", HUMIDITY: "ambient_absolute_humidity"}
@@ -129,7 +129,6 @@ def _whole(record: _Record, name: str, why: str) -> Figure:
             _shade(axes, record, record.span)
         figure.align_ylabels(every)
         _mark_validation(main, record)
-        every[-1].set_xlabel("UTC", loc="right", labelpad=-2)
     return figure
 
 
@@ -140,10 +139,16 @@ def _course(
     measured, simulated, sd, ambient = record.quantity(name)
     t, below, above = band(record.time, simulated - LEVEL_SD * sd, simulated + LEVEL_SD * sd, span, bins)
     axes.fill_between(days(t), below, above, color=SIMULATED, alpha=0.17, linewidth=0)
-    for value, colour in ((ambient, AMBIENT), (measured, MEASURED), (simulated, SIMULATED)):
+    for value, colour, thick in (
+        (ambient, AMBIENT, 1.0),
+        (measured, MEASURED, 1.25),
+        (simulated, SIMULATED, 0.8),
+    ):
         t, v = envelope(record.time, value, span, bins)
         single = np.isfinite(v).sum() == 1
-        axes.plot(days(t), v, color=colour, linewidth=width, marker="o" if single else None, markersize=3)
+        axes.plot(
+            days(t), v, color=colour, linewidth=thick * width, marker="o" if single else None, markersize=3
+        )
     _robust_limits(axes, [measured, simulated, ambient], record, span)
 
 
@@ -176,19 +181,29 @@ def _power(axes: Axes, record: _Record, span: tuple[float, float], bins: int = B
     t, v = envelope(record.time, record.power, span, bins)
     axes.plot(days(t), v, color=INK, linewidth=0.5)
     axes.fill_between(days(t), 0.0, v, color=INK, alpha=0.12)
-    axes.set_ylim(-0.05, 1.08)
+    axes.set_ylim(-0.05, 1.14)
     axes.set_ylabel("power / rated")
+    least = 0.004 * (span[1] - span[0])
+    named = False
     for start, end in stretches(record.time, record.preheating > 0, least=1800.0):
-        if end >= span[0] and start <= span[1]:
-            axes.add_line(
-                Line2D(
-                    [days(start), days(end)],
-                    [1.03, 1.03],
-                    color=SIMULATED,
-                    linewidth=3.0,
-                    solid_capstyle="butt",
-                )
+        if end < span[0] or start > span[1]:
+            continue
+        start, end = max(start, span[0]), min(end, span[1])
+        middle, half = 0.5 * (start + end), 0.5 * max(end - start, least)
+        axes.add_line(
+            Line2D(
+                [days(middle - half), days(middle + half)], [1.04, 1.04], color=SIMULATED, linewidth=3.0,
+                solid_capstyle="butt",
             )
+        )  # fmt: skip
+        if not named:
+            named = True
+            late = middle > span[0] + 0.7 * (span[1] - span[0])
+            axes.annotate(
+                "pre-heating", (days(middle - half if late else middle + half), 1.04), ha="right" if late else "left",
+                xytext=(-3 if late else 3, 0), textcoords="offset points", va="center", color=SIMULATED, fontsize=6.5,
+                bbox={"facecolor": "white", "alpha": 0.75, "pad": 0.6, "linewidth": 0},
+            )  # fmt: skip
 
 
 def _shade(axes: Axes, record: _Record, span: tuple[float, float]) -> None:
@@ -203,7 +218,7 @@ def _shade(axes: Axes, record: _Record, span: tuple[float, float]) -> None:
             )  # fmt: skip
 
 
-def _handles(record: _Record, name: str, period: bool = True) -> list:
+def _handles(record: _Record, name: str) -> list:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -222,8 +237,6 @@ def _handles(record: _Record, name: str, period: bool = True) -> list:
         handles.append(
             Patch(facecolor="white", edgecolor="#9aa4b1", hatch="//////", label="inputs unknown, not scored")
         )
-    if period and record.preheating.any() and name == TEMPERATURE:
-        handles.append(Line2D([], [], color=SIMULATED, linewidth=3.0, label="pre-heating (above the power)"))
     return handles
 
 
@@ -312,23 +325,23 @@ def figure_residuals(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
     columns.append(("hour of the day [UTC]", hour, np.arange(0.0, 25.0, 2.0)))
     late = record.time > record.until if record.validation else np.zeros(len(record.time), bool)
     with styled():
-        figure = new_figure(0.45 + 1.65 * len(errors))
+        figure = new_figure(0.55 + 1.75 * len(errors))
         height = figure.get_size_inches()[1]
         grid = figure.add_gridspec(
-            len(errors), len(columns), hspace=0.14, wspace=0.12, left=0.072, right=0.995,
-            top=1.0 - 0.2 / height, bottom=0.36 / height,
+            len(errors), len(columns), hspace=0.24, wspace=0.1, left=0.07, right=0.995,
+            top=1.0 - 0.22 / height, bottom=0.36 / height,
         )  # fmt: skip
         left = []
         for row, (name, error) in enumerate(errors.items()):
-            reach = float(np.nanquantile(np.abs(error), 0.97))
+            reach = float(np.nanquantile(np.abs(error), 0.97)) or 1.0
             for column, (label, x, edges) in enumerate(columns):
                 axes = figure.add_subplot(grid[row, column])
                 axes.axhline(0.0, color=INK, linewidth=0.7)
-                if column == 0 and record.has_power:
-                    _box(axes, 0.0, error[~record.operating], 0.02, MEASURED)
+                if label.startswith("power"):
+                    _box(axes, 0.0, error[~record.operating], 0.02)
                 for a, b in itertools.pairwise(edges):
                     inside = (x >= a) & (x < b)
-                    _box(axes, 0.5 * (a + b), error[inside & ~late], 0.36 * (b - a), MEASURED)
+                    _box(axes, 0.5 * (a + b), error[inside & ~late], 0.36 * (b - a))
                     part = error[inside & late]
                     part = part[np.isfinite(part)]
                     if len(part) >= 10:
@@ -339,9 +352,8 @@ def figure_residuals(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
                 else:
                     axes.set_xlabel(label)
                 if column == 0:
-                    axes.set_ylabel(
-                        f"{'temperature' if name == TEMPERATURE else 'humidity'}: {ERROR_LABEL[name]}"
-                    )
+                    axes.set_ylabel(ERROR_LABEL[name])
+                    axes.set_title("Temperature" if name == TEMPERATURE else "Absolute humidity")
                     left.append(axes)
                 else:
                     axes.tick_params(labelleft=False)
@@ -350,14 +362,19 @@ def figure_residuals(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
                 elif label.startswith("power"):
                     axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["stop", "0.25", "0.5", "0.75", "1"])
         figure.align_ylabels(left)
-        _residual_key(left[0], bool(late.any()))
+        figure.legend(
+            handles=_residual_handles(bool(late.any())),
+            loc="upper right",
+            ncols=4,
+            bbox_to_anchor=(0.997, 1.0),
+        )
     return figure
 
 
 _POWER_EDGES = np.array([0.035, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.02])
 
 
-def _box(axes: Axes, x: float, values: np.ndarray, half: float, colour: str) -> None:
+def _box(axes: Axes, x: float, values: np.ndarray, half: float, colour: str = MEASURED) -> None:
     """Median, middle half and middle nine tenths of at least ten values."""
     values = values[np.isfinite(values)]
     if len(values) < 10:
@@ -368,7 +385,7 @@ def _box(axes: Axes, x: float, values: np.ndarray, half: float, colour: str) -> 
     axes.plot([x - half, x + half], [middle, middle], color=colour, linewidth=1.6)
 
 
-def _residual_key(axes: Axes, validation: bool) -> None:
+def _residual_handles(validation: bool) -> list:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -383,4 +400,4 @@ def _residual_key(axes: Axes, validation: bool) -> None:
                 [], [], color=SIMULATED, marker="D", markersize=3.2, linewidth=0, label="median in validation"
             )
         )
-    key(axes, handles)
+    return handles

@@ -56,6 +56,8 @@ def figure_heat_release(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figur
             axes.set_ylim(lowest - 0.3, highest + 0.08 * (highest - lowest))
             axes.set_ylabel("cabinet − ambient [K]" if column == 0 else "")
             axes.set_title(f"{one.regime}: {one.count} stationary periods, {one.episodes} episodes")
+            if one is shown[-1]:
+                _line_key(axes, bool(_likelihood(fit)[0]))
         _colour_scale(figure, edges)
     return figure
 
@@ -140,7 +142,7 @@ def _cloud(axes: Axes, x: np.ndarray, y: np.ndarray, ambient: np.ndarray, edges:
     place = _classes(ambient, edges)
     for i, colour in enumerate(WARM_TO_COLD):
         axes.plot(
-            x[place == i], y[place == i], ".", color=colour, markersize=4.0, alpha=0.7, markeredgewidth=0
+            x[place == i], y[place == i], ".", color=colour, markersize=5.0, alpha=0.7, markeredgewidth=0
         )
 
 
@@ -167,7 +169,6 @@ def _operation(axes: Axes, one: _Points, edges: np.ndarray, fit: Mapping) -> Non
                 color=colour, fontweight="bold", fontsize=7.0, annotation_clip=False,
             )  # fmt: skip
     axes.set_xlabel("power / rated [1]")
-    _line_key(axes, values)
 
 
 def _standstill(axes: Axes, one: _Points, edges: np.ndarray, fit: Mapping) -> None:
@@ -178,18 +179,17 @@ def _standstill(axes: Axes, one: _Points, edges: np.ndarray, fit: Mapping) -> No
     axes.plot(x, released(one.coefficients, "standstill", 0.0, x - one.reference), color=INK, linewidth=1.6)
     axes.plot(x, released(values, "standstill", 0.0, x - reference), color=INK, linewidth=1.0, dashes=(4, 2))
     axes.set_xlabel("ambient temperature [°C]")
-    _line_key(axes, values)
 
 
-def _line_key(axes: Axes, values: Mapping) -> None:
+def _line_key(axes: Axes, estimated: bool) -> None:
     from matplotlib.lines import Line2D
 
     handles = [Line2D([], [], color=INK, linewidth=1.6, label="regression over the points")]
-    if values:
+    if estimated:
         handles.append(
-            Line2D([], [], color=INK, linewidth=1.0, dashes=(4, 2), label="final estimate (likelihood)")
+            Line2D([], [], color=INK, linewidth=1.0, dashes=(4, 2), label="final estimate, all data")
         )
-    axes.legend(handles=handles, loc="upper right", handlelength=2.2)
+    axes.legend(handles=handles, loc="best", handlelength=2.2)
 
 
 def _colour_scale(figure: Figure, edges: np.ndarray) -> None:
@@ -284,11 +284,18 @@ def _profile(axes: Axes, found: Mapping) -> None:
         axes.annotate(
             "by simulation (free run)", (middle, height), xytext=(0, 4), textcoords="offset points", ha=side,
             color=SIMULATED, fontweight="bold", fontsize=7.0,
+            bbox={"facecolor": "white", "alpha": 0.75, "pad": 0.6, "linewidth": 0},
         )  # fmt: skip
     axes.set_ylim(0.0, top)
     axes.set_xlim(left, right)
     if right / left > 3.0:
         logarithmic(axes, "x")
+    else:
+        axes.locator_params(axis="x", nbins=6)
+    axes.annotate(
+        f"{value:.3g} h", (value, top), xytext=(3, -3), textcoords="offset points", va="top", color=MEASURED,
+        fontweight="bold",
+    )  # fmt: skip
 
 
 def _smooth_profile(points: np.ndarray, value: float) -> tuple[np.ndarray, np.ndarray]:

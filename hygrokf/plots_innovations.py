@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import textwrap
 from collections.abc import Mapping
 from statistics import NormalDist
 from typing import TYPE_CHECKING
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 QUANTILES = 160
-"""Points of the quantile plot; the ends are all there, the middle is thinned."""
+"""Points of the quantile plot, evenly spread over the normal distribution's quantiles."""
 INPUTS = 4
 """Inputs that are shown; of more of them those with the smallest p."""
 LEVEL = 0.95
@@ -53,14 +54,12 @@ def figure_innovations(fit: Mapping, series: Mapping[str, np.ndarray], output: s
         raise NothingToShow(f"No diagnosis: {why}.")
     with styled():
         figure = new_figure(6.0)
-        top = figure.add_gridspec(1, 3, wspace=0.26, left=0.06, right=0.995, top=0.955, bottom=0.745)
+        top = figure.add_gridspec(1, 3, wspace=0.24, left=0.065, right=0.995, top=0.955, bottom=0.745)
         cross = _shown_inputs(found)
         middle = figure.add_gridspec(
-            1, max(len(cross), 1), wspace=0.1, left=0.06, right=0.995, top=0.635, bottom=0.43
+            1, max(len(cross), 1), wspace=0.08, left=0.065, right=0.995, top=0.635, bottom=0.43
         )
-        last = figure.add_gridspec(
-            1, 3, wspace=0.26, width_ratios=(1.0, 1.0, 1.0), left=0.06, right=0.995, top=0.32, bottom=0.065
-        )
+        last = figure.add_gridspec(1, 3, wspace=0.24, left=0.065, right=0.995, top=0.32, bottom=0.065)
         _autocorrelation(figure.add_subplot(top[0]), found)
         _cumulative(figure.add_subplot(top[1]), found)
         _periodogram(figure.add_subplot(top[2]), found)
@@ -113,13 +112,14 @@ def _autocorrelation(axes: Axes, found: Mapping) -> None:
     reach = _reach(limit, value)
     axes.set_ylim(-reach, reach)
     axes.set_xlim(0.0, float(lag[-1]) * 1.02)
+    axes.locator_params(axis="y", nbins=5)
     _hours(axes, 0.0, float(lag[-1]))
     axes.set_xlabel("lag [h]")
 
 
-def _hours(axes: Axes, low: float, high: float) -> None:
+def _hours(axes: Axes, low: float, high: float, ticks: float = 8.5) -> None:
     for step in (1.0, 3.0, 6.0, 12.0, 24.0):
-        if (high - low) / step <= 8.5:
+        if (high - low) / step <= ticks:
             if (high - low) / step >= 2:
                 axes.set_xticks(np.arange(math.ceil(low / step), math.floor(high / step) + 1) * step)
             break
@@ -206,9 +206,11 @@ def _cross_correlations(figure: Figure, grid, rows: list[tuple[str, Mapping]]) -
         _stems(axes, lag, value, limit)
         axes.set_ylim(-reach, reach)
         axes.set_xlim(1.02 * float(lag[0]), 1.02 * float(lag[-1]))
-        _hours(axes, float(lag[0]), float(lag[-1]))
-        axes.set_title(f"with {name.replace('_', ' ')}")
-        axes.set_xlabel("lag [h]: innovation after input →")
+        _hours(axes, float(lag[0]), float(lag[-1]), 5.0)
+        title = f"{'Cross-correlation with' if len(rows) < 3 else 'With'} {name.replace('_', ' ')}"
+        axes.set_title("\n".join(textwrap.wrap(title, 26 if len(rows) > 2 else 50)), va="bottom")
+        axes.set_xlabel("lag [h]" if column else "lag [h]; positive: after the input")
+        axes.locator_params(axis="y", nbins=5)
         axes.axvline(0.0, color=QUIET, linewidth=0.6)
         if column:
             axes.tick_params(labelleft=False)
@@ -233,12 +235,11 @@ def _histogram(axes: Axes, e: np.ndarray) -> None:
 def _quantiles(axes: Axes, e: np.ndarray) -> None:
     """Quantiles of the innovations against those of the standard normal, with a pointwise 95 % band."""
     n = len(e)
-    tail = np.arange(min(n, QUANTILES // 4))
-    place = np.unique(
-        np.concatenate([tail, n - 1 - tail, np.linspace(0, n - 1, min(n, QUANTILES // 2)).astype(int)])
-    )
-    share = (place + 0.5) / n
     normal = NormalDist()
+    ends = normal.inv_cdf((n - 0.5) / n) if n > 1 else 0.0
+    wanted = np.linspace(-ends, ends, QUANTILES)
+    place = np.unique(np.clip([math.floor(n * normal.cdf(v)) for v in wanted], 0, n - 1))
+    share = (place + 0.5) / n
     x = np.array([normal.inv_cdf(float(p)) for p in share])
     # standard error of an order statistic: √(p(1−p)/n) over the density
     spread = np.sqrt(share * (1 - share) / n) / (np.exp(-0.5 * x**2) / math.sqrt(2.0 * math.pi))

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from hygrokf.files import write_bytes_whole, write_text_whole
-from hygrokf.identification import Fit
+from hygrokf.fit import Fit
 
 
 class ResultFault(Exception):

@@ -10,7 +10,7 @@ import numpy as np
 
 from hygrokf.drivers import Run, run
 from hygrokf.evaluation import PERIODS, SCORED, bands, baselines, scores, sensor_share
-from hygrokf.identification import Fit
+from hygrokf.fit import Fit
 from hygrokf.record import Record
 from hygrokf.simulation import Prediction, free_run
 

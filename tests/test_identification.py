@@ -12,7 +12,8 @@ from plants import plant
 from plants.as_record import to_record
 
 from hygrokf.design import Design
-from hygrokf.identification import Fit, identify
+from hygrokf.fit import Fit
+from hygrokf.identification import identify
 from hygrokf.likelihood import Likelihood
 from hygrokf.record import Record
 from hygrokf.results import ResultFault, dump, read_fit, write_fit
@@ -122,7 +123,9 @@ def test_simulation_criterion_puts_the_free_run_first(record, fit):
     other = identify(record, criterion="simulation", starts=1)
     entry = other.results["time_constants"]["thermal"]
     assert entry["method"].startswith("output error")
-    assert entry["likelihood"]["value_h"] == pytest.approx(fit.results["time_constants"]["thermal"]["value_h"], rel=0.02)
+    assert entry["likelihood"]["value_h"] == pytest.approx(
+        fit.results["time_constants"]["thermal"]["value_h"], rel=0.02
+    )
     ours = other.results["rmse"]["identification"]["temperature_K"]["total"]
     assert ours <= fit.results["rmse"]["identification"]["temperature_K"]["total"] + 0.01
     assert other.values["thermal_time_constant"] == pytest.approx(entry["value_h"])

@@ -20,13 +20,20 @@ def network() -> tuple[Design, dict]:
     design = Design(
         mechanisms=(
             ("thermal_network", {}),
-            ("heat_release", {"order": 0, "operation": False, "standstill_ambient": False, "reference_K": 283.15}),
+            (
+                "heat_release",
+                {"order": 0, "operation": False, "standstill_ambient": False, "reference_K": 283.15},
+            ),
             ("thermal_diffusion", {}),
             ("temperature_sensor", {"accuracy": 0.0}),
         )
     )
     values = {p.name: p.start for p in design.model.parameters}
-    return design, values | {"thermal_time_constant": TAU, "resistance_ratio": RHO, "heat_release_standstill": 3.0}
+    return design, values | {
+        "thermal_time_constant": TAU,
+        "resistance_ratio": RHO,
+        "heat_release_standstill": 3.0,
+    }
 
 
 def test_matrices_are_equations_2_and_3(network):

@@ -1,0 +1,235 @@
+"""One likelihood from its design to bounds: estimate, second disturbances, uncertainty, profiles, sensitivities.
+
+A cascade has two stages (thermal, hygric), a joint identification one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hygrokf.confidence import Bounds, Uncertainty, profile, uncertainty, wald_bounds
+from hygrokf.design import CASCADE, Design, design, extended, reading_step_h
+from hygrokf.drivers import Run, run
+from hygrokf.fitting import Estimate, Objective, climb, maximise
+from hygrokf.kalman import smooth
+from hygrokf.likelihood import Likelihood
+from hygrokf.output_error import OutputError, fit_output_error
+from hygrokf.parameters import Coordinates
+from hygrokf.record import Record, Series
+from hygrokf.simulation import air_temperature, project
+
+LEVEL = 0.95
+TIME_CONSTANTS = ("thermal_time_constant", "hygric_k")
+SEARCH_DAYS = 30.0
+"""[d] stretch of the record on which the starts over the noise parameters are tried."""
+SECOND = ("second_heat_disturbance", "second_vapour_disturbance")
+SCREEN_GAIN = 3.0
+"""Log-likelihood that a second disturbance must gain on the shorter stretch to be tried on the whole."""
+CLOCKED = (
+    "ambient_temperature",
+    "ambient_relative_humidity",
+    "ambient_absolute_humidity",
+    "ambient_dew_point_temperature",
+    "active_power",
+    "cabinet_temperature",
+    "cabinet_relative_humidity",
+    "cabinet_absolute_humidity",
+)
+"""Signals whose clock matters to a time constant."""
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One identified likelihood.
+
+    `bounds` of its time constants; `clock` the time constants with each source's clock moved by its uncertainty both
+    ways; `sampling` their change (ln) when every second ambient reading is left out.
+    """
+
+    base: Design
+    run: Run
+    estimate: Estimate
+    uncertainty: Uncertainty
+    bounds: Mapping[str, Bounds]
+    clock: Mapping[str, dict]
+    sampling: Mapping[str, float] | None
+
+    @property
+    def likelihood(self) -> Likelihood:
+        return Likelihood(self.base.model, self.run.timeline)
+
+
+def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say: Progress) -> Stage:
+    """Estimate one likelihood on the identification period `early`, and say how sure it is."""
+    made = run(base, early)
+    likelihood = Likelihood(base.model, made.timeline)
+    estimate = maximise(likelihood, count=starts, progress=say, search=_search(likelihood))
+    for name in SECOND:
+        if name.replace("second_", "") in [m for m, _ in base.mechanisms]:
+            say(f"{name.replace('_', ' ')}?")
+            base, likelihood, estimate = _with_second(name, base, likelihood, estimate)
+    objective = Objective(likelihood, estimate.coordinates)
+    say("observed information")
+    found = uncertainty(objective, estimate)
+    bounds = {
+        name: profile(objective, estimate, found, name, LEVEL, say)
+        if profiles
+        else wald_bounds(estimate, found, name, LEVEL)
+        for name in TIME_CONSTANTS
+        if name in estimate.coordinates.names
+    }
+    return Stage(
+        base,
+        made,
+        estimate,
+        found,
+        bounds,
+        _clock(early, base, estimate, tuple(bounds), say),
+        _sampling(early, base, estimate, tuple(bounds), say),
+    )
+
+
+def _search(likelihood: Likelihood) -> Likelihood | None:
+    """The likelihood of a shorter stretch, for trying starts and second disturbances; None where the record is short."""
+    t = likelihood.timeline
+    if t.time[-1] <= 2.0 * 24.0 * SEARCH_DAYS:
+        return None
+    return Likelihood(likelihood.model, t.window(0, int(np.searchsorted(t.time, 24.0 * SEARCH_DAYS))))
+
+
+def _with_second(
+    name: str, base: Design, likelihood: Likelihood, estimate: Estimate
+) -> tuple[Design, Likelihood, Estimate]:
+    """Add a second disturbance of a kind where the likelihood of the whole record pays for it (BIC).
+
+    It is first tried on a shorter stretch, faster and slower than the first one.  A real disturbance rarely has one
+    time scale alone, and what is left over would be taken for the cabinet's own dynamics.
+    """
+    kind = name.replace("second_", "")
+    settings = next(s for m, s in base.mechanisms if m == kind)
+    first, sd = (estimate.values[f"{kind}_{part}"] for part in ("time", "sd"))
+    short = _search(likelihood) or likelihood
+    plain = climb(Objective(short, estimate.coordinates), estimate.z, passes=12, tolerance=1e-2)
+    wider = extended(base, [(name, {**settings, "start_h": first / 5.0})])
+    whole = Likelihood(wider.model, likelihood.timeline)
+    scout = _search(whole) or whole
+    coordinates = Coordinates(wider.model.parameters)
+    tried = [
+        climb(
+            Objective(scout, coordinates),
+            coordinates.start({**estimate.values, f"{name}_time": first * factor, f"{name}_sd": 0.4 * sd}),
+            passes=20,
+            tolerance=1e-2,
+        )
+        for factor in (0.2, 5.0)
+    ]
+    best = max(tried, key=lambda optimum: optimum.objective)
+    if best.objective - plain.objective > SCREEN_GAIN:
+        found = maximise(whole, coordinates.values(best.z), count=1)
+        if found.objective - estimate.objective > math.log(max(likelihood.timeline.n_readings, 3)):
+            return wider, whole, found
+    return base, likelihood, estimate
+
+
+def _moved(early: Record, base: Design, estimate: Estimate, passes: int) -> dict[str, float]:
+    """The estimate on a record that was changed a little, climbed from the old one."""
+    likelihood = Likelihood(base.model, run(base, early).timeline)
+    found = climb(Objective(likelihood, estimate.coordinates), estimate.z, passes=passes, tolerance=0.05)
+    return estimate.coordinates.values(found.z)
+
+
+def _clock(
+    early: Record, base: Design, estimate: Estimate, names: tuple[str, ...], say: Progress
+) -> dict[str, dict]:
+    """Every time constant with a source's clock one standard uncertainty early and late."""
+    shifts: dict[str, dict] = {}
+    for series in early.series:
+        source, delta = series.source.split(",")[0], series.clock_uncertainty_s
+        if delta <= 0 or series.signal not in CLOCKED or source in shifts:
+            continue
+        say(f"clock of {source}")
+        same = [s for s in early.series if s.source.split(",")[0] == source]
+        ends = [
+            _moved(
+                early.replace_series(*(replace(s, time=s.time + sign * delta) for s in same)),
+                base,
+                estimate,
+                6,
+            )
+            for sign in (-1.0, 1.0)
+        ]
+        shifts[source] = {"clock_uncertainty_s": delta, **{name: [e[name] for e in ends] for name in names}}
+    return shifts
+
+
+def _sampling(
+    early: Record, base: Design, estimate: Estimate, names: tuple[str, ...], say: Progress
+) -> dict[str, float] | None:
+    """Change of the log time constants when every second ambient reading is left out.
+
+    What the ambient does between its readings is interpolated; this says how much that could matter.
+    """
+    thinned = [
+        replace(s, time=s.time[::2], value=s.value[::2])
+        for s in early.series
+        if s.signal.startswith("ambient_") and s.hold == "linear"
+    ]
+    if not thinned:
+        return None
+    say("ambient sampling")
+    values = _moved(early.replace_series(*thinned), base, estimate, 8)
+    shifts = {name: math.log(values[name] / estimate.values[name]) for name in names}
+    return {"step_h": reading_step_h(thinned[0]) / 2.0, **shifts}
+
+
+def smoothed_temperature(stage: Stage, early: Record, humidity: str) -> Series:
+    """The cabinet air temperature given all its readings [K], at its own times and those of the humidity.
+
+    The hygric model divides by e_s(T): with raw readings their noise would weaken that dependence, as errors in a
+    regressor do, and end up in the humidity sensor's bias; the smoothed temperature is free of it.
+    """
+    t, base = stage.run.timeline, stage.base
+    values = stage.estimate.values
+    mean, _ = smooth(stage.likelihood, values, covariance=False)
+    air, _ = project(base, values, stage.run, mean, None, air_temperature)
+    seconds = t.origin_s + 3600.0 * t.time
+    raw = early["cabinet_temperature"]
+    moist = early[humidity]
+    time = np.union1d(raw.time[~raw.missing], moist.time[~moist.missing])
+    time = time[(time >= seconds[0]) & (time <= seconds[-1])]
+    return replace(raw, time=time, value=np.interp(time, seconds, air), hold="linear", interval_s=0.0)
+
+
+def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> dict[str, OutputError]:
+    """Output-error estimates: the thermal model on temperature, the hygric one on the measured temperature."""
+    found: dict[str, OutputError] = {}
+    plain = _plain(base, values)
+    if "thermal_network" in [name for name, _ in base.mechanisms]:
+        thermal = replace(
+            base,
+            mechanisms=tuple(m for m in base.mechanisms if m[0] in _THERMAL_PLAIN),
+            humidity=None,
+            averaged={k: v for k, v in base.averaged.items() if k == "cabinet_temperature"},
+        )
+        likelihood = Likelihood(thermal.model, run(thermal, early).timeline)
+        found["thermal_time_constant"] = fit_output_error(likelihood, plain(thermal))
+    if base.humidity is not None and "cabinet_temperature" in early:
+        cascade = design(early, kind=CASCADE, coloured=False)
+        likelihood = Likelihood(cascade.model, run(cascade, early).timeline)
+        found["hygric_k"] = fit_output_error(likelihood, plain(cascade))
+    return found
+
+
+_THERMAL_PLAIN = ("thermal_network", "heat_release", "thermal_diffusion", "temperature_sensor")
+
+
+def _plain(base: Design, values: Mapping[str, float]) -> Callable[[Design], dict[str, float]]:
+    def of(other: Design) -> dict[str, float]:
+        return {p.name: values.get(p.name, p.start) for p in other.model.parameters}
+
+    return of
