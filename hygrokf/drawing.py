@@ -41,6 +41,7 @@ _STYLE = {
     "axes.titleweight": "bold",
     "axes.titlelocation": "left",
     "axes.titlepad": 5.0,
+    "axes.titley": 1.0,
     "axes.labelsize": 7.5,
     "axes.labelcolor": INK,
     "axes.edgecolor": QUIET,
@@ -248,7 +249,7 @@ def calendar(axes: Axes, span: tuple[float, float], ticks: int = 9, labels: bool
         low, high = low - 1800.0, high + 1800.0
     axes.set_xlim(days(low), days(high))
     at, words = calendar_ticks(low, high, ticks)
-    axes.set_xticks(days(at), words if labels else [""] * len(at))
+    axes.set_xticks(days(at), words if labels else None)
     if not labels:
         axes.tick_params(labelbottom=False)
 
@@ -304,6 +305,16 @@ def logarithmic(axes: Axes, which: str, ticks: int = 6) -> None:
     axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
     axis.set_minor_locator(NullLocator())
     axis.set_minor_formatter(NullFormatter())
+
+
+def upright(axes: Axes, text: str, place: float = 0.012) -> None:
+    """The vertical label, at `place` of the figure's width: in line with those above and below it."""
+    from matplotlib.transforms import blended_transform_factory
+
+    axes.set_ylabel(text, va="center")
+    axes.yaxis.set_label_coords(
+        place, 0.5, blended_transform_factory(axes.figure.transFigure, axes.transAxes)
+    )
 
 
 def key(

@@ -26,6 +26,7 @@ from hygrokf.drawing import (
     new_figure,
     stretches,
     styled,
+    upright,
 )
 from hygrokf.excerpts import choose_excerpts
 from hygrokf.lookup import array
@@ -112,22 +113,22 @@ def _whole(record: _Record, name: str, why: str) -> Figure:
         )  # fmt: skip
         main, error = figure.add_subplot(grid[0]), figure.add_subplot(grid[1])
         _course(main, record, name, record.span)
-        main.set_ylabel(AXIS_LABEL[name])
+        upright(main, AXIS_LABEL[name])
         key(main, _handles(record, name))
         measured, simulated, _, _ = record.quantity(name)
         difference = simulated - measured
         error.axhline(0.0, color=QUIET, linewidth=0.6)
         _line(error, record, difference, SIMULATED, 0.6)
-        error.set_ylabel(ERROR_LABEL[name])
+        upright(error, ERROR_LABEL[name])
         every = [main, error]
         if power:
             low = figure.add_subplot(grid[2])
             _power(low, record, record.span)
+            upright(low, "power / rated")
             every.append(low)
         for axes in every:
             calendar(axes, record.span, 12, labels=axes is every[-1])
             _shade(axes, record, record.span)
-        figure.align_ylabels(every)
         _mark_validation(main, record)
     return figure
 
@@ -182,7 +183,6 @@ def _power(axes: Axes, record: _Record, span: tuple[float, float], bins: int = B
     axes.plot(days(t), v, color=INK, linewidth=0.5)
     axes.fill_between(days(t), 0.0, v, color=INK, alpha=0.12)
     axes.set_ylim(-0.05, 1.14)
-    axes.set_ylabel("power / rated")
     least = 0.004 * (span[1] - span[0])
     named = False
     for start, end in stretches(record.time, record.preheating > 0, least=1800.0):
@@ -277,16 +277,14 @@ def figure_excerpts(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
                     _course(axes, record, names[row], span, 1.0, NARROW)
                 else:
                     _power(axes, record, span, NARROW)
-                    axes.set_ylabel("")
                 calendar(axes, span, 7, labels=row == rows - 1)
                 _shade(axes, record, span)
                 if column == 0:
-                    axes.set_ylabel(AXIS_LABEL[names[row]] if row < len(names) else "power / rated")
+                    upright(axes, AXIS_LABEL[names[row]] if row < len(names) else "power / rated")
                     left.append(axes)
                 if row == 0:
                     late = record.validation and span[0] >= record.until
                     axes.set_title(f"({'abc'[column]}) {excerpt.reason}{' (validation)' if late else ''}")
-        figure.align_ylabels(left)
         top = left[0]
         key(top, _handles(record, names[0]), anchor=(0.0, 1.0 + 0.24 / (top.get_position().height * height)))
     return figure
@@ -331,37 +329,35 @@ def figure_residuals(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
             len(errors), len(columns), hspace=0.24, wspace=0.1, left=0.07, right=0.995,
             top=1.0 - 0.22 / height, bottom=0.36 / height,
         )  # fmt: skip
-        left = []
         for row, (name, error) in enumerate(errors.items()):
             reach = float(np.nanquantile(np.abs(error), 0.97)) or 1.0
             for column, (label, x, edges) in enumerate(columns):
                 axes = figure.add_subplot(grid[row, column])
                 axes.axhline(0.0, color=INK, linewidth=0.7)
+                middles, halves = 0.5 * (edges[1:] + edges[:-1]), 0.36 * np.diff(edges)
+                groups = [error[(x >= a) & (x < b) & ~late] for a, b in itertools.pairwise(edges)]
                 if label.startswith("power"):
-                    _box(axes, 0.0, error[~record.operating], 0.02)
-                for a, b in itertools.pairwise(edges):
-                    inside = (x >= a) & (x < b)
-                    _box(axes, 0.5 * (a + b), error[inside & ~late], 0.36 * (b - a))
-                    part = error[inside & late]
-                    part = part[np.isfinite(part)]
-                    if len(part) >= 10:
-                        axes.plot([0.5 * (a + b)], [np.median(part)], "D", color=SIMULATED, markersize=3.2)
+                    middles, halves = np.append(0.0, middles), np.append(0.02, halves)
+                    groups.insert(0, error[~record.operating & ~late])
+                _boxes(axes, middles, halves, groups)
+                if late.any():
+                    after = [error[(x >= a) & (x < b) & late] for a, b in itertools.pairwise(edges)]
+                    after = [np.nanmedian(g) if np.isfinite(g).sum() >= 10 else np.nan for g in after]
+                    axes.plot(middles[-len(after) :], after, "D", color=SIMULATED, markersize=3.2)
                 axes.set_ylim(-reach, reach)
                 if row < len(errors) - 1:
                     axes.tick_params(labelbottom=False)
                 else:
                     axes.set_xlabel(label)
                 if column == 0:
-                    axes.set_ylabel(ERROR_LABEL[name])
+                    upright(axes, ERROR_LABEL[name])
                     axes.set_title("Temperature" if name == TEMPERATURE else "Absolute humidity")
-                    left.append(axes)
                 else:
                     axes.tick_params(labelleft=False)
                 if label.startswith("hour"):
                     axes.set_xticks(np.arange(0, 25, 6))
                 elif label.startswith("power"):
                     axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["stop", "0.25", "0.5", "0.75", "1"])
-        figure.align_ylabels(left)
         figure.legend(
             handles=_residual_handles(bool(late.any())),
             loc="upper right",
@@ -374,15 +370,37 @@ def figure_residuals(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
 _POWER_EDGES = np.array([0.035, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9, 1.02])
 
 
-def _box(axes: Axes, x: float, values: np.ndarray, half: float, colour: str = MEASURED) -> None:
-    """Median, middle half and middle nine tenths of at least ten values."""
-    values = values[np.isfinite(values)]
-    if len(values) < 10:
+def _boxes(axes: Axes, middles: np.ndarray, halves: np.ndarray, groups: list[np.ndarray]) -> None:
+    """Median, middle half and middle nine tenths of every group of at least ten values."""
+    groups = [values[np.isfinite(values)] for values in groups]
+    rows = [
+        (x, half, *np.quantile(values, [0.05, 0.25, 0.5, 0.75, 0.95]))
+        for x, half, values in zip(middles, halves, groups, strict=True)
+        if len(values) >= 10
+    ]
+    if not rows:
         return
-    least, low, middle, high, most = np.quantile(values, [0.05, 0.25, 0.5, 0.75, 0.95])
-    axes.plot([x, x], [least, most], color=colour, linewidth=0.7)
-    axes.fill_between([x - half, x + half], low, high, color=colour, alpha=0.25)
-    axes.plot([x - half, x + half], [middle, middle], color=colour, linewidth=1.6)
+    x, half, least, low, middle, high, most = np.array(rows).T
+    gap = np.full(len(x), np.nan)
+
+    def strokes(x1: np.ndarray, y1: np.ndarray, x2: np.ndarray, y2: np.ndarray, width: float) -> None:
+        axes.plot(
+            np.column_stack([x1, x2, gap]).ravel(),
+            np.column_stack([y1, y2, gap]).ravel(),
+            color=MEASURED,
+            linewidth=width,
+        )
+
+    strokes(x, least, x, most, 0.7)
+    strokes(x - half, middle, x + half, middle, 1.6)
+    sides = np.column_stack([x - half, x + half, x + half]).ravel()
+    axes.fill_between(
+        sides,
+        np.column_stack([low, low, gap]).ravel(),
+        np.column_stack([high, high, gap]).ravel(),
+        color=MEASURED,
+        alpha=0.25,
+    )
 
 
 def _residual_handles(validation: bool) -> list:

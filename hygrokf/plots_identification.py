@@ -17,6 +17,7 @@ from hygrokf.drawing import (
     logarithmic,
     new_figure,
     styled,
+    upright,
 )
 from hygrokf.lookup import entry, number, numbers
 
@@ -54,7 +55,8 @@ def figure_heat_release(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figur
             axes = figure.add_subplot(grid[column])
             (_operation if one.regime == "operation" else _standstill)(axes, one, edges, fit)
             axes.set_ylim(lowest - 0.3, highest + 0.08 * (highest - lowest))
-            axes.set_ylabel("cabinet − ambient [K]" if column == 0 else "")
+            if column == 0:
+                upright(axes, "cabinet − ambient [K]")
             axes.set_title(f"{one.regime}: {one.count} stationary periods, {one.episodes} episodes")
             if one is shown[-1]:
                 _line_key(axes, bool(_likelihood(fit)[0]))
@@ -231,7 +233,8 @@ def figure_profiles(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
                 "thermal time constant (R_AT+R_IC)·C" if name == "thermal" else "hygric time constant R_D*·V*"
             )
             axes.set_xlabel("time constant [h]")
-            axes.set_ylabel("2 × drop of log-likelihood" if column == 0 else "")
+            if column == 0:
+                upright(axes, "2 × drop of log-likelihood")
     return figure
 
 
@@ -282,7 +285,7 @@ def _profile(axes: Axes, found: Mapping) -> None:
             else "center"
         )
         axes.annotate(
-            "by simulation (free run)", (middle, height), xytext=(0, 4), textcoords="offset points", ha=side,
+            "by simulation (free run)", (middle, height), xytext=(0, 6), textcoords="offset points", ha=side,
             color=SIMULATED, fontweight="bold", fontsize=7.0,
             bbox={"facecolor": "white", "alpha": 0.75, "pad": 0.6, "linewidth": 0},
         )  # fmt: skip

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import textwrap
 from collections.abc import Mapping
 from statistics import NormalDist
 from typing import TYPE_CHECKING
@@ -57,13 +56,16 @@ def figure_innovations(fit: Mapping, series: Mapping[str, np.ndarray], output: s
         top = figure.add_gridspec(1, 3, wspace=0.24, left=0.065, right=0.995, top=0.955, bottom=0.745)
         cross = _shown_inputs(found)
         middle = figure.add_gridspec(
-            1, max(len(cross), 1), wspace=0.08, left=0.065, right=0.995, top=0.635, bottom=0.43
+            1, max(len(cross), 1), wspace=0.13, left=0.065, right=0.995, top=0.605, bottom=0.42
         )
         last = figure.add_gridspec(1, 3, wspace=0.24, left=0.065, right=0.995, top=0.32, bottom=0.065)
         _autocorrelation(figure.add_subplot(top[0]), found)
         _cumulative(figure.add_subplot(top[1]), found)
         _periodogram(figure.add_subplot(top[2]), found)
         _cross_correlations(figure, middle, cross)
+        figure.text(
+            0.065, 0.645, "Cross-correlation of the innovations with …", fontweight="bold", fontsize=8.0
+        )
         e = value[known]
         _histogram(figure.add_subplot(last[0]), e)
         _quantiles(figure.add_subplot(last[1]), e)
@@ -207,15 +209,12 @@ def _cross_correlations(figure: Figure, grid, rows: list[tuple[str, Mapping]]) -
         axes.set_ylim(-reach, reach)
         axes.set_xlim(1.02 * float(lag[0]), 1.02 * float(lag[-1]))
         _hours(axes, float(lag[0]), float(lag[-1]), 5.0)
-        title = f"{'Cross-correlation with' if len(rows) < 3 else 'With'} {name.replace('_', ' ')}"
-        axes.set_title("\n".join(textwrap.wrap(title, 26 if len(rows) > 2 else 50)), va="bottom")
-        axes.set_xlabel("lag [h]" if column else "lag [h]; positive: after the input")
+        axes.set_title(name.replace("_", " "), fontweight="normal", fontsize=7.5)
+        axes.set_xlabel("lag [h]" if column else "lag [h]; > 0: after the input")
         axes.locator_params(axis="y", nbins=5)
         axes.axvline(0.0, color=QUIET, linewidth=0.6)
         if column:
             axes.tick_params(labelleft=False)
-        else:
-            axes.set_ylabel("cross-correlation")
 
 
 def _histogram(axes: Axes, e: np.ndarray) -> None:
@@ -247,9 +246,8 @@ def _quantiles(axes: Axes, e: np.ndarray) -> None:
     axes.fill_between(x, x - reach * spread, x + reach * spread, color=QUIET, alpha=0.16, linewidth=0)
     axes.plot(x, x, color=QUIET, linewidth=0.6)
     axes.plot(x, np.sort(e)[place], ".", color=MEASURED, markersize=2.6, markeredgewidth=0)
-    axes.set_title("Quantiles")
+    axes.set_title("Quantiles of e/√S")
     axes.set_xlabel("standard normal [1]")
-    axes.set_ylabel("e/√S [1]")
 
 
 def _course(axes: Axes, time: np.ndarray, value: np.ndarray) -> None:

@@ -79,7 +79,8 @@ def _drivers(random: np.random.Generator, count: int) -> dict[str, np.ndarray]:
     operating = (wind > -0.8).astype(float)
     return {
         "ambient_temperature": kelvin,
-        "ambient_absolute_humidity": 8.0 * np.exp(0.04 * (kelvin - 283.0)) * 0.85 + _coloured(random, count, 0.4, 30.0),
+        "ambient_absolute_humidity": 8.0 * np.exp(0.04 * (kelvin - 283.0)) * 0.85
+        + _coloured(random, count, 0.4, 30.0),
         "exchange_factor": exchange_factor(kelvin),
         "operating": operating,
         "power_1": operating * np.clip(0.5 + 0.5 * wind, 0.02, 1.0),
@@ -161,7 +162,9 @@ def joint(count: int, seed: int = 2) -> Case:
     kicks = v["hygric_diffusion"] * np.sqrt(STEP_H) * random.normal(size=count)
     vapour = np.empty(count)
     now = drive[0]
-    for k, (keep, push) in enumerate(zip(np.exp(-rate).tolist(), (_ramp(rate, drive) + kicks).tolist(), strict=True)):
+    for k, (keep, push) in enumerate(
+        zip(np.exp(-rate).tolist(), (_ramp(rate, drive) + kicks).tolist(), strict=True)
+    ):
         now = keep * now + push
         vapour[k] = now
     humidity = vapour * VAPOUR * ambient / saturation_pressure_water(air)

@@ -17,8 +17,12 @@ TOPICS = {"identify": "benchmarks.identify"}
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Measure and print; the exit status says nothing about targets (a busy machine is no fault)."""
-    parser = argparse.ArgumentParser(prog="scripts/benchmark", description="Figures, targets, what was reached.")
-    parser.add_argument("topic", nargs="?", default="identify", choices=sorted(TOPICS), help="default: identify")
+    parser = argparse.ArgumentParser(
+        prog="scripts/benchmark", description="Figures, targets, what was reached."
+    )
+    parser.add_argument(
+        "topic", nargs="?", default="identify", choices=sorted(TOPICS), help="default: identify"
+    )
     parser.add_argument("--quick", action="store_true", help="short runs: a smoke test, not a measurement")
     parser.add_argument("--json", action="store_true", help="print JSON instead of the table")
     parser.add_argument("--only", nargs="+", metavar="SECTION", help="some sections of the topic")

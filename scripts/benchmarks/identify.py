@@ -89,7 +89,10 @@ def joint(quick: bool) -> Iterator[Figure]:
             f"{found['filterpy'].median / stretch * 1e6:.0f} µs a step over {stretch:,} instants, scaled to {count:,}",
         )
         yield timed(
-            section, "filterpy with its steps in numpy / value", "×", ratio(found["filterpy and numpy"] * scale, value)
+            section,
+            "filterpy with its steps in numpy / value",
+            "×",
+            ratio(found["filterpy and numpy"] * scale, value),
         )
         yield timed(section, "score / value", "×", ratio(found["score"], value), at_most=6.0)
         yield timed(section, "score and information / value", "×", ratio(found["sensitivities"], value))
@@ -120,7 +123,9 @@ def thermal10k(quick: bool) -> Iterator[Figure]:
                 for n, se in known["se_log"].items()
             )
             notes[name] += f"; published {-known['nll']:.6f}; largest departure of a standard error {off:.1e}"
-        yield timed("thermal10k", f"fit with standard errors, {name}", "s", times, at_most=0.35, note=notes[name])
+        yield timed(
+            "thermal10k", f"fit with standard errors, {name}", "s", times, at_most=0.35, note=notes[name]
+        )
 
 
 def _search(likelihood: Likelihood) -> Likelihood | None:
@@ -156,7 +161,9 @@ def fit(quick: bool) -> Iterator[Figure]:
         f"{n} {estimate.values[n]:.3f} ± {standard_error(estimate, second, n):.3f} (truth {case.values[n]:g})"
         for n in ("thermal_time_constant", "hygric_k")
     )
-    yield timed(section, "one start, Wald, sandwich", "s", times, at_most=3.0, note=f"{estimate.message}; {note}")
+    yield timed(
+        section, "one start, Wald, sandwich", "s", times, at_most=3.0, note=f"{estimate.message}; {note}"
+    )
     times = repeated(lambda: whole(4, True), max(1, repetitions - 2))
     estimate = found["last"][0]
     best = f"log-likelihood {estimate.objective:.2f}; {len(estimate.others)} other optima"
@@ -217,7 +224,9 @@ def memory(quick: bool) -> Iterator[Figure]:
             "score and information": lambda made, values=values, d=directions: made.sensitivities(values, d),
         }
         for what, call in calls.items():
-            call(Likelihood(case.likelihood.model, t.window(0, 100)))  # the compiler's memory is not the likelihood's
+            call(
+                Likelihood(case.likelihood.model, t.window(0, 100))
+            )  # the compiler's memory is not the likelihood's
             fresh = Likelihood(case.likelihood.model, t)
             tracemalloc.start()
             call(fresh)

@@ -42,7 +42,9 @@ def statsmodels_variants(case: Case) -> dict[str, Callable[[], float]]:
         ramp = 1.0 - (1.0 - factor) / a
         release = v["heat_release_operation"] + v["heat_release_power_1"] * u["power_1"]
         intercept = np.zeros(count)
-        intercept[:-1] = (1.0 - factor - ramp) * ambient[:-1] + ramp * ambient[1:] + (1.0 - factor) * release[1:]
+        intercept[:-1] = (
+            (1.0 - factor - ramp) * ambient[:-1] + ramp * ambient[1:] + (1.0 - factor) * release[1:]
+        )
         noise = 0.5 * v["thermal_diffusion"] ** 2 * v["thermal_time_constant"] * (1.0 - factor**2)
         return factor, intercept, noise
 
@@ -225,7 +227,12 @@ def filterpy_loop(case: Case, count: int, step: Callable[[int, np.ndarray], Mome
             for output, z in enumerate(readings[k]):
                 if z == z:
                     shown, row, variance = joint_observation(case, k, output, f.x)
-                    f.update(np.array([z]), lambda x, row=row: row[None, :], lambda x, s=shown: np.array([s]), R=variance)
+                    f.update(
+                        np.array([z]),
+                        lambda x, row=row: row[None, :],
+                        lambda x, s=shown: np.array([s]),
+                        R=variance,
+                    )
                     s, y = float(f.S[0, 0]), float(f.y[0])
                     total -= 0.5 * (LOG_2PI + math.log(s) + y * y / s)
         return total

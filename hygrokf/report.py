@@ -1,0 +1,490 @@
+"""`report.html` from `fit.json` and `series.npz`: one self-contained, printable page; and the same tables as text."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import textwrap
+import zipfile
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+
+import numpy as np
+
+from hygrokf.drawing import FONTS, NothingToShow, inline_svg
+from hygrokf.files import write_text_whole
+from hygrokf.lookup import entry, number
+from hygrokf.plots import FIGURES, Picture
+from hygrokf.report_tables import (
+    PERIODS,
+    TEXT_WIDTH,
+    Table,
+    bands_table,
+    innovations_table,
+    one_line,
+    optima_table,
+    parameters_table,
+    rmse_table,
+    table_text,
+    time_constants_table,
+)
+from hygrokf.report_words import (
+    BAD,
+    CARE,
+    GOOD,
+    Judgement,
+    fixed,
+    judgements,
+    plain_number,
+    simulated,
+    text_of,
+    texts,
+    time_constant,
+)
+from hygrokf.version import __version__
+
+RESULT = "fit.json"
+SERIES = "series.npz"
+REPORT = "report.html"
+LONG = 36
+"""Characters of a word column beyond which a cell may break anywhere."""
+
+
+class ReportFault(Exception):
+    """Results from which no report can be made; one message lists everything wrong with them."""
+
+
+def write_report(directory: str | os.PathLike[str]) -> Path:
+    """Write `report.html` beside `fit.json` and `series.npz`; returns its path.
+
+    directory: what `hygrokf fit` wrote.  The page is a pure function of the two files, needs no script and no other
+    file, names no host, and prints on A4.  Raises ReportFault where a file is missing or is not a result.
+    """
+    folder = Path(directory)
+    fit, series = read_results(folder)
+    try:
+        return write_text_whole(folder / REPORT, report_page(fit, series))
+    except OSError as fault:
+        raise ReportFault(
+            f"{folder / REPORT}: expected a file that can be written, found: {fault.strerror}"
+        ) from None
+
+
+def read_results(folder: Path) -> tuple[dict, dict[str, np.ndarray]]:
+    """The plain data of both files; raises ReportFault that lists all faults."""
+    faults: list[str] = []
+    fit: object = {}
+    series: dict[str, np.ndarray] = {}
+    again = "run `hygrokf fit` with --out on this directory first"
+    try:
+        fit = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+        if not isinstance(fit, dict):
+            faults.append(
+                f"{folder / RESULT}: expected an object with the results of a fit, found {type(fit).__name__}"
+            )
+    except FileNotFoundError:
+        faults.append(f"{folder / RESULT}: no such file; {again}")
+    except (OSError, ValueError, RecursionError) as fault:
+        faults.append(f"{folder / RESULT}: expected JSON written by `hygrokf fit`, found: {fault}; {again}")
+    try:
+        with np.load(folder / SERIES, allow_pickle=False) as file:
+            series = {name: np.asarray(file[name]) for name in file.files}
+    except FileNotFoundError:
+        faults.append(f"{folder / SERIES}: no such file; {again}")
+    except (OSError, ValueError, EOFError, KeyError, AttributeError, zipfile.BadZipFile) as fault:
+        faults.append(f"{folder / SERIES}: expected arrays written by `hygrokf fit`, found: {fault}; {again}")
+    text = [name for name, value in series.items() if value.dtype.kind not in "fiub"]
+    if text:
+        faults.append(
+            f"{folder / SERIES}: expected numbers, found text or objects in {', '.join(sorted(text))}; {again}"
+        )
+    if faults:
+        raise ReportFault("\n".join(faults))
+    assert isinstance(fit, dict)
+    return fit, series
+
+
+# --- the page --------------------------------------------------------------------------------
+
+
+def report_page(fit: Mapping, series: Mapping[str, np.ndarray]) -> str:
+    """The whole page as HTML text."""
+    name = one_line(text_of(entry(fit, "name"))) or "unnamed record"
+    pictures = {picture.name: _figure(picture, fit, series) for picture in FIGURES}
+    constants = (time_constants_table(fit), "No time constant was identified, so there is no table of them.")
+    parameters = (parameters_table(fit), "The fit holds no parameters.")
+    optima = (optima_table(fit), "The starts met no other optimum.")
+    parts = [
+        _head(fit, name),
+        _headline(fit),
+        _believe(fit),
+        _accuracy(fit),
+        _section(
+            "Measured and simulated", *(pictures[one] for one in ("temperature", "humidity", "excerpts"))
+        ),
+        _section(
+            "What was identified",
+            _tables(constants),
+            pictures["profiles"],
+            pictures["heat-release"],
+            _tables(parameters, optima),
+        ),
+        _section("What the model leaves", pictures["residuals"], _innovations(fit)),
+        *(pictures[one] for one in ("innovations-temperature", "innovations-humidity")),
+        _data(fit),
+        _method(fit),
+    ]
+    body = "\n".join(part for part in parts if part)
+    return (
+        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+        f"<title>{escape(name)} – hygrokf report</title>\n<style>\n{_CSS}</style>\n</head>\n"
+        f"<body>\n<main>\n{body}\n</main>\n</body>\n</html>\n"
+    )
+
+
+def _section(heading: str, *parts: str) -> str:
+    return f"<section><h2>{escape(heading)}</h2>{''.join(parts)}</section>"
+
+
+def _head(fit: Mapping, name: str) -> str:
+    start, until, end = (_date(entry(fit, "period", part)) for part in ("start", "until", "end"))
+    n = number(fit, "period", "n_readings")
+    lines = []
+    if start and end:
+        lines.append(f"{start} to {end} UTC" + (f", identified on the part until {until}" if until else ""))
+    facts = []
+    if math.isfinite(n):
+        facts.append(f"{n:,.0f} times with a reading")
+    rated = number(fit, "rated_power_kW")
+    facts.append(f"rated power {rated:,.0f} kW" if math.isfinite(rated) else "rated power not stated")
+    place = [number(fit, "site", part) for part in ("latitude_deg", "longitude_deg")]
+    if all(math.isfinite(v) for v in place):
+        facts.append(
+            f"{abs(place[0]):.2f}° {'N' if place[0] >= 0 else 'S'}, {abs(place[1]):.2f}° {'E' if place[1] >= 0 else 'W'}"
+        )
+    lines.append(" · ".join(facts))
+    meta = "".join(f"<p class=meta>{escape(line)}</p>" for line in lines)
+    banners = ""
+    if entry(fit, "synthetic") is True:
+        banners += (
+            "<p class='banner synthetic'><b>SYNTHETIC</b> This record was made by a computer. "
+            "Nothing on this page was measured.</p>"
+        )
+    if entry(fit, "converged") is not True:
+        said = text_of(entry(fit, "message"))
+        words = "NOT CONVERGED" if entry(fit, "converged") is False else "CONVERGENCE UNKNOWN"
+        banners += (
+            f"<p class='banner failed'><b>{words}</b> {escape(said)} None of the numbers below is final.</p>"
+        )
+    return (
+        "<header><p class=kind>Hygrothermal model of an enclosure · identification report</p>"
+        f"<h1>{escape(name)}</h1>{meta}{banners}</header>"
+    )
+
+
+def _date(value: object) -> str:
+    text = text_of(value)
+    return text[:16].replace("T", " ") if len(text) >= 16 else text
+
+
+def _headline(fit: Mapping) -> str:
+    cards = []
+    for name, product in (
+        ("thermal", "(R<sub>AT</sub>+R<sub>IC</sub>)·C"),
+        ("hygric", "R<sub>D</sub>*·V*"),
+    ):
+        constant = time_constant(fit, name)
+        lines = [f"<p class=bounds>{escape(constant.bounds)}</p>"] if constant.bounds else []
+        said = text_of(entry(constant.found, "statement"))
+        if said and not constant.closed:
+            lines.append(f"<p>{escape(said)}</p>")
+        if constant.found is None:
+            lines.append(f"<p>{escape(_why_missing(fit, name))}</p>")
+        other = simulated(constant.found)
+        if other:
+            lines.append(f"<p>by simulation {escape(other)}</p>")
+        apart = text_of(entry(constant.found, "disagreement"))
+        if apart:
+            lines.append("<p class=apart>the two criteria disagree, see below</p>")
+        span = entry(constant.found, "range_h")
+        if isinstance(span, (list, tuple)) and len(span) == 2:
+            low, high = (number({"": v}, "") for v in span)
+            if math.isfinite(low) and math.isfinite(high):
+                lines.append(
+                    f"<p>{plain_number(low)} … {plain_number(high)} h over the record's temperatures</p>"
+                )
+        open_ = "" if constant.closed else " open"
+        cards.append(
+            f"<div class='card{open_}'><p class=label>{name} time constant <span>{product}</span></p>"
+            f"<p class=value>{escape(constant.value)}</p>{''.join(lines)}</div>"
+        )
+    return f"<section class=cards>{''.join(cards)}</section>"
+
+
+def _why_missing(fit: Mapping, name: str) -> str:
+    said = [
+        line for line in texts(entry(fit, "design", "statements")) if "humidity" in line or "hygric" in line
+    ]
+    if name == "hygric":
+        return (
+            said[0]
+            if said
+            else "The record has no humidity inside and outside, so the hygric model is left out."
+        )
+    return "The model has no thermal part."
+
+
+def _believe(fit: Mapping) -> str:
+    found = judgements(fit)
+    named = " ".join(one.sentence for one in found)
+    more = [Judgement(CARE, _sentence(line)) for line in texts(entry(fit, "statements")) if line not in named]
+    order = {BAD: 0, GOOD: 1, CARE: 2}
+    rows = sorted([*found, *more], key=lambda one: order[one.kind])
+    if not rows:
+        return "<p class=left-out>The fit holds nothing to judge it by.</p>"
+    marks = {GOOD: ("✓", "to be believed"), CARE: ("!", "with caution"), BAD: ("✕", "not to be relied on")}
+    items = "".join(
+        f"<li class={one.kind}><span title='{marks[one.kind][1]}'>{marks[one.kind][0]}</span>{escape(one.sentence)}</li>"
+        for one in rows
+    )
+    return (
+        "<section><h2>What to believe, and what not</h2>"
+        "<p class=key><span class=good>✓</span> to be believed <span class=care>!</span> with caution "
+        f"<span class=bad>✕</span> not to be relied on</p><ul class=judgements>{items}</ul></section>"
+    )
+
+
+def _sentence(text: str) -> str:
+    text = text[:1].upper() + text[1:] if not text.split(" ")[0].count("_") else text
+    return text if text.endswith((".", "!", "?")) else text + "."
+
+
+def _accuracy(fit: Mapping) -> str:
+    rows = [
+        (rmse_table(fit, "identification"), "Nothing was scored in the identification period."),
+        (
+            rmse_table(fit, "validation"),
+            "There is no validation period with readings (`until` is not stated, or nothing was scored after it).",
+        ),
+        (bands_table(fit), "No band could be checked against readings."),
+    ]
+    return f"<section><h2>Accuracy</h2>{_tables(*rows)}</section>"
+
+
+def _innovations(fit: Mapping) -> str:
+    table = innovations_table(fit)
+    said = texts(entry(fit, "innovations", "statements"))
+    if table is None and not said:
+        return "<p class=left-out>The fit holds no diagnosis of its innovations.</p>"
+    items = "".join(f"<li>{escape(_sentence(line))}</li>" for line in said)
+    note = text_of(entry(fit, "innovations", "note"))
+    return (
+        "<h3>Innovations</h3>"
+        "<p>What each reading adds to its one-step prediction, in units of the prediction’s own standard deviation. "
+        "White noise here means that the model has used all that the readings before and the inputs can tell.</p>"
+        f"{_tables((table, 'The diagnosis holds no numbers.'))}{f'<ul>{items}</ul>' if items else ''}"
+        f"{f'<p class=note>{escape(_sentence(note))}</p>' if note else ''}"
+    )
+
+
+def _figure(picture: Picture, fit: Mapping, series: Mapping[str, np.ndarray]) -> str:
+    try:
+        drawing = inline_svg(picture.draw(fit, series), picture.name, picture.heading)
+    except NothingToShow as why:
+        return f"<p class=left-out><b>{escape(picture.heading)}</b> is left out. {escape(str(why))}</p>"
+    return f"<figure><h3>{escape(picture.heading)}</h3>{drawing}<figcaption>{escape(picture.caption)}</figcaption></figure>"
+
+
+def _data(fit: Mapping) -> str:
+    warnings = texts(entry(fit, "warnings"))
+    files = entry(fit, "provenance")
+    rows = [
+        (text_of(row[0]), text_of(row[1]))
+        for row in (files if isinstance(files, (list, tuple)) else ())
+        if isinstance(row, (list, tuple)) and len(row) == 2
+    ]
+    listed = "".join(f"<li>{escape(_sentence(line))}</li>" for line in warnings)
+    masks = f"<ul>{listed}</ul>" if listed else "<p>Nothing had to be masked or repaired.</p>"
+    table = Table("Files read", ("file", "SHA-256"), tuple(rows), left=(0, 1))
+    return (
+        "<section><h2>Data</h2><h3>Masks, repairs and warnings</h3>"
+        f"{masks}{_tables((table if rows else None, 'The fit does not say which files it was made from.'))}</section>"
+    )
+
+
+def _method(fit: Mapping) -> str:
+    criterion = text_of(entry(fit, "criterion")) or "likelihood"
+    kind = text_of(entry(fit, "kind"))
+    how = (
+        "maximum likelihood over the innovations of an extended Kalman filter"
+        if criterion == "likelihood"
+        else "least squares on the free run (output error), as in the paper"
+    )
+    lines = [
+        "Heat: dT_conv/dt = (T_amb − T_conv + f_ΔT/ρ)/τ and T_conv,a = ρ T_conv + (1−ρ) T_amb, with τ = (R_AT+R_IC)·C "
+        "and ρ = R_AT/(R_AT+R_IC); the heat release f_ΔT [K] is a polynomial of the power in operation and a line over "
+        "the ambient temperature at standstill. Vapour: dc*/dt = T_conv,a T_amb^0.8 (c_amb − c*)/(k (273 K)^1.8) and "
+        "c = c* T_amb/T_conv,a. Coloured and white disturbances of both flows are estimated with everything else; the "
+        "sensors' accuracy is a prior on a constant error.",
+        f"Reported values: {how}{f', {kind} model' if kind else ''}, on the identification period alone. Every reading "
+        "is taken at its own time; interval means of inputs are held over their interval, instants are joined by lines.",
+        "Bounds of the time constants are those of the profile likelihood, widened where the scores vary more than the "
+        "model says; other bounds are the wider of Wald's and the sandwich's. Errors are those of the free run, "
+        "measured readings unseen; stretches with unknown power or weather, and the hours after them, are not scored.",
+    ]
+    lines += [_sentence(line) for line in texts(entry(fit, "design", "statements"))]
+    values = [
+        f"{label} {fixed(number(fit, name))}"
+        for name, label in (("loglik", "log-likelihood"), ("aic", "AIC"), ("bic", "BIC"))
+        if math.isfinite(number(fit, name))
+    ]
+    n = number(fit, "n_obs")
+    if math.isfinite(n):
+        values.append(f"{n:,.0f} readings in the likelihood")
+    if values:
+        lines.append(", ".join(values) + ".")
+    version = text_of(entry(fit, "version"))
+    when = _date(entry(fit, "created"))
+    made = f"Fitted by hygrokf {version or '(version not stated)'}{f' on {when} UTC' if when else ''}; page written by hygrokf {__version__}."
+    paragraphs = "".join(f"<p>{escape(line)}</p>" for line in (*lines, made))
+    return f"<footer><h2>How this was computed</h2>{paragraphs}</footer>"
+
+
+def _tables(*tables: tuple[Table | None, str]) -> str:
+    return "".join(
+        _table(table) if table is not None else f"<p class=left-out>{escape(why)}</p>"
+        for table, why in tables
+    )
+
+
+def _table(table: Table) -> str:
+    groups = ""
+    starts: set[int] = set()
+    if table.groups:
+        at = 0
+        for heading, count in table.groups:
+            starts.add(at)
+            at += count
+            groups += f"<th colspan={count}{' class=group' if heading else ''}>{escape(heading)}</th>"
+        groups = f"<tr>{groups}</tr>"
+
+    def cell(tag: str, place: int, text: str) -> str:
+        marks = {
+            "l": place in table.left,
+            "g": place in starts and place > 0,
+            "long": place in table.left and len(text) > LONG,
+        }
+        names = [name for name, there in marks.items() if there]
+        attribute = f" class='{' '.join(names)}'" if names else ""
+        return f"<{tag}{attribute}>{escape(one_line(text))}</{tag}>"
+
+    head = "".join(cell("th", i, text) for i, text in enumerate(table.columns))
+    rows = "".join(
+        f"<tr{' class=marked' if i in table.marked else ''}>{''.join(cell('td', k, text) for k, text in enumerate(row))}</tr>"
+        for i, row in enumerate(table.rows)
+    )
+    note = f"<p class=note>{escape(table.note)}</p>" if table.note else ""
+    return (
+        f"<div class='table{' short' if len(table.rows) < 13 else ''}'><h3>{escape(table.heading)}</h3><table><thead>{groups}<tr>{head}</tr></thead>"
+        f"<tbody>{rows}</tbody></table>{note}</div>"
+    )
+
+
+# --- text ------------------------------------------------------------------------------------
+
+
+def report_text(fit: Mapping) -> str:
+    """The tables of a fit as text of at most 100 columns, for the command line."""
+    name = one_line(text_of(entry(fit, "name"))) or "unnamed record"
+    blocks = [
+        _wrapped(f"{name}{' (SYNTHETIC: nothing measured)' if entry(fit, 'synthetic') is True else ''}")
+    ]
+    if entry(fit, "converged") is not True:
+        said = text_of(entry(fit, "message"))
+        blocks.append(_wrapped(f"NOT CONVERGED{f': {said}' if said else ''}. No number below is final."))
+    blocks.append("\n".join(_wrapped(time_constant(fit, one).sentence) for one in ("thermal", "hygric")))
+    tables = [time_constants_table(fit), *(rmse_table(fit, period) for period in PERIODS), bands_table(fit)]
+    blocks += [table_text(table) for table in tables if table is not None]
+    parameters = parameters_table(fit)
+    if parameters is not None:
+        blocks.append(table_text(parameters, columns=(0, 1, 2, 3, 4, 6)))
+    innovations = innovations_table(fit)
+    if innovations is not None:
+        blocks.append(table_text(innovations))
+    signs = {GOOD: "+", CARE: "!", BAD: "x"}
+    found = judgements(fit)
+    named = " ".join(one.sentence for one in found)
+    remarks = [f"{signs[one.kind]} {one.sentence}" for one in found]
+    remarks += [f"! {_sentence(line)}" for line in texts(entry(fit, "statements")) if line not in named]
+    if remarks:
+        title = "What to believe (+), what with caution (!), what not (x)"
+        blocks.append("\n".join([title, *(_wrapped(line, "  ") for line in remarks)]))
+    return "\n\n".join(blocks)
+
+
+def _wrapped(text: str, indent: str = "") -> str:
+    return "\n".join(textwrap.wrap(one_line(text), TEXT_WIDTH, subsequent_indent=indent)) or text
+
+
+_CSS = (
+    """\
+@page { size: A4; margin: 15mm 14mm 16mm; }
+* { box-sizing: border-box; }
+html { -webkit-text-size-adjust: 100%; }
+body { margin: 0; background: #fff; color: #22272e; font: 14px/1.45 """
+    + FONTS
+    + """; }
+main { max-width: 820px; margin: 0 auto; padding: 28px 24px 48px; }
+h1 { font-size: 27px; line-height: 1.2; margin: 0 0 6px; overflow-wrap: anywhere; }
+h2 { font-size: 18px; margin: 34px 0 8px; padding-top: 10px; border-top: 2px solid #22272e; }
+h3 { font-size: 14px; margin: 20px 0 6px; } sub { font-size: 75%; line-height: 0; }
+p { margin: 4px 0; overflow-wrap: anywhere; }
+.kind { color: #6b7480; font-size: 12px; letter-spacing: .02em; }
+.meta { color: #4a525c; font-size: 13px; }
+.banner { margin: 14px 0 0; padding: 9px 12px; border-left: 5px solid; font-size: 14px; }
+.banner b { margin-right: 8px; letter-spacing: .05em; }
+.synthetic { background: #fdf3d7; border-color: #c98a00; }
+.failed { background: #fbe3e1; border-color: #b3140f; color: #8c0f0b; }
+.cards { display: grid; grid-template-columns: 1fr 1fr; gap: 14px; margin-top: 20px; }
+.card { border: 1px solid #d5dae0; border-top: 4px solid #1b5fa8; padding: 10px 14px 12px; break-inside: avoid; }
+.card.open { border-top-color: #c98a00; }
+.card .label { font-weight: 600; } .card .label span { font-weight: 400; color: #6b7480; }
+.card .value { font-size: 34px; line-height: 1.15; font-weight: 650; margin: 2px 0; }
+.card .bounds { font-size: 15px; font-weight: 600; }
+.card p { font-size: 13px; } .apart { color: #b3140f; font-weight: 600; }
+.key { color: #4a525c; font-size: 12px; }
+.key span { margin: 0 3px 0 12px; } .key span:first-child { margin-left: 0; }
+.judgements { list-style: none; padding: 0; margin: 6px 0; }
+.judgements li { position: relative; padding: 4px 0 4px 26px; border-bottom: 1px solid #edf0f3; break-inside: avoid; overflow-wrap: anywhere; }
+.judgements li > span { position: absolute; left: 3px; font-weight: 700; }
+.good > span, span.good { color: #1d7a3a; } .care > span, span.care { color: #a86a00; }
+.bad > span, span.bad { color: #b3140f; } li.bad { color: #8c0f0b; font-weight: 600; }
+span.good, span.care, span.bad { font-weight: 700; }
+.table { overflow-x: auto; } .table.short { break-inside: avoid; }
+table { border-collapse: collapse; width: 100%; font-size: 12.5px; font-variant-numeric: tabular-nums; }
+th, td { padding: 3px 8px 3px 4px; text-align: right; vertical-align: top; }
+th { font-weight: 600; color: #4a525c; border-bottom: 1px solid #6b7480; vertical-align: bottom; }
+thead tr:first-child:not(:last-child) th { border-bottom: 0; } th.group { text-align: center; border-bottom: 1px solid #d5dae0 !important; }
+td { border-bottom: 1px solid #edf0f3; }
+tr { break-inside: avoid; }
+td { white-space: nowrap; } .l { text-align: left; white-space: pre; }
+.l.long { white-space: pre-wrap; overflow-wrap: anywhere; min-width: 14em; } .g { padding-left: 18px; }
+.marked td { font-weight: 650; }
+.note, figcaption { color: #4a525c; font-size: 12.5px; } .note { margin-top: 5px; }
+figure { margin: 26px 0 0; break-inside: avoid; } figure svg { display: block; width: 100%; height: auto; }
+figure h3 { margin-top: 0; font-size: 15px; } figcaption { margin-top: 4px; max-width: 46em; }
+.left-out { color: #6b7480; font-style: italic; margin: 14px 0; }
+section ul { padding-left: 20px; margin: 6px 0; } li { overflow-wrap: anywhere; }
+footer p { font-size: 12.5px; color: #4a525c; }
+h2, h3 { break-after: avoid; }
+@media (max-width: 560px) { .cards { grid-template-columns: 1fr; } main { padding: 16px 12px; } }
+@media print {
+  body { font-size: 9.6pt; print-color-adjust: exact; -webkit-print-color-adjust: exact; }
+  main { max-width: none; padding: 0; } h2 { margin-top: 20px; } figure { margin-top: 16px; }
+  table, .note, figcaption, footer p, .card p { font-size: 8.4pt; } .card .value { font-size: 22pt; } .card .bounds { font-size: 10.5pt; }
+}
+"""
+)

@@ -1,0 +1,278 @@
+"""What is installed, and what stands where: metadata, top level, scripts, imports of the command line."""
+
+from __future__ import annotations
+
+import ast
+import configparser
+import importlib
+import os
+import re
+import subprocess
+import sys
+import tomllib
+import venv
+import zipfile
+from pathlib import Path
+
+import pytest
+
+from hygrokf.version import __version__
+
+ROOT = Path(__file__).resolve().parents[1]
+TOP_LEVEL = {
+    "setup.cfg", "hygrokf", "tests", "scripts", "docs", "README.md",
+    "pyproject.toml", "LICENSE", ".gitignore", ".ci",
+}  # fmt: skip
+SCRIPTS = ("scripts/demo", "scripts/test", "scripts/benchmark", ".ci/run")
+LATE = {
+    "pandas",
+    "scipy",
+    "matplotlib",
+    "statsmodels",
+    "control",
+    "filterpy",
+    "numba",
+    "llvmlite",
+    "tqdm",
+    "pyarrow",
+}
+"""Packages that cost too much to be loaded before a command needs them."""
+IMPORT_NAMES = {"pytest-xdist": "xdist"}
+
+
+@pytest.fixture(scope="module")
+def settings() -> configparser.ConfigParser:
+    parser = configparser.ConfigParser()
+    parser.read(ROOT / "setup.cfg", encoding="utf-8")
+    return parser
+
+
+def requirements(text: str) -> dict[str, str]:
+    """Names and bounds of a list of requirements."""
+    rows = [line.strip() for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    return {re.match(r"[A-Za-z0-9_-]+", row)[0]: re.sub(r"^[A-Za-z0-9_-]+", "", row) for row in rows}
+
+
+def as_numbers(version: str) -> tuple[int, ...]:
+    return tuple(int(part) for part in re.findall(r"\d+", version)[:3])
+
+
+def run(*command: object, **more: object) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False, **more)
+
+
+# -- metadata --------------------------------------------------------------------------------------------------------
+def test_pyproject_holds_the_build_system_alone() -> None:
+    with open(ROOT / "pyproject.toml", "rb") as file:
+        assert set(tomllib.load(file)) == {"build-system"}
+
+
+def test_the_version_has_one_place(settings: configparser.ConfigParser) -> None:
+    assert settings["metadata"]["version"] == "attr: hygrokf.version.__version__"
+    assert importlib.import_module("hygrokf").__version__ == __version__
+    # read without importing by the build: it must be a literal
+    assigned = ast.parse((ROOT / "hygrokf" / "version.py").read_text(encoding="utf-8")).body[-1]
+    assert isinstance(assigned, ast.Assign) and ast.literal_eval(assigned.value) == __version__
+    stated = [p for p in ROOT.glob("hygrokf/**/*.py") if f'"{__version__}"' in p.read_text(encoding="utf-8")]
+    assert stated == [ROOT / "hygrokf" / "version.py"]
+
+
+def test_the_command_is_a_function_of_the_package(settings: configparser.ConfigParser) -> None:
+    (line,) = settings["options.entry_points"]["console_scripts"].split("\n")[1:]
+    name, target = (part.strip() for part in line.split("="))
+    module, function = target.split(":")
+    assert name == "hygrokf"
+    assert callable(getattr(importlib.import_module(module), function))
+
+
+def test_python_and_licence(settings: configparser.ConfigParser) -> None:
+    assert settings["options"]["python_requires"] == ">=3.11"
+    assert settings["metadata"]["license"] == "BSD-3-Clause"
+    licence = (ROOT / "LICENSE").read_text(encoding="utf-8")
+    assert "the hygrokf authors" in licence and "Neither the name of the copyright holder" in licence
+
+
+def test_requirements_have_a_lower_bound_and_no_cap(settings: configparser.ConfigParser) -> None:
+    lists = [settings["options"]["install_requires"], *settings["options.extras_require"].values()]
+    for text in lists:
+        for name, bound in requirements(text).items():
+            assert re.fullmatch(r">=[0-9.]+", bound), (
+                f"{name}{bound}: expected one lower bound and nothing else"
+            )
+
+
+def test_what_runs_here_satisfies_the_bounds(settings: configparser.ConfigParser) -> None:
+    from importlib.metadata import version
+
+    for name, bound in requirements(settings["options"]["install_requires"]).items():
+        assert as_numbers(version(name)) >= as_numbers(bound), name
+
+
+def test_every_third_party_import_is_required(settings: configparser.ConfigParser) -> None:
+    required = {*requirements(settings["options"]["install_requires"])}
+    optional = {*requirements(settings["options.extras_require"]["parquet"])}
+    found = set()
+    for path in ROOT.glob("hygrokf/**/*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                found.add(node.module.partition(".")[0])
+    others = found - set(sys.stdlib_module_names) - {"hygrokf"}
+    assert others <= required | optional, sorted(others - required - optional)
+
+
+def test_the_tests_extra_holds_what_tests_import(settings: configparser.ConfigParser) -> None:
+    extra = {IMPORT_NAMES.get(n, n) for n in requirements(settings["options.extras_require"]["test"])}
+    installed = {*requirements(settings["options"]["install_requires"])}
+    own = {path.stem for path in (ROOT / "tests").rglob("*.py")} | {
+        "hygrokf",
+        "plants",
+        "benchmarks",
+        "tests",
+    }
+    found = set()
+    for path in (ROOT / "tests").rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Import):
+                found |= {alias.name.partition(".")[0] for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                found.add(node.module.partition(".")[0])
+    others = found - set(sys.stdlib_module_names) - own
+    assert others <= extra | installed, sorted(others - extra - installed)
+
+
+def test_slow_tests_are_left_out_by_default(settings: configparser.ConfigParser) -> None:
+    options = settings["tool:pytest"]
+    assert '-m "not slow"' in options["addopts"] and "--strict-markers" in options["addopts"]
+    assert options["filterwarnings"].split() == ["error"]
+
+
+def test_other_files_of_the_package_are_installed(settings: configparser.ConfigParser) -> None:
+    """Every file beside the modules is named by package_data."""
+    patterns = settings["options.package_data"]["hygrokf"].split()
+    ignored = {".py", ".pyc"}
+    for path in (ROOT / "hygrokf").rglob("*"):
+        if path.is_file() and path.suffix not in ignored:
+            inside = path.relative_to(ROOT / "hygrokf")
+            assert any(inside.match(pattern) for pattern in patterns), f"{inside} would not be installed"
+
+
+# -- the repository --------------------------------------------------------------------------------------------------
+def tracked() -> list[str]:
+    """Files of the repository: git's own list, or what lies there where there is no git (an unpacked archive)."""
+    listed = run("git", "-C", ROOT, "ls-files", "--cached", "--others", "--exclude-standard")
+    if listed.returncode == 0 and listed.stdout:
+        return [name for name in listed.stdout.splitlines() if (ROOT / name).exists()]
+    known = TOP_LEVEL | {
+        ".venv",
+        "demo",
+        ".git",
+        ".pytest_cache",
+        ".ruff_cache",
+        ".hypothesis",
+        "hygrokf.egg-info",
+    }
+    return [p.name for p in ROOT.iterdir() if p.name not in known] + sorted(TOP_LEVEL)
+
+
+def test_the_top_level_holds_what_it_should() -> None:
+    found = {name.partition("/")[0] for name in tracked()}
+    assert found == TOP_LEVEL
+
+
+@pytest.mark.skipif(os.name == "nt", reason="permissions as POSIX has them")
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_scripts_can_be_run(name: str) -> None:
+    path = ROOT / name
+    assert os.access(path, os.X_OK), f"{name} is not executable"
+    assert path.read_text(encoding="utf-8").startswith("#!/usr/bin/env ")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="bash scripts")
+@pytest.mark.parametrize("name", ["scripts/demo", "scripts/test", "scripts/environment", ".ci/run"])
+def test_bash_can_read_the_scripts(name: str) -> None:
+    checked = run("bash", "-n", ROOT / name)
+    assert checked.returncode == 0, checked.stderr
+
+
+REPORT = (
+    '<testsuites><testsuite><testcase classname="a" name="b">{inside}</testcase></testsuite></testsuites>'
+)
+
+
+@pytest.mark.parametrize(
+    ("inside", "shared", "status"),
+    [
+        ("", False, 0),
+        ('<skipped type="pytest.xfail" message="known"/>', True, 0),
+        ('<skipped type="pytest.skip" message="no chromium"/>', False, 1),
+        ('<skipped type="pytest.skip" message="could not import \'pyarrow\'"/>', True, 1),
+        ('<skipped type="pytest.skip" message="../shared/data is not there"/>', False, 0),
+        ('<skipped type="pytest.skip" message="../shared/data is not there"/>', True, 1),
+    ],
+)
+def test_a_skip_fails_the_checks_unless_its_data_are_absent(
+    inside: str, shared: bool, status: int, tmp_path: Path
+) -> None:
+    home = tmp_path / "clone" / ".ci"
+    home.mkdir(parents=True)
+    if shared:
+        (tmp_path / "shared").mkdir()
+    (home / "skips").write_bytes((ROOT / ".ci" / "skips").read_bytes())
+    report = tmp_path / "report.xml"
+    report.write_text(REPORT.format(inside=inside))
+    done = run(sys.executable, home / "skips", report)
+    assert done.returncode == status, done.stderr
+    assert ("a::b" in done.stdout) == bool(status)
+
+
+# -- start-up --------------------------------------------------------------------------------------------------------
+def loaded_by(statement: str) -> set[str]:
+    """Top-level packages that a fresh interpreter has loaded after a statement."""
+    code = f"import sys\n{statement}\nprint('\\n'.join(sorted({{m.partition('.')[0] for m in sys.modules}})))"
+    done = run(sys.executable, "-c", code, env={**os.environ, "PYTHONPATH": str(ROOT)})
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.split())
+
+
+@pytest.mark.parametrize("module", ["hygrokf", "hygrokf.cli"])
+def test_the_command_line_loads_no_heavy_package(module: str) -> None:
+    assert not loaded_by(f"import {module}") & LATE
+
+
+def test_help_loads_no_heavy_package() -> None:
+    shown = "from contextlib import redirect_stdout, suppress\nfrom io import StringIO\nfrom hygrokf.cli import main\n"
+    shown += "with suppress(SystemExit), redirect_stdout(StringIO()):\n    main(['--help'])"
+    assert not loaded_by(shown) & (LATE | {"numpy"})
+
+
+# -- an installation -------------------------------------------------------------------------------------------------
+@pytest.mark.slow
+def test_a_fresh_environment_runs_the_command(tmp_path: Path) -> None:
+    """The built wheel holds the package and nothing else, and its command runs outside the repository."""
+    source = tmp_path / "source"
+    source.mkdir()
+    for name in tracked():
+        if name.partition("/")[0] in {"hygrokf", "setup.cfg", "pyproject.toml", "README.md", "LICENSE"}:
+            (source / name).parent.mkdir(parents=True, exist_ok=True)
+            (source / name).write_bytes((ROOT / name).read_bytes())
+    made = run(sys.executable, "-m", "pip", "wheel", "--no-deps", "-w", tmp_path, source)
+    assert made.returncode == 0, made.stderr
+    (wheel,) = tmp_path.glob("hygrokf-*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        inside = {name.partition("/")[0] for name in archive.namelist()}
+        modules = {name for name in archive.namelist() if name.startswith("hygrokf/")}
+    assert inside == {"hygrokf", f"hygrokf-{__version__}.dist-info"}
+    own = (p for p in (ROOT / "hygrokf").rglob("*") if p.is_file() and "__pycache__" not in p.parts)
+    assert modules == {p.relative_to(ROOT).as_posix() for p in own}
+    place = tmp_path / "environment"
+    venv.create(place, with_pip=True)
+    installed = run(place / "bin" / "python", "-m", "pip", "install", wheel)
+    assert installed.returncode == 0, installed.stderr
+    plain = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    shown = run(place / "bin" / "hygrokf", "--version", cwd=tmp_path, env=plain)
+    assert (shown.returncode, shown.stdout.strip()) == (0, f"hygrokf {__version__}")
+    demo = run(place / "bin" / "hygrokf", "demo", "--out", tmp_path / "demo", cwd=tmp_path, env=plain)
+    assert demo.returncode == 0, demo.stderr
+    assert (tmp_path / "demo" / "report.html").stat().st_size > 10_000
