@@ -38,13 +38,18 @@ def reading_noise(series: Series) -> tuple[float, float] | None:
     step = np.diff(time)
     usual = float(np.median(step))
     regular = np.abs(step - usual) < 0.1 * usual
+    if regular.sum() < FEWEST // 2:
+        return None
     increment = np.where(regular, np.diff(value), np.nan)
-    # a front that passes is no noise: increments beyond five times the usual spread are left out
+    # a front that passes is no noise: increments beyond eight times the usual spread are left out
     spread = 1.4826 * float(np.nanmedian(np.abs(increment - np.nanmedian(increment))))
     if not spread > 0:
         return None
     increment = np.where(np.abs(increment) < 8.0 * spread, increment, np.nan)
-    gamma = [float(np.nanmean(increment[lag:] * increment[: len(increment) - lag])) for lag in range(3)]
+    products = [increment[lag:] * increment[: len(increment) - lag] for lag in range(3)]
+    if min(np.isfinite(product).sum() for product in products) < FEWEST // 2:
+        return None
+    gamma = [float(np.nanmean(product)) for product in products]
     noise = gamma[2] - gamma[1]
     level = gamma[0] - 2.0 * noise
     # both autocovariances are uncertain by γ₀/√T: what is below three times that is no finding
@@ -85,7 +90,8 @@ def ambient_absolute_humidity(record: Record) -> Series | None:
     ):
         if name in record:
             series = record[name]
-            temperature = at_times(record["ambient_temperature"], series.time, AMBIENT_BRIDGE_H)
+            outside = centred(record["ambient_temperature"])
+            temperature = at_times(outside, centred(series).time, bridge_h(outside, AMBIENT_BRIDGE_H))
             return Series(
                 signal="ambient_absolute_humidity",
                 time=series.time,
@@ -96,6 +102,25 @@ def ambient_absolute_humidity(record: Record) -> Series | None:
                 source=series.source,
             )
     return None
+
+
+def centred(series: Series) -> Series:
+    """A course to be joined by straight lines: interval means stand in the middle of their interval.
+
+    Left at its end, a mean would reach the cabinet half an interval late: 30 min for hourly means, as long as the
+    hygric time constant.
+    """
+    if series.hold == "linear":
+        return series
+    return replace(series, time=series.time - 0.5 * series.interval_s, hold="linear", interval_s=0.0)
+
+
+def bridge_h(series: Series, limit_h: float) -> float:
+    """Longest gap that is bridged [h]: the limit, but never less than the series' own usual step leaves open."""
+    time = series.time[~series.missing]
+    if len(time) < 2:
+        return limit_h
+    return max(limit_h, (1.5 * float(np.median(np.diff(time))) - series.interval_s) / 3600.0)
 
 
 def at_times(series: Series, time: np.ndarray, bridge_h: float) -> np.ndarray:

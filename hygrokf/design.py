@@ -13,7 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from hygrokf import mechanisms as library
-from hygrokf.ambient import ambient_absolute_humidity, reading_noise
+from hygrokf.ambient import ambient_absolute_humidity, bridge_h, reading_noise
 from hygrokf.loops import LINEAR, REGIME, ZERO_ORDER
 from hygrokf.model import Mechanism, Model, compose
 from hygrokf.record import Record, Series
@@ -256,7 +256,7 @@ def _release(
         "standstill": standstill,
         "standstill_ambient": standstill_ambient,
     }
-    if _longest_gap_h(series, record) > BRIDGE_H:
+    if _longest_gap_h(series, record) > bridge_h(series, BRIDGE_H):
         chosen = features if standstill else np.column_stack([np.zeros(len(value)), features[:, 1:]])
         settings["gap_covariance"] = np.cov(chosen.T, bias=True).reshape(order + 1, order + 1).tolist()
         settings["gap_time_h"] = _correlation_time_h(series)
@@ -297,6 +297,19 @@ def extended(
 ) -> Design:
     """The design with more mechanisms of the library."""
     return replace(base, mechanisms=(*base.mechanisms, *additions), holds={**base.holds, **(holds or {})})
+
+
+def read_as(base: Design, record: Record) -> Design:
+    """The design for a record whose loggers average otherwise: interval means belong to the readings, not the cabinet.
+
+    Outputs that the record does not have keep the design's own interval.
+    """
+    averaged = {}
+    for name in base.model.outputs:
+        interval = record[name].interval_s / 3600.0 if name in record else base.averaged.get(name, 0.0)
+        if interval > 0:
+            averaged[name] = interval
+    return base if averaged == base.averaged else replace(base, averaged=averaged)
 
 
 def merged(parts: Sequence[Design]) -> Design:

@@ -6,7 +6,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, smoothed
+from hygrokf.ambient import (
+    AMBIENT_BRIDGE_H,
+    ambient_absolute_humidity,
+    at_times,
+    bridge_h,
+    centred,
+    smoothed,
+)
 from hygrokf.design import (
     BRIDGE_H,
     HUMIDITIES,

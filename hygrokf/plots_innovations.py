@@ -52,7 +52,7 @@ def figure_innovations(fit: Mapping, series: Mapping[str, np.ndarray], output: s
         why = said[0] if isinstance(said, list) and said and isinstance(said[0], str) else "too few readings"
         raise NothingToShow(f"No diagnosis: {why}.")
     with styled():
-        figure = new_figure(6.0)
+        figure = new_figure(5.3)
         top = figure.add_gridspec(1, 3, wspace=0.24, left=0.065, right=0.995, top=0.955, bottom=0.745)
         cross = _shown_inputs(found)
         middle = figure.add_gridspec(

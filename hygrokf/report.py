@@ -470,7 +470,7 @@ th { font-weight: 600; color: #4a525c; border-bottom: 1px solid #6b7480; vertica
 thead tr:first-child:not(:last-child) th { border-bottom: 0; } th.group { text-align: center; border-bottom: 1px solid #d5dae0 !important; }
 td { border-bottom: 1px solid #edf0f3; }
 tr { break-inside: avoid; }
-td { white-space: nowrap; } .l { text-align: left; white-space: pre; }
+td { white-space: nowrap; } .l { text-align: left; white-space: pre; } td.l:not(:first-child) { white-space: normal; }
 .l.long { white-space: pre-wrap; overflow-wrap: anywhere; min-width: 14em; } .g { padding-left: 18px; }
 .marked td { font-weight: 650; }
 .note, figcaption { color: #4a525c; font-size: 12.5px; } .note { margin-top: 5px; }

@@ -113,41 +113,44 @@ def air_humidity(equations, x, u):
     return x["vapour"] * u["ambient_temperature"] / equations.quantities["cabinet_air_temperature"]
 
 
-def predicted_readings(design: Design, run: Run, trace: Trace) -> Prediction:
-    """What the logger is expected to show, before the readings of each instant."""
-    outputs = design.model.outputs
-    found: dict[str, tuple[np.ndarray, np.ndarray]] = {}
-    for i, name in enumerate(outputs):
-        found[name] = (trace.prediction[:, i], np.sqrt(trace.variance[:, i]))
+def predicted_readings(design: Design, values: Mapping[str, float], run: Run, trace: Trace) -> Prediction:
+    """What the logger is expected to show, before the readings of each instant.
+
+    The spread of the absolute humidity is that of the vapour itself and of both readings' white noise: errors of the
+    predicted temperature change both readings and leave the vapour as it is.
+    """
+    model = design.model
+    found = {
+        name: (trace.prediction[:, i], np.sqrt(trace.variance[:, i])) for i, name in enumerate(model.outputs)
+    }
     temperature = found.get("cabinet_temperature")
     relative = found.get("cabinet_relative_humidity")
     absolute = found.get("cabinet_absolute_humidity")
-    warm = temperature
-    if warm is None and "cabinet_temperature" in design.model.inputs:
-        value = run.timeline.input("cabinet_temperature")
-        warm = (value, np.zeros_like(value))
+    warm = temperature[0] if temperature is not None else None
+    if warm is None and "cabinet_temperature" in model.inputs:
+        warm = run.timeline.input("cabinet_temperature")
     if relative is not None and warm is not None:
-        value = 1e3 * absolute_humidity(relative[0], warm[0])
-        by_humidity = value / np.where(relative[0] != 0, relative[0], np.nan) * relative[1]
-        by_temperature = 1e3 * absolute_humidity_slope_temperature(relative[0], warm[0]) * warm[1]
-        # the two readings' errors are strongly anticorrelated through e_s(T): the vapour content is what is
-        # uncertain, so the spread is taken from the state where the model has one
-        if "vapour" in design.model.states:
-            state = design.model.states.index("vapour")
-            share = np.sqrt(np.maximum(trace.prior_covariance[:, state, state], 0.0))
-            noise = value / np.where(relative[0] != 0, relative[0], np.nan) * _noise(design, trace, run)
-            spread = np.hypot(share, noise)
-        else:
-            spread = np.hypot(by_humidity, by_temperature)
-        absolute = (value, spread)
+        value = 1e3 * absolute_humidity(relative[0], warm)
+        by_humidity = 1e3 * absolute_humidity(1.0, warm) * _noise(design, values, run, "cabinet_relative_humidity")
+        by_temperature = (
+            1e3
+            * absolute_humidity_slope_temperature(relative[0], warm)
+            * _noise(design, values, run, "cabinet_temperature")
+        )
+        state = model.states.index("vapour")
+        vapour = np.sqrt(np.maximum(trace.prior_covariance[:, state, state], 0.0))
+        absolute = (value, np.sqrt(vapour**2 + by_humidity**2 + by_temperature**2))
     return Prediction(temperature, relative, absolute)
 
 
-def _noise(design: Design, trace: Trace, run: Run) -> float:
-    """Lowest standard deviation of the humidity reading met in the run: its own noise [1]."""
-    i = design.model.outputs.index("cabinet_relative_humidity")
-    del run
-    return float(np.sqrt(np.nanmin(trace.variance[:, i])))
+def _noise(design: Design, values: Mapping[str, float], run: Run, output: str) -> float:
+    """Standard deviation of a single reading's white noise, resolution included; 0 for what is no output."""
+    model = design.model
+    if output not in model.outputs:
+        return 0.0
+    u = {name: float(run.timeline.input(name)[0]) for name in model.inputs}
+    mean, _ = model.initial(values, u)
+    return float(np.sqrt(model.evaluate(mean, u, values).outputs[output][1]))
 
 
 def free_run(
@@ -162,7 +165,7 @@ def free_run(
     """
     blind = run.timeline.with_readings(np.full_like(run.timeline.y, np.nan))
     likelihood = Likelihood(design.model, blind)
-    made = predicted_readings(design, run, likelihood.trace(values))
+    made = predicted_readings(design, values, run, likelihood.trace(values))
     if covariance is None:
         return made
     names, matrix = covariance
@@ -239,7 +242,7 @@ def forecasts(
         state = Gaussian(trace.mean[start], trace.covariance[start])
         ahead = Likelihood(design.model, part).trace(values, start=state)
         piece = Run(part, run.operating[start + 1 : last], run.scored[start + 1 : last])
-        made = predicted_readings(design, piece, ahead)
+        made = predicted_readings(design, values, piece, ahead)
         for lead in leads_h:
             for quantity in QUANTITIES:
                 pair = made.of(quantity)
