@@ -302,13 +302,13 @@ def extended(
 def read_as(base: Design, record: Record) -> Design:
     """The design for a record whose loggers average otherwise: interval means belong to the readings, not the cabinet.
 
-    Outputs that the record does not have keep the design's own interval.
+    Outputs that the record does not have are predicted for instants.
     """
-    averaged = {}
-    for name in base.model.outputs:
-        interval = record[name].interval_s / 3600.0 if name in record else base.averaged.get(name, 0.0)
-        if interval > 0:
-            averaged[name] = interval
+    averaged = {
+        name: record[name].interval_s / 3600.0
+        for name in base.model.outputs
+        if name in record and record[name].interval_s > 0
+    }
     return base if averaged == base.averaged else replace(base, averaged=averaged)
 
 

@@ -48,7 +48,7 @@ def diagnose(
     standardised: output -> (T,) e/√S [1]; NaN where there is no reading.
     inputs: input -> (T,) values at the same instants [any unit]; NaN where unknown.
     level: [1] probability of any false alarm among all tests, 0 … 1.
-    longest_h: [h] longest lag.
+    longest_h: [h] longest lag; none is longer than a tenth of the readings.
 
     Result: `outputs` by name (moments, `ljung_box`, `autocorrelation`, `cumulative_periodogram`, `periodogram`,
     `daily_cycle`, `cross_correlation` by input, `statements`), `tests` (name, output, p, p adjusted by Holm's method,
@@ -150,7 +150,7 @@ def _output(
     if float(np.ptp(e)) <= 1e-12 * max(1.0, float(np.max(np.abs(e)))):
         return {"n": n, "said": [f"{name} innovations do not vary: nothing to diagnose"]}, []
     step = float(np.median(np.diff(time)))
-    lags = int(min(max(round(longest_h / step), 1), n // 4))
+    lags = int(min(max(round(longest_h / step), 1), n // 10))
     result: dict = {"n": n, "step_h": step, "lags": lags, "said": []}
     tests = [
         *_moments(name, e, result),

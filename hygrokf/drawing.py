@@ -255,19 +255,21 @@ def calendar(axes: Axes, span: tuple[float, float], ticks: int = 9, labels: bool
 
 
 _STEPS = (
-    *((hours, "h") for hours in (1, 2, 3, 6, 12)),
+    *((number, "m") for number in (1, 2, 5, 10, 15, 30)),
+    *((number, "h") for number in (1, 2, 3, 6, 12)),
     *((number, "D") for number in (1, 2, 7, 14)),
-    *((number, "M") for number in (1, 2, 3, 6, 12, 24, 60, 120)),
+    *((number, "M") for number in (1, 2, 3, 6, 12, 24, 60, 120, 600)),
 )
+_SECONDS = {"m": 60.0, "h": 3600.0, "D": DAY_S, "M": 30.4 * DAY_S}
 
 
 def calendar_ticks(low: float, high: float, ticks: int) -> tuple[np.ndarray, list[str]]:
     """Round instants [s] between `low` and `high` [s], at most `ticks`, and what to write there (UTC)."""
     first, last = (np.datetime64(math.floor(v), "s") for v in (low, high))
     at, unit = np.array([first]), "s"
-    for step, unit in (
-        _STEPS if high - low > 7200.0 else ((max(1, math.ceil((high - low) / 60.0 / ticks)), "m"),)
-    ):
+    for step, unit in _STEPS:
+        if (high - low) / _SECONDS[unit] / step > 2 * ticks:
+            continue
         # whole multiples since 1970 fall on midnights and on Januaries; weeks begin on Mondays
         start = first.astype(f"datetime64[{unit}]").astype(int)
         shift = 4 if (step, unit) in ((7, "D"), (14, "D")) else 0

@@ -22,6 +22,7 @@ from hygrokf.design import (
     Design,
     power_features,
 )
+from hygrokf.loops import LINEAR
 from hygrokf.mechanisms.hygric import exchange_factor
 from hygrokf.record import Record, Series
 from hygrokf.timeline import Timeline, timeline
@@ -51,22 +52,32 @@ def _changes(series: Series, first: float, last: float) -> np.ndarray:
 def run(design: Design, record: Record) -> Run:
     """The instants of a record for a design.
 
-    The run spans the cabinet's readings as far as ambient series exist.  Raises ValueError where nothing is left.
+    The run spans the cabinet's readings as far as ambient series exist.  Interval means of the ambient stand in the
+    middle of their interval and are joined by straight lines; of interval means of the cabinet that overlap, the later
+    ones are left out.  Raises ValueError where nothing is left, and where the record averages otherwise than the
+    design (`read_as` makes one that fits).
     """
     model = design.model
     outputs = [name for name in model.outputs if name in record]
+    _same_intervals(design, record, outputs)
     inputs_of = set(model.inputs)
     vapour = ambient_absolute_humidity(record) if "ambient_absolute_humidity" in inputs_of else None
     ambient = {"ambient_temperature": record["ambient_temperature"]}
     if vapour is not None:
         ambient["ambient_absolute_humidity"] = vapour
-    ambient = {name: smoothed(series, design.ambient_noise.get(name)) for name, series in ambient.items()}
+    ambient = {
+        name: centred(smoothed(series, design.ambient_noise.get(name))) for name, series in ambient.items()
+    }
     if TEMPERATURE in inputs_of:
-        ambient[TEMPERATURE] = record[TEMPERATURE]
+        ambient[TEMPERATURE] = centred(record[TEMPERATURE])
     observed = [record[name] for name in (TEMPERATURE, *HUMIDITIES) if name in record]
     spans = observed or list(ambient.values())
-    first = max(min(s.time[0] - s.interval_s for s in spans), *(s.time[0] for s in ambient.values()))
-    last = min(max(s.time[-1] for s in spans), *(s.time[-1] for s in ambient.values()))
+    known = [s.time[~s.missing] for s in ambient.values()]
+    if not all(len(time) for time in known):
+        empty = ", ".join(name for name, time in zip(ambient, known, strict=True) if not len(time))
+        raise ValueError(f"record {record.name}: no reading of {empty} can be used")
+    first = max(min(s.time[0] - s.interval_s for s in spans), *(time[0] for time in known))
+    last = min(max(s.time[-1] for s in spans), *(time[-1] for time in known))
     if not first < last:
         raise ValueError(
             f"record {record.name}: the cabinet's readings and the ambient series have no time in common"
@@ -76,17 +87,20 @@ def run(design: Design, record: Record) -> Run:
         for name in ("active_power", "preheating")
         if name in record and (name != "active_power" or design.power_order or "operating" in inputs_of)
     ]
-    times = [_changes(s, first, last) for s in (*ambient.values(), *switched)]
+    further = [record[name] for name in sorted(inputs_of & set(record.signals) - {*ambient, "preheating"})]
+    times = [_changes(s, first, last) for s in (*ambient.values(), *switched, *further)]
     times += [_changes(record[name], first, last) for name in outputs]
     time = np.unique(np.concatenate([np.array([first, last]), *times]))
     values, unknown_ambient = _ambient_inputs(ambient, time, inputs_of)
     if "preheating" in inputs_of:
-        duty = at_times(record["preheating"], time, 24.0) if "preheating" in record else np.zeros(len(time))
+        duty = (
+            _over_steps(record["preheating"], time, 24.0) if "preheating" in record else np.zeros(len(time))
+        )
         values["preheating"] = np.nan_to_num(duty)
     power, operating, unknown_power = _power_inputs(design, record, time)
     values |= power
-    for name in inputs_of - set(values):  # further signals that an added mechanism reads
-        values[name] = _further(record, name, time)
+    for name in sorted(inputs_of - set(values)):  # further signals that an added mechanism reads
+        values[name] = _further(record, name, time, model.holds[name])
     near = _spread(time, unknown_ambient, SETTLING_H)
     readings, resets = {}, {}
     for name in outputs:
@@ -99,24 +113,58 @@ def run(design: Design, record: Record) -> Run:
         at[near] = np.nan
         readings[name] = at
         if name in design.averaged:
+            start = _beginnings(series, first)
+            readings[name][place[inside & np.isnan(start)]] = np.nan
             begin = np.zeros(len(time), bool)
-            start = series.time[inside] - series.interval_s
-            begin[np.searchsorted(time, start[start >= first])] = True
+            begin[np.searchsorted(time, start[inside & np.isfinite(start)])] = True
             resets[name] = begin
-            readings[name][place[inside & (series.time - series.interval_s < first)]] = np.nan
     made = timeline(model, (time - first) / 3600.0, values, readings, resets, origin_s=first)
     scored = ~near & ~_spread(time, unknown_power, SETTLING_H)
     return Run(made, operating, scored)
+
+
+def _same_intervals(design: Design, record: Record, outputs: list[str]) -> None:
+    faults = [
+        f"{name}: the design reads means over {3600.0 * stated:g} s, the record has {3600.0 * found:g} s"
+        for name in outputs
+        if abs((stated := design.averaged.get(name, 0.0)) - (found := record[name].interval_s / 3600.0))
+        > 1e-9
+    ]
+    if faults:
+        raise ValueError("; ".join(faults) + " (0 s: instants); use `read_as(design, record)`")
+
+
+def _beginnings(series: Series, first: float) -> np.ndarray:
+    """Times at which the intervals of averaged readings begin [s]; NaN for readings that cannot be predicted.
+
+    Those are the missing ones, those of an interval that begins before the run, and those of an interval that begins
+    before the one taken before it ends: a running mean serves one interval at a time.
+    """
+    start = np.where(
+        series.missing | (series.time - series.interval_s < first), np.nan, series.time - series.interval_s
+    )
+    free = -np.inf
+    for i in np.flatnonzero(np.isfinite(start)):
+        if start[i] < free - 1e-3:  # a millisecond is rounding, no overlap
+            start[i] = np.nan
+            continue
+        start[i] = max(start[i], free)
+        free = series.time[i]
+    return start
 
 
 def _ambient_inputs(
     ambient: dict[str, Series], time: np.ndarray, wanted: set[str]
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
     values, unknown = {}, np.zeros(len(time), bool)
+    middle = 0.5 * (time[:-1] + time[1:])
     for name, series in ambient.items():
-        value = at_times(series, time, AMBIENT_BRIDGE_H)
+        longest = bridge_h(series, AMBIENT_BRIDGE_H)
+        value = at_times(series, time, longest)
         missing = np.isnan(value)
         unknown |= missing
+        # where all loggers were down no instant lies inside the gap: it is the step over it that is unknown
+        unknown[1:] |= np.isnan(at_times(series, middle, longest))
         there = ~missing
         if not there.any():
             raise ValueError(f"{name}: no reading within the span of the cabinet's readings")
@@ -141,7 +189,8 @@ def _power_inputs(
                 ~nothing,
             )
         return {}, nothing, nothing
-    relative = at_times(record["active_power"], time, BRIDGE_H) / design.power_scale_W
+    series = record["active_power"]
+    relative = _over_steps(series, time, bridge_h(series, BRIDGE_H)) / design.power_scale_W
     unknown = np.isnan(relative)
     features = power_features(np.where(unknown, 0.0, relative), design.power_order)
     features[unknown] = np.array(design.power_mean) if design.power_mean else 0.0
@@ -157,14 +206,26 @@ def _feature_names(design: Design) -> list[str]:
     return ["operating", *(f"power_{k}" for k in range(1, design.power_order + 1))]
 
 
-def _further(record: Record, name: str, time: np.ndarray) -> np.ndarray:
+def _over_steps(series: Series, time: np.ndarray, longest_h: float) -> np.ndarray:
+    """What a series is over the step that ends at each instant; NaN outside it and in longer gaps.
+
+    Instants are joined by straight lines, whose mean over a step is the value in its middle.
+    """
+    if series.hold == "linear":
+        time = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
+    return at_times(series, time, longest_h)
+
+
+def _further(record: Record, name: str, time: np.ndarray, hold: str) -> np.ndarray:
     """Any other signal as an input; unknown values take the record's mean."""
     if name not in record:
         raise ValueError(
             f"the model reads {name!r}, which the record does not have: {', '.join(record.signals)}"
         )
-    value = at_times(record[name], time, AMBIENT_BRIDGE_H)
-    return np.where(np.isnan(value), np.nanmean(record[name].value), value)
+    series = record[name]
+    longest = bridge_h(series, AMBIENT_BRIDGE_H)
+    value = at_times(centred(series), time, longest) if hold == LINEAR else _over_steps(series, time, longest)
+    return np.where(np.isnan(value), np.nanmean(series.value), value)
 
 
 def _spread(time: np.ndarray, flag: np.ndarray, hours: float) -> np.ndarray:

@@ -76,9 +76,15 @@ class _Windows:
         total = np.concatenate([[0.0], np.cumsum(np.nan_to_num(value))])
         return (total[self.starts + self.length] - total[self.starts]) / self.length
 
+    def end(self, value: np.ndarray, hours: int) -> np.ndarray:
+        """Mean over the last hours of each window."""
+        hours = min(hours, self.length)
+        return _Windows(self.starts + self.length - hours, hours).mean(value)
+
     def daily_amplitude(self, value: np.ndarray) -> np.ndarray:
         """Amplitude of the sine of 24 h in each window."""
-        centred = np.nan_to_num(value - np.nanmean(value))
+        known = np.isfinite(value)
+        centred = np.where(known, value - (value[known].mean() if known.any() else 0.0), 0.0)
         wave = np.exp(-2j * np.pi * np.arange(len(value)) / 24.0)
         total = np.concatenate([[0.0], np.cumsum(centred * wave)])
         return 2.0 * np.abs(total[self.starts + self.length] - total[self.starts]) / self.length
@@ -112,7 +118,7 @@ class _State:
             heated = window.mean(self.preheating)
             rank = window.mean(still) + 8.0 * heated
             # the end of a standstill, with the return to operation in the picture, says the most
-            rank = rank + 0.2 * np.minimum(window.mean(self.operating) * window.length / 24.0, 1.0)
+            rank = rank + 0.2 * window.end(self.operating, 24)
             words = "standstill and pre-heating" if self.preheating.max() > 0 else "standstill"
             return rank, words
         if self.has_power:

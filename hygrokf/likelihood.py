@@ -268,6 +268,8 @@ class Likelihood:
         r.code("adjoint")("adjoint", *common, out, store, key_bar, theta_bar, state_bar, buffer)
         return self._loglik(out), theta_bar + self._first_state_slopes(values) @ state_bar
 
+    # where the filter breaks down and the value is −∞, these sums are no numbers either
+    @np.errstate(invalid="ignore", divide="ignore", over="ignore")
     def sensitivities(
         self, values: Mapping[str, float], directions: np.ndarray, each: bool = False, gain: bool = True
     ) -> Sensitivities:

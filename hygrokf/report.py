@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import textwrap
 import zipfile
 from collections.abc import Mapping
@@ -426,7 +427,10 @@ def report_text(fit: Mapping) -> str:
 
 
 def _wrapped(text: str, indent: str = "") -> str:
-    return "\n".join(textwrap.wrap(one_line(text), TEXT_WIDTH, subsequent_indent=indent)) or text
+    """Lines of at most 100 columns that do not part a number from its unit."""
+    kept = re.sub(r"(?<=\d) (?=(?:%|K|h|g/m³)(?![\w/]))", "\xa0", one_line(text))
+    lines = textwrap.wrap(kept, TEXT_WIDTH, subsequent_indent=indent)
+    return "\n".join(lines).replace("\xa0", " ")
 
 
 _CSS = (

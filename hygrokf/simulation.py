@@ -123,6 +123,8 @@ def predicted_readings(design: Design, values: Mapping[str, float], run: Run, tr
     found = {
         name: (trace.prediction[:, i], np.sqrt(trace.variance[:, i])) for i, name in enumerate(model.outputs)
     }
+    for name in model.averaged:
+        found[name] = _between_means(design, values, run, trace, name, found[name])
     temperature = found.get("cabinet_temperature")
     relative = found.get("cabinet_relative_humidity")
     absolute = found.get("cabinet_absolute_humidity")
@@ -138,9 +140,30 @@ def predicted_readings(design: Design, values: Mapping[str, float], run: Run, tr
             * _noise(design, values, run, "cabinet_temperature")
         )
         state = model.states.index("vapour")
-        vapour = np.sqrt(np.maximum(trace.prior_covariance[:, state, state], 0.0))
+        ratio = run.timeline.input("ambient_temperature") / warm  # equation (5)
+        vapour = ratio * np.sqrt(np.maximum(trace.prior_covariance[:, state, state], 0.0))
         absolute = (value, np.sqrt(vapour**2 + by_humidity**2 + by_temperature**2))
     return Prediction(temperature, relative, absolute)
+
+
+def _between_means(
+    design: Design,
+    values: Mapping[str, float],
+    run: Run,
+    trace: Trace,
+    name: str,
+    pair: tuple[np.ndarray, np.ndarray],
+) -> tuple[np.ndarray, np.ndarray]:
+    """A reading of an interval mean where there is one; elsewhere, amid its interval, what an instant would show."""
+    state, interval = design.model.states.index(f"mean_{name}"), design.model.averaged[name]
+
+    def instant(equations, x, u):
+        return equations.rates[state] * interval
+
+    value, variance = project(design, values, run, trace.prior_mean, trace.prior_covariance, instant)
+    sd = np.sqrt(np.maximum(variance, 0.0) + _noise(design, values, run, name) ** 2)
+    read = np.isfinite(run.timeline.reading(name))
+    return np.where(read, pair[0], value), np.where(read, pair[1], sd)
 
 
 def _noise(design: Design, values: Mapping[str, float], run: Run, output: str) -> float:

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from hygrokf.design import Design, read_as
 from hygrokf.drivers import Run, run
 from hygrokf.evaluation import PERIODS, SCORED, bands, baselines, scores, sensor_share
 from hygrokf.fit import Fit
@@ -22,15 +23,16 @@ COLUMNS = {
 """Columns of a simulation file and the quantities they hold; each has a second one with its standard deviation."""
 
 
-def simulated(fit: Fit, record: Record) -> tuple[Run, Prediction]:
-    """The fitted model driven by a record's inputs alone."""
-    made = run(fit.design, record)
-    return made, free_run(fit.design, fit.values, made, fit.covariance)
+def simulated(fit: Fit, record: Record) -> tuple[Design, Run, Prediction]:
+    """The fitted model driven by a record's inputs alone; its loggers may average otherwise than the fitted ones."""
+    base = read_as(fit.design, record)
+    made = run(base, record)
+    return base, made, free_run(base, fit.values, made, fit.covariance)
 
 
 def simulation_csv(fit: Fit, record: Record) -> str:
     """Free run as CSV text: time (UTC), three quantities with their standard deviations, and whether inputs are known."""
-    made, predicted = simulated(fit, record)
+    _, made, predicted = simulated(fit, record)
     t = made.timeline
     stamps = np.datetime_as_string(
         (np.round(t.origin_s + t.time * 3600.0).astype("int64")).astype("datetime64[s]"), unit="s"
@@ -57,7 +59,7 @@ def simulation_csv(fit: Fit, record: Record) -> str:
 
 def simulation_summary(fit: Fit, record: Record) -> dict:
     """Span and means of a simulation."""
-    made, predicted = simulated(fit, record)
+    _, made, predicted = simulated(fit, record)
     t = made.timeline
     ends = [
         datetime.fromtimestamp(t.origin_s + h * 3600.0, UTC).isoformat(timespec="seconds")
@@ -81,7 +83,7 @@ def simulation_summary(fit: Fit, record: Record) -> dict:
 
 def evaluation(fit: Fit, record: Record) -> dict:
     """Scores, baselines, sensor share and band coverage of a fit on a record."""
-    made, predicted = simulated(fit, record)
+    base, made, predicted = simulated(fit, record)
     table = scores(made, predicted, record.until_s)
     return {
         "fit": fit.name,
@@ -89,7 +91,7 @@ def evaluation(fit: Fit, record: Record) -> dict:
         "rmse": table,
         "baselines": baselines(made, record.until_s),
         "sensor_share": sensor_share(record, made, table),
-        "bands": bands(fit.design, fit.values, made, predicted, record.until_s),
+        "bands": bands(base, fit.values, made, predicted, record.until_s),
     }
 
 

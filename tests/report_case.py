@@ -82,8 +82,8 @@ def _made(days: float, seed: int) -> tuple[dict, dict[str, np.ndarray]]:
     for name in ("kelvin", "humidity"):
         noise = random.standard_normal(len(time))
         drawn[name] = np.where(np.isfinite(read[name]), noise, np.nan)
-    swing = np.gradient(warm)
-    drawn["humidity"] = drawn["humidity"] + 0.15 * np.roll(swing, 8) / swing.std()
+    jump = np.roll(np.diff(power, prepend=power[0]), 8)
+    drawn["humidity"] = drawn["humidity"] + 0.25 * jump / jump.std()
     series = {
         "time_s": time,
         "temperature_measured": read["kelvin"],

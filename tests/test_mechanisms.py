@@ -280,7 +280,8 @@ def test_vapour_is_conserved_where_the_exchange_is_shut() -> None:
     shut = extend(base, contribution(exchange=-1.0))
     place = shut.states.index("vapour")
     course = free_run(shut)
-    np.testing.assert_allclose(course[:, place], course[0, place], rtol=1e-14)
+    # the step's polynomials leave 7e-14 of a state without any rate
+    np.testing.assert_allclose(course[:, place], course[0, place], rtol=1e-13 * len(TIME))
     assert np.ptp(course[:, shut.states.index("converter_temperature")]) > 1.0
     assert np.ptp(free_run(base)[:, place]) > 0.1  # open, it follows the ambient
 
@@ -288,7 +289,7 @@ def test_vapour_is_conserved_where_the_exchange_is_shut() -> None:
 def test_what_is_released_into_a_shut_cabinet_is_in_it() -> None:
     shut = extend(host(LIBRARY["thermal_network"]()), contribution(exchange=-1.0, vapour_release=0.35))
     course = free_run(shut)[:, shut.states.index("vapour")]
-    np.testing.assert_allclose(course - course[0], 0.35 * (TIME - TIME[0]), rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(course - course[0], 0.35 * (TIME - TIME[0]), rtol=0, atol=1e-12 * len(TIME))
 
 
 @given(
