@@ -102,8 +102,9 @@ def _block_h(values: Mapping[str, float]) -> float:
 
 
 def positive_inverse(matrix: np.ndarray) -> np.ndarray:
-    """Inverse of a symmetric matrix; directions without positive curvature get a variance of 1e6, not a negative."""
-    scale = 1.0 / np.sqrt(np.maximum(np.abs(np.diag(matrix)), 1e-300))
+    """Inverse of a symmetric matrix; directions without positive curvature get a huge variance, not a negative one."""
+    size = np.abs(np.diag(matrix))
+    scale = 1.0 / np.sqrt(np.where(size > 1e-150, size, 1.0))
     values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale[None, :])
     inverse = np.where(values > 1e-10, 1.0 / np.maximum(values, 1e-10), 1e10)
     return (vectors * inverse) @ vectors.T * scale[:, None] * scale[None, :]
@@ -212,9 +213,10 @@ def describe(unit: str, lower: float, upper: float, ends: list) -> str:
     """What the bounds say, where they do not close on both sides."""
     if ends[0] is None and ends[1] is None:
         return "not identifiable from this record"
+    unit = "" if unit == "1" else f" {unit}"
     if ends[0] is None:
-        return f"≤ {upper:.3g} {unit}"
-    return f"≥ {lower:.3g} {unit}" if ends[1] is None else ""
+        return f"≤ {upper:.3g}{unit}"
+    return f"≥ {lower:.3g}{unit}" if ends[1] is None else ""
 
 
 class _Walk:

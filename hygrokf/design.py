@@ -12,9 +12,9 @@ from functools import cached_property
 
 import numpy as np
 
-from hygrokf import mechanisms as library
 from hygrokf.ambient import ambient_absolute_humidity, bridge_h, reading_noise
 from hygrokf.loops import LINEAR, REGIME, ZERO_ORDER
+from hygrokf.mechanisms import LIBRARY
 from hygrokf.model import Mechanism, Model, compose
 from hygrokf.record import Record, Series
 from hygrokf.signals import signal_named
@@ -62,7 +62,7 @@ class Design:
 
     @cached_property
     def model(self) -> Model:
-        made: list[Mechanism] = [library.LIBRARY[name](**settings) for name, settings in self.mechanisms]
+        made: list[Mechanism] = [LIBRARY[name](**settings) for name, settings in self.mechanisms]
         return compose(made, {**HOLDS, **self.holds}, self.averaged)
 
     def to_json(self) -> dict:
@@ -274,8 +274,8 @@ def _longest_gap_h(power: Series, record: Record) -> float:
     spans = [record[n] for n in (TEMPERATURE, *HUMIDITIES) if n in record]
     first, last = min(s.time[0] for s in spans), max(s.time[-1] for s in spans)
     known = power.time[~power.missing]
-    edges = np.concatenate([[first], known[(known > first) & (known < last)], [last]])
-    return float(np.max(np.diff(edges))) / 3600.0
+    begin, end = np.append(-np.inf, known), np.append(known - power.interval_s, np.inf)
+    return float(np.max(np.minimum(end, last) - np.maximum(begin, first))) / 3600.0
 
 
 def _correlation_time_h(series: Series) -> float:

@@ -46,10 +46,12 @@ from hygrokf.expression import (
 
 MAXIMUM_RATE_STEP = 0.85
 """Largest product of a model's fastest rate and the sub-step."""
-ORDER = 11
-"""Degree of the polynomials for e^Ω, φ₁, φ₂: their rest is below 0.425¹²/12! = 7e-14 in the range."""
-NOISE_ORDER = 12
-"""Degree of the polynomial for the accumulated noise: its rest is below e^-0.85 0.85¹³/13! = 8e-12."""
+VARYING_RATE_STEP = 0.35
+"""The same where rates depend on the state or on a changing input: splitting a step then moves ln L by < 1e-6."""
+ORDER = 13
+"""Degree of the polynomials for e^Ω, φ₁, φ₂: their rest is below 0.425¹⁴/14! = 7e-17 in the range."""
+NOISE_ORDER = 15
+"""Degree of the polynomial for the accumulated noise: its rest is below e^-0.85 0.85¹⁶/16! = 2e-15."""
 NODES = (0.5 - math.sqrt(3.0) / 6.0, 0.5 + math.sqrt(3.0) / 6.0)
 
 Drift = Callable[[Sequence, Mapping[str, object]], list]

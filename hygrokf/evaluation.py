@@ -9,7 +9,7 @@ import numpy as np
 from hygrokf.confidence import normal_quantile
 from hygrokf.design import Design, accuracy_of
 from hygrokf.drivers import Run
-from hygrokf.psychrometrics import absolute_humidity_slope_temperature
+from hygrokf.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
 from hygrokf.record import Record
 from hygrokf.simulation import QUANTITIES, Prediction, forecasts, measured
 
@@ -114,10 +114,14 @@ def sensor_share(record: Record, run: Run, found: Mapping) -> dict:
         variance["temperature_K"] = temperature**2
     if "cabinet_relative_humidity" in record and np.isfinite(known["absolute_humidity_g_m3"]).any():
         humidity = accuracy_of(record["cabinet_relative_humidity"]) / 1.96
-        both = known["absolute_humidity_g_m3"] / known["relative_humidity"] * humidity
-        warm = _mean_temperature(known)
-        slope = 1e3 * absolute_humidity_slope_temperature(known["relative_humidity"], warm) * temperature
-        variance["absolute_humidity_g_m3"] = float(np.nanmean(both**2 + slope**2))
+        there = np.isfinite(known["absolute_humidity_g_m3"])
+        moist, warm = known["relative_humidity"][there], float(np.nanmean(known["temperature_K"]))
+        saturated = np.full(len(moist), 1e3 * absolute_humidity(1.0, warm))
+        np.divide(known["absolute_humidity_g_m3"][there], moist, out=saturated, where=moist > 0)
+        slope = 1e3 * absolute_humidity_slope_temperature(moist, warm)
+        variance["absolute_humidity_g_m3"] = float(
+            np.mean((saturated * humidity) ** 2 + (slope * temperature) ** 2)
+        )
     result: dict = {}
     for period in PERIODS:
         result[period] = {
@@ -125,10 +129,6 @@ def sensor_share(record: Record, run: Run, found: Mapping) -> dict:
             for q, v in variance.items()
         }
     return result
-
-
-def _mean_temperature(known: Mapping[str, np.ndarray]) -> float:
-    return float(np.nanmean(known["temperature_K"]))
 
 
 def coverage(reading: np.ndarray, value: np.ndarray, sd: np.ndarray, level: float = 0.95) -> dict:

@@ -280,7 +280,7 @@ def maximise(
         converged=best.converged,
         message=message,
         at_bounds=at,
-        others=tuple((o.objective, coordinates.values(o.z)) for o in optima[1:]),
+        others=tuple((o.objective, coordinates.values(o.z)) for o in optima[1:] if o.converged),
     )
 
 

@@ -14,7 +14,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hygrokf.discretisation import MAXIMUM_RATE_STEP
+from hygrokf.discretisation import MAXIMUM_RATE_STEP, VARYING_RATE_STEP
 from hygrokf.emission import LANES
 from hygrokf.model import Model
 from hygrokf.moments import pack, trace_width, unpack
@@ -102,28 +102,14 @@ class Likelihood:
         """Parameter values (d,) in the model's order."""
         return np.array([values[p.name] for p in self.model.parameters], dtype=float)
 
-    @cached_property
-    def _samples(self) -> dict[str, np.ndarray]:
-        """Inputs at instants that span the record's range: where rates are looked up for the sub-steps."""
-        t = self.timeline
-        rows = set(np.linspace(0, len(t) - 1, 24).astype(int))
-        u = t.u[1:]
-        for column in u.T:
-            rows |= {int(np.argmin(column)), int(np.argmax(column))}
-        chosen = np.array(sorted(rows))
-        named = {name: u[chosen, i] for i, name in enumerate(t.varying)}
-        for i, name in enumerate(t.regimes):
-            named[name] = t.steps[t.key[chosen], 1 + i]
-        return named
-
     def rate(self, values: Mapping[str, float]) -> float:
         """Bound on the model's fastest rate [1/h] over the record."""
         r = self.recursion
-        mean, _ = self.model.initial(values, self._samples)
+        mean, _ = self.model.initial(values, self.timeline.corners)
         known = {f"p:{name}": v for name, v in values.items()}
         known |= {f"m{i}": np.asarray(v) for i, v in enumerate(mean)}
-        known |= {f"b:{name}": v for name, v in self._samples.items()}
-        known |= {f"g:{name}": v for name, v in self._samples.items()}
+        known |= {f"b:{name}": v for name, v in self.timeline.corners.items()}
+        known |= {f"g:{name}": v for name, v in self.timeline.corners.items()}
         n = r.n
         flat = [v for row in r.jacobian for v in row]
         matrix = [np.asarray(v, dtype=float) for v in r.graph.evaluate(flat, known)]
@@ -139,7 +125,8 @@ class Likelihood:
     def _keys(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """Key table (sub-step length and regimes) and the number of sub-steps of every key."""
         steps = self.timeline.steps
-        parts = np.ceil(steps[:, 0] * (self.rate(values) / MAXIMUM_RATE_STEP) - 1e-9)
+        limit = MAXIMUM_RATE_STEP if self.recursion.exact else VARYING_RATE_STEP
+        parts = np.ceil(steps[:, 0] * (self.rate(values) / limit) - 1e-9)
         parts = np.where(steps[:, 0] > 0, np.maximum(parts, 1), 0)
         if not np.all(np.isfinite(parts)) or parts.max(initial=0) > 100_000:
             raise FloatingPointError(

@@ -7,12 +7,32 @@ from collections.abc import Mapping
 
 import numpy as np
 
+EARLIEST_S, LATEST_S = -6.2e10, 2.5e11
+"""[s] since 1970: the years 5 and 9892, what a calendar can name."""
+
+
+def instants(series: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The instants (T,) [s] of series.npz; empty where they are missing, not finite, not in order or absurd."""
+    time = np.atleast_1d(np.asarray(series.get("time_s", np.empty(0)), dtype=float))
+    good = time.ndim == 1 and bool(
+        np.all((time > EARLIEST_S) & (time < LATEST_S)) and np.all(np.diff(time) > 0)
+    )
+    return time if good else np.empty(0)
+
 
 def array(series: Mapping[str, np.ndarray], name: str) -> np.ndarray:
-    """A series (T,) as floats; NaN throughout where it is not there or has another length."""
-    length = len(np.atleast_1d(series["time_s"])) if "time_s" in series else 0
-    value = np.asarray(series[name], dtype=float) if name in series else np.empty(0)
-    return value if value.shape == (length,) else np.full(length, np.nan)
+    """A series (T,) as floats; NaN throughout where it is not there or has another length, and for infinities."""
+    length = len(instants(series))
+    value = np.atleast_1d(np.asarray(series.get(name, np.empty(0)), dtype=float))
+    return (
+        np.where(np.isfinite(value), value, np.nan) if value.shape == (length,) else np.full(length, np.nan)
+    )
+
+
+def scalar(series: Mapping[str, np.ndarray], name: str) -> float:
+    """A single number of series.npz; NaN where it is missing."""
+    value = np.asarray(series.get(name, math.nan), dtype=float).ravel()
+    return float(value[0]) if len(value) == 1 else math.nan
 
 
 def entry(data: object, *path: str) -> object:

@@ -29,7 +29,7 @@ from hygrokf.drawing import (
     upright,
 )
 from hygrokf.excerpts import choose_excerpts
-from hygrokf.lookup import array
+from hygrokf.lookup import array, instants, scalar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -53,12 +53,14 @@ class _Record:
     """Both quantities of a record in the units of the figures [°C, g/m³], its span and its shaded stretches [s]."""
 
     def __init__(self, series: Mapping[str, np.ndarray]) -> None:
-        self.time = np.atleast_1d(np.asarray(series.get("time_s", np.empty(0)), dtype=float))
+        self.time = instants(series)
         self.series = series
-        if len(self.time) == 0 or not np.isfinite(self.time).all():
-            raise NothingToShow("series.npz holds no instants, so there is nothing to draw over time.")
+        if len(self.time) == 0:
+            raise NothingToShow(
+                "series.npz holds no instants in order, so there is nothing to draw over time."
+            )
         self.span = (float(self.time[0]), float(self.time[-1]))
-        self.until = float(np.asarray(series.get("until_s", math.nan), dtype=float).ravel()[0])
+        self.until = scalar(series, "until_s")
         self.scored = array(series, "scored") != 0
         self.power = array(series, "power")
         self.operating = array(series, "operating") > 0

@@ -23,7 +23,7 @@ from hygrokf.drawing import (
     new_figure,
     styled,
 )
-from hygrokf.lookup import array, entry, number, numbers
+from hygrokf.lookup import array, entry, instants, number, numbers, scalar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -39,9 +39,9 @@ LEVEL = 0.95
 def figure_innovations(fit: Mapping, series: Mapping[str, np.ndarray], output: str = "temperature") -> Figure:
     """Standardised innovations [1] of one output, "temperature" or "humidity", over the identification period."""
     found = entry(fit, "innovations", "outputs", output)
-    time = np.atleast_1d(np.asarray(series.get("time_s", np.empty(0)), dtype=float))
+    time = instants(series)
     value = array(series, f"{output}_innovation")
-    until = float(np.asarray(series.get("until_s", math.nan), dtype=float).ravel()[0])
+    until = scalar(series, "until_s")
     known = np.isfinite(value) & (time <= until if math.isfinite(until) else True)
     if not isinstance(found, Mapping) or not known.any():
         raise NothingToShow(

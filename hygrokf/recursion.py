@@ -26,6 +26,7 @@ from hygrokf.expression import (
     Graph,
     Matrix,
     arguments,
+    depends_on,
     dot,
     is_zero,
     jacobian,
@@ -199,6 +200,12 @@ class Recursion:
             else:
                 result.append(max(result[j] for j in arguments(node)))
         return result
+
+    @cached_property
+    def exact(self) -> bool:
+        """Whether the rates depend on parameters and regimes alone, so that steps of any length are exact."""
+        varying = [f"m{i}" for i in range(self.n)] + [f"b:{name}" for name in self.varying]
+        return not any(depends_on(self.graph, v, varying) for row in self.jacobian for v in row)
 
     def _boundary(self, outputs: Sequence[Expression], stage: int) -> tuple[list[int], list[int]]:
         """Nodes of earlier stages that code of `stage` reads: (of the parameter stage, of the key stage)."""

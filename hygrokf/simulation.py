@@ -133,7 +133,9 @@ def predicted_readings(design: Design, values: Mapping[str, float], run: Run, tr
         warm = run.timeline.input("cabinet_temperature")
     if relative is not None and warm is not None:
         value = 1e3 * absolute_humidity(relative[0], warm)
-        by_humidity = 1e3 * absolute_humidity(1.0, warm) * _noise(design, values, run, "cabinet_relative_humidity")
+        by_humidity = (
+            1e3 * absolute_humidity(1.0, warm) * _noise(design, values, run, "cabinet_relative_humidity")
+        )
         by_temperature = (
             1e3
             * absolute_humidity_slope_temperature(relative[0], warm)

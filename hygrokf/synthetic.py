@@ -18,7 +18,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hygrokf import psychrometrics
+from hygrokf.psychrometrics import absolute_humidity_from_dew_point, relative_humidity
 
 MINUTE_S = 60
 MINUTE_H = 1.0 / 60.0
@@ -216,7 +216,7 @@ def _weather(seed: np.random.SeedSequence, time: np.ndarray) -> _Weather:
     dew_point = each_minute(dew) + _FREEZING_K
     return _Weather(
         temperature=temperature,
-        absolute_humidity=psychrometrics.absolute_humidity_from_dew_point(dew_point, temperature),
+        absolute_humidity=absolute_humidity_from_dew_point(dew_point, temperature),
         irradiance=each_minute(irradiance),
         rain=np.round(each_minute(rain)),
         wind_speed=each_minute(speed) * np.maximum(1.0 + 0.09 * gust, 0.2),
@@ -360,7 +360,7 @@ def _tables(
         return np.interp(time, minutes, values)
 
     def humidity_percent(time: np.ndarray, kelvin: str, concentration: str) -> np.ndarray:
-        return 100.0 * psychrometrics.relative_humidity(
+        return 100.0 * relative_humidity(
             at(time, truth_arrays[concentration]), at(time, truth_arrays[kelvin])
         )
 

@@ -9,7 +9,7 @@ Shapes: T instants, m inputs that vary within steps, r regime inputs, k outputs.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -24,7 +24,8 @@ class Timeline:
     `time` (T,) [h] from `origin_s` [s since 1970, UTC]; `key` (T,) the row of `steps` (distinct steps: length [h] and
     regime inputs) that leads to each instant; `u` (T+1, m) inputs: the value at the instant for linear ones, over the
     step that ends there for zero-order ones, its first row belonging to the instant before the first one; `y` (T, k) readings, NaN where there is none; `reset` (T,) bits of the
-    running means that begin anew at the instant.
+    running means that begin anew at the instant; `corners` inputs that span the whole run's range: sub-steps are chosen
+    by them, so that a piece of a run takes the same ones as the whole.
     """
 
     time: np.ndarray
@@ -37,6 +38,7 @@ class Timeline:
     regimes: tuple[str, ...]
     outputs: tuple[str, ...]
     origin_s: float = 0.0
+    corners: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.time)
@@ -118,6 +120,7 @@ def timeline(
     for bit, name in enumerate(model.averaged):
         flags |= (np.asarray((resets or {}).get(name, np.zeros(count, bool)), bool) << bit).astype(np.int32)
     return Timeline(
+        corners=_corners({n: np.asarray(inputs[n], float) for n in model.inputs}, count),
         time=time,
         key=np.ascontiguousarray(key.reshape(-1).astype(np.int32)),
         steps=np.ascontiguousarray(steps),
@@ -129,6 +132,15 @@ def timeline(
         outputs=model.outputs,
         origin_s=origin_s,
     )
+
+
+def _corners(inputs: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
+    """All inputs where one of them is largest or smallest, and at two dozen instants between."""
+    rows = set(np.linspace(0, count - 1, 24).astype(int).tolist())
+    for values in inputs.values():
+        rows |= {int(np.argmin(values)), int(np.argmax(values))}
+    chosen = np.array(sorted(rows))
+    return {name: values[chosen] for name, values in inputs.items()}
 
 
 def _led(values: np.ndarray) -> np.ndarray:

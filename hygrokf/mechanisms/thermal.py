@@ -136,7 +136,7 @@ def heat_release(
         for row, a in zip(gap_covariance or (), slopes, strict=True):
             for value, b in zip(row, slopes, strict=True):
                 total = total + value * a * b
-        return total + 1e-4  # a release that does not vary is known to 0.01 K, not exactly
+        return total
 
     gap = gap_covariance is not None
     return Mechanism(

@@ -1,0 +1,46 @@
+"""Reading from data that may lack anything."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hygrokf.lookup import array, entry, instants, number, numbers, scalar
+
+DATA = {"a": {"b": 1.5, "c": None, "d": [1, None, "x", 2.5, True], "e": True, "f": math.inf}, "g": [1, 2]}
+
+
+def test_entries_and_numbers() -> None:
+    assert entry(DATA, "a", "b") == 1.5
+    assert entry(DATA, "a", "c") is None and entry(DATA, "a", "x", "y") is None and entry(None, "a") is None
+    assert entry(DATA, "g", "b") is None
+    assert number(DATA, "a", "b") == 1.5
+    assert all(math.isnan(number(DATA, "a", name)) for name in ("c", "d", "e", "f", "x"))
+    np.testing.assert_array_equal(numbers(DATA, "a", "d"), [1.0, np.nan, np.nan, 2.5, np.nan])
+    assert len(numbers(DATA, "a", "b")) == 0
+
+
+def test_series() -> None:
+    series = {
+        "time_s": np.arange(3.0),
+        "x": np.array([1.0, np.inf, 3.0]),
+        "short": np.ones(2),
+        "until_s": np.array(7.0),
+    }
+    np.testing.assert_array_equal(array(series, "x"), [1.0, np.nan, 3.0])
+    assert np.isnan(array(series, "short")).all() and len(array(series, "none")) == 3
+    assert scalar(series, "until_s") == 7.0
+    assert math.isnan(scalar(series, "x")) and math.isnan(scalar(series, "none"))
+
+
+@pytest.mark.parametrize("time", [[], [0.0, np.nan], [1.0, 1.0], [2.0, 1.0], [0.0, 1e300], [[0.0], [1.0]]])
+def test_instants_that_no_calendar_can_show(time: list) -> None:
+    assert len(instants({"time_s": np.array(time)})) == 0
+    assert len(array({"time_s": np.array(time), "x": np.zeros(2)}, "x")) == 0
+
+
+def test_one_instant() -> None:
+    assert len(instants({"time_s": np.array(5.0)})) == 1
+    np.testing.assert_array_equal(array({"time_s": np.array(5.0), "x": np.array(2.0)}, "x"), [2.0])
