@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -27,24 +27,41 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # the filter's matrices are tiny: more BLAS threads only wait for each other
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a terminal without ≤ or τ gets a question mark, not a traceback
+            stream.reconfigure(errors="replace")
     parser = _parser()
     options = parser.parse_args(arguments)
     if not hasattr(options, "command"):
         parser.print_help()
         return 0
     try:
-        return options.command(options)
+        status = options.command(options)
+        sys.stdout.flush()
+        return status
     except KeyboardInterrupt:
         print("interrupted; nothing half-written is left", file=sys.stderr)
         return 130
-    except BrokenPipeError:
-        sys.stderr.close()
+    except BrokenPipeError:  # whoever read the output has gone; the rest of it must not complain at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
+    except OSError as fault:
+        print(f"hygrokf: {_system(fault)}", file=sys.stderr)
+        return USER_FAULT
     except Exception as fault:
         if type(fault).__name__ not in _USER_FAULTS:
             raise
         print(f"hygrokf: {fault}", file=sys.stderr)
         return USER_FAULT
+
+
+def _system(fault: OSError) -> str:
+    """What the system refused, and what to do."""
+    where = fault.filename2 or fault.filename
+    return (
+        f"{f'{where}: ' if where else ''}cannot be read or written: {fault.strerror or fault}; "
+        "check the path, its permissions and the space on the disk"
+    )
 
 
 _USER_FAULTS = ("UserFault", "CaseFault", "TableFault", "ResultFault", "ReportFault")
@@ -65,7 +82,7 @@ def _parser() -> argparse.ArgumentParser:
 
     demo = command("demo", _demo, "make a synthetic turbine, fit it, evaluate and report it")
     demo.add_argument("--out", type=Path, required=True, help="directory for the case and the results")
-    demo.add_argument("--seed", type=int, default=1, help="seed of the synthetic turbine (default 1)")
+    demo.add_argument("--seed", type=_whole(0), default=1, help="seed of the synthetic turbine (default 1)")
     _json(demo)
     check = command("check", _check, "say what was read from a case: spans, steps, gaps, clocks, doubts")
     check.add_argument("case", type=Path, metavar="CASE.toml")
@@ -87,7 +104,9 @@ def _parser() -> argparse.ArgumentParser:
         default=None,
         help="one filter, or hygric on the measured temperature",
     )
-    fit.add_argument("--starts", type=int, default=4, help="starts over the noise parameters (default 4)")
+    fit.add_argument(
+        "--starts", type=_whole(1), default=4, help="starts over the noise parameters (default 4)"
+    )
     _json(fit)
     simulate = command(
         "simulate", _simulate, "run a fitted model on the inputs of a case, without its readings"
@@ -102,7 +121,23 @@ def _parser() -> argparse.ArgumentParser:
     _json(evaluate)
     report = command("report", _report, "write report.html again from a directory of results")
     report.add_argument("directory", type=Path, metavar="DIR")
+    _json(report)
     return parser
+
+
+def _whole(least: int) -> Callable[[str], int]:
+    """A whole number from `least` on."""
+
+    def number(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = least - 1
+        if value < least:
+            raise argparse.ArgumentTypeError(f"expected a whole number from {least} on, found {text!r}")
+        return value
+
+    return number
 
 
 def _json(parser: argparse.ArgumentParser) -> None:
@@ -124,6 +159,10 @@ class Progress:
         if self._bar.n < self._bar.total - 1:
             self._bar.update()
 
+    def abandon(self) -> None:
+        """End where it is: the work was broken off."""
+        self._bar.close()
+
     def close(self) -> None:
         self._bar.n = self._bar.total
         self._bar.set_postfix_str("done")
@@ -131,12 +170,16 @@ class Progress:
 
 
 def _record(path: Path, cabinet: bool = True) -> Record:
+    """The record of a case, with its warnings on standard error."""
     from hygrokf.case import read_case
 
-    return read_case(path, cabinet=cabinet)
+    record = read_case(path, cabinet=cabinet)
+    for warning in record.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    return record
 
 
-def _identify(record: Record, options: argparse.Namespace) -> Any:
+def _identify(record: Record, case: Path, options: argparse.Namespace) -> Any:
     from hygrokf.identification import identify
 
     progress = Progress(16)
@@ -149,7 +192,11 @@ def _identify(record: Record, options: argparse.Namespace) -> Any:
             **({"kind": options.kind} if getattr(options, "kind", None) else {}),
         )
     except ValueError as fault:
-        raise UserFault(str(fault)) from fault
+        progress.abandon()
+        raise UserFault(f"{case}: {fault}") from fault
+    except BaseException:
+        progress.abandon()
+        raise
     progress.close()
     return fit
 
@@ -158,18 +205,34 @@ def _write(fit: Any, out: Path) -> Path:
     from hygrokf.report import write_report
     from hygrokf.results import write_fit
 
-    _directory(out)
     write_fit(fit, out)
     return write_report(out)
 
 
-def _directory(path: Path) -> None:
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as fault:
+def _expect_directory(path: Path) -> None:
+    """Refuse before the work what could not be written after it; nothing is made yet."""
+    there = next(one for one in (path, *path.absolute().parents) if os.path.lexists(one))
+    if not there.is_dir():
+        found = f"{there} is a file" if there.exists() else f"{there} is a link to nothing"
+    elif not os.access(there, os.W_OK | os.X_OK):
+        found = f"{there} is write-protected"
+    else:
+        return
+    raise UserFault(
+        f"--out {path}: expected a directory that can be written, found: {found}; name another one"
+    )
+
+
+def _expect_file(path: Path) -> None:
+    """The same for a file: its directory must be there."""
+    if path.is_dir():
+        raise UserFault(f"--out {path}: expected a file to write, found a directory; name a file in it")
+    if not path.parent.is_dir():
         raise UserFault(
-            f"--out {path}: expected a directory that can be written, found: {fault.strerror}"
-        ) from None
+            f"--out {path}: expected a file in an existing directory, found no {path.parent}; make it first"
+        )
+    if not os.access(path.parent, os.W_OK | os.X_OK):
+        raise UserFault(f"--out {path}: {path.parent} is write-protected; name another directory")
 
 
 def _print(data: Any, text: str, as_json: bool) -> None:
@@ -182,10 +245,10 @@ def _demo(options: argparse.Namespace) -> int:
     from hygrokf.report import report_text
     from hygrokf.synthetic import synthetic_turbine, write_case
 
-    _directory(options.out)
+    _expect_directory(options.out)
     case = write_case(synthetic_turbine(seed=options.seed), options.out)
     print(f"synthetic turbine written: {case}", file=sys.stderr)
-    fit = _identify(_record(case), options)
+    fit = _identify(_record(case), case, options)
     page = _write(fit, options.out)
     _print(fit.to_json(), report_text(fit.to_json()), options.json)
     print(f"report: {page}", file=sys.stderr)
@@ -193,9 +256,10 @@ def _demo(options: argparse.Namespace) -> int:
 
 
 def _check(options: argparse.Namespace) -> int:
+    from hygrokf.case import read_case
     from hygrokf.checks import describe, describe_text
 
-    found = describe(_record(options.case))
+    found = describe(read_case(options.case))
     _print(found, describe_text(found), options.json)
     return 0
 
@@ -203,12 +267,9 @@ def _check(options: argparse.Namespace) -> int:
 def _fit(options: argparse.Namespace) -> int:
     from hygrokf.report import report_text
 
-    if options.starts < 1:
-        raise UserFault(f"--starts: expected a whole number from 1, found {options.starts}")
+    _expect_directory(options.out)
     record = _record(options.case)
-    for warning in record.warnings:
-        print(f"warning: {warning}", file=sys.stderr)
-    fit = _identify(record, options)
+    fit = _identify(record, options.case, options)
     page = _write(fit, options.out)
     _print(fit.to_json(), report_text(fit.to_json()), options.json)
     print(f"report: {page}", file=sys.stderr)
@@ -220,16 +281,13 @@ def _simulate(options: argparse.Namespace) -> int:
     from hygrokf.results import read_fit
     from hygrokf.tables import simulation_csv, simulation_summary
 
+    _expect_file(options.out)
     fit = read_fit(options.fit)
     record = _record(options.case, cabinet=False)
     try:
         text, summary = simulation_csv(fit, record), simulation_summary(fit, record)
     except ValueError as fault:
-        raise UserFault(str(fault)) from fault
-    if not options.out.parent.is_dir():
-        raise UserFault(
-            f"--out {options.out}: expected a file in an existing directory; make {options.out.parent} first"
-        )
+        raise UserFault(f"{options.case}: {fault}") from fault
     write_text_whole(options.out, text)
     _print(summary, f"{summary['n']} instants written: {options.out}", options.json)
     return 0
@@ -244,7 +302,7 @@ def _evaluate(options: argparse.Namespace) -> int:
     try:
         found = evaluation(fit, record)
     except ValueError as fault:
-        raise UserFault(str(fault)) from fault
+        raise UserFault(f"{options.case}: {fault}") from fault
     _print(found, evaluation_text(found), options.json)
     return 0
 
@@ -252,7 +310,8 @@ def _evaluate(options: argparse.Namespace) -> int:
 def _report(options: argparse.Namespace) -> int:
     from hygrokf.report import write_report
 
-    print(write_report(options.directory))
+    page = write_report(options.directory)
+    _print({"report": str(page)}, str(page), options.json)
     return 0
 
 

@@ -36,6 +36,8 @@ BRIDGE_H = 1.0
 """[h] gaps of the power up to this length are bridged by the value before them; over longer ones it is unknown."""
 SETTLING_H = 12.0
 """[h] after a long gap of the ambient series readings are left out for this long, until the state has forgotten it."""
+FEWEST = 50
+"""Readings of a humidity below which it is no humidity to identify."""
 JOINT = "joint"
 CASCADE = "cascade"
 
@@ -94,12 +96,11 @@ def accuracy_of(series: Series) -> float:
 
 def observed_humidity(record: Record) -> str | None:
     """The humidity signal of the cabinet that a likelihood uses: the logger's own relative humidity if there is one."""
-    if not {"ambient_absolute_humidity", "ambient_relative_humidity", "ambient_dew_point_temperature"} & set(
-        record.signals
-    ):
+    vapour = ambient_absolute_humidity(record)
+    if vapour is None or np.isfinite(vapour.value).sum() < FEWEST:
         return None
     for name in HUMIDITIES:
-        if name in record and np.isfinite(record[name].value).sum() >= 50:
+        if name in record and np.isfinite(record[name].value).sum() >= FEWEST:
             return name
     return None
 
@@ -134,7 +135,8 @@ def design(
     statements: list[str] = []
     chosen: list[tuple[str, dict]] = []
     averaged: dict[str, float] = {}
-    humidity = observed_humidity(record) if kind != "thermal" else None
+    seen = observed_humidity(record)
+    humidity = seen if kind != "thermal" else None
     scale = power_scale(record) if kind != CASCADE else None
     mean: tuple[float, ...] = ()
     reference = float(np.nanmean(record["ambient_temperature"].value))
@@ -169,8 +171,8 @@ def design(
         chosen.append(("humidity_sensor" if relative else "absolute_humidity_sensor", settings))
         if series.interval_s > 0:
             averaged[humidity] = series.interval_s / 3600.0
-    elif kind == JOINT:
-        statements.append("no humidity inside and outside: the hygric model is left out")
+    elif seen is None:
+        statements.append("no humidity readings of both inside and outside: the hygric model is left out")
     return Design(
         mechanisms=tuple(chosen),
         averaged=averaged,

@@ -119,8 +119,11 @@ def svg(figure: Figure, name: str) -> str:
 
         matplotlib.rcParams["svg.hashsalt"] = name
         buffer = io.StringIO()
-        figure.savefig(
-            buffer, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None}
+        _save(
+            figure,
+            buffer,
+            format="svg",
+            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
         )
     text = buffer.getvalue()
     text = re.sub(
@@ -133,6 +136,15 @@ def svg(figure: Figure, name: str) -> str:
     text = re.sub(r' id="(?!' + re.escape(name) + r"-)", f' id="{name}-', text)
     text = text.replace('href="#', f'href="#{name}-').replace("url(#", f"url(#{name}-")
     return re.sub(r"\n\s*", "\n", text)
+
+
+def _save(figure: Figure, buffer: io.IOBase, **settings: object) -> None:
+    import warnings
+
+    with warnings.catch_warnings():
+        # a name in letters that the layout's font lacks: the page's reader has a font for them
+        warnings.filterwarnings("ignore", message="Glyph .* missing from")
+        figure.savefig(buffer, **settings)
 
 
 def _rounded(match: re.Match) -> str:
@@ -157,7 +169,7 @@ def png(figure: Figure, dpi: int = 150) -> bytes:
     """The figure as a PNG image, for documents that cannot hold SVG."""
     with styled():
         buffer = io.BytesIO()
-        figure.savefig(buffer, format="png", dpi=dpi)
+        _save(figure, buffer, format="png", dpi=dpi)
     return buffer.getvalue()
 
 

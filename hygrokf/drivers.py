@@ -75,12 +75,12 @@ def run(design: Design, record: Record) -> Run:
     known = [s.time[~s.missing] for s in ambient.values()]
     if not all(len(time) for time in known):
         empty = ", ".join(name for name, time in zip(ambient, known, strict=True) if not len(time))
-        raise ValueError(f"record {record.name}: no reading of {empty} can be used")
+        raise ValueError(f"no reading of {empty} can be used: without it no model runs; check the source")
     first = max(min(s.time[0] - s.interval_s for s in spans), *(time[0] for time in known))
     last = min(max(s.time[-1] for s in spans), *(time[-1] for time in known))
     if not first < last:
         raise ValueError(
-            f"record {record.name}: the cabinet's readings and the ambient series have no time in common"
+            "the cabinet's readings and the ambient series have no time in common: check both spans with `hygrokf check`"
         )
     switched = [
         record[name]
@@ -167,7 +167,9 @@ def _ambient_inputs(
         unknown[1:] |= np.isnan(at_times(series, middle, longest))
         there = ~missing
         if not there.any():
-            raise ValueError(f"{name}: no reading within the span of the cabinet's readings")
+            raise ValueError(
+                f"{name}: no reading within the span of the cabinet's readings; check both with `hygrokf check`"
+            )
         scale = 1e3 if name == "ambient_absolute_humidity" else 1.0
         values[name] = np.interp(time, time[there], value[there]) * scale
     if "exchange_factor" in wanted:
@@ -219,8 +221,12 @@ def _over_steps(series: Series, time: np.ndarray, longest_h: float) -> np.ndarra
 def _further(record: Record, name: str, time: np.ndarray, hold: str) -> np.ndarray:
     """Any other signal as an input; unknown values take the record's mean."""
     if name not in record:
+        wanted = name
+        if name == "ambient_absolute_humidity":
+            wanted = "an ambient humidity (relative, absolute or dew point)"
         raise ValueError(
-            f"the model reads {name!r}, which the record does not have: {', '.join(record.signals)}"
+            f"the model reads {wanted}, which the record does not have (it has {', '.join(record.signals)}): "
+            "add the signal, or use a model without it"
         )
     series = record[name]
     longest = bridge_h(series, AMBIENT_BRIDGE_H)

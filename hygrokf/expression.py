@@ -28,6 +28,7 @@ class Graph:
     def __init__(self) -> None:
         self.nodes: list[tuple] = []
         self._index: dict[tuple, int] = {}
+        self._orders: dict[tuple[int, ...], list[int]] = {}
 
     def _node(self, key: tuple) -> Expression:
         index = self._index.get(key)
@@ -184,7 +185,10 @@ class Graph:
         """Compute `outputs` with numbers, arrays or complex numbers put in for the symbols (an interpreter)."""
         lifted = [self.lift(e) for e in outputs]
         result: dict[int, object] = {}
-        for i in self.needed(lifted):
+        wanted = tuple(e.index for e in lifted)
+        if wanted not in self._orders:
+            self._orders[wanted] = self.needed(lifted)
+        for i in self._orders[wanted]:
             node = self.nodes[i]
             if node[0] == "const":
                 result[i] = node[1]

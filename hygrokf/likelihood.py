@@ -14,8 +14,9 @@ from functools import cached_property
 
 import numpy as np
 
-from hygrokf.discretisation import MAXIMUM_RATE_STEP, VARYING_RATE_STEP
+from hygrokf.discretisation import CONSTANT_RATES, VARYING_RATES
 from hygrokf.emission import LANES
+from hygrokf.expression import is_zero
 from hygrokf.model import Model
 from hygrokf.moments import pack, trace_width, unpack
 from hygrokf.recursion import Recursion
@@ -105,36 +106,68 @@ class Likelihood:
     def rate(self, values: Mapping[str, float]) -> float:
         """Bound on the model's fastest rate [1/h] over the record."""
         r = self.recursion
-        mean, _ = self.model.initial(values, self.timeline.corners)
         known = {f"p:{name}": v for name, v in values.items()}
-        known |= {f"m{i}": np.asarray(v) for i, v in enumerate(mean)}
-        known |= {f"b:{name}": v for name, v in self.timeline.corners.items()}
-        known |= {f"g:{name}": v for name, v in self.timeline.corners.items()}
-        n = r.n
-        flat = [v for row in r.jacobian for v in row]
-        matrix = [np.asarray(v, dtype=float) for v in r.graph.evaluate(flat, known)]
+        if self._rate_moves:
+            corners = self.timeline.corners
+            mean, _ = self.model.initial(values, corners)
+            known |= {f"m{i}": np.asarray(v) for i, v in enumerate(mean)}
+            known |= {f"{kind}:{name}": v for name, v in corners.items() for kind in ("b", "g")}
+        places, pairs = self._rate_entries
+        found = r.graph.evaluate([r.jacobian[i][j] for i, j in places], known)
+        entry = dict(zip(places, found, strict=True))
         bound = 0.0
-        for i in range(n):
-            total = np.abs(matrix[i * n + i])
-            for j in range(n):
-                if j != i:
-                    total = total + np.sqrt(np.abs(matrix[i * n + j] * matrix[j * n + i]))
+        for i in range(r.n):
+            total = abs(entry.get((i, i), 0.0))
+            for a, b in pairs[i]:
+                total = total + np.sqrt(np.abs(entry[a] * entry[b]))
             bound = max(bound, float(np.max(total)))
         return bound
+
+    @cached_property
+    def _rate_moves(self) -> bool:
+        """Whether the rates depend on more than the parameters."""
+        r = self.recursion
+        needed = r.graph.needed([r.graph.lift(r.jacobian[i][j]) for i, j in self._rate_entries[0]])
+        symbols = [r.graph.nodes[i][1] for i in needed if r.graph.nodes[i][0] == "symbol"]
+        return not all(name.startswith("p:") for name in symbols)
+
+    @cached_property
+    def _rate_entries(self) -> tuple[list, list]:
+        """Places of the Jacobian that bound its eigenvalues: the diagonal, and pairs of which both exist."""
+        r = self.recursion
+        there = [[not is_zero(v) for v in row] for row in r.jacobian]
+        pairs = [
+            [((i, j), (j, i)) for j in range(r.n) if j != i and there[i][j] and there[j][i]]
+            for i in range(r.n)
+        ]
+        places = {(i, i) for i in range(r.n) if there[i][i]}
+        places |= {place for row in pairs for pair in row for place in pair}
+        return sorted(places), pairs
 
     def _keys(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """Key table (sub-step length and regimes) and the number of sub-steps of every key."""
         steps = self.timeline.steps
-        limit = MAXIMUM_RATE_STEP if self.recursion.exact else VARYING_RATE_STEP
-        parts = np.ceil(steps[:, 0] * (self.rate(values) / limit) - 1e-9)
-        parts = np.where(steps[:, 0] > 0, np.maximum(parts, 1), 0)
-        if not np.all(np.isfinite(parts)) or parts.max(initial=0) > 100_000:
+        limit = (CONSTANT_RATES if self.recursion.exact else VARYING_RATES).rate_step
+        rate = self.rate(values)
+        if not self._longest * rate <= 100_000 * limit:
             raise FloatingPointError(
                 "the model's rates are not finite, or far above what the steps can carry"
             )
+        if self._longest * rate <= limit:
+            return steps, self._single
         keys = steps.copy()
-        keys[:, 0] = steps[:, 0] / np.maximum(parts, 1)
-        return np.ascontiguousarray(keys), parts.astype(np.int32)
+        parts = np.maximum(np.ceil(steps[:, 0] * (rate / limit) - 1e-9), self._single)
+        keys[:, 0] /= np.maximum(parts, 1)
+        return keys, parts.astype(np.int32)
+
+    @cached_property
+    def _longest(self) -> float:
+        return float(self.timeline.steps[:, 0].max())
+
+    @cached_property
+    def _single(self) -> np.ndarray:
+        """One sub-step for every key, none where no time passes."""
+        return (self.timeline.steps[:, 0] > 0).astype(np.int32)
 
     def first_inputs(self) -> dict[str, float]:
         t = self.timeline
@@ -152,6 +185,12 @@ class Likelihood:
         if isinstance(self.initial, Gaussian):
             return np.concatenate([self.initial.mean, pack(np.asarray(self.initial.covariance))])
         mean, variance = self.model.initial(values, self.first_inputs())
+        if self.initial == "prior":
+            n = len(mean)
+            places = np.cumsum(np.arange(1, n + 1)) - 1  # of the diagonal in the packed triangle
+            packed = np.zeros(n * (n + 1) // 2, dtype=np.result_type(*variance))
+            packed[places] = variance
+            return np.concatenate([mean, packed])
         mean = np.array(mean)
         covariance = np.diag(np.array(variance))
         if self.initial == "stationary":

@@ -55,3 +55,17 @@ def numbers(data: object, *path: str) -> np.ndarray:
     if not isinstance(value, (list, tuple)):
         return np.empty(0)
     return np.array([number({"": v}, "") for v in value])
+
+
+def columns(data: object, *names: str) -> list[np.ndarray]:
+    """Lists of one length under these names, as arrays of the rows in which all are finite; empty where they differ."""
+    lists = [numbers(data, name) for name in names]
+    if len({len(one) for one in lists}) != 1:
+        return [np.empty(0) for _ in names]
+    good = np.all([np.isfinite(one) for one in lists], axis=0)
+    return [one[good] for one in lists]
+
+
+def one_line(text: str) -> str:
+    """Text without line breaks and control characters."""
+    return "".join(c if c.isprintable() else " " for c in text)

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 from hygrokf.emission import SCALAR, VECTOR, Writer, declarations, literal
 from hygrokf.expression import Expression, forward, reverse
 from hygrokf.moments import place, trace_width
+from hygrokf.running_sums import RunningSums, accumulate
 
 if TYPE_CHECKING:
     from hygrokf.recursion import Block, Recursion
@@ -169,14 +170,37 @@ class _Emission:
         }
 
     def _predict(self, slots: Mapping[int, str], k: str, key: str, count: str, each: object = None) -> None:
-        r, w = self.recursion, self.writer
-        with w.loop(count) as j:
+        w = self.writer
+        rest = count
+        if each is None:  # nearly every step is a single one, and its inputs need no fractions
+            one = w.value(f"icmp eq i64 {count}, 1")
+            with w.when(one):
+                self._advance(slots, key, self._inputs_whole(k))
+            rest = w.value(f"select i1 {one}, i64 0, i64 {count}")
+        with w.loop(rest) as j:
             if each is not None:
                 each(j)
-            leaves = self._read(slots) | self._table(key) | self._inputs_within(k, j, count)
-            values = w.block(r.graph, r.predict.outputs, leaves | self.at_parameters)
-            for s, (_, name) in zip(slots.values(), values, strict=True):
-                w.store(SCALAR, name, s)
+            self._advance(slots, key, self._inputs_within(k, j, count))
+
+    def _advance(self, slots: Mapping[int, str], key: str, inputs: Mapping[int, str]) -> None:
+        r, w = self.recursion, self.writer
+        leaves = self._read(slots) | self._table(key) | inputs
+        values = w.block(r.graph, r.predict.outputs, leaves | self.at_parameters)
+        for s, (_, name) in zip(slots.values(), values, strict=True):
+            w.store(SCALAR, name, s)
+
+    def _inputs_whole(self, k: str) -> dict[int, str]:
+        """Inputs at the start and the end of the step between instants k−1 and k."""
+        r, w = self.recursion, self.writer
+        m = len(r.varying)
+        row = w.integer("mul", k, m)
+        before = w.integer("sub", row, m)
+        result = {}
+        for c, name in enumerate(r.varying):
+            result[r.end[name].index] = w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", row, c)))
+            if r.system.inputs[name] == LINEAR:
+                result[r.start[name].index] = w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", before, c)))
+        return result
 
     def _readings(self, k: str) -> list[tuple[str, str]]:
         """(value, condition that it is there) of every output at instant k."""
@@ -219,7 +243,7 @@ class _Emission:
         w = self.writer
         slots = self._slots(self.recursion.state)
         self._load_state(slots, "%state")
-        total = _Likelihood(w)
+        total = RunningSums(w)
         with w.loop("%count") as k:
             key, parts = self._instant_keys(k)
             self._predict(slots, k, key, parts)
@@ -228,7 +252,7 @@ class _Emission:
         self._save_state(slots, "%state")
         total.write(w, "%out")
 
-    def _correct(self, slots: Mapping[int, str], k: str, key: str, total: _Likelihood) -> None:
+    def _correct(self, slots: Mapping[int, str], k: str, key: str, total: RunningSums) -> None:
         w, r = self.writer, self.recursion
         for update, (y, there) in zip(r.updates, self._readings(k), strict=True):
             with w.when(there):
@@ -247,7 +271,7 @@ class _Emission:
         w, r = self.writer, self.recursion
         slots = self._slots(self.recursion.state)
         self._load_state(slots, "%state")
-        total = _Likelihood(w)
+        total = RunningSums(w)
         width = trace_width(r.n, len(r.updates), r.diffuse)
         transition = [w.slot(SCALAR) for _ in range(r.n * r.n)]
         with w.loop("%count") as k:
@@ -306,7 +330,7 @@ class _Emission:
         w, r, g = self.writer, self.recursion, self.recursion.graph
         slots = self._slots(self.recursion.state)
         self._load_state(slots, "%state")
-        total = _Likelihood(w)
+        total = RunningSums(w)
         # store: row 2k the moments before the updates of instant k, row 2k+1 those after it
         with w.loop("%count") as k:
             key, parts = self._instant_keys(k)
@@ -415,13 +439,13 @@ class _Emission:
             w.store(SCALAR, new, s)
         for i in parameters:
             if i in result:
-                _accumulate(w, result[i], self.parameter_bars[i])
+                accumulate(w, result[i], self.parameter_bars[i])
         row = w.integer("mul", key, len(r.key_nodes))
         for i in keys:
             if i in result:
                 column = r.key_nodes.index(i)
                 pointer = w.at(SCALAR, "%keybar", w.integer("add", row, column))
-                _accumulate(w, result[i], pointer)
+                accumulate(w, result[i], pointer)
 
     def _reverse_stages(self) -> None:
         """From the adjoints of the key table to those of the parameter stage, and to the parameters."""
@@ -440,7 +464,7 @@ class _Emission:
             leaves = self._key_row(key) | self.at_parameters | names
             values = w.block(g, [found[i] for i in order], leaves)
             for i, (_, name) in zip(order, values, strict=True):
-                _accumulate(w, name, self.parameter_bars[i])
+                accumulate(w, name, self.parameter_bars[i])
         leaf = {e.index for e in r.p.values()}
         seeds = {i: g.symbol(f"parbar:{i}") for i in r.parameter_nodes if i not in leaf}
         names = {seeds[i].index: w.load(SCALAR, self.parameter_bars[i]) for i in seeds}
@@ -448,7 +472,7 @@ class _Emission:
         order = list(found)
         values = w.block(g, [found[i] for i in order], self.at_parameters | names)
         for i, (_, name) in zip(order, values, strict=True):
-            _accumulate(w, name, self.parameter_bars[i])
+            accumulate(w, name, self.parameter_bars[i])
         for c, e in enumerate(r.p.values()):
             w.store(SCALAR, w.load(SCALAR, self.parameter_bars[e.index]), w.at(SCALAR, "%thetabar", c))
 
@@ -482,7 +506,7 @@ class _Emission:
         self._load_state(slots, "%state")
         for c, s in enumerate(dot_slots.values()):
             w.store(VECTOR, w.load(VECTOR, w.at(VECTOR, "%statedot", c)), s)
-        total = _Likelihood(w)
+        total = RunningSums(w)
         tangents = directions | key_dots | state_dots
 
         def dot_leaves(key: str) -> dict[int, str]:
@@ -544,43 +568,6 @@ class _Emission:
         for c, s in enumerate(dot_slots.values()):
             w.store(VECTOR, w.load(VECTOR, s), w.at(VECTOR, "%statedot", c))
         total.write(w, "%out")
-
-
-class _Likelihood:
-    """Running sums: Σ log S through a product that is turned into a logarithm before it leaves the range, Σ e²/S."""
-
-    def __init__(self, w: Writer) -> None:
-        self.logarithm = w.slot(SCALAR, literal(0.0))
-        self.product = w.slot(SCALAR, literal(1.0))
-        self.quadratic = w.slot(SCALAR, literal(0.0))
-        self.number = w.slot("i64", "0")
-
-    def take(self, w: Writer, variance: str, quadratic: str) -> None:
-        product = w.real("fmul", w.load(SCALAR, self.product), variance)
-        _accumulate(w, quadratic, self.quadratic)
-        w.store("i64", w.integer("add", w.load("i64", self.number), 1), self.number)
-        w.store(SCALAR, product, self.product)
-        low = w.value(f"fcmp ult double {product}, {literal(1e-100)}")
-        high = w.value(f"fcmp ugt double {product}, {literal(1e100)}")
-        with w.when(w.value(f"or i1 {low}, {high}")):
-            self._fold(w)
-
-    def _fold(self, w: Writer) -> None:
-        value = w.value(f"call double @llvm.log.f64(double {w.load(SCALAR, self.product)})")
-        _accumulate(w, value, self.logarithm)
-        w.store(SCALAR, literal(1.0), self.product)
-
-    def write(self, w: Writer, out: str) -> None:
-        """out[0] = Σ log S, out[1] = Σ e²/S, out[2] = number of readings."""
-        self._fold(w)
-        w.store(SCALAR, w.load(SCALAR, self.logarithm), out)
-        w.store(SCALAR, w.load(SCALAR, self.quadratic), w.at(SCALAR, out, 1))
-        number = w.value(f"sitofp i64 {w.load('i64', self.number)} to double")
-        w.store(SCALAR, number, w.at(SCALAR, out, 2))
-
-
-def _accumulate(w: Writer, value: str, pointer: str) -> None:
-    w.store(SCALAR, w.real("fadd", w.load(SCALAR, pointer), value), pointer)
 
 
 def _seed(seeds: dict[int, Expression], output: Expression, bar: Expression) -> None:

@@ -87,6 +87,14 @@ def _engine(text: str) -> llvm.ExecutionEngine:
     return _engines[key]
 
 
+def _address(array: np.ndarray) -> int:
+    """Where an array's numbers lie; a quarter of the time of `array.ctypes.data`, which counts in short likelihoods."""
+    try:
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+    except (TypeError, ValueError):  # read-only, or empty
+        return array.ctypes.data
+
+
 class Code:
     """Compiled functions of one module."""
 
@@ -103,7 +111,7 @@ class Code:
             if isinstance(a, np.ndarray):
                 if not a.flags.c_contiguous:
                     raise ValueError("compiled code needs C-contiguous arrays")
-                converted.append(ctypes.c_void_p(a.ctypes.data))
+                converted.append(ctypes.c_void_p(_address(a)))
             else:
                 converted.append(ctypes.c_int64(a))
         self._functions[function](*converted)

@@ -15,6 +15,10 @@ from hygrokf.confidence import long_run_variance, normal_quantile, positive_inve
 from hygrokf.likelihood import Likelihood
 from hygrokf.parameters import Coordinates
 
+TRANSIENT_H = 24.0
+"""[h] residuals at the start that are left out: the state there is a guess, and its decay is no evidence."""
+FEWEST_BLOCKS = 40
+
 
 @dataclass(frozen=True)
 class OutputError:
@@ -38,8 +42,12 @@ class OutputError:
 
 
 def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: int = 40) -> OutputError:
-    """Free-run least squares from start `values`; noise parameters and sensor biases are held."""
-    model = likelihood.model
+    """Free-run least squares from start `values`; noise parameters and sensor biases are held.
+
+    The first day (of short records the first quarter) is run but not counted.
+    """
+    model, time = likelihood.model, likelihood.timeline.time
+    counted = time - time[0] >= min(TRANSIENT_H, 0.25 * (time[-1] - time[0]))
     held = {p.name: values[p.name] for p in model.parameters if p.noise}
     held |= {p.name: 0.0 for p in model.parameters if p.prior is not None}
     coordinates = Coordinates(model.parameters, held)
@@ -50,7 +58,7 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
         directions = np.zeros((count, len(z)))
         directions[place, np.arange(len(z))] = coordinates.slopes(z)
         e, slopes = likelihood.residuals(coordinates.values(z), directions)
-        return e, slopes
+        return np.where(counted[:, None], e, np.nan), slopes
 
     def objective(e: np.ndarray) -> float:
         total = 0.0
@@ -90,7 +98,9 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
         z, e, slopes, value, damping = new, trial, trial_slopes, trial_value, damping / 8.0
     _, matrix, scores = _normal_equations(e, slopes)
     inverse = positive_inverse(matrix)
-    spread = long_run_variance(scores, likelihood.timeline.time, 48.0)
+    # two days outlast the disturbances; a short record needs shorter blocks, or too few of them are left to count
+    block_h = min(max((time[-1] - time[0]) / FEWEST_BLOCKS, 12.0), 48.0)
+    spread = long_run_variance(scores, time, block_h, lags=1)
     sd = tuple(float(np.sqrt(np.nanmean(c**2))) if np.isfinite(c).any() else math.nan for c in e.T)
     return OutputError(coordinates.values(z), coordinates.names, inverse @ spread @ inverse, sd, converged)
 

@@ -216,11 +216,7 @@ def _colour_scale(figure: Figure, edges: np.ndarray) -> None:
 
 def figure_profiles(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
     """Profile likelihood of both time constants, with bounds and the estimate by simulation beside it."""
-    shown = [
-        name
-        for name in ("thermal", "hygric")
-        if math.isfinite(number(fit, "time_constants", name, "value_h"))
-    ]
+    shown = [name for name in ("thermal", "hygric") if number(fit, "time_constants", name, "value_h") > 0]
     if not shown:
         raise NothingToShow("No time constant was identified, so there is no profile to show.")
     with styled():

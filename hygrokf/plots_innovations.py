@@ -23,7 +23,7 @@ from hygrokf.drawing import (
     new_figure,
     styled,
 )
-from hygrokf.lookup import array, entry, instants, number, numbers, scalar
+from hygrokf.lookup import array, columns, entry, instants, number, one_line, scalar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -105,9 +105,9 @@ def _reach(limit: float, *values: np.ndarray) -> float:
 
 def _autocorrelation(axes: Axes, found: Mapping) -> None:
     data = entry(found, "autocorrelation")
-    lag, value = numbers(data, "lag_h"), numbers(data, "value")
+    lag, value = columns(data, "lag_h", "value")
     axes.set_title("Autocorrelation")
-    if len(lag) == 0 or len(lag) != len(value):
+    if len(lag) < 2 or not lag[-1] > 0:
         return empty(axes, "no autocorrelation in fit.json")
     limit = _limits(axes, data)
     _stems(axes, lag, value, limit)
@@ -129,9 +129,9 @@ def _hours(axes: Axes, low: float, high: float, ticks: float = 8.5) -> None:
 
 def _cumulative(axes: Axes, found: Mapping) -> None:
     data = entry(found, "cumulative_periodogram")
-    frequency, value = numbers(data, "frequency_per_h"), numbers(data, "value")
+    frequency, value = columns(data, "frequency_per_h", "value")
     axes.set_title("Cumulative periodogram")
-    if len(frequency) == 0 or len(frequency) != len(value):
+    if len(frequency) < 2 or not frequency[-1] > 0:
         return empty(axes, "no cumulative periodogram in fit.json")
     limit, end = number(data, "limit"), float(frequency[-1])
     line = np.array([0.0, end])
@@ -149,11 +149,9 @@ def _cumulative(axes: Axes, found: Mapping) -> None:
 
 def _periodogram(axes: Axes, found: Mapping) -> None:
     data = entry(found, "periodogram")
-    frequency, power, lower, upper = (
-        numbers(data, name) for name in ("frequency_per_h", "power", "lower", "upper")
-    )
+    frequency, power, lower, upper = columns(data, "frequency_per_h", "power", "lower", "upper")
     axes.set_title("Periodogram (white = 1)")
-    if len({len(frequency), len(power), len(lower), len(upper)}) != 1 or len(frequency) < 2:
+    if len(frequency) < 2 or not 0.0 < frequency[0] < frequency[-1] or np.any(np.diff(frequency) <= 0):
         return empty(axes, "no periodogram in fit.json")
     period = 1.0 / frequency
     axes.fill_between(period, np.maximum(lower, 1e-3), upper, color=QUIET, alpha=0.16, linewidth=0)
@@ -184,7 +182,7 @@ def _shown_inputs(found: Mapping) -> list[tuple[str, Mapping]]:
     rows = [
         (str(name), one)
         for name, one in (data.items() if isinstance(data, Mapping) else ())
-        if len(numbers(one, "lag_h")) and len(numbers(one, "lag_h")) == len(numbers(one, "value"))
+        if len(columns(one, "lag_h", "value")[0]) > 1
     ]
     first = sorted(
         rows, key=lambda row: math.inf if math.isnan(number(row[1], "p")) else number(row[1], "p")
@@ -197,19 +195,18 @@ def _cross_correlations(figure: Figure, grid, rows: list[tuple[str, Mapping]]) -
         empty(figure.add_subplot(grid[0]), "no input varies, or none is known: no cross-correlation")
         return
     reach = max(
-        _reach(limit if math.isfinite(limit) else 0.0, numbers(one, "value"))
+        _reach(limit if (limit := number(one, "limit_all")) > 0 else 0.0, columns(one, "lag_h", "value")[1])
         for _, one in rows
-        if (limit := number(one, "limit_all")) is not None
     )
     for column, (name, one) in enumerate(rows):
         axes = figure.add_subplot(grid[column])
-        lag, value = numbers(one, "lag_h"), numbers(one, "value")
+        lag, value = columns(one, "lag_h", "value")
         limit = _limits(axes, one)
         _stems(axes, lag, value, limit)
         axes.set_ylim(-reach, reach)
         axes.set_xlim(1.02 * float(lag[0]), 1.02 * float(lag[-1]))
         _hours(axes, float(lag[0]), float(lag[-1]), 5.0)
-        axes.set_title(name.replace("_", " "), fontweight="normal", fontsize=7.5)
+        axes.set_title(one_line(name).replace("_", " "), fontweight="normal", fontsize=7.5)
         axes.set_xlabel("lag [h]" if column else "lag [h]; > 0: after the input")
         axes.locator_params(axis="y", nbins=5)
         axes.axvline(0.0, color=QUIET, linewidth=0.6)

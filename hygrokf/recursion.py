@@ -141,7 +141,7 @@ class Recursion:
         prediction = g.lift(prediction)
         row = jacobian([prediction], self.mean)[0]
         cross = [dot(self.covariance[i], row) for i in range(self.n)]
-        spread = g.lift(dot(row, cross) + variance)
+        spread = g.lift(_quadratic(row, self.covariance, cross) + variance)
         inverse = 1.0 / spread
         error = self.reading - prediction
         gain = [0.0 if is_zero(c) else c * inverse for c in cross]
@@ -149,7 +149,7 @@ class Recursion:
         covariance = [
             self.covariance[i][j]
             if is_zero(gain[i]) or is_zero(cross[j])
-            else self.covariance[i][j] - gain[i] * cross[j]
+            else self.covariance[i][j] - (cross[i] * cross[j]) * inverse
             for i in range(self.n)
             for j in range(i + 1)
         ]
@@ -261,6 +261,15 @@ class Recursion:
         if (kind, gain) not in made:
             made[kind, gain] = Code(loop_text(self, kind, gain), [kind])
         return made[kind, gain]
+
+
+def _quadratic(row: list, covariance: Matrix, cross: list):
+    """h P h'; a row with one entry squares it first, which shortens the chain from step to step."""
+    there = [i for i, v in enumerate(row) if not is_zero(v)]
+    if len(there) == 1:
+        (i,) = there
+        return (row[i] * row[i]) * covariance[i][i]
+    return dot(row, cross)
 
 
 def _lifted(graph: Graph, value: Expression | float) -> Expression | float:

@@ -6,7 +6,6 @@ import json
 import math
 import os
 import re
-import textwrap
 import zipfile
 from collections.abc import Mapping
 from html import escape
@@ -16,7 +15,7 @@ import numpy as np
 
 from hygrokf.drawing import FONTS, NothingToShow, inline_svg
 from hygrokf.files import write_text_whole
-from hygrokf.lookup import entry, number
+from hygrokf.lookup import entry, number, one_line
 from hygrokf.plots import FIGURES, Picture
 from hygrokf.report_tables import (
     PERIODS,
@@ -24,12 +23,12 @@ from hygrokf.report_tables import (
     Table,
     bands_table,
     innovations_table,
-    one_line,
     optima_table,
     parameters_table,
     rmse_table,
     table_text,
     time_constants_table,
+    wrapped,
 )
 from hygrokf.report_words import (
     BAD,
@@ -90,7 +89,7 @@ def read_results(folder: Path) -> tuple[dict, dict[str, np.ndarray]]:
     except (OSError, ValueError, RecursionError) as fault:
         faults.append(f"{folder / RESULT}: expected JSON written by `hygrokf fit`, found: {fault}; {again}")
     try:
-        with np.load(folder / SERIES, allow_pickle=False) as file:
+        with open(folder / SERIES, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             series = {name: np.asarray(file[name]) for name in file.files}
     except FileNotFoundError:
         faults.append(f"{folder / SERIES}: no such file; {again}")
@@ -112,7 +111,7 @@ def read_results(folder: Path) -> tuple[dict, dict[str, np.ndarray]]:
 
 def report_page(fit: Mapping, series: Mapping[str, np.ndarray]) -> str:
     """The whole page as HTML text."""
-    name = one_line(text_of(entry(fit, "name"))) or "unnamed record"
+    name = text_of(entry(fit, "name")).strip() or "unnamed record"
     pictures = {picture.name: _figure(picture, fit, series) for picture in FIGURES}
     constants = (time_constants_table(fit), "No time constant was identified, so there is no table of them.")
     parameters = (parameters_table(fit), "The fit holds no parameters.")
@@ -295,7 +294,7 @@ def _figure(picture: Picture, fit: Mapping, series: Mapping[str, np.ndarray]) ->
     try:
         drawing = inline_svg(picture.draw(fit, series), picture.name, picture.heading)
     except NothingToShow as why:
-        return f"<p class=left-out><b>{escape(picture.heading)}</b> is left out. {escape(str(why))}</p>"
+        return f"<p class=left-out><b>{escape(picture.heading)}</b> is left out. {escape(one_line(str(why)))}</p>"
     return f"<figure><h3>{escape(picture.heading)}</h3>{drawing}<figcaption>{escape(picture.caption)}</figcaption></figure>"
 
 
@@ -399,7 +398,7 @@ def _table(table: Table) -> str:
 
 def report_text(fit: Mapping) -> str:
     """The tables of a fit as text of at most 100 columns, for the command line."""
-    name = one_line(text_of(entry(fit, "name"))) or "unnamed record"
+    name = text_of(entry(fit, "name")).strip() or "unnamed record"
     blocks = [
         _wrapped(f"{name}{' (SYNTHETIC: nothing measured)' if entry(fit, 'synthetic') is True else ''}")
     ]
@@ -429,8 +428,7 @@ def report_text(fit: Mapping) -> str:
 def _wrapped(text: str, indent: str = "") -> str:
     """Lines of at most 100 columns that do not part a number from its unit."""
     kept = re.sub(r"(?<=\d) (?=(?:%|K|h|g/m³)(?![\w/]))", "\xa0", one_line(text))
-    lines = textwrap.wrap(kept, TEXT_WIDTH, subsequent_indent=indent)
-    return "\n".join(lines).replace("\xa0", " ")
+    return "\n".join(wrapped(kept, TEXT_WIDTH, indent)).replace("\xa0", " ")
 
 
 _CSS = (

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import math
-import textwrap
 import unicodedata
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from hygrokf.lookup import entry, number
+from hygrokf.lookup import entry, number, numbers, one_line
 from hygrokf.report_words import (
     BASELINES,
     NONE,
@@ -85,7 +84,7 @@ def time_constants_table(fit: Mapping) -> Table | None:
             notes.append(
                 f"The {name} time constant holds at {fixed(inside, 1)} °C inside and {fixed(outside, 1)} °C outside."
             )
-        modes = [number({"": v}, "") for v in entry(constant.found, "modes") or () if not isinstance(v, str)]
+        modes = numbers(constant.found, "modes")
         if len(modes) > 1:
             notes.append(f"Poles of the {name} model: {', '.join(f'{plain_number(v)} h' for v in modes)}.")
     if not rows:
@@ -289,7 +288,7 @@ def table_text(table: Table, width: int = TEXT_WIDTH, columns: tuple[int, ...] |
         parts = [_padded(text, widths[k], k in left) for k, text in enumerate(row)]
         lines.append("  ".join(parts).rstrip())
     if table.note:
-        lines += textwrap.wrap(table.note, width)
+        lines += wrapped(table.note, width)
     return "\n".join(shortened(line, width) for line in lines)
 
 
@@ -300,11 +299,6 @@ def _group_line(groups: tuple[tuple[str, int], ...], widths: list[int]) -> str:
         at += count
         parts.append(_padded(shortened(heading, room), room, False))
     return "  ".join(parts).rstrip()
-
-
-def one_line(text: str) -> str:
-    """Text without line breaks and control characters."""
-    return "".join(c if c.isprintable() else " " for c in text)
 
 
 def cells(text: str) -> int:
@@ -326,3 +320,23 @@ def shortened(text: str, width: int) -> str:
     while text and cells(text) > width - 1:
         text = text[:-1]
     return text + "…"
+
+
+def wrapped(text: str, width: int = TEXT_WIDTH, indent: str = "") -> list[str]:
+    """Lines of at most `width` columns, further ones indented; words longer than a line are cut."""
+    lines, line = [], ""
+    for word in text.split(" "):
+        while word:
+            grown = f"{line} {word}" if line.strip() else line + word
+            if cells(grown) <= width:
+                line, word = grown, ""
+            elif line.strip():
+                lines.append(line)
+                line = indent
+            else:
+                part = word
+                while cells(line + part) > width:
+                    part = part[:-1]
+                lines.append(line + part)
+                line, word = indent, word[len(part) :]
+    return [*lines, line] if line.strip() or not lines else lines

@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from hygrokf.lookup import entry, number
+from hygrokf.lookup import entry, number, one_line
 
 NONE = "–"
 QUANTITIES = {
@@ -72,8 +72,8 @@ def decimals_for(spread: float) -> int:
 
 
 def text_of(value: object) -> str:
-    """A string as it is; anything else that is not null as text."""
-    return "" if value is None else value if isinstance(value, str) else str(value)
+    """A string on one line, without control characters; anything else that is not null as text."""
+    return "" if value is None else one_line(value if isinstance(value, str) else str(value))
 
 
 def texts(value: object) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from hygrokf.files import write_bytes_whole, write_text_whole
 from hygrokf.fit import Fit
+from hygrokf.version import __version__
 
 
 class ResultFault(Exception):
@@ -19,13 +21,17 @@ class ResultFault(Exception):
 
 
 def write_fit(fit: Fit, directory: Path) -> Path:
-    """Write `fit.json` and `series.npz`; returns the path of fit.json."""
-    directory.mkdir(parents=True, exist_ok=True)
-    buffer = io.BytesIO()
+    """Write `fit.json` and `series.npz`; returns the path of fit.json.
+
+    A report of an earlier fit in the directory is removed first: it would belong to other numbers.  Raises OSError as
+    the system gives it.
+    """
+    text, buffer = dump(fit.to_json()), io.BytesIO()
     np.savez_compressed(buffer, **fit.series)
+    directory.mkdir(parents=True, exist_ok=True)
+    (directory / "report.html").unlink(missing_ok=True)
     write_bytes_whole(directory / "series.npz", buffer.getvalue())
-    write_text_whole(directory / "fit.json", dump(fit.to_json()))
-    return directory / "fit.json"
+    return write_text_whole(directory / "fit.json", text)
 
 
 def dump(data: Mapping) -> str:
@@ -56,17 +62,55 @@ def read_fit(path: Path) -> Fit:
         raise ResultFault(
             f"{file}: expected a result of `hygrokf fit`, found no such file; run `hygrokf fit` first"
         ) from None
-    except (OSError, ValueError) as fault:
+    except (OSError, ValueError, RecursionError) as fault:
+        reason = getattr(fault, "strerror", None) or fault
         raise ResultFault(
-            f"{file}: expected JSON written by `hygrokf fit`, found {fault}; run `hygrokf fit` again"
+            f"{file}: expected JSON written by `hygrokf fit`, found {reason}; run `hygrokf fit` again"
         ) from None
-    needed = {"name", "design", "parameters", "time_constants"}
+    needed = {"name", "version", "design", "parameters", "covariance", "time_constants"}
     missing = sorted(needed - set(data)) if isinstance(data, dict) else sorted(needed)
     if missing:
-        raise ResultFault(f"{file}: not a result of `hygrokf fit`: it lacks {', '.join(missing)}")
-    try:
-        return Fit.from_json(data)
-    except (KeyError, TypeError, ValueError) as fault:
         raise ResultFault(
-            f"{file}: written by another version of hygrokf or damaged ({fault}); run `hygrokf fit` again"
-        ) from None
+            f"{file}: not a result of `hygrokf fit`: it lacks {', '.join(missing)}; "
+            "name the fit.json that `hygrokf fit` wrote"
+        )
+    if _release(data["version"]) > _release(__version__):
+        raise ResultFault(
+            f"{file}: written by hygrokf {data['version']}, this is {__version__}; "
+            "install that version, or run `hygrokf fit` again"
+        )
+    try:
+        fit = Fit.from_json(data)
+        faults = _faults(fit)
+    except (AttributeError, KeyError, TypeError, ValueError) as fault:
+        faults = [f"{type(fault).__name__} {fault}"]
+    if faults:
+        raise ResultFault(
+            f"{file}: damaged, or written by another version of hygrokf than {__version__}: "
+            f"{'; '.join(faults)}; run `hygrokf fit` again"
+        )
+    return fit
+
+
+def _release(version: object) -> tuple[int, ...]:
+    """Major and minor number of a version; what is none counts as the oldest."""
+    found = re.match(r"(\d+)\.(\d+)", version) if isinstance(version, str) else None
+    return (int(found[1]), int(found[2])) if found else (0, 0)
+
+
+def _faults(fit: Fit) -> list[str]:
+    """What keeps a fit from being used: values and covariance must be those of its model."""
+    faults = []
+    for p in fit.design.model.parameters:
+        value = fit.values.get(p.name)
+        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+            faults.append(f"parameter {p.name}: expected a number, found {value!r}")
+        elif not p.lower * (1 - 1e-9 * math.copysign(1, p.lower)) <= value <= p.upper * (1 + 1e-9):
+            faults.append(f"parameter {p.name}: expected {p.lower:g} … {p.upper:g} {p.unit}, found {value:g}")
+    names, matrix = fit.covariance
+    unknown = sorted(set(names) - {p.name for p in fit.design.model.parameters})
+    if unknown:
+        faults.append(f"covariance of unknown parameters {', '.join(unknown)}")
+    if matrix.shape != (len(names), len(names)) or not np.all(np.isfinite(matrix)):
+        faults.append(f"covariance: expected {len(names)} × {len(names)} numbers")
+    return faults

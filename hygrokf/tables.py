@@ -34,9 +34,9 @@ def simulation_csv(fit: Fit, record: Record) -> str:
     """Free run as CSV text: time (UTC), three quantities with their standard deviations, and whether inputs are known."""
     _, made, predicted = simulated(fit, record)
     t = made.timeline
-    stamps = np.datetime_as_string(
-        (np.round(t.origin_s + t.time * 3600.0).astype("int64")).astype("datetime64[s]"), unit="s"
-    )
+    milliseconds = np.round(1e3 * (t.origin_s + t.time * 3600.0)).astype("int64")
+    unit = "s" if np.all(milliseconds % 1000 == 0) else "ms"
+    stamps = np.datetime_as_string(milliseconds.astype("datetime64[ms]"), unit=unit)
     columns, names = [], []
     for name, quantity in COLUMNS.items():
         pair = predicted.of(quantity)
@@ -109,20 +109,32 @@ def evaluation_text(found: Mapping) -> str:
                 if quantity in guess:
                     lines.append(_row(f"  {_BASELINES[name]}", guess[quantity]))
         lines.append("")
-    lines += [
-        "coverage of the 95 % bands"
-        + (" (validation)" if found["rmse"]["validation"]["temperature_K"]["n"]["total"] else "")
-    ]
+    if len(lines) == 2:
+        return "\n".join(
+            [
+                *lines,
+                "nothing to score: no reading of the cabinet at a time when all inputs of the fit are known",
+                "(a fit that knows the power needs it; after a gap it waits 12 h); see `hygrokf check`",
+            ]
+        )
+    validated = any(found["rmse"]["validation"][q]["n"]["total"] for q in SCORED)
+    lines.append("coverage of the 95 % bands" + (" (validation)" if validated else ""))
     for lead, by_quantity in found["bands"].items():
         cells = [
-            f"{q.rsplit('_', 1)[0].replace('_', ' ')} {100 * c['coverage']:.1f} % (n {c['n']})"
+            f"{_LABELS[q]} {100 * c['coverage']:.1f} % (n {c['n']})"
             for q, c in by_quantity.items()
             if c["coverage"] is not None
         ]
-        lines.append(f"  {lead:9} " + ", ".join(cells))
+        if cells:
+            lines.append(f"  {lead.replace('_', ' '):9} " + ", ".join(cells))
     return "\n".join(lines)
 
 
+_LABELS = {
+    "temperature_K": "temperature",
+    "relative_humidity": "relative humidity",
+    "absolute_humidity_g_m3": "absolute humidity",
+}
 _BASELINES = {
     "ambient": "c = c_amb",
     "ambient_pressure_balance": "c = c_amb T_amb/T_conv,a",

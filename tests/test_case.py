@@ -71,9 +71,7 @@ def change(folder: Path, name: str, **new) -> None:
     everything = columns(seed)
     kept = {"cabinet": ("T", "RH"), "ambient": ("T",), "scada": ("P",)}[name]
     stamps = {key: new.pop(key) for key in ("start", "form") if key in new}
-    (folder / f"{name}.csv").write_text(
-        csv({one: new.get(one, everything[one]) for one in kept}, **stamps)
-    )
+    (folder / f"{name}.csv").write_text(csv({one: new.get(one, everything[one]) for one in kept}, **stamps))
 
 
 def read(folder: Path, *changes: tuple[str, str], add: str = "", **more):
@@ -188,11 +186,7 @@ def test_periods_lie_in_the_record(folder, key, year):
 
 def test_faults_of_the_case_and_of_every_source_come_together(folder):
     change(folder, "cabinet", form="%Y-%m-%d %H:%M")
-    text = (
-        (folder / "ambient.csv")
-        .read_text()
-        .replace("\n2020-06-01T00:20Z,", "\n2020-06-01T00:20Z,x")
-    )
+    text = (folder / "ambient.csv").read_text().replace("\n2020-06-01T00:20Z,", "\n2020-06-01T00:20Z,x")
     (folder / "ambient.csv").write_text(text)
     found = faults(
         folder,

@@ -53,9 +53,7 @@ def without(record: Record, *signals: str, **more) -> Record:
 
 def changed(record: Record, signal: str, value) -> Record:
     one = record[signal]
-    return record.replace_series(
-        Series(signal, one.time, np.asarray(value, float), one.hold, one.interval_s)
-    )
+    return record.replace_series(Series(signal, one.time, np.asarray(value, float), one.hold, one.interval_s))
 
 
 def test_mask_treats_every_series_and_says_so():
@@ -65,9 +63,7 @@ def test_mask_treats_every_series_and_says_so():
     warm[1000:1400] = warm[1000]
     humid = record["cabinet_relative_humidity"].value.copy()
     humid[50:60] = 1.0
-    dirty = changed(
-        changed(record, "cabinet_temperature", warm), "cabinet_relative_humidity", humid
-    )
+    dirty = changed(changed(record, "cabinet_temperature", warm), "cabinet_relative_humidity", humid)
     clean = mask(dirty)
     assert clean["cabinet_temperature"].missing.sum() == 1 + 399
     assert clean["cabinet_relative_humidity"].missing.sum() == 10
@@ -172,9 +168,7 @@ def sun(longitude_deg: float, shift_s: float, days: int = 60) -> Series:
         [-1.2, 1.0, 2.8, 3.7, 3.5, 2.4, 0.7],
     )
     hour_angle = 2 * math.pi * ((time + 240.0 * longitude_deg + equation) / DAY - 0.5)
-    return Series(
-        "global_horizontal_irradiance", time + shift_s, np.clip(800 * np.cos(hour_angle), 0, None)
-    )
+    return Series("global_horizontal_irradiance", time + shift_s, np.clip(800 * np.cos(hour_angle), 0, None))
 
 
 @pytest.mark.parametrize("longitude", [-0.95, 25.0, -120.0, 150.0])

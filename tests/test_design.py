@@ -100,11 +100,16 @@ def test_a_design_makes_the_model_that_it_names():
 
 
 def test_without_humidity_on_either_side_there_is_no_hygric_part():
-    for missing in ("cabinet_relative_humidity", "ambient_relative_humidity"):
-        base = design(record(without=(missing,)))
-        assert names(base) == THERMAL
-        assert base.humidity is None
-        assert base.statements == ("no humidity inside and outside: the hygric model is left out",)
+    said = ("no humidity readings of both inside and outside: the hygric model is left out",)
+    empty = series("ambient_relative_humidity", np.nan, 1 / 6)
+    poor = [record(without=(n,)) for n in ("cabinet_relative_humidity", "ambient_relative_humidity")]
+    for one in (*poor, record(empty)):
+        for kind in ("joint", "thermal"):
+            base = design(one, kind=kind)
+            assert names(base) == THERMAL
+            assert base.humidity is None
+            assert base.statements == said
+    assert design(record(), kind="thermal").statements == ()
 
 
 def test_one_humidity_signal_is_chosen():

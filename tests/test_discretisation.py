@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from hygrokf.discretisation import MAXIMUM_RATE_STEP, congruence, step
+from hygrokf.discretisation import CONSTANT_RATES, congruence, step
 from hygrokf.expression import Graph
 from hygrokf.likelihood import Gaussian, Likelihood
 from hygrokf.mechanisms import linear_network
@@ -112,7 +112,7 @@ def traced_step(a: np.ndarray, q: np.ndarray, b: np.ndarray, h: float, hold: str
 @pytest.mark.parametrize("share", [1e-6, 0.3, 1.0])
 def test_one_sub_step_of_a_network_is_exact(seed: int, share: float) -> None:
     a, b, q = network(seed)
-    h = share * MAXIMUM_RATE_STEP / np.abs(np.linalg.eigvals(a)).max()
+    h = share * CONSTANT_RATES.rate_step / np.abs(np.linalg.eigvals(a)).max()
     f, gain = zero_order(a, b, h)
     found = traced_step(a, q, b, h, "zero-order")
     close(found["F"], f)
@@ -194,14 +194,11 @@ def test_congruence_is_symmetric_and_numpys() -> None:
 
 
 # -- the bilinear cabinet --------------------------------------------------------------------------------------
-def last_prior(case: object, values: dict, start: Gaussian) -> np.ndarray:
-    found = Likelihood(case.model, case.timeline).trace(values, start=start)
-    return np.concatenate([found.prior_mean[-1], found.prior_covariance[-1].ravel()])
-
-
-@pytest.mark.xfail(strict=False, reason="the last halving ends at rounding: open")
 def test_the_bilinear_step_converges_with_fourth_order(make_case: Callable, joint_moments: Callable) -> None:
-    """Halving the sub-steps divides the error of every moment by about 16 until it reaches rounding."""
+    """Halving the sub-steps divides the error of the mean by 16, that of the covariance by at least 8.
+
+    The covariance is of third order: its Jacobians are taken at states that a second-order rule predicts.
+    """
     case = make_case("joint", np.array([0.0, 0.25]), 5, missing=1.0)
     values = case.values | {"hygric_k": 0.4}
     names = case.model.states
@@ -210,31 +207,37 @@ def test_the_bilinear_step_converges_with_fourth_order(make_case: Callable, join
     )
     root = np.array([[0.5, 0, 0, 0], [0.2, 0.6, 0, 0], [0.1, 0.1, 0.5, 0], [0.05, -0.1, 0.2, 0.3]])
     start = Gaussian(mean, root @ root.T)
-    expected = np.concatenate(
-        [v.ravel() for v in joint_moments(case, values)(1, start.mean, start.covariance)]
-    )
-    scale = np.concatenate([np.ones(4), np.full(16, root.max() ** 2)])
+    expected = joint_moments(case, values)(1, start.mean, start.covariance)
     errors = []
-    for parts in (4, 8, 16):  # each of them one sub-step
-        found = last_prior(case.split(0.25 * np.arange(1, parts) / parts), values, start)
-        errors.append(np.max(np.abs(found - expected) / scale))
+    for parts in (2, 4, 8, 16):  # each of them one sub-step
+        fine = case.split(0.25 * np.arange(1, parts) / parts)
+        found = Likelihood(fine.model, fine.timeline).trace(values, start=start)
+        pair = (found.prior_mean[-1], found.prior_covariance[-1])
+        errors.append([np.max(np.abs(f - e)) for f, e in zip(pair, expected, strict=True)])
     orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
-    assert np.all((orders > 3.6) & (orders < 4.6)), (errors, orders)
-    assert errors[0] < 1e-6
+    assert np.all((orders[:, 0] > 3.7) & (orders[:, 0] < 4.6)), (errors, orders)
+    assert np.all((orders[:, 1] > 2.8) & (orders[:, 1] < 4.6)), (errors, orders)
+    assert np.max(errors[0]) < 1e-5
 
 
 SPLIT = 1e-6  # the stated error of the sub-steps
 
 
-@pytest.mark.parametrize("step_h", [0.25, 1.0])
-def test_splitting_one_step_leaves_the_likelihood(make_case: Callable, step_h: float) -> None:
-    case = make_case("joint", step_h * np.arange(200), 3, missing=0.05)
+CLOCKS = {
+    "quarters": 0.25 * np.arange(200),
+    "hours": 1.0 * np.arange(200),
+    # a logger's quarters and ten-minute power three minutes late: steps of two to ten minutes
+    "two clocks": np.union1d(np.arange(0, 2400, 15), np.arange(3, 2400, 10)) / 60.0,
+}
+
+
+@pytest.mark.parametrize("kind", ["joint", "cascade"])
+@pytest.mark.parametrize("time", CLOCKS.values(), ids=CLOCKS)
+def test_splitting_one_step_leaves_the_likelihood(make_case: Callable, kind: str, time: np.ndarray) -> None:
+    case = make_case(kind, time, 3, missing=0.05)
     base = case.likelihood.value(case.values)
-    time = case.timeline.time
-    changes = [
-        case.split(time[k : k + 1] + 0.37 * step_h).likelihood.value(case.values) - base
-        for k in range(0, 199)
-    ]
+    inner = time[:-1] + 0.37 * np.diff(time)
+    changes = [case.split(inner[k : k + 1]).likelihood.value(case.values) - base for k in range(len(inner))]
     assert np.max(np.abs(changes)) < SPLIT
 
 

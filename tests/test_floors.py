@@ -18,6 +18,7 @@ FLOORS = (
     "expression machine moments parameters signals psychrometrics files lookup version",
     # text of code, one step, what a record is
     "emission discretisation record stamps",
+    "running_sums",
     "loops masks case_form readers synthetic ambient",
     "recursion checks",
     "model case",

@@ -187,5 +187,5 @@ def test_damaged_fit_files_are_refused_in_one_line(fit, tmp_path):
     with pytest.raises(ResultFault, match="run `hygrokf fit` again"):
         read_fit(tmp_path / "half.json")
     (tmp_path / "other.json").write_text('{"a": 1}')
-    with pytest.raises(ResultFault, match="it lacks design, name"):
+    with pytest.raises(ResultFault, match="it lacks covariance, design, name"):
         read_fit(tmp_path / "other.json")

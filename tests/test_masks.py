@@ -40,11 +40,7 @@ def walk(count: int, spread: float, digits: int, seed: int, mean: float = 20.0) 
 
 
 class TestOrder:
-    @given(
-        st.lists(
-            st.tuples(st.integers(0, 30), st.integers(0, 3) | st.none()), min_size=1, max_size=40
-        )
-    )
+    @given(st.lists(st.tuples(st.integers(0, 30), st.integers(0, 3) | st.none()), min_size=1, max_size=40))
     def test_every_stamp_once_in_order_and_only_agreed_readings(self, rows):
         time = np.array([float(one) for one, _ in rows])
         value = np.array([np.nan if two is None else float(two) for _, two in rows])

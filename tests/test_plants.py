@@ -73,9 +73,7 @@ def test_only_the_bridge_imports_the_package() -> None:
     files = sorted(FOLDER.glob("*.py"))
     assert len(files) >= 8
     guilty = {
-        path.name
-        for path in files
-        if any(name.split(".")[0] == "hygrokf" for name in imported_modules(path))
+        path.name for path in files if any(name.split(".")[0] == "hygrokf" for name in imported_modules(path))
     }
     assert guilty == {ONLY_BRIDGE}
     # Nor does any other file reach the package through the bridge.
@@ -190,9 +188,7 @@ def test_the_mass_balance_leaves_the_papers_only_while_temperatures_move() -> No
 
 def test_halving_the_step_changes_nothing(made: Plant) -> None:
     drivers = made.drivers
-    finer = integrate(
-        made.cabinet, 60.0, drivers.ambient_K, drivers.ambient_kg_m3, made.forcing, substeps=2
-    )
+    finer = integrate(made.cabinet, 60.0, drivers.ambient_K, drivers.ambient_kg_m3, made.forcing, substeps=2)
     np.testing.assert_allclose(finer.cabinet_K, made.trajectory.cabinet_K, atol=1e-7)
     np.testing.assert_allclose(finer.cabinet_kg_m3, made.trajectory.cabinet_kg_m3, atol=1e-9)
 

@@ -46,9 +46,7 @@ def sublimation(temperature: np.ndarray) -> np.ndarray:
     """Saturation pressure over ice [Pa] (IAPWS R14-08(2011), equation 6)."""
     theta = temperature / 273.16
     series = (
-        -21.2144006 * theta**0.00333333333
-        + 27.3203819 * theta**1.20666667
-        - 6.10598130 * theta**1.70333333
+        -21.2144006 * theta**0.00333333333 + 27.3203819 * theta**1.20666667 - 6.10598130 * theta**1.70333333
     )
     return 611.657 * np.exp(series / theta)
 
@@ -63,9 +61,7 @@ def test_water_agrees_with_iapws_95(celsius: float, published: float) -> None:
 
 def test_water_agrees_with_wagner_pruss_up_to_boiling() -> None:
     kelvin = np.linspace(273.16, 373.15, 201)
-    np.testing.assert_allclose(
-        air.saturation_pressure_water(kelvin), wagner_pruss(kelvin), rtol=3e-5
-    )
+    np.testing.assert_allclose(air.saturation_pressure_water(kelvin), wagner_pruss(kelvin), rtol=3e-5)
 
 
 def test_water_agrees_with_murphy_koop_when_supercooled() -> None:
@@ -80,9 +76,7 @@ def test_ice_agrees_with_iapws_sublimation() -> None:
     assert sublimation(np.array(230.0)) == pytest.approx(8.94735, rel=1e-5)
     assert air.saturation_pressure_ice(230.0) == pytest.approx(8.94735, rel=4e-4)
     kelvin = np.linspace(ZERO - 40.0, 273.16, 201)
-    np.testing.assert_allclose(
-        air.saturation_pressure_ice(kelvin), sublimation(kelvin), rtol=3.4e-4
-    )
+    np.testing.assert_allclose(air.saturation_pressure_ice(kelvin), sublimation(kelvin), rtol=3.4e-4)
 
 
 def test_water_and_ice_meet_at_the_triple_point() -> None:
@@ -134,13 +128,9 @@ def test_frost_point_inverts_saturation_over_ice(kelvin: float) -> None:
 
 def test_inverses_hold_at_the_bounds_of_the_range() -> None:
     for bound in air.WATER_RANGE:
-        assert air.dew_point(air.saturation_pressure_water(bound)) == pytest.approx(
-            bound, rel=1e-10
-        )
+        assert air.dew_point(air.saturation_pressure_water(bound)) == pytest.approx(bound, rel=1e-10)
     for bound in air.ICE_RANGE:
-        assert air.frost_point(air.saturation_pressure_ice(bound)) == pytest.approx(
-            bound, rel=1e-10
-        )
+        assert air.frost_point(air.saturation_pressure_ice(bound)) == pytest.approx(bound, rel=1e-10)
 
 
 @given(fractions, temperatures)
@@ -206,9 +196,7 @@ def test_relative_humidity_slopes_are_the_derivatives(concentration: float, kelv
     assert air.relative_humidity_slope_temperature(concentration, kelvin) == pytest.approx(
         in_temperature, rel=1e-11
     )
-    assert air.relative_humidity_slope_absolute_humidity(kelvin) == pytest.approx(
-        in_concentration, rel=1e-11
-    )
+    assert air.relative_humidity_slope_absolute_humidity(kelvin) == pytest.approx(in_concentration, rel=1e-11)
     width = 1e-3
     difference = (
         air.relative_humidity(concentration, kelvin + width)
@@ -220,9 +208,7 @@ def test_relative_humidity_slopes_are_the_derivatives(concentration: float, kelv
 @given(st.floats(0.01, 1.0), cabinet_temperatures)
 def test_absolute_humidity_slope_is_the_derivative(fraction: float, kelvin: float) -> None:
     exact = air.absolute_humidity(fraction, kelvin + COMPLEX_STEP * 1j).imag / COMPLEX_STEP
-    assert air.absolute_humidity_slope_temperature(fraction, kelvin) == pytest.approx(
-        exact, rel=1e-11
-    )
+    assert air.absolute_humidity_slope_temperature(fraction, kelvin) == pytest.approx(exact, rel=1e-11)
 
 
 def test_complex_steps_pass_through_the_inverse() -> None:

@@ -160,9 +160,7 @@ def test_stated_words_mean_missing(write):
 
 
 def test_truth_values_are_numbers(write):
-    content = table(
-        [f"{s},{w},1" for s, w in zip(stamps(), ["true", "false", "", "True"], strict=True)]
-    )
+    content = table([f"{s},{w},1" for s, w in zip(stamps(), ["true", "false", "", "True"], strict=True)])
     read = read_table(write(content), ["T"], "time")
     np.testing.assert_array_equal(read.values["T"], [1.0, 0.0, np.nan, 1.0])
 
@@ -290,9 +288,7 @@ def test_only_stamps_of_an_absent_hour_leave_nothing(write):
 
 
 def test_line_numbers_hold_in_a_long_file(write):
-    rows = [
-        f"2020-01-{1 + k // 1440:02d}T{k // 60 % 24:02d}:{k % 60:02d}Z,{k},1" for k in range(20000)
-    ]
+    rows = [f"2020-01-{1 + k // 1440:02d}T{k // 60 % 24:02d}:{k % 60:02d}Z,{k},1" for k in range(20000)]
     rows[17000] = rows[17000].replace(",17000,", ",oops,")
     (fault,) = faults(write(table(rows)))
     assert 'line 17002 "oops"' in fault

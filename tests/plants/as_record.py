@@ -34,9 +34,7 @@ def to_series(one: PlantSeries, clock_uncertainty_s: float = 0.0) -> Series:
     )
 
 
-def to_record(
-    made: Plant, *, until_s: float | None = None, clock_uncertainty_s: float = 0.0
-) -> Record:
+def to_record(made: Plant, *, until_s: float | None = None, clock_uncertainty_s: float = 0.0) -> Record:
     """The record of a plant.
 
     until_s: [s] end of the identification period, None = the whole record.

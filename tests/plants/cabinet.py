@@ -76,9 +76,7 @@ class Cabinet:
         """R_D* [s/m3]."""
         return 1.0 / (self.gap * DIFFUSIVITY_273 * (ambient_K / 273.0) ** 1.8)
 
-    def heat_release(
-        self, power_W: np.ndarray, ambient_K: np.ndarray, preheating: np.ndarray
-    ) -> np.ndarray:
+    def heat_release(self, power_W: np.ndarray, ambient_K: np.ndarray, preheating: np.ndarray) -> np.ndarray:
         """Heat released into the equipment [W]."""
         share, warmer = power_W / self.rated_W, ambient_K - 283.15
         at_rest, linear, square, slope = self.operation_W
@@ -165,9 +163,7 @@ def _runge_kutta(start, ambient, outside, heat, vapour, step_s, substeps, fixed)
                     total[which] += weights[stage] * rates[which]
             for which in range(3):
                 state[which] += width * total[which]
-        _, _, _, air = _flows(
-            state, ambient[step + 1], outside[step + 1], heat[step], vapour[step], fixed
-        )
+        _, _, _, air = _flows(state, ambient[step + 1], outside[step + 1], heat[step], vapour[step], fixed)
         store[step + 1, :3] = state
         store[step + 1, 3] = air
     return store

@@ -27,9 +27,7 @@ def ornstein_uhlenbeck(
     return first_order(gain, math.sqrt(1.0 - gain**2) * normal, normal[0])
 
 
-def shots(
-    random: np.random.Generator, size: int, step_h: float, correlation_h: float
-) -> np.ndarray:
+def shots(random: np.random.Generator, size: int, step_h: float, correlation_h: float) -> np.ndarray:
     """Decaying jumps of either sign: the spectrum of an Ornstein-Uhlenbeck process, not Gaussian.
 
     One jump in three correlation times on average; variance 1 in expectation.

@@ -32,9 +32,7 @@ class Effect(Protocol):
         """The forcing with this effect in it."""
 
 
-def reference_temperatures(
-    cabinet: Cabinet, drivers: Drivers, forcing: Forcing
-) -> tuple[float, float]:
+def reference_temperatures(cabinet: Cabinet, drivers: Drivers, forcing: Forcing) -> tuple[float, float]:
     """Mean cabinet and ambient temperature [K] that the heat release alone leads to."""
     ambient = float(drivers.ambient_K.mean())
     return ambient + cabinet.outer_resistance * float(forcing.heat_W.mean()), ambient

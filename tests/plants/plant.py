@@ -99,9 +99,7 @@ def _forcing(
     seed: np.random.SeedSequence, cabinet: Cabinet, drivers: Drivers, effects: Sequence[Effect]
 ) -> Forcing:
     steps = drivers.time.size - 1
-    heat_W = cabinet.heat_release(
-        drivers.power_W[:-1], drivers.held_ambient_K, drivers.preheating[:-1]
-    )
+    heat_W = cabinet.heat_release(drivers.power_W[:-1], drivers.held_ambient_K, drivers.preheating[:-1])
     forcing = Forcing(heat_W=heat_W, vapour_kg_s=np.zeros(steps))
     for effect, child in zip(effects, seed.spawn(len(effects)), strict=True):
         forcing = effect.force(np.random.default_rng(child), cabinet, drivers, forcing)
@@ -148,9 +146,7 @@ def build_plant(
         cabinet = replace(cabinet, wall_capacity=3600.0 * wall_h / between, wall_place=wall_place)
     every = (heat, vapour, *effects)
     forcing = _forcing(forcing_seed, cabinet, drivers, every)
-    trajectory = integrate(
-        cabinet, MINUTE_S, drivers.ambient_K, drivers.ambient_kg_m3, forcing, substeps
-    )
+    trajectory = integrate(cabinet, MINUTE_S, drivers.ambient_K, drivers.ambient_kg_m3, forcing, substeps)
     series, biases = log_plant(np.random.default_rng(logger_seed), drivers, trajectory, logging)
     inside, outside = float(trajectory.cabinet_K.mean()), float(drivers.ambient_K.mean())
     outer = cabinet.outer_resistance
@@ -248,6 +244,4 @@ def undisturbed(made: Plant, substeps: int = 1) -> Trajectory:
     """The free run of the bare physics with the true parameters: no effects at all."""
     forcing = _forcing(np.random.SeedSequence(0), made.cabinet, made.drivers, ())
     drivers = made.drivers
-    return integrate(
-        made.cabinet, MINUTE_S, drivers.ambient_K, drivers.ambient_kg_m3, forcing, substeps
-    )
+    return integrate(made.cabinet, MINUTE_S, drivers.ambient_K, drivers.ambient_kg_m3, forcing, substeps)

@@ -18,8 +18,7 @@ from plants.plant import Plant, build_plant
 from plants.saturation import concentration, saturation_pressure
 
 UK_DRIVERS = (
-    Path(__file__).resolve().parents[2]
-    / "../shared/data/kelmarsh_2018_2019_era5_power_hourly.csv.gz"
+    Path(__file__).resolve().parents[2] / "../shared/data/kelmarsh_2018_2019_era5_power_hourly.csv.gz"
 )
 """Hourly weather and power of 2018 and 2019; tests skip where it is absent."""
 
@@ -38,9 +37,7 @@ def _hours() -> dict[str, np.ndarray]:
     return columns
 
 
-def _ten_minute_power(
-    random: np.random.Generator, hourly_kW: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
+def _ten_minute_power(random: np.random.Generator, hourly_kW: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Power [kW] over ten minutes with the measured hourly means, and whether it was measured."""
     known = np.isfinite(hourly_kW)
     hour = np.arange(hourly_kW.size)
