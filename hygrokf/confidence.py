@@ -158,17 +158,24 @@ def wald_bounds(estimate: Estimate, found: Uncertainty, name: str, level: float 
     se = math.sqrt(max(found.wald[place, place], found.sandwich[place, place]))
     z = p.to_coordinate(value)
     reach = normal_quantile(level) * se
+    if p.positive and se > FLAT_SE:
+        return Bounds(value, 0.0, math.inf, level, "wald", "not identifiable", np.empty((0, 2)))
     ends = [p.from_coordinate(min(max(z + s * reach, -700.0), 700.0)) for s in (-1.0, 1.0)]
     return Bounds(value, ends[0], ends[1], level, "wald", "", np.empty((0, 2)))
 
 
 def standard_error(estimate: Estimate, found: Uncertainty, name: str) -> float:
-    """Standard error in the parameter's unit (delta method), from the wider of the two covariances; NaN at a bound."""
+    """Standard error in the parameter's unit (delta method), from the wider of the two covariances.
+
+    NaN at a bound, and for a positive parameter that the data leave open.
+    """
     place = found.place(name)
     if place is None:
         return math.nan
     p = next(q for q in estimate.coordinates.free if q.name == name)
     variance = max(found.wald[place, place], found.sandwich[place, place])
+    if p.positive and math.sqrt(variance) > FLAT_SE:
+        return math.nan
     return abs(p.slope(estimate.values[name])) * math.sqrt(variance)
 
 

@@ -12,11 +12,11 @@ import numpy as np
 from hygrokf.confidence import normal_quantile, standard_error, wald_bounds
 from hygrokf.design import CASCADE, JOINT, Design, design, merged
 from hygrokf.drivers import Run, run
-from hygrokf.evaluation import bands, baselines, scores, sensor_share
 from hygrokf.fit import Fit
 from hygrokf.likelihood import Likelihood
 from hygrokf.output_error import OutputError
 from hygrokf.record import Record
+from hygrokf.scoring import bands, baselines, scores, sensor_share
 from hygrokf.simulation import free_run, measured
 from hygrokf.stage import (
     LEVEL,
@@ -159,9 +159,13 @@ def _assemble(
         "statements": lines,
         "warnings": list(record.warnings),
         "provenance": [list(p) for p in record.provenance],
-        "parameters": {
-            name: row for stage in stages for name, row in _parameters(stage, values, errors).items()
-        },
+        "parameters": _rows(
+            stages,
+            values,
+            errors,
+            simulated if criterion == "simulation" else {},
+            {"thermal_time_constant": thermal, "hygric_k": moist},
+        ),
         "covariance": {"names": list(spread[0]), "matrix": spread[1].tolist()},
         "time_constants": {"thermal": thermal, "hygric": moist},
         "loglik": loglik,
@@ -267,8 +271,12 @@ def _rows(
     values: Mapping[str, float],
     errors: Mapping[str, float],
     simulated: Mapping[str, OutputError],
+    entries: Mapping[str, dict | None],
 ) -> dict:
-    """The parameter table; bounds of what the output error estimated come from its own sandwich."""
+    """The parameter table; bounds of what the output error estimated come from its own sandwich.
+
+    Parameters behind a reported time constant have its bounds: one number, one statement.
+    """
     rows = {name: row for stage in stages for name, row in _parameters(stage, values, errors).items()}
     positive = {p.name: p.positive for stage in stages for p in stage.base.model.parameters}
     for found in simulated.values():
@@ -277,6 +285,11 @@ def _rows(
                 lower, upper = found.bounds(name, positive[name])
                 se = 0.5 * (upper - lower) / normal_quantile(LEVEL)
                 rows[name] |= {"value": found.values[name], "lower": lower, "upper": upper, "se": se}
+    for name, entry in entries.items():
+        if entry is not None:
+            scale = values[name] / entry["value_h"]
+            upper = None if entry["upper_h"] is None else entry["upper_h"] * scale
+            rows[name] |= {"lower": entry["lower_h"] * scale, "upper": upper}
     return rows
 
 

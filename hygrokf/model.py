@@ -1,6 +1,6 @@
 """Mechanisms, and models composed of them.
 
-A `Mechanism` is one piece of physics: its parameters, its states, the inputs it reads, and up to four functions of
+A `Mechanism` is one piece of physics: its parameters, its states, the inputs it reads, and up to six functions of
 numbers.  A `Model` is a tuple of mechanisms.  Composition runs in three rounds, so that the order of the
 mechanisms does not matter:
 

@@ -227,7 +227,7 @@ def _handles(record: _Record, name: str) -> list:
     measured, simulated, sd, ambient = record.quantity(name)
     handles: list = []
     for value, colour, label in (
-        (measured, MEASURED, "measured"),
+        (measured, MEASURED, "readings"),
         (simulated, SIMULATED, "simulated"),
         (ambient, AMBIENT, "ambient"),
     ):

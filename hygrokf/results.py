@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import math
+import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,12 +21,13 @@ class ResultFault(Exception):
     """A result file that cannot be read, in one message."""
 
 
-def write_fit(fit: Fit, directory: Path) -> Path:
+def write_fit(fit: Fit, directory: str | os.PathLike[str]) -> Path:
     """Write `fit.json` and `series.npz`; returns the path of fit.json.
 
     A report of an earlier fit in the directory is removed first: it would belong to other numbers.  Raises OSError as
     the system gives it.
     """
+    directory = Path(directory)
     text, buffer = dump(fit.to_json()), io.BytesIO()
     np.savez_compressed(buffer, **fit.series)
     directory.mkdir(parents=True, exist_ok=True)
@@ -53,8 +55,9 @@ def _plain(value: object) -> object:
     return value
 
 
-def read_fit(path: Path) -> Fit:
+def read_fit(path: str | os.PathLike[str]) -> Fit:
     """A fit from fit.json (or its directory); raises ResultFault with the reason and what to do."""
+    path = Path(path)
     file = path / "fit.json" if path.is_dir() else path
     try:
         data = json.loads(file.read_text(encoding="utf-8"))

@@ -10,7 +10,6 @@ no code with the estimation.
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import accumulate
@@ -18,6 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hygrokf.files import write_text_whole
 from hygrokf.psychrometrics import absolute_humidity_from_dew_point, relative_humidity
 
 MINUTE_S = 60
@@ -536,13 +536,6 @@ def _csv(table: SyntheticTable) -> str:
     return "\n".join([names, *lines, ""])
 
 
-def _write_whole(path: Path, text: str) -> None:
-    """Write under another name first, so that a file is there whole or not at all."""
-    partial = path.with_name(path.name + ".partial")
-    partial.write_text(text, encoding="utf-8", newline="\n")
-    os.replace(partial, path)
-
-
 def write_case(turbine: SyntheticTurbine, directory: str | Path) -> Path:
     """Write cabinet.csv, ambient.csv, scada.csv and case.toml; return the path of case.toml.
 
@@ -552,7 +545,7 @@ def write_case(turbine: SyntheticTurbine, directory: str | Path) -> Path:
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)
     for table in (turbine.cabinet, turbine.ambient, turbine.scada):
-        _write_whole(folder / table.file, _csv(table))
+        write_text_whole(folder / table.file, _csv(table))
     case = folder / "case.toml"
     text = _CASE.format(
         name=turbine.name,
@@ -561,5 +554,5 @@ def write_case(turbine: SyntheticTurbine, directory: str | Path) -> Path:
         longitude_deg=LONGITUDE_DEG,
         until=f"{_stamp(np.array(turbine.until_s))}Z",
     )
-    _write_whole(case, text)
+    write_text_whole(case, text)
     return case

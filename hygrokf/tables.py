@@ -10,9 +10,9 @@ import numpy as np
 
 from hygrokf.design import Design, read_as
 from hygrokf.drivers import Run, run
-from hygrokf.evaluation import PERIODS, SCORED, bands, baselines, scores, sensor_share
 from hygrokf.fit import Fit
 from hygrokf.record import Record
+from hygrokf.scoring import PERIODS, SCORED, bands, baselines, scores, sensor_share
 from hygrokf.simulation import Prediction, free_run
 
 COLUMNS = {

@@ -31,7 +31,7 @@ FLOORS = (
     "fitting kalman drivers thermal",
     "confidence periods simulation",
     # judgement
-    "output_error evaluation stationary diagnosis",
+    "output_error scoring stationary diagnosis",
     "stage",
     "time_constants",
     "fit",
@@ -42,6 +42,7 @@ FLOORS = (
     "plots",
     "report",
     "cli",
+    "__main__",
 )
 """Every module of the package, from the lowest floor to the highest; modules of one floor do not know each other."""
 ONLY_IN = {"llvmlite": "machine"}

@@ -84,7 +84,7 @@ def test_the_whole_series_shows_every_extreme_in_its_unit() -> None:
     assert main.get_xlim() == pytest.approx((series["time_s"][0] / 86400, series["time_s"][-1] / 86400))
     words = _words(figure)
     for word in (
-        "measured",
+        "readings",
         "simulated",
         "95 % band",
         "ambient",

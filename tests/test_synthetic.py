@@ -293,4 +293,7 @@ def test_an_unknown_column_names_those_that_exist(turbine: SyntheticTurbine) -> 
 def test_no_estimation_code_is_imported() -> None:
     tree = ast.parse(Path(synthetic.__file__).read_text(encoding="utf-8"))
     imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
-    assert {name for name in imported if name.startswith("hygrokf")} == {"hygrokf.psychrometrics"}
+    assert {name for name in imported if name.startswith("hygrokf")} == {
+        "hygrokf.files",
+        "hygrokf.psychrometrics",
+    }

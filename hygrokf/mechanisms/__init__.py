@@ -17,6 +17,7 @@ from hygrokf.mechanisms.thermal import (
     second_heat_disturbance,
     thermal_diffusion,
     thermal_network,
+    wall_thermal_mass,
 )
 
 LIBRARY = {
@@ -28,6 +29,7 @@ LIBRARY = {
         heat_disturbance,
         second_heat_disturbance,
         thermal_diffusion,
+        wall_thermal_mass,
         hygric_exchange,
         vapour_disturbance,
         second_vapour_disturbance,

@@ -248,3 +248,38 @@ def thermal_diffusion() -> Mechanism:
         diffusion=lambda p: {"converter_temperature": p.thermal_diffusion * p.thermal_diffusion},
         meaning="white disturbance of the heat flow",
     )  # fmt: skip
+
+
+def wall_thermal_mass() -> Mechanism:
+    """A second thermal mass beside the converter: walls and fittings that the cabinet air warms and cools.
+
+        dT_w/dt = (T_conv,a − T_w)/θ_w,    heat given back to the air:  g (T_w − T_conv,a)  [K],
+    g = R_AT/R_w the conductance between air and wall in units of 1/R_AT, θ_w = R_w C_w [h].  It stores heat and loses
+    none of its own, so that steady states stay as they are; g = 0 is the network of the paper exactly.
+    """
+    return Mechanism(
+        name="wall_thermal_mass",
+        parameters=(
+            Parameter(
+                "wall_conductance", "1", 0.3, 1e-4, 20.0, positive=True, null=0.0,
+                meaning="R_AT/R_w between the cabinet air and the second mass",
+            ),
+            Parameter(
+                "wall_time_constant", "h", 10.0, 0.5, 500.0, positive=True,
+                meaning="R_w C_w of the second mass",
+            ),
+        ),
+        states=("wall_temperature",),
+        quantities=None,
+        contributions=lambda p, x, u, q: {
+            "heat_release": p.wall_conductance * (x.wall_temperature - q.cabinet_air_temperature)
+        },
+        inputs=("ambient_temperature",),
+        drift=lambda p, x, u, q, s: {
+            "wall_temperature": (q.cabinet_air_temperature - x.wall_temperature) / p.wall_time_constant
+        },
+        initial=lambda p, u: {"wall_temperature": (u.ambient_temperature + 5.0, 25.0)},
+        meaning="heat stored in walls and fittings of the cabinet",
+        source=f"{PAPER}, section on the thermal model (tried there and left out)",
+        leaves="a slow tail after every change of the heat release; two poles instead of one",
+    )  # fmt: skip

@@ -15,9 +15,9 @@ from scipy.stats import binom
 
 from hygrokf.design import design
 from hygrokf.drivers import run
-from hygrokf.evaluation import bands, baselines, coverage, period_masks, rmse, scores, sensor_share
 from hygrokf.likelihood import Likelihood
 from hygrokf.psychrometrics import absolute_humidity
+from hygrokf.scoring import bands, baselines, coverage, period_masks, rmse, scores, sensor_share
 from hygrokf.simulation import Prediction, free_run, measured
 
 DAY_S = 86400.0
