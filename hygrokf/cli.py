@@ -37,7 +37,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     try:
         status = options.command(options)
-        sys.stdout.flush()
+        if sys.stdout is not None:  # None where the shell has closed it
+            sys.stdout.flush()
         return status
     except KeyboardInterrupt:
         print("interrupted; nothing half-written is left", file=sys.stderr)
@@ -228,11 +229,21 @@ def _expect_file(path: Path) -> None:
     if path.is_dir():
         raise UserFault(f"--out {path}: expected a file to write, found a directory; name a file in it")
     if not path.parent.is_dir():
-        raise UserFault(
-            f"--out {path}: expected a file in an existing directory, found no {path.parent}; make it first"
-        )
+        found = f"no {path.parent}; make it first"
+        if path.parent.exists():
+            found = f"that {path.parent} is a file"
+        raise UserFault(f"--out {path}: expected a file in an existing directory, found {found}")
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise UserFault(f"--out {path}: {path.parent} is write-protected; name another directory")
+
+
+def _expect_other(path: Path, *read: Path) -> None:
+    """Refuse to write over what the command reads."""
+    for one in read:
+        if path.exists() and one.exists() and path.samefile(one):
+            raise UserFault(
+                f"--out {path}: expected a file of its own, found one that is read here; name another one"
+            )
 
 
 def _print(data: Any, text: str, as_json: bool) -> None:
@@ -284,6 +295,8 @@ def _simulate(options: argparse.Namespace) -> int:
     _expect_file(options.out)
     fit = read_fit(options.fit)
     record = _record(options.case, cabinet=False)
+    sources = (options.case.parent / file for file, _ in record.provenance)
+    _expect_other(options.out, options.fit, options.fit / "fit.json", options.case, *sources)
     try:
         text, summary = simulation_csv(fit, record), simulation_summary(fit, record)
     except ValueError as fault:

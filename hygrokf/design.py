@@ -156,7 +156,7 @@ def design(
             averaged[TEMPERATURE] = temperature.interval_s / 3600.0
         power_order = release["order"] if release["operation"] else 0
     else:
-        chosen.append(("measured_air", {}))
+        chosen.append(("measured_air", {"accuracy": accuracy_of(record[TEMPERATURE])}))
         power_order = 0
     if humidity is not None:
         series = record[humidity]

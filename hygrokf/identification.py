@@ -131,7 +131,7 @@ def _assemble(
         for p in stage.estimate.coordinates.free
     }
     made = run(whole, record)
-    spread = _covariance(stages, simulated if criterion == "simulation" else {}, values)
+    spread = _covariance(stages, whole, simulated if criterion == "simulation" else {}, values)
     predicted = free_run(whole, values, made, spread)
     thermal = next((e for stage in stages if (e := thermal_entry(stage, simulated))), None)
     moist = next((e for stage in stages if (e := hygric_entry(stage, simulated))), None)
@@ -238,14 +238,21 @@ def _remarks(stage: Stage) -> list[str]:
 
 
 def _covariance(
-    stages: list[Stage], simulated: Mapping[str, OutputError], values: Mapping[str, float]
+    stages: list[Stage],
+    whole: Design,
+    simulated: Mapping[str, OutputError],
+    values: Mapping[str, float],
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """Covariance of all estimated parameters in their units: the sandwich of every stage, or of the output error."""
+    """Covariance of the whole model's estimated parameters in their units.
+
+    It is the sandwich of every stage, or of the output error.
+    """
     blocks: list[tuple[tuple[str, ...], np.ndarray]] = []
+    known = {p.name for p in whole.model.parameters}
     for stage in stages:
         slopes = {p.name: p.slope(values[p.name]) for p in stage.base.model.parameters}
         taken = {name for found in simulated.values() for name in found.names}
-        names = tuple(n for n in stage.uncertainty.names if n not in taken)
+        names = tuple(n for n in stage.uncertainty.names if n not in taken and n in known)
         place = [stage.uncertainty.place(n) for n in names]
         scale = np.array([slopes[n] for n in names])
         # the wider of the two pictures on the diagonal, the sandwich's correlations

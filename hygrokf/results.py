@@ -12,6 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
+from hygrokf.design import Design
 from hygrokf.files import write_bytes_whole, write_text_whole
 from hygrokf.fit import Fit
 from hygrokf.version import __version__
@@ -106,7 +107,7 @@ def _faults(fit: Fit) -> list[str]:
     faults = []
     for p in fit.design.model.parameters:
         value = fit.values.get(p.name)
-        if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        if not _is_number(value):
             faults.append(f"parameter {p.name}: expected a number, found {value!r}")
         elif not p.lower * (1 - 1e-9 * math.copysign(1, p.lower)) <= value <= p.upper * (1 + 1e-9):
             faults.append(f"parameter {p.name}: expected {p.lower:g} … {p.upper:g} {p.unit}, found {value:g}")
@@ -115,5 +116,30 @@ def _faults(fit: Fit) -> list[str]:
     if unknown:
         faults.append(f"covariance of unknown parameters {', '.join(unknown)}")
     if matrix.shape != (len(names), len(names)) or not np.all(np.isfinite(matrix)):
-        faults.append(f"covariance: expected {len(names)} × {len(names)} numbers")
+        finite = int(np.isfinite(matrix).sum())
+        faults.append(f"covariance: expected {len(names)} × {len(names)} finite numbers, found {finite}")
+    if len(set(names)) < len(names):
+        faults.append("covariance: expected every parameter once, found some twice")
+    return faults + _design_faults(fit.design)
+
+
+def _design_faults(design: Design) -> list[str]:
+    """Constants by which a design makes inputs of a record, where they cannot be used."""
+    faults = []
+    scale, order, mean = design.power_scale_W, design.power_order, design.power_mean
+    if scale is not None and not (_is_number(scale) and scale > 0):
+        faults.append(f"design.power_scale_W: expected a number above 0 or null, found {scale!r}")
+    if type(order) is not int or order < 0:
+        faults.append(f"design.power_order: expected a whole number from 0 on, found {order!r}")
+    elif not all(map(_is_number, mean)) or len(mean) not in (0, order + 1):
+        faults.append(f"design.power_mean: expected {order + 1} numbers or none, found {list(mean)!r}")
+    for kind in ("averaged", "ambient_noise"):
+        for name, found in getattr(design, kind).items():
+            numbers, words = (found, "2 numbers") if kind == "ambient_noise" else ((found,), "1 number")
+            if len(numbers) != int(words[0]) or not all(_is_number(one) and one > 0 for one in numbers):
+                faults.append(f"design.{kind}.{name}: expected {words} above 0, found {found!r}")
     return faults
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

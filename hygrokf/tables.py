@@ -113,8 +113,9 @@ def evaluation_text(found: Mapping) -> str:
         return "\n".join(
             [
                 *lines,
-                "nothing to score: no reading of the cabinet at a time when all inputs of the fit are known",
-                "(a fit that knows the power needs it; after a gap it waits 12 h); see `hygrokf check`",
+                "nothing to score: no temperature or absolute humidity of the cabinet at a time when all inputs are known",
+                "(relative humidity needs the temperature beside it; a fit that knows the power needs the power; after a",
+                "gap the score waits 12 h); see `hygrokf check`",
             ]
         )
     validated = any(found["rmse"]["validation"][q]["n"]["total"] for q in SCORED)

@@ -47,6 +47,7 @@ VARIANTS = [
         "heat_release",
         {"order": 2, "gap_covariance": GAP, "gap_time_h": 10.0, "start": {"heat_release_operation": 4.0}},
     ),
+    ("measured_air", {"accuracy": 0.3}),
     ("temperature_sensor", {"accuracy": 0.0, "resolution": 0.1}),
     ("humidity_sensor", {"accuracy": 0.0}),
     ("absolute_humidity_sensor", {"accuracy": 0.2, "resolution": 0.01}),
@@ -155,7 +156,7 @@ def test_settings_make_the_mechanism_again(name: str, settings: dict) -> None:
 def test_at_its_null_value_the_model_is_the_one_without_it(name: str, settings: dict) -> None:
     made = LIBRARY[name](**settings)
     if name in NEEDED:
-        assert set(made.null) <= {p.name for p in made.parameters if p.name.endswith("_bias")}
+        assert set(made.null) <= {p.name for p in made.parameters if p.name.endswith(("_bias", "_offset"))}
         return
     assert made.null, f"{name} needs a null value: tests of it and starts of larger models rest on it"
     model = host(made)
@@ -448,6 +449,13 @@ def test_sensors_show_the_air_of_the_cabinet(vapour: float, ambient: float, insi
     shown, variance = absolute.evaluate([vapour], u, p).outputs["cabinet_absolute_humidity"]
     assert shown == pytest.approx(concentration, rel=1e-12)
     assert variance == pytest.approx(0.3**2 + 0.1**2 / 12)
+    doubted = compose(
+        [LIBRARY["measured_air"](accuracy=0.3), exchange, LIBRARY["humidity_sensor"](accuracy=0.0)]
+    )
+    shown, _ = doubted.evaluate(
+        [vapour], u | {"cabinet_temperature": inside + 0.2}, p | {"cabinet_temperature_offset": 0.2}
+    ).outputs["cabinet_relative_humidity"]
+    assert shown == pytest.approx(float(relative_humidity(1e-3 * concentration, inside)), rel=1e-9)
 
 
 def test_a_linear_network_hands_its_functions_on() -> None:
