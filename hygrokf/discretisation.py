@@ -64,8 +64,8 @@ class Range:
 
 CONSTANT_RATES = Range(rate_step=0.85, order=13, noise_order=15)
 """Rates that stay the same within a step: the step is exact, the rests are 7e-17 and 2e-15."""
-VARYING_RATES = Range(rate_step=0.35, order=9, noise_order=11)
-"""Rates that depend on the state or on a changing input: splitting a step moves ln L by < 1e-6; rests 7e-15."""
+VARYING_RATES = Range(rate_step=0.35, order=8, noise_order=9)
+"""Rates that depend on the state or on a changing input: splitting a step moves ln L by < 1e-6; rests 4e-13, 8e-12."""
 NODES = (0.5 - math.sqrt(3.0) / 6.0, 0.5 + math.sqrt(3.0) / 6.0)
 
 Drift = Callable[[Sequence, Mapping[str, object]], list]

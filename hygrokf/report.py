@@ -486,7 +486,8 @@ h2, h3 { break-after: avoid; }
 @media print {
   body { font-size: 9.6pt; print-color-adjust: exact; -webkit-print-color-adjust: exact; }
   main { max-width: none; padding: 0; } h2 { margin-top: 20px; } figure { margin-top: 16px; }
-  table, .note, figcaption, footer p, .card p { font-size: 8.4pt; } .card .value { font-size: 22pt; } .card .bounds { font-size: 10.5pt; }
+  .table { overflow: visible; } table { font-size: 7.8pt; } th, td { padding: 2px 5px 2px 2px; } .l.long { min-width: 11em; }
+  .note, figcaption, footer p, .card p { font-size: 8.4pt; } .card .value { font-size: 22pt; } .card .bounds { font-size: 10.5pt; }
 }
 """
 )

@@ -178,7 +178,7 @@ class JointStep:
         transition, power = np.eye(4), np.eye(4)
         one, two, term, noise = constant, 0.5 * linear, spread, spread
         mean = x + one + two
-        for j in range(1, 12):
+        for j in range(1, 12):  # to rounding
             power = power @ omega / j
             transition = transition + power
             one, two = omega @ one / (j + 1.0), omega @ two / (j + 2.0)
