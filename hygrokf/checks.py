@@ -384,7 +384,7 @@ def describe_text(description: dict[str, Any]) -> str:
         said = description[title]
         lines += ["", f"{title}: {len(said) or 'none'}"]
         lines += [f"  - {sentence}" for sentence in said]
-    return "\n".join(lines) + "\n"
+    return "\n".join(lines)
 
 
 def _heading(description: dict[str, Any]) -> str:

@@ -52,8 +52,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except Exception as fault:
         if type(fault).__name__ not in _USER_FAULTS:
             raise
-        print(f"hygrokf: {fault}", file=sys.stderr)
+        print(f"hygrokf: {_printable(str(fault))}", file=sys.stderr)
         return USER_FAULT
+
+
+def _printable(text: str) -> str:
+    """Text without control characters: what a binary file holds must not reach the terminal."""
+    return "".join(c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def _system(fault: OSError) -> str:
@@ -257,6 +262,11 @@ def _demo(options: argparse.Namespace) -> int:
     from hygrokf.synthetic import synthetic_turbine, write_case
 
     _expect_directory(options.out)
+    there = options.out / "case.toml"
+    if there.is_file() and b"synthetic" not in there.read_bytes():
+        raise UserFault(
+            f"--out {options.out}: it holds a case.toml of another turbine; name another directory"
+        )
     case = write_case(synthetic_turbine(seed=options.seed), options.out)
     print(f"synthetic turbine written: {case}", file=sys.stderr)
     fit = _identify(_record(case), case, options)
@@ -270,7 +280,7 @@ def _check(options: argparse.Namespace) -> int:
     from hygrokf.case import read_case
     from hygrokf.checks import describe, describe_text
 
-    found = describe(read_case(options.case))
+    found = describe(read_case(options.case, cabinet=False))
     _print(found, describe_text(found), options.json)
     return 0
 
@@ -302,6 +312,8 @@ def _simulate(options: argparse.Namespace) -> int:
     except ValueError as fault:
         raise UserFault(f"{options.case}: {fault}") from fault
     write_text_whole(options.out, text)
+    for sentence in summary["statements"]:
+        print(f"note: {sentence}", file=sys.stderr)
     _print(summary, f"{summary['n']} instants written: {options.out}", options.json)
     return 0
 

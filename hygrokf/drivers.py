@@ -74,13 +74,19 @@ def run(design: Design, record: Record) -> Run:
     spans = observed or list(ambient.values())
     known = [s.time[~s.missing] for s in ambient.values()]
     if not all(len(time) for time in known):
-        empty = ", ".join(name for name, time in zip(ambient, known, strict=True) if not len(time))
+        empty = ", ".join(
+            "the ambient humidity" if name == "ambient_absolute_humidity" else name
+            for name, time in zip(ambient, known, strict=True)
+            if not len(time)
+        )
         raise ValueError(f"no reading of {empty} can be used: without it no model runs; check the source")
     first = max(min(s.time[0] - s.interval_s for s in spans), *(time[0] for time in known))
     last = min(max(s.time[-1] for s in spans), *(time[-1] for time in known))
     if not first < last:
+        what = "the cabinet's readings and the ambient series" if observed else "the ambient series"
         raise ValueError(
-            "the cabinet's readings and the ambient series have no time in common: check both spans with `hygrokf check`"
+            f"{what} have no stretch of time in common (a single reading is none): "
+            "check the spans with `hygrokf check`"
         )
     switched = [
         record[name]

@@ -195,6 +195,10 @@ def mask_frozen(series: Series) -> tuple[Series, tuple[str, ...]]:
     value = series.value[present]
     if len(value) < _FEWEST_READINGS or row.idle == (-np.inf, np.inf):
         return series, ()
+    if value[0] == value.min() == value.max() and not _is_idle(row.idle, value[0]):
+        same = in_words(value[0], row)
+        doubt = f"all {len(value)} readings are {same}: perhaps a frozen sensor; nothing else vouches for it"
+        return series, (f"{_label(series)}: {doubt}",)
     starts = np.flatnonzero(np.append(True, np.diff(value) != 0.0))
     lengths = np.diff(np.append(starts, len(value)))
     idle = np.zeros(len(starts), dtype=bool)
@@ -218,6 +222,10 @@ def mask_frozen(series: Series) -> tuple[Series, tuple[str, ...]]:
         doubt = f"perhaps a frozen sensor: {what}; not masked, since these are more than half"
         return series, (f"{_label(series)}: {doubt} of the readings",)
     return _masked(series, frozen), (f"{_label(series)}: frozen sensor, {what}; {_readings(frozen)} masked",)
+
+
+def _is_idle(idle: tuple[float, float] | None, value: float) -> bool:
+    return idle is not None and idle[0] <= value <= idle[1]
 
 
 def _quiet_range(series: Series, value: np.ndarray) -> float:

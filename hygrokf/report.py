@@ -49,6 +49,8 @@ RESULT = "fit.json"
 SERIES = "series.npz"
 REPORT = "report.html"
 LONG = 36
+NEEDED = ("name", "version", "parameters", "time_constants")
+"""What every fit.json holds."""
 """Characters of a word column beyond which a cell may break anywhere."""
 
 
@@ -63,6 +65,8 @@ def write_report(directory: str | os.PathLike[str]) -> Path:
     file, names no host, and prints on A4.  Raises ReportFault where a file is missing or is not a result.
     """
     folder = Path(directory)
+    if folder.name == RESULT and folder.is_file():
+        folder = folder.parent
     fit, series = read_results(folder)
     try:
         return write_text_whole(folder / REPORT, report_page(fit, series))
@@ -83,6 +87,10 @@ def read_results(folder: Path) -> tuple[dict, dict[str, np.ndarray]]:
         if not isinstance(fit, dict):
             faults.append(
                 f"{folder / RESULT}: expected an object with the results of a fit, found {type(fit).__name__}"
+            )
+        elif missing := [name for name in NEEDED if name not in fit]:
+            faults.append(
+                f"{folder / RESULT}: not a result of `hygrokf fit`: it lacks {', '.join(missing)}; {again}"
             )
     except FileNotFoundError:
         faults.append(f"{folder / RESULT}: no such file; {again}")

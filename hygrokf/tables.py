@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from hygrokf.design import Design, read_as
+from hygrokf.design import HUMIDITIES, Design, read_as
 from hygrokf.drivers import Run, run
 from hygrokf.fit import Fit
 from hygrokf.record import Record
@@ -78,6 +78,7 @@ def simulation_summary(fit: Fit, record: Record) -> dict:
         "n": len(t),
         "share_with_known_inputs": float(made.scored.mean()),
         "means": means,
+        "statements": unlike(fit, record),
     }
 
 
@@ -92,12 +93,36 @@ def evaluation(fit: Fit, record: Record) -> dict:
         "baselines": baselines(made, record.until_s),
         "sensor_share": sensor_share(record, made, table),
         "bands": bands(base, fit.values, made, predicted, record.until_s),
+        "statements": unlike(fit, record),
     }
+
+
+def unlike(fit: Fit, record: Record) -> list[str]:
+    """What the fitted model knows and the record does not, and the other way round, in sentences."""
+    found = []
+    inputs, outputs = fit.design.model.inputs, fit.design.model.outputs
+    if "preheating" in inputs and "preheating" not in record:
+        found.append("the fit knows pre-heating, the record brings none: it is taken as off throughout")
+    if "preheating" not in inputs and "preheating" in record and np.nanmax(record["preheating"].value) > 0:
+        found.append("the record brings pre-heating, which the fit does not know: it is left out")
+    for name in HUMIDITIES:
+        if (
+            name in record
+            and name not in outputs
+            and not set(outputs) & set(HUMIDITIES) & set(record.signals)
+        ):
+            read = next((n for n in HUMIDITIES if n in outputs), None)
+            if read is not None:
+                found.append(f"the fit reads {read}, the record brings {name}: its humidity is not scored")
+    return found
 
 
 def evaluation_text(found: Mapping) -> str:
     """The evaluation as a fixed-width table: Table III of the paper with the baselines below it."""
-    lines = [f"{found['fit']} on {found['record']}: root mean squared error of the free run", ""]
+    lines = [f"{found['fit']} on {found['record']}: root mean squared error of the free run"]
+    lines += [f"note: {sentence}" for sentence in found.get("statements", ())]
+    lines.append("")
+    title = len(lines)
     head = f"{'':34}{'operation':>12}{'standstill':>12}{'total':>12}{'n':>9}"
     for period in PERIODS:
         if not any(found["rmse"][period][q]["n"]["total"] for q in SCORED):
@@ -109,7 +134,7 @@ def evaluation_text(found: Mapping) -> str:
                 if quantity in guess:
                     lines.append(_row(f"  {_BASELINES[name]}", guess[quantity]))
         lines.append("")
-    if len(lines) == 2:
+    if len(lines) == title:
         return "\n".join(
             [
                 *lines,

@@ -242,6 +242,13 @@ def test_check_says_what_was_read(folder, told):
     assert [one["file"] for one in found["files"]] == ["cabinet.csv", "ambient.csv", "scada.csv"]
 
 
+def test_check_takes_a_case_without_cabinet(folder, told):
+    NO_CABINET(folder)
+    said = told("check case.toml")
+    assert said.status == 0
+    assert "no cabinet signal: nothing can be identified or scored" in said.out
+
+
 def test_fit_prints_the_tables_and_writes_three_files(fitted):
     folder, said = fitted
     assert set(content(folder / "result")) == {"fit.json", "series.npz", "report.html"}
@@ -526,6 +533,10 @@ WRONG: dict[str, tuple] = {
         "\nmade/series.npz: no such file"),
     "report on half a file": ("report result", lambda folder: os.truncate(folder / "result/series.npz", 2000),
         "hygrokf: result/series.npz: expected arrays written by `hygrokf fit`, found: "),
+    "report on other JSON": ("report result", holds("result/fit.json", b'{"a": 1}'),
+        "hygrokf: result/fit.json: not a result of `hygrokf fit`: it lacks name, version, parameters"),
+    "demo over another turbine": ("demo --out .", case(("synthetic", "measured")),
+        "hygrokf: --out .: it holds a case.toml of another turbine; name another directory"),
     # options
     "no start": (f"{FIT} --starts 0", nothing, "--starts: expected a whole number from 1 on, found '0'"),
     "starts in words": (f"{FIT} --starts two", nothing, "expected a whole number from 1 on, found 'two'"),

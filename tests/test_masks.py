@@ -213,7 +213,19 @@ class TestFrozen:
         random = np.random.default_rng(seed)
         value = np.round(15.0 + np.cumsum(random.normal(0.0, spread, 5000)), digits)
         one = series("cabinet_temperature", value)
-        assert mask_frozen(one) == (one, ())
+        masked, said = mask_frozen(one)
+        assert masked == one
+        assert bool(said) == (np.ptp(value) == 0.0)
+
+    def test_a_reading_that_never_changes_is_doubted_and_kept(self):
+        one = series("cabinet_temperature", np.full(300, 21.4))
+        masked, said = mask_frozen(one)
+        assert masked == one
+        assert said == (
+            "cabinet_temperature: all 300 readings are 21.4 degC: perhaps a frozen sensor; nothing else vouches for it",
+        )
+        calm = series("wind_speed", np.zeros(300))
+        assert mask_frozen(calm) == (calm, ())
 
     def test_means_of_a_coarse_sensor_are_not_frozen(self):
         quiet = np.repeat(walk(300, 0.05, 1, 1), 20) + 0.0
