@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from hygrokf.ambient import ambient_absolute_humidity, bridge_h, reading_noise
+from hygrokf.features import FEATURES
 from hygrokf.loops import LINEAR, REGIME, ZERO_ORDER
 from hygrokf.mechanisms import LIBRARY
 from hygrokf.model import Mechanism, Model, compose
@@ -26,8 +27,10 @@ HOLDS = {
     "cabinet_temperature": LINEAR,
     "operating": ZERO_ORDER,
     "preheating": ZERO_ORDER,
+    "rain": ZERO_ORDER,
     "power_unknown": REGIME,
     **{f"power_{k}": ZERO_ORDER for k in range(1, 6)},
+    **{name: hold for name, (_, hold) in FEATURES.items()},
 }
 """Holds of the inputs of the base models between their own times."""
 TEMPERATURE = "cabinet_temperature"
@@ -49,7 +52,8 @@ class Design:
     `mechanisms` pairs (name, settings) of the library; `averaged` outputs read as interval means, with the interval
     [h]; `power_scale_W` the power that counts as 1; `power_order` the largest power of it; `power_mean` the means of
     the features (operating, p, …) that stand for an unknown power; `humidity` the humidity signal that is observed;
-    `ambient_noise` (q, r) of ambient signals whose readings are smoothed before use (see `ambient`).
+    `ambient_noise` (q, r) of ambient signals whose readings are smoothed before use (see `ambient`); `features` inputs
+    that are made from the record's signals, with their settings.
     """
 
     mechanisms: tuple[tuple[str, dict], ...]
@@ -61,6 +65,7 @@ class Design:
     ambient_noise: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     statements: tuple[str, ...] = ()
     holds: Mapping[str, str] = field(default_factory=dict)
+    features: Mapping[str, dict] = field(default_factory=dict)
 
     @cached_property
     def model(self) -> Model:
@@ -295,10 +300,18 @@ def _correlation_time_h(series: Series) -> float:
 
 
 def extended(
-    base: Design, additions: Sequence[tuple[str, dict]], holds: Mapping[str, str] | None = None
+    base: Design,
+    additions: Sequence[tuple[str, dict]],
+    holds: Mapping[str, str] | None = None,
+    features: Mapping[str, dict] | None = None,
 ) -> Design:
-    """The design with more mechanisms of the library."""
-    return replace(base, mechanisms=(*base.mechanisms, *additions), holds={**base.holds, **(holds or {})})
+    """The design with more mechanisms of the library, and the features that they read."""
+    return replace(
+        base,
+        mechanisms=(*base.mechanisms, *additions),
+        holds={**base.holds, **(holds or {})},
+        features={**base.features, **(features or {})},
+    )
 
 
 def read_as(base: Design, record: Record) -> Design:
@@ -325,5 +338,6 @@ def merged(parts: Sequence[Design]) -> Design:
             humidity=first.humidity or part.humidity,
             statements=tuple(dict.fromkeys((*first.statements, *part.statements))),
             holds={**first.holds, **part.holds},
+            features={**first.features, **part.features},
         )
     return first

@@ -22,6 +22,7 @@ from hygrokf.design import (
     Design,
     power_features,
 )
+from hygrokf.features import feature
 from hygrokf.loops import LINEAR
 from hygrokf.mechanisms.hygric import exchange_factor
 from hygrokf.record import Record, Series
@@ -105,6 +106,8 @@ def run(design: Design, record: Record) -> Run:
         values["preheating"] = np.nan_to_num(duty)
     power, operating, unknown_power = _power_inputs(design, record, time)
     values |= power
+    for name in sorted(inputs_of & set(design.features)):
+        values[name] = feature(record, name, design.features[name], time)
     for name in sorted(inputs_of - set(values)):  # further signals that an added mechanism reads
         values[name] = _further(record, name, time, model.holds[name])
     near = _spread(time, unknown_ambient, SETTLING_H)

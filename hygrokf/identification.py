@@ -291,7 +291,9 @@ def _rows(
             if name in rows:
                 lower, upper = found.bounds(name, positive[name])
                 se = 0.5 * (upper - lower) / normal_quantile(LEVEL)
-                rows[name] |= {"value": found.values[name], "lower": lower, "upper": upper, "se": se}
+                row = {"lower": lower, "upper": upper, "se": se}
+                rows[name] |= {key: v if math.isfinite(v) else None for key, v in row.items()}
+                rows[name]["value"] = found.values[name]
     for name, entry in entries.items():
         if entry is not None:
             scale = values[name] / entry["value_h"]

@@ -335,6 +335,12 @@ class Likelihood:
         seeds = [np.ascontiguousarray(padded[:, b : b + LANES]) for b in blocks]
         return states, dots, seeds
 
+    def slopes(self, values: Mapping[str, float], directions: np.ndarray) -> np.ndarray:
+        """Slopes (T, k, r) of the innovations along directions (d, r) of the parameters."""
+        states, dots, seeds = self._tangent_start(values, directions)
+        _, _, de, _, _ = self._tangent_part(values, slice(0, len(self.timeline)), states, dots, seeds, True)
+        return de[..., : directions.shape[1]]
+
     def residuals(self, values: Mapping[str, float], directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Free-run residuals (T, k), NaN without reading, and their slopes (T, k, r) along directions (d, r)."""
         states, dots, seeds = self._tangent_start(values, directions)

@@ -22,16 +22,22 @@ FEWEST_BLOCKS = 40
 
 @dataclass(frozen=True)
 class OutputError:
-    """Estimates by simulation: all parameters' `values`, covariance of the coordinates `names`, residual sd by output."""
+    """Estimates by simulation: all parameters' `values`, covariance of the coordinates `names`, residual sd by output.
+
+    `at_bounds` those that ended at a bound of their range.
+    """
 
     values: dict[str, float]
     names: tuple[str, ...]
     covariance: np.ndarray
     residual_sd: tuple[float, ...]
     converged: bool
+    at_bounds: tuple[str, ...] = ()
 
     def bounds(self, name: str, positive: bool, level: float = 0.95) -> tuple[float, float]:
-        """Symmetric bounds in the parameter's coordinate."""
+        """Symmetric bounds in the parameter's coordinate; open where the estimate ended at a bound of its range."""
+        if name in self.at_bounds:
+            return (0.0 if positive else -math.inf), math.inf
         i = self.names.index(name)
         reach = normal_quantile(level) * math.sqrt(max(self.covariance[i, i], 0.0))
         if positive:
@@ -102,7 +108,9 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
     block_h = min(max((time[-1] - time[0]) / FEWEST_BLOCKS, 12.0), 48.0)
     spread = long_run_variance(scores, time, block_h, lags=1)
     sd = tuple(float(np.sqrt(np.nanmean(c**2))) if np.isfinite(c).any() else math.nan for c in e.T)
-    return OutputError(coordinates.values(z), coordinates.names, inverse @ spread @ inverse, sd, converged)
+    ends = (z <= coordinates.lower + 1e-9) | (z >= coordinates.upper - 1e-9)
+    at = tuple(name for name, there in zip(coordinates.names, ends, strict=True) if there)
+    return OutputError(coordinates.values(z), coordinates.names, inverse @ spread @ inverse, sd, converged, at)
 
 
 def _normal_equations(e: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

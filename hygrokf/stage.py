@@ -64,8 +64,26 @@ class Stage:
         return Likelihood(self.base.model, self.run.timeline)
 
 
+@dataclass(frozen=True)
+class Estimated:
+    """One likelihood with its maximum, not yet judged."""
+
+    base: Design
+    run: Run
+    estimate: Estimate
+
+    @property
+    def likelihood(self) -> Likelihood:
+        return Likelihood(self.base.model, self.run.timeline)
+
+
 def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say: Progress) -> Stage:
     """Estimate one likelihood on the identification period `early`, and say how sure it is."""
+    return judged(early, estimated(early, base, starts, say), profiles, say)
+
+
+def estimated(early: Record, base: Design, starts: int, say: Progress) -> Estimated:
+    """Maximum likelihood of one design, with a second disturbance of a kind where the record pays for it."""
     made = run(base, early)
     likelihood = Likelihood(base.model, made.timeline)
     estimate = maximise(likelihood, count=starts, progress=say, search=_search(likelihood))
@@ -73,21 +91,27 @@ def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say
         if name.replace("second_", "") in [m for m, _ in base.mechanisms]:
             say(f"{name.replace('_', ' ')}?")
             base, likelihood, estimate = _with_second(name, base, likelihood, estimate)
-    objective = Objective(likelihood, estimate.coordinates)
+    return Estimated(base, made, estimate)
+
+
+def judged(early: Record, found: Estimated, profiles: bool, say: Progress) -> Stage:
+    """Uncertainty, bounds of the time constants, and their sensitivity to clocks and sampling."""
+    base, estimate = found.base, found.estimate
+    objective = Objective(found.likelihood, estimate.coordinates)
     say("observed information")
-    found = uncertainty(objective, estimate)
+    spread = uncertainty(objective, estimate)
     bounds = {
-        name: profile(objective, estimate, found, name, LEVEL, say)
+        name: profile(objective, estimate, spread, name, LEVEL, say)
         if profiles
-        else wald_bounds(estimate, found, name, LEVEL)
+        else wald_bounds(estimate, spread, name, LEVEL)
         for name in TIME_CONSTANTS
         if name in estimate.coordinates.names
     }
     return Stage(
         base,
-        made,
+        found.run,
         estimate,
-        found,
+        spread,
         bounds,
         _clock(early, base, estimate, tuple(bounds), say),
         _sampling(early, base, estimate, tuple(bounds), say),
@@ -187,7 +211,7 @@ def _sampling(
     return {"step_h": reading_step_h(thinned[0]) / 2.0, **shifts}
 
 
-def smoothed_temperature(stage: Stage, early: Record, humidity: str) -> Series:
+def smoothed_temperature(stage: Stage | Estimated, early: Record, humidity: str) -> Series:
     """The cabinet air temperature given all its readings [K], at its own times and those of the humidity.
 
     The hygric model divides by e_s(T): with raw readings their noise would weaken that dependence, as errors in a

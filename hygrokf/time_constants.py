@@ -86,7 +86,7 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
     if other is not None:
         low, high = other.bounds(name, positive=True)
         value = other.values[name]
-        if high > 1e3 * low:
+        if not high <= 1e3 * low:
             entry["simulation"] = {"value_h": value * scale, "lower_h": 0.0, "upper_h": None}
             entry["simulation"]["statement"] = "not identifiable from the free run"
             return entry

@@ -20,11 +20,12 @@ FLOORS = (
     "emission discretisation record stamps",
     "running_sums",
     "loops masks case_form readers synthetic ambient",
+    "features",
     "recursion checks",
     "model case",
     # the physics
     "mechanisms.thermal mechanisms.network mechanisms.sensors",
-    "mechanisms.hygric",
+    "mechanisms.hygric mechanisms.heat mechanisms.moisture mechanisms.readings",
     "mechanisms timeline",
     # the estimation
     "likelihood design",

@@ -2,13 +2,37 @@
 
 from __future__ import annotations
 
+from hygrokf.mechanisms.heat import (
+    cooling_loss,
+    lagged_ambient,
+    open_loss,
+    release_drift,
+    solar_gain,
+    stepped_loss,
+    unreported_heater,
+    wind_loss,
+)
 from hygrokf.mechanisms.hygric import (
     hygric_diffusion,
     hygric_exchange,
     second_vapour_disturbance,
     vapour_disturbance,
 )
+from hygrokf.mechanisms.moisture import (
+    breathed_air,
+    condensation,
+    cooled_exchange,
+    dehumidifier,
+    internal_moisture_source,
+    moisture_sorption,
+    open_exchange,
+    rain_ingress,
+    stepped_exchange,
+    switched_drying,
+    wind_exchange,
+)
 from hygrokf.mechanisms.network import linear_network
+from hygrokf.mechanisms.readings import humidity_drift, humidity_scale, temperature_step
 from hygrokf.mechanisms.sensors import absolute_humidity_sensor, humidity_sensor, temperature_sensor
 from hygrokf.mechanisms.thermal import (
     heat_disturbance,
@@ -20,25 +44,49 @@ from hygrokf.mechanisms.thermal import (
     wall_thermal_mass,
 )
 
-LIBRARY = {
-    function.__name__: function
-    for function in (
-        thermal_network,
-        measured_air,
-        heat_release,
-        heat_disturbance,
-        second_heat_disturbance,
-        thermal_diffusion,
-        wall_thermal_mass,
-        hygric_exchange,
-        vapour_disturbance,
-        second_vapour_disturbance,
-        hygric_diffusion,
-        temperature_sensor,
-        humidity_sensor,
-        absolute_humidity_sensor,
-    )
-}
+BASE = (
+    thermal_network,
+    measured_air,
+    heat_release,
+    heat_disturbance,
+    second_heat_disturbance,
+    thermal_diffusion,
+    hygric_exchange,
+    vapour_disturbance,
+    second_vapour_disturbance,
+    hygric_diffusion,
+    temperature_sensor,
+    humidity_sensor,
+    absolute_humidity_sensor,
+)
+"""What the base models are made of."""
+FURTHER = (
+    wall_thermal_mass,
+    solar_gain,
+    unreported_heater,
+    release_drift,
+    wind_loss,
+    stepped_loss,
+    open_loss,
+    cooling_loss,
+    lagged_ambient,
+    moisture_sorption,
+    condensation,
+    internal_moisture_source,
+    rain_ingress,
+    dehumidifier,
+    switched_drying,
+    wind_exchange,
+    stepped_exchange,
+    open_exchange,
+    cooled_exchange,
+    breathed_air,
+    humidity_drift,
+    humidity_scale,
+    temperature_step,
+)
+"""What else may act on a cabinet; each of them is nested: at its null values it is not there."""
+LIBRARY = {function.__name__: function for function in (*BASE, *FURTHER)}
 """Factories by mechanism name; `LIBRARY[m.name](**m.settings)` makes a mechanism again."""
 
-__all__ = [*LIBRARY, "LIBRARY", "linear_network"]
+__all__ = [*LIBRARY, "BASE", "FURTHER", "LIBRARY", "linear_network"]

@@ -8,7 +8,7 @@ from hygrokf.parameters import Parameter, Prior
 from hygrokf.psychrometrics import GAS_CONSTANT_VAPOUR, SATURATION_WATER
 
 
-def _saturation_pressure(temperature):
+def saturation_pressure(temperature):
     """Sonntag's saturation pressure over water [Pa] for traced temperatures [K] too."""
     a, b, c, d, e = SATURATION_WATER
     return exp(a / temperature + b + (c + d * temperature) * temperature + e * log(temperature))
@@ -71,7 +71,7 @@ def humidity_sensor(accuracy: float = 0.02, resolution: float = 0.0) -> Mechanis
     def output(p, x, u, q, s):
         pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
         value = (
-            pressure / _saturation_pressure(q.cabinet_air_temperature) + s.cabinet_relative_humidity_reading
+            pressure / saturation_pressure(q.cabinet_air_temperature) + s.cabinet_relative_humidity_reading
         )
         if bias:
             value = value + p.cabinet_relative_humidity_bias

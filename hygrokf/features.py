@@ -1,0 +1,163 @@
+"""Inputs that a mechanism acts through, made from a record's own signals: sun, wind, calendar, dates, switches.
+
+A design names its features with their settings, so that an extended model can be driven by any record:
+`{"after_step": {"date_s": 1.6e9}}`.  `time` (T,) [s] are the instants of a run; a feature that holds over steps is
+taken in the middle of the step that ends at each instant.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+
+from hygrokf.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h, centred
+from hygrokf.loops import LINEAR, ZERO_ORDER
+from hygrokf.record import Record, Site
+
+DAY_S = 86400.0
+READING_BRIDGE_H = 2.0
+"""[h] a switch that follows a reading is interpolated over gaps up to this length and stays as it is in longer ones."""
+
+
+def elapsed(record: Record, time: np.ndarray, start_s: float, end_s: float) -> np.ndarray:
+    """Share [1] of the time from `start_s` to `end_s` that has passed; above 1 after the end."""
+    return (time - start_s) / (end_s - start_s)
+
+
+def after_step(record: Record, time: np.ndarray, date_s: float, days: float = 0.0) -> np.ndarray:
+    """0 before a date [s], 1 after it; a straight ramp over `days` where the change takes time."""
+    if days <= 0:
+        return (time > date_s).astype(float)
+    return np.clip((time - date_s) / (days * DAY_S), 0.0, 1.0)
+
+
+def door_open(record: Record, time: np.ndarray, spans: list) -> np.ndarray:
+    """1 within spans (start, end) [s], 0 outside."""
+    inside = np.zeros(len(time))
+    for start, end in spans:
+        inside[(time > start) & (time <= end)] = 1.0
+    return inside
+
+
+def wind_tenth(record: Record, time: np.ndarray) -> np.ndarray:
+    """Wind speed in units of 10 m/s; gaps take the record's mean."""
+    return _signal(record, "wind_speed", time) / 10.0
+
+
+def sunshine(record: Record, time: np.ndarray) -> np.ndarray:
+    """Irradiance on a horizontal plane [kW/m²]: measured, else that of a clear sky at the site."""
+    if "global_horizontal_irradiance" in record:
+        return _signal(record, "global_horizontal_irradiance", time) / 1e3
+    if record.site is None:
+        raise ValueError(
+            "the model needs the sun: expected global_horizontal_irradiance or [site] in the case, found neither"
+        )
+    return clear_sky(time, record.site) / 1e3
+
+
+def standstill(record: Record, time: np.ndarray) -> np.ndarray:
+    """1 while the turbine feeds no power, 0 in operation."""
+    return 1.0 - operating(record, time)
+
+
+def cooling(record: Record, time: np.ndarray, on_K: float, off_K: float) -> np.ndarray:
+    """A cooling stage that starts above `on_K` and stops below `off_K` of the cabinet temperature."""
+    return two_point(_reading(record, "cabinet_temperature", time), on_K, off_K, np.ones(len(time), bool))
+
+
+def heating(record: Record, time: np.ndarray, reads: str, on: float, off: float) -> np.ndarray:
+    """A heater at standstill: a thermostat on the cabinet temperature [K] or a humidistat on its relative humidity [1].
+
+    `reads` the signal; a thermostat starts below `on` and stops above `off`, a humidistat the other way round.
+    """
+    value = _reading(record, reads, time)
+    idle = ~operating(record, time)
+    if reads == "cabinet_temperature":
+        return two_point(-value, -on, -off, idle)
+    return two_point(value, on, off, idle)
+
+
+def drying(record: Record, time: np.ndarray, on: float, off: float) -> np.ndarray:
+    """A drier that starts above `on` and stops below `off` of the cabinet's relative humidity [1]."""
+    return two_point(_reading(record, "cabinet_relative_humidity", time), on, off, np.ones(len(time), bool))
+
+
+FEATURES: Mapping[str, tuple[Callable, str]] = {
+    "elapsed": (elapsed, LINEAR),
+    "sunshine": (sunshine, LINEAR),
+    "wind_tenth": (wind_tenth, LINEAR),
+    "standstill": (standstill, ZERO_ORDER),
+    "after_step": (after_step, ZERO_ORDER),
+    "door_open": (door_open, ZERO_ORDER),
+    "cooling": (cooling, ZERO_ORDER),
+    "heating": (heating, ZERO_ORDER),
+    "drying": (drying, ZERO_ORDER),
+}
+"""Features by the name of the input that they give, with its hold."""
+
+
+def feature(record: Record, name: str, settings: Mapping, time: np.ndarray) -> np.ndarray:
+    """Values (T,) of a feature at the instants `time` (T,) [s] of a run."""
+    function, hold = FEATURES[name]
+    if hold == ZERO_ORDER:
+        time = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
+    return function(record, time, **settings)
+
+
+def two_point(value: np.ndarray, on_above: float, off_below: float, allowed: np.ndarray) -> np.ndarray:
+    """State (T,) of a two-point switch: 1 from the first value above `on_above` to the first below `off_below`.
+
+    value: (T,), a missing one changes nothing. allowed: (T,) bool, off elsewhere.
+    """
+    event = np.where(~allowed | (value < off_below), -1, np.where(value > on_above, 1, 0))
+    last = np.maximum.accumulate(np.where(event != 0, np.arange(len(value)), -1))
+    return ((last >= 0) & (event[np.maximum(last, 0)] > 0)).astype(float)
+
+
+def operating(record: Record, time: np.ndarray) -> np.ndarray:
+    """Whether the turbine feeds power (T,) at `time` [s]; False where the power is unknown or there is none."""
+    if "active_power" not in record:
+        return np.zeros(len(time), bool)
+    return np.nan_to_num(at_times(record["active_power"], time, 1.0), nan=0.0) > 0.0
+
+
+def clear_sky(time: np.ndarray, site: Site) -> np.ndarray:
+    """Global irradiance of a clear sky [W/m²] at `time` (T,) [s]: 1098 cos z exp(−0.057/cos z) (Haurwitz 1945).
+
+    The sun's height by Spencer's series (1971), good to a quarter of a degree.
+    """
+    day = np.floor(time / DAY_S)
+    date = day.astype("datetime64[D]")
+    first = date.astype("datetime64[Y]").astype("datetime64[D]")
+    angle = 2.0 * np.pi * ((date - first).astype(float) + (time / DAY_S - day) - 0.5) / 365.0
+    declination = (
+        0.006918 - 0.399912 * np.cos(angle) + 0.070257 * np.sin(angle) - 0.006758 * np.cos(2 * angle)
+        + 0.000907 * np.sin(2 * angle) - 0.002697 * np.cos(3 * angle) + 0.00148 * np.sin(3 * angle)
+    )  # fmt: skip
+    equation_min = 229.18 * (
+        0.000075 + 0.001868 * np.cos(angle) - 0.032077 * np.sin(angle)
+        - 0.014615 * np.cos(2 * angle) - 0.040849 * np.sin(2 * angle)
+    )  # fmt: skip
+    solar = (time / DAY_S - day) * 24.0 + site.longitude_deg / 15.0 + equation_min / 60.0
+    hour_angle = np.radians(15.0 * (solar - 12.0))
+    latitude = np.radians(site.latitude_deg)
+    sine = np.sin(latitude) * np.sin(declination)
+    sine = sine + np.cos(latitude) * np.cos(declination) * np.cos(hour_angle)
+    up = np.maximum(sine, 1e-3)
+    return np.where(sine > 0.0, 1098.0 * up * np.exp(-0.057 / up), 0.0)
+
+
+def _signal(record: Record, name: str, time: np.ndarray) -> np.ndarray:
+    """A signal at instants; unknown values take the record's mean."""
+    if name not in record:
+        raise ValueError(f"the model reads {name}, which the record does not have; add the signal")
+    series = record[name]
+    value = at_times(centred(series), time, bridge_h(series, AMBIENT_BRIDGE_H))
+    return np.where(np.isnan(value), np.nanmean(series.value), value)
+
+
+def _reading(record: Record, name: str, time: np.ndarray) -> np.ndarray:
+    if name not in record:
+        raise ValueError(f"the model switches by {name}, which the record does not have; add the signal")
+    return at_times(centred(record[name]), time, READING_BRIDGE_H)

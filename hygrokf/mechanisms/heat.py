@@ -1,0 +1,148 @@
+"""What else heats or cools the cabinet."""
+
+from __future__ import annotations
+
+from hygrokf.model import Mechanism
+from hygrokf.parameters import Parameter
+
+
+def solar_gain(time_h: float = 0.0) -> Mechanism:
+    """Sun on cabinet, tower or wall: f += a G, through a lag of `time_h` [h] where there is one; a [K/(kW/m²)], G [kW/m²].
+
+    dG'/dt = (G − G')/θ.
+    """
+    lagged = time_h > 0
+
+    def contributions(p, x, u, q):
+        return {"heat_release": p.solar_heat * (x.stored_sun if lagged else u.sunshine)}
+
+    return Mechanism(
+        name="solar_gain",
+        parameters=(
+            Parameter(
+                "solar_heat", "K/(kW/m2)", 1.0, 1e-3, 100.0, positive=True, null=0.0,
+                meaning="heat release for each kW/m² of sun",
+            ),
+        ),
+        states=("stored_sun",) if lagged else (),
+        inputs=("sunshine",),
+        contributions=contributions,
+        drift=(lambda p, x, u, q, s: {"stored_sun": (u.sunshine - x.stored_sun) * (1.0 / time_h)}) if lagged else None,
+        initial=(lambda p, u: {"stored_sun": (u.sunshine, 0.01)}) if lagged else None,
+        settings={"time_h": time_h},
+        meaning="heat of the sun",
+        leaves="a cabinet that is too warm on clear days, in the afternoon",
+        source="sol-air temperature (ASHRAE Fundamentals) with a first-order wall",
+    )  # fmt: skip
+
+
+def _switched_heat(name: str, parameter: str, flag: str, lower: float, text: str, leaves: str) -> Mechanism:
+    return Mechanism(
+        name=name,
+        parameters=(
+            Parameter(parameter, "K", 0.0, lower, 80.0, null=0.0, meaning=f"heat release {text}"),
+        ),
+        inputs=(flag,),
+        contributions=lambda p, x, u, q: {"heat_release": getattr(p, parameter) * getattr(u, flag)},
+        meaning=f"heat release {text}",
+        leaves=leaves,
+        source="balance of heat",
+    )  # fmt: skip
+
+
+def unreported_heater() -> Mechanism:
+    """Heat of a heater that no signal reports, while it runs (input `heating`) [K]."""
+    return _switched_heat(
+        "unreported_heater", "heater_heat", "heating", 0.0, "while the unreported heater runs",
+        "a cabinet that is too warm at standstill when it is cold or damp",
+    )  # fmt: skip
+
+
+def release_drift() -> Mechanism:
+    """Heat release that drifts with the calendar: f += a · (share of the record that has passed) [K]."""
+    return _switched_heat(
+        "release_drift", "heat_drift", "elapsed", -80.0, "gained from the record's beginning to its end",
+        "a temperature error that grows with the calendar",
+    )  # fmt: skip
+
+
+def _loss(name: str, parameter: str, flag: str, lower: float, text: str, leaves: str) -> Mechanism:
+    """Loss of heat to the ambient, in units of 1/R_AT: f −= g · flag · (T_a − T_amb)."""
+
+    def contributions(p, x, u, q):
+        above = q.cabinet_air_temperature - u.ambient_temperature
+        return {"heat_release": -getattr(p, parameter) * getattr(u, flag) * above}
+
+    return Mechanism(
+        name=name,
+        parameters=(
+            Parameter(
+                parameter, "1", 0.0, lower, 50.0, null=0.0,
+                meaning=f"conductance to the ambient beside 1/R_AT, {text}",
+            ),
+        ),
+        inputs=("ambient_temperature", flag),
+        contributions=contributions,
+        meaning=f"heat lost to the ambient, {text}",
+        leaves=leaves,
+        source="conductance parallel to R_AT",
+    )  # fmt: skip
+
+
+def wind_loss() -> Mechanism:
+    """Heat loss that grows with the wind: g for each 10 m/s (input `wind_tenth`)."""
+    return _loss(
+        "wind_loss", "wind_conductance", "wind_tenth", -0.6, "for each 10 m/s of wind",
+        "a cabinet that is too warm in calm and too cold in wind",
+    )  # fmt: skip
+
+
+def stepped_loss() -> Mechanism:
+    """Heat loss that changes at a date (input `after_step`)."""
+    return _loss(
+        "stepped_loss", "conductance_change", "after_step", -0.9, "from the date on",
+        "a temperature error that begins at a date and grows with the heat release",
+    )  # fmt: skip
+
+
+def open_loss() -> Mechanism:
+    """Heat loss while a door is open (input `door_open`)."""
+    return _loss(
+        "open_loss", "door_conductance", "door_open", 0.0, "while the door is open",
+        "stretches of hours in which the temperature falls toward the ambient's",
+    )  # fmt: skip
+
+
+def cooling_loss() -> Mechanism:
+    """Heat loss while a cooling stage runs (input `cooling`)."""
+    return _loss(
+        "cooling_loss", "cooling_conductance", "cooling", 0.0, "while the cooling stage runs",
+        "a cabinet that is too warm in the simulation above a threshold",
+    )  # fmt: skip
+
+
+def lagged_ambient(time_h: float = 3.0) -> Mechanism:
+    """The air around the cabinet lags the ambient series: a share w of a first-order lag, f += w (L − T_amb) [K].
+
+    dL/dt = (T_amb − L)/θ,    θ = `time_h` [h].
+    """
+    return Mechanism(
+        name="lagged_ambient",
+        parameters=(
+            Parameter(
+                "ambient_lag_share", "1", 0.0, -0.2, 1.2, null=0.0,
+                meaning="share of the air around the cabinet that lags the ambient series",
+            ),
+        ),
+        states=("ambient_lag",),
+        inputs=("ambient_temperature",),
+        contributions=lambda p, x, u, q: {
+            "heat_release": p.ambient_lag_share * (x.ambient_lag - u.ambient_temperature)
+        },
+        drift=lambda p, x, u, q, s: {"ambient_lag": (u.ambient_temperature - x.ambient_lag) * (1.0 / time_h)},
+        initial=lambda p, u: {"ambient_lag": (u.ambient_temperature, 4.0)},
+        settings={"time_h": time_h},
+        meaning="air around the cabinet that lags the ambient series",
+        leaves="a temperature error that follows the rate of the ambient temperature",
+        source="first-order mixing of the air in the tower",
+    )  # fmt: skip

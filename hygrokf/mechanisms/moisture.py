@@ -1,0 +1,292 @@
+"""What else brings vapour into the cabinet air, takes it out, or stores it."""
+
+from __future__ import annotations
+
+from hygrokf.expression import exp, log, sqrt
+from hygrokf.mechanisms.sensors import saturation_pressure
+from hygrokf.model import Mechanism
+from hygrokf.parameters import Parameter
+from hygrokf.psychrometrics import GAS_CONSTANT_VAPOUR
+
+REFERENCE_K = 293.15
+"""[K] temperature at which a sorption time constant is stated."""
+ACTIVATION_K = 5300.0
+"""[K] activation energy of diffusion over the gas constant, 44 kJ/mol: epoxies and polyamides have 40 … 55."""
+ISOTHERM_EXPONENT = 1.2
+"""Water content over relative humidity: Henry's law with the slight upward bend of polyamides and epoxies."""
+FILM_EDGE = 0.5
+"""[g/m³] water below this stands in drops whose area shrinks with it: the film thins out and never turns negative."""
+
+
+def _humidity(x, u, temperature):
+    """Relative humidity [1] that the cabinet's vapour has at a temperature [K], over water."""
+    pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
+    return pressure / saturation_pressure(temperature)
+
+
+def moisture_sorption() -> Mechanism:
+    """Hygroscopic material in the cabinet: takes up water by the relative humidity at its temperature, gives it back on heating.
+
+        dw/dt = (W h^1.2 − w)/θ(T),    θ(T) = θ₂₀ exp(5300 K (1/T − 1/293.15 K)),    vapour release −dw/dt,
+    w [g/m³] water held per volume of cabinet air, h the relative humidity at the air's temperature T, W the content at
+    saturation, θ₂₀ [h] the time constant at 20 °C.
+    """
+
+    def rate(p, x, u, q):
+        air = q.cabinet_air_temperature
+        # the power through a logarithm; a filter's mean may touch zero
+        h = _humidity(x, u, air)
+        positive = 0.5 * (h + sqrt(h * h + 1e-6))
+        content = p.sorption_capacity * exp(ISOTHERM_EXPONENT * log(positive))
+        slower = exp(ACTIVATION_K * (1.0 / air - 1.0 / REFERENCE_K))
+        return (content - x.sorbed_water) / (p.sorption_time * slower)
+
+    def initial(p, u):
+        wet = u.ambient_absolute_humidity * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
+        content = p.sorption_capacity * wet / saturation_pressure(u.ambient_temperature + 6.0)
+        return {"sorbed_water": (content, 0.1 * content * content)}
+
+    return Mechanism(
+        name="moisture_sorption",
+        parameters=(
+            Parameter(
+                "sorption_capacity", "g/m3", 5.0, 1e-3, 2000.0, positive=True, null=0.0,
+                meaning="water that the material holds at saturation, per volume of cabinet air",
+            ),
+            Parameter(
+                "sorption_time", "h", 10.0, 1.0, 400.0, positive=True,
+                meaning="time constant of its uptake at 20 °C",
+            ),
+        ),
+        states=("sorbed_water",),
+        inputs=("ambient_temperature", "ambient_absolute_humidity"),
+        contributions=lambda p, x, u, q: {"vapour_release": -rate(p, x, u, q)},
+        drift=lambda p, x, u, q, s: {"sorbed_water": rate(p, x, u, q)},
+        initial=initial,
+        meaning="water taken up and given back by hygroscopic material",
+        leaves="too little vapour when the cabinet warms after a long damp standstill, too much while it stands",
+        source="lumped linear driving force (Glueckauf 1955); isotherms and activation energies of polyamide and epoxy",
+    )  # fmt: skip
+
+
+def condensation() -> Mechanism:
+    """A film of water on a surface colder than the dew point, which evaporates later.
+
+        dT_s/dt = (T_amb + κ (T_a − T_amb) − T_s)/θ_s,    flux = β (c* − c*_s),    c*_s = e_s(T_s)/(R_v T_amb),
+        dm/dt = flux where c* > c*_s, else flux · m/(m + 0.5 g/m³);    vapour release −dm/dt,
+    m ≥ 0 [g/m³] the film per volume of cabinet air.
+    """
+
+    def rate(p, x, u, q):
+        limit = saturation_pressure(x.surface_temperature) / (
+            u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
+        )
+        excess = x.vapour - limit
+        width = 0.05
+        onto = 0.5 * (excess + sqrt(excess * excess + width * width))
+        film = 0.5 * (x.film + sqrt(x.film * x.film + 1e-8))
+        return p.condensation_rate * (onto + (excess - onto) * film / (film + FILM_EDGE))
+
+    def surface(p, x, u, q):
+        toward = u.ambient_temperature + p.surface_share * (q.cabinet_air_temperature - u.ambient_temperature)
+        return (toward - x.surface_temperature) / p.surface_time
+
+    return Mechanism(
+        name="condensation",
+        parameters=(
+            Parameter(
+                "condensation_rate", "1/h", 0.5, 1e-3, 6.0, positive=True, null=0.0,
+                meaning="vapour transfer between air and film, per volume of cabinet air",
+            ),
+            Parameter(
+                "surface_share", "1", 0.2, 0.0, 0.9,
+                meaning="how far the cold surface follows the cabinet air instead of the ambient",
+            ),
+            Parameter("surface_time", "h", 1.0, 0.25, 24.0, positive=True, meaning="lag of the cold surface"),
+        ),
+        states=("film", "surface_temperature"),
+        inputs=("ambient_temperature",),
+        contributions=lambda p, x, u, q: {"vapour_release": -rate(p, x, u, q)},
+        drift=lambda p, x, u, q, s: {"film": rate(p, x, u, q), "surface_temperature": surface(p, x, u, q)},
+        initial=lambda p, u: {"film": (0.02, 1e-4), "surface_temperature": (u.ambient_temperature + 1.0, 4.0)},
+        meaning="condensate on a cold surface",
+        leaves="humidity capped at a cold surface's dew point, then too little vapour when it warms",
+        source="film model with a mass-transfer coefficient (Lewis analogy), surface lag first order",
+    )  # fmt: skip
+
+
+def internal_moisture_source(standstill: bool = False) -> Mechanism:
+    """A constant source of vapour in the cabinet [g/(m³ h)], always or at standstill alone."""
+    when = (lambda u: u.standstill) if standstill else (lambda u: 1.0)
+    return Mechanism(
+        name="internal_moisture_source",
+        parameters=(
+            Parameter(
+                "moisture_source", "g/m3/h", 0.1, 1e-4, 50.0, positive=True, null=0.0,
+                meaning="vapour released per volume of cabinet air",
+            ),
+        ),
+        inputs=("standstill",) if standstill else (),
+        contributions=lambda p, x, u, q: {"vapour_release": p.moisture_source * when(u)},
+        settings={"standstill": standstill},
+        meaning="water that evaporates inside",
+        leaves="absolute humidity above the ambient's, the more the slower the exchange",
+        source="balance of vapour mass",
+    )  # fmt: skip
+
+
+def rain_ingress() -> Mechanism:
+    """Rain that enters, is held wet, and evaporates with a delay.
+
+    dr/dt = a · rain − r/θ,    vapour release r/θ,    r [g/m³], θ [h].
+    """
+    return Mechanism(
+        name="rain_ingress",
+        parameters=(
+            Parameter(
+                "rain_intake", "g/m3/h", 1.0, 1e-4, 500.0, positive=True, null=0.0,
+                meaning="water that enters per volume of cabinet air while the rain signal is 1",
+            ),
+            Parameter("rain_drying_time", "h", 6.0, 0.5, 100.0, positive=True, meaning="time to evaporate"),
+        ),
+        states=("rain_water",),
+        inputs=("rain",),
+        contributions=lambda p, x, u, q: {"vapour_release": x.rain_water / p.rain_drying_time},
+        drift=lambda p, x, u, q, s: {
+            "rain_water": p.rain_intake * u.rain - x.rain_water / p.rain_drying_time
+        },
+        initial=lambda p, u: {"rain_water": (0.0, 0.0)},
+        meaning="rain water that enters and evaporates",
+        leaves="humidity above the simulated for hours after rain",
+        source="balance of water with a first-order delay",
+    )  # fmt: skip
+
+
+def dehumidifier() -> Mechanism:
+    """A drier that works above a set-point: vapour release −d · max(0, h − h₀), its edge rounded over 1 %.
+
+    d [g/(m³ h)] for each unit of relative humidity.
+    """
+
+    def contributions(p, x, u, q):
+        above = _humidity(x, u, q.cabinet_air_temperature) - p.dehumidifier_setpoint
+        return {"vapour_release": -0.5 * p.dehumidifier_rate * (above + sqrt(above * above + 1e-4))}
+
+    return Mechanism(
+        name="dehumidifier",
+        parameters=(
+            Parameter(
+                "dehumidifier_rate", "g/m3/h", 10.0, 1e-3, 5000.0, positive=True, null=0.0,
+                meaning="drying for each unit of relative humidity above the set-point",
+            ),
+            Parameter(
+                "dehumidifier_setpoint", "1", 0.6, 0.2, 0.98,
+                meaning="relative humidity above which it dries",
+            ),
+        ),
+        inputs=("ambient_temperature",),
+        contributions=contributions,
+        meaning="drying above a set-point",
+        leaves="simulated humidity too high in its upper range, right below it",
+        source="proportional drier; balance of vapour mass",
+    )  # fmt: skip
+
+
+def switched_drying(meaning: str = "drying while the drier runs") -> Mechanism:
+    """A drier that is on or off (input `drying`): vapour release −d · drying, d [g/(m³ h)]."""
+    return Mechanism(
+        name="switched_drying",
+        parameters=(
+            Parameter(
+                "drying_rate", "g/m3/h", 1.0, 1e-4, 500.0, positive=True, null=0.0,
+                meaning="vapour taken out while the drier runs",
+            ),
+        ),
+        inputs=("drying",),
+        contributions=lambda p, x, u, q: {"vapour_release": -p.drying_rate * u.drying},
+        settings={"meaning": meaning},
+        meaning=meaning,
+        leaves="simulated humidity too high above a set-point, with hysteresis",
+        source="balance of vapour mass",
+    )  # fmt: skip
+
+
+def _exchange(name: str, parameter: str, flag: str, upper: float, text: str, leaves: str) -> Mechanism:
+    """Exchange of vapour multiplied by 1 + b · flag, b > −1."""
+    return Mechanism(
+        name=name,
+        parameters=(
+            Parameter(
+                parameter, "1", 0.0, -0.95, upper, null=0.0, meaning=f"relative change of the vapour exchange, {text}"
+            ),
+        ),
+        inputs=(flag,),
+        contributions=lambda p, x, u, q: {"exchange": getattr(p, parameter) * getattr(u, flag)},
+        meaning=f"vapour exchange, {text}",
+        leaves=leaves,
+        source="resistance R_D* of equation (4) divided by the factor",
+    )  # fmt: skip
+
+
+def wind_exchange() -> Mechanism:
+    """Vapour exchange that grows with the wind: 1 + b v/(10 m/s)."""
+    return _exchange(
+        "wind_exchange", "wind_exchange_gain", "wind_tenth", 50.0, "for each 10 m/s of wind",
+        "humidity that follows the ambient's faster in wind than in calm",
+    )  # fmt: skip
+
+
+def stepped_exchange() -> Mechanism:
+    """Vapour exchange that changes at a date: 1 + b after it (input `after_step`)."""
+    return _exchange(
+        "stepped_exchange", "exchange_change", "after_step", 50.0, "from the date on",
+        "humidity that follows the ambient's faster or slower from a date on",
+    )  # fmt: skip
+
+
+def open_exchange() -> Mechanism:
+    """Vapour exchange while a door is open: 1 + b (input `door_open`)."""
+    return _exchange(
+        "open_exchange", "door_exchange", "door_open", 500.0, "while the door is open",
+        "stretches of hours in which the humidity is the ambient's",
+    )  # fmt: skip
+
+
+def cooled_exchange() -> Mechanism:
+    """Vapour exchange while the cooling stage runs: 1 + b (input `cooling`)."""
+    return _exchange(
+        "cooled_exchange", "cooling_exchange", "cooling", 50.0, "while the cooling stage runs",
+        "humidity that follows the ambient's faster while the cabinet is warm",
+    )  # fmt: skip
+
+
+def breathed_air(time_h: float = 3.0) -> Mechanism:
+    """The air that the cabinet breathes is not the ambient series': an offset, and a share of its own lag.
+
+        ambient_vapour += o + w (L − c_amb),    dL/dt = (c_amb − L)/θ,
+    o [g/m³], w a share between 0 and 1.2, θ = `time_h`.
+    """
+    return Mechanism(
+        name="breathed_air",
+        parameters=(
+            Parameter(
+                "breathed_offset", "g/m3", 0.0, -10.0, 10.0, null=0.0,
+                meaning="what the breathed air holds more than the ambient series says",
+            ),
+            Parameter("breathed_lag_share", "1", 0.0, -0.2, 1.2, null=0.0, meaning="share that lags behind"),
+        ),
+        states=("breathed_vapour",),
+        inputs=("ambient_absolute_humidity",),
+        contributions=lambda p, x, u, q: {
+            "ambient_vapour": p.breathed_offset
+            + p.breathed_lag_share * (x.breathed_vapour - u.ambient_absolute_humidity)
+        },
+        drift=lambda p, x, u, q, s: {
+            "breathed_vapour": (u.ambient_absolute_humidity - x.breathed_vapour) * (1.0 / time_h)
+        },
+        initial=lambda p, u: {"breathed_vapour": (u.ambient_absolute_humidity, 0.25)},
+        settings={"time_h": time_h},
+        meaning="the breathed air differs from the ambient series",
+        leaves="an offset of the absolute humidity, or one that lags the ambient at equal cabinet temperature",
+        source="first-order mixing of the air in the tower",
+    )  # fmt: skip

@@ -1,0 +1,125 @@
+"""Features that mechanisms read: by hand, by published numbers, and through a design that drives another record."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plants import plant
+from plants.as_record import to_record
+
+from hygrokf.design import Design, design, extended
+from hygrokf.drivers import run
+from hygrokf.features import FEATURES, clear_sky, feature, two_point
+from hygrokf.record import Record, Series, Site
+
+HOUR = 3600.0
+START = 1.6e9
+
+
+def series(name: str, value: np.ndarray, step: float = 600.0, **more: object) -> Series:
+    return Series(name, START + step * np.arange(1, len(value) + 1), value, **more)
+
+
+@pytest.fixture(scope="module")
+def record() -> Record:
+    return to_record(plant(77, days=12.0))
+
+
+def test_a_two_point_switch_has_hysteresis() -> None:
+    value = np.array([0.0, 2.0, 1.0, 1.5, -1.0, 1.0, 3.0, np.nan, 1.0, 3.0])
+    allowed = np.array([True] * 9 + [False])
+    found = two_point(value, 1.8, 0.5, allowed)
+    assert found.tolist() == [0, 1, 1, 1, 0, 0, 1, 1, 1, 0]
+
+
+def test_dates_windows_and_the_calendar() -> None:
+    nothing = Record("none", ())
+    time = START + HOUR * np.arange(6.0)
+    middle = START + HOUR * np.array([0.0, 0.5, 1.5, 2.5, 3.5, 4.5])
+    after = feature(nothing, "after_step", {"date_s": START + 2 * HOUR}, time)
+    assert after.tolist() == (middle > START + 2 * HOUR).astype(float).tolist()
+    ramp = feature(nothing, "after_step", {"date_s": START + HOUR, "days": 2.0 / 24.0}, time)
+    np.testing.assert_allclose(ramp, [0.0, 0.0, 0.25, 0.75, 1.0, 1.0])
+    door = feature(nothing, "door_open", {"spans": [[START + HOUR, START + 2 * HOUR]]}, time)
+    assert door.tolist() == [0, 0, 1, 0, 0, 0]
+    share = feature(nothing, "elapsed", {"start_s": START, "end_s": START + 10 * HOUR}, time)
+    np.testing.assert_allclose(share, np.arange(6) / 10.0)
+
+
+@pytest.mark.parametrize(
+    ("reads", "value", "on", "off", "expected"),
+    [
+        ("cabinet_temperature", [290.0, 284.0, 286.0, 289.0, 284.0, 284.0], 285.0, 288.0, [0, 1, 1, 0, 1, 0]),
+        ("cabinet_relative_humidity", [0.5, 0.8, 0.7, 0.5, 0.9, 0.9], 0.75, 0.6, [0, 1, 1, 0, 1, 0]),
+    ],
+)
+def test_a_heater_runs_at_standstill_alone(
+    reads: str, value: list[float], on: float, off: float, expected: list[int]
+) -> None:
+    power = series("active_power", np.array([0.0] * 5 + [1e6] * 3), hold="zero-order", interval_s=600.0)
+    made = Record("made", (series(reads, np.array(value)), power))
+    time = np.concatenate([[START], made[reads].time + 300.0])  # steps whose middles are the readings
+    found = feature(made, "heating", {"reads": reads, "on": on, "off": off}, time + 0.0)
+    assert found[1:].tolist() == expected
+
+
+def test_the_clear_sky_is_haurwitzs() -> None:
+    """Noon at the equator on an equinox: the sun within a degree of the zenith, 1098 exp(−0.057) W/m²."""
+    site = Site(0.0, 0.0)
+    day = np.datetime64("2021-03-20T00:00").astype("datetime64[s]").astype(float)
+    time = day + np.arange(0, 86400, 60.0)
+    found = clear_sky(time, site)
+    assert found.max() == pytest.approx(1098.0 * np.exp(-0.057), rel=2e-3)
+    noon = time[np.argmax(found)] - day
+    assert noon == pytest.approx(43200 + 7.5 * 60, abs=120)  # the equation of time on that day is −7.5 min
+    assert np.sum(found > 0) / 60.0 == pytest.approx(12.0, abs=0.2)
+    east = clear_sky(time, Site(0.0, 90.0))
+    assert time[np.argmax(east)] - day == pytest.approx(noon - 6 * HOUR, abs=120)
+    summer = np.datetime64("2021-06-21T00:00").astype("datetime64[s]").astype(float) + np.arange(
+        0, 86400, 60.0
+    )
+    assert np.sum(clear_sky(summer, Site(52.4, -0.95)) > 0) / 60.0 == pytest.approx(16.6, abs=0.3)
+
+
+def test_a_design_brings_its_features_to_any_record(record: Record) -> None:
+    base = design(record, kind="thermal")
+    date = record.start_s + 5 * 86400.0
+    wider = extended(base, [("stepped_loss", {})], features={"after_step": {"date_s": date}})
+    again = Design.from_json(wider.to_json())
+    made = run(again, record)
+    seconds = made.timeline.origin_s + HOUR * made.timeline.time
+    flag = made.timeline.input("after_step")
+    assert set(flag) == {0.0, 1.0}
+    assert abs(seconds[np.argmax(flag)] - date) < 1800.0
+    assert len(made.timeline) == len(run(base, record).timeline)
+
+
+def test_what_a_record_lacks_is_named(record: Record) -> None:
+    base = design(record, kind="thermal")
+    bare = replace(
+        record,
+        site=None,
+        series=tuple(
+            s
+            for s in record.series
+            if s.signal in ("active_power", *base.model.outputs, "ambient_temperature")
+        ),
+    )
+    for name, mechanism, words in (
+        ("sunshine", "solar_gain", "expected global_horizontal_irradiance or"),
+        ("wind_tenth", "wind_loss", "the model reads wind_speed, which the record does not have"),
+    ):
+        with pytest.raises(ValueError, match=words):
+            run(extended(base, [(mechanism, {})], features={name: {}}), bare)
+    assert set(FEATURES) >= {
+        "elapsed",
+        "sunshine",
+        "wind_tenth",
+        "after_step",
+        "door_open",
+        "cooling",
+        "heating",
+        "drying",
+    }
