@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +30,9 @@ from hygrokf.stage import (
 )
 from hygrokf.time_constants import by_simulation, hygric_entry, thermal_entry
 from hygrokf.version import __version__
+
+if TYPE_CHECKING:
+    from hygrokf.stationary import HeatRelease
 
 STARTS = 4
 DEFAULT_KIND = CASCADE
@@ -60,13 +64,43 @@ def identify(
         raise ValueError(f"criterion: expected one of {CRITERIA}, found {criterion!r}")
     say = progress or (lambda text: None)
     early = record.identification()
-    _refuse(early)
+    basis = identified(early, kind, starts, profiles, say)
+    say("output-error fit")
+    return assembled(record, basis, output_errors(early, basis.whole, basis.values), criterion, say)
+
+
+@dataclass(frozen=True)
+class Basis:
+    """What was identified on a record's identification period: one stage, or the two of a cascade.
+
+    `records` the record that drove each stage; `regression` the heat release over quasi-stationary periods.
+    """
+
+    kind: str
+    stages: tuple[Stage, ...]
+    records: tuple[Record, ...]
+    regression: HeatRelease
+
+    @property
+    def whole(self) -> Design:
+        """The joint design of all stages."""
+        return merged([stage.base for stage in self.stages])
+
+    @property
+    def values(self) -> dict[str, float]:
+        return {name: value for stage in self.stages for name, value in stage.estimate.values.items()}
+
+
+def identified(early: Record, kind: str, starts: int, profiles: bool, say: Progress) -> Basis:
+    """Estimate and judge every stage on the identification period `early`."""
     from hygrokf.stationary import heat_release_regression
 
+    _refuse(early)
     say("heat-release regression")
     regression = heat_release_regression(early)
     orders = _orders(regression)
     stages: list[Stage] = []
+    records: list[Record] = []
     for part in (JOINT,) if kind == JOINT else ("thermal", CASCADE):
         base = design(early, kind=part, **orders)
         if part == CASCADE and base.humidity is None:
@@ -76,11 +110,8 @@ def identify(
             say("smoothed cabinet temperature")
             driven = early.replace_series(smoothed_temperature(stages[0], early, base.humidity))
         stages.append(identify_stage(driven, base, starts, profiles, say))
-    say("output-error fit")
-    whole = merged([stage.base for stage in stages])
-    values = {name: value for stage in stages for name, value in stage.estimate.values.items()}
-    simulated = output_errors(early, whole, values)
-    return _assemble(record, stages, whole, values, simulated, regression, criterion, kind, say)
+        records.append(driven)
+    return Basis(kind, tuple(stages), tuple(records), regression)
 
 
 def _refuse(early: Record) -> None:
@@ -110,17 +141,21 @@ def _orders(regression) -> dict:
     return settings
 
 
-def _assemble(
+def assembled(
     record: Record,
-    stages: list[Stage],
-    whole: Design,
-    values: dict[str, float],
+    basis: Basis,
     simulated: Mapping[str, OutputError],
-    regression,
-    criterion: str,
-    kind: str,
-    say: Progress,
+    criterion: str = "likelihood",
+    say: Progress = lambda text: None,
 ) -> Fit:
+    """A fit from its stages: free run, scores, bands, tables, on the whole record."""
+    stages, whole, values, regression, kind = (
+        list(basis.stages),
+        basis.whole,
+        basis.values,
+        basis.regression,
+        basis.kind,
+    )
     say("free run and scores")
     if criterion == "simulation":
         for found in simulated.values():
