@@ -166,16 +166,6 @@ def _scoring(objective: Objective, start: np.ndarray, passes: int, tolerance: fl
     return Optimum(z, value, False, f"stopped after {passes} passes", passes)
 
 
-def _damped_step(information: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:
-    diagonal = np.maximum(np.diag(information), 1e-12 * max(float(np.max(np.diag(information))), 1e-300))
-    root = 1.0 / np.sqrt(diagonal)
-    scaled = information * root[:, None] * root[None, :] + damping * np.eye(len(gradient))
-    try:
-        return root * np.linalg.solve(scaled, root * gradient)
-    except np.linalg.LinAlgError:
-        return root * np.linalg.lstsq(scaled, root * gradient, rcond=1e-12)[0]
-
-
 def _promise(
     information: np.ndarray,
     gradient: np.ndarray,
@@ -185,12 +175,47 @@ def _promise(
     upper: np.ndarray,
     damping: float,
 ) -> tuple[np.ndarray, float]:
-    """The damped step, kept short and within the bounds, and the gain that the quadratic model promises for it."""
-    step = np.zeros_like(z)
-    step[free] = _damped_step(information[np.ix_(free, free)], gradient[free], damping)
-    longest = np.max(np.abs(step) / np.maximum(1.5, 0.5 * np.abs(z)))
-    step = np.clip(z + step / max(1.0, longest), lower, upper) - z
-    return step, float(gradient @ step - 0.5 * step @ information @ step)
+    """The damped step within the bounds and a trust box, and the gain that the quadratic model promises for it.
+
+    Of three ways to stay in the box the one that promises most: every coordinate that would leave it held at its edge
+    and the others solved again; the whole step shortened; the steepest ascent.  Shortened alone, a flat direction, whose
+    full step is without end, would shrink the steps of all others to nothing and so feign convergence.
+    """
+    reach = np.maximum(1.5, 0.5 * np.abs(z))
+    low, high = np.maximum(lower - z, -reach), np.minimum(upper - z, reach)
+    held, moving = np.zeros_like(z), free.copy()
+    shortened = np.zeros_like(z)
+    while moving.any():
+        rest = gradient - information @ np.where(moving, 0.0, held)
+        held[moving] = _damped_step(information[np.ix_(moving, moving)], rest[moving], damping)
+        if moving.sum() == free.sum():
+            shortened = np.clip(held / max(1.0, float(np.max(np.abs(held) / reach))), lower - z, upper - z)
+        beyond = moving & ((held < low) | (held > high))
+        if not beyond.any():
+            break
+        held[beyond] = np.clip(held[beyond], low[beyond], high[beyond])
+        moving &= ~beyond
+
+    tried = []
+    diagonal = np.maximum(np.diag(information), 1e-300)
+    steepest = np.where(free, gradient / (diagonal * (1.0 + damping)), 0.0)
+    for direction in (held, shortened, np.clip(steepest, low, high)):
+        # the box is convex: any share of the way stays in it, and the best share promises no loss
+        slope, curvature = float(gradient @ direction), float(direction @ information @ direction)
+        share = min(max(slope / max(curvature, 1e-300), 0.0), 1.0)
+        tried.append((share * slope - 0.5 * share**2 * curvature, share * direction))
+    promised, step = max(tried, key=lambda pair: pair[0])
+    return step, promised
+
+
+def _damped_step(information: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:
+    diagonal = np.maximum(np.diag(information), 1e-12 * max(float(np.max(np.diag(information))), 1e-300))
+    root = 1.0 / np.sqrt(diagonal)
+    scaled = information * root[:, None] * root[None, :] + damping * np.eye(len(gradient))
+    try:
+        return root * np.linalg.solve(scaled, root * gradient)
+    except np.linalg.LinAlgError:
+        return root * np.linalg.lstsq(scaled, root * gradient, rcond=1e-12)[0]
 
 
 def starts(coordinates: Coordinates, values: Mapping[str, float] | None, count: int) -> list[np.ndarray]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hygrokf.expression import exp, log, sqrt
+from hygrokf.expression import exp, sqrt
 from hygrokf.mechanisms.sensors import saturation_pressure
 from hygrokf.model import Mechanism
 from hygrokf.parameters import Parameter
@@ -12,10 +12,10 @@ REFERENCE_K = 293.15
 """[K] temperature at which a sorption time constant is stated."""
 ACTIVATION_K = 5300.0
 """[K] activation energy of diffusion over the gas constant, 44 kJ/mol: epoxies and polyamides have 40 … 55."""
-ISOTHERM_EXPONENT = 1.2
-"""Water content over relative humidity: Henry's law with the slight upward bend of polyamides and epoxies."""
-FILM_EDGE = 0.5
-"""[g/m³] water below this stands in drops whose area shrinks with it: the film thins out and never turns negative."""
+GAB_C, GAB_K = 8.0, 0.75
+"""[1] constants of the isotherm; papers, polyamides and laminates have C from 4 to 15 and K from 0.65 to 0.85."""
+EDGE = 0.05
+"""[g/m³] over which the change between condensing and drying is rounded."""
 
 
 def _humidity(x, u, temperature):
@@ -24,34 +24,37 @@ def _humidity(x, u, temperature):
     return pressure / saturation_pressure(temperature)
 
 
-def moisture_sorption() -> Mechanism:
+def moisture_sorption(activated: bool = True) -> Mechanism:
     """Hygroscopic material in the cabinet: takes up water by the relative humidity at its temperature, gives it back on heating.
 
-        dw/dt = (W h^1.2 − w)/θ(T),    θ(T) = θ₂₀ exp(5300 K (1/T − 1/293.15 K)),    vapour release −dw/dt,
-    w [g/m³] water held per volume of cabinet air, h the relative humidity at the air's temperature T, W the content at
-    saturation, θ₂₀ [h] the time constant at 20 °C.
+        dw/dt = (W g(h) − w)/θ(T),    g(h) = φ(h)/φ(½),    φ(h) = C K h/((1 − K h)(1 − K h + C K h)),
+        θ(T) = θ₂₀ exp(5300 K (1/T − 1/293.15 K))  (θ₂₀ throughout without `activated`),    vapour release −dw/dt,
+    w [g/m³] water held per volume of cabinet air, h the relative humidity at the air's temperature T, W [g/m³] the content
+    at 50 % relative humidity, θ₂₀ [h] the time constant at 20 °C; C = 8 and K = 0.75.
     """
+
+    def share(h):
+        """The isotherm [1]; 1 at 50 %."""
+        return _gab(h) / _gab(0.5)
 
     def rate(p, x, u, q):
         air = q.cabinet_air_temperature
-        # the power through a logarithm; a filter's mean may touch zero
-        h = _humidity(x, u, air)
-        positive = 0.5 * (h + sqrt(h * h + 1e-6))
-        content = p.sorption_capacity * exp(ISOTHERM_EXPONENT * log(positive))
-        slower = exp(ACTIVATION_K * (1.0 / air - 1.0 / REFERENCE_K))
-        return (content - x.sorbed_water) / (p.sorption_time * slower)
+        time = p.sorption_time
+        if activated:
+            time = time * exp(ACTIVATION_K * (1.0 / air - 1.0 / REFERENCE_K))
+        return (p.sorption_capacity * share(_humidity(x, u, air)) - x.sorbed_water) / time
 
     def initial(p, u):
         wet = u.ambient_absolute_humidity * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
-        content = p.sorption_capacity * wet / saturation_pressure(u.ambient_temperature + 6.0)
+        content = p.sorption_capacity * share(wet / saturation_pressure(u.ambient_temperature + 6.0))
         return {"sorbed_water": (content, 0.1 * content * content)}
 
     return Mechanism(
         name="moisture_sorption",
         parameters=(
             Parameter(
-                "sorption_capacity", "g/m3", 5.0, 1e-3, 2000.0, positive=True, null=0.0,
-                meaning="water that the material holds at saturation, per volume of cabinet air",
+                "sorption_capacity", "g/m3", 5.0, 1e-3, 5000.0, positive=True, null=0.0,
+                meaning="water that the material holds at 50 % relative humidity, per volume of cabinet air",
             ),
             Parameter(
                 "sorption_time", "h", 10.0, 1.0, 400.0, positive=True,
@@ -63,18 +66,26 @@ def moisture_sorption() -> Mechanism:
         contributions=lambda p, x, u, q: {"vapour_release": -rate(p, x, u, q)},
         drift=lambda p, x, u, q, s: {"sorbed_water": rate(p, x, u, q)},
         initial=initial,
+        settings={"activated": activated},
         meaning="water taken up and given back by hygroscopic material",
         leaves="too little vapour when the cabinet warms after a long damp standstill, too much while it stands",
-        source="lumped linear driving force (Glueckauf 1955); isotherms and activation energies of polyamide and epoxy",
+        source="isotherm of Guggenheim, Anderson and de Boer; linear driving force (Glueckauf 1955)",
     )  # fmt: skip
 
 
-def condensation() -> Mechanism:
+def _gab(h):
+    """Isotherm of Guggenheim, Anderson and de Boer, in monolayers."""
+    wet = GAB_K * h
+    return GAB_C * wet / ((1.0 - wet) * (1.0 - wet + GAB_C * wet))
+
+
+def condensation(time_h: float = 1.5) -> Mechanism:
     """A film of water on a surface colder than the dew point, which evaporates later.
 
-        dT_s/dt = (T_amb + κ (T_a − T_amb) − T_s)/θ_s,    flux = β (c* − c*_s),    c*_s = e_s(T_s)/(R_v T_amb),
-        dm/dt = flux where c* > c*_s, else flux · m/(m + 0.5 g/m³);    vapour release −dm/dt,
-    m ≥ 0 [g/m³] the film per volume of cabinet air.
+        dT_s/dt = (T_amb − δ + κ (T_a − T_amb) − T_s)/θ_s,    x = c* − e_s(T_s)/(R_v T_amb),
+        dm/dt = β max(0, x) − β max(0, −x) · m/(m + 1 g/m³);    vapour release −dm/dt,
+    m ≥ 0 [g/m³] the film per volume of cabinet air, θ_s = `time_h` [h] the lag of the surface, δ [K] how far an outer wall
+    cools below the air by radiation.  The last gram stands in drops whose area shrinks with them.  The edges of max are rounded over 0.05 g/m³.
     """
 
     def rate(p, x, u, q):
@@ -82,36 +93,39 @@ def condensation() -> Mechanism:
             u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
         )
         excess = x.vapour - limit
-        width = 0.05
-        onto = 0.5 * (excess + sqrt(excess * excess + width * width))
-        film = 0.5 * (x.film + sqrt(x.film * x.film + 1e-8))
-        return p.condensation_rate * (onto + (excess - onto) * film / (film + FILM_EDGE))
+        round_ = sqrt(excess * excess + EDGE * EDGE)
+        onto, dry = 0.5 * (excess + round_), 0.5 * (round_ - excess)
+        return p.condensation_rate * (onto - dry * x.film / (x.film + 1.0))
 
     def surface(p, x, u, q):
         toward = u.ambient_temperature + p.surface_share * (q.cabinet_air_temperature - u.ambient_temperature)
-        return (toward - x.surface_temperature) / p.surface_time
+        return (toward - p.surface_undercooling - x.surface_temperature) * (1.0 / time_h)
 
     return Mechanism(
         name="condensation",
         parameters=(
             Parameter(
-                "condensation_rate", "1/h", 0.5, 1e-3, 6.0, positive=True, null=0.0,
-                meaning="vapour transfer between air and film, per volume of cabinet air",
+                "condensation_rate", "1/h", 0.3, 1e-4, 4.0, positive=True, null=0.0,
+                meaning="vapour transfer to the film, per volume of cabinet air",
             ),
             Parameter(
                 "surface_share", "1", 0.2, 0.0, 0.9,
                 meaning="how far the cold surface follows the cabinet air instead of the ambient",
             ),
-            Parameter("surface_time", "h", 1.0, 0.25, 24.0, positive=True, meaning="lag of the cold surface"),
+            Parameter(
+                "surface_undercooling", "K", 1.0, 0.0, 8.0,
+                meaning="how far the surface cools below its surroundings by radiation",
+            ),
         ),
         states=("film", "surface_temperature"),
         inputs=("ambient_temperature",),
         contributions=lambda p, x, u, q: {"vapour_release": -rate(p, x, u, q)},
         drift=lambda p, x, u, q, s: {"film": rate(p, x, u, q), "surface_temperature": surface(p, x, u, q)},
-        initial=lambda p, u: {"film": (0.02, 1e-4), "surface_temperature": (u.ambient_temperature + 1.0, 4.0)},
+        initial=lambda p, u: {"film": (0.0, 0.0), "surface_temperature": (u.ambient_temperature + 1.0, 4.0)},
+        settings={"time_h": time_h},
         meaning="condensate on a cold surface",
         leaves="humidity capped at a cold surface's dew point, then too little vapour when it warms",
-        source="film model with a mass-transfer coefficient (Lewis analogy), surface lag first order",
+        source="mass transfer by the Lewis analogy; film and surface of first order",
     )  # fmt: skip
 
 

@@ -268,12 +268,17 @@ def thermal_diffusion() -> Mechanism:
 
 
 def wall_thermal_mass() -> Mechanism:
-    """A second thermal mass beside the converter: walls and fittings that the cabinet air warms and cools.
+    """A second thermal mass: walls and fittings between the cabinet air and the ambient.
 
-        dT_w/dt = (T_conv,a − T_w)/θ_w,    heat given back to the air:  g (T_w − T_conv,a)  [K],
-    g = R_AT/R_w the conductance between air and wall in units of 1/R_AT, θ_w = R_w C_w [h].  It stores heat and loses
-    none of its own, so that steady states stay as they are; g = 0 is the network of the paper exactly.
+        dT_w/dt = (T_w∞ − T_w)/θ_w,    T_w∞ = T_amb + λ (T_conv,a − T_amb),    f += g (T_w − T_w∞)  [K],
+    g the conductance between air and mass in units of 1/R_AT, θ_w [h] its time constant, λ [1] where it stands: 1 for
+    fittings in the cabinet air, 0 for an outer wall that the ambient alone warms.  It stores heat and loses none of its
+    own, so that steady states stay as they are; g = 0 is the network of the paper exactly.
     """
+
+    def rest(p, u, q):
+        return u.ambient_temperature + p.wall_position * (q.cabinet_air_temperature - u.ambient_temperature)
+
     return Mechanism(
         name="wall_thermal_mass",
         parameters=(
@@ -285,18 +290,21 @@ def wall_thermal_mass() -> Mechanism:
                 "wall_time_constant", "h", 10.0, 0.5, 500.0, positive=True,
                 meaning="R_w C_w of the second mass",
             ),
+            Parameter(
+                "wall_position", "1", 0.5, 0.0, 1.0,
+                meaning="where the second mass stands between the ambient (0) and the cabinet air (1)",
+            ),
         ),
         states=("wall_temperature",),
-        quantities=None,
-        contributions=lambda p, x, u, q: {
-            "heat_release": p.wall_conductance * (x.wall_temperature - q.cabinet_air_temperature)
-        },
         inputs=("ambient_temperature",),
+        contributions=lambda p, x, u, q: {
+            "heat_release": p.wall_conductance * (x.wall_temperature - rest(p, u, q))
+        },
         drift=lambda p, x, u, q, s: {
-            "wall_temperature": (q.cabinet_air_temperature - x.wall_temperature) / p.wall_time_constant
+            "wall_temperature": (rest(p, u, q) - x.wall_temperature) / p.wall_time_constant
         },
         initial=lambda p, u: {"wall_temperature": (u.ambient_temperature + 5.0, 25.0)},
         meaning="heat stored in walls and fittings of the cabinet",
         source=f"{PAPER}, section on the thermal model (tried there and left out)",
-        leaves="a slow tail after every change of the heat release; two poles instead of one",
+        leaves="a slow tail after every change of the heat release or the ambient; two poles instead of one",
     )  # fmt: skip
