@@ -114,6 +114,15 @@ def _parser() -> argparse.ArgumentParser:
         "--starts", type=_whole(1), default=4, help="starts over the noise parameters (default 4)"
     )
     _json(fit)
+    discover = command(
+        "discover", _discover, "show what the simulation gets wrong, name the cause, extend the model"
+    )
+    discover.add_argument("case", type=Path, metavar="CASE.toml")
+    discover.add_argument("--out", type=Path, required=True)
+    discover.add_argument(
+        "--starts", type=_whole(1), default=4, help="starts over the noise parameters (default 4)"
+    )
+    _json(discover)
     simulate = command(
         "simulate", _simulate, "run a fitted model on the inputs of a case, without its readings"
     )
@@ -293,6 +302,31 @@ def _fit(options: argparse.Namespace) -> int:
     fit = _identify(record, options.case, options)
     page = _write(fit, options.out)
     _print(fit.to_json(), report_text(fit.to_json()), options.json)
+    print(f"report: {page}", file=sys.stderr)
+    return 0
+
+
+def _discover(options: argparse.Namespace) -> int:
+    from hygrokf.discovery.discover import discover
+    from hygrokf.discovery.words import discovery_text
+    from hygrokf.files import write_text_whole
+    from hygrokf.results import dump
+
+    _expect_directory(options.out)
+    record = _record(options.case)
+    progress = Progress(45)
+    try:
+        found = discover(record, starts=options.starts, progress=progress)
+    except ValueError as fault:
+        progress.abandon()
+        raise UserFault(f"{options.case}: {fault}") from fault
+    except BaseException:
+        progress.abandon()
+        raise
+    progress.close()
+    page = _write(found.extended or found.base, options.out)
+    write_text_whole(options.out / "discovery.json", dump(found.to_json()))
+    _print(found.to_json(), discovery_text(found.to_json()), options.json)
     print(f"report: {page}", file=sys.stderr)
     return 0
 

@@ -15,7 +15,7 @@ ROOT = Path(hygrokf.__file__).parent
 FACE = "hygrokf"
 FLOORS = (
     # what knows nothing of the package
-    "expression machine moments parameters signals psychrometrics files lookup version",
+    "expression machine moments parameters signals psychrometrics files lookup version discovery",
     # text of code, one step, what a record is
     "emission discretisation record stamps",
     "running_sums",
@@ -32,15 +32,19 @@ FLOORS = (
     "fitting kalman drivers thermal",
     "confidence periods simulation",
     # judgement
-    "output_error scoring stationary diagnosis",
+    "output_error scoring stationary diagnosis discovery.significance",
     "stage",
-    "time_constants",
-    "fit",
-    "results tables identification",
+    "time_constants discovery.scene",
+    "fit discovery.scan",
+    "results tables identification discovery.residuals discovery.changes discovery.library",
+    "discovery.conditions discovery.trial",
+    "discovery.misfits discovery.choice",
+    "discovery.remainder",
+    "discovery.discover",
     # pictures and faces
     "drawing excerpts report_words",
-    "plots_course plots_identification plots_innovations report_tables",
-    "plots",
+    "plots_course plots_identification plots_innovations report_tables discovery.plots_residuals",
+    "plots discovery.plots_misfits discovery.words",
     "report",
     "cli",
     "__main__",

@@ -18,6 +18,11 @@ def first_order(gain: float, drive: np.ndarray, start: float) -> np.ndarray:
     return result
 
 
+def log_uniform(random: np.random.Generator, low: float, high: float) -> float:
+    """A number whose logarithm is uniform."""
+    return float(np.exp(random.uniform(np.log(low), np.log(high))))
+
+
 def ornstein_uhlenbeck(
     random: np.random.Generator, size: int, step_h: float, correlation_h: float
 ) -> np.ndarray:

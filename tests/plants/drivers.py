@@ -10,6 +10,7 @@ from plants.chance import low_pass, ornstein_uhlenbeck
 from plants.saturation import concentration, saturation_pressure
 
 MINUTE_S = 60.0
+HOUR_S = 3600.0
 DAY_S = 86400.0
 FREEZING_K = 273.15
 POWER_STEP_MIN = 10
@@ -136,12 +137,14 @@ def own_drivers(
     power: str = "wind",
     standstill: bool = True,
     preheating: bool = False,
+    faults: int | None = None,
 ) -> Drivers:
     """Simulated weather and operation.
 
     inputs_exact: the weather runs straight between ambient readings and the power is constant
     over ten minutes, so that the readings tell all; else both also move in between.
     power: "wind" or "constant". standstill: False keeps the power above zero throughout.
+    faults: number of fault standstills; None draws it.
     """
     if power not in ("wind", "constant"):
         raise ValueError(f'power must be "wind" or "constant", found {power!r}')
@@ -167,8 +170,9 @@ def own_drivers(
         power_W = np.maximum(power_W, 0.01 * rated_W)
     wind = np.repeat(wind, blocks)[: time.size]
     power_W = np.repeat(power_W, blocks)[: time.size]
-    faults = int(random.integers(2, 4)) if standstill and power == "wind" else 0
-    power_W, heaters = stop_turbine(random, time, power_W, faults, preheating)
+    drawn = int(random.integers(2, 4)) if standstill and power == "wind" else 0
+    number = drawn if faults is None else faults
+    power_W, heaters = stop_turbine(random, time, power_W, number, preheating)
     return Drivers(
         time=time,
         ambient_K=np.interp(time, knots, kelvin),

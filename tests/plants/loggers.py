@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,7 +19,7 @@ HUMIDITY_ACCURACY_PERCENT = 2.0
 class PlantSeries:
     """Readings of one signal.
 
-    signal: `place_quantity`. unit: "degC", "%", "kW", "m/s", "W/m2" or "1".
+    signal: `place_quantity`. unit: "degC", "%", "kW", "m/s", "W/m2", "mm" or "1".
     time: [s] since the Unix epoch, (T,); stamp: "instant", or "end" of the interval averaged
     over. value: (T,), NaN = missing. interval_s: [s]. resolution, accuracy: in the unit;
     0 and None = not stated. source: the logger.
@@ -45,6 +45,7 @@ class Logging:
     sensor_errors: "none", "cabinet" (bias, noise and resolution in the cabinet, exact outside)
     or "all". missing: [-] share of the cabinet readings that is missing, each by chance.
     power_gap_days: [d] length of a gap in the power. ambient_humidity: "relative" or "absolute".
+    logger_gaps: number of gaps of 4 to 40 h in which the cabinet logger wrote nothing.
     """
 
     logger_step_min: float = 15.0
@@ -54,6 +55,7 @@ class Logging:
     missing: float = 0.01
     power_gap_days: float = 0.0
     ambient_humidity: str = "relative"
+    logger_gaps: int = 0
 
     def __post_init__(self) -> None:
         if self.sensor_errors not in SENSOR_ERRORS:
@@ -192,4 +194,17 @@ def log_plant(
         scada.append(("preheating", "1", mean(drivers.preheating)))
     for signal, unit, value in scada:
         series.append(PlantSeries(signal, unit, ends, value, "end", interval_s, 0.0, None, "SCADA"))
+    if logging.logger_gaps:
+        # Drawn last, so that a plant without gaps has the readings that it always had.
+        kept = np.ones(stamps.size, dtype=bool)
+        for _ in range(logging.logger_gaps):
+            place, hours = random.random(), random.uniform(4.0, 40.0)
+            gap = stamps[0] + place * (stamps[-1] - stamps[0])
+            kept &= (stamps < gap) | (stamps > gap + 3600.0 * hours)
+        series = [
+            replace(one, time=one.time[kept], value=one.value[kept])
+            if one.source == "cabinet logger"
+            else one
+            for one in series
+        ]
     return tuple(series), tuple(biases)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -11,6 +11,38 @@ from plants.cabinet import Cabinet, Forcing, Trajectory, integrate
 from plants.drivers import MINUTE_S, Drivers, own_drivers
 from plants.effects import DISTURBANCES, Effect, HeatDisturbance, VapourDisturbance
 from plants.loggers import Logging, PlantSeries, log_plant
+from plants.operation import turbine_operation
+from plants.outdoors import with_fronts
+
+
+@dataclass(frozen=True)
+class Hidden:
+    """What is hidden in a plant, and how large it is.
+
+    cause, form: name and number of the functional form; description: that form in words.
+    asked, reached: [-] strength; 1 lets the error of the bare model grow by 30 %, or is what
+        `measure` says. limited: whether the cause's ranges keep `reached` from `asked`.
+    quantity: the one whose error grows most. rmse_without, rmse_with: [K] or [kg/m3] error of the
+        refitted bare model in it, without and with the cause. rmse_true: that of a model with the
+        cause and its true parameters; 1 - rmse_true / rmse_with is all that can be gained.
+    noncentrality: (temperature, humidity) [-] of the likelihood ratio of a whole record.
+    parameters: value by name with unit. dates: [s] since the Unix epoch.
+    """
+
+    cause: str
+    form: int
+    description: str
+    asked: float
+    reached: float
+    limited: bool
+    measure: str
+    quantity: str
+    rmse_without: float
+    rmse_with: float
+    rmse_true: float
+    noncentrality: tuple[float, float]
+    parameters: dict[str, float] = field(default_factory=dict)
+    dates: tuple[float, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -22,7 +54,7 @@ class Truth:
     operation_K, standstill_K: heat release in kelvin, as `Cabinet` has it in watts.
     preheating_K: [K]. heat: and vapour: the disturbances. biases: (signal, bias in its unit).
     clock_offset_min: [min] by which the cabinet logger's stamps are late.
-    class_right: whether the base model's class holds the plant.
+    class_right: whether the base model's class holds the plant. hidden: hidden causes.
     """
 
     tau_h: float
@@ -39,6 +71,7 @@ class Truth:
     biases: tuple[tuple[str, float], ...]
     clock_offset_min: float
     class_right: bool
+    hidden: tuple[Hidden, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -106,20 +139,29 @@ def _forcing(
     return forcing
 
 
-def build_plant(
-    name: str,
+@dataclass(frozen=True)
+class Ingredients:
+    """A plant before its states are integrated; loggers draw from `logger_seed`."""
+
+    cabinet: Cabinet
+    effects: tuple[Effect, ...]
+    forcing: Forcing
+    heat: HeatDisturbance
+    vapour: VapourDisturbance
+    logger_seed: np.random.SeedSequence
+    pure: bool
+
+
+def ingredients(
     seed: int,
     drivers: Drivers,
-    logging: Logging,
     *,
     disturbance: str = "ou",
     effects: Sequence[Effect] = (),
     wall: bool = False,
-    inputs_exact: bool = True,
-    substeps: int = 1,
     **given: object,
-) -> Plant:
-    """A plant under given drivers; see `plant` for the arguments."""
+) -> Ingredients:
+    """Cabinet, disturbances and forcing under given drivers; see `plant` for the arguments."""
     if disturbance not in DISTURBANCES:
         raise ValueError(f"disturbance must be one of {DISTURBANCES}, found {disturbance!r}")
     # The second word keeps these streams apart from those of the drivers.
@@ -146,11 +188,24 @@ def build_plant(
         cabinet = replace(cabinet, wall_capacity=3600.0 * wall_h / between, wall_place=wall_place)
     every = (heat, vapour, *effects)
     forcing = _forcing(forcing_seed, cabinet, drivers, every)
-    trajectory = integrate(cabinet, MINUTE_S, drivers.ambient_K, drivers.ambient_kg_m3, forcing, substeps)
-    series, biases = log_plant(np.random.default_rng(logger_seed), drivers, trajectory, logging)
+    pure = disturbance in ("ou", "none") and not effects and not wall and cabinet.vapour_balance == "paper"
+    return Ingredients(cabinet, every, forcing, heat, vapour, logger_seed, pure)
+
+
+def truth_of(
+    made: Ingredients,
+    drivers: Drivers,
+    logging: Logging,
+    trajectory: Trajectory,
+    biases: tuple[tuple[str, float], ...],
+    inputs_exact: bool,
+    hidden: tuple[Hidden, ...] = (),
+) -> Truth:
+    """What is known of a plant."""
+    cabinet = made.cabinet
     inside, outside = float(trajectory.cabinet_K.mean()), float(drivers.ambient_K.mean())
     outer = cabinet.outer_resistance
-    truth = Truth(
+    return Truth(
         tau_h=cabinet.thermal_h,
         rho=cabinet.rho,
         hygric_h=cabinet.hygric_h(inside, outside),
@@ -160,23 +215,41 @@ def build_plant(
         operation_K=tuple(outer * part for part in cabinet.operation_W),
         standstill_K=tuple(outer * part for part in cabinet.standstill_W),
         preheating_K=outer * cabinet.preheating_W,
-        heat=heat,
-        vapour=vapour,
+        heat=made.heat,
+        vapour=made.vapour,
         biases=biases,
         clock_offset_min=logging.clock_offset_min,
         class_right=(
-            disturbance in ("ou", "none")
-            and not effects
-            and not wall
+            made.pure
             and inputs_exact
-            and cabinet.vapour_balance == "paper"
             and logging.clock_offset_min == 0.0
             and logging.sensor_errors != "all"
             and logging.power_gap_days == 0.0
             and bool(drivers.power_known.all())
+            and not hidden
         ),
+        hidden=hidden,
     )
-    return Plant(name, seed, cabinet, drivers, every, forcing, trajectory, series, truth)
+
+
+def build_plant(
+    name: str,
+    seed: int,
+    drivers: Drivers,
+    logging: Logging,
+    *,
+    inputs_exact: bool = True,
+    substeps: int = 1,
+    **options: object,
+) -> Plant:
+    """A plant under given drivers; see `plant` and `ingredients` for the arguments."""
+    made = ingredients(seed, drivers, **options)  # type: ignore[arg-type]
+    trajectory = integrate(
+        made.cabinet, MINUTE_S, drivers.ambient_K, drivers.ambient_kg_m3, made.forcing, substeps
+    )
+    series, biases = log_plant(np.random.default_rng(made.logger_seed), drivers, trajectory, logging)
+    truth = truth_of(made, drivers, logging, trajectory, biases, inputs_exact)
+    return Plant(name, seed, made.cabinet, drivers, made.effects, made.forcing, trajectory, series, truth)
 
 
 def plant(
@@ -189,26 +262,36 @@ def plant(
     sensor_errors: str = "cabinet",
     missing: float = 0.01,
     power_gap_days: float = 0.0,
+    logger_gaps: int = 0,
     ambient_humidity: str = "relative",
     ambient_step_min: int = 10,
     inputs_exact: bool = True,
     power: str = "wind",
     standstill: bool = True,
     preheating: bool = False,
+    faults: int | None = None,
+    operation: str = "plain",
+    weather: str = "plain",
     disturbance: str = "ou",
     effects: Sequence[Effect] = (),
     wall: bool = False,
+    build: Callable[..., Plant] = build_plant,
     **given: object,
 ) -> Plant:
     """A random plant; with the defaults the base model's class holds it.
 
     seed: the same seed gives the same plant, and options that do not concern the weather, the
-    cabinet or the disturbances leave these as they are. logger_step_min ... ambient_humidity:
-    see `Logging`. ambient_step_min ... preheating: see `own_drivers`. disturbance: one of
-    DISTURBANCES, for the heat and the vapour flow. effects: further ones. wall: a second
-    thermal mass of 4 to 12 h. given: `tau_h`, `rho`, `hygric_h` or a field of `Cabinet`, which
-    are otherwise drawn.
+    cabinet or the disturbances leave these as they are. logger_step_min ... ambient_humidity: see
+    `Logging`. ambient_step_min ... faults: see `own_drivers`. operation: "plain", or "turbine"
+    with what `turbine_operation` adds. weather: "plain", or "fronts" with what `with_fronts`
+    adds. disturbance: one of DISTURBANCES, for the heat and the vapour flow. effects: further
+    ones. wall: a second thermal mass of 4 to 12 h. build: what makes the plant of its drivers.
+    given: `tau_h`, `rho`, `hygric_h` or a field of `Cabinet`, which are otherwise drawn.
     """
+    if operation not in ("plain", "turbine"):
+        raise ValueError(f'operation must be "plain" or "turbine", found {operation!r}')
+    if weather not in ("plain", "fronts"):
+        raise ValueError(f'weather must be "plain" or "fronts", found {weather!r}')
     drivers = own_drivers(
         np.random.default_rng(np.random.SeedSequence([seed, 0])),
         days=days,
@@ -216,8 +299,15 @@ def plant(
         inputs_exact=inputs_exact,
         power=power,
         standstill=standstill,
-        preheating=preheating,
+        preheating=preheating and operation == "plain",
+        faults=faults,
     )
+    if weather == "fronts":
+        drivers = with_fronts(np.random.default_rng(np.random.SeedSequence([seed, 7])), drivers)
+    if operation == "turbine":
+        random = np.random.default_rng(np.random.SeedSequence([seed, 5]))
+        rated_W = float(given.get("rated_W", Cabinet.rated_W))  # type: ignore[arg-type]
+        drivers = turbine_operation(random, drivers, rated_W, preheating)
     logging = Logging(
         logger_step_min=logger_step_min,
         logger_mean=logger_mean,
@@ -226,8 +316,9 @@ def plant(
         missing=missing,
         power_gap_days=power_gap_days,
         ambient_humidity=ambient_humidity,
+        logger_gaps=logger_gaps,
     )
-    return build_plant(
+    return build(
         f"plant-{seed}",
         seed,
         drivers,

@@ -27,3 +27,14 @@ def concentration(vapour_Pa: np.ndarray, kelvin: np.ndarray) -> np.ndarray:
 def relative_humidity(kg_m3: np.ndarray, kelvin: np.ndarray) -> np.ndarray:
     """Relative humidity over water [-]."""
     return kg_m3 * VAPOUR_GAS_CONSTANT * kelvin / saturation_pressure(kelvin)
+
+
+def dew_point(kg_m3: np.ndarray, kelvin: np.ndarray) -> np.ndarray:
+    """Dew point over water [K], by Newton's steps on the logarithm of the pressure."""
+    wanted = np.log(kg_m3 * VAPOUR_GAS_CONSTANT * kelvin)
+    dew = np.asarray(kelvin, dtype=float) - 3.0
+    for _ in range(6):
+        here = np.log(saturation_pressure(dew))
+        slope = (np.log(saturation_pressure(dew + 0.01)) - here) / 0.01
+        dew = dew + (wanted - here) / slope
+    return dew

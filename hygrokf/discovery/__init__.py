@@ -1,0 +1,1 @@
+"""What a model gets wrong, and the physical cause of it."""

@@ -1,0 +1,381 @@
+"""Errors of the free run and of the one-step prediction, beside everything that they might go with.
+
+Shapes: T instants of a fit's series, n bins of an hour.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h, centred
+from hygrokf.design import accuracy_of
+from hygrokf.fit import Fit
+from hygrokf.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
+from hygrokf.record import Record
+from hygrokf.signals import SIGNALS
+from hygrokf.signals import UNITS as CASE_UNITS
+
+TEMPERATURE = "temperature"
+HUMIDITY = "humidity"
+QUANTITIES = (TEMPERATURE, HUMIDITY)
+UNITS = {TEMPERATURE: "K", HUMIDITY: "g/m³"}
+SERIES = {TEMPERATURE: "temperature", HUMIDITY: "absolute_humidity"}
+"""Quantity -> stem of its names in a fit's series."""
+RESPONSES = ("cabinet_", "converter_")
+"""Signals that answer to the cabinet instead of driving it."""
+SAME_AIR = ("ambient_dew_point_temperature", "ambient_absolute_humidity", "ambient_temperature")
+"""Signals that a fit's series tell already."""
+KNOWN = 0.5
+"""[1] share of the instants at which a driver must be known."""
+NORMAL_95 = 1.96
+PAUSE_H = 3.0
+"""[h] below which a pause does not end an episode."""
+LONGEST_DURATION_H = 48.0
+"""[h] episodes that are longer have no duration but their own."""
+FEWEST_HOURS = 72
+"""[h] bins with an error below which there is nothing to analyse."""
+
+
+@dataclass(frozen=True)
+class Residuals:
+    """Reading minus prediction at the instants of a fit, and what may go with it.
+
+    time_h: [h] (T,) since `origin_s` [s] (Unix epoch).
+    temperature_error [K], humidity_error [g/m³]: (T,) reading − free run; NaN where there is none, or not scored.
+    temperature_innovation, humidity_innovation: [1] (T,) of the one-step prediction, in its own standard deviations.
+    drivers: name -> (T,); power relative to the rated one, absolute humidity [g/m³], all else [SI].
+        `cabinet_relative_humidity` and `cabinet_temperature` are the *simulated* ones: an error must not choose the
+        condition under which it is looked at.
+    operating, preheating: (T,) bool.
+    validation: (T,) bool, True after the end of the identification period.
+    sensor_error: quantity -> (T,) standard deviation [K], [g/m³] that the stated accuracy of the cabinet's and of the
+        ambient sensors brings about.
+    measured, simulated, sd: quantity -> (T,) [K], [g/m³]: reading, free run and its standard deviation.
+    name: of the record.
+    """
+
+    time_h: np.ndarray
+    origin_s: float
+    temperature_error: np.ndarray
+    humidity_error: np.ndarray
+    temperature_innovation: np.ndarray
+    humidity_innovation: np.ndarray
+    drivers: Mapping[str, np.ndarray]
+    operating: np.ndarray
+    preheating: np.ndarray
+    validation: np.ndarray
+    sensor_error: Mapping[str, np.ndarray]
+    measured: Mapping[str, np.ndarray] = field(default_factory=dict)
+    simulated: Mapping[str, np.ndarray] = field(default_factory=dict)
+    sd: Mapping[str, np.ndarray] = field(default_factory=dict)
+    name: str = ""
+
+    @property
+    def time_s(self) -> np.ndarray:
+        """Instants (T,) [s] since 1970-01-01T00:00Z."""
+        return self.origin_s + 3600.0 * self.time_h
+
+    @property
+    def sensor_sd(self) -> dict[str, float]:
+        """Error that the sensors' accuracy explains, root mean square over the record: [K], [g/m³]."""
+        return {name: _rms(self.sensor_error[name]) for name in QUANTITIES if name in self.sensor_error}
+
+    def error(self, quantity: str) -> np.ndarray:
+        """Reading − free run (T,) of "temperature" [K] or "humidity" [g/m³]."""
+        return self.temperature_error if quantity == TEMPERATURE else self.humidity_error
+
+    def innovation(self, quantity: str) -> np.ndarray:
+        """Standardised innovations (T,) [1] of "temperature" or "humidity"."""
+        return self.temperature_innovation if quantity == TEMPERATURE else self.humidity_innovation
+
+    def rmse(self, quantity: str, validation: bool = False) -> float:
+        """Root mean square of the free run's error [K], [g/m³] in the identification or the validation period."""
+        return _rms(self.error(quantity)[self.validation == validation])
+
+
+def _rms(values: np.ndarray) -> float:
+    there = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(there**2))) if len(there) else math.nan
+
+
+def residuals(fit: Fit, record: Record) -> Residuals:
+    """Residuals of a fit, with every driver that the record has, at the instants of the fit's series.
+
+    record: the one that was fitted (its drivers and the accuracy of its sensors are read).
+    Raises ValueError for a fit without series (one read from fit.json).
+    """
+    s = fit.series
+    if "time_s" not in s:
+        raise ValueError(
+            f"fit {fit.name}: expected its series, found none; a fit read from fit.json has no residuals, identify again"
+        )
+    time = np.asarray(s["time_s"], dtype=float)
+    scored = np.asarray(s["scored"]) > 0
+    until = float(s["until_s"])
+    measured = {q: np.asarray(s[f"{SERIES[q]}_measured"], dtype=float) for q in QUANTITIES}
+    simulated = {q: np.asarray(s[f"{SERIES[q]}_simulated"], dtype=float) for q in QUANTITIES}
+    error = {q: np.where(scored, measured[q] - simulated[q], np.nan) for q in QUANTITIES}
+    innovation = {q: np.where(scored, s[f"{q}_innovation"], np.nan) for q in QUANTITIES}
+    return Residuals(
+        time_h=(time - time[0]) / 3600.0,
+        origin_s=float(time[0]),
+        temperature_error=error[TEMPERATURE],
+        humidity_error=error[HUMIDITY],
+        temperature_innovation=innovation[TEMPERATURE],
+        humidity_innovation=innovation[HUMIDITY],
+        drivers=_drivers(s, record, time),
+        operating=np.asarray(s["operating"]) > 0.5,
+        preheating=np.nan_to_num(np.asarray(s["preheating"], dtype=float)) > 0.5,
+        validation=time > until if math.isfinite(until) else np.zeros(len(time), bool),
+        sensor_error=_sensor_error(s, record),
+        measured=measured,
+        simulated=simulated,
+        sd={q: np.asarray(s[f"{SERIES[q]}_sd"], dtype=float) for q in QUANTITIES},
+        name=fit.name,
+    )
+
+
+def _drivers(s: Mapping[str, np.ndarray], record: Record, time: np.ndarray) -> dict[str, np.ndarray]:
+    """Everything known that is not the cabinet's own answer, and varies."""
+    found = {
+        name: np.asarray(s[name], dtype=float)
+        for name in ("ambient_temperature", "ambient_absolute_humidity", "power", "preheating")
+    }
+    for name, key in (
+        ("cabinet_temperature", "temperature_simulated"),
+        ("cabinet_relative_humidity", "relative_humidity_simulated"),
+    ):
+        found[name] = np.asarray(s[key], dtype=float)
+    if not np.isfinite(found["ambient_absolute_humidity"]).any():
+        vapour = ambient_absolute_humidity(record)
+        if vapour is not None:
+            found["ambient_absolute_humidity"] = 1e3 * at_times(centred(vapour), time, AMBIENT_BRIDGE_H)
+    for one in record.series:
+        name = one.signal
+        if name in found or name in SAME_AIR or name == "active_power" or name.startswith(RESPONSES):
+            continue
+        if one.missing.all():
+            continue
+        found[name] = at_times(one, time, bridge_h(one, AMBIENT_BRIDGE_H))
+    return {name: value for name, value in found.items() if _varies(value)}
+
+
+def _varies(value: np.ndarray) -> bool:
+    known = value[np.isfinite(value)]
+    return len(known) >= KNOWN * len(value) and bool(np.ptp(known) > 1e-9 * max(1.0, np.abs(known).max()))
+
+
+def _sensor_error(s: Mapping[str, np.ndarray], record: Record) -> dict[str, np.ndarray]:
+    """Standard deviations (T,) that the sensors' accuracy (95 % bound) brings about, inside and outside in quadrature."""
+
+    def sd(name: str) -> float:
+        return accuracy_of(record[name]) / NORMAL_95 if name in record else 0.0
+
+    inside, outside = sd("cabinet_temperature"), _ambient_sd(record, "ambient_temperature")
+    warm = np.asarray(s["temperature_simulated"], dtype=float)
+    result = {TEMPERATURE: np.full(len(warm), math.hypot(inside, outside))}
+    moist = np.asarray(s["relative_humidity_simulated"], dtype=float)
+    vapour = np.asarray(s["absolute_humidity_simulated"], dtype=float)
+    there = np.isfinite(warm) & np.isfinite(vapour)
+    square = np.full(len(warm), np.nan)
+    if there.any():
+        kelvin = warm[there]
+        humidity = np.where(np.isfinite(moist[there]), moist[there], 0.5)
+        air = np.asarray(s["ambient_temperature"], dtype=float)[there]
+        parts = [
+            1e3 * absolute_humidity(1.0, kelvin) * sd("cabinet_relative_humidity"),
+            1e3 * absolute_humidity_slope_temperature(humidity, kelvin) * inside,
+            1e3 * absolute_humidity(1.0, air) * _ambient_sd(record, "ambient_relative_humidity"),
+            np.full(len(kelvin), 1e3 * sd("cabinet_absolute_humidity")),
+            np.full(len(kelvin), 1e3 * _ambient_sd(record, "ambient_absolute_humidity")),
+        ]
+        square[there] = np.sum([part**2 for part in parts], axis=0)
+    result[HUMIDITY] = np.sqrt(square)
+    return result
+
+
+_CABINET_SIBLING = {
+    "ambient_temperature": "cabinet_temperature",
+    "ambient_relative_humidity": "cabinet_relative_humidity",
+}
+
+
+def _ambient_sd(record: Record, name: str) -> float:
+    """That of the ambient sensor; one without a stated accuracy is taken to be as good as the cabinet's."""
+    if name not in record:
+        return 0.0
+    stated = accuracy_of(record[name])
+    if not stated and name in _CABINET_SIBLING and _CABINET_SIBLING[name] in record:
+        stated = accuracy_of(record[_CABINET_SIBLING[name]])
+    return stated / NORMAL_95
+
+
+# --- drivers in words ------------------------------------------------------------------------
+
+_SYMBOLS = {"degC": "°C", "deg": "°", "W/m2": "W/m²", "g/m3": "g/m³", "1": ""}
+
+
+def words(driver: str) -> str:
+    """A driver as it stands in a sentence."""
+    return driver.replace("_", " ").replace("cabinet ", "simulated cabinet ")
+
+
+def shown(driver: str, value: np.ndarray, difference: bool = False) -> tuple[np.ndarray, str]:
+    """Values of a driver, or differences of them, in the unit in which people read them, and that unit."""
+    if driver == "power":
+        return 100.0 * value, "% of the rated power"
+    if driver == "ambient_absolute_humidity":
+        return value, "g/m³"
+    row = SIGNALS.get(driver)
+    if row is None:
+        return value, ""
+    unit = CASE_UNITS[row.display or row.unit]
+    symbol = _SYMBOLS.get(unit.name, unit.name)
+    if difference:
+        return value / unit.factor, "K" if unit.name == "degC" else symbol
+    return (value - unit.offset) / unit.factor, symbol
+
+
+# --- hourly bins -----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Hours:
+    """Residuals in bins of equal length (n,), as all conditions are looked at.
+
+    start_s: [s] beginning of the first bin; step_h: [h] length of a bin.
+    error [K], [g/m³] and innovation [1]: quantity -> (n,); innovations keep unit variance. NaN without a reading.
+    drivers: name -> (n,) means; operating, preheating: (n,) bool, for most of the bin; heated: [1] (n,) share of the bin
+    with pre-heating; sensor_error: quantity -> (n,).
+    """
+
+    start_s: float
+    step_h: float
+    error: Mapping[str, np.ndarray]
+    innovation: Mapping[str, np.ndarray]
+    drivers: Mapping[str, np.ndarray]
+    operating: np.ndarray
+    preheating: np.ndarray
+    heated: np.ndarray
+    sensor_error: Mapping[str, np.ndarray]
+
+    def __len__(self) -> int:
+        return len(self.operating)
+
+    @property
+    def time_s(self) -> np.ndarray:
+        """Middles (n,) [s] of the bins."""
+        return self.start_s + 3600.0 * self.step_h * (np.arange(len(self)) + 0.5)
+
+    @property
+    def hour(self) -> np.ndarray:
+        """Hour of the day (n,) [h], UTC."""
+        return (self.time_s / 3600.0) % 24.0
+
+
+def hourly(residuals: Residuals, validation: bool = False) -> Hours:
+    """The identification (or validation) period in bins of an hour, or of the readings' step where that is longer."""
+    chosen = residuals.validation == validation
+    time = residuals.time_s[chosen]
+    if not len(time):
+        raise ValueError("hourly: the period has no instants")
+    read = np.isfinite(residuals.temperature_error[chosen]) | np.isfinite(residuals.humidity_error[chosen])
+    step = float(np.median(np.diff(time[read]))) / 3600.0 if read.sum() > 1 else 1.0
+    length = max(1.0, math.ceil(step - 0.05))
+    place = np.floor(time / (3600.0 * length)).astype(np.int64)
+    first = int(place[0])
+    place -= first
+    count = int(place[-1]) + 1
+
+    def mean(values: np.ndarray, root: bool = False) -> np.ndarray:
+        values = np.asarray(values, dtype=float)[chosen]
+        there = np.isfinite(values)
+        number = np.bincount(place[there], minlength=count).astype(float)
+        total = np.bincount(place[there], weights=values[there], minlength=count)
+        return np.divide(
+            total, np.sqrt(number) if root else number, out=np.full(count, np.nan), where=number > 0
+        )
+
+    def circular(values: np.ndarray) -> np.ndarray:
+        return np.arctan2(mean(np.sin(values)), mean(np.cos(values))) % (2.0 * math.pi)
+
+    heated = np.nan_to_num(mean(residuals.preheating))
+    return Hours(
+        start_s=first * 3600.0 * length,
+        step_h=length,
+        error={q: mean(residuals.error(q)) for q in QUANTITIES},
+        innovation={q: mean(residuals.innovation(q), root=True) for q in QUANTITIES},
+        drivers={
+            name: circular(value) if name.endswith("_direction") else mean(value)
+            for name, value in residuals.drivers.items()
+        },
+        operating=np.nan_to_num(_carried(mean(residuals.operating))) > 0.5,
+        preheating=heated > 0.5,
+        heated=heated,
+        sensor_error={q: mean(values) for q, values in residuals.sensor_error.items()},
+    )
+
+
+def reading_grid(
+    residuals: Residuals, quantity: str, values: np.ndarray | None = None
+) -> tuple[float, float, np.ndarray]:
+    """Start [s], step [s] and values (n,) of the identification period at the readings' own step, NaN = missing.
+
+    values: (T,), the free run's errors if not given.
+    """
+    values = residuals.error(quantity) if values is None else values
+    chosen = ~residuals.validation & np.isfinite(values)
+    time, value = residuals.time_s[chosen], values[chosen]
+    if len(time) < 3:
+        return math.nan, math.nan, np.empty(0)
+    step = float(np.median(np.diff(time)))
+    place = np.round((time - time[0]) / step).astype(np.int64)
+    grid = np.full(int(place[-1]) + 1, np.nan)
+    grid[place] = value
+    return float(time[0]), step, grid
+
+
+def _carried(values: np.ndarray) -> np.ndarray:
+    """Values with the last known one in the holes."""
+    known = np.isfinite(values)
+    place = np.maximum.accumulate(np.where(known, np.arange(len(values)), 0))
+    return values[place]
+
+
+def run_lengths(flag: np.ndarray) -> list[tuple[int, int]]:
+    """Stretches (first, after last) over which `flag` (n,) holds."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], np.asarray(flag, dtype=int), [0]])))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]
+
+
+def closed(inside: np.ndarray, step_h: float) -> np.ndarray:
+    """Hours (n,) of a condition with pauses of less than three hours filled: what is one episode."""
+    result = inside.copy()
+    for first, last in run_lengths(~inside):
+        if first > 0 and last < len(inside) and (last - first) * step_h < PAUSE_H:
+            result[first:last] = True
+    return result
+
+
+def duration_h(error: np.ndarray, episodes: Sequence[tuple[int, int]], step_h: float) -> float | None:
+    """For how long [h] the episodes' mean course stays above half of its largest value; None for long episodes."""
+    longest = max(b - a for a, b in episodes)
+    if step_h * longest > LONGEST_DURATION_H:
+        return None
+    table = np.full((len(episodes), longest), np.nan)
+    for row, (a, b) in enumerate(episodes):
+        table[row, : b - a] = error[a:b]
+    number = np.isfinite(table).sum(axis=0)
+    course = np.divide(np.nansum(table, axis=0), number, out=np.full(longest, -np.inf), where=number > 0)
+    course = course[number >= max(1.0, 0.5 * len(episodes))]
+    if not len(course):
+        return None
+    peak = int(np.argmax(course))
+    beyond = course >= 0.5 * course[peak]
+    before = int(np.argmin(np.append(beyond[peak::-1], False)))
+    after = int(np.argmin(np.append(beyond[peak:], False)))
+    return step_h * (before + after - 1)

@@ -1,0 +1,175 @@
+"""Naming causes: score statistics, trials and the choice, on plants with and without a hidden cause."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plants.as_record import to_record
+from plants.hidden import hidden_plant
+
+from hygrokf.discovery.choice import MATERIAL, choose, verdict_on
+from hygrokf.discovery.discover import discover
+from hygrokf.discovery.library import LIBRARY, Variant, dates, named, penalty, sources
+from hygrokf.discovery.scan import scan
+from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, refitted, rmse, scene
+from hygrokf.discovery.trial import attempt, judged, shift_gains, shift_source
+from hygrokf.discovery.words import discovery_text
+from hygrokf.record import Record
+from hygrokf.results import dump
+
+DAY_S = 86400.0
+IDENTIFIERS = """moisture_sorption condensation wall_thermal_mass solar_gain wind_driven_exchange standstill_heater
+cooling_switching exchange_step heat_release_drift humidity_sensor_drift temperature_sensor_offset clock_shift rain_ingress
+door_opening dehumidifier internal_moisture_source ambient_bias""".split()
+
+
+def record_of(cause: str, seed: int, days: float, form: int = 0) -> Record:
+    return to_record(hidden_plant(seed, cause, form=form, days=days))
+
+
+def library(*names: str) -> list:
+    return [named(name) for name in names]
+
+
+@pytest.fixture(scope="module")
+def quiet() -> Scene:
+    """A plant that hides nothing."""
+    return scene(record_of("none", 811, 40.0), starts=1)
+
+
+@pytest.fixture(scope="module")
+def sorbing() -> Scene:
+    return scene(record_of("moisture_sorption", 812, 50.0), starts=1)
+
+
+def test_the_library_has_every_identifier_with_words_for_it() -> None:
+    assert [cause.name for cause in LIBRARY] == IDENTIFIERS
+    for cause in LIBRARY:
+        assert cause.meaning and cause.remedy and cause.separate_by
+    with pytest.raises(KeyError, match="no cause 'stove'; the library has moisture_sorption, condensation"):
+        named("stove")
+
+
+def test_score_statistics_are_standard_normal_where_there_is_no_effect(quiet: Scene) -> None:
+    """Neighbouring dates go together: their mean square is that of a few independent ones."""
+    grid = [{"date_s": d} for d in dates(quiet.record, every_days=1.0)]
+    probes = (
+        (THERMAL, "stepped_loss", "conductance_change"),
+        (THERMAL, "temperature_step", "temperature_offset"),
+        (HYGRIC, "stepped_exchange", "exchange_change"),
+    )
+    z = np.concatenate(
+        [
+            scan(quiet.parts[part], (name, {}), parameter, "after_step", grid)
+            for part, name, parameter in probes
+        ]
+    )
+    assert 0.2 < np.mean(z**2) < 2.5
+    assert np.abs(z).max() < 4.5
+
+
+def test_a_score_statistic_promises_what_the_refit_gains(quiet: Scene) -> None:
+    part = quiet.parts[THERMAL]
+    date = dates(quiet.record)[3]
+    (z,) = scan(part, ("temperature_step", {}), "temperature_offset", "after_step", [{"date_s": date}])
+    found = refitted(part, [("temperature_step", {})], {"after_step": {"date_s": date}}, ())
+    assert 2.0 * (found.objective - part.objective) == pytest.approx(z * z, abs=0.6)
+    assert np.sign(found.values["temperature_offset"]) == np.sign(z)
+
+
+def test_a_step_in_the_readings_is_dated(quiet: Scene) -> None:
+    """1 K on the temperature readings from a date on: the statistic peaks there and the refit gives its size."""
+    series = quiet.record["cabinet_temperature"]
+    date = float(series.time[0] + 21.3 * DAY_S)
+    moved = replace(series, value=series.value + (series.time > date))
+    stepped = replace(quiet, record=quiet.record.replace_series(moved))
+    part = replace(quiet.parts[THERMAL], record=stepped.record)
+    part = refitted(part, (), {}, ())
+    stepped = replace(stepped, parts={THERMAL: part})
+    (variant,) = named("temperature_sensor_offset").variants(stepped)
+    assert abs(variant.settings["date_s"] - date) < 3600.0
+    assert attempt(stepped, variant).bic_gain > 10.0
+    found = refitted(part, [("temperature_step", {})], {"after_step": {"date_s": date}}, ())
+    assert found.values["temperature_offset"] == pytest.approx(1.0, abs=0.35)
+
+
+@pytest.mark.parametrize("source", ["cabinet", "ambient"])
+def test_a_shifted_clock_is_measured(quiet: Scene, source: str) -> None:
+    """A source 20 minutes late: moving it back by that is what the innovations ask for."""
+    name = next(n for n, signals in sources(quiet.record).items() if f"{source}_temperature" in signals)
+    late = shift_source(quiet.record, name, 1200.0)
+    part = refitted(replace(quiet.parts[THERMAL], record=late), (), {}, ())
+    shifts = np.array([-2400.0, -1200.0, -600.0, 600.0])
+    gains = shift_gains(part, name, shifts)
+    assert shifts[int(np.argmax(gains))] == -1200.0
+    assert gains.max() > 20.0
+
+
+def test_a_trial_counts_its_price_and_its_days(sorbing: Scene) -> None:
+    (variant, _) = named("moisture_sorption").variants(sorbing)
+    trial = attempt(sorbing, variant)
+    before = sorbing.parts[HYGRIC]
+    assert trial.parameters == 2
+    assert trial.bic_gain == pytest.approx(trial.lr - 2 * np.log(before.n) - 2 * np.log(2))
+    after = trial.parts[HYGRIC]
+    assert trial.gain[HYGRIC] == pytest.approx(1.0 - (rmse(after) / rmse(before)) ** 2, abs=1e-9)
+    assert trial.lasting[HYGRIC] < trial.gain[HYGRIC]
+    same = judged(sorbing, variant, {HYGRIC: before})
+    assert (same.lr, same.gain[HYGRIC]) == (0.0, 0.0)
+    assert verdict_on(same, named("moisture_sorption")) == "it gains no likelihood"
+
+
+def test_nothing_is_named_where_nothing_is_hidden(quiet: Scene) -> None:
+    tried = library(
+        "moisture_sorption", "wall_thermal_mass", "solar_gain", "humidity_sensor_drift", "ambient_bias"
+    )
+    choice = choose(quiet, tried)
+    assert choice.accepted == ()
+    assert {trial.variant.cause for trial, _ in choice.rejected} <= {cause.name for cause in tried}
+    assert all(reason for _, reason in choice.rejected)
+
+
+def test_sorption_is_named_among_its_rivals(sorbing: Scene) -> None:
+    choice = choose(
+        sorbing, library("moisture_sorption", "dehumidifier", "internal_moisture_source", "ambient_bias")
+    )
+    first = choice.accepted[0]
+    assert first.variant.cause == "moisture_sorption"
+    assert first.lasting[HYGRIC] > MATERIAL and first.bic_gain > 50.0
+
+
+def test_a_discovery_is_complete_json_and_plain_text() -> None:
+    record = record_of("moisture_sorption", 10, 60.0)
+    record = replace(record, until_s=record.start_s + 45 * DAY_S)
+    found = discover(record, library=library("moisture_sorption", "solar_gain"), starts=1)
+    data = json.loads(dump(found.to_json()))
+    assert data["verdict"] == "named"
+    (cause,) = data["causes"]
+    assert set(cause) >= set(
+        "cause confidence statement parameters evidence gain ambiguous_with separate_by remedy".split()
+    )
+    assert cause["cause"] == "moisture_sorption" and 0.0 < cause["confidence"] <= 1.0
+    assert set(cause["evidence"]) >= {"lr", "df", "p_adjusted", "bic_gain"}
+    gain = cause["gain"]
+    assert (gain["quantity"], gain["period"]) == ("absolute_humidity_g_m3", "validation")
+    assert gain["rmse_after"] < 0.8 * gain["rmse_before"]
+    assert 0.0 < gain["lower"] < gain["rmse_before"] - gain["rmse_after"] < gain["upper"]
+    for row in cause["parameters"].values():
+        assert row["lower"] < row["value"] < row["upper"] and row["unit"]
+    for side in ("baseline", "extended"):
+        assert set(data[side]) >= {"rmse", "baselines", "time_constants"}
+    (rejected,) = data["rejected"]
+    assert rejected["cause"] == "solar_gain" and rejected["reason"]
+    text = discovery_text(data)
+    assert "cause: moisture_sorption" in text and "check: look for polymers" in text
+    assert max(len(line) for line in text.splitlines()) <= 100
+    # the extended model drives the validation period and beyond: it is a fit like any other
+    assert found.extended.design.model.mechanism("moisture_sorption").name == "moisture_sorption"
+
+
+def test_the_price_of_a_variant_grows_with_its_grid() -> None:
+    one, many = Variant("a", "b"), Variant("a", "b", searched=100)
+    assert penalty(many, 1, 1000) - penalty(one, 1, 1000) == pytest.approx(2 * np.log(100))
