@@ -41,20 +41,18 @@ def test_a_second_mass_is_kept_out_where_there_is_none(seed: int) -> None:
 
 
 def test_a_second_mass_is_found_where_there_is_one() -> None:
-    """Walls of 4 to 12 h behind half of R_AT; some of them differ too little from a slower converter."""
+    """Walls of 4 to 12 h that divide R_AT."""
     gains = [criterion_gain(seed, wall=True) for seed in range(600, 604)]
-    assert sum(gain > 0.0 for gain in gains) >= 2, gains
-    assert max(gains) > 30.0
+    assert min(gains) > 30.0, gains
 
 
 @pytest.mark.slow
 def test_a_second_mass_in_forty_plants() -> None:
-    """Measured: kept out of 40 of 40 plants without, found in 29 of 40 with one; most of the others differ little from
-    a slower converter."""
+    """Measured: kept out of 40 of 40 plants without, found in 40 of 40 with one (gains from 91 up)."""
     without = [criterion_gain(seed, wall=False) for seed in range(620, 660)]
     there = [criterion_gain(seed, wall=True) for seed in range(620, 660)]
     assert np.sum(np.array(without) > 0.0) <= 2, without
-    assert np.sum(np.array(there) > 0.0) >= 28, there
+    assert np.sum(np.array(there) > 0.0) >= 38, there
 
 
 def test_without_conductance_the_network_is_the_papers() -> None:
