@@ -7,6 +7,7 @@ taken in the middle of the step that ends at each instant.
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping
 
 import numpy as np
@@ -103,6 +104,20 @@ def feature(record: Record, name: str, settings: Mapping, time: np.ndarray) -> n
     if hold == ZERO_ORDER:
         time = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
     return function(record, time, **settings)
+
+
+def feature_faults(features: Mapping[str, Mapping]) -> list[str]:
+    """What keeps stored features from being made: unknown names, settings that are missing or unknown."""
+    faults = []
+    for name, settings in features.items():
+        if name not in FEATURES:
+            faults.append(f"{name}: expected one of {', '.join(FEATURES)}")
+            continue
+        known = dict(list(inspect.signature(FEATURES[name][0]).parameters.items())[2:])
+        needed = {key for key, one in known.items() if one.default is one.empty}
+        if not isinstance(settings, Mapping) or not needed <= set(settings) <= set(known):
+            faults.append(f"{name}: expected the settings {', '.join(known) or 'none'}, found {settings!r}")
+    return faults
 
 
 def two_point(value: np.ndarray, on_above: float, off_below: float, allowed: np.ndarray) -> np.ndarray:

@@ -110,7 +110,9 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
     sd = tuple(float(np.sqrt(np.nanmean(c**2))) if np.isfinite(c).any() else math.nan for c in e.T)
     ends = (z <= coordinates.lower + 1e-9) | (z >= coordinates.upper - 1e-9)
     at = tuple(name for name, there in zip(coordinates.names, ends, strict=True) if there)
-    return OutputError(coordinates.values(z), coordinates.names, inverse @ spread @ inverse, sd, converged, at)
+    return OutputError(
+        coordinates.values(z), coordinates.names, inverse @ spread @ inverse, sd, converged, at
+    )
 
 
 def _normal_equations(e: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from hygrokf.design import Design
+from hygrokf.features import feature_faults
 from hygrokf.files import write_bytes_whole, write_text_whole
 from hygrokf.fit import Fit
 from hygrokf.version import __version__
@@ -138,6 +139,7 @@ def _design_faults(design: Design) -> list[str]:
             numbers, words = (found, "2 numbers") if kind == "ambient_noise" else ((found,), "1 number")
             if len(numbers) != int(words[0]) or not all(_is_number(one) and one > 0 for one in numbers):
                 faults.append(f"design.{kind}.{name}: expected {words} above 0, found {found!r}")
+    faults += [f"design.features.{fault}" for fault in feature_faults(design.features)]
     return faults
 
 

@@ -106,6 +106,11 @@ def test_a_shifted_clock_is_measured(quiet: Scene, source: str) -> None:
     gains = shift_gains(part, name, shifts)
     assert shifts[int(np.argmax(gains))] == -1200.0
     assert gains.max() > 20.0
+    alone = Scene(late, {THERMAL: part})
+    variant = next(v for v in named("clock_shift").variants(alone) if name in v.shift_s)
+    trial = attempt(alone, variant)
+    assert trial.variant.settings["shift_s"] == pytest.approx(-1200.0, abs=60.0)
+    assert trial.bic_gain > 20.0
 
 
 def test_a_trial_counts_its_price_and_its_days(sorbing: Scene) -> None:

@@ -11,7 +11,7 @@ from plants.as_record import to_record
 
 from hygrokf.design import Design, design, extended
 from hygrokf.drivers import run
-from hygrokf.features import FEATURES, clear_sky, feature, two_point
+from hygrokf.features import FEATURES, clear_sky, feature, feature_faults, two_point
 from hygrokf.record import Record, Series, Site
 
 HOUR = 3600.0
@@ -123,3 +123,14 @@ def test_what_a_record_lacks_is_named(record: Record) -> None:
         "heating",
         "drying",
     }
+
+
+def test_features_of_a_damaged_file_are_named() -> None:
+    good = {"sunshine": {}, "after_step": {"date_s": 1.0}, "cooling": {"on_K": 300.0, "off_K": 298.0}}
+    assert feature_faults(good) == []
+    (unknown, missing, more) = feature_faults(
+        {"moon": {}, "cooling": {"on_K": 300.0}, "wind_tenth": {"a": 1}}
+    )
+    assert unknown.startswith("moon: expected one of elapsed, sunshine")
+    assert missing == "cooling: expected the settings on_K, off_K, found {'on_K': 300.0}"
+    assert more == "wind_tenth: expected the settings none, found {'a': 1}"

@@ -63,13 +63,15 @@ def _parts(scene: Scene, **additions: tuple) -> dict[str, tuple]:
     return {part: pairs for part, pairs in additions.items() if part in scene.parts}
 
 
-def _one(cause: str, part: str, mechanism: str, *starts: Mapping[str, float], **settings: object):
+def _one(
+    cause: str, part: str, mechanism: str, *starts: Mapping[str, float]
+) -> Callable[[Scene], list[Variant]]:
     """A cause that is one mechanism of one part, without a grid."""
 
     def variants(scene: Scene) -> list[Variant]:
         if part not in scene.parts:
             return []
-        return [Variant(cause, mechanism, {part: ((mechanism, settings),)}, starts=starts or ({},))]
+        return [Variant(cause, mechanism, {part: ((mechanism, {}),)}, starts=starts)]
 
     return variants
 
@@ -84,8 +86,8 @@ def dates(record: Record, every_days: float = 3.0) -> list[float]:
 
 def _best_date(
     scene: Scene, probes: Mapping[str, tuple[str, str]], more: Sequence[float] = ()
-) -> tuple[float, int, float]:
-    """(date [s], dates tried, sum of LM) of the change that the parts' score statistics ask for most."""
+) -> tuple[float, int]:
+    """(date [s], dates tried) of the change that the parts' score statistics ask for most."""
     grid = [*dates(scene.record), *more]
     spacing = grid[1] - grid[0]
     for _ in range(2):
@@ -97,7 +99,7 @@ def _best_date(
         best = int(np.argmax(total))
         found, tried = grid[best], len(dates(scene.record)) + len(more)
         grid = [found + spacing * f for f in np.linspace(-0.9, 0.9, 13)]  # once more, finer; 0 is among them
-    return found, tried, float(total[best])
+    return found, tried
 
 
 def _exchange_step(scene: Scene) -> list[Variant]:
@@ -105,7 +107,7 @@ def _exchange_step(scene: Scene) -> list[Variant]:
         HYGRIC: ("stepped_exchange", "exchange_change"),
         THERMAL: ("stepped_loss", "conductance_change"),
     }
-    date, tried, _ = _best_date(scene, probes)
+    date, tried = _best_date(scene, probes)
     additions = _parts(scene, thermal=(("stepped_loss", {}),), hygric=(("stepped_exchange", {}),))
     return [
         Variant(
@@ -119,7 +121,7 @@ def _temperature_offset(scene: Scene) -> list[Variant]:
     found = []
     if THERMAL in scene.parts:
         probes = {THERMAL: ("temperature_step", "temperature_offset")}
-        date, tried, _ = _best_date(scene, probes, abrupt(scene.parts[THERMAL]))
+        date, tried = _best_date(scene, probes, abrupt(scene.parts[THERMAL]))
         found.append(
             Variant(
                 "temperature_sensor_offset",

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -155,27 +155,9 @@ def free_run_error(base: Design, made: Run, values: Mapping[str, float]) -> np.n
     return better if np.nansum(better**2) < np.sum(e**2) else np.where(there, error, np.nan)
 
 
-def with_record(part: Part, record: Record) -> Part:
-    """The part on a record that was changed, estimated again from where it was."""
-    return refitted(replace(part, record=record), (), {}, ())
-
-
 def days(part: Part) -> np.ndarray:
     """Number (T,) of the day of each instant."""
     return np.floor(part.run.timeline.time / DAY_H).astype(int)
-
-
-def squares_by_day(part: Part) -> np.ndarray:
-    """Sum of the squared free-run errors of each day (D,), and in a second row their number."""
-    there = np.isfinite(part.error)
-    day = days(part)
-    count = int(day.max()) + 1
-    return np.stack(
-        [
-            np.bincount(day[there], part.error[there] ** 2, count),
-            np.bincount(day[there], minlength=count).astype(float),
-        ]
-    )
 
 
 def rmse(part: Part) -> float:

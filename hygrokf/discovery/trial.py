@@ -15,6 +15,10 @@ from hygrokf.likelihood import Likelihood, Trace
 from hygrokf.record import Record
 from hygrokf.timeline import Timeline
 
+REFINEMENTS = 2
+"""Passes that narrow a shift down from the coarse grid by score statistics, each to about half the spacing."""
+SHIFT_STEPS_S = (240.0, 90.0, 30.0)
+"""[s] steps by which a shift is then moved as long as the likelihood, all parameters estimated again, grows."""
 BEST_DAYS = 3
 """Days that a gain must survive without: an effect that was seen on three days alone is no property of the cabinet."""
 
@@ -107,7 +111,7 @@ def _shifted(scene: Scene, variant: Variant) -> Trial:
     grid, gains = np.append(grid, 0.0), np.append(gains, 0.0)
     order = np.argsort(grid)
     grid, gains = grid[order], gains[order]
-    for _ in range(2):
+    for _ in range(REFINEMENTS):
         best = int(np.argmax(gains))
         low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
         more = np.setdiff1d(np.linspace(low, high, 5)[1:-1], grid)
@@ -118,14 +122,35 @@ def _shifted(scene: Scene, variant: Variant) -> Trial:
         order = np.argsort(grid)
         grid, gains = grid[order], gains[order]
     seconds = float(grid[int(np.argmax(gains))])
-    variant = replace(variant, shift_s={source: seconds}, settings={"source": source, "shift_s": seconds})
     if seconds == 0.0:
-        return Trial(variant, {}, 0.0, 1, -penalty(variant, 1, 1), {}, {})
-    parts = {
-        name: refitted(part, (), {}, ({},), shift_source(part.record, source, seconds))
-        for name, part in scene.parts.items()
-    }
-    return judged(scene, variant, parts)
+        still = replace(variant, settings={"source": source, "shift_s": 0.0})
+        return Trial(still, {}, 0.0, 1, -penalty(variant, 1, 1), {}, {})
+    seconds, parts = _climbed(scene, source, seconds)
+    settings = {"source": source, "shift_s": seconds}
+    return judged(scene, replace(variant, shift_s={source: seconds}, settings=settings), parts)
+
+
+def _climbed(scene: Scene, source: str, seconds: float) -> tuple[float, dict[str, Part]]:
+    """A shift moved in ever smaller steps to the largest likelihood, and the parts estimated there.
+
+    The score statistics are of first order: for a clock that is off by many minutes they are minutes wrong.
+    """
+    known: dict[float, dict[str, Part]] = {}
+
+    def objective(shift: float) -> float:
+        if shift not in known:
+            known[shift] = {
+                name: refitted(part, (), {}, ({},), shift_source(part.record, source, shift))
+                for name, part in scene.parts.items()
+            }
+        return sum(part.objective for part in known[shift].values())
+
+    best = seconds
+    for step in SHIFT_STEPS_S:
+        for sign in (1.0, -1.0):
+            while objective(best + sign * step) > objective(best):
+                best += sign * step
+    return best, known[best]
 
 
 def shift_gains(part: Part, source: str, shifts: Sequence[float]) -> np.ndarray:
