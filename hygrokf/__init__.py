@@ -41,6 +41,12 @@ _WHERE = {
     "filterpy_filter": "kalman",
     "thermal_system": "thermal",
     "evaluation": "tables",
+    "Cause": "discovery.library",
+    "Variant": "discovery.library",
+    "cause_of": "discovery.own_causes",
+    "load_library": "discovery.own_causes",
+    "discover": "discovery.discover",
+    "Discovery": "discovery.discover",
     "synthetic_turbine": "synthetic",
     "write_case": "synthetic",
 }

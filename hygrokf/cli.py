@@ -70,7 +70,9 @@ def _system(fault: OSError) -> str:
     )
 
 
-_USER_FAULTS = ("UserFault", "CaseFault", "TableFault", "ResultFault", "ReportFault")
+_USER_FAULTS = (
+    "UserFault", "CaseFault", "TableFault", "ResultFault", "ReportFault", "LibraryFault", "LibraryAbsent",
+)  # fmt: skip
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -118,10 +120,16 @@ def _parser() -> argparse.ArgumentParser:
         "discover", _discover, "show what the simulation gets wrong, name the cause, extend the model"
     )
     discover.add_argument("case", type=Path, metavar="CASE.toml")
-    discover.add_argument("--out", type=Path, required=True)
+    discover.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        help="directory for discovery.json, report.html and the extended model",
+    )
     discover.add_argument(
         "--starts", type=_whole(1), default=4, help="starts over the noise parameters (default 4)"
     )
+    _library(discover)
     _json(discover)
     simulate = command(
         "simulate", _simulate, "run a fitted model on the inputs of a case, without its readings"
@@ -129,10 +137,12 @@ def _parser() -> argparse.ArgumentParser:
     simulate.add_argument("fit", type=Path, metavar="FIT.json")
     simulate.add_argument("case", type=Path, metavar="CASE.toml")
     simulate.add_argument("--out", type=Path, required=True, help="CSV file to write")
+    _library(simulate)
     _json(simulate)
     evaluate = command("evaluate", _evaluate, "score a fitted model on a case")
     evaluate.add_argument("fit", type=Path, metavar="FIT.json")
     evaluate.add_argument("case", type=Path, metavar="CASE.toml")
+    _library(evaluate)
     _json(evaluate)
     report = command("report", _report, "write report.html again from a directory of results")
     report.add_argument("directory", type=Path, metavar="DIR")
@@ -157,6 +167,17 @@ def _whole(least: int) -> Callable[[str], int]:
 
 def _json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def _library(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        "--library",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE.py",
+        help="a file with causes of your own, which is executed; may be given several times",
+    )
 
 
 class Progress:
@@ -214,6 +235,23 @@ def _identify(record: Record, case: Path, options: argparse.Namespace) -> Any:
         raise
     progress.close()
     return fit
+
+
+def _stored(options: argparse.Namespace) -> Any:
+    """The fit that a command names, with the users' mechanisms of its model."""
+    from hygrokf.results import LibraryAbsent, read_fit
+
+    if options.library:
+        from hygrokf.discovery.own_causes import load_library
+
+        load_library(*options.library)
+    try:
+        return read_fit(options.fit)
+    except LibraryAbsent:  # packages are asked only where a model needs them
+        from hygrokf.discovery.own_causes import load_library
+
+        load_library(*options.library, installed=True)
+        return read_fit(options.fit)
 
 
 def _write(fit: Any, out: Path) -> Path:
@@ -308,15 +346,18 @@ def _fit(options: argparse.Namespace) -> int:
 
 def _discover(options: argparse.Namespace) -> int:
     from hygrokf.discovery.discover import discover
+    from hygrokf.discovery.library import LIBRARY
+    from hygrokf.discovery.own_causes import load_library
+    from hygrokf.discovery.page import write_discovery_report
     from hygrokf.discovery.words import discovery_text
-    from hygrokf.files import write_text_whole
-    from hygrokf.results import dump
 
     _expect_directory(options.out)
+    own = load_library(*options.library, installed=True)
     record = _record(options.case)
     progress = Progress(45)
+    wider = {"library": (*LIBRARY, *own)} if own else {}
     try:
-        found = discover(record, starts=options.starts, progress=progress)
+        found = discover(record, starts=options.starts, progress=progress, **wider)
     except ValueError as fault:
         progress.abandon()
         raise UserFault(f"{options.case}: {fault}") from fault
@@ -324,8 +365,12 @@ def _discover(options: argparse.Namespace) -> int:
         progress.abandon()
         raise
     progress.close()
-    page = _write(found.extended or found.base, options.out)
-    write_text_whole(options.out / "discovery.json", dump(found.to_json()))
+    tried = {row["cause"] for key in ("causes", "rejected") for row in found.to_json()[key]}
+    for cause in own:
+        if cause.name not in tried:
+            needs = f"; it needs {cause.needs}" if cause.needs else ""
+            print(f"note: {cause.name} was not tried: this record cannot show it{needs}", file=sys.stderr)
+    page = write_discovery_report(found, options.out)
     _print(found.to_json(), discovery_text(found.to_json()), options.json)
     print(f"report: {page}", file=sys.stderr)
     return 0
@@ -333,11 +378,10 @@ def _discover(options: argparse.Namespace) -> int:
 
 def _simulate(options: argparse.Namespace) -> int:
     from hygrokf.files import write_text_whole
-    from hygrokf.results import read_fit
     from hygrokf.tables import simulation_csv, simulation_summary
 
     _expect_file(options.out)
-    fit = read_fit(options.fit)
+    fit = _stored(options)
     record = _record(options.case, cabinet=False)
     sources = (options.case.parent / file for file, _ in record.provenance)
     _expect_other(options.out, options.fit, options.fit / "fit.json", options.case, *sources)
@@ -353,10 +397,9 @@ def _simulate(options: argparse.Namespace) -> int:
 
 
 def _evaluate(options: argparse.Namespace) -> int:
-    from hygrokf.results import read_fit
     from hygrokf.tables import evaluation, evaluation_text
 
-    fit = read_fit(options.fit)
+    fit = _stored(options)
     record = _record(options.case)
     try:
         found = evaluation(fit, record)
@@ -367,9 +410,16 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
+    from hygrokf.files import DISCOVERY
     from hygrokf.report import write_report
 
-    page = write_report(options.directory)
+    folder = options.directory.parent if options.directory.is_file() else options.directory
+    if (folder / DISCOVERY).is_file():
+        from hygrokf.discovery.page import write_discovery_report
+
+        page = write_discovery_report(None, folder)
+    else:
+        page = write_report(options.directory)
     _print({"report": str(page)}, str(page), options.json)
     return 0
 

@@ -12,15 +12,22 @@ from functools import cached_property
 
 import numpy as np
 
+from hygrokf.additions import origins
 from hygrokf.ambient import ambient_absolute_humidity, bridge_h, reading_noise
 from hygrokf.features import FEATURES
 from hygrokf.loops import LINEAR, REGIME, ZERO_ORDER
 from hygrokf.mechanisms import LIBRARY
 from hygrokf.model import Mechanism, Model, compose
 from hygrokf.record import Record, Series
-from hygrokf.signals import signal_named
+from hygrokf.signals import SIGNALS, signal_named
 
+STEPPED = ("W", "1", "rad/s")
+"""Units of signals that are taken to hold over steps (power, duties, speeds of machines); humidities are not among them."""
 HOLDS = {
+    **{
+        one.name: ZERO_ORDER if one.unit in STEPPED and "humidity" not in one.name else LINEAR
+        for one in SIGNALS.values()
+    },
     "ambient_temperature": LINEAR,
     "ambient_absolute_humidity": LINEAR,
     "exchange_factor": LINEAR,
@@ -32,7 +39,7 @@ HOLDS = {
     **{f"power_{k}": ZERO_ORDER for k in range(1, 6)},
     **{name: hold for name, (_, hold) in FEATURES.items()},
 }
-"""Holds of the inputs of the base models between their own times."""
+"""Holds of inputs between their own times: those of the base models, every other signal, and features."""
 TEMPERATURE = "cabinet_temperature"
 HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
 BRIDGE_H = 1.0
@@ -70,15 +77,17 @@ class Design:
     @cached_property
     def model(self) -> Model:
         made: list[Mechanism] = [LIBRARY[name](**settings) for name, settings in self.mechanisms]
-        return compose(made, {**HOLDS, **self.holds}, self.averaged)
+        features = {name: FEATURES[name][1] for name in self.features if name in FEATURES}
+        return compose(made, {**HOLDS, **features, **self.holds}, self.averaged)
 
     def to_json(self) -> dict:
-        """Everything that makes the design again, as plain data."""
-        return asdict(self)
+        """Everything that makes the design again, as plain data; `origins` of what is not the package's own."""
+        own = origins([*(name for name, _ in self.mechanisms), *self.features])
+        return asdict(self) | ({"origins": own} if own else {})
 
     @classmethod
     def from_json(cls, data: Mapping) -> Design:
-        known = dict(data)
+        known = {name: value for name, value in data.items() if name != "origins"}
         known["mechanisms"] = tuple((name, dict(settings)) for name, settings in known["mechanisms"])
         known["power_mean"] = tuple(known["power_mean"])
         known["statements"] = tuple(known["statements"])

@@ -17,6 +17,8 @@ from hygrokf.loops import LINEAR, ZERO_ORDER
 from hygrokf.record import Record, Site
 
 DAY_S = 86400.0
+SOLAR_CONSTANT = 1361.0
+"""[W/m²] irradiance outside the atmosphere."""
 READING_BRIDGE_H = 2.0
 """[h] a switch that follows a reading is interpolated over gaps up to this length and stays as it is in longer ones."""
 
@@ -57,6 +59,63 @@ def sunshine(record: Record, time: np.ndarray) -> np.ndarray:
     return clear_sky(time, record.site) / 1e3
 
 
+def sunlit_wall(record: Record, time: np.ndarray, azimuth_deg: float) -> np.ndarray:
+    """Irradiance of a vertical wall [kW/m²] that looks toward `azimuth_deg` (clockwise from north).
+
+    Beam and sky are split by the clearness index (Erbs, Klein and Duffie 1982), the sky is isotropic, the ground
+    reflects a fifth.  Below six degrees of height the beam counts as at six: trees and hills stand before it.
+    """
+    horizontal = 1e3 * sunshine(record, time)
+    sine, azimuth = sun_place(time, _site(record))
+    kt = np.clip(horizontal / np.maximum(SOLAR_CONSTANT * sine, 1.0), 0.0, 1.0)
+    middle = 0.9511 + kt * (-0.1604 + kt * (4.388 + kt * (-16.638 + kt * 12.336)))
+    share = np.where(kt <= 0.22, 1.0 - 0.09 * kt, np.where(kt <= 0.8, middle, 0.165))
+    beam = (1.0 - share) * horizontal / np.maximum(sine, 0.1)
+    facing = np.sqrt(1.0 - np.clip(sine, -1.0, 1.0) ** 2) * np.cos(azimuth - np.radians(azimuth_deg))
+    return 1e-3 * (beam * np.maximum(facing, 0.0) + (0.5 * share + 0.1) * horizontal)
+
+
+def night_sky(record: Record, time: np.ndarray) -> np.ndarray:
+    """How much the night sky draws heat, 0 to 1: 0 by day; by night how clear the day before was.
+
+    Clearness is measured irradiance over that of a clear sky, both over the last 24 h; 1 where it is not measured.
+    """
+    site = _site(record)
+    sine, _ = sun_place(time, site)
+    dark = (sine <= 0.0).astype(float)
+    if "global_horizontal_irradiance" not in record:
+        return dark
+    hours = np.arange(float(time[0]) - DAY_S, float(time[-1]) + 3600.0, 1800.0)
+    clear = clear_sky(hours, site)
+    seen = np.minimum(_signal(record, "global_horizontal_irradiance", hours), 1.2 * clear)
+    window = np.ones(48)
+    sums = [np.convolve(one, window)[: len(hours)] for one in (seen, clear)]
+    clearness = np.clip(sums[0] / np.maximum(sums[1], 1.0), 0.0, 1.0)
+    return dark * np.interp(time, hours, clearness)
+
+
+def wind_square(record: Record, time: np.ndarray) -> np.ndarray:
+    """Square of the wind speed in units of (10 m/s)²; gaps take the record's mean speed."""
+    return wind_tenth(record, time) ** 2
+
+
+def heavy_rain(record: Record, time: np.ndarray, above: float) -> np.ndarray:
+    """What the rain signal has above a threshold, in its own unit; gaps count as dry."""
+    series = record["rain"]
+    value = np.nan_to_num(at_times(series, time, bridge_h(series, AMBIENT_BRIDGE_H)))
+    return np.maximum(value - above, 0.0)
+
+
+def fading(record: Record, time: np.ndarray, date_s: float, days: float) -> np.ndarray:
+    """0 before a date [s], then 1 and falling by 1/e in so many days."""
+    return np.where(time > date_s, np.exp(-np.maximum(time - date_s, 0.0) / (days * DAY_S)), 0.0)
+
+
+def since(record: Record, time: np.ndarray, date_s: float, days: float) -> np.ndarray:
+    """0 before a date [s], then toward 1, by all but 1/e in so many days."""
+    return 1.0 - np.exp(-np.maximum(time - date_s, 0.0) / (days * DAY_S))
+
+
 def standstill(record: Record, time: np.ndarray) -> np.ndarray:
     """1 while the turbine feeds no power, 0 in operation."""
     return 1.0 - operating(record, time)
@@ -87,7 +146,13 @@ def drying(record: Record, time: np.ndarray, on: float, off: float) -> np.ndarra
 FEATURES: Mapping[str, tuple[Callable, str]] = {
     "elapsed": (elapsed, LINEAR),
     "sunshine": (sunshine, LINEAR),
+    "sunlit_wall": (sunlit_wall, LINEAR),
+    "night_sky": (night_sky, LINEAR),
     "wind_tenth": (wind_tenth, LINEAR),
+    "wind_square": (wind_square, LINEAR),
+    "heavy_rain": (heavy_rain, ZERO_ORDER),
+    "fading": (fading, ZERO_ORDER),
+    "since": (since, LINEAR),
     "standstill": (standstill, ZERO_ORDER),
     "after_step": (after_step, ZERO_ORDER),
     "door_open": (door_open, ZERO_ORDER),
@@ -137,10 +202,10 @@ def operating(record: Record, time: np.ndarray) -> np.ndarray:
     return np.nan_to_num(at_times(record["active_power"], time, 1.0), nan=0.0) > 0.0
 
 
-def clear_sky(time: np.ndarray, site: Site) -> np.ndarray:
-    """Global irradiance of a clear sky [W/m²] at `time` (T,) [s]: 1098 cos z exp(−0.057/cos z) (Haurwitz 1945).
+def sun_place(time: np.ndarray, site: Site) -> tuple[np.ndarray, np.ndarray]:
+    """Sine of the sun's height (T,) [1] and its azimuth (T,) [rad] clockwise from north, at `time` (T,) [s].
 
-    The sun's height by Spencer's series (1971), good to a quarter of a degree.
+    By Spencer's series (1971), good to a quarter of a degree.
     """
     day = np.floor(time / DAY_S)
     date = day.astype("datetime64[D]")
@@ -157,10 +222,26 @@ def clear_sky(time: np.ndarray, site: Site) -> np.ndarray:
     solar = (time / DAY_S - day) * 24.0 + site.longitude_deg / 15.0 + equation_min / 60.0
     hour_angle = np.radians(15.0 * (solar - 12.0))
     latitude = np.radians(site.latitude_deg)
-    sine = np.sin(latitude) * np.sin(declination)
-    sine = sine + np.cos(latitude) * np.cos(declination) * np.cos(hour_angle)
+    height = np.sin(latitude) * np.sin(declination)
+    height = height + np.cos(latitude) * np.cos(declination) * np.cos(hour_angle)
+    east = -np.cos(declination) * np.sin(hour_angle)
+    north = np.cos(latitude) * np.sin(declination) - np.sin(latitude) * np.cos(declination) * np.cos(
+        hour_angle
+    )
+    return height, np.arctan2(east, north)
+
+
+def clear_sky(time: np.ndarray, site: Site) -> np.ndarray:
+    """Global irradiance of a clear sky [W/m²] at `time` (T,) [s]: 1098 cos z exp(−0.057/cos z) (Haurwitz 1945)."""
+    sine, _ = sun_place(time, site)
     up = np.maximum(sine, 1e-3)
     return np.where(sine > 0.0, 1098.0 * up * np.exp(-0.057 / up), 0.0)
+
+
+def _site(record: Record) -> Site:
+    if record.site is None:
+        raise ValueError("the model needs the sun's place: expected [site] in the case, found none")
+    return record.site
 
 
 def _signal(record: Record, name: str, time: np.ndarray) -> np.ndarray:

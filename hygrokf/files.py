@@ -1,4 +1,4 @@
-"""Files are written whole or not at all."""
+"""Files are written whole or not at all; and what those of a result are called."""
 
 from __future__ import annotations
 
@@ -6,6 +6,13 @@ import os
 import secrets
 from contextlib import suppress
 from pathlib import Path
+
+REPORT = "report.html"
+"""The page of a directory of results: that of the fit, or of the discovery that it belongs to."""
+BESIDE_DISCOVERY = "fit_report.html"
+"""The fit's own page where report.html is a discovery's."""
+DISCOVERY = "discovery.json"
+DISCOVERY_SERIES = "discovery.npz"
 
 
 def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:

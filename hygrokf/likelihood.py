@@ -76,12 +76,15 @@ class Likelihood:
 
     `initial`: "prior" (each mechanism's own), "stationary" (steady state at the first inputs), "diffuse" (exact, for
     the states named in `diffuse_states`, by default all; the others keep their prior), or a `Gaussian`.
+    `rate_step`: largest product of the fastest rate and a sub-step, where other than that of the discretisation's range:
+    a search may take longer sub-steps, at the price of its last digits.
     """
 
     model: Model
     timeline: Timeline
     initial: str | Gaussian = "prior"
     diffuse_states: tuple[str, ...] = ()
+    rate_step: float | None = None
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.diffuse_states) - set(self.model.states))
@@ -147,7 +150,7 @@ class Likelihood:
     def _keys(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """Key table (sub-step length and regimes) and the number of sub-steps of every key."""
         steps = self.timeline.steps
-        limit = (CONSTANT_RATES if self.recursion.exact else VARYING_RATES).rate_step
+        limit = self.rate_step or (CONSTANT_RATES if self.recursion.exact else VARYING_RATES).rate_step
         rate = self.rate(values)
         if not self._longest * rate <= 100_000 * limit:
             raise FloatingPointError(

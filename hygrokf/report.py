@@ -13,9 +13,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hygrokf.drawing import FONTS, NothingToShow, inline_svg
-from hygrokf.files import write_text_whole
+from hygrokf.files import BESIDE_DISCOVERY, DISCOVERY, REPORT, write_text_whole
 from hygrokf.lookup import entry, number, one_line
+from hygrokf.page import document, figure_html, moment, section, sentence, tables_html
 from hygrokf.plots import FIGURES, Picture
 from hygrokf.report_tables import (
     PERIODS,
@@ -47,11 +47,8 @@ from hygrokf.version import __version__
 
 RESULT = "fit.json"
 SERIES = "series.npz"
-REPORT = "report.html"
-LONG = 36
 NEEDED = ("name", "version", "parameters", "time_constants")
 """What every fit.json holds."""
-"""Characters of a word column beyond which a cell may break anywhere."""
 
 
 class ReportFault(Exception):
@@ -61,19 +58,19 @@ class ReportFault(Exception):
 def write_report(directory: str | os.PathLike[str]) -> Path:
     """Write `report.html` beside `fit.json` and `series.npz`; returns its path.
 
-    directory: what `hygrokf fit` wrote.  The page is a pure function of the two files, needs no script and no other
+    directory: what `hygrokf fit` wrote; where `hygrokf discover` did, report.html is the discovery's page, and this one
+    becomes `fit_report.html`.  The page is a pure function of the two files, needs no script and no other
     file, names no host, and prints on A4.  Raises ReportFault where a file is missing or is not a result.
     """
     folder = Path(directory)
     if folder.name == RESULT and folder.is_file():
         folder = folder.parent
     fit, series = read_results(folder)
+    path = folder / (BESIDE_DISCOVERY if (folder / DISCOVERY).exists() else REPORT)
     try:
-        return write_text_whole(folder / REPORT, report_page(fit, series))
+        return write_text_whole(path, report_page(fit, series))
     except OSError as fault:
-        raise ReportFault(
-            f"{folder / REPORT}: expected a file that can be written, found: {fault.strerror}"
-        ) from None
+        raise ReportFault(f"{path}: expected a file that can be written, found: {fault.strerror}") from None
 
 
 def read_results(folder: Path) -> tuple[dict, dict[str, np.ndarray]]:
@@ -129,36 +126,26 @@ def report_page(fit: Mapping, series: Mapping[str, np.ndarray]) -> str:
         _headline(fit),
         _believe(fit),
         _accuracy(fit),
-        _section(
+        section(
             "Measured and simulated", *(pictures[one] for one in ("temperature", "humidity", "excerpts"))
         ),
-        _section(
+        section(
             "What was identified",
-            _tables(constants),
+            tables_html(constants),
             pictures["profiles"],
             pictures["heat-release"],
-            _tables(parameters, optima),
+            tables_html(parameters, optima),
         ),
-        _section("What the model leaves", pictures["residuals"], _innovations(fit)),
+        section("What the model leaves", pictures["residuals"], _innovations(fit)),
         *(pictures[one] for one in ("innovations-temperature", "innovations-humidity")),
         _data(fit),
         _method(fit),
     ]
-    body = "\n".join(part for part in parts if part)
-    return (
-        '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-        f"<title>{escape(name)} – hygrokf report</title>\n<style>\n{_CSS}</style>\n</head>\n"
-        f"<body>\n<main>\n{body}\n</main>\n</body>\n</html>\n"
-    )
-
-
-def _section(heading: str, *parts: str) -> str:
-    return f"<section><h2>{escape(heading)}</h2>{''.join(parts)}</section>"
+    return document(f"{name} – hygrokf report", parts)
 
 
 def _head(fit: Mapping, name: str) -> str:
-    start, until, end = (_date(entry(fit, "period", part)) for part in ("start", "until", "end"))
+    start, until, end = (moment(entry(fit, "period", part)) for part in ("start", "until", "end"))
     n = number(fit, "period", "n_readings")
     lines = []
     if start and end:
@@ -191,11 +178,6 @@ def _head(fit: Mapping, name: str) -> str:
         "<header><p class=kind>Hygrothermal model of an enclosure · identification report</p>"
         f"<h1>{escape(name)}</h1>{meta}{banners}</header>"
     )
-
-
-def _date(value: object) -> str:
-    text = text_of(value)
-    return text[:16].replace("T", " ") if len(text) >= 16 else text
 
 
 def _headline(fit: Mapping) -> str:
@@ -248,7 +230,7 @@ def _why_missing(fit: Mapping, name: str) -> str:
 def _believe(fit: Mapping) -> str:
     found = judgements(fit)
     named = " ".join(one.sentence for one in found)
-    more = [Judgement(CARE, _sentence(line)) for line in texts(entry(fit, "statements")) if line not in named]
+    more = [Judgement(CARE, sentence(line)) for line in texts(entry(fit, "statements")) if line not in named]
     order = {BAD: 0, GOOD: 1, CARE: 2}
     rows = sorted([*found, *more], key=lambda one: order[one.kind])
     if not rows:
@@ -265,11 +247,6 @@ def _believe(fit: Mapping) -> str:
     )
 
 
-def _sentence(text: str) -> str:
-    text = text[:1].upper() + text[1:] if not text.split(" ")[0].count("_") else text
-    return text if text.endswith((".", "!", "?")) else text + "."
-
-
 def _accuracy(fit: Mapping) -> str:
     rows = [
         (rmse_table(fit, "identification"), "Nothing was scored in the identification period."),
@@ -279,7 +256,7 @@ def _accuracy(fit: Mapping) -> str:
         ),
         (bands_table(fit), "No band could be checked against readings."),
     ]
-    return f"<section><h2>Accuracy</h2>{_tables(*rows)}</section>"
+    return f"<section><h2>Accuracy</h2>{tables_html(*rows)}</section>"
 
 
 def _innovations(fit: Mapping) -> str:
@@ -287,23 +264,19 @@ def _innovations(fit: Mapping) -> str:
     said = texts(entry(fit, "innovations", "statements"))
     if table is None and not said:
         return "<p class=left-out>The fit holds no diagnosis of its innovations.</p>"
-    items = "".join(f"<li>{escape(_sentence(line))}</li>" for line in said)
+    items = "".join(f"<li>{escape(sentence(line))}</li>" for line in said)
     note = text_of(entry(fit, "innovations", "note"))
     return (
         "<h3>Innovations</h3>"
         "<p>What each reading adds to its one-step prediction, in units of the prediction’s own standard deviation. "
         "White noise here means that the model has used all that the readings before and the inputs can tell.</p>"
-        f"{_tables((table, 'The diagnosis holds no numbers.'))}{f'<ul>{items}</ul>' if items else ''}"
-        f"{f'<p class=note>{escape(_sentence(note))}</p>' if note else ''}"
+        f"{tables_html((table, 'The diagnosis holds no numbers.'))}{f'<ul>{items}</ul>' if items else ''}"
+        f"{f'<p class=note>{escape(sentence(note))}</p>' if note else ''}"
     )
 
 
 def _figure(picture: Picture, fit: Mapping, series: Mapping[str, np.ndarray]) -> str:
-    try:
-        drawing = inline_svg(picture.draw(fit, series), picture.name, picture.heading)
-    except NothingToShow as why:
-        return f"<p class=left-out><b>{escape(picture.heading)}</b> is left out. {escape(one_line(str(why)))}</p>"
-    return f"<figure><h3>{escape(picture.heading)}</h3>{drawing}<figcaption>{escape(picture.caption)}</figcaption></figure>"
+    return figure_html(picture.name, picture.heading, picture.caption, lambda: picture.draw(fit, series))
 
 
 def _data(fit: Mapping) -> str:
@@ -314,12 +287,12 @@ def _data(fit: Mapping) -> str:
         for row in (files if isinstance(files, (list, tuple)) else ())
         if isinstance(row, (list, tuple)) and len(row) == 2
     ]
-    listed = "".join(f"<li>{escape(_sentence(line))}</li>" for line in warnings)
+    listed = "".join(f"<li>{escape(sentence(line))}</li>" for line in warnings)
     masks = f"<ul>{listed}</ul>" if listed else "<p>Nothing had to be masked or repaired.</p>"
     table = Table("Files read", ("file", "SHA-256"), tuple(rows), left=(0, 1))
     return (
         "<section><h2>Data</h2><h3>Masks, repairs and warnings</h3>"
-        f"{masks}{_tables((table if rows else None, 'The fit does not say which files it was made from.'))}</section>"
+        f"{masks}{tables_html((table if rows else None, 'The fit does not say which files it was made from.'))}</section>"
     )
 
 
@@ -343,7 +316,7 @@ def _method(fit: Mapping) -> str:
         "model says; other bounds are the wider of Wald's and the sandwich's. Errors are those of the free run, "
         "measured readings unseen; stretches with unknown power or weather, and the hours after them, are not scored.",
     ]
-    lines += [_sentence(line) for line in texts(entry(fit, "design", "statements"))]
+    lines += [sentence(line) for line in texts(entry(fit, "design", "statements"))]
     values = [
         f"{label} {fixed(number(fit, name))}"
         for name, label in (("loglik", "log-likelihood"), ("aic", "AIC"), ("bic", "BIC"))
@@ -355,50 +328,10 @@ def _method(fit: Mapping) -> str:
     if values:
         lines.append(", ".join(values) + ".")
     version = text_of(entry(fit, "version"))
-    when = _date(entry(fit, "created"))
+    when = moment(entry(fit, "created"))
     made = f"Fitted by hygrokf {version or '(version not stated)'}{f' on {when} UTC' if when else ''}; page written by hygrokf {__version__}."
     paragraphs = "".join(f"<p>{escape(line)}</p>" for line in (*lines, made))
     return f"<footer><h2>How this was computed</h2>{paragraphs}</footer>"
-
-
-def _tables(*tables: tuple[Table | None, str]) -> str:
-    return "".join(
-        _table(table) if table is not None else f"<p class=left-out>{escape(why)}</p>"
-        for table, why in tables
-    )
-
-
-def _table(table: Table) -> str:
-    groups = ""
-    starts: set[int] = set()
-    if table.groups:
-        at = 0
-        for heading, count in table.groups:
-            starts.add(at)
-            at += count
-            groups += f"<th colspan={count}{' class=group' if heading else ''}>{escape(heading)}</th>"
-        groups = f"<tr>{groups}</tr>"
-
-    def cell(tag: str, place: int, text: str) -> str:
-        marks = {
-            "l": place in table.left,
-            "g": place in starts and place > 0,
-            "long": place in table.left and len(text) > LONG,
-        }
-        names = [name for name, there in marks.items() if there]
-        attribute = f" class='{' '.join(names)}'" if names else ""
-        return f"<{tag}{attribute}>{escape(one_line(text))}</{tag}>"
-
-    head = "".join(cell("th", i, text) for i, text in enumerate(table.columns))
-    rows = "".join(
-        f"<tr{' class=marked' if i in table.marked else ''}>{''.join(cell('td', k, text) for k, text in enumerate(row))}</tr>"
-        for i, row in enumerate(table.rows)
-    )
-    note = f"<p class=note>{escape(table.note)}</p>" if table.note else ""
-    return (
-        f"<div class='table{' short' if len(table.rows) < 13 else ''}'><h3>{escape(table.heading)}</h3><table><thead>{groups}<tr>{head}</tr></thead>"
-        f"<tbody>{rows}</tbody></table>{note}</div>"
-    )
 
 
 # --- text ------------------------------------------------------------------------------------
@@ -426,7 +359,7 @@ def report_text(fit: Mapping) -> str:
     found = judgements(fit)
     named = " ".join(one.sentence for one in found)
     remarks = [f"{signs[one.kind]} {one.sentence}" for one in found]
-    remarks += [f"! {_sentence(line)}" for line in texts(entry(fit, "statements")) if line not in named]
+    remarks += [f"! {sentence(line)}" for line in texts(entry(fit, "statements")) if line not in named]
     if remarks:
         title = "What to believe (+), what with caution (!), what not (x)"
         blocks.append("\n".join([title, *(_wrapped(line, "  ") for line in remarks)]))
@@ -437,65 +370,3 @@ def _wrapped(text: str, indent: str = "") -> str:
     """Lines of at most 100 columns that do not part a number from its unit."""
     kept = re.sub(r"(?<=\d) (?=(?:%|K|h|g/m³)(?![\w/]))", "\xa0", one_line(text))
     return "\n".join(wrapped(kept, TEXT_WIDTH, indent)).replace("\xa0", " ")
-
-
-_CSS = (
-    """\
-@page { size: A4; margin: 15mm 14mm 16mm; }
-* { box-sizing: border-box; }
-html { -webkit-text-size-adjust: 100%; }
-body { margin: 0; background: #fff; color: #22272e; font: 14px/1.45 """
-    + FONTS
-    + """; }
-main { max-width: 820px; margin: 0 auto; padding: 28px 24px 48px; }
-h1 { font-size: 27px; line-height: 1.2; margin: 0 0 6px; overflow-wrap: anywhere; }
-h2 { font-size: 18px; margin: 34px 0 8px; padding-top: 10px; border-top: 2px solid #22272e; }
-h3 { font-size: 14px; margin: 20px 0 6px; } sub { font-size: 75%; line-height: 0; }
-p { margin: 4px 0; overflow-wrap: anywhere; }
-.kind { color: #6b7480; font-size: 12px; letter-spacing: .02em; }
-.meta { color: #4a525c; font-size: 13px; }
-.banner { margin: 14px 0 0; padding: 9px 12px; border-left: 5px solid; font-size: 14px; }
-.banner b { margin-right: 8px; letter-spacing: .05em; }
-.synthetic { background: #fdf3d7; border-color: #c98a00; }
-.failed { background: #fbe3e1; border-color: #b3140f; color: #8c0f0b; }
-.cards { display: grid; grid-template-columns: 1fr 1fr; gap: 14px; margin-top: 20px; }
-.card { border: 1px solid #d5dae0; border-top: 4px solid #1b5fa8; padding: 10px 14px 12px; break-inside: avoid; }
-.card.open { border-top-color: #c98a00; }
-.card .label { font-weight: 600; } .card .label span { font-weight: 400; color: #6b7480; }
-.card .value { font-size: 34px; line-height: 1.15; font-weight: 650; margin: 2px 0; }
-.card .bounds { font-size: 15px; font-weight: 600; }
-.card p { font-size: 13px; } .apart { color: #b3140f; font-weight: 600; }
-.key { color: #4a525c; font-size: 12px; }
-.key span { margin: 0 3px 0 12px; } .key span:first-child { margin-left: 0; }
-.judgements { list-style: none; padding: 0; margin: 6px 0; }
-.judgements li { position: relative; padding: 4px 0 4px 26px; border-bottom: 1px solid #edf0f3; break-inside: avoid; overflow-wrap: anywhere; }
-.judgements li > span { position: absolute; left: 3px; font-weight: 700; }
-.good > span, span.good { color: #1d7a3a; } .care > span, span.care { color: #a86a00; }
-.bad > span, span.bad { color: #b3140f; } li.bad { color: #8c0f0b; font-weight: 600; }
-span.good, span.care, span.bad { font-weight: 700; }
-.table { overflow-x: auto; } .table.short { break-inside: avoid; }
-table { border-collapse: collapse; width: 100%; font-size: 12.5px; font-variant-numeric: tabular-nums; }
-th, td { padding: 3px 8px 3px 4px; text-align: right; vertical-align: top; }
-th { font-weight: 600; color: #4a525c; border-bottom: 1px solid #6b7480; vertical-align: bottom; }
-thead tr:first-child:not(:last-child) th { border-bottom: 0; } th.group { text-align: center; border-bottom: 1px solid #d5dae0 !important; }
-td { border-bottom: 1px solid #edf0f3; }
-tr { break-inside: avoid; }
-td { white-space: nowrap; } .l { text-align: left; white-space: pre; } td.l:not(:first-child) { white-space: normal; }
-.l.long { white-space: pre-wrap; overflow-wrap: anywhere; min-width: 14em; } .g { padding-left: 18px; }
-.marked td { font-weight: 650; }
-.note, figcaption { color: #4a525c; font-size: 12.5px; } .note { margin-top: 5px; }
-figure { margin: 26px 0 0; break-inside: avoid; } figure svg { display: block; width: 100%; height: auto; }
-figure h3 { margin-top: 0; font-size: 15px; } figcaption { margin-top: 4px; max-width: 46em; }
-.left-out { color: #6b7480; font-style: italic; margin: 14px 0; }
-section ul { padding-left: 20px; margin: 6px 0; } li { overflow-wrap: anywhere; }
-footer p { font-size: 12.5px; color: #4a525c; }
-h2, h3 { break-after: avoid; }
-@media (max-width: 560px) { .cards { grid-template-columns: 1fr; } main { padding: 16px 12px; } }
-@media print {
-  body { font-size: 9.6pt; print-color-adjust: exact; -webkit-print-color-adjust: exact; }
-  main { max-width: none; padding: 0; } h2 { margin-top: 20px; } figure { margin-top: 16px; }
-  .table { overflow: visible; } table { font-size: 7.8pt; } th, td { padding: 2px 5px 2px 2px; } .l.long { min-width: 11em; }
-  .note, figcaption, footer p, .card p { font-size: 8.4pt; } .card .value { font-size: 22pt; } .card .bounds { font-size: 10.5pt; }
-}
-"""
-)

@@ -12,9 +12,17 @@ from pathlib import Path
 
 import numpy as np
 
+from hygrokf.additions import absent
 from hygrokf.design import Design
 from hygrokf.features import feature_faults
-from hygrokf.files import write_bytes_whole, write_text_whole
+from hygrokf.files import (
+    BESIDE_DISCOVERY,
+    DISCOVERY,
+    DISCOVERY_SERIES,
+    REPORT,
+    write_bytes_whole,
+    write_text_whole,
+)
 from hygrokf.fit import Fit
 from hygrokf.version import __version__
 
@@ -23,17 +31,22 @@ class ResultFault(Exception):
     """A result file that cannot be read, in one message."""
 
 
+class LibraryAbsent(ResultFault):
+    """A fit whose model has mechanisms of a user's file or of a package that are not loaded."""
+
+
 def write_fit(fit: Fit, directory: str | os.PathLike[str]) -> Path:
     """Write `fit.json` and `series.npz`; returns the path of fit.json.
 
-    A report of an earlier fit in the directory is removed first: it would belong to other numbers.  Raises OSError as
-    the system gives it.
+    Pages and a discovery of earlier results in the directory are removed first: they would belong to other numbers.
+    Raises OSError as the system gives it.
     """
     directory = Path(directory)
     text, buffer = dump(fit.to_json()), io.BytesIO()
     np.savez_compressed(buffer, **fit.series)
     directory.mkdir(parents=True, exist_ok=True)
-    (directory / "report.html").unlink(missing_ok=True)
+    for name in (REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES):
+        (directory / name).unlink(missing_ok=True)
     write_bytes_whole(directory / "series.npz", buffer.getvalue())
     return write_text_whole(directory / "fit.json", text)
 
@@ -58,7 +71,10 @@ def _plain(value: object) -> object:
 
 
 def read_fit(path: str | os.PathLike[str]) -> Fit:
-    """A fit from fit.json (or its directory); raises ResultFault with the reason and what to do."""
+    """A fit from fit.json (or its directory); raises ResultFault with the reason and what to do.
+
+    A model with mechanisms of a user's needs them loaded before (`load_library`); else it is LibraryAbsent.
+    """
     path = Path(path)
     file = path / "fit.json" if path.is_dir() else path
     try:
@@ -85,6 +101,9 @@ def read_fit(path: str | os.PathLike[str]) -> Fit:
             "install that version, or run `hygrokf fit` again"
         )
     try:
+        lacking = absent(data["design"].get("origins", {}))
+        if lacking:
+            raise LibraryAbsent(f"{file}: {'; '.join(lacking)}")
         fit = Fit.from_json(data)
         faults = _faults(fit)
     except (AttributeError, KeyError, TypeError, ValueError) as fault:

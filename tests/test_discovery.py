@@ -11,11 +11,12 @@ from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
 from hygrokf.discovery.choice import MATERIAL, choose, verdict_on
+from hygrokf.discovery.clocks import Shift, shifted
 from hygrokf.discovery.discover import discover
 from hygrokf.discovery.library import LIBRARY, Variant, dates, named, penalty, sources
 from hygrokf.discovery.scan import scan
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, refitted, rmse, scene
-from hygrokf.discovery.trial import attempt, judged, shift_gains, shift_source
+from hygrokf.discovery.trial import attempt, judged, shift_gains
 from hygrokf.discovery.words import discovery_text
 from hygrokf.record import Record
 from hygrokf.results import dump
@@ -100,14 +101,16 @@ def test_a_step_in_the_readings_is_dated(quiet: Scene) -> None:
 def test_a_shifted_clock_is_measured(quiet: Scene, source: str) -> None:
     """A source 20 minutes late: moving it back by that is what the innovations ask for."""
     name = next(n for n, signals in sources(quiet.record).items() if f"{source}_temperature" in signals)
-    late = shift_source(quiet.record, name, 1200.0)
+    late = shifted(quiet.record, Shift(name, 1200.0))
     part = refitted(replace(quiet.parts[THERMAL], record=late), (), {}, ())
     shifts = np.array([-2400.0, -1200.0, -600.0, 600.0])
     gains = shift_gains(part, name, shifts)
     assert shifts[int(np.argmax(gains))] == -1200.0
     assert gains.max() > 20.0
     alone = Scene(late, {THERMAL: part})
-    variant = next(v for v in named("clock_shift").variants(alone) if name in v.shift_s)
+    variant = next(
+        v for v in named("clock_shift").variants(alone) if v.shift is not None and v.shift.source == name
+    )
     trial = attempt(alone, variant)
     assert trial.variant.settings["shift_s"] == pytest.approx(-1200.0, abs=60.0)
     assert trial.bic_gain > 20.0

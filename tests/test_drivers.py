@@ -494,7 +494,9 @@ def test_series_with_other_spans(base, record):
 
 def test_nothing_in_common_is_said(base, record):
     cabinet = [replace(s, time=s.time + 1e6) for s in record.series if s.signal.startswith("cabinet")]
-    with pytest.raises(ValueError, match="the cabinet's readings and the ambient series have no stretch of time"):
+    with pytest.raises(
+        ValueError, match="the cabinet's readings and the ambient series have no stretch of time"
+    ):
         run(base, record.replace_series(*cabinet))
     blind = replace(record["ambient_temperature"], value=np.full(len(record["ambient_temperature"]), np.nan))
     with pytest.raises(ValueError, match="no reading of ambient_temperature, the ambient humidity can"):

@@ -27,6 +27,7 @@ FLOORS = (
     "mechanisms.thermal mechanisms.network mechanisms.sensors",
     "mechanisms.hygric mechanisms.heat mechanisms.moisture mechanisms.readings",
     "mechanisms timeline",
+    "additions",
     # the estimation
     "likelihood design",
     "fitting kalman drivers thermal",
@@ -37,15 +38,16 @@ FLOORS = (
     "time_constants discovery.scene",
     "fit discovery.scan",
     "results tables identification discovery.residuals discovery.changes discovery.library",
-    "discovery.conditions discovery.trial",
-    "discovery.misfits discovery.choice",
+    "discovery.conditions discovery.nesting discovery.trial discovery.results",
+    "discovery.misfits discovery.own_causes discovery.choice",
     "discovery.remainder",
     "discovery.discover",
     # pictures and faces
     "drawing excerpts report_words",
     "plots_course plots_identification plots_innovations report_tables discovery.plots_residuals",
-    "plots discovery.plots_misfits discovery.words",
-    "report",
+    "plots page discovery.plots_misfits discovery.words",
+    "report discovery.tables",
+    "discovery.page",
     "cli",
     "__main__",
 )

@@ -290,18 +290,6 @@ def test_a_misfit_is_the_structure_that_remains() -> None:
     json.dumps(found)
 
 
-def test_a_logger_that_repeats_yesterday_is_noticed() -> None:
-    base = made(14)
-    reading = np.round(base.measured["temperature"], 1)
-    reading[96 * 20 : 96 * 21] = reading[96 * 19 : 96 * 20]
-    found = structure(replace(base, measured={**base.measured, "temperature": reading}), found=[])
-    assert found["kind"] == "repeated readings"
-    assert "4 August 2020" in found["when"]
-    frozen = np.round(base.measured["temperature"], 1)
-    frozen[96 * 19 : 96 * 22] = 300.0
-    assert structure(replace(base, measured={**base.measured, "temperature": frozen}), found=[]) is None
-
-
 def test_excursions_to_one_side_under_no_logged_condition() -> None:
     base = made(15)
     random = np.random.default_rng(15)

@@ -7,50 +7,16 @@ import json
 import math
 import re
 from collections.abc import Iterator
-from html.parser import HTMLParser
 
 import numpy as np
 import pytest
+from html_page import Page as _Page
 from report_case import report_case, write_case
 
 from hygrokf import report
 from hygrokf.report import ReportFault, read_results, report_page, report_text, write_report
 from hygrokf.report_tables import cells, rmse_table, shortened
 from hygrokf.report_words import decimals_for, judgements, percent, plain_number, time_constant
-
-VOID = {"meta", "br", "link", "img"}
-
-
-class _Page(HTMLParser):
-    """Checks that tags close in order; keeps text, tags and attributes."""
-
-    def __init__(self, text: str) -> None:
-        super().__init__()
-        self.open: list[str] = []
-        self.tags: list[tuple[str, dict]] = []
-        self.words: list[str] = []
-        self.feed(text)
-        self.close()
-        assert not self.open, self.open
-
-    def handle_starttag(self, tag: str, attributes: list) -> None:
-        self.tags.append((tag, dict(attributes)))
-        if tag not in VOID:
-            self.open.append(tag)
-
-    def handle_startendtag(self, tag: str, attributes: list) -> None:
-        self.tags.append((tag, dict(attributes)))
-
-    def handle_endtag(self, tag: str) -> None:
-        assert self.open and self.open.pop() == tag, tag
-
-    def handle_data(self, data: str) -> None:
-        if not self.open or self.open[-1] != "style":
-            self.words.append(data)
-
-    @property
-    def text(self) -> str:
-        return " ".join(" ".join(self.words).split())
 
 
 @pytest.fixture

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from hygrokf.discovery.library import LIBRARY, Cause, named
 from hygrokf.discovery.scene import Scene
-from hygrokf.discovery.trial import Trial, attempt
+from hygrokf.discovery.trial import Trial, attempt, polished, started
 from hygrokf.stage import Progress
 
 MATERIAL = 0.05
@@ -20,19 +23,31 @@ WORSE = -0.02
 """A cause that makes the free run of a part worse by more than this share is no cause."""
 SMALLEST_SHIFT_S = 240.0
 """[s] below this a clock error is ordinary."""
-ALIKE = 0.7
-"""Causes whose evidence is at least this share of the best one's are kept in view as its rivals."""
+CLOSE = 10.0
+"""Difference in evidence below which two acceptable causes are not told apart."""
+HALF = 0.5
+"""Two causes are alike where their free runs differ by less than this share of what the better one changes in them, and
+the other has at least this share of its evidence."""
 MOST_CAUSES = 3
+SHARE = 0.15
+"""Share of an accepted cause's evidence that a further cause of the same part must have: the true form is never known."""
+EXPLAINED = "what it explains is explained by the accepted causes"
 RETRY = 8.0
 """2 Δ ln L below which a cause is not tried again beside an accepted one."""
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Accepted trials in order with the trials that rivalled each, all others with the reason, and the last scene."""
+    """Accepted trials in order with the trials that rivalled each, all others with the reason, and the last scene.
+
+    `margins`: share of its evidence by which the best cause outside its class stayed behind each accepted one;
+    `tried`: number of variants that were tried.
+    """
 
     accepted: tuple[Trial, ...]
     rivals: tuple[tuple[Trial, ...], ...]
+    margins: tuple[float, ...]
+    tried: int
     rejected: tuple[tuple[Trial, str], ...]
     scene: Scene
 
@@ -60,47 +75,108 @@ def worth(trial: Trial) -> float:
 
 
 def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lambda text: None) -> Choice:
-    """Add causes as long as one is both significant and worth having."""
+    """Add causes as long as one is both significant and worth having; take back what a later one made needless."""
+    base = scene
     accepted: list[Trial] = []
     rivals: list[tuple[Trial, ...]] = []
-    last: list[tuple[Trial, str]] = []
-    tried = list(library)
-    while len(accepted) < MOST_CAUSES:
-        trials = _round(scene, tried, accepted, say)
-        judged = [(trial, verdict_on(trial, named(trial.variant.cause, library))) for trial in trials]
-        good = sorted((t for t, reason in judged if not reason), key=worth, reverse=True)
-        if not accepted or good:
-            last = [(t, reason) for t, reason in judged if reason]
-        if not good:
-            break
-        best = good[0]
-        accepted.append(best)
-        rivals.append(
-            tuple(
-                t
-                for t in good[1:]
-                if t.variant.cause != best.variant.cause and worth(t) >= ALIKE * worth(best)
-            )
-        )
-        scene = replace(scene, parts={**scene.parts, **best.parts})
-        if best.variant.shift_s:
-            break
-        hopeful = {t.variant.cause for t in trials if t.lr > RETRY}
-        tried = [c for c in tried if c.name in hopeful and c.name != best.variant.cause]
-    return Choice(tuple(accepted), tuple(rivals), tuple(last), scene)
-
-
-def _round(scene: Scene, library: Sequence[Cause], accepted: Sequence[Trial], say: Progress) -> list[Trial]:
-    """Every variant of every cause, the best variant of each."""
-    taken = {feature for trial in accepted for feature in trial.variant.features}
-    found = []
+    margins: list[float] = []
+    trials: list[Trial] = []
     for cause in library:
         say(cause.name.replace("_", " "))
-        trials = []
-        for variant in cause.variants(scene):
-            if taken & set(variant.features):
-                continue  # one feature of a name at a time: two dates need two names
-            trials.append(attempt(scene, variant))
-        if trials:
-            found.append(max(trials, key=lambda t: t.bic_gain))
+        trials += [attempt(scene, variant) for variant in cause.variants(scene)]
+    tried = len(trials)
+    first = {t.variant.cause: t for t in sorted(trials, key=worth)}  # the best of each cause comes last
+    while True:
+        good = sorted((t for t in trials if not _reason(t, accepted, library)), key=worth, reverse=True)
+        if not good:
+            break
+        best = polished(scene, good[0])
+        others = {t.variant.cause: t for t in reversed(good) if t.variant.cause != best.variant.cause}
+        rivals.append(tuple(t for t in others.values() if alike(scene, best, t)))
+        class_ = {best.variant.cause, *(t.variant.cause for t in rivals[-1])}
+        behind = max((worth(t) for t in trials if t.variant.cause not in class_), default=0.0)
+        margins.append(1.0 - max(behind, 0.0) / worth(best))
+        accepted.append(best)
+        scene = replace(scene, parts={**scene.parts, **best.parts})
+        if len(accepted) > 1:
+            keep, scene = _needed(base, accepted, scene, say)
+            accepted, rivals, margins = ([one[i] for i in keep] for one in (accepted, rivals, margins))
+        if len(accepted) == MOST_CAUSES:
+            break
+        trials = _again(scene, trials, accepted, say)
+    names = {t.variant.cause for t in accepted}
+    rejected = tuple(
+        (t, verdict_on(t, named(name, library)) or EXPLAINED)
+        for name, t in first.items()
+        if name not in names
+    )
+    return Choice(tuple(accepted), tuple(rivals), tuple(margins), tried, rejected, scene)
+
+
+def _reason(trial: Trial, accepted: Sequence[Trial], library: Sequence[Cause]) -> str:
+    """Why a trial is not acceptable beside the accepted ones."""
+    reason = verdict_on(trial, named(trial.variant.cause, library))
+    if reason:
+        return reason
+    for other in accepted:
+        if set(other.parts) & set(trial.parts) and worth(trial) < SHARE * worth(other):
+            return "no more than what a stronger cause of another form than assumed leaves behind"
+    return ""
+
+
+def _again(scene: Scene, trials: Sequence[Trial], accepted: Sequence[Trial], say: Progress) -> list[Trial]:
+    """The hopeful ones of the last round, two variants of a cause at most, tried beside what was accepted."""
+    say("others beside it")
+    done = {t.variant.cause for t in accepted}
+    taken = {name: setting for t in accepted for name, setting in t.variant.features.items()}
+    found: list[Trial] = []
+    count: dict[str, int] = {}
+    for trial in sorted(trials, key=worth, reverse=True):
+        cause, features = trial.variant.cause, trial.variant.features
+        if trial.lr <= RETRY or cause in done or count.get(cause, 0) == 2:
+            continue
+        if any(name in taken and taken[name] != setting for name, setting in features.items()):
+            continue  # one setting of a feature at a time: two dates need two names
+        count[cause] = count.get(cause, 0) + 1
+        found.append(attempt(scene, started(scene, trial)))
     return found
+
+
+def _needed(base: Scene, accepted: Sequence[Trial], scene: Scene, say: Progress) -> tuple[list[int], Scene]:
+    """Places of the causes that are still needed beside the last one, and the scene with them alone."""
+    say("earlier causes again")
+    places = list(range(len(accepted)))
+    for place in places[:-1]:
+        others = [i for i in places if i != place]
+        without = base
+        for i in others:
+            again = attempt(without, started(without, accepted[i]))
+            without = replace(without, parts={**without.parts, **again.parts})
+        lost = sum(
+            2.0 * (scene.parts[name].objective - without.parts[name].objective) for name in scene.parts
+        )
+        price = accepted[place].lr - accepted[place].bic_gain
+        if lost - price < EVIDENCE:
+            return others, without
+    return places, scene
+
+
+def alike(scene: Scene, best: Trial, other: Trial) -> bool:
+    """Whether two acceptable causes cannot be told apart on this record."""
+    if worth(best) - worth(other) < CLOSE:
+        return True
+    return worth(other) >= HALF * worth(best) and difference(scene, best, other) < HALF
+
+
+def difference(scene: Scene, best: Trial, other: Trial) -> float:
+    """RMS difference of two causes' free runs over the RMS change that `best` makes [1], parts in units of their error."""
+    apart, change = 0.0, 0.0
+    for name, part in scene.parts.items():
+        before = part.error
+        moved = [trial.parts[name].error if name in trial.parts else before for trial in (best, other)]
+        if any(len(error) != len(before) for error in moved):  # a shifted clock has instants of its own
+            return math.inf
+        scale = float(np.nanmean(before**2))
+        apart += float(np.nansum((moved[0] - moved[1]) ** 2)) / scale
+        change += float(np.nansum((moved[0] - before) ** 2)) / scale
+    return math.sqrt(apart / change) if change > 0 else math.inf

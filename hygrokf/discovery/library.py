@@ -6,16 +6,20 @@ and how many settings were searched.  Identifiers are those of `discovery.json`.
 
 from __future__ import annotations
 
+import functools
 import math
+import operator
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from hygrokf.ambient import at_times, centred
-from hygrokf.discovery.scan import abrupt, local_scan, scan
+from hygrokf.discovery.clocks import Shift, sources, turns_within
+from hygrokf.discovery.scan import abrupt, local_scan, scan, slow_scan
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Part, Scene
 from hygrokf.features import operating
+from hygrokf.model import Mechanism
 from hygrokf.record import Record
 
 DAY_S = 86400.0
@@ -26,8 +30,8 @@ class Variant:
     """One form of a cause, ready to be estimated.
 
     `additions` part → (mechanism, settings) pairs; `features` inputs they read; `starts` start values to be tried;
-    `settings` what was chosen from a grid (dates, thresholds), `searched` the size of that grid; `altered` part →
-    mechanism → settings that differ from the base; `shift_s` source → seconds that its stamps are moved by.
+    `settings` what was chosen from a grid (dates, thresholds), `searched` how many independent settings that amounts to;
+    `altered` part → mechanism → settings that differ from the base; `shift` a source whose stamps are to be moved.
     """
 
     cause: str
@@ -36,9 +40,9 @@ class Variant:
     features: Mapping[str, dict] = field(default_factory=dict)
     starts: tuple[Mapping[str, float], ...] = ({},)
     settings: Mapping[str, object] = field(default_factory=dict)
-    searched: int = 1
+    searched: float = 1.0
     altered: Mapping[str, Mapping[str, dict]] = field(default_factory=dict)
-    shift_s: Mapping[str, float] = field(default_factory=dict)
+    shift: Shift | None = None
 
 
 @dataclass(frozen=True)
@@ -46,7 +50,8 @@ class Cause:
     """A physical cause: its `variants` in a scene (none where the record cannot show it), in words what it is, what to
     check in the turbine (`remedy`), and the measurement that would tell it from its rivals (`separate_by`).
 
-    `scored`: whether it shows in the free run's error; a clock or a faster exchange hardly does.
+    `scored`: whether it shows in the free run's error; a clock or a faster exchange hardly does.  `event`: whether it
+    happened at times that nobody logs, which no simulation can foresee.  A user's own cause brings its `mechanisms`, name → factory, and its `features`, name → (function, hold).
     """
 
     name: str
@@ -56,6 +61,9 @@ class Cause:
     variants: Callable[[Scene], list[Variant]]
     needs: str = ""
     scored: bool = True
+    event: bool = False
+    mechanisms: Mapping[str, Callable[..., Mechanism]] = field(default_factory=dict)
+    features: Mapping[str, tuple[Callable, str]] = field(default_factory=dict)
 
 
 def _parts(scene: Scene, **additions: tuple) -> dict[str, tuple]:
@@ -77,58 +85,83 @@ def _one(
 
 
 # -- grids ---------------------------------------------------------------------------------------------------------
-def dates(record: Record, every_days: float = 3.0) -> list[float]:
-    """Dates [s] for a change: every few days, five percent of the record away from its ends."""
+def dates(record: Record, every_days: float = 1.0) -> list[float]:
+    """Dates [s] for a change: every day, five percent of the record away from its ends."""
     margin = 0.05 * (record.end_s - record.start_s)
     count = max(int((record.end_s - record.start_s - 2 * margin) / (every_days * DAY_S)), 3)
     return [float(d) for d in np.linspace(record.start_s + margin, record.end_s - margin, count)]
 
 
+@dataclass(frozen=True)
+class Probe:
+    """A mechanism of one part whose parameter a scan of dates looks for."""
+
+    part: str
+    mechanism: tuple[str, dict]
+    parameter: str
+    nulls: Mapping[str, float] = field(default_factory=dict)
+
+
 def _best_date(
-    scene: Scene, probes: Mapping[str, tuple[str, str]], more: Sequence[float] = ()
-) -> tuple[float, int]:
-    """(date [s], dates tried) of the change that the parts' score statistics ask for most."""
-    grid = [*dates(scene.record), *more]
-    spacing = grid[1] - grid[0]
-    for _ in range(2):
-        total = np.zeros(len(grid))
-        for part, (mechanism, parameter) in probes.items():
-            if part in scene.parts:
-                settings = [{"date_s": d} for d in grid]
-                total += scan(scene.parts[part], (mechanism, {}), parameter, "after_step", settings) ** 2
-        best = int(np.argmax(total))
-        found, tried = grid[best], len(dates(scene.record)) + len(more)
-        grid = [found + spacing * f for f in np.linspace(-0.9, 0.9, 13)]  # once more, finer; 0 is among them
-    return found, tried
+    scene: Scene, feature: str, probes: Sequence[Probe], more: Sequence[float] = (), **fixed: float
+) -> tuple[dict, float]:
+    """(settings of the feature, effective number searched) of the change that the parts' score statistics ask for most."""
+    spacing = dates(scene.record)
+    grid = [*spacing, *more]
+    step = spacing[1] - spacing[0]
+    searched, found = 0.0, grid[0]
+    for look in (slow_scan, scan):
+        settings = [{"date_s": d, **fixed} for d in grid]
+        looks = [
+            look(scene.parts[one.part], one.mechanism, one.parameter, feature, settings, one.nulls)
+            for one in probes
+            if one.part in scene.parts
+        ]
+        scanned = functools.reduce(operator.add, looks)
+        found = float(grid[int(np.argmax(scanned.root**2))])
+        searched += scanned.effective
+        grid = [found + step * f for f in np.linspace(-1.5, 1.5, 13)]
+    return {"date_s": found, **fixed}, searched
+
+
+RAMP_DAYS = 8.0
+SETTLING_DAYS = 20.0
 
 
 def _exchange_step(scene: Scene) -> list[Variant]:
-    probes = {
-        HYGRIC: ("stepped_exchange", "exchange_change"),
-        THERMAL: ("stepped_loss", "conductance_change"),
-    }
-    date, tried = _best_date(scene, probes)
+    probes = (
+        Probe(HYGRIC, ("stepped_exchange", {}), "exchange_change"),
+        Probe(THERMAL, ("stepped_loss", {}), "conductance_change"),
+    )
     additions = _parts(scene, thermal=(("stepped_loss", {}),), hygric=(("stepped_exchange", {}),))
-    return [
-        Variant(
-            "exchange_step", "step", additions, {"after_step": {"date_s": date}},
-            settings={"date_s": date}, searched=tried,
+    found = []
+    for form, days in (("step", 0.0), ("ramp", RAMP_DAYS)):
+        setting, tried = _best_date(scene, "after_step", probes, days=days)
+        found.append(
+            Variant(
+                "exchange_step",
+                form,
+                additions,
+                {"after_step": setting},
+                settings=setting,
+                searched=2 * tried,
+            )
         )
-    ]  # fmt: skip
+    return found
 
 
 def _temperature_offset(scene: Scene) -> list[Variant]:
     found = []
     if THERMAL in scene.parts:
-        probes = {THERMAL: ("temperature_step", "temperature_offset")}
-        date, tried = _best_date(scene, probes, abrupt(scene.parts[THERMAL]))
+        probe = Probe(THERMAL, ("temperature_step", {}), "temperature_offset")
+        setting, tried = _best_date(scene, "after_step", [probe], abrupt(scene.parts[THERMAL]))
         found.append(
             Variant(
                 "temperature_sensor_offset",
                 "from a date on",
                 {THERMAL: (("temperature_step", {}),)},
-                {"after_step": {"date_s": date}},
-                settings={"date_s": date},
+                {"after_step": setting},
+                settings=setting,
                 searched=tried,
             )
         )
@@ -151,15 +184,21 @@ def _inside(scene: Scene, name: str) -> np.ndarray:
 
 
 def _best(
-    part: Part, mechanism: str, parameter: str, feature: str, grid: list[dict], steps: Mapping[str, float]
-) -> tuple[dict, int]:
-    """The two-point setting that the score statistic asks for most, refined twice around itself by `steps`."""
-    tried, best, chosen = 0, -math.inf, grid[0]
-    for factor in (1.0, 0.4):
-        z = scan(part, (mechanism, {}), parameter, feature, grid)
-        tried += len(grid)
-        if z.max() > best:
-            best, chosen = float(z.max()), grid[int(np.argmax(z))]
+    part: Part,
+    mechanism: str,
+    parameter: str,
+    feature: str,
+    grid: list[dict],
+    steps: Mapping[str, float],
+    nulls: Mapping[str, float] | None = None,
+) -> tuple[dict, float]:
+    """(two-point setting that the score statistic asks for most, effective number searched); refined twice by `steps`."""
+    searched, best, chosen = 0.0, -math.inf, grid[0]
+    for factor in (1.0, 0.4, 0.0):
+        scanned = scan(part, (mechanism, {}), parameter, feature, grid, nulls)
+        searched += scanned.effective
+        if scanned.root.max() > best:
+            best, chosen = float(scanned.root.max()), grid[int(np.argmax(scanned.root))]
         on, off = (key for key in chosen if key.startswith("o"))
         step = factor * steps.get(str(chosen.get("reads", "")), next(iter(steps.values())))
         grid = [
@@ -168,10 +207,7 @@ def _best(
             for j in (-1.0, -0.5, 0.0, 0.5, 1.0)
             if (chosen[on] + i * step - chosen[off] - j * step) * (chosen[on] - chosen[off]) > 0
         ]
-    z = scan(part, (mechanism, {}), parameter, feature, grid)
-    if z.max() > best:
-        chosen = grid[int(np.argmax(z))]
-    return chosen, tried
+    return chosen, searched
 
 
 def _cooling(scene: Scene) -> list[Variant]:
@@ -182,12 +218,15 @@ def _cooling(scene: Scene) -> list[Variant]:
     chosen, tried = _best(
         scene.parts[THERMAL], "cooling_loss", "cooling_conductance", "cooling", grid, {"": 1.5}
     )
-    additions = _parts(scene, thermal=(("cooling_loss", {}),))
+    closed = _parts(scene, thermal=(("cooling_loss", {}),))
+    blown = _parts(scene, thermal=(("cooling_loss", {}),), hygric=(("cooled_exchange", {}),))
+    forms = [("closed", closed)] + ([("filter fan", blown)] if HYGRIC in scene.parts else [])
     return [
         Variant(
-            "cooling_switching", "two-point", additions, {"cooling": chosen},
-            ({"cooling_conductance": 0.05},), chosen, tried,
+            "cooling_switching", form, additions, {"cooling": chosen},
+            ({"cooling_conductance": 0.05}, {"cooling_conductance": 0.5}), chosen, tried,
         )
+        for form, additions in forms
     ]  # fmt: skip
 
 
@@ -217,7 +256,7 @@ def _heater(scene: Scene) -> list[Variant]:
     return [
         Variant(
             "standstill_heater", str(chosen["reads"]), {THERMAL: (("unreported_heater", {}),)},
-            {"heating": chosen}, ({"heater_heat": 1.0},), chosen, tried,
+            {"heating": chosen}, ({"heater_heat": 1.0}, {"heater_heat": 8.0}), chosen, tried,
         )
     ]  # fmt: skip
 
@@ -226,46 +265,68 @@ def _drier(scene: Scene) -> list[Variant]:
     if HYGRIC not in scene.parts or "cabinet_relative_humidity" not in scene.record:
         return []
     levels = np.quantile(_inside(scene, "cabinet_relative_humidity"), np.linspace(0.3, 0.95, 9))
-    starts = tuple({"dehumidifier_rate": 1.0, "dehumidifier_setpoint": float(a)} for a in levels[[2, 6]])
+    starts = tuple({"dehumidifier_rate": 1.0, "dehumidifier_setpoint": float(a)} for a in levels[[1, 4, 7]])
     found = [Variant("dehumidifier", "proportional", {HYGRIC: (("dehumidifier", {}),)}, starts=starts)]
-    grid = [{"on": float(a), "off": float(a - width)} for a in levels for width in (0.02, 0.05, 0.1)]
+    grid = [{"on": float(a), "off": float(a - width)} for a in levels for width in (0.03, 0.08)]
     # the rate is positive and estimated as a logarithm: its slope at a small value stands for that at zero
-    z = scan(
-        scene.parts[HYGRIC], ("switched_drying", {}), "drying_rate", "drying", grid, {"drying_rate": 1e-4}
+    chosen, tried = _best(
+        scene.parts[HYGRIC],
+        "switched_drying",
+        "drying_rate",
+        "drying",
+        grid,
+        {"": 0.02},
+        {"drying_rate": 1e-4},
     )
-    best = int(np.argmax(z))
-    found.append(
-        Variant(
-            "dehumidifier",
-            "two-point",
-            {HYGRIC: (("switched_drying", {}),)},
-            {"drying": grid[best]},
-            ({"drying_rate": 0.1},),
-            grid[best],
-            len(grid),
-        )
-    )
+    for form, plate in (("two-point, cold plate", True), ("two-point, desiccant", False)):
+        found.append(
+            Variant(
+                "dehumidifier", form, {HYGRIC: (("switched_drying", {"plate": plate}),)}, {"drying": chosen},
+                ({"drying_rate": 0.02}, {"drying_rate": 0.2}), chosen, tried,
+            )
+        )  # fmt: skip
     return found
 
 
 def _wind(scene: Scene) -> list[Variant]:
     if "wind_speed" not in scene.record:
         return []
-    additions = _parts(scene, thermal=(("wind_loss", {}),), hygric=(("wind_exchange", {}),))
-    return [Variant("wind_driven_exchange", "linear", additions, {"wind_tenth": {}})]
+    found = []
+    for form, flag in (("linear", "wind_tenth"), ("square", "wind_square")):
+        additions = _parts(
+            scene, thermal=(("wind_loss", {"flag": flag}),), hygric=(("wind_exchange", {"flag": flag}),)
+        )
+        found.append(Variant("wind_driven_exchange", form, additions, {flag: {}}, searched=2))
+    return found
+
+
+AZIMUTHS = (90.0, 135.0, 180.0, 225.0, 270.0)
 
 
 def _sun(scene: Scene) -> list[Variant]:
     known = "global_horizontal_irradiance" in scene.record or scene.record.site is not None
     if not known or THERMAL not in scene.parts:
         return []
-    return [
+    starts = tuple({"solar_heat": 0.2, "solar_time": h} for h in (0.5, 3.0))
+    found = [
         Variant(
-            "solar_gain", f"lag of {time_h:g} h" if time_h else "at once",
-            {THERMAL: (("solar_gain", {"time_h": time_h}),)}, {"sunshine": {}}, ({"solar_heat": 0.1},), searched=2,
+            "solar_gain", "on the roof", {THERMAL: (("solar_gain", {"lagged": True}),)}, {"sunshine": {}}, starts,
+            searched=1 + len(AZIMUTHS),
         )
-        for time_h in (0.0, 3.0)
     ]  # fmt: skip
+    if scene.record.site is not None:
+        wall = ("solar_gain", {"lagged": True, "flag": "sunlit_wall"})
+        settings = [{"azimuth_deg": a} for a in AZIMUTHS]
+        nulls = {"solar_heat": 1e-3, "solar_time": 1.5}
+        scanned = scan(scene.parts[THERMAL], wall, "solar_heat", "sunlit_wall", settings, nulls)
+        chosen = settings[int(np.argmax(scanned.root))]
+        found.append(
+            Variant(
+                "solar_gain", "on a wall", {THERMAL: (wall,)}, {"sunlit_wall": chosen}, starts, chosen,
+                1.0 + scanned.effective,
+            )
+        )  # fmt: skip
+    return found
 
 
 def _span(scene: Scene) -> dict[str, float]:
@@ -275,26 +336,42 @@ def _span(scene: Scene) -> dict[str, float]:
 def _humidity_drift(scene: Scene) -> list[Variant]:
     if HYGRIC not in scene.parts or "cabinet_relative_humidity" not in scene.record:
         return []
+    levels = np.quantile(_inside(scene, "cabinet_relative_humidity"), (0.5, 0.8, 0.95))
+    sticks = tuple({"humidity_lost": 0.5, "humidity_ceiling": float(a)} for a in levels)
+    forms = (
+        ("drift", "humidity_drift", {}, {"elapsed": _span(scene)}, ({},)),
+        ("scale that goes off", "humidity_scale", {}, {"elapsed": _span(scene)}, ({},)),
+        ("scale", "humidity_scale", {"flag": None}, {}, ({},)),
+        ("ceiling", "humidity_ceiling", {}, {}, sticks),
+    )
     return [
         Variant(
-            "humidity_sensor_drift", form, {HYGRIC: ((mechanism, {}),)}, {feature: _span(scene)}, searched=2
+            "humidity_sensor_drift", form, {HYGRIC: ((mechanism, settings),)}, features, starts, searched=len(forms)
         )
-        for form, mechanism, feature in (
-            ("drift", "humidity_drift", "elapsed"),
-            ("scale", "humidity_scale", "elapsed"),
-        )
-    ]
+        for form, mechanism, settings, features, starts in forms
+    ]  # fmt: skip
 
 
 def _heat_drift(scene: Scene) -> list[Variant]:
-    return [
+    if THERMAL not in scene.parts:
+        return []
+    base = dict(scene.parts[THERMAL].base.mechanisms)["heat_release"]
+    own = {"order": base["order"], "operation": base["operation"]} if base["standstill"] else {}
+    found = [
         Variant(
-            "heat_release_drift",
-            "straight",
-            {THERMAL: (("release_drift", {}),)},
-            {"elapsed": _span(scene)},
+            "heat_release_drift", "straight", {THERMAL: (("release_drift", own),)}, {"elapsed": _span(scene)}
         )
     ]
+    late = {**own, "flag": "since"}
+    probe = Probe(THERMAL, ("release_drift", late), "heat_drift")
+    setting, tried = _best_date(scene, "since", [probe], days=SETTLING_DAYS)
+    return [
+        *found,
+        Variant(
+            "heat_release_drift", "from a date on, saturating", {THERMAL: (("release_drift", late),)},
+            {"since": setting}, settings=setting, searched=tried,
+        ),
+    ]  # fmt: skip
 
 
 def _sorption(scene: Scene) -> list[Variant]:
@@ -313,51 +390,92 @@ def _sorption(scene: Scene) -> list[Variant]:
 def _condensation(scene: Scene) -> list[Variant]:
     if HYGRIC not in scene.parts:
         return []
-    starts = tuple(
-        {"condensation_rate": 0.1, "surface_share": s, "surface_undercooling": 1.0} for s in (0.05, 0.4)
-    )
+
+    def starts(*rows: tuple[float, float, float]) -> tuple[dict, ...]:
+        return tuple(
+            {
+                "condensation_rate": rate,
+                "surface_time": time,
+                "surface_share": 0.03,
+                "surface_undercooling": below,
+            }
+            for rate, time, below in rows
+        )
+
+    forms = [("heavy surface", False, starts((0.2, 15.0, 0.3), (0.2, 4.0, 1.0), (2.0, 15.0, 0.3)))]
+    if scene.record.site is not None:
+        forms.append(("skin under the night sky", True, starts((0.3, 1.5, 3.0), (2.0, 1.0, 2.0))))
     return [
         Variant(
-            "condensation", form, {HYGRIC: (("condensation", {"time_h": time_h}),)}, starts=starts, searched=2
+            "condensation", form, {HYGRIC: (("condensation", {"sky": sky}),)}, {"night_sky": {}} if sky else {},
+            starts=first, searched=len(forms),
         )
-        for form, time_h in (("light surface", 1.5), ("heavy surface", 15.0))
+        for form, sky, first in forms
     ]  # fmt: skip
+
+
+HEAVY_MM_H = 1.0
 
 
 def _rain(scene: Scene) -> list[Variant]:
     if "rain" not in scene.record or HYGRIC not in scene.parts:
         return []
-    starts = tuple({"rain_intake": 0.1, "rain_drying_time": t} for t in (2.0, 12.0))
-    return [Variant("rain_ingress", "delayed", {HYGRIC: (("rain_ingress", {}),)}, starts=starts)]
+    series = scene.record["rain"]
+    step_s = series.interval_s if series.interval_s > 0 else float(np.median(np.diff(series.time)))
+    above = HEAVY_MM_H * step_s / 3600.0
+    starts = tuple({"rain_intake": 0.5, "rain_drying_time": t} for t in (2.0, 12.0))
+    return [
+        Variant(
+            "rain_ingress", form, {HYGRIC: (("rain_ingress", {"flag": flag}),)}, features, starts, settings, 2
+        )
+        for form, flag, features, settings in (
+            ("all rain", "rain", {}, {}),
+            ("heavy rain", "heavy_rain", {"heavy_rain": {"above": above}}, {"above": above}),
+        )
+    ]  # fmt: skip
 
 
 def _source(scene: Scene) -> list[Variant]:
     if HYGRIC not in scene.parts:
         return []
-    forms = [("always", False)]
+    start = ({"moisture_source": 0.02}, {"moisture_source": 0.3})
+
+    def variant(form: str, when: str, features: dict, searched: int) -> Variant:
+        additions = {HYGRIC: (("internal_moisture_source", {"when": when}),)}
+        settings = next(iter(features.values()), {})
+        return Variant("internal_moisture_source", form, additions, features, start, settings, searched)
+
+    found = [variant("always", "always", {}, 3)]
     if "active_power" in scene.record:
-        forms.append(("at standstill", True))
-    return [
-        Variant(
-            "internal_moisture_source", form, {HYGRIC: (("internal_moisture_source", {"standstill": idle}),)},
-            {"standstill": {}} if idle else {}, starts=({"moisture_source": 0.02},), searched=len(forms),
-        )
-        for form, idle in forms
-    ]  # fmt: skip
+        found.append(variant("at standstill", "standstill", {"standstill": {}}, 3))
+    late = ("internal_moisture_source", {"when": "fading"})
+    probe = Probe(HYGRIC, late, "moisture_source", {"moisture_source": 1e-4})
+    setting, tried = _best_date(scene, "fading", [probe], days=SETTLING_DAYS)
+    found.append(variant("drying out from a date on", "fading", {"fading": setting}, tried))
+    return found
 
 
 def _breathed(scene: Scene) -> list[Variant]:
     found = []
+    forms = ("vapour", "temperature", "humidity")
     if HYGRIC in scene.parts:
-        found.append(
-            Variant("ambient_bias", "vapour", {HYGRIC: (("breathed_air", {"time_h": 3.0}),)}, searched=2)
-        )
+        for form in forms:
+            found.append(
+                Variant(
+                    "ambient_bias", form, {HYGRIC: (("breathed_air", {"time_h": 3.0, "form": form}),)},
+                    starts=({}, {"breathed_lag_share": -0.5}), searched=len(forms),
+                )
+            )  # fmt: skip
     if THERMAL in scene.parts:
+        thermal = (("lagged_ambient", {"time_h": 3.0}),)
+        lag = ({}, {"ambient_lag_share": -0.5})
         found.append(
-            Variant(
-                "ambient_bias", "temperature", {THERMAL: (("lagged_ambient", {"time_h": 3.0}),)}, searched=2
-            )
+            Variant("ambient_bias", "lag of the temperature", {THERMAL: thermal}, starts=lag, searched=4)
         )
+        if HYGRIC in scene.parts:
+            both = {THERMAL: thermal, HYGRIC: (("breathed_air", {"time_h": 3.0}),)}
+            lag = ({}, {"ambient_lag_share": -0.5, "breathed_lag_share": -0.5})
+            found.append(Variant("ambient_bias", "lag of both", both, starts=lag, searched=4))
     return found
 
 
@@ -388,21 +506,23 @@ def _door(scene: Scene) -> list[Variant]:
 SHIFTS_MIN = (-60.0, -30.0, -10.0, 10.0, 30.0, 60.0)
 
 
-def sources(record: Record) -> dict[str, tuple[str, ...]]:
-    """Files of a record and the signals that each of them brings: what has one clock."""
-    found: dict[str, list[str]] = {}
-    for series in record.series:
-        found.setdefault(series.source.split(",")[0] or series.signal, []).append(series.signal)
-    return {name: tuple(signals) for name, signals in found.items()}
-
-
 def _clock(scene: Scene) -> list[Variant]:
-    cabinet = "cabinet_temperature"
-    return [
-        Variant("clock_shift", name, shift_s={name: 0.0}, searched=4 * len(SHIFTS_MIN))
-        for name, signals in sources(scene.record).items()
-        if cabinet in signals or "ambient_temperature" in signals or "active_power" in signals
+    told = ("cabinet_temperature", "ambient_temperature", "active_power")
+    names = [name for name, signals in sources(scene.record).items() if set(told) & set(signals)]
+    found = [
+        Variant("clock_shift", name, shift=Shift(name, 0.0), searched=4 * len(SHIFTS_MIN)) for name in names
     ]
+    if turns_within(scene.record):
+        found += [
+            Variant(
+                "clock_shift",
+                f"{name}, in summer time",
+                shift=Shift(name, 0.0, True),
+                searched=2 * len(names),
+            )
+            for name in names
+        ]
+    return found
 
 
 LIBRARY: tuple[Cause, ...] = (
@@ -470,7 +590,7 @@ LIBRARY: tuple[Cause, ...] = (
         "a wetness sensor on the floor", _rain, needs="rain",
     ),
     Cause(
-        "door_opening", "the door stood open", "compare with the log of service visits", "a door contact", _door, scored=False,
+        "door_opening", "the door stood open", "compare with the log of service visits", "a door contact", _door, scored=False, event=True,
     ),
     Cause(
         "dehumidifier", "a drier works above a set-point", "find the drier and its set-point; log its state",

@@ -109,7 +109,24 @@ class Misfit:
             "driver": self.driver or None,
             "kind": self.kind,
             "curve": dict(self.curve),
+            "spans": [list(span) for span in self.spans],
         }
+
+    @classmethod
+    def from_json(cls, data: Mapping) -> Misfit:
+        """A misfit from what `to_json` gave."""
+        return cls(
+            **{
+                name: data[name]
+                for name in (
+                    "quantity", "where", "when", "size", "direction", "duration_h", "n_episodes", "n_possible",
+                    "sensor_share", "statement", "p", "kind", "curve",
+                )
+            },
+            q=data["p_adjusted"],
+            driver=data["driver"] or "",
+            spans=tuple((float(first), float(last)) for first, last in data["spans"]),
+        )  # fmt: skip
 
 
 # --- how surely ------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.discovery.misfits import Misfit
-from hygrokf.discovery.plots_residuals import AFTER, TITLE, error_label
+from hygrokf.discovery.plots_residuals import AFTER, TITLE, error_label, held_out
 from hygrokf.discovery.residuals import HUMIDITY, TEMPERATURE, UNITS, Residuals, hourly
 from hygrokf.drawing import (
     AMBIENT,
@@ -250,6 +250,7 @@ def _lasting(residuals: Residuals, misfit: Misfit, after: Residuals | None) -> F
                 axes.plot(days(hours.time_s), level, color=INK, linewidth=1.1, dashes=(5, 2))
         calendar(axes, (float(residuals.time_s[0]), float(residuals.time_s[-1])), 12)
         axes.locator_params(axis="y", nbins=6)
+        held_out(axes, residuals, axes.get_ylim()[1])
         upright(axes, error_label(quantity))
     return figure
 

@@ -121,8 +121,14 @@ def figure_drivers(
     return figure
 
 
-def _telling(hours: Hours, quantities: Sequence[str]) -> list[str]:
-    """Drivers along which the medians spread most, in units of the error's own spread."""
+def telling_drivers(residuals: Residuals, first: Sequence[str] = ()) -> list[str]:
+    """Up to four drivers: those named first, then those along which the medians spread most, in units of the error's
+    own spread."""
+    hours = hourly(residuals)
+    return _telling(hours, _known(residuals), first)
+
+
+def _telling(hours: Hours, quantities: Sequence[str], first: Sequence[str] = ()) -> list[str]:
     rank = {}
     for name, value in hours.drivers.items():
         if name == "preheating":
@@ -135,8 +141,9 @@ def _telling(hours: Hours, quantities: Sequence[str]) -> list[str]:
                 spreads.append(float(np.nanstd(middle)) / (float(np.nanstd(error)) or 1.0))
         if spreads:
             rank[name] = max(spreads)
-    best = sorted(rank, key=lambda name: -rank[name])[:DRIVERS]
-    return [name for name in hours.drivers if name in best]
+    best = dict.fromkeys([name for name in first if name in rank])
+    best |= dict.fromkeys(sorted(rank, key=lambda name: -rank[name]))
+    return [name for name in hours.drivers if name in list(best)[:DRIVERS]]
 
 
 def _two_lines(text: str, width: int = 27) -> str:
@@ -237,13 +244,8 @@ def figure_day_hour(
             last = row == len(maps) - 1
             axes.set_xticks(days(at), names if last else None)
             axes.tick_params(labelbottom=last)
-            if one.validation.any():
-                start = float(days(one.time_s[np.argmax(one.validation)]))
-                axes.axvline(start, color=INK, linewidth=0.9, dashes=(4, 2))
-                axes.text(
-                    start, 23.3, " validation", fontsize=6.5, color=INK, fontstyle="italic", va="top",
-                    bbox={"facecolor": "white", "alpha": 0.8, "pad": 0.8, "linewidth": 0},
-                )  # fmt: skip
+            axes.set_xlim(maps[0][0], maps[0][0] + len(maps[0][1]))
+            held_out(axes, one, 23.3)
             axes.set_title(TITLE[quantity] + (f", {label}" if label else ""))
         bar = figure.add_axes((0.93, 0.31 / height, 0.013, 1.0 - 0.72 / height))
         figure.colorbar(image, cax=bar, extend="both", extendfrac=0.03)
@@ -255,6 +257,18 @@ def figure_day_hour(
             color=QUIET,
         )  # fmt: skip
     return figure
+
+
+def held_out(axes: Axes, residuals: Residuals, height: float) -> None:
+    """Where the validation period begins, on an axis of days; its name hangs at `height` of the other axis."""
+    if not residuals.validation.any():
+        return
+    start = float(days(residuals.time_s[np.argmax(residuals.validation)]))
+    axes.axvline(start, color=INK, linewidth=0.9, dashes=(4, 2))
+    axes.text(
+        start, height, " validation", fontsize=6.5, color=INK, fontstyle="italic", va="top",
+        bbox={"facecolor": "white", "alpha": 0.8, "pad": 0.8, "linewidth": 0},
+    )  # fmt: skip
 
 
 def _by_day(residuals: Residuals, quantity: str) -> tuple[int, np.ndarray]:
@@ -287,8 +301,8 @@ def figure_innovations(
         height = 0.75 + 1.65 * len(quantities)
         figure = new_figure(height)
         grid = figure.add_gridspec(
-            len(quantities), 4, hspace=0.48, wspace=0.24, left=0.055, right=0.985, top=1.0 - 0.52 / height,
-            bottom=0.36 / height, width_ratios=(1.25, 1.0, 1.0, 1.0),
+            len(quantities), 5, hspace=0.48, wspace=0.12, left=0.055, right=0.985, top=1.0 - 0.52 / height,
+            bottom=0.36 / height, width_ratios=(1.25, 0.12, 1.0, 1.0, 1.0),
         )  # fmt: skip
         for row, quantity in enumerate(quantities):
             both = [(found.get(quantity, {}), SIMULATED), (later.get(quantity, {}), AFTER)]
@@ -297,7 +311,7 @@ def figure_innovations(
             _periodogram(axes, both)
             axes.set_title(TITLE[quantity])
             if last:
-                axes.set_xlabel("periodogram (white = 1) by period [h]")
+                axes.set_xlabel("power (white = 1) by period [h]")
             cross = both[0][0].get("cross_correlation", {})
             rows = {name: one for name, one in cross.items() if "lag_h" in one}
             best = [name for name in drivers if name in rows] or sorted(
@@ -305,10 +319,10 @@ def figure_innovations(
             )
             reach = max((_size(rows[name]) for name in best[:3]), default=0.1)
             for column, name in enumerate(best[:3]):
-                axes = figure.add_subplot(grid[row, column + 1])
+                axes = figure.add_subplot(grid[row, column + 2])
                 other = both[1][0].get("cross_correlation", {}).get(name, {})
                 _correlation(axes, rows[name], other, reach)
-                axes.set_title(_two_lines(f"with {words(name)}", 30), fontweight="normal", fontsize=7.0)
+                axes.set_title(_two_lines(f"with {words(name)}", 26), fontweight="normal", fontsize=7.0)
                 if last:
                     axes.set_xlabel("lag [h]; > 0: after the driver" if column == 0 else "lag [h]")
                 if column:
@@ -375,7 +389,9 @@ def _correlation(axes: Axes, one: Mapping, other: Mapping, reach: float) -> None
     axes.set_ylim(-reach, reach)
     end = math.ceil(one["lag_h"][-1])
     axes.set_xlim(-end, end)
-    axes.set_xticks([tick for tick in (-24, -12, 0, 12, 24) if abs(tick) <= end])
+    ticks = [tick for tick in (-24, -12, 0, 12, 24) if abs(tick) <= end]
+    # the labels of two neighbours' ends would touch
+    axes.set_xticks(ticks, [f"{tick}".replace("-", "−") if abs(tick) < 24 else "" for tick in ticks])
     axes.locator_params(axis="y", nbins=5)
 
 

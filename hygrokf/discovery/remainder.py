@@ -1,4 +1,4 @@
-"""What structure is left in the errors of a free run: under a condition, in readings that repeat, to one side."""
+"""What structure is left in the errors of a free run: under a condition, or to one side."""
 
 from __future__ import annotations
 
@@ -18,15 +18,12 @@ from hygrokf.discovery.residuals import (
     Residuals,
     closed,
     hourly,
-    reading_grid,
     run_lengths,
 )
 from hygrokf.discovery.significance import block_h
 
 SKEWED = 0.5
 """[1] skewness of the errors below which nothing is called one-sided."""
-REPEATED_S = 3.0 * 3600.0
-"""[s] over which equal readings on two days are no chance."""
 
 
 def structure(
@@ -35,17 +32,10 @@ def structure(
     """The strongest structure left in the errors, or None: quantity, when, what it goes with, p.
 
     level: [1] chance of an answer where there is none.  found: `misfits(residuals)` if at hand.  Looked for are misfits
-    under any condition, readings that repeat those of the day before, and excursions to one side under no condition
-    that was logged.  `driver`, `lag_h` and `correlation` name the driver that the error follows best.
+    under any condition, and excursions to one side under no condition that was logged.  `driver`, `lag_h` and `correlation` name the driver that the error follows best.
     """
     found = misfits(residuals, level) if found is None else found
     hours = hourly(residuals)
-    for quantity in QUANTITIES:
-        days = _repeated(residuals, quantity)
-        if days:
-            when = _dates(days)
-            words = f"readings of the {NAMES[quantity]} repeat those of the day before: {when}"
-            return _left(hours, quantity, "repeated readings", when, words, 0.0)
     if found:
         one = found[0]
         when = ", ".join(part for part in (one.when, one.where) if part)
@@ -103,23 +93,6 @@ def _dates(instants_s: Sequence[float]) -> str:
     days = list(dict.fromkeys(f"{datetime.fromtimestamp(one, UTC):%-d %B %Y}" for one in instants_s))
     more = f" and {len(days) - 3} more" if len(days) > 3 else ""
     return ", ".join(days[:3]) + more
-
-
-def _repeated(residuals: Residuals, quantity: str) -> list[float]:
-    """Beginnings [s] of stretches of three hours and more over which moving readings equal those of 24 h before."""
-    if quantity not in residuals.measured:
-        return []
-    start, step, grid = reading_grid(residuals, quantity, residuals.measured[quantity])
-    day = round(86400.0 / step) if len(grid) else 0
-    if day < 2 or day >= len(grid):
-        return []
-    found = []
-    for a, b in run_lengths(np.abs(grid[day:] - grid[:-day]) < 1e-6):
-        part = grid[day + a : day + b]
-        # saturated or frozen readings are equal without having been repeated
-        if (b - a) * step >= REPEATED_S and len(np.unique(np.round(part, 6))) >= 0.25 * (b - a):
-            found.append(start + step * (day + a))
-    return found
 
 
 def one_sided(values: np.ndarray, step_h: float = 1.0) -> tuple[float, float]:

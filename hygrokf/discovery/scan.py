@@ -10,33 +10,101 @@ the gain 2 Δ ln L that a small effect promises when everything else is estimate
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hygrokf.design import extended
-from hygrokf.discovery.scene import Part
+from hygrokf.discovery.scene import Part, searching
 from hygrokf.drivers import run
 from hygrokf.features import feature
 from hygrokf.likelihood import Likelihood
+from hygrokf.model import Model
+from hygrokf.timeline import Timeline
 
 
-def scan(
+@dataclass(frozen=True)
+class Scanned:
+    """Score statistics of S settings: `root` (S,) signed roots of LM, positive where the parameter wants to grow, and their
+    `correlation` (S, S) where there is no effect.
+    """
+
+    root: np.ndarray
+    correlation: np.ndarray
+
+    def __add__(self, other: Scanned) -> Scanned:
+        """Both of two independent looks at the same settings, for statistics that add up as squares."""
+        root = np.sqrt(self.root**2 + other.root**2)
+        return Scanned(root, 0.5 * (self.correlation + other.correlation))
+
+    @property
+    def effective(self) -> float:
+        """Number of independent settings whose largest LM has the same law: the price of having searched.
+
+        From `DRAWS` simulated maxima of normal variates with the correlation of the statistics; at least 1.
+        """
+        from scipy.special import erfc
+
+        value, vector = np.linalg.eigh(self.correlation)
+        factor = vector * np.sqrt(np.maximum(value, 0.0))
+        normal = np.random.default_rng(0).standard_normal((DRAWS, len(value)))
+        high = float(np.quantile(np.abs(normal @ factor.T).max(axis=1), 1.0 - TAIL))
+        return max(TAIL / max(float(erfc(high / math.sqrt(2.0))), 1e-12), 1.0)
+
+
+@dataclass(frozen=True)
+class _Bench:
+    """A part with an effect at its null value: standardised innovations `e` (n,) at the readings, a `basis` (n, d) of what
+    the base's parameters explain, and how the slopes along the effect are had for other values of its feature.
+    """
+
+    part: Part
+    model: Model
+    timeline: Timeline
+    at: Mapping[str, float]
+    along: np.ndarray
+    root: np.ndarray
+    read: np.ndarray
+    e: np.ndarray
+    basis: np.ndarray
+    name: str
+
+    @property
+    def seconds(self) -> np.ndarray:
+        return self.timeline.origin_s + 3600.0 * self.timeline.time
+
+    def slopes(self, value: np.ndarray) -> np.ndarray:
+        """Slopes (n,) along the effect with the feature's values (T,)."""
+        u = self.timeline.u.copy()
+        column = self.timeline.varying.index(self.name)
+        u[1:, column] = value
+        u[0, column] = value[0]
+        changed = searching(self.model, replace(self.timeline, u=u))
+        return (_slopes(changed, self.at, self.along)[..., 0] / self.root)[self.read]
+
+    def scanned(self, columns: Sequence[np.ndarray]) -> Scanned:
+        """Signed roots of LM of slopes (n,), one for each setting."""
+        units = np.zeros((len(self.e), len(columns)))
+        for place, x in enumerate(columns):
+            x = x - self.basis @ (self.basis.T @ x)
+            length = float(np.linalg.norm(x))
+            if length > 1e-6:
+                units[:, place] = x / length
+        return Scanned(units.T @ self.e, units.T @ units)
+
+
+def _bench(
     part: Part,
     mechanism: tuple[str, dict],
     parameter: str,
     name: str,
-    settings: Sequence[Mapping],
-    nulls: Mapping[str, float] | None = None,
-) -> np.ndarray:
-    """Signed roots of LM (S,), positive where the parameter wants to grow, for each of S settings of the feature `name`.
-
-    `mechanism` (name, settings) brings the parameter and reads the feature; `nulls` values of its other parameters.
-    """
-    wider = extended(part.base, [mechanism], features={name: dict(settings[0])})
-    made = run(wider, part.record)
-    t = made.timeline
+    setting: Mapping,
+    nulls: Mapping | None,
+) -> _Bench:
+    wider = extended(part.base, [mechanism], features={name: dict(setting)})
+    t = run(wider, part.record).timeline
     model = wider.model
     at = {p.name: p.null if p.null is not None else p.start for p in model.parameters}
     at |= dict(part.values) | dict(nulls or {})
@@ -46,7 +114,7 @@ def scan(
     directions = np.zeros((len(own), len(base)))
     for column, row in enumerate(base):
         directions[row, column] = slopes[own[row]]
-    likelihood = Likelihood(model, t)
+    likelihood = searching(model, t)
     trace = likelihood.trace(at)
     read = np.isfinite(t.y)
     root = np.sqrt(trace.variance)
@@ -55,19 +123,45 @@ def scan(
     basis, _ = np.linalg.qr(x0[:, np.abs(x0).max(axis=0) > 1e-12])
     along = np.zeros((len(own), 1))
     along[own.index(parameter), 0] = 1.0
-    column = t.varying.index(name)
-    seconds = t.origin_s + 3600.0 * t.time
-    found = []
-    for one in settings:
-        u = t.u.copy()
-        u[1:, column] = feature(part.record, name, one, seconds)
-        u[0, column] = u[1, column]
-        changed = Likelihood(model, replace(t, u=u))
-        x = (_slopes(changed, at, along)[..., 0] / root)[read]
-        x = x - basis @ (basis.T @ x)
-        square = float(x @ x)
-        found.append(0.0 if square <= 1e-12 else float(x @ e) / np.sqrt(square))
-    return np.array(found)
+    return _Bench(part, model, t, at, along, root, read, e, basis, name)
+
+
+def scan(
+    part: Part,
+    mechanism: tuple[str, dict],
+    parameter: str,
+    name: str,
+    settings: Sequence[Mapping],
+    nulls: Mapping[str, float] | None = None,
+) -> Scanned:
+    """Score statistics of S settings of the feature `name`.
+
+    `mechanism` (name, settings) brings the parameter and reads the feature; `nulls` values of its other parameters.
+    """
+    bench = _bench(part, mechanism, parameter, name, settings[0], nulls)
+    return bench.scanned([bench.slopes(feature(part.record, name, one, bench.seconds)) for one in settings])
+
+
+def slow_scan(
+    part: Part,
+    mechanism: tuple[str, dict],
+    parameter: str,
+    name: str,
+    settings: Sequence[Mapping],
+    nulls: Mapping[str, float] | None = None,
+) -> Scanned:
+    """The same for a feature that changes slowly, by one pass of the filter for all settings.
+
+    A filter forgets within hours: slopes along an effect that comes and goes over days are those along a lasting one
+    times its course.  What happens in the hours after a sudden change is missed; `scan` refines.
+    """
+    bench = _bench(part, mechanism, parameter, name, settings[0], nulls)
+    lasting = bench.slopes(np.ones(len(bench.seconds)))
+    courses = (
+        np.broadcast_to(feature(part.record, name, one, bench.seconds)[:, None], bench.read.shape)
+        for one in settings
+    )
+    return bench.scanned([lasting * course[bench.read] for course in courses])
 
 
 def _slopes(likelihood: Likelihood, values: Mapping[str, float], directions: np.ndarray) -> np.ndarray:
@@ -78,7 +172,7 @@ def _slopes(likelihood: Likelihood, values: Mapping[str, float], directions: np.
 def abrupt(part: Part, count: int = 12) -> list[float]:
     """Dates [s] just before the largest innovations of a part: where a reading may have jumped."""
     t = part.run.timeline
-    trace = Likelihood(part.base.model, t).trace(part.values)
+    trace = searching(part.base.model, t).trace(part.values)
     size = np.abs(t.y - trace.prediction)[:, 0] / np.sqrt(trace.variance)[:, 0]
     order = np.argsort(np.where(np.isfinite(size), -size, 0.0))[:count]
     read = np.flatnonzero(np.isfinite(size))
@@ -87,6 +181,9 @@ def abrupt(part: Part, count: int = 12) -> list[float]:
     return sorted(float(t.origin_s + 3600.0 * m) for m in middle)
 
 
+DRAWS = 4000
+TAIL = 0.02
+"""[1] tail of the simulated maxima at which independent settings are counted."""
 WINDOWS_H = (3.0, 8.0, 24.0, 72.0)
 PRICE = 25.0
 """LM that a window must bring: of some thousand windows tried on noise the largest is seldom above 16."""
@@ -139,7 +236,7 @@ def _responses(
     t = made.timeline
     at = {p.name: p.null if p.null is not None else p.start for p in wider.model.parameters}
     at |= dict(part.values)
-    likelihood = Likelihood(wider.model, t)
+    likelihood = searching(wider.model, t)
     trace = likelihood.trace(at)
     along = np.zeros((len(at), 1))
     along[[p.name for p in wider.model.parameters].index(parameter), 0] = 1.0

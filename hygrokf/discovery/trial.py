@@ -7,18 +7,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.design import Design
-from hygrokf.discovery.library import SHIFTS_MIN, Variant, penalty, sources
-from hygrokf.discovery.scene import Part, Scene, days, refitted
+from hygrokf.design import Design, extended
+from hygrokf.discovery.clocks import HOUR_S, Shift, shifted, sources
+from hygrokf.discovery.library import SHIFTS_MIN, Variant, penalty
+from hygrokf.discovery.scene import Part, Scene, climbed, days, refitted, searching
 from hygrokf.drivers import run
-from hygrokf.likelihood import Likelihood, Trace
-from hygrokf.record import Record
+from hygrokf.likelihood import Trace
 from hygrokf.timeline import Timeline
 
 REFINEMENTS = 2
 """Passes that narrow a shift down from the coarse grid by score statistics, each to about half the spacing."""
 SHIFT_STEPS_S = (240.0, 90.0, 30.0)
 """[s] steps by which a shift is then moved as long as the likelihood, all parameters estimated again, grows."""
+EPISODE_GAP = 3
+"""[d] days of one episode lie at most so far apart."""
+WEEK = 7
 BEST_DAYS = 3
 """Days that a gain must survive without: an effect that was seen on three days alone is no property of the cabinet."""
 
@@ -29,7 +32,7 @@ class Trial:
 
     `parts` the parts that it changed; `lr` 2 Δ ln L of them together, `parameters` their new ones, `bic_gain` lr less
     the price of parameters and grid; `gain` part → share of the squared free-run error that is gone, `lasting` the
-    same without the three days that gained most.
+    same without the three days that gained most, `episodes` in how many episodes it was gained.
     """
 
     variant: Variant
@@ -39,15 +42,26 @@ class Trial:
     bic_gain: float
     gain: Mapping[str, float]
     lasting: Mapping[str, float]
+    episodes: Mapping[str, int]
 
     @property
     def best_lasting(self) -> float:
         return max(self.lasting.values(), default=0.0)
 
+    @property
+    def part(self) -> str:
+        """The part whose free run gained most."""
+        return max(self.lasting, key=lambda name: self.lasting[name], default="")
+
+    @property
+    def once(self) -> bool:
+        """Whether all that it gained in the free run was gained in one episode: it cannot be seen to recur."""
+        return self.episodes.get(self.part, 2) < 2
+
 
 def attempt(scene: Scene, variant: Variant) -> Trial:
     """Estimate a variant in every part that it touches."""
-    if variant.shift_s:
+    if variant.shift is not None:
         return _shifted(scene, variant)
     parts = {}
     for name, part in scene.parts.items():
@@ -60,33 +74,131 @@ def attempt(scene: Scene, variant: Variant) -> Trial:
     return judged(scene, variant, parts)
 
 
+def started(scene: Scene, trial: Trial) -> Variant:
+    """The variant of a trial, to be tried again from where it ended."""
+    if trial.variant.shift is not None:
+        return trial.variant
+    known = {name for part in scene.parts.values() for name in part.values}
+    altered = {name for changed in trial.variant.altered.values() for name in changed}
+    start = {
+        name: value
+        for part in trial.parts.values()
+        for name, value in part.values.items()
+        if name not in known or altered
+    }
+    return replace(trial.variant, starts=(start,))
+
+
+def polished(scene: Scene, trial: Trial) -> Trial:
+    """The trial with its parts climbed to their maxima."""
+    return judged(scene, trial.variant, {name: climbed(part) for name, part in trial.parts.items()})
+
+
 def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
     """What changed parts gained over those of the scene."""
     lr, count, n = 0.0, 0, 0
-    gain, lasting = {}, {}
+    gain, lasting, often = {}, {}, {}
     for name, part in parts.items():
         before = scene.parts[name]
+        often[name] = episodes(*daily_squares(before, part))
         lr += 2.0 * (part.objective - before.objective)
         count += part.parameters - before.parameters
         n += before.n
         gain[name], lasting[name] = shares(before, part)
     count = max(count, 1)
-    return Trial(variant, dict(parts), lr, count, lr - penalty(variant, count, n), gain, lasting)
+    return Trial(variant, dict(parts), lr, count, lr - penalty(variant, count, n), gain, lasting, often)
 
 
-def shares(before: Part, after: Part) -> tuple[float, float]:
-    """Share of the squared free-run error that is gone, and the same without the three days that gained most."""
+def daily_squares(before: Part, after: Part) -> tuple[np.ndarray, np.ndarray]:
+    """Squared free-run errors (D,) summed by day, before and after."""
     count = int(max(days(before).max(), days(after).max())) + 1
     old, new = (
         np.bincount(days(p)[np.isfinite(p.error)], p.error[np.isfinite(p.error)] ** 2, count)
         for p in (before, after)
     )
+    return old, new
+
+
+def shares(before: Part, after: Part) -> tuple[float, float]:
+    """Share of the squared free-run error that is gone, and the same without the three days that gained most."""
+    old, new = daily_squares(before, after)
     order = np.argsort(new - old)[BEST_DAYS:]
     total, rest = float(old.sum()), float(old[order].sum())
     return (
         1.0 - float(new.sum()) / total if total > 0 else 0.0,
         1.0 - float(new[order].sum()) / rest if rest > 0 else 0.0,
     )
+
+
+def episodes(old: np.ndarray, new: np.ndarray) -> int:
+    """Number of episodes in which most of a gain was made; one that lasts counts for every week of it.
+
+    old, new: (D,) squared errors by day.  Days that together make four fifths of what was gained, the best first, belong
+    to one episode where no more than two others lie between them.
+    """
+    gained = np.maximum(old - new, 0.0)
+    order = np.argsort(-gained)
+    enough = int(np.searchsorted(np.cumsum(gained[order]), 0.8 * gained.sum())) + 1
+    chosen = np.sort(order[:enough])
+    begins = np.flatnonzero(np.diff(chosen, prepend=-10) > EPISODE_GAP)
+    lengths = [int(part[-1] - part[0]) + 1 for part in np.split(chosen, begins[1:]) if len(part)]
+    return sum(max(1, length // WEEK) for length in lengths)
+
+
+def probability(trial: Trial) -> float:
+    """p of 2 Δ ln L where there is no such effect: χ², half of it with one degree less where the null is a boundary.
+
+    An amplitude that cannot be negative is zero half of the time (Self and Liang 1987); not corrected for what was tried.
+    """
+    from scipy.stats import chi2
+
+    lr, df = max(trial.lr, 0.0), trial.parameters
+    names = {mechanism for pairs in trial.variant.additions.values() for mechanism, _ in pairs}
+    bounded = any(
+        p.null is not None and p.null <= p.lower
+        for part in trial.parts.values()
+        for mechanism in part.base.model.mechanisms
+        if mechanism.name in names
+        for p in mechanism.parameters
+    )
+    if not bounded:
+        return float(chi2.sf(lr, df))
+    below = float(chi2.sf(lr, df - 1)) if df > 1 else float(lr <= 0.0)
+    return 0.5 * (float(chi2.sf(lr, df)) + below)
+
+
+def score_statistic(scene: Scene, variant: Variant) -> float | None:
+    """LM of a variant at its null value: the gain 2 Δ ln L that the base model's innovations promise for a small effect.
+
+    Other parameters of its mechanisms stand at their first start.  None for what is no added mechanism.
+    """
+    total = None
+    for name, additions in variant.additions.items():
+        if name not in scene.parts:
+            continue
+        part = scene.parts[name]
+        wider = extended(part.base, additions, features=variant.features)
+        likelihood = searching(wider.model, run(wider, part.record).timeline)
+        parameters = wider.model.parameters
+        given = variant.starts[0] if variant.starts else {}
+        at = {p.name: given.get(p.name, p.start) for p in parameters} | dict(part.values)
+        new = [i for i, p in enumerate(parameters) if p.name not in part.values and p.null is not None]
+        for i in new:
+            at[parameters[i].name] = max(parameters[i].null, parameters[i].lower)
+        old = [i for i, p in enumerate(parameters) if p.name in part.values]
+        directions = np.zeros((len(parameters), len(new) + len(old)))
+        for column, i in enumerate((*new, *old)):
+            directions[i, column] = parameters[i].slope(at[parameters[i].name])
+        found = likelihood.sensitivities(at, directions)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(found.information), 1e-300))
+        information, score = (
+            found.information * scale[:, None] * scale,
+            found.score[: len(new)] * scale[: len(new)],
+        )
+        k = len(new)
+        rest = information[:k, k:] @ np.linalg.pinv(information[k:, k:], rcond=1e-10) @ information[k:, :k]
+        total = (total or 0.0) + float(score @ np.linalg.pinv(information[:k, :k] - rest, rcond=1e-8) @ score)
+    return total
 
 
 def _altered(base: Design, altered: Mapping[str, dict]) -> Design:
@@ -96,16 +208,35 @@ def _altered(base: Design, altered: Mapping[str, dict]) -> Design:
 
 
 # -- clocks --------------------------------------------------------------------------------------------------------
-def shift_source(record: Record, source: str, seconds: float) -> Record:
-    """The record with one source's stamps later by `seconds`."""
-    signals = sources(record).get(source, ())
-    moved = [replace(record[s], time=record[s].time + seconds) for s in signals]
-    return record.replace_series(*moved)
-
-
 def _shifted(scene: Scene, variant: Variant) -> Trial:
-    """The shift of a source that the innovations ask for, found on a grid, refined by a parabola, and estimated."""
-    (source,) = variant.shift_s
+    """The shift of a source that the innovations ask for, found on a grid, refined, and estimated."""
+    assert variant.shift is not None
+    source = variant.shift.source
+    if variant.shift.summer:
+        tried = [_moved(scene, replace(variant.shift, seconds=s)) for s in (HOUR_S, -HOUR_S)]
+        seconds, parts = max(tried, key=lambda pair: sum(part.objective for part in pair[1].values()))
+    else:
+        seconds = _coarse(scene, source)
+        if seconds != 0.0:
+            seconds, parts = _climbed(scene, source, seconds)
+    shift = replace(variant.shift, seconds=seconds)
+    settings = {"source": source, "shift_s": seconds, "summer_time": shift.summer}
+    variant = replace(variant, shift=shift, settings=settings)
+    if seconds == 0.0:
+        return Trial(variant, {}, 0.0, 1, -penalty(variant, 1, 1), {}, {}, {})
+    return judged(scene, variant, parts)
+
+
+def _moved(scene: Scene, shift: Shift) -> tuple[float, dict[str, Part]]:
+    """The parts estimated with a shift."""
+    parts = {
+        name: refitted(part, (), {}, ({},), shifted(part.record, shift)) for name, part in scene.parts.items()
+    }
+    return shift.seconds, parts
+
+
+def _coarse(scene: Scene, source: str) -> float:
+    """The shift [s] that score statistics ask for, 0 where none gains."""
     grid = np.array(SHIFTS_MIN) * 60.0
     gains = sum(shift_gains(part, source, grid) for part in scene.parts.values())
     grid, gains = np.append(grid, 0.0), np.append(gains, 0.0)
@@ -121,13 +252,7 @@ def _shifted(scene: Scene, variant: Variant) -> Trial:
         grid, gains = np.append(grid, more), np.append(gains, extra)
         order = np.argsort(grid)
         grid, gains = grid[order], gains[order]
-    seconds = float(grid[int(np.argmax(gains))])
-    if seconds == 0.0:
-        still = replace(variant, settings={"source": source, "shift_s": 0.0})
-        return Trial(still, {}, 0.0, 1, -penalty(variant, 1, 1), {}, {})
-    seconds, parts = _climbed(scene, source, seconds)
-    settings = {"source": source, "shift_s": seconds}
-    return judged(scene, replace(variant, shift_s={source: seconds}, settings=settings), parts)
+    return float(grid[int(np.argmax(gains))])
 
 
 def _climbed(scene: Scene, source: str, seconds: float) -> tuple[float, dict[str, Part]]:
@@ -139,10 +264,7 @@ def _climbed(scene: Scene, source: str, seconds: float) -> tuple[float, dict[str
 
     def objective(shift: float) -> float:
         if shift not in known:
-            known[shift] = {
-                name: refitted(part, (), {}, ({},), shift_source(part.record, source, shift))
-                for name, part in scene.parts.items()
-            }
+            known[shift] = _moved(scene, Shift(source, shift))[1]
         return sum(part.objective for part in known[shift].values())
 
     best = seconds
@@ -159,7 +281,7 @@ def shift_gains(part: Part, source: str, shifts: Sequence[float]) -> np.ndarray:
     Innovations e of the shifted record at the base's parameters, less what their slopes X can explain: |M e₀|² − |M e|².
     """
     model, at = part.base.model, dict(part.values)
-    likelihood = Likelihood(model, part.run.timeline)
+    likelihood = searching(model, part.run.timeline)
     directions = np.diag([p.slope(at[p.name]) for p in model.parameters]).astype(float)
     trace = likelihood.trace(at)
     slopes = -likelihood.slopes(at, directions)
@@ -168,9 +290,9 @@ def shift_gains(part: Part, source: str, shifts: Sequence[float]) -> np.ndarray:
     basis, _ = np.linalg.qr(x[:, keep])
     result = []
     for seconds in shifts:
-        record = shift_source(part.record, source, float(seconds))
+        record = shifted(part.record, Shift(source, float(seconds)))
         t = run(part.base, record).timeline
-        found = Likelihood(model, t).trace(at)
+        found = searching(model, t).trace(at)
         time, e, _ = _readings(t, found, None)
         moved = "cabinet_temperature" in sources(part.record).get(source, ())
         place = _match(base_time, time - (seconds if moved else 0.0))

@@ -6,16 +6,18 @@ from hygrokf.model import Mechanism
 from hygrokf.parameters import Parameter
 
 
-def solar_gain(time_h: float = 0.0) -> Mechanism:
-    """Sun on cabinet, tower or wall: f += a G, through a lag of `time_h` [h] where there is one; a [K/(kW/m²)], G [kW/m²].
+def solar_gain(lagged: bool = False, flag: str = "sunshine") -> Mechanism:
+    """Sun on cabinet, tower or wall: f += a G, with `lagged` through a mass; a [K/(kW/m²)], G [kW/m²].
 
-    dG'/dt = (G − G')/θ.
+    dG'/dt = (G − G')/θ, θ [h].  `flag` "sunshine" on a horizontal plane, "sunlit_wall" on a wall that faces somewhere.
     """
-    lagged = time_h > 0
 
     def contributions(p, x, u, q):
-        return {"heat_release": p.solar_heat * (x.stored_sun if lagged else u.sunshine)}
+        return {"heat_release": p.solar_heat * (x.stored_sun if lagged else getattr(u, flag))}
 
+    lag = Parameter(
+        "solar_time", "h", 2.0, 0.25, 24.0, positive=True, meaning="lag of the mass that it warms"
+    )
     return Mechanism(
         name="solar_gain",
         parameters=(
@@ -23,13 +25,18 @@ def solar_gain(time_h: float = 0.0) -> Mechanism:
                 "solar_heat", "K/(kW/m2)", 1.0, 1e-3, 100.0, positive=True, null=0.0,
                 meaning="heat release for each kW/m² of sun",
             ),
+            *((lag,) if lagged else ()),
         ),
         states=("stored_sun",) if lagged else (),
-        inputs=("sunshine",),
+        inputs=(flag,),
         contributions=contributions,
-        drift=(lambda p, x, u, q, s: {"stored_sun": (u.sunshine - x.stored_sun) * (1.0 / time_h)}) if lagged else None,
-        initial=(lambda p, u: {"stored_sun": (u.sunshine, 0.01)}) if lagged else None,
-        settings={"time_h": time_h},
+        drift=(
+            (lambda p, x, u, q, s: {"stored_sun": (getattr(u, flag) - x.stored_sun) / p.solar_time})
+            if lagged
+            else None
+        ),
+        initial=(lambda p, u: {"stored_sun": (getattr(u, flag), 0.01)}) if lagged else None,
+        settings={"lagged": lagged, "flag": flag},
         meaning="heat of the sun",
         leaves="a cabinet that is too warm on clear days, in the afternoon",
         source="sol-air temperature (ASHRAE Fundamentals) with a first-order wall",
@@ -58,15 +65,42 @@ def unreported_heater() -> Mechanism:
     )  # fmt: skip
 
 
-def release_drift() -> Mechanism:
-    """Heat release that drifts with the calendar: f += a · (share of the record that has passed) [K]."""
-    return _switched_heat(
-        "release_drift", "heat_drift", "elapsed", -80.0, "gained from the record's beginning to its end",
-        "a temperature error that grows with the calendar",
+def release_drift(order: int = 0, operation: bool = False, flag: str = "elapsed") -> Mechanism:
+    """Heat release that drifts with the calendar: f += a · flag · f₀ [K], f₀ the base model's own in operation.
+
+    `order`, `operation`: those of the base's heat release (f₀ = a₀ + Σ a_k p^k while the turbine operates; without
+    operation its heat at standstill).  `flag` "elapsed": share of the record that has passed; "since": a course that
+    saturates from a date on.
+    """
+    powers = [f"power_{k}" for k in range(1, order + 1)] if operation else []
+
+    def own(p, u):
+        if not operation:
+            return p.heat_release_standstill
+        total = p.heat_release_operation * u.operating
+        for name in powers:
+            total = total + getattr(p, f"heat_release_{name}") * getattr(u, name)
+        return total
+
+    return Mechanism(
+        name="release_drift",
+        parameters=(
+            Parameter(
+                "heat_drift", "1", 0.0, -0.95, 10.0, null=0.0, meaning="relative change of the heat release in the end"
+            ),
+        ),
+        inputs=(flag, *(("operating", *powers) if operation else ())),
+        contributions=lambda p, x, u, q: {"heat_release": p.heat_drift * getattr(u, flag) * own(p, u)},
+        settings={"order": order, "operation": operation, "flag": flag},
+        meaning="heat release that drifts with the calendar",
+        leaves="a temperature error that grows with the calendar, in operation",
+        source="balance of heat",
     )  # fmt: skip
 
 
-def _loss(name: str, parameter: str, flag: str, lower: float, text: str, leaves: str) -> Mechanism:
+def _loss(
+    name: str, parameter: str, flag: str, lower: float, text: str, leaves: str, settings: dict | None = None
+) -> Mechanism:
     """Loss of heat to the ambient, in units of 1/R_AT: f −= g · flag · (T_a − T_amb)."""
 
     def contributions(p, x, u, q):
@@ -83,17 +117,18 @@ def _loss(name: str, parameter: str, flag: str, lower: float, text: str, leaves:
         ),
         inputs=("ambient_temperature", flag),
         contributions=contributions,
+        settings=settings or {},
         meaning=f"heat lost to the ambient, {text}",
         leaves=leaves,
         source="conductance parallel to R_AT",
     )  # fmt: skip
 
 
-def wind_loss() -> Mechanism:
-    """Heat loss that grows with the wind: g for each 10 m/s (input `wind_tenth`)."""
+def wind_loss(flag: str = "wind_tenth") -> Mechanism:
+    """Heat loss that grows with the wind: g at 10 m/s (input `wind_tenth`, or its square `wind_square`)."""
     return _loss(
-        "wind_loss", "wind_conductance", "wind_tenth", -0.6, "for each 10 m/s of wind",
-        "a cabinet that is too warm in calm and too cold in wind",
+        "wind_loss", "wind_conductance", flag, -0.6, "at 10 m/s of wind",
+        "a cabinet that is too warm in calm and too cold in wind", {"flag": flag},
     )  # fmt: skip
 
 
@@ -124,14 +159,14 @@ def cooling_loss() -> Mechanism:
 def lagged_ambient(time_h: float = 3.0) -> Mechanism:
     """The air around the cabinet lags the ambient series: a share w of a first-order lag, f += w (L − T_amb) [K].
 
-    dL/dt = (T_amb − L)/θ,    θ = `time_h` [h].
+    dL/dt = (T_amb − L)/θ,    θ = `time_h` [h].  w below 0: the air leads the series, as where the series is smoothed.
     """
     return Mechanism(
         name="lagged_ambient",
         parameters=(
             Parameter(
-                "ambient_lag_share", "1", 0.0, -0.2, 1.2, null=0.0,
-                meaning="share of the air around the cabinet that lags the ambient series",
+                "ambient_lag_share", "1", 0.0, -4.0, 1.2, null=0.0,
+                meaning="share of the air around the cabinet that lags the series; below 0 it leads",
             ),
         ),
         states=("ambient_lag",),

@@ -14,6 +14,8 @@ ACTIVATION_K = 5300.0
 """[K] activation energy of diffusion over the gas constant, 44 kJ/mol: epoxies and polyamides have 40 … 55."""
 GAB_C, GAB_K = 8.0, 0.75
 """[1] constants of the isotherm; papers, polyamides and laminates have C from 4 to 15 and K from 0.65 to 0.85."""
+PLATE = 4.85
+"""[g/m³] vapour over water at the freezing point: what a cold-plate drier leaves."""
 EDGE = 0.05
 """[g/m³] over which the change between condensing and drying is rounded."""
 
@@ -79,13 +81,14 @@ def _gab(h):
     return GAB_C * wet / ((1.0 - wet) * (1.0 - wet + GAB_C * wet))
 
 
-def condensation(time_h: float = 1.5) -> Mechanism:
+def condensation(sky: bool = False) -> Mechanism:
     """A film of water on a surface colder than the dew point, which evaporates later.
 
-        dT_s/dt = (T_amb − δ + κ (T_a − T_amb) − T_s)/θ_s,    x = c* − e_s(T_s)/(R_v T_amb),
+        dT_s/dt = (T_amb − δ s + κ (T_a − T_amb) − T_s)/θ_s,    x = c* − e_s(T_s)/(R_v T_amb),
         dm/dt = β max(0, x) − β max(0, −x) · m/(m + 1 g/m³);    vapour release −dm/dt,
-    m ≥ 0 [g/m³] the film per volume of cabinet air, θ_s = `time_h` [h] the lag of the surface, δ [K] how far an outer wall
-    cools below the air by radiation.  The last gram stands in drops whose area shrinks with them.  The edges of max are rounded over 0.05 g/m³.
+    m ≥ 0 [g/m³] the film per volume of cabinet air, θ_s [h] the lag of the surface, δ [K] how far it cools below the air by
+    radiation: always (s = 1), or with `sky` while the clear night sky draws heat (input `night_sky`).  The last gram stands
+    in drops whose area shrinks with them.  The edges of max are rounded over 0.05 g/m³.
     """
 
     def rate(p, x, u, q):
@@ -99,7 +102,8 @@ def condensation(time_h: float = 1.5) -> Mechanism:
 
     def surface(p, x, u, q):
         toward = u.ambient_temperature + p.surface_share * (q.cabinet_air_temperature - u.ambient_temperature)
-        return (toward - p.surface_undercooling - x.surface_temperature) * (1.0 / time_h)
+        below = p.surface_undercooling * (u.night_sky if sky else 1.0)
+        return (toward - below - x.surface_temperature) / p.surface_time
 
     return Mechanism(
         name="condensation",
@@ -108,30 +112,31 @@ def condensation(time_h: float = 1.5) -> Mechanism:
                 "condensation_rate", "1/h", 0.3, 1e-4, 4.0, positive=True, null=0.0,
                 meaning="vapour transfer to the film, per volume of cabinet air",
             ),
+            Parameter("surface_time", "h", 3.0, 0.3, 72.0, positive=True, meaning="lag of the cold surface"),
             Parameter(
-                "surface_share", "1", 0.2, 0.0, 0.9,
+                "surface_share", "1", 0.05, 0.0, 0.9,
                 meaning="how far the cold surface follows the cabinet air instead of the ambient",
             ),
             Parameter(
-                "surface_undercooling", "K", 1.0, 0.0, 8.0,
+                "surface_undercooling", "K", 1.0, 0.0, 12.0,
                 meaning="how far the surface cools below its surroundings by radiation",
             ),
         ),
         states=("film", "surface_temperature"),
-        inputs=("ambient_temperature",),
+        inputs=("ambient_temperature", *(("night_sky",) if sky else ())),
         contributions=lambda p, x, u, q: {"vapour_release": -rate(p, x, u, q)},
         drift=lambda p, x, u, q, s: {"film": rate(p, x, u, q), "surface_temperature": surface(p, x, u, q)},
         initial=lambda p, u: {"film": (0.0, 0.0), "surface_temperature": (u.ambient_temperature + 1.0, 4.0)},
-        settings={"time_h": time_h},
+        settings={"sky": sky},
         meaning="condensate on a cold surface",
         leaves="humidity capped at a cold surface's dew point, then too little vapour when it warms",
         source="mass transfer by the Lewis analogy; film and surface of first order",
     )  # fmt: skip
 
 
-def internal_moisture_source(standstill: bool = False) -> Mechanism:
-    """A constant source of vapour in the cabinet [g/(m³ h)], always or at standstill alone."""
-    when = (lambda u: u.standstill) if standstill else (lambda u: 1.0)
+def internal_moisture_source(when: str = "always") -> Mechanism:
+    """A source of vapour in the cabinet [g/(m³ h)]: `when` "always", at "standstill", or "fading" from a date on."""
+    inputs = () if when == "always" else (when,)
     return Mechanism(
         name="internal_moisture_source",
         parameters=(
@@ -140,17 +145,19 @@ def internal_moisture_source(standstill: bool = False) -> Mechanism:
                 meaning="vapour released per volume of cabinet air",
             ),
         ),
-        inputs=("standstill",) if standstill else (),
-        contributions=lambda p, x, u, q: {"vapour_release": p.moisture_source * when(u)},
-        settings={"standstill": standstill},
+        inputs=inputs,
+        contributions=lambda p, x, u, q: {
+            "vapour_release": p.moisture_source * (getattr(u, when) if inputs else 1.0)
+        },
+        settings={"when": when},
         meaning="water that evaporates inside",
         leaves="absolute humidity above the ambient's, the more the slower the exchange",
         source="balance of vapour mass",
     )  # fmt: skip
 
 
-def rain_ingress() -> Mechanism:
-    """Rain that enters, is held wet, and evaporates with a delay.
+def rain_ingress(flag: str = "rain") -> Mechanism:
+    """Rain that enters, is held wet, and evaporates with a delay; `flag` "rain", or "heavy_rain" above a threshold.
 
     dr/dt = a · rain − r/θ,    vapour release r/θ,    r [g/m³], θ [h].
     """
@@ -164,34 +171,44 @@ def rain_ingress() -> Mechanism:
             Parameter("rain_drying_time", "h", 6.0, 0.5, 100.0, positive=True, meaning="time to evaporate"),
         ),
         states=("rain_water",),
-        inputs=("rain",),
+        inputs=(flag,),
         contributions=lambda p, x, u, q: {"vapour_release": x.rain_water / p.rain_drying_time},
         drift=lambda p, x, u, q, s: {
-            "rain_water": p.rain_intake * u.rain - x.rain_water / p.rain_drying_time
+            "rain_water": p.rain_intake * getattr(u, flag) - x.rain_water / p.rain_drying_time
         },
         initial=lambda p, u: {"rain_water": (0.0, 0.0)},
+        settings={"flag": flag},
         meaning="rain water that enters and evaporates",
         leaves="humidity above the simulated for hours after rain",
         source="balance of water with a first-order delay",
     )  # fmt: skip
 
 
-def dehumidifier() -> Mechanism:
-    """A drier that works above a set-point: vapour release −d · max(0, h − h₀), its edge rounded over 1 %.
+def _above_plate(x, u, temperature):
+    """Vapour of the cabinet air above that over a plate at the freezing point [g/m³], never below 0; rounded over 0.05."""
+    inside = x.vapour * u.ambient_temperature / temperature
+    above = inside - PLATE
+    return 0.5 * (above + sqrt(above * above + EDGE * EDGE))
 
-    d [g/(m³ h)] for each unit of relative humidity.
+
+def dehumidifier() -> Mechanism:
+    """A drier that follows the humidity above a set-point: vapour release −d · max(0, h − h₀) · (c − 4.85 g/m³).
+
+    d [1/h] the air dried each hour, per volume of cabinet and unit of relative humidity; c [g/m³] the cabinet's vapour;
+    4.85 g/m³ that over a plate at the freezing point.  The edge of max is rounded over 1 %.
     """
 
     def contributions(p, x, u, q):
         above = _humidity(x, u, q.cabinet_air_temperature) - p.dehumidifier_setpoint
-        return {"vapour_release": -0.5 * p.dehumidifier_rate * (above + sqrt(above * above + 1e-4))}
+        effort = 0.5 * p.dehumidifier_rate * (above + sqrt(above * above + 1e-4))
+        return {"vapour_release": -effort * _above_plate(x, u, q.cabinet_air_temperature)}
 
     return Mechanism(
         name="dehumidifier",
         parameters=(
             Parameter(
-                "dehumidifier_rate", "g/m3/h", 10.0, 1e-3, 5000.0, positive=True, null=0.0,
-                meaning="drying for each unit of relative humidity above the set-point",
+                "dehumidifier_rate", "1/h", 2.0, 1e-4, 2000.0, positive=True, null=0.0,
+                meaning="air dried each hour, per volume of cabinet and unit of relative humidity above the set-point",
             ),
             Parameter(
                 "dehumidifier_setpoint", "1", 0.6, 0.2, 0.98,
@@ -202,30 +219,42 @@ def dehumidifier() -> Mechanism:
         contributions=contributions,
         meaning="drying above a set-point",
         leaves="simulated humidity too high in its upper range, right below it",
-        source="proportional drier; balance of vapour mass",
+        source="proportional cold-plate drier; balance of vapour mass",
     )  # fmt: skip
 
 
-def switched_drying(meaning: str = "drying while the drier runs") -> Mechanism:
-    """A drier that is on or off (input `drying`): vapour release −d · drying, d [g/(m³ h)]."""
+def switched_drying(plate: bool = True) -> Mechanism:
+    """A drier that is on or off (input `drying`): vapour release −d · drying · c, d [1/h] the air dried each hour.
+
+    c [g/m³] the cabinet's vapour (a desiccant takes all of it); with `plate` what of it exceeds the 4.85 g/m³ over a plate
+    at the freezing point.
+    """
+
+    def contributions(p, x, u, q):
+        air = q.cabinet_air_temperature
+        vapour = _above_plate(x, u, air) if plate else x.vapour * u.ambient_temperature / air
+        return {"vapour_release": -p.drying_rate * u.drying * vapour}
+
     return Mechanism(
         name="switched_drying",
         parameters=(
             Parameter(
-                "drying_rate", "g/m3/h", 1.0, 1e-4, 500.0, positive=True, null=0.0,
-                meaning="vapour taken out while the drier runs",
+                "drying_rate", "1/h", 0.1, 1e-5, 50.0, positive=True, null=0.0,
+                meaning="air dried each hour, per volume of cabinet air, while the drier runs",
             ),
         ),
-        inputs=("drying",),
-        contributions=lambda p, x, u, q: {"vapour_release": -p.drying_rate * u.drying},
-        settings={"meaning": meaning},
-        meaning=meaning,
+        inputs=("ambient_temperature", "drying"),
+        contributions=contributions,
+        settings={"plate": plate},
+        meaning="drying while the drier runs",
         leaves="simulated humidity too high above a set-point, with hysteresis",
         source="balance of vapour mass",
     )  # fmt: skip
 
 
-def _exchange(name: str, parameter: str, flag: str, upper: float, text: str, leaves: str) -> Mechanism:
+def _exchange(
+    name: str, parameter: str, flag: str, upper: float, text: str, leaves: str, settings: dict | None = None
+) -> Mechanism:
     """Exchange of vapour multiplied by 1 + b · flag, b > −1."""
     return Mechanism(
         name=name,
@@ -236,17 +265,18 @@ def _exchange(name: str, parameter: str, flag: str, upper: float, text: str, lea
         ),
         inputs=(flag,),
         contributions=lambda p, x, u, q: {"exchange": getattr(p, parameter) * getattr(u, flag)},
+        settings=settings or {},
         meaning=f"vapour exchange, {text}",
         leaves=leaves,
         source="resistance R_D* of equation (4) divided by the factor",
     )  # fmt: skip
 
 
-def wind_exchange() -> Mechanism:
-    """Vapour exchange that grows with the wind: 1 + b v/(10 m/s)."""
+def wind_exchange(flag: str = "wind_tenth") -> Mechanism:
+    """Vapour exchange that grows with the wind: 1 + b v/(10 m/s), or with `flag` "wind_square" 1 + b (v/(10 m/s))²."""
     return _exchange(
-        "wind_exchange", "wind_exchange_gain", "wind_tenth", 50.0, "for each 10 m/s of wind",
-        "humidity that follows the ambient's faster in wind than in calm",
+        "wind_exchange", "wind_exchange_gain", flag, 50.0, "at 10 m/s of wind",
+        "humidity that follows the ambient's faster in wind than in calm", {"flag": flag},
     )  # fmt: skip
 
 
@@ -274,32 +304,52 @@ def cooled_exchange() -> Mechanism:
     )  # fmt: skip
 
 
-def breathed_air(time_h: float = 3.0) -> Mechanism:
+def breathed_air(time_h: float = 3.0, form: str = "vapour") -> Mechanism:
     """The air that the cabinet breathes is not the ambient series': an offset, and a share of its own lag.
 
-        ambient_vapour += o + w (L − c_amb),    dL/dt = (c_amb − L)/θ,
-    o [g/m³], w a share between 0 and 1.2, θ = `time_h`.
+        ambient_vapour += o g + w (L − c_amb),    dL/dt = (c_amb − L)/θ,    θ = `time_h`,
+    with g by `form`: "vapour" 1 g/m³, "temperature" c_amb (a thermometer that is off by 1 K makes 6 %), "humidity" the
+    saturation concentration at ambient temperature.  w above 0: the breathed air lags the series; below 0: it leads it,
+    as where the series is smoothed.
     """
+    unit = "g/m3" if form == "vapour" else "1"
+    bound = 10.0 if form == "vapour" else 0.6
+
+    def scale(u):
+        if form == "vapour":
+            return 1.0
+        if form == "temperature":
+            return u.ambient_absolute_humidity
+        kelvin = u.ambient_temperature
+        return saturation_pressure(kelvin) / (kelvin * (1e-3 * GAS_CONSTANT_VAPOUR))
+
     return Mechanism(
         name="breathed_air",
         parameters=(
             Parameter(
-                "breathed_offset", "g/m3", 0.0, -10.0, 10.0, null=0.0,
-                meaning="what the breathed air holds more than the ambient series says",
+                "breathed_offset", unit, 0.0, -bound, bound, null=0.0,
+                meaning={
+                    "vapour": "what the breathed air holds more than the ambient series says",
+                    "temperature": "share by which the ambient series understates the vapour of the breathed air",
+                    "humidity": "what the relative humidity of the ambient series lacks",
+                }[form],
             ),
-            Parameter("breathed_lag_share", "1", 0.0, -0.2, 1.2, null=0.0, meaning="share that lags behind"),
+            Parameter(
+                "breathed_lag_share", "1", 0.0, -4.0, 1.2, null=0.0,
+                meaning="share of the breathed air that lags the series; below 0 it leads",
+            ),
         ),
         states=("breathed_vapour",),
-        inputs=("ambient_absolute_humidity",),
+        inputs=("ambient_absolute_humidity", *(("ambient_temperature",) if form == "humidity" else ())),
         contributions=lambda p, x, u, q: {
-            "ambient_vapour": p.breathed_offset
+            "ambient_vapour": p.breathed_offset * scale(u)
             + p.breathed_lag_share * (x.breathed_vapour - u.ambient_absolute_humidity)
         },
         drift=lambda p, x, u, q, s: {
             "breathed_vapour": (u.ambient_absolute_humidity - x.breathed_vapour) * (1.0 / time_h)
         },
         initial=lambda p, u: {"breathed_vapour": (u.ambient_absolute_humidity, 0.25)},
-        settings={"time_h": time_h},
+        settings={"time_h": time_h, "form": form},
         meaning="the breathed air differs from the ambient series",
         leaves="an offset of the absolute humidity, or one that lags the ambient at equal cabinet temperature",
         source="first-order mixing of the air in the tower",

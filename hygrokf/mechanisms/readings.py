@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hygrokf.expression import sqrt
 from hygrokf.mechanisms.sensors import saturation_pressure
 from hygrokf.model import Mechanism
 from hygrokf.parameters import Parameter
@@ -30,26 +31,61 @@ def humidity_drift() -> Mechanism:
     )  # fmt: skip
 
 
-def humidity_scale() -> Mechanism:
-    """Humidity reading whose scale is off: a · elapsed · (h − 0.5), h the relative humidity of the air [1]."""
+def _relative(x, u, q):
+    """Relative humidity of the cabinet air [1]."""
+    pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
+    return pressure / saturation_pressure(q.cabinet_air_temperature)
+
+
+def humidity_scale(flag: str | None = "elapsed") -> Mechanism:
+    """Humidity reading whose scale is off: a · flag · h, h the relative humidity of the air [1].
+
+    `flag` "elapsed": in proportion to the calendar; "since": from a date on; None: throughout.
+    """
 
     def contributions(p, x, u, q):
-        pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
-        h = pressure / saturation_pressure(q.cabinet_air_temperature)
-        return {"cabinet_relative_humidity_reading": p.humidity_scale_error * u.elapsed * (h - 0.5)}
+        course = 1.0 if flag is None else getattr(u, flag)
+        return {"cabinet_relative_humidity_reading": p.humidity_scale_error * course * _relative(x, u, q)}
 
     return Mechanism(
         name="humidity_scale",
         parameters=(
             Parameter(
                 "humidity_scale_error", "1", 0.0, -0.9, 2.0, null=0.0,
-                meaning="error of the humidity sensor's scale at the record's end",
+                meaning="error of the humidity sensor's scale in the end",
             ),
         ),
-        inputs=("ambient_temperature", "elapsed"),
+        inputs=("ambient_temperature", *((flag,) if flag else ())),
         contributions=contributions,
-        meaning="scale of the humidity sensor that goes off over the record",
-        leaves="humidity readings that become too flat or too steep with the calendar",
+        settings={"flag": flag},
+        meaning="scale of the humidity sensor that is off",
+        leaves="humidity readings that are too flat or too steep, perhaps with the calendar",
+        source="the sensor's own error",
+    )  # fmt: skip
+
+
+def humidity_ceiling() -> Mechanism:
+    """Humidity reading that hardly follows above a ceiling h₁: −s · max(0, h − h₁), its edge rounded over 0.5 %."""
+
+    def contributions(p, x, u, q):
+        above = _relative(x, u, q) - p.humidity_ceiling
+        return {
+            "cabinet_relative_humidity_reading": -0.5 * p.humidity_lost * (above + sqrt(above * above + 1e-4))
+        }
+
+    return Mechanism(
+        name="humidity_ceiling",
+        parameters=(
+            Parameter(
+                "humidity_lost", "1", 0.5, 0.0, 1.0, null=0.0,
+                meaning="share of what exceeds the ceiling that the reading does not show",
+            ),
+            Parameter("humidity_ceiling", "1", 0.7, 0.2, 1.0, meaning="relative humidity above which the sensor sticks"),
+        ),
+        inputs=("ambient_temperature",),
+        contributions=contributions,
+        meaning="humidity sensor that sticks at a ceiling",
+        leaves="humidity readings that stop at one value whatever the simulation does",
         source="the sensor's own error",
     )  # fmt: skip
 

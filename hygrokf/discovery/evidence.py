@@ -1,0 +1,162 @@
+"""What speaks for an accepted cause, as the plain data of `discovery.json`: evidence, parameters, gain, confidence."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hygrokf.confidence import normal_quantile, standard_error, wald_bounds
+from hygrokf.discovery.library import Cause, named
+from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
+from hygrokf.discovery.trial import Trial, probability, score_statistic
+from hygrokf.fit import Fit
+from hygrokf.stage import Stage
+
+BLOCK_DAYS = 3
+DRAWS = 400
+QUANTITY = {THERMAL: "temperature_K", HYGRIC: "absolute_humidity_g_m3"}
+ONCE_AT_MOST = 0.6
+"""Confidence of a cause that was seen in one episode only."""
+ONCE = "seen in one episode only: what it would gain at another time cannot be said"
+EVENT = (
+    "an event that nobody logged is no prediction: it gains nothing outside the stretch in which it was found"
+)
+WEIGHTS = {"level": -1.0, "margin": 4.0, "lasting": 4.0}
+"""Logistic regression of "the right name" on what `confidence` reads; calibrated on simulated plants."""
+
+
+def evidence(scene: Scene, trial: Trial, tried: int) -> dict:
+    """`scene` of the base model; `tried`: how many variants were tried beside it; their number and that of the settings searched correct p."""
+    return {
+        "lr": trial.lr,
+        "df": trial.parameters,
+        "p_adjusted": min(1.0, probability(trial) * max(trial.variant.searched, 1.0) * max(tried, 1)),
+        "bic_gain": trial.bic_gain,
+        "score_statistic": score_statistic(scene, trial.variant),
+        "free_run_gain": dict(trial.gain),
+        "lasting_gain": dict(trial.lasting),
+        "settings": dict(trial.variant.settings),
+    }
+
+
+def cause_entry(
+    scene: Scene,
+    trial: Trial,
+    rivals: Sequence[Trial],
+    margin: float,
+    fits: tuple[Fit, Fit, Fit],
+    stages: Sequence[Stage],
+    library: Sequence[Cause],
+    tried: int,
+) -> dict:
+    """One entry of `causes`.  `fits`: base by innovations, base by the free run, extended; `margin`: see `confidence`."""
+    cause = named(trial.variant.cause, library)
+    statement = f"{cause.meaning} ({trial.variant.form})"
+    gain = _gain(QUANTITY.get(trial.part, QUANTITY[THERMAL]), *fits)
+    if cause.event or trial.once:
+        gain = None
+        statement = f"{statement}; {EVENT if cause.event else ONCE}"
+    return {
+        "cause": cause.name,
+        "form": trial.variant.form,
+        "confidence": confidence(trial, margin),
+        "statement": statement,
+        "parameters": _parameters(trial, stages),
+        "settings": dict(trial.variant.settings),
+        "evidence": evidence(scene, trial, tried),
+        "gain": gain,
+        "ambiguous_with": [t.variant.cause for t in rivals],
+        "separate_by": cause.separate_by,
+        "remedy": cause.remedy,
+    }
+
+
+def confidence(trial: Trial, margin: float) -> float:
+    """Probability [1] that the cause, or one of its class, is the right name.
+
+    margin: [1] share of its evidence by which the best cause outside its class stays behind.  Logistic in the margin and
+    the lasting gain of the free run, calibrated on simulated plants (docs/discover.md).
+    """
+    score = WEIGHTS["level"] + WEIGHTS["margin"] * min(max(margin, -1.0), 1.0)
+    score += WEIGHTS["lasting"] * min(max(trial.best_lasting, 0.0), 0.5)
+    found = 1.0 / (1.0 + math.exp(-score))
+    return min(found, ONCE_AT_MOST) if trial.once else found
+
+
+def _parameters(trial: Trial, stages: Sequence[Stage]) -> dict:
+    """The cause's own parameters in the extended model, with bounds."""
+    names = {mechanism for pairs in trial.variant.additions.values() for mechanism, _ in pairs}
+    found = {}
+    for stage in stages:
+        for mechanism in stage.base.model.mechanisms:
+            if mechanism.name not in names:
+                continue
+            for p in mechanism.parameters:
+                b = wald_bounds(stage.estimate, stage.uncertainty, p.name)
+                se = standard_error(stage.estimate, stage.uncertainty, p.name)
+                found[p.name] = {
+                    "value": stage.estimate.values[p.name],
+                    "unit": p.unit,
+                    "lower": b.lower if math.isfinite(b.lower) else None,
+                    "upper": b.upper if math.isfinite(b.upper) else None,
+                    "se": se if math.isfinite(se) else None,
+                    "meaning": p.meaning,
+                }
+    return found
+
+
+def _gain(quantity: str, base: Fit, rival: Fit, after: Fit) -> dict:
+    """Free-run error before and after on the validation period (the identification period where there is none).
+
+    Before: the better of the bases that were fitted by innovations and by the free run.  `lower`, `upper` bound the
+    difference by a bootstrap of blocks of three days.
+    """
+    period = (
+        "validation"
+        if base.results["rmse"]["validation"][quantity]["total"] is not None
+        else "identification"
+    )
+    before = min((base, rival), key=lambda fit: fit.results["rmse"][period][quantity]["total"])
+    a, b = (fit.results["rmse"][period][quantity]["total"] for fit in (before, after))
+    low, high = _bootstrap(quantity, period, before, after)
+    per = (after.results["loglik"] - base.results["loglik"]) / max(base.results["n_obs"], 1)
+    return {
+        "quantity": quantity,
+        "period": period,
+        "rmse_before": a,
+        "rmse_after": b,
+        "lower": low,
+        "upper": high,
+        "loglik_per_obs": per,
+    }
+
+
+def _bootstrap(quantity: str, period: str, before: Fit, after: Fit) -> tuple[float | None, float | None]:
+    """95 % bounds of RMSE before − RMSE after."""
+    sums = []
+    for fit in (before, after):
+        s = fit.series
+        stem = quantity.removesuffix("_K").removesuffix("_g_m3")
+        error = s[f"{stem}_measured"] - s[f"{stem}_simulated"]
+        late = s["time_s"] > float(s["until_s"]) if math.isfinite(float(s["until_s"])) else s["time_s"] < 0
+        there = np.isfinite(error) & (s["scored"] > 0) & (late if period == "validation" else ~late)
+        block = np.floor(s["time_s"] / (BLOCK_DAYS * 86400.0)).astype(int)
+        sums.append((block[there], error[there] ** 2))
+    first, last = min(b.min() for b, _ in sums), max(b.max() for b, _ in sums)
+    count = last - first + 1
+    squares = [np.bincount(b - first, e, count) for b, e in sums]
+    numbers = [np.bincount(b - first, minlength=count) for b, _ in sums]
+    if count < 4:
+        return None, None
+    random = np.random.default_rng(0)
+    draws = random.integers(0, count, (DRAWS, count))
+    values = [
+        np.sqrt(s[draws].sum(axis=1) / np.maximum(n[draws].sum(axis=1), 1))
+        for s, n in zip(squares, numbers, strict=True)
+    ]
+    z = normal_quantile(0.95)
+    tail = 0.5 * math.erfc(z / math.sqrt(2.0))
+    low, high = np.quantile(values[0] - values[1], [tail, 1.0 - tail])
+    return float(low), float(high)

@@ -1,0 +1,293 @@
+"""A user's own causes: made from a factory, loaded from a file or an installed package, checked, and taken into the tables.
+
+A file is executed as it stands: load what you trust.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import sys
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import redirect_stdout
+from dataclasses import replace
+from functools import wraps
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from types import ModuleType
+
+from hygrokf.additions import Origin, admit, origins, withdraw
+from hygrokf.ambient import ambient_absolute_humidity
+from hygrokf.discovery.library import LIBRARY, Cause, Variant
+from hygrokf.discovery.nesting import form_faults, is_feature, told, variant_faults
+from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
+from hygrokf.model import Mechanism
+
+GROUP = "hygrokf.causes"
+"""Entry points of this group name a `Cause`, or a module with causes at its top level."""
+ALWAYS = ("ambient_temperature", "exchange_factor")
+"""Inputs that every run has."""
+_adopted: dict[str, Cause] = {}
+
+
+class LibraryFault(Exception):
+    """Causes that cannot be used; `faults` lists every reason, the message all of them."""
+
+    def __init__(self, faults: Iterable[str]) -> None:
+        self.faults = tuple(faults)
+        count = f"{len(self.faults)} fault{'s' if len(self.faults) != 1 else ''}"
+        listed = (f"  {number}. {fault}" for number, fault in enumerate(self.faults, 1))
+        super().__init__("\n".join([f"library of causes: {count}", *listed]))
+
+
+def cause_of(
+    name: str,
+    *,
+    thermal: Callable[[], Mechanism] | None = None,
+    hygric: Callable[[], Mechanism] | None = None,
+    meaning: str,
+    remedy: str,
+    separate_by: str,
+    starts: Mapping[str, float] | Sequence[Mapping[str, float]] = (),
+    features: Mapping[str, Mapping | tuple[Callable, str]] | None = None,
+    needs: Sequence[str] = (),
+    scored: bool = True,
+) -> Cause:
+    """A cause that is one mechanism of the thermal part, of the hygric part, or one of each, in one form.
+
+    `thermal`, `hygric` factories, called without arguments; `starts` values of parameters to start from (several are
+    tried, the best is followed); `features` inputs that are no signals: (function(record, time), hold) for one's own,
+    settings for the package's (`{"standstill": {}}`); `needs` signals that one's own features read.  On a record that
+    lacks a signal the cause is not tried.  For grids of dates or thresholds make a `Cause` with `variants` of your own.
+    """
+    factories = {part: one for part, one in ((THERMAL, thermal), (HYGRIC, hygric)) if one is not None}
+    if not factories:
+        raise ValueError(f"cause {name!r}: expected a factory for thermal, hygric or both, found none")
+    made = {part: factory() for part, factory in factories.items()}
+    wrong = [part for part, one in made.items() if not isinstance(one, Mechanism)]
+    if wrong:
+        raise TypeError(f"cause {name!r}: expected factories that return a Mechanism: {', '.join(wrong)}")
+    features = dict(features or {})
+    own = {key: value for key, value in features.items() if not isinstance(value, Mapping)}
+    settings = {key: {} if key in own else dict(value) for key, value in features.items()}
+    first = (starts,) if isinstance(starts, Mapping) else tuple(starts)
+
+    def variants(scene: Scene) -> list[Variant]:
+        there = {part: one for part, one in made.items() if part in scene.parts}
+        if any(_lacking(scene, part, one, settings, needs) for part, one in there.items()) or not there:
+            return []
+        additions = {part: ((one.name, {}),) for part, one in there.items()}
+        return [Variant(name, "as given", additions, settings, first or ({},))]
+
+    inputs = {key for one in made.values() for key in one.inputs} - set(settings)
+    return Cause(
+        name, meaning, remedy, separate_by, variants, ", ".join(sorted({*inputs, *needs})), scored,
+        mechanisms={made[part].name: factory for part, factory in factories.items()}, features=own,
+    )  # fmt: skip
+
+
+def _lacking(
+    scene: Scene,
+    part: str,
+    mechanism: Mechanism,
+    features: Mapping[str, dict],
+    needs: Sequence[str],
+) -> set[str]:
+    """Signals that a mechanism or its features read and a record does not have."""
+    there = {
+        *ALWAYS,
+        *features,
+        *scene.record.signals,
+        *scene.parts[part].base.model.inputs,
+    }
+    if ambient_absolute_humidity(scene.record) is not None:
+        there.add("ambient_absolute_humidity")
+    return {*mechanism.inputs, *needs} - there
+
+
+# -- into the tables -------------------------------------------------------------------------------------------------
+def adopt(causes: Iterable[Cause]) -> None:
+    """Check causes that bring mechanisms or features, and take these into the package's tables.
+
+    What is adopted already is left alone.  Raises LibraryFault with everything that is wrong.
+    """
+    causes = list(causes)
+    new = [c for c in causes if (c.mechanisms or c.features) and _adopted.get(c.name) is not c]
+    faults = _doubles([("", c) for c in causes])
+    faults += [fault for cause in new for fault in _taken_in(cause, cause, _made_in(cause))]
+    if faults:
+        raise LibraryFault(faults)
+
+
+def _taken_in(cause: Cause, shown: Cause, origin: Origin) -> list[str]:
+    """Faults of a cause; without any it is in the tables, with the functions of `shown`."""
+    faults = form_faults(cause)
+    if not faults:
+        names = {*cause.mechanisms, *cause.features}
+        for name in [n for n, old in _adopted.items() if names & {*old.mechanisms, *old.features}]:
+            del _adopted[name]  # its functions give way to these
+        admit(cause.mechanisms, cause.features, origin)
+        faults = variant_faults(cause)
+        if faults:
+            withdraw(names)
+        else:
+            admit(shown.mechanisms, shown.features, origin)
+            _adopted[cause.name] = shown
+    return [f"cause {cause.name!r}: {fault}" for fault in faults]
+
+
+def origins_of(cause: Cause) -> dict[str, dict]:
+    """Origin of every mechanism and feature that an adopted cause brings."""
+    return origins((*cause.mechanisms, *cause.features))
+
+
+def _made_in(cause: Cause) -> dict[str, str]:
+    """Origin of a cause that was made in Python: the file of its first function, else the module."""
+    functions = [*_mapping(cause.mechanisms).values()]
+    functions += [pair[0] for pair in _mapping(cause.features).values() if is_feature(pair)]
+    try:
+        file = Path(inspect.getsourcefile(inspect.unwrap(functions[0])) or "")
+        return {"file": file.name, "sha256": hashlib.sha256(file.read_bytes()).hexdigest()}
+    except (IndexError, TypeError, OSError):
+        return {"python": str(getattr(functions[0] if functions else None, "__module__", "?"))}
+
+
+def _mapping(value: object) -> Mapping:
+    """The value where it is a mapping, else an empty one: that it is none is told as a fault."""
+    return value if isinstance(value, Mapping) else {}
+
+
+def _doubles(pairs: Sequence[tuple[str, Cause]]) -> list[str]:
+    """Names that two causes bring: of causes, and of mechanisms and features that are not the same function."""
+    faults, seen = [], {}
+    for source, cause in pairs:
+        brought = [("cause", cause.name, cause)]
+        brought += [("mechanism", name, one) for name, one in _mapping(cause.mechanisms).items()]
+        brought += [("feature", name, one) for name, one in _mapping(cause.features).items()]
+        for kind, name, one in brought:
+            before, where = seen.setdefault((kind == "cause", name), (one, source))
+            if before is not one:
+                places = " and ".join(dict.fromkeys(p for p in (where, source) if p))
+                faults.append(
+                    f"{places + ': ' if places else ''}two have the {kind} name {name!r}; rename one"
+                )
+    return faults
+
+
+# -- from files and packages -----------------------------------------------------------------------------------------
+def load_library(*files: str | Path, installed: bool = False) -> tuple[Cause, ...]:
+    """Causes of Python files (every `Cause` at their top level), adopted; with `installed` those of packages too.
+
+    The files are executed.  Raises LibraryFault with the faults of all of them.
+    """
+    faults: list[str] = []
+    found: list[tuple[str, Cause, Cause, Origin]] = []
+    paths = list(dict.fromkeys(Path(file).resolve() for file in files))
+    for path in paths:
+        try:
+            causes, origin = _causes_in(path)
+            found += [(path.name, cause, _guarded(cause, path), origin) for cause in causes]
+        except LibraryFault as fault:
+            faults += [f"{path.name}: {one}" for one in fault.faults]
+    for entry in entry_points(group=GROUP) if installed else ():
+        label, origin = _origin_of(entry)
+        try:
+            found += [(label, cause, _guarded(cause), origin) for cause in _causes_of(entry)]
+        except LibraryFault as fault:
+            faults += [f"{label}: {one}" for one in fault.faults]
+    faults += _doubles([(source, cause) for source, cause, *_ in found])
+    for source, cause, shown, origin in found:
+        faults += [f"{source}: {fault}" for fault in _taken_in(cause, shown, origin)]
+    if faults:
+        raise LibraryFault(faults)
+    return tuple(shown for _, _, shown, _ in found)
+
+
+def _causes_in(path: Path) -> tuple[list[Cause], Origin]:
+    """Causes at the top level of a Python file, and its origin."""
+    try:
+        content = path.read_bytes()
+    except OSError as fault:
+        raise LibraryFault([f"expected a Python file, cannot read it: {fault.strerror}"]) from None
+    sha256 = hashlib.sha256(content).hexdigest()
+    module = ModuleType(f"hygrokf_library_{path.stem}_{sha256[:8]}")
+    module.__file__ = str(path)
+    try:
+        code = compile(content, str(path), "exec")
+    except (SyntaxError, ValueError) as fault:
+        where = f" in line {fault.lineno}" if getattr(fault, "lineno", None) else ""
+        reason = getattr(fault, "msg", None) or fault
+        raise LibraryFault([f"expected a Python file, found {reason}{where}"]) from None
+    sys.modules[module.__name__] = module  # dataclasses look their module up
+    try:
+        with redirect_stdout(sys.stderr):  # what it prints must not mix with --json
+            exec(code, module.__dict__)
+    except KeyboardInterrupt:
+        raise
+    except ImportError as fault:
+        raise LibraryFault(
+            [f"cannot be run: {told(fault, str(path))}; a library is one file: install what it imports"]
+        ) from fault
+    except BaseException as fault:  # also SystemExit
+        raise LibraryFault([f"cannot be run: {told(fault, str(path))}"]) from fault
+    return _causes_at_top(module), {"file": path.name, "sha256": sha256}
+
+
+def _causes_at_top(module: object) -> list[Cause]:
+    found = {id(one): one for one in vars(module).values() if isinstance(one, Cause)}
+    own = [one for one in found.values() if all(one is not known for known in LIBRARY)]
+    if not own:
+        raise LibraryFault(
+            [
+                "expected a hygrokf.Cause at the top level, found none: NAME = hygrokf.cause_of(…), docs/own_cause.md"
+            ]
+        )
+    return own
+
+
+def _causes_of(entry: EntryPoint) -> list[Cause]:
+    try:
+        with redirect_stdout(sys.stderr):
+            loaded = entry.load()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as fault:
+        raise LibraryFault([f"cannot be loaded: {told(fault)}; mend or uninstall it"]) from fault
+    if isinstance(loaded, Cause):
+        return [loaded]
+    if isinstance(loaded, ModuleType):
+        return _causes_at_top(loaded)
+    raise LibraryFault([f"expected a Cause or a module with causes, found {loaded!r}"])
+
+
+def _origin_of(entry: EntryPoint) -> tuple[str, Origin]:
+    name, version = (entry.dist.name, entry.dist.version) if entry.dist else (entry.value, "?")
+    return f"package {name} (entry point {entry.name})", {
+        "package": name,
+        "version": version,
+    }
+
+
+def _guarded(cause: Cause, file: Path | None = None) -> Cause:
+    """The cause with functions whose exceptions are told as faults of its file, not of the package."""
+    place = file.name if file else "a package"
+
+    def guard(function: Callable, what: str) -> Callable:
+        @wraps(function)
+        def called(*arguments: object, **settings: object) -> object:
+            try:
+                return function(*arguments, **settings)
+            except Exception as fault:
+                text = told(fault, str(file) if file else None)
+                raise LibraryFault([f"{place}: cause {cause.name!r}: {what} fails: {text}"]) from fault
+
+        return called
+
+    return replace(
+        cause,
+        variants=guard(cause.variants, "variants"),
+        features={
+            name: (guard(pair[0], f"feature {name!r}"), pair[1]) if is_feature(pair) else pair
+            for name, pair in _mapping(cause.features).items()
+        },
+    )

@@ -1,0 +1,112 @@
+"""A discovery on disk: `discovery.json`, `discovery.npz`, and the model that it ends with as a fit beside them."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hygrokf.discovery.residuals import Residuals
+from hygrokf.files import DISCOVERY, DISCOVERY_SERIES, write_bytes_whole, write_text_whole
+from hygrokf.results import ResultFault, dump, write_fit
+
+if TYPE_CHECKING:
+    from hygrokf.discovery.discover import Discovery
+
+WHICH = ("before", "after")
+AGAIN = "run `hygrokf discover` with --out on this directory first"
+
+
+@dataclass(frozen=True)
+class Discovered:
+    """What a page of a discovery is made from: the plain data of `discovery.json` and the residuals of both models."""
+
+    results: Mapping[str, object]
+    before: Residuals | None = None
+    after: Residuals | None = None
+
+
+def write_discovery(found: Discovery, directory: str | os.PathLike[str]) -> Path:
+    """Write `discovery.json` and `discovery.npz`, and the extended model (the base without one) as `fit.json` and
+    `series.npz`; returns the path of discovery.json.
+
+    Pages of earlier results in the directory are removed first.  Raises OSError as the system gives it.
+    """
+    folder = Path(directory)
+    write_fit(found.extended or found.base, folder)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, **_arrays(found))
+    write_bytes_whole(folder / DISCOVERY_SERIES, buffer.getvalue())
+    return write_text_whole(folder / DISCOVERY, dump(found.to_json()))
+
+
+def read_discovery(directory: str | os.PathLike[str]) -> Discovered:
+    """The discovery of a directory; raises ResultFault that lists all faults."""
+    folder, faults = Path(directory), []
+    results: object = {}
+    arrays: dict[str, np.ndarray] = {}
+    path = folder / DISCOVERY
+    try:
+        results = json.loads(path.read_text(encoding="utf-8"))
+        if not (isinstance(results, dict) and "verdict" in results):
+            faults.append(f"{path}: expected the results of a discovery, found no verdict; {AGAIN}")
+    except FileNotFoundError:
+        faults.append(f"{path}: no such file; {AGAIN}")
+    except (OSError, ValueError, RecursionError) as fault:
+        faults.append(f"{path}: expected JSON written by `hygrokf discover`, found: {fault}; {AGAIN}")
+    path = folder / DISCOVERY_SERIES
+    residuals: dict[str, Residuals | None] = {}
+    try:
+        with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:
+            arrays = {name: np.asarray(file[name]) for name in file.files}
+        residuals = {which: _residuals(arrays, which) for which in WHICH}
+    except FileNotFoundError:
+        faults.append(f"{path}: no such file; {AGAIN}")
+    except (OSError, ValueError, EOFError, KeyError, AttributeError, TypeError, zipfile.BadZipFile) as fault:
+        faults.append(f"{path}: expected arrays written by `hygrokf discover`, found: {fault}; {AGAIN}")
+    if faults:
+        raise ResultFault("\n".join(faults))
+    assert isinstance(results, dict)
+    return Discovered(results, **residuals)
+
+
+def _arrays(found: Discovery) -> dict[str, np.ndarray]:
+    """Every array of both residuals under "which/field" or "which/field/name"."""
+    result = {}
+    for which in WHICH:
+        one = getattr(found, which)
+        for field in fields(one) if one is not None else ():
+            value = getattr(one, field.name)
+            parts = value.items() if isinstance(value, Mapping) else [(None, value)]
+            for name, array in parts:
+                result["/".join(filter(None, (which, field.name, name)))] = np.asarray(array)
+    return result
+
+
+def _residuals(arrays: Mapping[str, np.ndarray], which: str) -> Residuals | None:
+    """Residuals from what `_arrays` gave; None where there are none."""
+    found: dict[str, object] = {}
+    for key, array in arrays.items():
+        head, *path = key.split("/", 2)
+        if head != which:
+            continue
+        if len(path) == 2:
+            found.setdefault(path[0], {})[path[1]] = array
+        elif path[0] == "name":
+            found["name"] = str(array)
+        else:
+            found[path[0]] = array if array.ndim else float(array)
+    if not found:
+        return None
+    if not math.isfinite(found.get("origin_s", math.nan)):
+        raise ValueError(f"no {which}/origin_s")
+    found.setdefault("drivers", {})
+    return Residuals(**found)

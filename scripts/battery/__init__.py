@@ -1,0 +1,1 @@
+"""What `scripts/discovery_battery` runs and prints."""
