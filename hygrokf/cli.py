@@ -144,7 +144,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("case", type=Path, metavar="CASE.toml")
     _library(evaluate)
     _json(evaluate)
-    report = command("report", _report, "write report.html again from a directory of results")
+    report = command("report", _report, "write the pages again from a directory of results")
     report.add_argument("directory", type=Path, metavar="DIR")
     _json(report)
     return parser

@@ -32,8 +32,16 @@ def test_a_case_becomes_a_discovery(
     assert data["verdict"] in ("none", "unexplained") and data["causes"] == []
     assert {row["cause"] for row in data["rejected"]} == {cause.name for cause in few}
     assert data["extended"] is None and data["baseline"]["rmse"]["identification"]
-    assert (tmp_path / "made" / "report.html").is_file()
+    page = (tmp_path / "made" / "report.html").read_text(encoding="utf-8")
+    assert "discovery report" in page and data["name"] in page and "is left out" not in page
+    assert "identification report" in (tmp_path / "made" / "fit_report.html").read_text(encoding="utf-8")
     assert read_fit(tmp_path / "made").name == data["name"]
+    # the model goes on from there, and its report leaves the discovery's page alone
+    out = tmp_path / "simulated.csv"
+    assert main(["simulate", str(tmp_path / "made" / "fit.json"), str(case), "--out", str(out)]) == 0
+    assert out.is_file()
+    assert main(["report", str(tmp_path / "made")]) == 0
+    assert (tmp_path / "made" / "report.html").read_text(encoding="utf-8") == page
 
 
 @pytest.mark.parametrize(

@@ -10,10 +10,12 @@ import pytest
 from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
+from hygrokf.discovery.cause import Variant, penalty
 from hygrokf.discovery.choice import MATERIAL, choose, verdict_on
-from hygrokf.discovery.clocks import Shift, shifted
+from hygrokf.discovery.clocks import Shift, shifted, sources
 from hygrokf.discovery.discover import discover
-from hygrokf.discovery.library import LIBRARY, Variant, dates, named, penalty, sources
+from hygrokf.discovery.grids import dates
+from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scan import scan
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, refitted, rmse, scene
 from hygrokf.discovery.trial import attempt, judged, shift_gains

@@ -156,19 +156,18 @@ def test_equal_weights_are_no_weights() -> None:
 
 # -- tables ----------------------------------------------------------------------------------------------------------
 def test_first_means_first_and_a_class_counts_apart() -> None:
-    tables = part("tables")
     right = line("hidden", "solar_gain", cause("solar_gain"), cause("condensation"))
     class_member = line("hidden", "solar_gain", cause("wall_thermal_mass", 0.5, "solar_gain"))
     second = line("hidden", "solar_gain", cause("condensation"), cause("solar_gain"))
     silent = line("hidden", "solar_gain")
     some = [right, class_member, second, silent, failed("hidden", "solar_gain")]
-    assert [tables.first_right(one, False) for one in some] == [True, False, False, False, False]
-    assert [tables.first_right(one) for one in some] == [True, True, False, False, False]
-    assert [tables.answer(one) for one in some] == [
+    assert [part("lines").first_right(one, False) for one in some] == [True, False, False, False, False]
+    assert [part("lines").first_right(one) for one in some] == [True, True, False, False, False]
+    assert [part("lines").answer(one) for one in some] == [
         "solar_gain", "wall_thermal_mass", "condensation", "none", "failure",
     ]  # fmt: skip
-    assert tables.names(class_member) == {"wall_thermal_mass", "solar_gain"}
-    assert tables.names(class_member, False) == {"wall_thermal_mass"}
+    assert part("lines").names(class_member) == {"wall_thermal_mass", "solar_gain"}
+    assert part("lines").names(class_member, False) == {"wall_thermal_mass"}
 
 
 def test_named_first_by_cause_and_reached_strength() -> None:
@@ -254,8 +253,8 @@ def test_two_causes_need_two_names() -> None:
     one = line("pair", two, cause("solar_gain", 0.5, "condensation"), key="3")
     wrong = line("pair", two, cause("solar_gain"), cause("rain_ingress"), key="4")
     some = [both, in_class, one, wrong]
-    assert [tables.both_named(o) for o in some] == [True, True, False, False]
-    assert [tables.both_named(o, False) for o in some] == [True, False, False, False]
+    assert [part("lines").both_named(o) for o in some] == [True, True, False, False]
+    assert [part("lines").both_named(o, False) for o in some] == [True, False, False, False]
     found = rows(tables.pairs([*some, failed("pair", *two)]))["all"]
     assert found["n"] == 5 and found["or in their classes"] == rates.Rate(2, 5)
     assert found["at least one"] == rates.Rate(4, 5)
@@ -286,7 +285,7 @@ def test_the_share_of_the_gain_leaves_out_what_cannot_gain() -> None:
 
     some = [gained(0.2, 0.1, "a"), gained(0.1, 0.09, "b"), gained(0.2, 0.22, "c")]
     some += [gained(0.04, 0.04, "d"), gained(0.2, None, "e")]
-    assert [tables.gain_share(one) for one in some] == [
+    assert [part("lines").gain_share(one) for one in some] == [
         pytest.approx(0.5), pytest.approx(0.9), pytest.approx(1.1), None, None,
     ]  # fmt: skip
     found = rows(tables.gains(some))["all"]
@@ -297,9 +296,9 @@ def test_the_share_of_the_gain_leaves_out_what_cannot_gain() -> None:
         pytest.approx(0.475),
     )
     broken = failed("hidden", "solar_gain")
-    assert tables.gain_share(broken) == 0.0
+    assert part("lines").gain_share(broken) == 0.0
     broken["truth"] = []
-    assert tables.gain_share(broken) is None
+    assert part("lines").gain_share(broken) is None
     assert rows(tables.gains([*some, failed("hidden", "solar_gain")]))["all"]["median"] == pytest.approx(0.7)
 
 
@@ -335,10 +334,10 @@ def test_confidence_that_is_calibrated_looks_so() -> None:
         some.append(line("hidden", "solar_gain", cause(name, share), key=str(k)))
     for row in tables.calibration(some).rows:
         assert row[3].share == pytest.approx(row[2], abs=0.06)
-    error = tables._calibration_error([(o, 1.0, o["causes"][0]["confidence"]) for o in some])
+    error = tables.calibration_error([(o, 1.0, o["causes"][0]["confidence"]) for o in some], False)
     assert error < 0.04
     sure = [{**o, "causes": [{**o["causes"][0], "confidence": 1.0}]} for o in some]
-    assert tables._calibration_error([(o, 1.0, 1.0) for o in sure]) > 0.3
+    assert tables.calibration_error([(o, 1.0, 1.0) for o in sure], False) > 0.3
 
 
 def test_decoys_of_the_papers_case_are_not_sorption() -> None:
@@ -424,7 +423,7 @@ def test_failures_are_counted_and_never_dropped(everything: list[dict]) -> None:
     tables = part("tables")
     found = tables.failures(everything)
     assert len(found.rows) == 6 and found.notes[0].startswith("6/14 ")
-    reached = {one.name: one for one in tables.requirements(everything)}
+    reached = {one.name: one for one in part("required").requirements(everything)}
     assert reached["named first or in its class, full strength"].n == 2
     assert reached["false alarms"].n == 2
     assert reached["both of two causes"].reached == 0.5
@@ -434,19 +433,20 @@ def test_failures_are_counted_and_never_dropped(everything: list[dict]) -> None:
 
 
 def test_what_is_required_is_judged() -> None:
-    tables = part("tables")
     good = [line("hidden", "solar_gain", cause("solar_gain"), key=str(k)) for k in range(19)]
     good += [line("none", key=str(k)) for k in range(20)]
-    found = {one.name: one for one in tables.requirements([*good, line("hidden", "solar_gain", key="x")])}
+    found = {
+        one.name: one for one in part("required").requirements([*good, line("hidden", "solar_gain", key="x")])
+    }
     assert found["named first or in its class, full strength"].met is True
     assert found["named first or in its class, half strength"].met is None
     assert (found["false alarms"].reached, found["false alarms"].met) == (0.0, True)
     assert found["median share of the attainable gain"].met is False
     bad = [line("hidden", "solar_gain", key=str(k)) for k in range(2)]
-    found = {one.name: one for one in tables.requirements([*good, *bad])}
+    found = {one.name: one for one in part("required").requirements([*good, *bad])}
     assert found["named first or in its class, full strength"].met is False
     alarms = [line("none", (), cause("solar_gain"), key=f"a{k}") for k in range(2)]
-    assert {o.name: o for o in tables.requirements([*good, *alarms])}["false alarms"].met is False
+    assert {o.name: o for o in part("required").requirements([*good, *alarms])}["false alarms"].met is False
 
 
 def test_tables_are_text_and_json(everything: list[dict]) -> None:
@@ -704,7 +704,11 @@ def test_what_is_raised_is_part_of_the_result(monkeypatch: pytest.MonkeyPatch) -
     assert made["truth"][0]["cause"] == "solar_gain" and 0.0 < made["truth"][0]["attainable"] < 1.0
     monkeypatch.setattr(trial, "make", breaks)
     early = trial.run_case(case)
-    assert early["truth"] == [] and tables.truths(early) == ["solar_gain"] and tables.reached(early) == 1.0
+    assert (
+        early["truth"] == []
+        and part("lines").truths(early) == ["solar_gain"]
+        and part("lines").reached(early) == 1.0
+    )
     tables.all_tables([early])
 
 
@@ -844,7 +848,7 @@ def test_the_small_battery_names_what_is_hidden(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     lines = part("command").read_lines([tmp_path / "ci.jsonl"])
-    answers = {one["key"]: part("tables").answer(one) for one in lines}
+    answers = {one["key"]: part("lines").answer(one) for one in lines}
     assert not found["failures"]["rows"], found["failures"]
     full = next(row for row in found["named_first"]["rows"] if row["cause"] == "all")
     hits = sum(full[f"{strength}: or in its class"]["hits"] for strength in ("full", "half", "weaker"))
@@ -860,11 +864,13 @@ def test_the_battery_reaches_what_is_required() -> None:
     Lines of build/discovery_battery.jsonl that the present sources have answered are not run again: run
     `scripts/discovery_battery --strict --jobs N` first, as often as it is interrupted, and this test takes seconds.
     """
-    command, cases, tables = part("command"), part("cases"), part("tables")
+    command, cases = part("command"), part("cases")
     assert command.main(["--strict", "--jobs", "2", "--json"]) == 0
     keys = {part("trial").case_key(case, "discover") for case in cases.full()}
-    lines = [one for one in tables.last_of_each(command.read_lines([command.RESULTS])) if one["key"] in keys]
+    lines = [
+        one for one in part("lines").last_of_each(command.read_lines([command.RESULTS])) if one["key"] in keys
+    ]
     assert len(lines) == len(keys)
-    found = tables.requirements(lines)
+    found = part("required").requirements(lines)
     assert all(one.n for one in found)
     assert not [one for one in found if not one.met]

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.discovery.library import LIBRARY, Cause, named
+from hygrokf.discovery.cause import Cause
+from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scene import Scene
 from hygrokf.discovery.trial import Trial, attempt, polished, started
 from hygrokf.stage import Progress
@@ -17,8 +19,6 @@ MATERIAL = 0.05
 """Share of the squared free-run error that must be gone, without the three best days, for a cause to be worth having."""
 EVIDENCE = 10.0
 """Gain in 2 ln L beyond the price of parameters and grid (BIC) that counts as strong."""
-UNSCORED_EVIDENCE = 30.0
-"""The same for causes that hardly show in the free run."""
 WORSE = -0.02
 """A cause that makes the free run of a part worse by more than this share is no cause."""
 SMALLEST_SHIFT_S = 240.0
@@ -58,13 +58,13 @@ def verdict_on(trial: Trial, cause: Cause) -> str:
         return "it gains no likelihood"
     if not all(part.converged for part in trial.parts.values()) and trial.bic_gain < EVIDENCE:
         return "the estimate did not converge, and what it reached is no evidence"
-    if trial.bic_gain < (EVIDENCE if cause.scored else UNSCORED_EVIDENCE):
+    if trial.bic_gain < EVIDENCE:
         return "its gain in likelihood does not pay for its parameters and the settings searched"
     if min(trial.gain.values(), default=0.0) < WORSE and trial.best_lasting < 4.0 * -WORSE:
         return "it makes the free run worse"
     if cause.name == "clock_shift" and abs(float(trial.variant.settings["shift_s"])) < SMALLEST_SHIFT_S:
         return "a clock error of this size is ordinary"
-    if cause.scored and trial.best_lasting < MATERIAL:
+    if trial.best_lasting < MATERIAL and trial.bic_gain < cause.alone:
         return "significant, but the free run gains too little, or on a few days alone"
     return ""
 
@@ -169,14 +169,22 @@ def alike(scene: Scene, best: Trial, other: Trial) -> bool:
 
 
 def difference(scene: Scene, best: Trial, other: Trial) -> float:
-    """RMS difference of two causes' free runs over the RMS change that `best` makes [1], parts in units of their error."""
+    """RMS difference of two causes' free runs over the RMS change that `best` makes [1], parts in units of their error.
+
+    At the readings that all three have; a shifted clock of the cabinet leaves none, and the causes are taken as different.
+    """
     apart, change = 0.0, 0.0
     for name, part in scene.parts.items():
-        before = part.error
-        moved = [trial.parts[name].error if name in trial.parts else before for trial in (best, other)]
-        if any(len(error) != len(before) for error in moved):  # a shifted clock has instants of its own
+        runs = [part, *(trial.parts.get(name, part) for trial in (best, other))]
+        known = [np.round(one.time_s[np.isfinite(one.error)]) for one in runs]
+        shared = functools.reduce(np.intersect1d, known)
+        if len(shared) < 0.5 * len(known[0]):
             return math.inf
-        scale = float(np.nanmean(before**2))
-        apart += float(np.nansum((moved[0] - moved[1]) ** 2)) / scale
-        change += float(np.nansum((moved[0] - before) ** 2)) / scale
+        before, after, beside = (
+            one.error[np.isfinite(one.error)][np.searchsorted(time, shared)]
+            for one, time in zip(runs, known, strict=True)
+        )
+        scale = float(np.mean(before**2))
+        apart += float(np.sum((after - beside) ** 2)) / scale
+        change += float(np.sum((after - before) ** 2)) / scale
     return math.sqrt(apart / change) if change > 0 else math.inf

@@ -6,10 +6,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from hygrokf.design import CASCADE
+from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.choice import Choice, choose
 from hygrokf.discovery.clocks import shifted
 from hygrokf.discovery.evidence import cause_entry, evidence
-from hygrokf.discovery.library import LIBRARY, Cause
+from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.misfits import misfits
 from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.remainder import structure

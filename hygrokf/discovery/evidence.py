@@ -8,7 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from hygrokf.confidence import normal_quantile, standard_error, wald_bounds
-from hygrokf.discovery.library import Cause, named
+from hygrokf.discovery.cause import Cause
+from hygrokf.discovery.library import named
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
 from hygrokf.discovery.trial import Trial, probability, score_statistic
 from hygrokf.fit import Fit

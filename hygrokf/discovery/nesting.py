@@ -18,7 +18,8 @@ import numpy as np
 
 from hygrokf.additions import name_faults
 from hygrokf.design import CASCADE, HOLDS, design, extended
-from hygrokf.discovery.library import LIBRARY, Cause, Variant
+from hygrokf.discovery.cause import Cause, Variant
+from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Part, Scene
 from hygrokf.drivers import run
 from hygrokf.features import FEATURES, feature_faults

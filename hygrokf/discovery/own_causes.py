@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import math
 import sys
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
@@ -18,7 +19,8 @@ from types import ModuleType
 
 from hygrokf.additions import Origin, admit, origins, withdraw
 from hygrokf.ambient import ambient_absolute_humidity
-from hygrokf.discovery.library import LIBRARY, Cause, Variant
+from hygrokf.discovery.cause import Cause, Variant
+from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.nesting import form_faults, is_feature, told, variant_faults
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
 from hygrokf.model import Mechanism
@@ -51,7 +53,7 @@ def cause_of(
     starts: Mapping[str, float] | Sequence[Mapping[str, float]] = (),
     features: Mapping[str, Mapping | tuple[Callable, str]] | None = None,
     needs: Sequence[str] = (),
-    scored: bool = True,
+    alone: float = math.inf,
 ) -> Cause:
     """A cause that is one mechanism of the thermal part, of the hygric part, or one of each, in one form.
 
@@ -81,7 +83,7 @@ def cause_of(
 
     inputs = {key for one in made.values() for key in one.inputs} - set(settings)
     return Cause(
-        name, meaning, remedy, separate_by, variants, ", ".join(sorted({*inputs, *needs})), scored,
+        name, meaning, remedy, separate_by, variants, ", ".join(sorted({*inputs, *needs})), alone,
         mechanisms={made[part].name: factory for part, factory in factories.items()}, features=own,
     )  # fmt: skip
 

@@ -344,9 +344,10 @@ def _method(found: Mapping, before: Residuals | None, fit_page: str) -> str:
         "number of causes and settings.",
         "The held-out period took no part in any choice. Bounds of a gain come from a bootstrap of blocks of days: they "
         "know how much the gain varies within this period, not how it would in another season.",
-        "Confidence is the probability that the name, or one of those from which this record cannot tell it, is right, as "
-        "calibrated on simulated plants. A cause that is not in the library cannot be named, and one that acts alike can be "
-        "named in its stead: check in the turbine before you act on it.",
+        "Confidence estimates the probability that the name, or one of those from which this record cannot tell it, is "
+        "right, by the distance to its rivals and the gain that lasts; how well it holds can be measured on simulated "
+        "plants alone. A cause that is not in the library cannot be named, and one that acts alike can be named in its "
+        "stead: check in the turbine before you act on it.",
     ]
     version = text_of(entry(found, "version"))
     made = f"Found by hygrokf {version or '(version not stated)'}; page written by hygrokf {__version__}."

@@ -28,6 +28,7 @@ from hygrokf.drawing import (
     styled,
     upright,
 )
+from hygrokf.lookup import one_line
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -180,7 +181,8 @@ def _heading(figure: Figure, misfit: Misfit, handles: list) -> float:
     """The misfit's own sentence and a key above the figure; returns the height [in] that they take."""
     import textwrap
 
-    lines = textwrap.wrap(misfit.statement[0].upper() + misfit.statement[1:], LINE)
+    statement = one_line(misfit.statement)
+    lines = textwrap.wrap(statement[:1].upper() + statement[1:], LINE)
     height = figure.get_size_inches()[1]
     used = 0.09 + 0.145 * len(lines)
     figure.text(

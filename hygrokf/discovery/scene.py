@@ -142,12 +142,17 @@ def climbed(part: Part) -> Part:
 
 
 def _scouted(likelihood: Likelihood, part: Part, at: Mapping[str, float]) -> tuple[float, dict[str, float]]:
-    """(objective, values) after a few passes over the parameters that the part does not have."""
-    held = {name: value for name, value in at.items() if name in part.values}
-    coordinates = Coordinates(likelihood.model.parameters, held)
-    if not coordinates.free:
-        coordinates = Coordinates(likelihood.model.parameters)
-    found = climb(Objective(likelihood, coordinates), coordinates.start(at), passes=5, tolerance=1.0)
+    """(objective, values) after a few passes over the parameters that the part does not have, and the sensors' offsets.
+
+    Offsets start from where the sensors' accuracy has them: the base may have stretched them to stand for what it lacks.
+    """
+    parameters = likelihood.model.parameters
+    offsets = {p.name: p.prior.mean for p in parameters if p.prior is not None}
+    held = {name: value for name, value in at.items() if name in part.values and name not in offsets}
+    coordinates = Coordinates(parameters, held if len(held) < len(parameters) else {})
+    found = climb(
+        Objective(likelihood, coordinates), coordinates.start({**at, **offsets}), passes=5, tolerance=1.0
+    )
     return found.objective, coordinates.values(found.z)
 
 

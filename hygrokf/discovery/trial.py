@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.design import Design, extended
+from hygrokf.discovery.cause import Variant, penalty
+from hygrokf.discovery.causes_readings import SHIFTS_MIN
 from hygrokf.discovery.clocks import HOUR_S, Shift, shifted, sources
-from hygrokf.discovery.library import SHIFTS_MIN, Variant, penalty
 from hygrokf.discovery.scene import Part, Scene, climbed, days, refitted, searching
 from hygrokf.drivers import run
 from hygrokf.likelihood import Trace

@@ -156,27 +156,27 @@ def cooling_loss() -> Mechanism:
     )  # fmt: skip
 
 
-def lagged_ambient(time_h: float = 3.0) -> Mechanism:
+def lagged_ambient() -> Mechanism:
     """The air around the cabinet lags the ambient series: a share w of a first-order lag, f += w (L − T_amb) [K].
 
-    dL/dt = (T_amb − L)/θ,    θ = `time_h` [h].  w below 0: the air leads the series, as where the series is smoothed.
+    dL/dt = (T_amb − L)/θ,    θ [h].  w below 0: the air leads the series, as where the series is smoothed.
     """
     return Mechanism(
         name="lagged_ambient",
         parameters=(
             Parameter(
-                "ambient_lag_share", "1", 0.0, -4.0, 1.2, null=0.0,
+                "ambient_lag_share", "1", 0.0, -8.0, 1.2, null=0.0,
                 meaning="share of the air around the cabinet that lags the series; below 0 it leads",
             ),
+            Parameter("ambient_lag_time", "h", 3.0, 0.25, 24.0, positive=True, meaning="its lag"),
         ),
         states=("ambient_lag",),
         inputs=("ambient_temperature",),
         contributions=lambda p, x, u, q: {
             "heat_release": p.ambient_lag_share * (x.ambient_lag - u.ambient_temperature)
         },
-        drift=lambda p, x, u, q, s: {"ambient_lag": (u.ambient_temperature - x.ambient_lag) * (1.0 / time_h)},
+        drift=lambda p, x, u, q, s: {"ambient_lag": (u.ambient_temperature - x.ambient_lag) / p.ambient_lag_time},
         initial=lambda p, u: {"ambient_lag": (u.ambient_temperature, 4.0)},
-        settings={"time_h": time_h},
         meaning="air around the cabinet that lags the ambient series",
         leaves="a temperature error that follows the rate of the ambient temperature",
         source="first-order mixing of the air in the tower",

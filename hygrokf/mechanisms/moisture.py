@@ -304,10 +304,10 @@ def cooled_exchange() -> Mechanism:
     )  # fmt: skip
 
 
-def breathed_air(time_h: float = 3.0, form: str = "vapour") -> Mechanism:
+def breathed_air(form: str = "vapour") -> Mechanism:
     """The air that the cabinet breathes is not the ambient series': an offset, and a share of its own lag.
 
-        ambient_vapour += o g + w (L − c_amb),    dL/dt = (c_amb − L)/θ,    θ = `time_h`,
+        ambient_vapour += o g + w (L − c_amb),    dL/dt = (c_amb − L)/θ,
     with g by `form`: "vapour" 1 g/m³, "temperature" c_amb (a thermometer that is off by 1 K makes 6 %), "humidity" the
     saturation concentration at ambient temperature.  w above 0: the breathed air lags the series; below 0: it leads it,
     as where the series is smoothed.
@@ -335,9 +335,10 @@ def breathed_air(time_h: float = 3.0, form: str = "vapour") -> Mechanism:
                 }[form],
             ),
             Parameter(
-                "breathed_lag_share", "1", 0.0, -4.0, 1.2, null=0.0,
+                "breathed_lag_share", "1", 0.0, -8.0, 1.2, null=0.0,
                 meaning="share of the breathed air that lags the series; below 0 it leads",
             ),
+            Parameter("breathed_lag_time", "h", 3.0, 0.25, 24.0, positive=True, meaning="its lag"),
         ),
         states=("breathed_vapour",),
         inputs=("ambient_absolute_humidity", *(("ambient_temperature",) if form == "humidity" else ())),
@@ -346,10 +347,10 @@ def breathed_air(time_h: float = 3.0, form: str = "vapour") -> Mechanism:
             + p.breathed_lag_share * (x.breathed_vapour - u.ambient_absolute_humidity)
         },
         drift=lambda p, x, u, q, s: {
-            "breathed_vapour": (u.ambient_absolute_humidity - x.breathed_vapour) * (1.0 / time_h)
+            "breathed_vapour": (u.ambient_absolute_humidity - x.breathed_vapour) / p.breathed_lag_time
         },
         initial=lambda p, u: {"breathed_vapour": (u.ambient_absolute_humidity, 0.25)},
-        settings={"time_h": time_h, "form": form},
+        settings={"form": form},
         meaning="the breathed air differs from the ambient series",
         leaves="an offset of the absolute humidity, or one that lags the ambient at equal cabinet temperature",
         source="first-order mixing of the air in the tower",

@@ -50,29 +50,44 @@ def thermal_network() -> Mechanism:
     )  # fmt: skip
 
 
-def measured_air(accuracy: float = 0.0) -> Mechanism:
+def measured_air(accuracy: float = 0.0, step: bool = False) -> Mechanism:
     """The cabinet air temperature taken from its readings (linear between them) instead of a model: the cascade.
 
     `accuracy` [K] (95 %) of the sensor gives a constant error of these readings with that prior; none with 0.  An error
     of 0.15 K changes the relative humidity by 1 % and with it the exchange that explains the readings: bounds that
-    leave it out are too narrow.
+    leave it out are too narrow.  `step` adds one from a date on (input `after_step`).
     """
-    offset = Parameter(
-        "cabinet_temperature_offset", "K", 0.0, -4 * accuracy, 4 * accuracy, null=0.0,
-        prior=Prior(0.0, accuracy / 1.96),
-        meaning="constant error of the cabinet temperature that the hygric part runs on",
-    ) if accuracy > 0 else None  # fmt: skip
+    errors = []
+    if accuracy > 0:
+        errors.append(
+            Parameter(
+                "cabinet_temperature_offset", "K", 0.0, -4 * accuracy, 4 * accuracy, null=0.0,
+                prior=Prior(0.0, accuracy / 1.96),
+                meaning="constant error of the cabinet temperature that the hygric part runs on",
+            )
+        )  # fmt: skip
+    if step:
+        errors.append(
+            Parameter(
+                "cabinet_temperature_step", "K", 0.0, -30.0, 30.0, null=0.0,
+                meaning="error of the cabinet temperature that the hygric part runs on, from the date on",
+            )
+        )  # fmt: skip
 
     def quantities(p, x, u):
-        air = u.cabinet_temperature - p.cabinet_temperature_offset if offset else u.cabinet_temperature
+        air = u.cabinet_temperature
+        if accuracy > 0:
+            air = air - p.cabinet_temperature_offset
+        if step:
+            air = air - p.cabinet_temperature_step * u.after_step
         return {"cabinet_air_temperature": air}
 
     return Mechanism(
         name="measured_air",
-        parameters=(offset,) if offset else (),
-        inputs=("cabinet_temperature", "ambient_temperature"),
+        parameters=tuple(errors),
+        inputs=("cabinet_temperature", "ambient_temperature", *(("after_step",) if step else ())),
         quantities=quantities,
-        settings={"accuracy": accuracy},
+        settings={"accuracy": accuracy, "step": step},
         meaning="cabinet air temperature as an input",
     )
 

@@ -13,7 +13,8 @@ from pathlib import Path
 from plants.hidden import FORMS
 
 from battery.cases import DAYS, FIRST_SEED, GROUPS, ROUNDS, Case, chosen, ci, full
-from battery.tables import all_tables, answer
+from battery.lines import answer
+from battery.tables import all_tables
 from battery.trial import ENGINES, case_key, load, run_case, sources_hash
 
 RESULTS = Path(__file__).resolve().parents[2] / "build" / "discovery_battery.jsonl"

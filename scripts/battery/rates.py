@@ -1,7 +1,8 @@
-"""Shares with their bounds, and shares under weights."""
+"""Shares with their bounds, shares under weights, and quantiles."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
@@ -84,3 +85,14 @@ def weighted_share(hits: Sequence[bool], weights: Sequence[float]) -> WeightedSh
         return None
     held = sum(w for hit, w in zip(hits, weights, strict=True) if hit)
     return WeightedShare(min(held / total, 1.0), len(weights), total**2 / sum(w * w for w in weights))
+
+
+def quantile(values: Sequence[float], share: float) -> float | None:
+    """Quantile by straight lines between the ordered values."""
+    if not values:
+        return None
+    ordered = sorted(values)
+    place = share * (len(ordered) - 1)
+    low = math.floor(place)
+    high = min(low + 1, len(ordered) - 1)
+    return ordered[low] + (place - low) * (ordered[high] - ordered[low])

@@ -242,6 +242,7 @@ def gained(
 def _chosen(record: Record, truth: list[dict], starts: int | None) -> dict:
     """Scene and choice alone: no bounds, gains on the identification period."""
     from hygrokf.discovery.choice import choose
+    from hygrokf.discovery.evidence import confidence
     from hygrokf.discovery.scene import rmse, scene
 
     base = scene(record, **({} if starts is None else {"starts": starts}))
@@ -264,18 +265,16 @@ def _chosen(record: Record, truth: list[dict], starts: int | None) -> dict:
         }
 
     causes = []
-    for trial, rivals in zip(choice.accepted, choice.rivals, strict=True):
+    for trial, rivals, margin in zip(choice.accepted, choice.rivals, choice.margins, strict=True):
         values = {
             name: {"value": value}
             for part, found in trial.parts.items()
             for name, value in found.values.items()
             if name not in base.parts[part].values
         }
-        share = sum(max(other.bic_gain, 0.0) / trial.bic_gain for other in rivals)
         named = [other.variant.cause for other in rivals]
-        causes.append(
-            {**told(trial), "confidence": 1.0 / (1.0 + share), "ambiguous_with": named, "parameters": values}
-        )
+        told_more = {"confidence": confidence(trial, margin), "margin": margin, "once": trial.once}
+        causes.append({**told(trial), **told_more, "ambiguous_with": named, "parameters": values})
     true = {account["cause"] for account in truth}
     rejected = [
         {**told(trial), "reason": reason} for trial, reason in choice.rejected if trial.variant.cause in true

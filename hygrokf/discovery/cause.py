@@ -1,0 +1,77 @@
+"""What a cause is: a name, words, a remedy, and the variants in which it is tried on a scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from hygrokf.discovery.clocks import Shift
+from hygrokf.discovery.scene import Scene
+from hygrokf.model import Mechanism
+
+
+@dataclass(frozen=True)
+class Variant:
+    """One form of a cause, ready to be estimated.
+
+    `additions` part → (mechanism, settings) pairs; `features` inputs they read; `starts` start values to be tried;
+    `settings` what was chosen from a grid (dates, thresholds), `searched` how many independent settings that amounts to;
+    `altered` part → mechanism → settings that differ from the base; `shift` a source whose stamps are to be moved.
+    """
+
+    cause: str
+    form: str
+    additions: Mapping[str, tuple[tuple[str, dict], ...]] = field(default_factory=dict)
+    features: Mapping[str, dict] = field(default_factory=dict)
+    starts: tuple[Mapping[str, float], ...] = ({},)
+    settings: Mapping[str, object] = field(default_factory=dict)
+    searched: float = 1.0
+    altered: Mapping[str, Mapping[str, dict]] = field(default_factory=dict)
+    shift: Shift | None = None
+
+
+@dataclass(frozen=True)
+class Cause:
+    """A physical cause: its `variants` in a scene (none where the record cannot show it), in words what it is, what to
+    check in the turbine (`remedy`), and the measurement that would tell it from its rivals (`separate_by`).
+
+    `alone`: gain in evidence (see `choice`) that is enough without a better free run: a clock or a changed exchange
+    hardly shows in it, and simulated switches lose their phase.  `event`: whether it happened at times that nobody logs,
+    which no simulation can foresee.  A user's own cause brings its `mechanisms`, name → factory, and its `features`,
+    name → (function, hold).
+    """
+
+    name: str
+    meaning: str
+    remedy: str
+    separate_by: str
+    variants: Callable[[Scene], list[Variant]]
+    needs: str = ""
+    alone: float = math.inf
+    event: bool = False
+    mechanisms: Mapping[str, Callable[..., Mechanism]] = field(default_factory=dict)
+    features: Mapping[str, tuple[Callable, str]] = field(default_factory=dict)
+
+
+def penalty(variant: Variant, parameters: int, n: int) -> float:
+    """What a variant's parameters and its grid cost in 2 ln L (BIC, and 2 ln of the settings searched)."""
+    return parameters * math.log(max(n, 3)) + 2.0 * math.log(max(variant.searched, 1))
+
+
+def additions_of(scene: Scene, **additions: tuple) -> dict[str, tuple]:
+    """Additions for the parts that the scene has."""
+    return {part: pairs for part, pairs in additions.items() if part in scene.parts}
+
+
+def one_mechanism(
+    cause: str, part: str, mechanism: str, *starts: Mapping[str, float]
+) -> Callable[[Scene], list[Variant]]:
+    """A cause that is one mechanism of one part, without a grid."""
+
+    def variants(scene: Scene) -> list[Variant]:
+        if part not in scene.parts:
+            return []
+        return [Variant(cause, mechanism, {part: ((mechanism, {}),)}, starts=starts)]
+
+    return variants

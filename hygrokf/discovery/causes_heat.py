@@ -1,0 +1,179 @@
+"""Variants of the causes that act on the cabinet's heat, or on heat and air exchange together."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hygrokf.ambient import at_times, centred
+from hygrokf.discovery.cause import Variant, additions_of
+from hygrokf.discovery.grids import Probe, best_date, best_switch, inside, span
+from hygrokf.discovery.scan import local_scan, scan
+from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
+from hygrokf.features import operating
+
+RAMP_DAYS = 8.0
+
+
+SETTLING_DAYS = 20.0
+
+
+def exchange_step(scene: Scene) -> list[Variant]:
+    probes = (
+        Probe(HYGRIC, ("stepped_exchange", {}), "exchange_change"),
+        Probe(THERMAL, ("stepped_loss", {}), "conductance_change"),
+    )
+    additions = additions_of(scene, thermal=(("stepped_loss", {}),), hygric=(("stepped_exchange", {}),))
+    found = []
+    for form, days in (("step", 0.0), ("ramp", RAMP_DAYS)):
+        setting, tried = best_date(scene, "after_step", probes, days=days)
+        found.append(
+            Variant(
+                "exchange_step",
+                form,
+                additions,
+                {"after_step": setting},
+                settings=setting,
+                searched=2 * tried,
+            )
+        )
+    return found
+
+
+def cooling(scene: Scene) -> list[Variant]:
+    if THERMAL not in scene.parts:
+        return []
+    levels = np.quantile(inside(scene, "cabinet_temperature"), np.linspace(0.4, 0.97, 10))
+    grid = [{"on_K": float(a), "off_K": float(a - width)} for a in levels for width in (1.0, 3.0, 6.0)]
+    chosen, tried = best_switch(
+        scene.parts[THERMAL], "cooling_loss", "cooling_conductance", "cooling", grid, {"": 1.5}
+    )
+    closed = additions_of(scene, thermal=(("cooling_loss", {}),))
+    blown = additions_of(scene, thermal=(("cooling_loss", {}),), hygric=(("cooled_exchange", {}),))
+    forms = [("closed", closed)] + ([("filter fan", blown)] if HYGRIC in scene.parts else [])
+    return [
+        Variant(
+            "cooling_switching", form, additions, {"cooling": chosen},
+            ({"cooling_conductance": 0.05}, {"cooling_conductance": 0.5}), chosen, tried,
+        )
+        for form, additions in forms
+    ]  # fmt: skip
+
+
+def heater(scene: Scene) -> list[Variant]:
+    if THERMAL not in scene.parts or "active_power" not in scene.record:
+        return []
+    series = scene.record["cabinet_temperature"]
+    idle = ~operating(scene.record, series.time) & np.isfinite(series.value)
+    if idle.sum() < 200:
+        return []
+    levels = np.quantile(series.value[idle], np.linspace(0.05, 0.8, 9))
+    grid = [
+        {"reads": "cabinet_temperature", "on": float(a), "off": float(a + width)}
+        for a in levels
+        for width in (1.0, 3.0, 6.0)
+    ]
+    if "cabinet_relative_humidity" in scene.record:
+        damp = at_times(centred(scene.record["cabinet_relative_humidity"]), series.time[idle], 2.0)
+        levels = np.nanquantile(damp, np.linspace(0.3, 0.95, 8))
+        grid += [
+            {"reads": "cabinet_relative_humidity", "on": float(a), "off": float(a - width)}
+            for a in levels
+            for width in (0.03, 0.08, 0.15)
+        ]
+    steps = {"cabinet_temperature": 1.5, "cabinet_relative_humidity": 0.05}
+    chosen, tried = best_switch(
+        scene.parts[THERMAL], "unreported_heater", "heater_heat", "heating", grid, steps
+    )
+    return [
+        Variant(
+            "standstill_heater", str(chosen["reads"]), {THERMAL: (("unreported_heater", {}),)},
+            {"heating": chosen}, ({"heater_heat": 1.0}, {"heater_heat": 8.0}), chosen, tried,
+        )
+    ]  # fmt: skip
+
+
+def wind(scene: Scene) -> list[Variant]:
+    if "wind_speed" not in scene.record:
+        return []
+    found = []
+    for form, flag in (("linear", "wind_tenth"), ("square", "wind_square")):
+        additions = additions_of(
+            scene, thermal=(("wind_loss", {"flag": flag}),), hygric=(("wind_exchange", {"flag": flag}),)
+        )
+        found.append(Variant("wind_driven_exchange", form, additions, {flag: {}}, searched=2))
+    return found
+
+
+AZIMUTHS = (90.0, 135.0, 180.0, 225.0, 270.0)
+
+
+def sun(scene: Scene) -> list[Variant]:
+    known = "global_horizontal_irradiance" in scene.record or scene.record.site is not None
+    if not known or THERMAL not in scene.parts:
+        return []
+    starts = tuple({"solar_heat": 0.2, "solar_time": h} for h in (0.5, 3.0))
+    found = [
+        Variant(
+            "solar_gain", "on the roof", {THERMAL: (("solar_gain", {"lagged": True}),)}, {"sunshine": {}}, starts,
+            searched=1 + len(AZIMUTHS),
+        )
+    ]  # fmt: skip
+    if scene.record.site is not None:
+        wall = ("solar_gain", {"lagged": True, "flag": "sunlit_wall"})
+        settings = [{"azimuth_deg": a} for a in AZIMUTHS]
+        nulls = {"solar_heat": 1e-3, "solar_time": 1.5}
+        scanned = scan(scene.parts[THERMAL], wall, "solar_heat", "sunlit_wall", settings, nulls)
+        chosen = settings[int(np.argmax(scanned.root))]
+        found.append(
+            Variant(
+                "solar_gain", "on a wall", {THERMAL: (wall,)}, {"sunlit_wall": chosen}, starts, chosen,
+                1.0 + scanned.effective,
+            )
+        )  # fmt: skip
+    return found
+
+
+def heat_drift(scene: Scene) -> list[Variant]:
+    if THERMAL not in scene.parts:
+        return []
+    base = dict(scene.parts[THERMAL].base.mechanisms)["heat_release"]
+    own = {"order": base["order"], "operation": base["operation"]} if base["standstill"] else {}
+    found = [
+        Variant(
+            "heat_release_drift", "straight", {THERMAL: (("release_drift", own),)}, {"elapsed": span(scene)}
+        )
+    ]
+    late = {**own, "flag": "since"}
+    probe = Probe(THERMAL, ("release_drift", late), "heat_drift")
+    setting, tried = best_date(scene, "since", [probe], days=SETTLING_DAYS)
+    return [
+        *found,
+        Variant(
+            "heat_release_drift", "from a date on, saturating", {THERMAL: (("release_drift", late),)},
+            {"since": setting}, settings=setting, searched=tried,
+        ),
+    ]  # fmt: skip
+
+
+def door(scene: Scene) -> list[Variant]:
+    """Windows in which both parts' innovations ask for a much larger exchange, by a matched filter with a price for each."""
+    spans = local_scan(
+        {
+            name: (scene.parts[name], mechanism, parameter)
+            for name, mechanism, parameter in (
+                (HYGRIC, "open_exchange", "door_exchange"),
+                (THERMAL, "open_loss", "door_conductance"),
+            )
+            if name in scene.parts
+        },
+        "door_open",
+    )
+    if not spans:
+        return []
+    additions = additions_of(scene, thermal=(("open_loss", {}),), hygric=(("open_exchange", {}),))
+    return [
+        Variant(
+            "door_opening", f"{len(spans)} openings", additions, {"door_open": {"spans": spans}},
+            ({"door_exchange": 3.0, "door_conductance": 0.1},), {"spans": spans}, 200 * len(spans),
+        )
+    ]  # fmt: skip

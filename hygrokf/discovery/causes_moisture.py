@@ -1,0 +1,119 @@
+"""Variants of the causes that bring vapour into the cabinet air, take it out, or store it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hygrokf.discovery.cause import Variant
+from hygrokf.discovery.grids import Probe, best_date, best_switch, inside
+from hygrokf.discovery.scene import HYGRIC, Scene
+
+SETTLING_DAYS = 20.0
+
+
+def sorption(scene: Scene) -> list[Variant]:
+    if HYGRIC not in scene.parts:
+        return []
+    starts = tuple({"sorption_capacity": 0.3, "sorption_time": t} for t in (3.0, 15.0, 60.0))
+    return [
+        Variant(
+            "moisture_sorption", form, {HYGRIC: (("moisture_sorption", {"activated": activated}),)},
+            starts=starts, searched=2,
+        )
+        for form, activated in (("uptake faster when warm", True), ("uptake alike at all temperatures", False))
+    ]  # fmt: skip
+
+
+def condensation(scene: Scene) -> list[Variant]:
+    if HYGRIC not in scene.parts:
+        return []
+
+    def starts(*rows: tuple[float, float, float]) -> tuple[dict, ...]:
+        return tuple(
+            {
+                "condensation_rate": rate,
+                "surface_time": time,
+                "surface_share": 0.03,
+                "surface_undercooling": below,
+            }
+            for rate, time, below in rows
+        )
+
+    forms = [("heavy surface", False, starts((0.2, 15.0, 0.3), (0.2, 4.0, 1.0), (2.0, 15.0, 0.3)))]
+    if scene.record.site is not None:
+        forms.append(("skin under the night sky", True, starts((0.3, 1.5, 3.0), (2.0, 1.0, 2.0))))
+    return [
+        Variant(
+            "condensation", form, {HYGRIC: (("condensation", {"sky": sky}),)}, {"night_sky": {}} if sky else {},
+            starts=first, searched=len(forms),
+        )
+        for form, sky, first in forms
+    ]  # fmt: skip
+
+
+HEAVY_MM_H = 1.0
+
+
+def rain(scene: Scene) -> list[Variant]:
+    if "rain" not in scene.record or HYGRIC not in scene.parts:
+        return []
+    series = scene.record["rain"]
+    step_s = series.interval_s if series.interval_s > 0 else float(np.median(np.diff(series.time)))
+    above = HEAVY_MM_H * step_s / 3600.0
+    starts = tuple({"rain_intake": 0.5, "rain_drying_time": t} for t in (2.0, 12.0))
+    return [
+        Variant(
+            "rain_ingress", form, {HYGRIC: (("rain_ingress", {"flag": flag}),)}, features, starts, settings, 2
+        )
+        for form, flag, features, settings in (
+            ("all rain", "rain", {}, {}),
+            ("heavy rain", "heavy_rain", {"heavy_rain": {"above": above}}, {"above": above}),
+        )
+    ]  # fmt: skip
+
+
+def source(scene: Scene) -> list[Variant]:
+    if HYGRIC not in scene.parts:
+        return []
+    start = ({"moisture_source": 0.02}, {"moisture_source": 0.3})
+
+    def variant(form: str, when: str, features: dict, searched: int) -> Variant:
+        additions = {HYGRIC: (("internal_moisture_source", {"when": when}),)}
+        settings = next(iter(features.values()), {})
+        return Variant("internal_moisture_source", form, additions, features, start, settings, searched)
+
+    found = [variant("always", "always", {}, 3)]
+    if "active_power" in scene.record:
+        found.append(variant("at standstill", "standstill", {"standstill": {}}, 3))
+    late = ("internal_moisture_source", {"when": "fading"})
+    probe = Probe(HYGRIC, late, "moisture_source", {"moisture_source": 1e-4})
+    setting, tried = best_date(scene, "fading", [probe], days=SETTLING_DAYS)
+    found.append(variant("drying out from a date on", "fading", {"fading": setting}, tried))
+    return found
+
+
+def drier(scene: Scene) -> list[Variant]:
+    if HYGRIC not in scene.parts or "cabinet_relative_humidity" not in scene.record:
+        return []
+    levels = np.quantile(inside(scene, "cabinet_relative_humidity"), np.linspace(0.3, 0.95, 9))
+    starts = tuple({"dehumidifier_rate": 1.0, "dehumidifier_setpoint": float(a)} for a in levels[[1, 4, 7]])
+    found = [Variant("dehumidifier", "proportional", {HYGRIC: (("dehumidifier", {}),)}, starts=starts)]
+    grid = [{"on": float(a), "off": float(a - width)} for a in levels for width in (0.03, 0.08)]
+    # the rate is positive and estimated as a logarithm: its slope at a small value stands for that at zero
+    chosen, tried = best_switch(
+        scene.parts[HYGRIC],
+        "switched_drying",
+        "drying_rate",
+        "drying",
+        grid,
+        {"": 0.02},
+        {"drying_rate": 1e-4},
+    )
+    for form, plate in (("two-point, cold plate", True), ("two-point, desiccant", False)):
+        found.append(
+            Variant(
+                "dehumidifier", form, {HYGRIC: (("switched_drying", {"plate": plate}),)}, {"drying": chosen},
+                ({"drying_rate": 0.02}, {"drying_rate": 0.2}), chosen, tried,
+            )
+        )  # fmt: skip
+    return found
