@@ -11,14 +11,14 @@ from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
 from hygrokf.discovery.cause import Variant, penalty
-from hygrokf.discovery.choice import MATERIAL, choose, verdict_on
+from hygrokf.discovery.choice import MATERIAL, choose, difference, verdict_on
 from hygrokf.discovery.clocks import Shift, shifted, sources
 from hygrokf.discovery.discover import discover
 from hygrokf.discovery.grids import dates
 from hygrokf.discovery.library import LIBRARY, named
-from hygrokf.discovery.scan import scan
-from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, refitted, rmse, scene
-from hygrokf.discovery.trial import attempt, judged, shift_gains
+from hygrokf.discovery.scan import Scanned, scan, slow_scan
+from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, free_run_error, refitted, rmse, scene
+from hygrokf.discovery.trial import attempt, episodes, judged, probability, score_statistic, shift_gains
 from hygrokf.discovery.words import discovery_text
 from hygrokf.record import Record
 from hygrokf.results import dump
@@ -66,7 +66,7 @@ def test_score_statistics_are_standard_normal_where_there_is_no_effect(quiet: Sc
     )
     z = np.concatenate(
         [
-            scan(quiet.parts[part], (name, {}), parameter, "after_step", grid)
+            scan(quiet.parts[part], (name, {}), parameter, "after_step", grid).root
             for part, name, parameter in probes
         ]
     )
@@ -77,10 +77,30 @@ def test_score_statistics_are_standard_normal_where_there_is_no_effect(quiet: Sc
 def test_a_score_statistic_promises_what_the_refit_gains(quiet: Scene) -> None:
     part = quiet.parts[THERMAL]
     date = dates(quiet.record)[3]
-    (z,) = scan(part, ("temperature_step", {}), "temperature_offset", "after_step", [{"date_s": date}])
+    (z,) = scan(part, ("temperature_step", {}), "temperature_offset", "after_step", [{"date_s": date}]).root
     found = refitted(part, [("temperature_step", {})], {"after_step": {"date_s": date}}, ())
     assert 2.0 * (found.objective - part.objective) == pytest.approx(z * z, abs=0.6)
     assert np.sign(found.values["temperature_offset"]) == np.sign(z)
+
+
+def test_slow_effects_are_scanned_in_one_pass(quiet: Scene) -> None:
+    """A release that drifts: the response to a lasting effect times its course is nearly the response itself."""
+    part = quiet.parts[THERMAL]
+    settings = [{"date_s": d, "days": 10.0} for d in dates(quiet.record, every_days=4.0)]
+    probe = part, ("release_drift", {"flag": "since"}), "heat_drift", "since", settings
+    exact, quick = scan(*probe), slow_scan(*probe)
+    assert np.max(np.abs(exact.root - quick.root)) < 0.3
+    assert np.max(np.abs(exact.correlation - quick.correlation)) < 0.1
+
+
+def test_settings_that_say_the_same_count_once() -> None:
+    none = np.zeros(20)
+    assert Scanned(none, np.eye(20)).effective == pytest.approx(20.0, rel=0.25)
+    assert Scanned(none, np.ones((20, 20))).effective == pytest.approx(1.0, abs=0.3)
+    lag = np.abs(np.subtract.outer(np.arange(20), np.arange(20)))
+    assert 2.0 < Scanned(none, 0.9**lag).effective < 15.0
+    both = Scanned(np.full(20, 3.0), np.eye(20)) + Scanned(np.full(20, 4.0), np.eye(20))
+    assert both.root == pytest.approx(np.full(20, 5.0))
 
 
 def test_a_step_in_the_readings_is_dated(quiet: Scene) -> None:
@@ -92,7 +112,9 @@ def test_a_step_in_the_readings_is_dated(quiet: Scene) -> None:
     part = replace(quiet.parts[THERMAL], record=stepped.record)
     part = refitted(part, (), {}, ())
     stepped = replace(stepped, parts={THERMAL: part})
-    (variant,) = named("temperature_sensor_offset").variants(stepped)
+    variant = next(
+        v for v in named("temperature_sensor_offset").variants(stepped) if v.form == "from a date on"
+    )
     assert abs(variant.settings["date_s"] - date) < 3600.0
     assert attempt(stepped, variant).bic_gain > 10.0
     found = refitted(part, [("temperature_step", {})], {"after_step": {"date_s": date}}, ())
@@ -127,9 +149,52 @@ def test_a_trial_counts_its_price_and_its_days(sorbing: Scene) -> None:
     after = trial.parts[HYGRIC]
     assert trial.gain[HYGRIC] == pytest.approx(1.0 - (rmse(after) / rmse(before)) ** 2, abs=1e-9)
     assert trial.lasting[HYGRIC] < trial.gain[HYGRIC]
+    assert trial.part == HYGRIC and trial.episodes[HYGRIC] >= 2 and not trial.once
+    assert probability(trial) < 1e-6
+    assert score_statistic(sorbing, variant) > 10.0
     same = judged(sorbing, variant, {HYGRIC: before})
     assert (same.lr, same.gain[HYGRIC]) == (0.0, 0.0)
     assert verdict_on(same, named("moisture_sorption")) == "it gains no likelihood"
+
+
+def test_episodes_are_counted_by_the_days_that_gained() -> None:
+    old = np.ones(60)
+    new = old.copy()
+    new[20:23] = 0.0
+    assert episodes(old, new) == 1
+    new[40] = 0.0
+    assert episodes(old, new) == 2
+    assert episodes(old, 0.5 * old) == 6  # a gain that lasts counts for every week of four fifths
+
+
+def test_an_amplitude_at_its_boundary_has_half_a_chance(quiet: Scene) -> None:
+    """p of a sorption that gains 3.84: half of χ² with two and half with one degree of freedom."""
+    sun = Variant("moisture_sorption", "x", {HYGRIC: (("moisture_sorption", {}),)})
+    part = refitted(quiet.parts[HYGRIC], sun.additions[HYGRIC], {}, ({},))
+    trial = replace(judged(quiet, sun, {HYGRIC: part}), lr=3.84)
+    assert trial.parameters == 2
+    assert probability(trial) == pytest.approx(0.5 * (0.05004 + 0.14661), abs=1e-4)
+    drift = Variant("humidity_sensor_drift", "x", {HYGRIC: (("humidity_drift", {}),)})
+    span = {"elapsed": {"start_s": quiet.record.start_s, "end_s": quiet.record.end_s}}
+    part = refitted(quiet.parts[HYGRIC], drift.additions[HYGRIC], span, ({},))
+    trial = replace(judged(quiet, drift, {HYGRIC: part}), lr=3.84)
+    assert probability(trial) == pytest.approx(0.05004, abs=1e-4)
+
+
+def test_a_cause_is_like_itself_and_unlike_one_of_another_part(sorbing: Scene) -> None:
+    one = attempt(sorbing, named("moisture_sorption").variants(sorbing)[0])
+    other = attempt(sorbing, named("wall_thermal_mass").variants(sorbing)[0])
+    assert difference(sorbing, one, one) == 0.0
+    assert difference(sorbing, one, other) > 0.9
+
+
+def test_sensors_are_no_worse_than_their_accuracy_in_a_free_run(quiet: Scene) -> None:
+    part = quiet.parts[HYGRIC]
+    far = {**part.values, "cabinet_relative_humidity_bias": 0.5}
+    held = free_run_error(part.base, part.run, far)
+    sd = next(p for p in part.base.model.parameters if p.name == "cabinet_relative_humidity_bias").prior.sd
+    clipped = free_run_error(part.base, part.run, {**far, "cabinet_relative_humidity_bias": 1.96 * sd})
+    assert held == pytest.approx(clipped, abs=1e-9, nan_ok=True)
 
 
 def test_nothing_is_named_where_nothing_is_hidden(quiet: Scene) -> None:
@@ -162,7 +227,7 @@ def test_a_discovery_is_complete_json_and_plain_text() -> None:
         "cause confidence statement parameters evidence gain ambiguous_with separate_by remedy".split()
     )
     assert cause["cause"] == "moisture_sorption" and 0.0 < cause["confidence"] <= 1.0
-    assert set(cause["evidence"]) >= {"lr", "df", "p_adjusted", "bic_gain"}
+    assert set(cause["evidence"]) >= {"lr", "df", "p_adjusted", "bic_gain", "score_statistic"}
     gain = cause["gain"]
     assert (gain["quantity"], gain["period"]) == ("absolute_humidity_g_m3", "validation")
     assert gain["rmse_after"] < 0.8 * gain["rmse_before"]

@@ -139,6 +139,15 @@ def test_what_the_extension_leaves_alone_is_drawn_once() -> None:
     assert Page(text).text.count("leaves these errors as they are") == 1
 
 
+def test_an_event_is_shown_where_it_was_found() -> None:
+    found = discovery_case()
+    span = [ORIGIN_S + 5 * 86400.0, ORIGIN_S + 5 * 86400.0 + 7200.0]
+    found["causes"][0] |= {"cause": "door_opening", "settings": {"spans": [span, [None, 3.0], "x"]}}
+    text = discovery_page(found, residuals_case(), residuals_case(0.2))
+    assert "Door opening: when" in text and 'id="event-1-' in text and ">20 Jul<" in text
+    assert "event-1" not in discovery_page(discovery_case(), residuals_case())
+
+
 # --- verdicts ----------------------------------------------------------------------------------
 
 

@@ -134,3 +134,58 @@ def test_features_of_a_damaged_file_are_named() -> None:
     assert unknown.startswith("moon: expected one of elapsed, sunshine")
     assert missing == "cooling: expected the settings on_K, off_K, found {'on_K': 300.0}"
     assert more == "wind_tenth: expected the settings none, found {'a': 1}"
+
+
+def test_a_sunlit_wall_is_that_of_other_code() -> None:
+    """Within 3 % of the plants' wall, whose sun follows a simpler clock; beam and sky are split alike."""
+    from plants.hidden import hidden_plant
+    from plants.outdoors import wall_irradiance
+
+    plant = hidden_plant(3, "none", days=60.0)
+    drivers = plant.drivers
+    record = record_with_sun(drivers)
+    time = drivers.time[::60][1:-1]
+    for azimuth in (90.0, 180.0, 250.0):
+        own = 1e3 * feature(record, "sunlit_wall", {"azimuth_deg": azimuth}, time)
+        known = wall_irradiance(drivers, np.radians(azimuth))[::60][1:-1]
+        assert np.corrcoef(own, known)[0, 1] > 0.98
+        assert own.mean() == pytest.approx(known.mean(), rel=0.05)
+
+
+def record_with_sun(drivers) -> Record:
+    sun = Series("global_horizontal_irradiance", drivers.time[::10], drivers.irradiance_W_m2[::10])
+    return Record("sun", (sun,), site=Site(drivers.latitude_deg, drivers.longitude_deg, None))
+
+
+def test_the_night_sky_draws_at_night_and_most_after_clear_days() -> None:
+    from plants.hidden import hidden_plant
+
+    drivers = hidden_plant(3, "none", days=60.0).drivers
+    record = record_with_sun(drivers)
+    time = drivers.time[::60][30:-1]
+    value = feature(record, "night_sky", {}, time)
+    assert ((value >= 0.0) & (value <= 1.0)).all()
+    bright = np.interp(time, drivers.time, drivers.irradiance_W_m2) > 50.0
+    assert value[bright].max() < 1e-9
+    day = np.floor(time / 86400.0)
+    before = {
+        d: drivers.irradiance_W_m2[(drivers.time >= 86400.0 * (d - 1)) & (drivers.time < 86400.0 * d)].mean()
+        for d in np.unique(day)
+    }
+    night = (time % 86400.0 < 7200.0) & ~bright
+    sums = np.array([before[d] for d in day[night]])
+    ok = np.isfinite(sums)
+    assert np.corrcoef(value[night][ok], sums[ok])[0, 1] > 0.5
+    dark = feature(replace(record, series=()), "night_sky", {}, time)
+    assert set(np.unique(dark)) <= {0.0, 1.0}
+
+
+def test_effects_that_fade_and_that_settle_sum_to_the_step() -> None:
+    time = np.arange(0.0, 40 * 86400.0, 3600.0)
+    settings = {"date_s": 10 * 86400.0, "days": 5.0}
+    nothing = Record("none", (Series("cabinet_temperature", time, 0.0 * time + 290.0),))
+    since, fading = (feature(nothing, name, settings, time) for name in ("since", "fading"))
+    assert (since[time < settings["date_s"]] == 0).all() and since[-1] == pytest.approx(1.0, abs=5e-3)
+    assert (fading[time < settings["date_s"]] == 0).all() and 0.99 < fading.max() <= 1.0
+    after = time > settings["date_s"] + 7200.0
+    assert (since + fading)[after] == pytest.approx(np.ones(after.sum()), abs=0.01)

@@ -28,6 +28,7 @@ from hygrokf.discovery.tables import (
     scores_table,
 )
 from hygrokf.discovery.words import (
+    PARTS,
     PERIOD,
     confidence_of,
     evidence_sentence,
@@ -49,7 +50,7 @@ from hygrokf.discovery.words import (
     verdict_sentences,
 )
 from hygrokf.files import BESIDE_DISCOVERY, REPORT, write_text_whole
-from hygrokf.lookup import entry, number
+from hygrokf.lookup import entry, number, numbers
 from hygrokf.page import document, figure_html, moment, prose, section, sentence, tables_html
 from hygrokf.report import write_report
 from hygrokf.report_words import BASELINES, SCORED, fixed, percent, text_of
@@ -375,6 +376,10 @@ def _pictures(found: Mapping, before: Residuals | None, after: Residuals | None)
         draw = _draw(figure_episodes, before, one, after)
         name = f"Misfit {place + 1}: {TITLES[one.quantity]}"
         parts.append(figure_html(f"episodes-{place + 1}", name, "" if place else caption, draw))
+    for place, (name, one) in enumerate(_events(found)):
+        draw = _draw(figure_episodes, before, one, after)
+        said = "Shaded is where it was found. The simulation should stay with the blue readings there."
+        parts.append(figure_html(f"event-{place + 1}", f"{title(name)}: when", said, draw))
     drivers = [one.driver for one in known if one.driver]
     parts.append(
         figure_html(
@@ -428,6 +433,35 @@ def _differ(before: Residuals, after: Residuals | None, quantity: str) -> bool:
 
 def _draw(make: Callable[..., Figure], *arguments: object) -> Callable[[], Figure]:
     return lambda: make(*arguments)
+
+
+def _events(found: Mapping) -> list[tuple[str, Misfit]]:
+    """Accepted causes that were found in stretches of time, each as a misfit of the quantity that gained most there."""
+    result = []
+    for cause in rows_of(found, "causes"):
+        spans = entry(cause, "settings", "spans")
+        pairs = (
+            [one for one in spans if isinstance(one, (list, tuple)) and len(one) == 2]
+            if isinstance(spans, list)
+            else []
+        )
+        known = tuple((a, b) for a, b in (numbers({"": one}, "") for one in pairs) if a < b)
+        shares = {part: number(cause, "evidence", "free_run_gain", part) for part in PARTS}
+        shares = {PARTS[part]: share for part, share in shares.items() if math.isfinite(share)}
+        statement = text_of(entry(cause, "statement")).split(";")[0]
+        if known and shares and statement:
+            quantity = max(shares, key=lambda name: shares[name])
+            known = tuple((float(a), float(b)) for a, b in known)
+            result.append(
+                (
+                    text_of(cause.get("cause")),
+                    Misfit(
+                        quantity, "", "", 0.0, "", None, len(known), len(known), 0.0, statement, 0.0, 0.0, "", "episode",
+                        spans=known,
+                    ),
+                )
+            )  # fmt: skip
+    return result
 
 
 def _known_misfits(found: Mapping) -> list[Misfit]:

@@ -22,6 +22,11 @@ from hygrokf.discovery.residuals import (
 )
 from hygrokf.discovery.significance import block_h
 
+BLOCK_H = 6.0
+RESTLESS = 3.0
+"""Standard errors beyond which unrest goes with one side of the error."""
+UNSTEADY = 1.3
+"""Variance of the innovations' size below which there is no unrest to speak of."""
 SKEWED = 0.5
 """[1] skewness of the errors below which nothing is called one-sided."""
 
@@ -32,7 +37,8 @@ def structure(
     """The strongest structure left in the errors, or None: quantity, when, what it goes with, p.
 
     level: [1] chance of an answer where there is none.  found: `misfits(residuals)` if at hand.  Looked for are misfits
-    under any condition, and excursions to one side under no condition that was logged.  `driver`, `lag_h` and `correlation` name the driver that the error follows best.
+    under any condition, excursions to one side under no condition that was logged, and unrest that comes with one side of
+    the error.  `driver`, `lag_h` and `correlation` name the driver that the error follows best.
     """
     found = misfits(residuals, level) if found is None else found
     hours = hourly(residuals)
@@ -58,7 +64,55 @@ def structure(
             f"{digits(size)} {UNITS[quantity]} {'too low' if side > 0 else 'too high'}: {when}"
         )
         return _left(hours, quantity, "one-sided excursions", when, words, p)
+    for quantity in QUANTITIES:
+        z, unsteady = unrest(residuals, quantity)
+        if abs(z) > RESTLESS and unsteady > UNSTEADY:
+            words = (
+                f"something under no condition that is logged comes and goes: the {NAMES[quantity]} is more restless while "
+                f"it is simulated too {'low' if z > 0 else 'high'} (rank correlation {z:.1f} standard errors; none is "
+                "expected of a disturbance that knows no side)"
+            )
+            return _left(hours, quantity, "restless to one side", "now and then", words, _two_sided(z))
     return None
+
+
+def unrest(residuals: Residuals, quantity: str) -> tuple[float, float]:
+    """(z, u) of a quantity's innovations in blocks of six hours: does their size go with the side of the error?
+
+    z: rank correlation of the mean squared innovation and the mean error of blocks, in standard errors, the mean course
+    over the day taken out.  Ordinary disturbances, also those that come in shots or with the hour, know no side: |z| is
+    that of a standard normal variate.  What acts now and then, and then to one side, makes it large.
+    u: variance of the mean squared innovations over that of a Gaussian's, 1 for a steady one.
+    """
+    e = residuals.innovation(quantity)
+    error = residuals.error(quantity)
+    known = np.isfinite(e) & np.isfinite(error)
+    if known.sum() < FEWEST_HOURS:
+        return 0.0, 1.0
+    block = np.floor((residuals.origin_s / 3600.0 + residuals.time_h[known]) / BLOCK_H).astype(int)
+    hour = (np.arange(block.min(), block.max() + 1) % round(24.0 / BLOCK_H)).astype(int)
+    block -= block.min()
+    count = np.bincount(block, minlength=len(hour))
+    full = count >= max(3, 0.5 * float(np.median(count[count > 0])))
+    if full.sum() < 40:
+        return 0.0, 1.0
+    square = (np.bincount(block, e[known] ** 2, len(hour)) / np.maximum(count, 1))[full]
+    mean = (np.bincount(block, error[known], len(hour)) / np.maximum(count, 1))[full]
+    unsteady = float(np.var(square / square.mean()) * np.median(count[full]) / 2.0)
+    rank = np.argsort(np.argsort(square)).astype(float)
+    parts = [_without_course(one, hour[full]) for one in (rank, mean)]
+    size = float(np.linalg.norm(parts[0]) * np.linalg.norm(parts[1]))
+    return (float(parts[0] @ parts[1]) / size * math.sqrt(full.sum()) if size > 0 else 0.0), unsteady
+
+
+def _without_course(value: np.ndarray, hour: np.ndarray) -> np.ndarray:
+    """Values (n,) less the mean of their block of the day."""
+    sums = np.bincount(hour, value)
+    return value - (sums / np.maximum(np.bincount(hour), 1))[hour]
+
+
+def _two_sided(z: float) -> float:
+    return math.erfc(abs(z) / math.sqrt(2.0))
 
 
 def _left(hours: Hours, quantity: str, kind: str, when: str, words: str, p: float, driver: str = "") -> dict:
