@@ -12,13 +12,14 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from hygrokf.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h, centred
+from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h, centred
 from hygrokf.loops import LINEAR, ZERO_ORDER
-from hygrokf.record import Record, Site
+from hygrokf.record import Record, Series, Site
 
 DAY_S = 86400.0
 SOLAR_CONSTANT = 1361.0
 """[W/m²] irradiance outside the atmosphere."""
+RATE_WINDOW_S = 5400.0
 READING_BRIDGE_H = 2.0
 """[h] a switch that follows a reading is interpolated over gaps up to this length and stays as it is in longer ones."""
 
@@ -116,6 +117,27 @@ def since(record: Record, time: np.ndarray, date_s: float, days: float) -> np.nd
     return 1.0 - np.exp(-np.maximum(time - date_s, 0.0) / (days * DAY_S))
 
 
+def ambient_temperature_rate(record: Record, time: np.ndarray) -> np.ndarray:
+    """Rate of the ambient temperature [K/h]; see `rate`."""
+    return rate(record["ambient_temperature"], time)
+
+
+def ambient_vapour_rate(record: Record, time: np.ndarray) -> np.ndarray:
+    """Rate of the ambient absolute humidity [g/(m³ h)]; see `rate`."""
+    return 1e3 * rate(ambient_absolute_humidity(record), time)
+
+
+def rate(series: Series, time: np.ndarray) -> np.ndarray:
+    """Rate of a series [1/h] at `time` (T,) [s]: slope of a straight line through 1.5 h of it, 0 in longer gaps.
+
+    A difference of neighbouring readings would be mostly their noise.
+    """
+    step = RATE_WINDOW_S / 10.0
+    lag = step * np.arange(-5, 6)
+    value = at_times(centred(series), time[:, None] + lag[None, :], bridge_h(series, AMBIENT_BRIDGE_H))
+    return np.nan_to_num(value @ (lag / float(lag @ lag)) * 3600.0)
+
+
 def standstill(record: Record, time: np.ndarray) -> np.ndarray:
     """1 while the turbine feeds no power, 0 in operation."""
     return 1.0 - operating(record, time)
@@ -148,6 +170,8 @@ FEATURES: Mapping[str, tuple[Callable, str]] = {
     "sunshine": (sunshine, LINEAR),
     "sunlit_wall": (sunlit_wall, LINEAR),
     "night_sky": (night_sky, LINEAR),
+    "ambient_temperature_rate": (ambient_temperature_rate, LINEAR),
+    "ambient_vapour_rate": (ambient_vapour_rate, LINEAR),
     "wind_tenth": (wind_tenth, LINEAR),
     "wind_square": (wind_square, LINEAR),
     "heavy_rain": (heavy_rain, ZERO_ORDER),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hygrokf.discovery.cause import Variant
+from hygrokf.discovery.cause import Variant, additions_of
 from hygrokf.discovery.clocks import Shift, sources, turns_within
 from hygrokf.discovery.grids import Probe, best_date, inside, span
 from hygrokf.discovery.scan import abrupt
@@ -54,42 +54,34 @@ def humidity_drift(scene: Scene) -> list[Variant]:
 
 
 def breathed(scene: Scene) -> list[Variant]:
-    forms = ("vapour", "temperature", "humidity")
-    shares = (
-        {},
-        *({"lag_share": share, "lag_time": time} for share, time in ((-1.0, 0.5), (-0.5, 3.0), (0.5, 3.0))),
-    )
-
-    def lags(*prefixes: str) -> tuple[dict, ...]:
-        return tuple(
-            {f"{prefix}_{key}": v for prefix in prefixes for key, v in one.items()} for one in shares
-        )
-
+    """Offsets of the ambient's sensors, a lag of the breathed air, and a series that was smoothed."""
     found = []
+    forms = ("vapour", "temperature", "humidity")
     if HYGRIC in scene.parts:
-        for form in forms:
-            found.append(
-                Variant(
-                    "ambient_bias", form, {HYGRIC: (("breathed_air", {"form": form}),)}, starts=lags("breathed"),
-                    searched=len(forms),
-                )
-            )  # fmt: skip
-    if THERMAL in scene.parts:
-        thermal = (("lagged_ambient", {}),)
-        found.append(
-            Variant(
-                "ambient_bias",
-                "lag of the temperature",
-                {THERMAL: thermal},
-                starts=lags("ambient"),
-                searched=4,
-            )
+        found += [
+            Variant("ambient_bias", form, {HYGRIC: (("breathed_air", {"form": form}),)}, searched=len(forms))
+            for form in forms
+        ]
+    lag = {
+        "ambient_lag_share": 0.5,
+        "ambient_lag_time": 3.0,
+        "breathed_lag_share": 0.5,
+        "breathed_lag_time": 3.0,
+    }
+    both = additions_of(scene, thermal=(("lagged_ambient", {}),), hygric=(("breathed_lag", {}),))
+    found += [
+        Variant("ambient_bias", f"the {part} air lags", {part: pairs}, starts=({}, lag), searched=3)
+        for part, pairs in both.items()
+    ]
+    leads = additions_of(scene, thermal=(("leading_ambient", {}),), hygric=(("breathed_lead", {}),))
+    rates = {THERMAL: "ambient_temperature_rate", HYGRIC: "ambient_vapour_rate"}
+    # beside a smoothed series the base's own time constants shrink to nothing: one start has them as usual
+    usual = {"ambient_lead": 0.8, "breathed_lead": 0.8, "thermal_time_constant": 1.5, "hygric_k": 0.3}
+    found.append(
+        Variant(
+            "ambient_bias", "smoothed series", leads, {rates[part]: {} for part in leads}, ({}, usual), searched=3
         )
-        if HYGRIC in scene.parts:
-            both = {THERMAL: thermal, HYGRIC: (("breathed_air", {}),)}
-            found.append(
-                Variant("ambient_bias", "lag of both", both, starts=lags("ambient", "breathed"), searched=4)
-            )
+    )  # fmt: skip
     return found
 
 

@@ -90,12 +90,12 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
         good = sorted((t for t in trials if not _reason(t, accepted, library)), key=worth, reverse=True)
         if not good:
             break
-        best = polished(scene, good[0])
+        best = polished(scene, _preferred(good))
         others = {t.variant.cause: t for t in reversed(good) if t.variant.cause != best.variant.cause}
         rivals.append(tuple(t for t in others.values() if alike(scene, best, t)))
         class_ = {best.variant.cause, *(t.variant.cause for t in rivals[-1])}
         behind = max((worth(t) for t in trials if t.variant.cause not in class_), default=0.0)
-        margins.append(1.0 - max(behind, 0.0) / worth(best))
+        margins.append(1.0 - max(behind, 0.0) / max(worth(best), behind, 1e-9))
         accepted.append(best)
         scene = replace(scene, parts={**scene.parts, **best.parts})
         if len(accepted) > 1:
@@ -111,6 +111,17 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
         if name not in names
     )
     return Choice(tuple(accepted), tuple(rivals), tuple(margins), tried, rejected, scene)
+
+
+def _preferred(good: Sequence[Trial]) -> Trial:
+    """The one with the most evidence, unless another with half as much simulates better by a material share."""
+    best = good[0]
+    better = [
+        t
+        for t in good[1:]
+        if worth(t) >= HALF * worth(best) and t.best_lasting >= best.best_lasting + MATERIAL
+    ]
+    return max(better, key=lambda t: t.best_lasting, default=best)
 
 
 def _reason(trial: Trial, accepted: Sequence[Trial], library: Sequence[Cause]) -> str:

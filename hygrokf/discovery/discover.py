@@ -16,7 +16,7 @@ from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.remainder import structure
 from hygrokf.discovery.repeats import repeated_text, without_repeats
 from hygrokf.discovery.residuals import Residuals, residuals
-from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, part_of
+from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, part_of, simulating
 from hygrokf.fit import Fit
 from hygrokf.fitting import maximise
 from hygrokf.identification import Basis, assembled, identified
@@ -62,7 +62,6 @@ def discover(
     basis = identified(early, CASCADE, starts, True, say)
     simulated = output_errors(early, basis.whole, basis.values)
     base = assembled(record, basis, simulated, say=say)
-    rival = assembled(record, basis, simulated, "simulation", say)
     names = (THERMAL, HYGRIC)[: len(basis.stages)]
     scene = Scene(
         early,
@@ -71,6 +70,8 @@ def discover(
             for name, driven, stage in zip(names, basis.records, basis.stages, strict=True)
         },
     )
+    say("base model as a simulator")
+    simulator = assembled(record, _simulating(basis, scene), simulated, say=say)
     choice = choose(scene, library, say)
     extended, stages = None, basis.stages
     moved = record
@@ -81,13 +82,23 @@ def discover(
                 moved = shifted(moved, trial.variant.shift)
         stages = _stages(basis, choice, say)
         wider = replace(basis, stages=stages)
-        moved_early = moved.identification()
-        extended = assembled(moved, wider, output_errors(moved_early, wider.whole, wider.values), say=say)
+        extended = assembled(moved, wider, {}, say=say)
+        after_all = assembled(moved, _simulating(wider, choice.scene), {}, say=say)
     say("what is left")
     before = residuals(base, record)
     after = before if extended is None else residuals(extended, moved)
-    results = _results(scene, (before, after), base, rival, extended, choice, stages, library, repeated)
+    fits = ((base, simulator), (extended, after_all)) if extended is not None else ((base, simulator),) * 2
+    results = _results(scene, (before, after), fits, choice, stages, library, repeated)
     return Discovery(base, extended, results, before, after if extended is not None else None)
+
+
+def _simulating(basis: Basis, scene: Scene) -> Basis:
+    """The basis with parameters moved toward the least free-run error of each part."""
+    stages = []
+    for name, stage in zip((THERMAL, HYGRIC), basis.stages, strict=False):
+        values = simulating(replace(scene.parts[name], values=stage.estimate.values))
+        stages.append(replace(stage, estimate=replace(stage.estimate, values=values)))
+    return replace(basis, stages=tuple(stages))
 
 
 def _stages(basis: Basis, choice: Choice, say: Progress) -> tuple[Stage, ...]:
@@ -107,15 +118,13 @@ def _stages(basis: Basis, choice: Choice, say: Progress) -> tuple[Stage, ...]:
 def _results(
     scene: Scene,
     errors: tuple[Residuals, Residuals],
-    base: Fit,
-    rival: Fit,
-    extended: Fit | None,
+    fits: tuple[tuple[Fit, Fit], tuple[Fit, Fit]],
     choice: Choice,
     stages: Sequence[Stage],
     library: Sequence[Cause],
     repeated: Mapping[str, list],
 ) -> dict:
-    after = extended or base
+    (base, _), (extended, _) = fits
     shown = misfits(errors[0])
     remaining = structure(errors[1])
     if repeated:
@@ -124,7 +133,7 @@ def _results(
             "correlation": 0.0, "p": 0.0, "statement": repeated_text(repeated),
         }  # fmt: skip
     causes = [
-        cause_entry(scene, trial, rivals, margin, (base, rival, after), stages, library, choice.tried)
+        cause_entry(scene, trial, rivals, margin, fits, stages, library, choice.tried)
         for trial, rivals, margin in zip(choice.accepted, choice.rivals, choice.margins, strict=True)
     ]
     verdict = "named" if causes else "unexplained" if remaining is not None else "none"
@@ -134,7 +143,7 @@ def _results(
         "synthetic": base.results["synthetic"],
         "verdict": verdict,
         "baseline": _scores(base),
-        "extended": None if extended is None else _scores(extended),
+        "extended": None if extended is base else _scores(extended),
         "misfits": [one.to_json() for one in shown],
         "causes": causes,
         "rejected": [

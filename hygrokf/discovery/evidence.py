@@ -47,12 +47,12 @@ def cause_entry(
     trial: Trial,
     rivals: Sequence[Trial],
     margin: float,
-    fits: tuple[Fit, Fit, Fit],
+    fits: tuple[tuple[Fit, Fit], tuple[Fit, Fit]],
     stages: Sequence[Stage],
     library: Sequence[Cause],
     tried: int,
 ) -> dict:
-    """One entry of `causes`.  `fits`: base by innovations, base by the free run, extended; `margin`: see `confidence`."""
+    """One entry of `causes`.  `fits`: base and extended, each by innovations and by the free run; `margin`: see `confidence`."""
     cause = named(trial.variant.cause, library)
     statement = f"{cause.meaning} ({trial.variant.form})"
     gain = _gain(QUANTITY.get(trial.part, QUANTITY[THERMAL]), *fits)
@@ -108,26 +108,29 @@ def _parameters(trial: Trial, stages: Sequence[Stage]) -> dict:
     return found
 
 
-def _gain(quantity: str, base: Fit, rival: Fit, after: Fit) -> dict:
+def _gain(quantity: str, bases: tuple[Fit, Fit], extended: tuple[Fit, Fit]) -> dict:
     """Free-run error before and after on the validation period (the identification period where there is none).
 
-    Before: the better of the bases that were fitted by innovations and by the free run.  `lower`, `upper` bound the
-    difference by a bootstrap of blocks of three days.
+    Base and extended model as they were estimated by innovations or, where that simulates the identification period
+    better, moved toward its least free-run error, sensors within their accuracy.  `lower`, `upper` bound the difference
+    by a bootstrap of blocks of three days.
     """
-    period = (
-        "validation"
-        if base.results["rmse"]["validation"][quantity]["total"] is not None
-        else "identification"
-    )
-    before = min((base, rival), key=lambda fit: fit.results["rmse"][period][quantity]["total"])
-    a, b = (fit.results["rmse"][period][quantity]["total"] for fit in (before, after))
+
+    def total(fit: Fit, period: str) -> float | None:
+        return fit.results["rmse"][period][quantity]["total"]
+
+    def better(fits: tuple[Fit, Fit]) -> Fit:
+        return min(fits, key=lambda fit: total(fit, "identification") or math.inf)
+
+    before, after = better(bases), better(extended)
+    period = "identification" if total(before, "validation") is None else "validation"
     low, high = _bootstrap(quantity, period, before, after)
-    per = (after.results["loglik"] - base.results["loglik"]) / max(base.results["n_obs"], 1)
+    per = (extended[0].results["loglik"] - bases[0].results["loglik"]) / max(bases[0].results["n_obs"], 1)
     return {
         "quantity": quantity,
         "period": period,
-        "rmse_before": a,
-        "rmse_after": b,
+        "rmse_before": total(before, period),
+        "rmse_after": total(after, period),
         "lower": low,
         "upper": high,
         "loglik_per_obs": per,

@@ -177,10 +177,30 @@ def free_run_error(base: Design, made: Run, values: Mapping[str, float]) -> np.n
     of two: of the estimate as it is, and after one Gauss–Newton step toward the least free-run error.  In both, sensors
     are no worse than their accuracy: a likelihood may stretch an offset to stand for something else.
     """
+    there, error, better, _ = _toward_free_run(base, made, values)
+    return better if np.nansum(better**2) < np.nansum(error[there] ** 2) else np.where(there, error, np.nan)
+
+
+def simulating(part: Part, steps: int = 3) -> dict[str, float]:
+    """Values of a part's parameters after steps toward the least free-run error, sensors within their accuracy."""
+    values, least = dict(part.values), math.inf
+    for _ in range(steps + 1):
+        there, error, _, stepped = _toward_free_run(part.base, part.run, values)
+        square = float(np.nansum(error[there] ** 2))
+        if not square < least:
+            break
+        least, best, values = square, values, stepped
+    return best
+
+
+def _toward_free_run(
+    base: Design, made: Run, values: Mapping[str, float]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, float]]:
+    """(scored (T,), error (T,), error after one bounded Gauss–Newton step to first order (T,), values after the step)."""
     model, t = base.model, made.timeline
     likelihood = searching(model, t)
     own = [i for i, p in enumerate(model.parameters) if not p.noise]
-    held = dict(values)
+    held, units = dict(values), np.ones(len(own))
     directions = np.zeros((len(model.parameters), len(own)))
     low, high = np.full(len(own), -REACH), np.full(len(own), REACH)
     for column, i in enumerate(own):
@@ -193,6 +213,7 @@ def free_run_error(base: Design, made: Run, values: Mapping[str, float]) -> np.n
             )
             off = (held[p.name] - p.prior.mean) / unit
             low[column], high[column] = -SURE - off - 1e-9, SURE - off + 1e-9
+            units[column] = unit
         directions[i, column] = unit
     error, slopes = likelihood.residuals(held, directions)
     error, slopes = error[:, 0], slopes[:, 0, :]
@@ -202,13 +223,17 @@ def free_run_error(base: Design, made: Run, values: Mapping[str, float]) -> np.n
     there = np.isfinite(error) & made.scored
     x, e = slopes[there], error[there]
     if not len(e):
-        return np.full(len(error), np.nan)
+        return there, error, np.full(len(error), np.nan), held
     # a step of one in a coordinate (or a prior's standard deviation) costs as much as a day of errors
     ridge = 96.0 * float(np.mean(e**2))
     root = np.linalg.cholesky(x.T @ x + ridge * np.eye(x.shape[1])).T
     step = bounded_least_squares(root, np.linalg.solve(root.T, -x.T @ e), low, high)
-    better = np.where(there, error + slopes @ step, np.nan)
-    return better if np.nansum(better**2) < np.sum(e**2) else np.where(there, error, np.nan)
+    stepped = dict(held)
+    for column, i in enumerate(own):
+        p = model.parameters[i]
+        z = p.to_coordinate(held[p.name]) + step[column] * units[column]
+        stepped[p.name] = float(np.clip(p.from_coordinate(z), p.lower, p.upper))
+    return there, error, np.where(there, error + slopes @ step, np.nan), stepped
 
 
 def bounded_least_squares(

@@ -5,6 +5,7 @@ from __future__ import annotations
 from hygrokf.mechanisms.heat import (
     cooling_loss,
     lagged_ambient,
+    leading_ambient,
     open_loss,
     release_drift,
     solar_gain,
@@ -20,6 +21,8 @@ from hygrokf.mechanisms.hygric import (
 )
 from hygrokf.mechanisms.moisture import (
     breathed_air,
+    breathed_lag,
+    breathed_lead,
     condensation,
     cooled_exchange,
     dehumidifier,
@@ -70,6 +73,7 @@ FURTHER = (
     open_loss,
     cooling_loss,
     lagged_ambient,
+    leading_ambient,
     moisture_sorption,
     condensation,
     internal_moisture_source,
@@ -81,6 +85,8 @@ FURTHER = (
     open_exchange,
     cooled_exchange,
     breathed_air,
+    breathed_lag,
+    breathed_lead,
     humidity_drift,
     humidity_scale,
     humidity_ceiling,

@@ -159,14 +159,14 @@ def cooling_loss() -> Mechanism:
 def lagged_ambient() -> Mechanism:
     """The air around the cabinet lags the ambient series: a share w of a first-order lag, f += w (L − T_amb) [K].
 
-    dL/dt = (T_amb − L)/θ,    θ [h].  w below 0: the air leads the series, as where the series is smoothed.
+    dL/dt = (T_amb − L)/θ,    θ [h].
     """
     return Mechanism(
         name="lagged_ambient",
         parameters=(
             Parameter(
-                "ambient_lag_share", "1", 0.0, -8.0, 1.2, null=0.0,
-                meaning="share of the air around the cabinet that lags the series; below 0 it leads",
+                "ambient_lag_share", "1", 0.0, -0.2, 1.2, null=0.0,
+                meaning="share of the air around the cabinet that lags the ambient series",
             ),
             Parameter("ambient_lag_time", "h", 3.0, 0.25, 24.0, positive=True, meaning="its lag"),
         ),
@@ -180,4 +180,22 @@ def lagged_ambient() -> Mechanism:
         meaning="air around the cabinet that lags the ambient series",
         leaves="a temperature error that follows the rate of the ambient temperature",
         source="first-order mixing of the air in the tower",
+    )  # fmt: skip
+
+
+def leading_ambient() -> Mechanism:
+    """The ambient series is smoothed by a first-order lag θ, the air around the cabinet is not: f += θ dT_amb/dt [K].
+
+    θ [h]; the rate is the input `ambient_temperature_rate` [K/h].
+    """
+    return Mechanism(
+        name="leading_ambient",
+        parameters=(
+            Parameter("ambient_lead", "h", 0.0, -2.0, 24.0, null=0.0, meaning="time by which the series is smoothed"),
+        ),
+        inputs=("ambient_temperature_rate",),
+        contributions=lambda p, x, u, q: {"heat_release": p.ambient_lead * u.ambient_temperature_rate},
+        meaning="the ambient temperature is smoothed, the air around the cabinet is not",
+        leaves="a temperature error that follows the rate of the ambient temperature",
+        source="inverse of a first-order lag",
     )  # fmt: skip

@@ -305,12 +305,10 @@ def cooled_exchange() -> Mechanism:
 
 
 def breathed_air(form: str = "vapour") -> Mechanism:
-    """The air that the cabinet breathes is not the ambient series': an offset, and a share of its own lag.
+    """The air that the cabinet breathes is off the ambient series: ambient_vapour += o g.
 
-        ambient_vapour += o g + w (L − c_amb),    dL/dt = (c_amb − L)/θ,
-    with g by `form`: "vapour" 1 g/m³, "temperature" c_amb (a thermometer that is off by 1 K makes 6 %), "humidity" the
-    saturation concentration at ambient temperature.  w above 0: the breathed air lags the series; below 0: it leads it,
-    as where the series is smoothed.
+    g by `form`: "vapour" 1 g/m³; "temperature" c_amb (a thermometer that is off by 1 K makes 6 %); "humidity" the
+    saturation concentration at ambient temperature.
     """
     unit = "g/m3" if form == "vapour" else "1"
     bound = 10.0 if form == "vapour" else 0.6
@@ -334,24 +332,52 @@ def breathed_air(form: str = "vapour") -> Mechanism:
                     "humidity": "what the relative humidity of the ambient series lacks",
                 }[form],
             ),
-            Parameter(
-                "breathed_lag_share", "1", 0.0, -8.0, 1.2, null=0.0,
-                meaning="share of the breathed air that lags the series; below 0 it leads",
-            ),
+        ),
+        inputs=("ambient_absolute_humidity", *(("ambient_temperature",) if form == "humidity" else ())),
+        contributions=lambda p, x, u, q: {"ambient_vapour": p.breathed_offset * scale(u)},
+        settings={"form": form},
+        meaning="the breathed air differs from the ambient series",
+        leaves="an offset of the absolute humidity",
+        source="the ambient sensors' own errors",
+    )  # fmt: skip
+
+
+def breathed_lag() -> Mechanism:
+    """A share w of the breathed air lags the ambient series: ambient_vapour += w (L − c_amb), dL/dt = (c_amb − L)/θ."""
+    return Mechanism(
+        name="breathed_lag",
+        parameters=(
+            Parameter("breathed_lag_share", "1", 0.0, -0.2, 1.2, null=0.0, meaning="share that lags the series"),
             Parameter("breathed_lag_time", "h", 3.0, 0.25, 24.0, positive=True, meaning="its lag"),
         ),
         states=("breathed_vapour",),
-        inputs=("ambient_absolute_humidity", *(("ambient_temperature",) if form == "humidity" else ())),
+        inputs=("ambient_absolute_humidity",),
         contributions=lambda p, x, u, q: {
-            "ambient_vapour": p.breathed_offset * scale(u)
-            + p.breathed_lag_share * (x.breathed_vapour - u.ambient_absolute_humidity)
+            "ambient_vapour": p.breathed_lag_share * (x.breathed_vapour - u.ambient_absolute_humidity)
         },
         drift=lambda p, x, u, q, s: {
             "breathed_vapour": (u.ambient_absolute_humidity - x.breathed_vapour) / p.breathed_lag_time
         },
         initial=lambda p, u: {"breathed_vapour": (u.ambient_absolute_humidity, 0.25)},
-        settings={"form": form},
-        meaning="the breathed air differs from the ambient series",
-        leaves="an offset of the absolute humidity, or one that lags the ambient at equal cabinet temperature",
+        meaning="the breathed air lags the ambient series",
+        leaves="an error that follows the rate of the ambient humidity",
         source="first-order mixing of the air in the tower",
+    )  # fmt: skip
+
+
+def breathed_lead() -> Mechanism:
+    """The ambient series is smoothed by a first-order lag θ, the breathed air is not: ambient_vapour += θ dc_amb/dt.
+
+    θ [h]; the rate is the input `ambient_vapour_rate` [g/(m³ h)].
+    """
+    return Mechanism(
+        name="breathed_lead",
+        parameters=(
+            Parameter("breathed_lead", "h", 0.0, -2.0, 24.0, null=0.0, meaning="time by which the series is smoothed"),
+        ),
+        inputs=("ambient_vapour_rate",),
+        contributions=lambda p, x, u, q: {"ambient_vapour": p.breathed_lead * u.ambient_vapour_rate},
+        meaning="the ambient humidity is smoothed, the breathed air is not",
+        leaves="an error that follows the rate of the ambient humidity",
+        source="inverse of a first-order lag",
     )  # fmt: skip
