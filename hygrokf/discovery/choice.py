@@ -21,6 +21,10 @@ EVIDENCE = 10.0
 """Gain in 2 ln L beyond the price of parameters and grid (BIC) that counts as strong."""
 WORSE = -0.02
 """A cause that makes the free run of a part worse by more than this share is no cause."""
+WORSE_SWITCHED = -0.15
+"""The same for switches: triggers on sampled readings miss the short cycles, and the cycles' phase is soon lost."""
+SWITCHES = {"heating", "cooling", "drying"}
+"""Features that are switches."""
 SMALLEST_SHIFT_S = 240.0
 """[s] below this a clock error is ordinary."""
 CLOSE = 10.0
@@ -30,7 +34,8 @@ HALF = 0.5
 the other has at least this share of its evidence."""
 MOST_CAUSES = 3
 SHARE = 0.15
-"""Share of an accepted cause's evidence that a further cause of the same part must have: the true form is never known."""
+"""Share of an accepted cause's evidence that a further cause of the same part must have, and all of it where the free run
+does not gain: the true form is never known, and what it differs in is left behind."""
 EXPLAINED = "what it explains is explained by the accepted causes"
 RETRY = 8.0
 """2 Δ ln L below which a cause is not tried again beside an accepted one."""
@@ -60,7 +65,8 @@ def verdict_on(trial: Trial, cause: Cause) -> str:
         return "the estimate did not converge, and what it reached is no evidence"
     if trial.bic_gain < EVIDENCE:
         return "its gain in likelihood does not pay for its parameters and the settings searched"
-    if min(trial.gain.values(), default=0.0) < WORSE and trial.best_lasting < 4.0 * -WORSE:
+    worse = WORSE_SWITCHED if SWITCHES & set(trial.variant.features) else WORSE
+    if min(trial.gain.values(), default=0.0) < worse and trial.best_lasting < 4.0 * -WORSE:
         return "it makes the free run worse"
     if cause.name == "clock_shift" and abs(float(trial.variant.settings["shift_s"])) < SMALLEST_SHIFT_S:
         return "a clock error of this size is ordinary"
@@ -129,8 +135,9 @@ def _reason(trial: Trial, accepted: Sequence[Trial], library: Sequence[Cause]) -
     reason = verdict_on(trial, named(trial.variant.cause, library))
     if reason:
         return reason
+    share = SHARE if trial.best_lasting >= MATERIAL else 1.0
     for other in accepted:
-        if set(other.parts) & set(trial.parts) and worth(trial) < SHARE * worth(other):
+        if set(other.parts) & set(trial.parts) and worth(trial) < share * worth(other):
             return "no more than what a stronger cause of another form than assumed leaves behind"
     return ""
 
