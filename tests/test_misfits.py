@@ -18,7 +18,7 @@ from hygrokf.discovery.conditions import conditions
 from hygrokf.discovery.misfits import MATERIAL, Misfit, misfits
 from hygrokf.discovery.plots_misfits import figure_episodes
 from hygrokf.discovery.plots_residuals import figure_day_hour, figure_drivers, figure_innovations
-from hygrokf.discovery.remainder import one_sided, structure
+from hygrokf.discovery.remainder import RESTLESS, UNSTEADY, one_sided, structure, unrest
 from hygrokf.discovery.residuals import Residuals, closed, duration_h, hourly, residuals, run_lengths
 from hygrokf.drawing import NothingToShow, inline_svg, png
 from hygrokf.fit import Fit
@@ -299,6 +299,36 @@ def test_excursions_to_one_side_under_no_logged_condition() -> None:
     found = structure(with_effect(base, "temperature", plume), found=[])
     assert found["kind"] == "one-sided excursions"
     assert "too low" in found["statement"]
+
+
+def restless(seed: int, size: float, shots: bool = False) -> Residuals:
+    """Errors of an Ornstein–Uhlenbeck disturbance, its innovations, and something that comes and goes to one side."""
+    base = made(seed)
+    random = np.random.default_rng(seed)
+    error = memory(random, len(base.time_h), 24.0)
+    innovation = np.concatenate([[0.0], np.diff(error)])
+    innovation = innovation / innovation.std()
+    there = memory(random, len(error), 60.0) > 1.0
+    puff = there * np.abs(memory(random, len(error), 4.0))
+    side = random.choice((-1.0, 1.0), len(error)) if shots else 1.0
+    return replace(
+        base,
+        temperature_error=error + size * puff * (0.0 if shots else 1.0),
+        temperature_innovation=innovation + size * side * np.concatenate([[0.0], np.diff(puff)]) * 5.0,
+    )
+
+
+def test_unrest_knows_a_side_only_where_something_has_one() -> None:
+    calm = [unrest(restless(seed, 0.0), "temperature") for seed in range(40, 60)]
+    shots = [unrest(restless(seed, 2.0, shots=True), "temperature") for seed in range(40, 60)]
+    plumes = [unrest(restless(seed, 2.0), "temperature") for seed in range(40, 60)]
+    assert max(abs(z) for z, _ in calm) < 3.5 and np.median([u for _, u in calm]) < 1.4
+    assert np.median([u for _, u in shots]) > 2.0
+    assert np.mean([abs(z) > RESTLESS for z, _ in shots]) <= 0.1
+    assert np.mean([z > RESTLESS and u > UNSTEADY for z, u in plumes]) >= 0.5
+    clear = next(seed for seed, (z, _) in enumerate(plumes, 40) if z > RESTLESS)
+    found = structure(restless(clear, 2.0), found=[])
+    assert found is not None and found["kind"] in ("restless to one side", "one-sided excursions")
 
 
 def test_skewness_is_judged_by_blocks() -> None:

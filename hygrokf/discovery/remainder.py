@@ -23,7 +23,9 @@ from hygrokf.discovery.residuals import (
 from hygrokf.discovery.significance import block_h
 
 BLOCK_H = 6.0
-RESTLESS = 3.0
+APART = 12
+"""Blocks, three days, by which two series are moved apart at least to see what chance makes of them."""
+RESTLESS = 2.8
 """Standard errors beyond which unrest goes with one side of the error."""
 UNSTEADY = 1.3
 """Variance of the innovations' size below which there is no unrest to speak of."""
@@ -80,7 +82,7 @@ def unrest(residuals: Residuals, quantity: str) -> tuple[float, float]:
     """(z, u) of a quantity's innovations in blocks of six hours: does their size go with the side of the error?
 
     z: rank correlation of the mean squared innovation and the mean error of blocks, in standard errors, the mean course
-    over the day taken out.  Ordinary disturbances, also those that come in shots or with the hour, know no side: |z| is
+    over the day taken out; the error of it is that of the same series moved against each other by days.  Ordinary disturbances, also those that come in shots or with the hour, know no side: |z| is
     that of a standard normal variate.  What acts now and then, and then to one side, makes it large.
     u: variance of the mean squared innovations over that of a Gaussian's, 1 for a steady one.
     """
@@ -100,9 +102,15 @@ def unrest(residuals: Residuals, quantity: str) -> tuple[float, float]:
     mean = (np.bincount(block, error[known], len(hour)) / np.maximum(count, 1))[full]
     unsteady = float(np.var(square / square.mean()) * np.median(count[full]) / 2.0)
     rank = np.argsort(np.argsort(square)).astype(float)
-    parts = [_without_course(one, hour[full]) for one in (rank, mean)]
-    size = float(np.linalg.norm(parts[0]) * np.linalg.norm(parts[1]))
-    return (float(parts[0] @ parts[1]) / size * math.sqrt(full.sum()) if size > 0 else 0.0), unsteady
+    parts = np.zeros((2, len(hour)))
+    for row, one in enumerate((rank, mean)):
+        parts[row, full] = _without_course(one, hour[full])
+    # both have a memory: how far chance takes their product is seen where one is moved against the other by days
+    spectrum = np.fft.rfft(parts)
+    products = np.fft.irfft(spectrum[0] * np.conj(spectrum[1]), len(hour))
+    apart = products[APART : len(hour) - APART]
+    spread = float(np.sqrt(np.mean(apart**2))) if len(apart) else 0.0
+    return (float(products[0]) / spread if spread > 0 else 0.0), unsteady
 
 
 def _without_course(value: np.ndarray, hour: np.ndarray) -> np.ndarray:

@@ -1,0 +1,88 @@
+"""Which causes are accepted, on trials with numbers by hand."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import pytest
+
+from hygrokf.discovery.cause import Variant
+from hygrokf.discovery.choice import _preferred, _reason, verdict_on
+from hygrokf.discovery.library import LIBRARY, named
+from hygrokf.discovery.scene import HYGRIC, THERMAL
+from hygrokf.discovery.trial import Trial
+
+
+def trial(
+    cause: str,
+    bic: float,
+    lasting: float,
+    part: str = HYGRIC,
+    features: dict | None = None,
+    converged: bool = True,
+) -> Trial:
+    return Trial(
+        Variant(cause, "by hand", features=features or {}, settings={"shift_s": 900.0}),
+        {part: SimpleNamespace(converged=converged)},
+        bic + 20.0,
+        2,
+        bic,
+        {part: lasting},
+        {part: lasting},
+        {part: 9},
+    )
+
+
+def verdict(one: Trial) -> str:
+    return verdict_on(one, named(one.variant.cause))
+
+
+def test_evidence_and_a_better_free_run_are_both_needed() -> None:
+    assert verdict(trial("moisture_sorption", 40.0, 0.2)) == ""
+    assert "does not pay" in verdict(trial("moisture_sorption", 9.0, 0.2))
+    assert "gains too little" in verdict(trial("moisture_sorption", 900.0, 0.04))
+    assert "free run worse" in verdict(trial("moisture_sorption", 900.0, -0.05))
+    assert "no likelihood" in verdict(trial("moisture_sorption", -30.0, 0.2))
+    assert verdict(trial("moisture_sorption", 40.0, 0.2, converged=False)) == ""
+    assert "no evidence" in verdict(trial("moisture_sorption", 5.0, 0.2, converged=False))
+
+
+@pytest.mark.parametrize(
+    ("cause", "bic", "enough"),
+    [("clock_shift", 31.0, True), ("clock_shift", 29.0, False), ("door_opening", 31.0, True),
+     ("exchange_step", 31.0, True), ("cooling_switching", 59.0, False), ("cooling_switching", 61.0, True),
+     ("dehumidifier", 500.0, False)],
+)  # fmt: skip
+def test_some_causes_hardly_show_in_the_free_run(cause: str, bic: float, enough: bool) -> None:
+    assert (verdict(trial(cause, bic, 0.0)) == "") == enough
+
+
+def test_switches_may_lose_their_phase() -> None:
+    heating = {"heating": {"reads": "cabinet_temperature", "on": 280.0, "off": 283.0}}
+    assert verdict(trial("standstill_heater", 900.0, -0.1, THERMAL, heating)) == ""
+    assert "worse" in verdict(trial("standstill_heater", 900.0, -0.2, THERMAL, heating))
+
+
+def test_a_small_clock_error_is_ordinary() -> None:
+    late = trial("clock_shift", 400.0, 0.0)
+    small = Trial(**{**late.__dict__, "variant": Variant("clock_shift", "x", settings={"shift_s": -180.0})})
+    assert verdict(late) == "" and "ordinary" in verdict(small)
+
+
+def test_more_evidence_wins_unless_another_simulates_better() -> None:
+    strong, good, weak = (
+        trial("clock_shift", 400.0, 0.1),
+        trial("ambient_bias", 250.0, 0.2),
+        trial("moisture_sorption", 150.0, 0.4),
+    )
+    assert _preferred([strong, good, weak]) is good
+    assert _preferred([strong, trial("ambient_bias", 250.0, 0.13), weak]) is strong
+
+
+def test_what_a_form_leaves_behind_is_no_further_cause() -> None:
+    first = trial("standstill_heater", 1000.0, 0.2, THERMAL)
+    assert _reason(trial("wall_thermal_mass", 200.0, 0.1, THERMAL), [first], LIBRARY) == ""
+    assert "leaves behind" in _reason(trial("wall_thermal_mass", 140.0, 0.1, THERMAL), [first], LIBRARY)
+    assert "leaves behind" in _reason(trial("clock_shift", 600.0, 0.0, THERMAL), [first], LIBRARY)
+    assert _reason(trial("clock_shift", 1200.0, 0.0, THERMAL), [first], LIBRARY) == ""
+    assert _reason(trial("moisture_sorption", 20.0, 0.1, HYGRIC), [first], LIBRARY) == ""
