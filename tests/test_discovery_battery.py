@@ -22,10 +22,10 @@ from scipy.stats import binomtest
 from hygrokf.record import Record, Series
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
-CI_LIMIT_S = 600.0
-CI_NAMED = 14
-"""Of 17 causes, in records of two months, at least so many must be named first or stand in the class of what is."""
-CI_ALARMS = 1
+CI_LIMIT_S = 900.0
+CI_NAMED = 7
+"""Of 9 causes, in records of two months, at least so many must be named first or stand in the class of what is."""
+CI_ALARMS = 0
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -514,10 +514,11 @@ def test_pairs_act_on_different_parts() -> None:
     )
 
 
-def test_the_small_list_has_every_cause_and_shares_no_plant_with_the_full_one() -> None:
+def test_the_small_list_has_nine_causes_and_shares_no_plant_with_the_full_one() -> None:
     cases = part("cases")
     small = cases.ci()
-    assert [case.causes[0][0] for case in small if case.group == "hidden"] == list(LIBRARY)
+    hidden = [case.causes[0][0] for case in small if case.group == "hidden"]
+    assert len(set(hidden)) == len(hidden) == 9 and set(hidden) <= set(LIBRARY)
     assert {case.group for case in small} == {"hidden", "none", "outside"}
     assert not {case.seed for case in small} & {case.seed for case in cases.full()}
 
@@ -838,7 +839,7 @@ def test_a_broken_line_is_told(tmp_path: Path) -> None:
 
 # -- the battery itself ----------------------------------------------------------------------------------------------
 def test_the_small_battery_names_what_is_hidden(tmp_path: Path) -> None:
-    """Two processes, minutes: 17 causes once each at full strength in 60 days, 4 plants without, one effect of no library.
+    """Two processes, minutes: 9 causes once each at full strength in 60 days, 2 plants without, one effect of no library.
 
     Too few for the rates that are required; what it holds is that the engine still works from end to end.
     """
