@@ -106,13 +106,24 @@ def make(case: Case) -> tuple[Record, list[dict]]:
             second=case.causes[1] if len(case.causes) > 1 else None,
         )
     record = to_record(made)
-    until_s = record.start_s + IDENTIFIED * (record.end_s - record.start_s)
+    until_s = identified_until(record, made)
     accounts = [account_of(one, made) for one in made.truth.hidden]
     if case.group == "hidden":
         # The cause's own model is wrong by the disturbances, which are not equally large in all parts of a record.
         shares = disturbance_shares(hidden_plant(case.seed, "none", days=case.days), until_s)
         accounts = [{**one, "disturbance_shares": shares[one["quantity"]]} for one in accounts]
     return to_record(made, until_s=until_s), accounts
+
+
+def identified_until(record: Record, made: Plant) -> float:
+    """End of the identification period [s]: two thirds of the record, later where a change would else lie behind it.
+
+    What begins in the validation period cannot be identified; so that it can, a seventh of the record follows the date.
+    """
+    span = record.end_s - record.start_s
+    dates = [float(np.median(one.dates)) for one in made.truth.hidden if len(one.dates)]
+    latest = max(((date - record.start_s) / span for date in dates), default=0.0)
+    return record.start_s + min(max(IDENTIFIED, latest + 1.0 / 7.0), 0.95) * span
 
 
 def disturbance_shares(nothing: Plant, until_s: float) -> dict[str, dict[str, float]]:
