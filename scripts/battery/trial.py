@@ -12,6 +12,7 @@ from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 
+import numpy as np
 from plants.as_record import to_record
 from plants.hidden import hidden_plant
 from plants.paper import paper_case
