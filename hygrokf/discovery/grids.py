@@ -39,7 +39,7 @@ def best_date(
 ) -> tuple[dict, float]:
     """(settings of the feature, effective number searched) of the change that the parts' score statistics ask for most."""
     spacing = dates(scene.record)
-    grid = [*spacing, *more]
+    grid = list(spacing)
     step = spacing[1] - spacing[0]
     searched, found = 0.0, grid[0]
     for look in (slow_scan, scan):
@@ -52,7 +52,7 @@ def best_date(
         scanned = functools.reduce(operator.add, looks)
         found = float(grid[int(np.argmax(scanned.root**2))])
         searched += scanned.effective
-        grid = [found + step * f for f in np.linspace(-1.5, 1.5, 13)]
+        grid = [*(found + step * f for f in np.linspace(-1.5, 1.5, 13)), *more]
     return {"date_s": found, **fixed}, searched
 
 
