@@ -111,12 +111,14 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
             break
         trials = _again(scene, trials, accepted, say)
     names = {t.variant.cause for t in accepted}
+    # what was accepted beside a cause is no longer another name for it
+    apart = tuple(tuple(t for t in one if t.variant.cause not in names) for one in rivals)
     rejected = tuple(
         (t, verdict_on(t, named(name, library)) or EXPLAINED)
         for name, t in first.items()
         if name not in names
     )
-    return Choice(tuple(accepted), tuple(rivals), tuple(margins), tried, rejected, scene)
+    return Choice(tuple(accepted), apart, tuple(margins), tried, rejected, scene)
 
 
 def _preferred(good: Sequence[Trial]) -> Trial:

@@ -25,11 +25,14 @@ EVENT = (
     "an event that nobody logged is no prediction: it gains nothing outside the stretch in which it was found"
 )
 WEIGHTS = {"level": -1.0, "margin": 4.0, "lasting": 4.0}
-"""Logistic regression of "the right name" on what `confidence` reads; calibrated on simulated plants."""
+"""Logistic weights of what `confidence` reads: a first choice, not yet calibrated."""
 
 
 def evidence(scene: Scene, trial: Trial, tried: int) -> dict:
-    """`scene` of the base model; `tried`: how many variants were tried beside it; their number and that of the settings searched correct p."""
+    """What a trial found, in numbers.
+
+    `scene` of the base model; `tried`: how many variants were tried: their number and that of the settings correct p.
+    """
     return {
         "lr": trial.lr,
         "df": trial.parameters,
@@ -56,9 +59,10 @@ def cause_entry(
     cause = named(trial.variant.cause, library)
     statement = f"{cause.meaning} ({trial.variant.form})"
     gain = _gain(QUANTITY.get(trial.part, QUANTITY[THERMAL]), *fits)
-    if cause.event or trial.once:
+    once = seen_once(trial)
+    if cause.event or once:
         gain = None
-        statement = f"{statement}; {EVENT if cause.event else ONCE}"
+        statement = f"{statement}; {ONCE if once else EVENT}"
     return {
         "cause": cause.name,
         "form": trial.variant.form,
@@ -78,12 +82,17 @@ def confidence(trial: Trial, margin: float) -> float:
     """Probability [1] that the cause, or one of its class, is the right name.
 
     margin: [1] share of its evidence by which the best cause outside its class stays behind.  Logistic in the margin and
-    the lasting gain of the free run, calibrated on simulated plants (docs/discover.md).
+    the lasting gain of the free run; its weights are not yet calibrated (docs/discover.md).
     """
     score = WEIGHTS["level"] + WEIGHTS["margin"] * min(max(margin, -1.0), 1.0)
     score += WEIGHTS["lasting"] * min(max(trial.best_lasting, 0.0), 0.5)
     found = 1.0 / (1.0 + math.exp(-score))
-    return min(found, ONCE_AT_MOST) if trial.once else found
+    return min(found, ONCE_AT_MOST) if seen_once(trial) else found
+
+
+def seen_once(trial: Trial) -> bool:
+    """Whether one episode, or one window alone, speaks for the cause."""
+    return trial.once or len(trial.variant.settings.get("spans", (1, 2))) == 1
 
 
 def _parameters(trial: Trial, stages: Sequence[Stage]) -> dict:
