@@ -12,9 +12,7 @@ from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
 from hygrokf.features import operating
 
 RAMP_DAYS = 8.0
-
-
-SETTLING_DAYS = 20.0
+SETTLING_DAYS = (8.0, 20.0, 50.0)
 
 
 def exchange_step(scene: Scene) -> list[Variant]:
@@ -25,7 +23,7 @@ def exchange_step(scene: Scene) -> list[Variant]:
     additions = additions_of(scene, thermal=(("stepped_loss", {}),), hygric=(("stepped_exchange", {}),))
     found = []
     for form, days in (("step", 0.0), ("ramp", RAMP_DAYS)):
-        setting, tried = best_date(scene, "after_step", probes, days=days)
+        setting, tried = best_date(scene, "after_step", probes, days=(days,))
         found.append(
             Variant(
                 "exchange_step",

@@ -8,7 +8,7 @@ from hygrokf.discovery.cause import Variant
 from hygrokf.discovery.grids import Probe, best_date, best_switch, inside
 from hygrokf.discovery.scene import HYGRIC, Scene
 
-SETTLING_DAYS = 20.0
+FADING_DAYS = (8.0, 20.0, 50.0)
 
 
 def sorption(scene: Scene) -> list[Variant]:
@@ -28,7 +28,8 @@ def condensation(scene: Scene) -> list[Variant]:
     if HYGRIC not in scene.parts:
         return []
 
-    def starts(*rows: tuple[float, float, float]) -> tuple[dict, ...]:
+    def starts(*undercooling: float) -> tuple[dict, ...]:
+        # a film is there or not: the likelihood has many maxima
         return tuple(
             {
                 "condensation_rate": rate,
@@ -36,12 +37,14 @@ def condensation(scene: Scene) -> list[Variant]:
                 "surface_share": 0.03,
                 "surface_undercooling": below,
             }
-            for rate, time, below in rows
+            for rate in (0.2, 0.7, 2.5)
+            for time in (1.0, 4.0, 9.0, 20.0)
+            for below in undercooling
         )
 
-    forms = [("heavy surface", False, starts((0.2, 15.0, 0.3), (0.2, 4.0, 1.0), (2.0, 15.0, 0.3)))]
+    forms = [("heavy surface", False, starts(0.3, 1.0))]
     if scene.record.site is not None:
-        forms.append(("skin under the night sky", True, starts((0.3, 1.5, 3.0), (2.0, 1.0, 2.0))))
+        forms.append(("skin under the night sky", True, starts(1.5, 4.0)))
     return [
         Variant(
             "condensation", form, {HYGRIC: (("condensation", {"sky": sky}),)}, {"night_sky": {}} if sky else {},
@@ -87,7 +90,7 @@ def source(scene: Scene) -> list[Variant]:
         found.append(variant("at standstill", "standstill", {"standstill": {}}, 3))
     late = ("internal_moisture_source", {"when": "fading"})
     probe = Probe(HYGRIC, late, "moisture_source", {"moisture_source": 1e-4})
-    setting, tried = best_date(scene, "fading", [probe], days=SETTLING_DAYS)
+    setting, tried = best_date(scene, "fading", [probe], days=FADING_DAYS)
     found.append(variant("drying out from a date on", "fading", {"fading": setting}, tried))
     return found
 

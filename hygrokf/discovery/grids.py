@@ -5,16 +5,19 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from hygrokf.discovery.scan import scan, slow_scan
+from hygrokf.discovery.scan import Scanned, scan, slow_scan
 from hygrokf.discovery.scene import Part, Scene
 from hygrokf.record import Record
 
 DAY_S = 86400.0
+PACES = (0.6, 0.8, 1.0, 1.25, 1.6)
+"""Factors by which the days that a change takes are refined."""
+Look = Callable[..., Scanned]
 
 
 def dates(record: Record, every_days: float = 1.0) -> list[float]:
@@ -35,25 +38,38 @@ class Probe:
 
 
 def best_date(
-    scene: Scene, feature: str, probes: Sequence[Probe], more: Sequence[float] = (), **fixed: float
+    scene: Scene,
+    feature: str,
+    probes: Sequence[Probe],
+    more: Sequence[float] = (),
+    days: Sequence[float] = (),
 ) -> tuple[dict, float]:
-    """(settings of the feature, effective number searched) of the change that the parts' score statistics ask for most."""
+    """(settings of the feature, effective number searched) of the change that the parts' score statistics ask for most.
+
+    `more` dates [s] that are looked at exactly; `days` in which the change takes place, for features that have such.
+    """
     spacing = dates(scene.record)
-    grid = list(spacing)
     step = spacing[1] - spacing[0]
-    searched, found = 0.0, grid[0]
-    for look in (slow_scan, scan):
-        settings = [{"date_s": d, **fixed} for d in grid]
+    searched = 0.0
+
+    def asked_for(look: Look, settings: Sequence[dict]) -> dict:
+        nonlocal searched
         looks = [
             look(scene.parts[one.part], one.mechanism, one.parameter, feature, settings, one.nulls)
             for one in probes
             if one.part in scene.parts
         ]
         scanned = functools.reduce(operator.add, looks)
-        found = float(grid[int(np.argmax(scanned.root**2))])
         searched += scanned.effective
-        grid = [*(found + step * f for f in np.linspace(-1.5, 1.5, 13)), *more]
-    return {"date_s": found, **fixed}, searched
+        return dict(settings[int(np.argmax(scanned.root**2))])
+
+    paces = [{"days": d} for d in days] or [{}]
+    found = asked_for(slow_scan, [{"date_s": d, **pace} for pace in paces for d in spacing])
+    near = [found["date_s"] + step * f for f in np.linspace(-1.5, 1.5, 13)]
+    found = asked_for(scan, [{**found, "date_s": float(d)} for d in (*near, *more)])
+    if len(days) > 1:
+        found = asked_for(scan, [{**found, "days": found["days"] * factor} for factor in PACES])
+    return found, searched
 
 
 def inside(scene: Scene, name: str) -> np.ndarray:

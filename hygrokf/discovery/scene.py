@@ -33,6 +33,8 @@ SURE = 1.96
 """[sd] a sensor's offset in a free run: within the accuracy that 95 % of such sensors keep."""
 REACH = 1.5
 """Bound of one step toward the least free-run error, in a parameter's coordinate."""
+SCOUTED = 4
+"""Starts that are followed for a few passes: of more, those with the largest likelihood as they stand."""
 HOPE = 0.3
 """ln L that a mechanism's own parameters must gain by themselves for all parameters to be estimated with it."""
 
@@ -121,9 +123,12 @@ def refitted(
     objective = Objective(likelihood, coordinates)
     given = {p.name: p.start for p in wider.model.parameters} | dict(part.values)
     first, hopeful = [{**given, **start} for start in starts or ({},)], True
-    if (
-        len(first) > 1
-    ):  # the mechanisms' own parameters alone, a few passes: what is far behind then is not followed
+    if len(first) > SCOUTED:
+        offsets = {p.name: p.prior.mean for p in wider.model.parameters if p.prior is not None}
+        first.sort(key=lambda at: -objective.value(coordinates.start({**at, **offsets})))
+        first = first[:SCOUTED]
+    if len(first) > 1:
+        # the mechanisms' own parameters alone, a few passes: what is far behind then is not followed
         reached, best_start = max((_scouted(likelihood, part, at) for at in first), key=lambda pair: pair[0])
         first = [best_start]
         hopeful = reached > part.objective + HOPE
