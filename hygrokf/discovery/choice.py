@@ -32,6 +32,8 @@ CLOSE = 10.0
 HALF = 0.5
 """Two causes are alike where their free runs differ by less than this share of what the better one changes in them, and
 the other has at least this share of its evidence."""
+SAME = 0.25
+"""Acceptable causes whose free runs differ by less than this share are alike whatever their evidence."""
 MOST_CAUSES = 3
 SHARE = 0.15
 """Share of an accepted cause's evidence that a further cause of the same part must have, and all of it where the free run
@@ -75,6 +77,14 @@ def verdict_on(trial: Trial, cause: Cause) -> str:
     return ""
 
 
+def _settled(scene: Scene, trial: Trial) -> Trial:
+    """A trial that simulates better but was cut short, climbed on; others as they are."""
+    done = all(part.converged for part in trial.parts.values())
+    if done or trial.bic_gain >= EVIDENCE or trial.best_lasting < MATERIAL:
+        return trial
+    return polished(scene, trial)
+
+
 def worth(trial: Trial) -> float:
     """What acceptable trials are ranked by: evidence in the likelihood."""
     return trial.bic_gain
@@ -89,7 +99,7 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
     trials: list[Trial] = []
     for cause in library:
         say(cause.name.replace("_", " "))
-        trials += [attempt(scene, variant) for variant in cause.variants(scene)]
+        trials += [_settled(scene, attempt(scene, variant)) for variant in cause.variants(scene)]
     tried = len(trials)
     first = {t.variant.cause: t for t in sorted(trials, key=worth)}  # the best of each cause comes last
     while True:
@@ -185,7 +195,7 @@ def alike(scene: Scene, best: Trial, other: Trial) -> bool:
     """Whether two acceptable causes cannot be told apart on this record."""
     if worth(best) - worth(other) < CLOSE:
         return True
-    return worth(other) >= HALF * worth(best) and difference(scene, best, other) < HALF
+    return difference(scene, best, other) < (HALF if worth(other) >= HALF * worth(best) else SAME)
 
 
 def difference(scene: Scene, best: Trial, other: Trial) -> float:
