@@ -10,7 +10,7 @@ from typing import Any
 
 from hygrokf.record import HOLDS, Site
 from hygrokf.signals import SIGNALS, Signal, suggestion, unit_fault
-from hygrokf.stamps import duration, moment, stamp_text
+from hygrokf.stamps import duration, moment, signed_duration, stamp_text
 
 STAMPS = ("instant", "start", "middle", "end")
 """What a stamp marks: an instant, or a place in the interval that was averaged over."""
@@ -26,6 +26,7 @@ _SOURCE_KEYS = (
     "interval",
     "hold",
     "clock_uncertainty",
+    "clock_correction",
     "separator",
     "decimal",
     "comment",
@@ -59,7 +60,7 @@ class StatedSource:
     file: relative to the case file. time: column of the stamps. columns: one for each signal.
     stamp: one of `STAMPS`. interval_s: [s] averaged over, or None: the step.
     hold: "linear", "zero-order" or None: as the stamp has it.
-    clock_uncertainty_s: [s]. reading: further arguments of `read_table`.
+    clock_uncertainty_s: [s]. clock_correction_s: [s] added to the stamps. reading: further arguments of `read_table`.
     """
 
     file: str
@@ -69,6 +70,7 @@ class StatedSource:
     interval_s: float | None
     hold: str | None
     clock_uncertainty_s: float
+    clock_correction_s: float
     reading: dict[str, Any]
 
 
@@ -373,11 +375,11 @@ def _source(
                 f'"{choices[key]}"{suggestion(choices[key], allowed)}'
             )
             choices[key] = None
-    lengths: dict[str, float | None] = {"interval": None, "clock_uncertainty": None}
+    lengths: dict[str, float | None] = {"interval": None, "clock_uncertainty": None, "clock_correction": None}
     for key in lengths:
         if key in table:
             try:
-                lengths[key] = duration(table[key])
+                lengths[key] = (signed_duration if key == "clock_correction" else duration)(table[key])
             except ValueError as wrong:
                 faults.append(f"{lines.at(block, key)}: {key}: {wrong}")
     stamp = choices["stamp"] or "instant"
@@ -415,6 +417,7 @@ def _source(
         interval_s=lengths["interval"],
         hold=choices["hold"],
         clock_uncertainty_s=lengths["clock_uncertainty"] or 0.0,
+        clock_correction_s=lengths["clock_correction"] or 0.0,
         reading={
             "timezone": words["timezone"],
             "separator": separator,

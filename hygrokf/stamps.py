@@ -44,6 +44,13 @@ def duration(text: str) -> float:
     return float(found[1]) * _SECONDS[found[2]]
 
 
+def signed_duration(text: str) -> float:
+    """Seconds of a duration that may have a sign, such as "-49min" or "+1h" [s]; raises ValueError as `duration` does."""
+    if isinstance(text, str) and text[:1] in ("-", "+"):
+        return (-1.0 if text[0] == "-" else 1.0) * duration(text[1:])
+    return duration(text)
+
+
 def duration_text(seconds: float) -> str:
     """A duration in its handiest unit, such as "10 min" or "3.5 d".
 

@@ -165,6 +165,17 @@ def test_stated_accuracy_resolution_and_clock(folder):
     assert record["ambient_temperature"].clock_uncertainty_s == 0.0
 
 
+def test_a_clock_that_is_known_to_be_off_is_corrected(folder):
+    right, late = read(folder), read(folder, ('time = "time"', 'time = "time"\nclock_correction = "-12.5min"'))
+    one = "cabinet_temperature"
+    assert late[one].time == pytest.approx(right[one].time - 750.0, abs=1e-6)
+    assert (late[one].value == right[one].value).all()
+    other = "ambient_temperature"
+    assert (late[other].time == right[other].time).all()
+    with pytest.raises(CaseFault, match="clock_correction"):
+        read(folder, ('time = "time"', 'time = "time"\nclock_correction = "12 parsecs"'))
+
+
 def test_until_and_start(folder):
     record = read(
         folder,

@@ -74,8 +74,17 @@ def cause_entry(
         "gain": gain,
         "ambiguous_with": [t.variant.cause for t in rivals],
         "separate_by": cause.separate_by,
-        "remedy": cause.remedy,
+        "remedy": _remedy(cause, trial),
     }
+
+
+def _remedy(cause: Cause, trial: Trial) -> str:
+    """What to check, and for a constant error of a clock the line that corrects it until then."""
+    shift = trial.variant.shift
+    if shift is None or shift.summer:
+        return cause.remedy
+    line = f'clock_correction = "{shift.seconds / 60.0:+.4g}min"'
+    return f"{cause.remedy}; until then write {line} in each [[source]] of {shift.source} in the case file"
 
 
 def confidence(trial: Trial, margin: float) -> float:
