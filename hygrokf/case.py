@@ -178,9 +178,7 @@ def _source_series(
                 faults.append(_no_step(source, step, regular))
                 break
             length = step
-        moved, length = _end_of_interval(
-            time + source.clock_correction_s, length or 0.0, source.stamp, hold
-        )
+        moved, length = _end_of_interval(time + source.clock_correction_s, length or 0.0, source.stamp, hold)
         resolution = detect_resolution(raw) if one.resolution is None else one.resolution
         found.append(
             Series(

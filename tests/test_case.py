@@ -166,7 +166,10 @@ def test_stated_accuracy_resolution_and_clock(folder):
 
 
 def test_a_clock_that_is_known_to_be_off_is_corrected(folder):
-    right, late = read(folder), read(folder, ('time = "time"', 'time = "time"\nclock_correction = "-12.5min"'))
+    right, late = (
+        read(folder),
+        read(folder, ('time = "time"', 'time = "time"\nclock_correction = "-12.5min"')),
+    )
     one = "cabinet_temperature"
     assert late[one].time == pytest.approx(right[one].time - 750.0, abs=1e-6)
     assert (late[one].value == right[one].value).all()

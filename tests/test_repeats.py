@@ -33,7 +33,7 @@ def test_chance_repeats_nothing(seed: int) -> None:
     assert repeats(wandering(seed)) == []
 
 
-@pytest.mark.parametrize("count", [14, 40, 90])
+@pytest.mark.parametrize("count", [8, 14, 40, 90])
 def test_a_stretch_that_repeats_is_found_with_its_ends(count: int) -> None:
     series = repeated(wandering(3), 20 * DAY + 5, count)
     ((first, last),) = repeats(series)

@@ -12,11 +12,9 @@ import numpy as np
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scene import Scene
-from hygrokf.discovery.trial import Trial, attempt, polished, started
+from hygrokf.discovery.trial import MATERIAL, Trial, attempt, polished, started
 from hygrokf.stage import Progress
 
-MATERIAL = 0.05
-"""Share of the squared free-run error that must be gone, without the three best days, for a cause to be worth having."""
 EVIDENCE = 10.0
 """Gain in 2 ln L beyond the price of parameters and grid (BIC) that counts as strong."""
 WORSE = -0.02
@@ -38,6 +36,8 @@ MOST_CAUSES = 3
 SHARE = 0.15
 """Share of an accepted cause's evidence that a further cause of the same part must have, and all of it where the free run
 does not gain: the true form is never known, and what it differs in is left behind."""
+LEAD = 0.3
+"""Share of its evidence by which a further cause must be ahead of all others where the free run does not speak for it."""
 EXPLAINED = "what it explains is explained by the accepted causes"
 RETRY = 8.0
 """2 Δ ln L below which a cause is not tried again beside an accepted one."""
@@ -108,10 +108,13 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
             break
         best = polished(scene, _preferred(good))
         others = {t.variant.cause: t for t in reversed(good) if t.variant.cause != best.variant.cause}
-        rivals.append(tuple(t for t in others.values() if alike(scene, best, t)))
-        class_ = {best.variant.cause, *(t.variant.cause for t in rivals[-1])}
-        behind = max((worth(t) for t in trials if t.variant.cause not in class_), default=0.0)
-        margins.append(1.0 - max(behind, 0.0) / max(worth(best), behind, 1e-9))
+        class_ = tuple(t for t in others.values() if alike(scene, best, t))
+        ahead = _ahead(best, class_, trials)
+        if accepted and best.best_lasting < MATERIAL and ahead < LEAD:
+            trials = [t for t in trials if t.variant.cause != best.variant.cause]
+            continue
+        rivals.append(class_)
+        margins.append(ahead)
         accepted.append(best)
         scene = replace(scene, parts={**scene.parts, **best.parts})
         if len(accepted) > 1:
@@ -129,6 +132,13 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
         if name not in names
     )
     return Choice(tuple(accepted), apart, tuple(margins), tried, rejected, scene)
+
+
+def _ahead(best: Trial, class_: Sequence[Trial], trials: Sequence[Trial]) -> float:
+    """Share of its evidence by which the best cause outside its class stays behind."""
+    alike_to_it = {best.variant.cause, *(t.variant.cause for t in class_)}
+    behind = max((worth(t) for t in trials if t.variant.cause not in alike_to_it), default=0.0)
+    return 1.0 - max(behind, 0.0) / max(worth(best), behind, 1e-9)
 
 
 def _preferred(good: Sequence[Trial]) -> Trial:

@@ -13,7 +13,7 @@ from hygrokf.discovery.evidence import cause_entry, evidence
 from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.misfits import misfits
 from hygrokf.discovery.own_causes import adopt, origins_of
-from hygrokf.discovery.remainder import structure
+from hygrokf.discovery.remainder import structure, unlogged
 from hygrokf.discovery.repeats import repeated_text, without_repeats
 from hygrokf.discovery.residuals import Residuals, residuals
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, part_of, simulating
@@ -126,17 +126,20 @@ def _results(
 ) -> dict:
     (base, _), (extended, _) = fits
     shown = misfits(errors[0])
-    remaining = structure(errors[1])
+    foreign = unlogged(errors[1])
+    remaining = foreign or structure(errors[1])
     if repeated:
-        remaining = {
+        remaining = foreign = {
             "quantity": "readings", "kind": "repeated readings", "when": "", "driver": None, "lag_h": None,
             "correlation": 0.0, "p": 0.0, "statement": repeated_text(repeated),
         }  # fmt: skip
     causes = [
-        cause_entry(scene, trial, rivals, margin, fits, stages, library, choice.tried)
-        for trial, rivals, margin in zip(choice.accepted, choice.rivals, choice.margins, strict=True)
+        cause_entry(scene, trial, rivals, margin, place > 0, fits, stages, library, choice.tried)
+        for place, (trial, rivals, margin) in enumerate(
+            zip(choice.accepted, choice.rivals, choice.margins, strict=True)
+        )
     ]
-    verdict = "named" if causes else "unexplained" if remaining is not None else "none"
+    verdict = "named" if causes and foreign is None else "none" if remaining is None else "unexplained"
     return {
         "name": base.results["name"],
         "version": __version__,

@@ -11,7 +11,7 @@ from hygrokf.confidence import normal_quantile, standard_error, wald_bounds
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import named
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
-from hygrokf.discovery.trial import Trial, probability, score_statistic
+from hygrokf.discovery.trial import MATERIAL, Trial, probability, score_statistic
 from hygrokf.fit import Fit
 from hygrokf.stage import Stage
 
@@ -24,8 +24,8 @@ ONCE = "seen in one episode only: what it would gain at another time cannot be s
 EVENT = (
     "an event that nobody logged is no prediction: it gains nothing outside the stretch in which it was found"
 )
-WEIGHTS = {"level": -1.0, "margin": 4.0, "lasting": 4.0}
-"""Logistic weights of what `confidence` reads: a first choice, not yet calibrated."""
+WEIGHTS = {"level": 0.8, "margin": 4.0, "lasting": 4.7, "unsupported": -4.0}
+"""Logistic weights of what `confidence` reads, from the accepted causes of simulated plants (docs/discover.md)."""
 
 
 def evidence(scene: Scene, trial: Trial, tried: int) -> dict:
@@ -50,6 +50,7 @@ def cause_entry(
     trial: Trial,
     rivals: Sequence[Trial],
     margin: float,
+    later: bool,
     fits: tuple[tuple[Fit, Fit], tuple[Fit, Fit]],
     stages: Sequence[Stage],
     library: Sequence[Cause],
@@ -66,7 +67,8 @@ def cause_entry(
     return {
         "cause": cause.name,
         "form": trial.variant.form,
-        "confidence": confidence(trial, margin),
+        "confidence": confidence(trial, margin, later),
+        "margin": margin,
         "statement": statement,
         "parameters": _parameters(trial, stages),
         "settings": dict(trial.variant.settings),
@@ -87,14 +89,15 @@ def _remedy(cause: Cause, trial: Trial) -> str:
     return f"{cause.remedy}; until then write {line} in each [[source]] of {shift.source} in the case file"
 
 
-def confidence(trial: Trial, margin: float) -> float:
+def confidence(trial: Trial, margin: float, later: bool) -> float:
     """Probability [1] that the cause, or one of its class, is the right name.
 
-    margin: [1] share of its evidence by which the best cause outside its class stays behind.  Logistic in the margin and
-    the lasting gain of the free run; its weights are not yet calibrated (docs/discover.md).
+    margin: [1] share of its evidence by which the best cause outside its class stays behind.  later: whether others were
+    accepted before it.  Logistic in the margin, the lasting gain of the free run, and whether a later cause lacks that gain.
     """
     score = WEIGHTS["level"] + WEIGHTS["margin"] * min(max(margin, -1.0), 1.0)
     score += WEIGHTS["lasting"] * min(max(trial.best_lasting, 0.0), 0.5)
+    score += WEIGHTS["unsupported"] * (later and trial.best_lasting < MATERIAL)
     found = 1.0 / (1.0 + math.exp(-score))
     return min(found, ONCE_AT_MOST) if seen_once(trial) else found
 

@@ -39,8 +39,7 @@ def structure(
     """The strongest structure left in the errors, or None: quantity, when, what it goes with, p.
 
     level: [1] chance of an answer where there is none.  found: `misfits(residuals)` if at hand.  Looked for are misfits
-    under any condition, excursions to one side under no condition that was logged, and unrest that comes with one side of
-    the error.  `driver`, `lag_h` and `correlation` name the driver that the error follows best.
+    under any condition, and excursions to one side under no condition that was logged.  `driver`, `lag_h` and `correlation` name the driver that the error follows best.
     """
     found = misfits(residuals, level) if found is None else found
     hours = hourly(residuals)
@@ -66,6 +65,11 @@ def structure(
             f"{digits(size)} {UNITS[quantity]} {'too low' if side > 0 else 'too high'}: {when}"
         )
         return _left(hours, quantity, "one-sided excursions", when, words, p)
+    return None
+
+
+def unlogged(residuals: Residuals) -> dict | None:
+    """Unrest to one side, as `structure` gives it, or None: something that nobody logs acts, whatever else was found."""
     for quantity in QUANTITIES:
         z, unsteady = unrest(residuals, quantity)
         if abs(z) > RESTLESS and unsteady > UNSTEADY:
@@ -74,6 +78,7 @@ def structure(
                 f"it is simulated too {'low' if z > 0 else 'high'} (rank correlation {z:.1f} standard errors; none is "
                 "expected of a disturbance that knows no side)"
             )
+            hours = hourly(residuals)
             return _left(hours, quantity, "restless to one side", "now and then", words, _two_sided(z))
     return None
 

@@ -11,8 +11,14 @@ from hygrokf.discovery.residuals import run_lengths
 from hygrokf.record import Record, Series
 
 DAY_S = 86400.0
-SHORTEST_S = 3.0 * 3600.0
-"""[s] over which moving readings that equal those of the day before are no chance."""
+SHORTEST_S = 3600.0
+FEWEST = 6
+"""Readings, and [s], of a stretch at least."""
+BEYOND = 1.5
+"""A stretch must be so many times longer than the longest that chance makes: that of readings which equal others some
+steps more or less than a day before."""
+OTHERS = 40
+"""Other lags that are looked at."""
 MOVING = 0.25
 """[1] share of steps with a change below which readings stand still: saturated or frozen ones equal each other anyway."""
 
@@ -30,12 +36,27 @@ def repeats(series: Series) -> list[tuple[float, float]]:
         return []
     grid = np.full(int(place[-1]) + 1, np.nan)
     grid[place] = value
-    found = []
-    for a, b in run_lengths(np.abs(grid[day:] - grid[:-day]) < 1e-6 * np.nanstd(value)):
-        part = grid[day + a : day + b]
-        if (b - a) * step >= SHORTEST_S and np.mean(np.diff(part) != 0.0) >= MOVING:
-            found.append((float(time[0] + step * (day + a)), float(time[0] + step * (day + b - 1))))
-    return found
+    tolerance = 1e-6 * float(np.nanstd(value))
+    others = (day + side * k for k in range(2, 2 + OTHERS // 2) for side in (-1, 1))
+    chance = max((b - a for lag in others for a, b in _equal(grid, lag, tolerance)), default=0)
+    fewest = max(FEWEST, SHORTEST_S / step, BEYOND * chance)
+    return [
+        (float(time[0] + step * (day + a)), float(time[0] + step * (day + b - 1)))
+        for a, b in _equal(grid, day, tolerance)
+        if b - a >= fewest
+    ]
+
+
+def _equal(grid: np.ndarray, lag: int, tolerance: float) -> list[tuple[int, int]]:
+    """Runs [a, b) of moving values that equal those `lag` steps before, counted from `lag` on."""
+    if not 0 < lag < len(grid):
+        return []
+    now, then = grid[lag:], grid[:-lag]
+    return [
+        (a, b)
+        for a, b in run_lengths(np.abs(now - then) < tolerance)
+        if b - a > 1 and np.mean(np.diff(now[a:b]) != 0.0) >= MOVING
+    ]
 
 
 def without_repeats(record: Record) -> tuple[Record, dict[str, list[tuple[float, float]]]]:

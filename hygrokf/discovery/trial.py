@@ -16,6 +16,8 @@ from hygrokf.drivers import run
 from hygrokf.likelihood import Trace
 from hygrokf.timeline import Timeline
 
+MATERIAL = 0.05
+"""Share of the squared free-run error that must be gone, without the three best days, for a cause to be worth having."""
 REFINEMENTS = 2
 """Passes that narrow a shift down from the coarse grid by score statistics, each to about half the spacing."""
 SHIFT_STEPS_S = (240.0, 90.0, 30.0)

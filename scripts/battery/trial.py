@@ -285,7 +285,11 @@ def _chosen(record: Record, truth: list[dict], starts: int | None) -> dict:
             if name not in base.parts[part].values
         }
         named = [other.variant.cause for other in rivals]
-        told_more = {"confidence": confidence(trial, margin), "margin": margin, "once": trial.once}
+        told_more = {
+            "confidence": confidence(trial, margin, bool(causes)),
+            "margin": margin,
+            "once": trial.once,
+        }
         causes.append({**told(trial), **told_more, "ambiguous_with": named, "parameters": values})
     true = {account["cause"] for account in truth}
     rejected = [
