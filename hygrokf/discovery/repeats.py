@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -17,6 +18,8 @@ FEWEST = 6
 BEYOND = 1.5
 """A stretch must be so many times longer than the longest that chance makes: that of readings which equal others some
 steps more or less than a day before."""
+PAUSE_S = 7200.0
+"""[s] between two stretches that belong to one: readings that were missing a day before."""
 OTHERS = 40
 """Other lags that are looked at."""
 MOVING = 0.25
@@ -60,16 +63,34 @@ def _equal(grid: np.ndarray, lag: int, tolerance: float) -> list[tuple[int, int]
 
 
 def without_repeats(record: Record) -> tuple[Record, dict[str, list[tuple[float, float]]]]:
-    """The record with the cabinet's repeated readings missing, and the stretches [s] by signal."""
-    spans = {}
-    for series in record.series:
-        if series.signal.startswith("cabinet_") and (found := repeats(series)):
-            spans[series.signal] = found
-            value = series.value.copy()
-            for first, last in found:
-                value[(series.time >= first - 1.0) & (series.time <= last + 1.0)] = np.nan
-            record = record.replace_series(replace(series, value=value))
+    """The record with the cabinet's repeated readings missing, and the stretches [s] by signal.
+
+    A logger repeats all that it logs: what one signal shows is missing in every signal of its source, pauses too.
+    """
+    own = [series for series in record.series if series.signal.startswith("cabinet_")]
+    spans = {series.signal: found for series in own if (found := repeats(series))}
+    for series in own if spans else ():
+        value = series.value.copy()
+        for first, last in _joined(
+            span
+            for other in own
+            if other.source.split(",")[0] == series.source.split(",")[0]
+            for span in spans.get(other.signal, ())
+        ):
+            value[(series.time >= first - 1.0) & (series.time <= last + 1.0)] = np.nan
+        record = record.replace_series(replace(series, value=value))
     return record, spans
+
+
+def _joined(spans: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Stretches with pauses of up to `PAUSE_S` between them taken as one."""
+    found: list[tuple[float, float]] = []
+    for first, last in sorted(spans):
+        if found and first - found[-1][1] <= PAUSE_S:
+            found[-1] = (found[-1][0], max(last, found[-1][1]))
+        else:
+            found.append((first, last))
+    return found
 
 
 def repeated_text(spans: dict[str, list[tuple[float, float]]]) -> str:
