@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
 
+from hygrokf.discovery import choice
 from hygrokf.discovery.cause import Variant
-from hygrokf.discovery.choice import _preferred, _reason, verdict_on
+from hygrokf.discovery.choice import NOT_AHEAD, _preferred, _reason, choose, verdict_on
 from hygrokf.discovery.library import LIBRARY, named
-from hygrokf.discovery.scene import HYGRIC, THERMAL
+from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
 from hygrokf.discovery.trial import Trial
 
 
@@ -86,3 +88,33 @@ def test_what_a_form_leaves_behind_is_no_further_cause() -> None:
     assert "leaves behind" in _reason(trial("clock_shift", 600.0, 0.0, THERMAL), [first], LIBRARY)
     assert _reason(trial("clock_shift", 1200.0, 0.0, THERMAL), [first], LIBRARY) == ""
     assert _reason(trial("moisture_sorption", 20.0, 0.1, HYGRIC), [first], LIBRARY) == ""
+
+
+@pytest.mark.parametrize(
+    ("beside", "names"), [(450.0, ["moisture_sorption"]), (100.0, ["moisture_sorption", "clock_shift"])]
+)
+def test_a_later_cause_without_a_better_free_run_must_be_far_ahead(
+    monkeypatch: pytest.MonkeyPatch, beside: float, names: list[str]
+) -> None:
+    given = {
+        one.variant.cause: one
+        for one in (
+            trial("moisture_sorption", 400.0, 0.3),
+            trial("clock_shift", 500.0, 0.0),
+            trial("door_opening", beside, 0.0),
+        )
+    }
+    monkeypatch.setattr(choice, "attempt", lambda scene, variant: given[variant.cause])
+    monkeypatch.setattr(choice, "polished", lambda scene, one: one)
+    monkeypatch.setattr(choice, "started", lambda scene, one: one.variant)
+    monkeypatch.setattr(choice, "alike", lambda scene, best, other: False)
+    monkeypatch.setattr(
+        choice, "_needed", lambda base, accepted, scene, say: (list(range(len(accepted))), scene)
+    )
+    library = tuple(
+        replace(named(name), variants=lambda scene, one=one: [one.variant]) for name, one in given.items()
+    )
+    found = choose(Scene(None, {HYGRIC: SimpleNamespace()}), library)  # type: ignore[arg-type]
+    assert [one.variant.cause for one in found.accepted] == names
+    reasons = {one.variant.cause: reason for one, reason in found.rejected}
+    assert len(names) == 2 or {reasons["clock_shift"], reasons["door_opening"]} == {NOT_AHEAD}

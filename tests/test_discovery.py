@@ -11,14 +11,22 @@ from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
 from hygrokf.discovery.cause import Variant, penalty
-from hygrokf.discovery.choice import MATERIAL, choose, difference, verdict_on
+from hygrokf.discovery.choice import choose, difference, verdict_on
 from hygrokf.discovery.clocks import Shift, shifted, sources
 from hygrokf.discovery.discover import discover
 from hygrokf.discovery.grids import dates
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scan import Scanned, scan, slow_scan
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, free_run_error, refitted, rmse, scene
-from hygrokf.discovery.trial import attempt, episodes, judged, probability, score_statistic, shift_gains
+from hygrokf.discovery.trial import (
+    MATERIAL,
+    attempt,
+    episodes,
+    judged,
+    probability,
+    score_statistic,
+    shift_gains,
+)
 from hygrokf.discovery.words import discovery_text
 from hygrokf.record import Record
 from hygrokf.results import dump

@@ -21,6 +21,7 @@ from hygrokf.discovery.discover import Discovery
 from hygrokf.discovery.misfits import Misfit
 from hygrokf.discovery.page import discovery_page, write_discovery_report
 from hygrokf.discovery.plots_residuals import telling_drivers
+from hygrokf.discovery.repeats import REPEATED
 from hygrokf.discovery.results import read_discovery, write_discovery
 from hygrokf.discovery.tables import constants_sentences, constants_table, rejected_table, scores_table
 from hygrokf.discovery.words import discovery_text, gain_sentence, settings_words, signed_percent
@@ -182,6 +183,16 @@ def test_a_part_explained_is_not_told_as_the_whole() -> None:
     text = words(partly)
     assert "Something is missing; its cause is not known Solar gain, confidence 87 %: The sun heats" in text
     assert "solar gain explains a part only" in text.lower()
+
+
+def test_a_logger_that_repeats_itself_is_what_the_page_says_first() -> None:
+    left = {"statement": "readings repeat those of the day before", "kind": REPEATED, "quantity": "readings"}
+    found = discovery_case() | {"verdict": "unexplained", "unexplained": left}
+    text = words(found)
+    assert "A logger writes readings again that are a day old" in text
+    assert "what is named here was found in the others" in text and "explains a part only" not in text
+    alone = words(found | {"causes": []})
+    assert "see to that first." in alone and "found in the others" not in alone
 
 
 def test_two_causes_have_a_remedy_each() -> None:

@@ -39,6 +39,9 @@ does not gain: the true form is never known, and what it differs in is left behi
 LEAD = 0.3
 """Share of its evidence by which a further cause must be ahead of all others where the free run does not speak for it."""
 EXPLAINED = "what it explains is explained by the accepted causes"
+NOT_AHEAD = (
+    "beside the accepted causes it does not simulate better, and other causes have nearly as much evidence"
+)
 RETRY = 8.0
 """2 Δ ln L below which a cause is not tried again beside an accepted one."""
 
@@ -97,13 +100,15 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
     rivals: list[tuple[Trial, ...]] = []
     margins: list[float] = []
     trials: list[Trial] = []
+    behind: set[str] = set()
     for cause in library:
         say(cause.name.replace("_", " "))
         trials += [_settled(scene, attempt(scene, variant)) for variant in cause.variants(scene)]
     tried = len(trials)
     first = {t.variant.cause: t for t in sorted(trials, key=worth)}  # the best of each cause comes last
     while True:
-        good = sorted((t for t in trials if not _reason(t, accepted, library)), key=worth, reverse=True)
+        good = [t for t in trials if t.variant.cause not in behind and not _reason(t, accepted, library)]
+        good.sort(key=worth, reverse=True)
         if not good:
             break
         best = polished(scene, _preferred(good))
@@ -111,8 +116,9 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
         class_ = tuple(t for t in others.values() if alike(scene, best, t))
         ahead = _ahead(best, class_, trials)
         if accepted and best.best_lasting < MATERIAL and ahead < LEAD:
-            trials = [t for t in trials if t.variant.cause != best.variant.cause]
+            behind.add(best.variant.cause)
             continue
+        behind = set()
         rivals.append(class_)
         margins.append(ahead)
         accepted.append(best)
@@ -127,7 +133,7 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
     # what was accepted beside a cause is no longer another name for it
     apart = tuple(tuple(t for t in one if t.variant.cause not in names) for one in rivals)
     rejected = tuple(
-        (t, verdict_on(t, named(name, library)) or EXPLAINED)
+        (t, verdict_on(t, named(name, library)) or (NOT_AHEAD if name in behind else EXPLAINED))
         for name, t in first.items()
         if name not in names
     )
@@ -178,7 +184,7 @@ def _again(scene: Scene, trials: Sequence[Trial], accepted: Sequence[Trial], say
         if any(name in taken and taken[name] != setting for name, setting in features.items()):
             continue  # one setting of a feature at a time: two dates need two names
         count[cause] = count.get(cause, 0) + 1
-        found.append(attempt(scene, started(scene, trial)))
+        found.append(_settled(scene, attempt(scene, started(scene, trial))))
     return found
 
 

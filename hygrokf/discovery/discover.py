@@ -14,7 +14,7 @@ from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.misfits import misfits
 from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.remainder import structure, unlogged
-from hygrokf.discovery.repeats import repeated_text, without_repeats
+from hygrokf.discovery.repeats import REPEATED, repeated_text, without_repeats
 from hygrokf.discovery.residuals import Residuals, residuals
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, part_of, simulating
 from hygrokf.fit import Fit
@@ -130,7 +130,7 @@ def _results(
     remaining = foreign or structure(errors[1])
     if repeated:
         remaining = foreign = {
-            "quantity": "readings", "kind": "repeated readings", "when": "", "driver": None, "lag_h": None,
+            "quantity": "readings", "kind": REPEATED, "when": "", "driver": None, "lag_h": None,
             "correlation": 0.0, "p": 0.0, "statement": repeated_text(repeated),
         }  # fmt: skip
     causes = [

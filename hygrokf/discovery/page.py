@@ -38,6 +38,7 @@ from hygrokf.discovery.words import (
     remainder,
     remainder_driver,
     remedy_of,
+    repeats_itself,
     rivals_sentence,
     rows_of,
     scored_error,
@@ -66,6 +67,7 @@ HEADLINE = {
     "none": "Nothing is missing that this record shows",
     "unexplained": "Something is missing; its cause is not known",
 }
+REPETITION = "A logger writes readings again that are a day old"
 LABEL = {"none": "no cause", "named": "a cause is named", "unexplained": "unexplained"}
 TITLES = {"temperature": "temperature", "humidity": "absolute humidity"}
 
@@ -152,6 +154,8 @@ def _headline(found: Mapping) -> str:
     verdict, causes = verdict_of(found), rows_of(found, "causes")
     names = [spoken(one.get("cause")) for one in causes]
     heading = HEADLINE.get(verdict) or title(" + ".join(names) or "a cause")
+    if verdict == "unexplained" and repeats_itself(found):
+        heading = REPETITION
     lines = []
     if verdict == "named" and len(causes) == 1:
         lines.append(f"<p class=bounds>confidence {escape(confidence_of(causes[0]))}</p>")

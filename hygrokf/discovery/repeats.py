@@ -12,9 +12,12 @@ from hygrokf.discovery.residuals import run_lengths
 from hygrokf.record import Record, Series
 
 DAY_S = 86400.0
+REPEATED = "repeated readings"
+"""What such a remainder is called in `discovery.json`."""
 SHORTEST_S = 3600.0
+"""[s] of a stretch at least."""
 FEWEST = 6
-"""Readings, and [s], of a stretch at least."""
+"""Readings of a stretch at least."""
 BEYOND = 1.5
 """A stretch must be so many times longer than the longest that chance makes: that of readings which equal others some
 steps more or less than a day before."""

@@ -9,6 +9,7 @@ import math
 from collections.abc import Mapping
 from datetime import UTC, datetime
 
+from hygrokf.discovery.repeats import REPEATED
 from hygrokf.lookup import entry, number
 from hygrokf.report_tables import TEXT_WIDTH, unit, wrapped
 from hygrokf.report_words import (
@@ -66,6 +67,11 @@ def verdict_of(found: Mapping) -> str:
     return verdict if verdict in VERDICTS else "unexplained"
 
 
+def repeats_itself(found: Mapping) -> bool:
+    """Whether what remains are readings that a logger wrote again."""
+    return text_of(entry(found, "unexplained", "kind")) == REPEATED
+
+
 def tried(found: Mapping) -> int:
     """How many causes were tried."""
     return len({text_of(row.get("cause")) for name in ("causes", "rejected") for row in rows_of(found, name)})
@@ -83,6 +89,9 @@ def verdict_sentences(found: Mapping) -> list[str]:
             "gets wrong looks like what the disturbances of any cabinet look like",
             "keep the base model; this does not prove that nothing is missing, only that this record does not show it",
         ]
+    if repeats_itself(found):
+        check = "find out why the logger writes readings again, and see to that first"
+        return [remainder(found), f"{check}; what is named here was found in the others" if causes else check]
     said = [remainder(found) or "structure remains that nothing in the library explains"]
     if not causes:
         said.append(f"none of {tried(found)} causes of the library explains it, so none is named")
