@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import replace
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
-from hygrokf.discovery import choice
+from hygrokf.discovery import choice, grids
 from hygrokf.discovery.cause import Variant
 from hygrokf.discovery.choice import NOT_AHEAD, _preferred, _reason, choose, verdict_on
 from hygrokf.discovery.library import LIBRARY, named
@@ -104,6 +105,7 @@ def test_a_later_cause_without_a_better_free_run_must_be_far_ahead(
             trial("door_opening", beside, 0.0),
         )
     }
+    monkeypatch.setattr(choice, "attempts", lambda scene, cause: [given[cause.name]])
     monkeypatch.setattr(choice, "attempt", lambda scene, variant: given[variant.cause])
     monkeypatch.setattr(choice, "polished", lambda scene, one: one)
     monkeypatch.setattr(choice, "started", lambda scene, one: one.variant)
@@ -118,3 +120,19 @@ def test_a_later_cause_without_a_better_free_run_must_be_far_ahead(
     assert [one.variant.cause for one in found.accepted] == names
     reasons = {one.variant.cause: reason for one, reason in found.rejected}
     assert len(names) == 2 or {reasons["clock_shift"], reasons["door_opening"]} == {NOT_AHEAD}
+
+
+def test_a_switch_is_refined_without_losing_its_hysteresis(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[dict] = []
+
+    def narrowest(part: object, mechanism: object, parameter: str, feature: str, grid: list, nulls: object):
+        seen.extend(grid)
+        width = np.array([one["on"] - one["off"] for one in grid])
+        return SimpleNamespace(root=1.0 / np.abs(width), effective=1.0)
+
+    monkeypatch.setattr(grids, "scan", narrowest)
+    first = [{"on": a, "off": a - width} for a in (0.6644, 0.8572) for width in (0.03, 0.08)]
+    chosen, searched = grids.best_switch(None, "drier", "rate", "drying", first, {"": 0.02})  # type: ignore[arg-type]
+    # steps of 0.01 and 0.02 bring on and off together but for rounding: such a pair is no switch
+    assert chosen["on"] - chosen["off"] > 1e-3 and searched == 3.0
+    assert min(one["on"] - one["off"] for one in seen) > 1e-3

@@ -16,6 +16,7 @@ from hygrokf.expression import Graph, jacobian
 from hygrokf.likelihood import Likelihood
 from hygrokf.mechanisms import LIBRARY, linear_network
 from hygrokf.mechanisms.hygric import exchange_factor, hygric_time_constant
+from hygrokf.mechanisms.moisture import GAB_C, GAB_K, GAB_SLOPE, SLAB
 from hygrokf.model import Mechanism, Model, compose, extend, without
 from hygrokf.parameters import Parameter
 from hygrokf.psychrometrics import relative_humidity
@@ -51,6 +52,9 @@ VARIANTS = [
     ("temperature_sensor", {"accuracy": 0.0, "resolution": 0.1}),
     ("humidity_sensor", {"accuracy": 0.0}),
     ("absolute_humidity_sensor", {"accuracy": 0.2, "resolution": 0.01}),
+    ("moisture_sorption", {"activated": False}),
+    ("moisture_sorption", {"slab": True}),
+    ("moisture_sorption", {"activated": False, "slab": True}),
     ("heat_disturbance", {"longest_h": 40.0, "shortest_h": 1.0}),
     ("vapour_disturbance", {"longest_h": 8.0, "shortest_h": 6.0}),
 ]
@@ -471,3 +475,24 @@ def test_a_linear_network_hands_its_functions_on() -> None:
     assert found.outputs == {"first": (1.0, 1.0), "second": (9.0, 2.0)}
     assert model.noise({"r": 2.0}) == [[0.0, 0.0], [0.0, 6.0]]
     assert model.initial({"r": 2.0}, {"heat": 10.0}) == ([10.0, 0.0], [1.0, 2.0])
+
+
+def test_a_slab_takes_up_water_as_ficks_law_has_it() -> None:
+    """Crank, The Mathematics of Diffusion, equation 4.18; two places cannot follow the root of time at its very beginning."""
+    share, pace = np.array(list(SLAB.values())).T
+    assert share.sum() == pytest.approx(1.0)
+    order = 2.0 * np.arange(2000)[:, None] + 1.0
+    passed = np.geomspace(1e-3, 10.0, 300)
+    crank = 1.0 - (8.0 / math.pi**2 / order**2 * np.exp(-(order**2) * passed)).sum(axis=0)
+    ours = 1.0 - (share[:, None] * np.exp(-pace[:, None] * passed)).sum(axis=0)
+    assert np.abs(ours - crank).max() < 0.06
+    pulse = 1j * np.geomspace(0.3, 100.0, 200)
+    root = np.sqrt(pulse * math.pi**2 / 4.0)
+    ratio = (share[:, None] / (1.0 + pulse / pace[:, None])).sum(axis=0) / (np.tanh(root) / root)
+    assert np.sqrt(np.mean(np.abs(ratio - 1.0) ** 2)) < 0.135
+
+
+def test_a_moisture_capacity_is_the_isotherms_slope_at_half_humidity() -> None:
+    wet = GAB_K * np.array([0.4999, 0.5001])
+    content = GAB_C * wet / ((1.0 - wet) * (1.0 - wet + GAB_C * wet))
+    assert np.diff(content)[0] / 0.0002 == pytest.approx(GAB_SLOPE, rel=1e-5)

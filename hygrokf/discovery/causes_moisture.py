@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from hygrokf.discovery.cause import Variant
@@ -14,14 +16,20 @@ FADING_DAYS = (8.0, 20.0, 50.0)
 def sorption(scene: Scene) -> list[Variant]:
     if HYGRIC not in scene.parts:
         return []
-    starts = tuple({"sorption_capacity": 0.3, "sorption_time": t} for t in (3.0, 15.0, 60.0))
-    return [
-        Variant(
-            "moisture_sorption", form, {HYGRIC: (("moisture_sorption", {"activated": activated}),)},
-            starts=starts, searched=2,
-        )
-        for form, activated in (("uptake faster when warm", True), ("uptake alike at all temperatures", False))
-    ]  # fmt: skip
+    found = []
+    for uptake, activated in (("uptake faster when warm", True), ("uptake alike at all temperatures", False)):
+        thin, slab = (
+            Variant(
+                "moisture_sorption", f"{material}, {uptake}",
+                {HYGRIC: (("moisture_sorption", {"activated": activated, "slab": material == "slab"}),)}, searched=4,
+            )
+            for material in ("thin", "slab")
+        )  # fmt: skip
+        starts = tuple({"sorption_capacity": 0.5, "sorption_time": time} for time in (3.0, 15.0, 60.0))
+        # a thin material has the uptake of a slab in the first hours where it holds a fifth, and is as much faster
+        scaled = {"sorption_capacity": 5.0, "sorption_time": 18.0}
+        found += [replace(thin, starts=starts), replace(slab, after=thin.form, scaled=scaled)]
+    return found
 
 
 def condensation(scene: Scene) -> list[Variant]:

@@ -90,18 +90,22 @@ SHIFTS_MIN = (-60.0, -30.0, -10.0, 10.0, 30.0, 60.0)
 
 def clock(scene: Scene) -> list[Variant]:
     told = ("cabinet_temperature", "ambient_temperature", "active_power")
-    names = [name for name, signals in sources(scene.record).items() if set(told) & set(signals)]
+    clocks = sources(scene.record)
+    names = [name for name, signals in clocks.items() if set(told) & set(signals)]
+    settings = {}
+    if len(clocks) == 2:  # to move the one is to move the other the opposite way
+        settings = {"relative_to": names[-1]} if len(names) == 2 else {}
+        names = names[:1]
     found = [
-        Variant("clock_shift", name, shift=Shift(name, 0.0), searched=4 * len(SHIFTS_MIN)) for name in names
+        Variant("clock_shift", name, shift=Shift(name, 0.0), settings=settings, searched=4 * len(SHIFTS_MIN))
+        for name in names
     ]
     if turns_within(scene.record):
         found += [
             Variant(
-                "clock_shift",
-                f"{name}, in summer time",
-                shift=Shift(name, 0.0, True),
+                "clock_shift", f"{name}, in summer time", shift=Shift(name, 0.0, True), settings=settings,
                 searched=2 * len(names),
             )
             for name in names
-        ]
+        ]  # fmt: skip
     return found

@@ -12,7 +12,7 @@ import numpy as np
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scene import Scene
-from hygrokf.discovery.trial import MATERIAL, Trial, attempt, polished, started
+from hygrokf.discovery.trial import MATERIAL, Trial, attempt, attempts, polished, started
 from hygrokf.stage import Progress
 
 EVIDENCE = 10.0
@@ -36,6 +36,8 @@ MOST_CAUSES = 3
 SHARE = 0.15
 """Share of an accepted cause's evidence that a further cause of the same part must have, and all of it where the free run
 does not gain: the true form is never known, and what it differs in is left behind."""
+AMPLE = 0.2
+"""Share of the squared free-run error that a further cause may take away with whatever evidence."""
 LEAD = 0.3
 """Share of its evidence by which a further cause must be ahead of all others where the free run does not speak for it."""
 EXPLAINED = "what it explains is explained by the accepted causes"
@@ -103,7 +105,7 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
     behind: set[str] = set()
     for cause in library:
         say(cause.name.replace("_", " "))
-        trials += [_settled(scene, attempt(scene, variant)) for variant in cause.variants(scene)]
+        trials += [_settled(scene, trial) for trial in attempts(scene, cause)]
     tried = len(trials)
     first = {t.variant.cause: t for t in sorted(trials, key=worth)}  # the best of each cause comes last
     while True:
@@ -163,7 +165,7 @@ def _reason(trial: Trial, accepted: Sequence[Trial], library: Sequence[Cause]) -
     reason = verdict_on(trial, named(trial.variant.cause, library))
     if reason:
         return reason
-    share = SHARE if trial.best_lasting >= MATERIAL else 1.0
+    share = 1.0 if trial.best_lasting < MATERIAL else SHARE if trial.best_lasting < AMPLE else 0.0
     for other in accepted:
         if set(other.parts) & set(trial.parts) and worth(trial) < share * worth(other):
             return "no more than what a stronger cause of another form than assumed leaves behind"

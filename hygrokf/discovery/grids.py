@@ -17,6 +17,8 @@ from hygrokf.record import Record
 DAY_S = 86400.0
 PACES = (0.6, 0.8, 1.0, 1.25, 1.6)
 """Factors by which the days that a change takes are refined."""
+NARROWEST = 0.05
+"""Share of its hysteresis that a switch keeps at least when its set-points are refined."""
 Look = Callable[..., Scanned]
 
 
@@ -96,11 +98,12 @@ def best_switch(
             best, chosen = float(scanned.root.max()), grid[int(np.argmax(scanned.root))]
         on, off = (key for key in chosen if key.startswith("o"))
         step = factor * steps.get(str(chosen.get("reads", "")), next(iter(steps.values())))
+        width = chosen[on] - chosen[off]
         grid = [
             {**chosen, on: chosen[on] + i * step, off: chosen[off] + j * step}
             for i in (-1.0, -0.5, 0.0, 0.5, 1.0)
             for j in (-1.0, -0.5, 0.0, 0.5, 1.0)
-            if (chosen[on] + i * step - chosen[off] - j * step) * (chosen[on] - chosen[off]) > 0
+            if (width + (i - j) * step) / width > NARROWEST
         ]
     return chosen, searched
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.design import Design, extended
-from hygrokf.discovery.cause import Variant, penalty
+from hygrokf.discovery.cause import Cause, Variant, penalty
 from hygrokf.discovery.causes_readings import SHIFTS_MIN
 from hygrokf.discovery.clocks import HOUR_S, Shift, shifted, sources
 from hygrokf.discovery.scene import Part, Scene, climbed, days, refitted, searching
@@ -18,10 +18,14 @@ from hygrokf.timeline import Timeline
 
 MATERIAL = 0.05
 """Share of the squared free-run error that must be gone, without the three best days, for a cause to be worth having."""
+FINER = 10.0
+"""2 ln L by which a form must be ahead of the simpler one that it refines."""
 REFINEMENTS = 2
 """Passes that narrow a shift down from the coarse grid by score statistics, each to about half the spacing."""
-SHIFT_STEPS_S = (240.0, 90.0, 30.0)
-"""[s] steps by which a shift is then moved as long as the likelihood, all parameters estimated again, grows."""
+CLOCK_REACH_S = (480.0, 160.0, 50.0)
+"""[s] how far around a shift the next one is looked for, all parameters estimated again before each."""
+CLOCK_S = 15.0
+"""[s] by which a shift is moved at least."""
 EPISODE_GAP = 3
 """[d] days of one episode lie at most so far apart."""
 WEEK = 7
@@ -75,6 +79,31 @@ def attempt(scene: Scene, variant: Variant) -> Trial:
         base = replace(part, base=_altered(part.base, altered))
         parts[name] = refitted(base, additions, variant.features, variant.starts)
     return judged(scene, variant, parts)
+
+
+def attempts(scene: Scene, cause: Cause) -> list[Trial]:
+    """All variants of a cause, estimated; one that refines another form only where that one gained, and it gains more."""
+    found: list[Trial] = []
+    for variant in cause.variants(scene):
+        if variant.after:
+            before = next(trial for trial in found if trial.variant.form == variant.after)
+            if before.bic_gain <= 0.0:
+                continue
+            finer = attempt(scene, replace(variant, starts=(_scaled(before, variant.scaled),)))
+            if finer.bic_gain > before.bic_gain + FINER:
+                found.append(finer)
+        else:
+            found.append(attempt(scene, variant))
+    return found
+
+
+def _scaled(trial: Trial, factors: Mapping[str, float]) -> dict[str, float]:
+    """All values of a trial's parts, some of them times a factor, within their bounds."""
+    return {
+        p.name: min(max(part.values[p.name] * factors.get(p.name, 1.0), p.lower), p.upper)
+        for part in trial.parts.values()
+        for p in part.base.model.parameters
+    }
 
 
 def started(scene: Scene, trial: Trial) -> Variant:
@@ -216,26 +245,43 @@ def _shifted(scene: Scene, variant: Variant) -> Trial:
     assert variant.shift is not None
     source = variant.shift.source
     if variant.shift.summer:
-        tried = [_moved(scene, replace(variant.shift, seconds=s)) for s in (HOUR_S, -HOUR_S)]
-        seconds, parts = max(tried, key=lambda pair: sum(part.objective for part in pair[1].values()))
+        hours = [replace(variant.shift, seconds=s) for s in (HOUR_S, -HOUR_S)]
+        seconds, parts = _moved(scene, max(hours, key=lambda shift: _unestimated(scene, shift)))
     else:
         seconds = _coarse(scene, source)
         if seconds != 0.0:
             seconds, parts = _climbed(scene, source, seconds)
     shift = replace(variant.shift, seconds=seconds)
-    settings = {"source": source, "shift_s": seconds, "summer_time": shift.summer}
+    settings = {
+        **variant.settings,
+        "source": source,
+        "shift_s": seconds,
+        "summer_time": shift.summer,
+    }
     variant = replace(variant, shift=shift, settings=settings)
     if seconds == 0.0:
         return Trial(variant, {}, 0.0, 1, -penalty(variant, 1, 1), {}, {}, {})
     return judged(scene, variant, parts)
 
 
-def _moved(scene: Scene, shift: Shift) -> tuple[float, dict[str, Part]]:
-    """The parts estimated with a shift."""
-    parts = {
-        name: refitted(part, (), {}, ({},), shifted(part.record, shift)) for name, part in scene.parts.items()
-    }
+def _moved(
+    scene: Scene, shift: Shift, near: Mapping[str, Part] | None = None
+) -> tuple[float, dict[str, Part]]:
+    """The parts estimated with a shift, from the scene's values or from those of a shift nearby."""
+    parts = {}
+    for name, part in scene.parts.items():
+        begin = part if near is None else replace(part, values=near[name].values)
+        parts[name] = refitted(begin, (), {}, ({},), shifted(part.record, shift))
     return shift.seconds, parts
+
+
+def _unestimated(scene: Scene, shift: Shift) -> float:
+    """ln L with a shift at the scene's own values."""
+    found = 0.0
+    for part in scene.parts.values():
+        moved = run(part.base, shifted(part.record, shift)).timeline
+        found += searching(part.base.model, moved).value(part.values)
+    return found
 
 
 def _coarse(scene: Scene, source: str) -> float:
@@ -259,23 +305,33 @@ def _coarse(scene: Scene, source: str) -> float:
 
 
 def _climbed(scene: Scene, source: str, seconds: float) -> tuple[float, dict[str, Part]]:
-    """A shift moved in ever smaller steps to the largest likelihood, and the parts estimated there.
+    """The shift of the largest likelihood near one, and the parts estimated there.
 
-    The score statistics are of first order: for a clock that is off by many minutes they are minutes wrong.
+    Statistics of first order are minutes wrong for a clock that is off by many minutes; so they are taken again where
+    the last ones led.
     """
-    known: dict[float, dict[str, Part]] = {}
+    best, parts = _moved(scene, Shift(source, seconds))
+    for reach in CLOCK_REACH_S:
+        delta = _summit(parts, source, reach * np.array([-1.0, -0.5, 0.5, 1.0]))
+        if abs(delta) < CLOCK_S:
+            continue
+        further, moved = _moved(scene, Shift(source, best + delta), parts)
+        if _objective(moved) > _objective(parts):
+            best, parts = further, moved
+    return best, parts
 
-    def objective(shift: float) -> float:
-        if shift not in known:
-            known[shift] = _moved(scene, Shift(source, shift))[1]
-        return sum(part.objective for part in known[shift].values())
 
-    best = seconds
-    for step in SHIFT_STEPS_S:
-        for sign in (1.0, -1.0):
-            while objective(best + sign * step) > objective(best):
-                best += sign * step
-    return best, known[best]
+def _summit(parts: Mapping[str, Part], source: str, shifts: np.ndarray) -> float:
+    """The further shift [s] at the top of the parabola through the largest of the gains and its neighbours."""
+    gains = sum(shift_gains(part, source, shifts) for part in parts.values())
+    x, y = np.insert(shifts, 2, 0.0), np.insert(gains, 2, 0.0)
+    place = int(np.clip(np.argmax(y), 1, len(x) - 2))
+    a, b, _ = np.polyfit(x[place - 1 : place + 2], y[place - 1 : place + 2], 2)
+    return float(np.clip(-0.5 * b / a, x[0], x[-1])) if a < 0.0 else float(x[np.argmax(y)])
+
+
+def _objective(parts: Mapping[str, Part]) -> float:
+    return sum(part.objective for part in parts.values())
 
 
 def shift_gains(part: Part, source: str, shifts: Sequence[float]) -> np.ndarray:

@@ -154,10 +154,12 @@ def comparable(cause: str, truth: Mapping[str, float], volume_m3: float) -> dict
     if cause == "moisture_sorption":
         found["sorption_time"] = truth["time_constant_h"]
         if "dry_material_kg" in truth:
-            half_kg = truth["dry_material_kg"] * truth["water_at_half_humidity"]
+            wet, c = 0.5 * truth["gab_k"], truth["gab_c"]
+            steepness = 2.0 * (1.0 + (c - 1.0) * wet**2) / ((1.0 - wet) * (1.0 + (c - 1.0) * wet))
+            slope_kg = truth["dry_material_kg"] * truth["water_at_half_humidity"] * steepness
         else:  # the slab's isotherm is a straight line
-            half_kg = 0.5 * truth["water_at_full_humidity_kg"]
-        found["sorption_capacity"] = 1e3 * half_kg / volume_m3
+            slope_kg = truth["water_at_full_humidity_kg"]
+        found["sorption_capacity"] = 1e3 * slope_kg / volume_m3
     elif cause == "condensation" and "hold_g_m2" not in truth:
         if "surface_lag_h" in truth:
             found["surface_time"] = truth["surface_lag_h"]
