@@ -105,7 +105,6 @@ def test_a_later_cause_without_a_better_free_run_must_be_far_ahead(
             trial("door_opening", beside, 0.0),
         )
     }
-    monkeypatch.setattr(choice, "attempts", lambda scene, cause: [given[cause.name]])
     monkeypatch.setattr(choice, "attempt", lambda scene, variant: given[variant.cause])
     monkeypatch.setattr(choice, "polished", lambda scene, one: one)
     monkeypatch.setattr(choice, "started", lambda scene, one: one.variant)

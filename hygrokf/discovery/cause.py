@@ -18,8 +18,8 @@ class Variant:
     `additions` part → (mechanism, settings) pairs; `features` inputs they read; `starts` start values to be tried;
     `settings` what was chosen from a grid (dates, thresholds), `searched` how many independent settings that amounts to;
     `altered` part → mechanism → settings that differ from the base; `shift` a source whose stamps are to be moved.
-    `after` the form that this one refines: it is tried only where that one gained, and starts from all its values, those
-    in `scaled` times a factor.
+    `finer` a costlier form of the same mechanisms, which takes the place of this one in the end where it gains more; it
+    starts from all values that are there, those in its `scaled` times a factor.
     """
 
     cause: str
@@ -31,7 +31,7 @@ class Variant:
     searched: float = 1.0
     altered: Mapping[str, Mapping[str, dict]] = field(default_factory=dict)
     shift: Shift | None = None
-    after: str = ""
+    finer: Variant | None = None
     scaled: Mapping[str, float] = field(default_factory=dict)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scene import Scene
-from hygrokf.discovery.trial import MATERIAL, Trial, attempt, attempts, polished, started
+from hygrokf.discovery.trial import MATERIAL, Trial, attempt, polished, refined, started
 from hygrokf.stage import Progress
 
 EVIDENCE = 10.0
@@ -105,7 +105,7 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
     behind: set[str] = set()
     for cause in library:
         say(cause.name.replace("_", " "))
-        trials += [_settled(scene, trial) for trial in attempts(scene, cause)]
+        trials += [_settled(scene, attempt(scene, variant)) for variant in cause.variants(scene)]
     tried = len(trials)
     first = {t.variant.cause: t for t in sorted(trials, key=worth)}  # the best of each cause comes last
     while True:
@@ -124,13 +124,17 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
         rivals.append(class_)
         margins.append(ahead)
         accepted.append(best)
-        scene = replace(scene, parts={**scene.parts, **best.parts})
+        scene, changed = replace(scene, parts={**scene.parts, **best.parts}), set(best.parts)
         if len(accepted) > 1:
             keep, scene = _needed(base, accepted, scene, say)
+            if len(keep) < len(accepted):
+                changed = set(scene.parts)
             accepted, rivals, margins = ([one[i] for i in keep] for one in (accepted, rivals, margins))
         if len(accepted) == MOST_CAUSES:
             break
-        trials = _again(scene, trials, accepted, say)
+        trials = _again(scene, trials, accepted, changed, say)
+    for place, trial in enumerate(accepted):
+        accepted[place], scene = refined(base, scene, trial)
     names = {t.variant.cause for t in accepted}
     # what was accepted beside a cause is no longer another name for it
     apart = tuple(tuple(t for t in one if t.variant.cause not in names) for one in rivals)
@@ -172,8 +176,13 @@ def _reason(trial: Trial, accepted: Sequence[Trial], library: Sequence[Cause]) -
     return ""
 
 
-def _again(scene: Scene, trials: Sequence[Trial], accepted: Sequence[Trial], say: Progress) -> list[Trial]:
-    """The hopeful ones of the last round, two variants of a cause at most, tried beside what was accepted."""
+def _again(
+    scene: Scene, trials: Sequence[Trial], accepted: Sequence[Trial], changed: set[str], say: Progress
+) -> list[Trial]:
+    """The hopeful ones of the last round, two variants of a cause at most, tried beside what was accepted.
+
+    changed: parts that are others now; where a trial has none of them, nothing about it is.
+    """
     say("others beside it")
     done = {t.variant.cause for t in accepted}
     taken = {name: setting for t in accepted for name, setting in t.variant.features.items()}
@@ -186,7 +195,8 @@ def _again(scene: Scene, trials: Sequence[Trial], accepted: Sequence[Trial], say
         if any(name in taken and taken[name] != setting for name, setting in features.items()):
             continue  # one setting of a feature at a time: two dates need two names
         count[cause] = count.get(cause, 0) + 1
-        found.append(_settled(scene, attempt(scene, started(scene, trial))))
+        touched = changed & set(trial.parts)
+        found.append(_settled(scene, attempt(scene, started(scene, trial))) if touched else trial)
     return found
 
 

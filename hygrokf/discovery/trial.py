@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.design import Design, extended
-from hygrokf.discovery.cause import Cause, Variant, penalty
+from hygrokf.discovery.cause import Variant, penalty
 from hygrokf.discovery.causes_readings import SHIFTS_MIN
 from hygrokf.discovery.clocks import HOUR_S, Shift, shifted, sources
 from hygrokf.discovery.scene import Part, Scene, climbed, days, refitted, searching
@@ -81,29 +81,36 @@ def attempt(scene: Scene, variant: Variant) -> Trial:
     return judged(scene, variant, parts)
 
 
-def attempts(scene: Scene, cause: Cause) -> list[Trial]:
-    """All variants of a cause, estimated; one that refines another form only where that one gained, and it gains more."""
-    found: list[Trial] = []
-    for variant in cause.variants(scene):
-        if variant.after:
-            before = next(trial for trial in found if trial.variant.form == variant.after)
-            if before.bic_gain <= 0.0:
-                continue
-            finer = attempt(scene, replace(variant, starts=(_scaled(before, variant.scaled),)))
-            if finer.bic_gain > before.bic_gain + FINER:
-                found.append(finer)
-        else:
-            found.append(attempt(scene, variant))
-    return found
+def refined(base: Scene, scene: Scene, trial: Trial) -> tuple[Trial, Scene]:
+    """An accepted trial in its finer form where that gains, and the scene with it; both as they are otherwise.
 
-
-def _scaled(trial: Trial, factors: Mapping[str, float]) -> dict[str, float]:
-    """All values of a trial's parts, some of them times a factor, within their bounds."""
-    return {
-        p.name: min(max(part.values[p.name] * factors.get(p.name, 1.0), p.lower), p.upper)
-        for part in trial.parts.values()
-        for p in part.base.model.parameters
-    }
+    base: the scene that nothing was added to.  What the finer form gains is added to the trial's evidence; its free run
+    is judged anew where the trial is all that was added.
+    """
+    finer = trial.variant.finer
+    if finer is None:
+        return trial, scene
+    alone, before, after = True, 0.0, {}
+    for name, additions in finer.additions.items():
+        part = scene.parts[name]
+        start = {
+            p.name: min(max(part.values[p.name] * finer.scaled.get(p.name, 1.0), p.lower), p.upper)
+            for p in part.base.model.parameters
+        }
+        altered = replace(part, base=_altered(part.base, dict(additions)))
+        after[name] = refitted(altered, (), {}, (start,))
+        before += part.objective
+        alone &= set(part.values) == set(trial.parts[name].values)
+    gained = 2.0 * (_objective(after) - before)
+    if gained <= FINER:
+        return trial, scene
+    after = {name: climbed(part) for name, part in after.items()}
+    gained = 2.0 * (_objective(after) - before)
+    if alone:
+        found = judged(base, finer, {**trial.parts, **after})
+    else:
+        found = replace(trial, variant=finer, lr=trial.lr + gained, bic_gain=trial.bic_gain + gained)
+    return found, replace(scene, parts={**scene.parts, **after})
 
 
 def started(scene: Scene, trial: Trial) -> Variant:
