@@ -10,6 +10,7 @@ import pytest
 from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
+from hygrokf.discovery import scene as scene_module
 from hygrokf.discovery.cause import Variant, penalty
 from hygrokf.discovery.choice import choose, difference, verdict_on
 from hygrokf.discovery.clocks import Shift, shifted, sources
@@ -17,7 +18,16 @@ from hygrokf.discovery.discover import discover
 from hygrokf.discovery.grids import dates
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scan import Scanned, scan, slow_scan
-from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, free_run_error, refitted, rmse, scene
+from hygrokf.discovery.scene import (
+    HYGRIC,
+    THERMAL,
+    Scene,
+    free_run_error,
+    refitted,
+    rmse,
+    scene,
+    searching,
+)
 from hygrokf.discovery.trial import (
     MATERIAL,
     attempt,
@@ -203,6 +213,28 @@ def test_sensors_are_no_worse_than_their_accuracy_in_a_free_run(quiet: Scene) ->
     sd = next(p for p in part.base.model.parameters if p.name == "cabinet_relative_humidity_bias").prior.sd
     clipped = free_run_error(part.base, part.run, {**far, "cabinet_relative_humidity_bias": 1.96 * sd})
     assert held == pytest.approx(clipped, abs=1e-9, nan_ok=True)
+
+
+def test_a_free_run_that_grows_beyond_all_numbers_is_no_fault(
+    quiet: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    part = quiet.parts[HYGRIC]
+    plain = free_run_error(part.base, part.run, part.values)
+
+    class Wild:
+        def __init__(self, model: object, timeline: object) -> None:
+            self.likelihood = searching(model, timeline)  # type: ignore[arg-type]
+
+        def residuals(self, values: dict, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            error, slopes = self.likelihood.residuals(values, directions)
+            slopes[..., 0] *= 1e200
+            slopes[-1, :, 1] = np.inf
+            return error, slopes
+
+    monkeypatch.setattr(scene_module, "searching", Wild)
+    found = free_run_error(part.base, part.run, part.values)
+    assert np.isfinite(found[np.isfinite(plain)]).all()
+    assert np.nansum(found**2) <= np.nansum(plain**2) * 4.0
 
 
 def test_nothing_is_named_where_nothing_is_hidden(quiet: Scene) -> None:

@@ -226,19 +226,22 @@ def _toward_free_run(
         weight = 1e3 * absolute_humidity(1.0, t.input("cabinet_temperature"))
         error, slopes = error * weight, slopes * weight[:, None]
     there = np.isfinite(error) & made.scored
-    x, e = slopes[there], error[there]
+    # a direction whose effect grows beyond all numbers is no direction for a step of first order
+    x, e = np.where(np.isfinite(slopes[there]).all(axis=0), slopes[there], 0.0), error[there]
     if not len(e):
         return there, error, np.full(len(error), np.nan), held
     # a step of one in a coordinate (or a prior's standard deviation) costs as much as a day of errors
     ridge = 96.0 * float(np.mean(e**2))
-    root = np.linalg.cholesky(x.T @ x + ridge * np.eye(x.shape[1])).T
-    step = bounded_least_squares(root, np.linalg.solve(root.T, -x.T @ e), low, high)
+    turned, root = np.linalg.qr(np.vstack([x, np.sqrt(ridge) * np.eye(x.shape[1])]))
+    step = bounded_least_squares(root, -turned[: len(e)].T @ e, low, high)
     stepped = dict(held)
     for column, i in enumerate(own):
         p = model.parameters[i]
         z = p.to_coordinate(held[p.name]) + step[column] * units[column]
         stepped[p.name] = float(np.clip(p.from_coordinate(z), p.lower, p.upper))
-    return there, error, np.where(there, error + slopes @ step, np.nan), stepped
+    after = np.full(len(error), np.nan)
+    after[there] = e + x @ step
+    return there, error, after, stepped
 
 
 def bounded_least_squares(
