@@ -24,7 +24,7 @@ from hygrokf.timeline import Timeline
 
 CHUNK = 4096
 """Instants for which sensitivities are held in memory at a time."""
-UNSEEN, STIFF_STEP = 4.0, 4.0
+UNSEEN, STIFF_STEP = 4.0, 2.0
 """Decays in a common step beyond which a rate shows in no reading, and the product of rate and sub-step it may then have."""
 INITIAL = ("prior", "stationary", "diffuse")
 

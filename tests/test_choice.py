@@ -7,13 +7,16 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from plants.as_record import to_record
+from plants.hidden import hidden_plant
 
-from hygrokf.discovery import choice, grids
+from hygrokf.discovery import choice, evidence, grids
 from hygrokf.discovery.cause import Variant
 from hygrokf.discovery.choice import NOT_AHEAD, _preferred, _reason, choose, verdict_on
+from hygrokf.discovery.clocks import Shift
 from hygrokf.discovery.library import LIBRARY, named
-from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
-from hygrokf.discovery.trial import Trial
+from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, scene
+from hygrokf.discovery.trial import Trial, attempt, refined
 
 
 def trial(
@@ -135,3 +138,38 @@ def test_a_switch_is_refined_without_losing_its_hysteresis(monkeypatch: pytest.M
     # steps of 0.01 and 0.02 bring on and off together but for rounding: such a pair is no switch
     assert chosen["on"] - chosen["off"] > 1e-3 and searched == 3.0
     assert min(one["on"] - one["off"] for one in seen) > 1e-3
+
+
+@pytest.mark.parametrize(
+    ("seconds", "settings", "said"),
+    [
+        (-1890.0, {}, ": its stamps are 31.5 min late"),
+        (
+            3600.0,
+            {"relative_to": "station"},
+            ": its stamps are 60 min early against station, or those of station as much the other way",
+        ),
+    ],
+)
+def test_a_clock_is_told_with_its_error(seconds: float, settings: dict, said: str) -> None:
+    shift = Shift("logger", seconds)
+    variant = Variant("clock_shift", "logger", shift=shift, settings=settings)
+    assert evidence._clock(Trial(variant, {}, 90.0, 1, 80.0, {}, {}, {})) == said
+    assert "clock_correction" in evidence._remedy(
+        named("clock_shift"), Trial(variant, {}, 9.0, 1, 8.0, {}, {}, {})
+    )
+
+
+def test_finer_forms_are_tried_in_the_end() -> None:
+    """A slab of material behind thin material's estimate; thin material itself does not become a slab."""
+    made = scene(to_record(hidden_plant(813, "moisture_sorption", form=1, days=50.0)), starts=1)
+    thin = named("moisture_sorption").variants(made)[0]
+    trial = attempt(made, thin)
+    beside = replace(made, parts={**made.parts, **trial.parts})
+    found, after = refined(made, beside, trial)
+    assert found.variant.form.startswith("slab") and found.bic_gain > trial.bic_gain + 10.0
+    assert found.lasting[HYGRIC] > trial.lasting[HYGRIC]
+    assert after.parts[HYGRIC].base.mechanisms[-1] == ("moisture_sorption", {"activated": True, "slab": True})
+    assert len(after.parts[HYGRIC].values) == len(beside.parts[HYGRIC].values)
+    again, same = refined(made, after, found)
+    assert again is found and same is after

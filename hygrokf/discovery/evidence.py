@@ -58,7 +58,7 @@ def cause_entry(
 ) -> dict:
     """One entry of `causes`.  `fits`: base and extended, each by innovations and by the free run; `margin`: see `confidence`."""
     cause = named(trial.variant.cause, library)
-    statement = f"{cause.meaning} ({trial.variant.form})"
+    statement = f"{cause.meaning} ({trial.variant.form}){_clock(trial)}"
     gain = _gain(QUANTITY.get(trial.part, QUANTITY[THERMAL]), *fits)
     once = seen_once(trial)
     if cause.event or once:
@@ -78,6 +78,17 @@ def cause_entry(
         "separate_by": cause.separate_by,
         "remedy": _remedy(cause, trial),
     }
+
+
+def _clock(trial: Trial) -> str:
+    """By how much a clock is off, and against which other one where there are but two."""
+    shift = trial.variant.shift
+    if shift is None:
+        return ""
+    minutes, late = abs(shift.seconds) / 60.0, "late" if shift.seconds < 0.0 else "early"
+    other = trial.variant.settings.get("relative_to")
+    against = f" against {other}, or those of {other} as much the other way" if other else ""
+    return f": its stamps are {minutes:.3g} min {late}{against}"
 
 
 def _remedy(cause: Cause, trial: Trial) -> str:

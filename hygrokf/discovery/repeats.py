@@ -100,7 +100,8 @@ def repeated_text(spans: dict[str, list[tuple[float, float]]]) -> str:
     """The repeats in one sentence."""
     name, found = max(spans.items(), key=lambda pair: len(pair[1]))
     days = list(dict.fromkeys(f"{datetime.fromtimestamp(first, UTC):%-d %B %Y}" for first, _ in found))
-    more = f" and {len(days) - 3} more days" if len(days) > 3 else ""
+    rest = len(days) - 3
+    more = f" and {rest} more day{'s' if rest > 1 else ''}" if rest > 0 else ""
     hours = sum(last - first for first, last in found) / 3600.0
     return (
         f"readings of {name.replace('_', ' ')} repeat those of the day before, {hours:.0f} h in all: "

@@ -27,7 +27,7 @@ from hygrokf.timeline import Timeline
 THERMAL = "thermal"
 HYGRIC = "hygric"
 DAY_H = 24.0
-SEARCH_STEP = 4.0
+SEARCH_STEP = 2.0
 """Product of rate and sub-step in trials: ln L is right to a few thousandths, at a quarter of the time."""
 SURE = 1.96
 """[sd] a sensor's offset in a free run: within the accuracy that 95 % of such sensors keep."""
