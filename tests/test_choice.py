@@ -14,6 +14,7 @@ from hygrokf.discovery import choice, evidence, grids
 from hygrokf.discovery.cause import Variant
 from hygrokf.discovery.choice import NOT_AHEAD, _preferred, _reason, choose, verdict_on
 from hygrokf.discovery.clocks import Shift
+from hygrokf.discovery.discover import verdict as verdict_of
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, scene
 from hygrokf.discovery.trial import Trial, attempt, refined
@@ -173,3 +174,36 @@ def test_finer_forms_are_tried_in_the_end() -> None:
     assert len(after.parts[HYGRIC].values) == len(beside.parts[HYGRIC].values)
     again, same = refined(made, after, found)
     assert again is found and same is after
+
+
+@pytest.mark.parametrize(
+    ("period", "upper", "lost"),
+    [
+        ("validation", -0.1, True),
+        ("validation", 0.2, False),
+        ("validation", None, False),
+        ("identification", -0.1, False),
+    ],
+)
+def test_what_simulates_held_out_data_worse_is_doubtful(period: str, upper: float | None, lost: bool) -> None:
+    assert evidence._lost({"period": period, "upper": upper}) is lost
+
+
+@pytest.mark.parametrize(
+    ("features", "left", "foreign", "repeated", "said"),
+    [
+        (None, False, False, False, "none"),
+        (None, True, False, False, "unexplained"),
+        ({}, True, False, False, "named"),
+        ({}, True, True, False, "unexplained"),
+        ({"cooling": {}}, True, True, False, "named"),
+        ({"cooling": {}}, True, False, True, "unexplained"),
+    ],
+)
+def test_what_is_left_overrules_a_name_only_where_it_is_another_one(
+    features: dict | None, left: bool, foreign: bool, repeated: bool, said: str
+) -> None:
+    accepted = (
+        [] if features is None else [Trial(Variant("a", "b", features=features), {}, 9.0, 1, 8.0, {}, {}, {})]
+    )
+    assert verdict_of(accepted, {} if left else None, foreign, repeated) == said

@@ -72,7 +72,7 @@ def verdict_on(trial: Trial, cause: Cause) -> str:
         return "the estimate did not converge, and what it reached is no evidence"
     if trial.bic_gain < EVIDENCE:
         return "its gain in likelihood does not pay for its parameters and the settings searched"
-    worse = WORSE_SWITCHED if SWITCHES & set(trial.variant.features) else WORSE
+    worse = WORSE_SWITCHED if switches(trial) else WORSE
     if min(trial.gain.values(), default=0.0) < worse and trial.best_lasting < 4.0 * -WORSE:
         return "it makes the free run worse"
     if cause.name == "clock_shift" and abs(float(trial.variant.settings["shift_s"])) < SMALLEST_SHIFT_S:
@@ -88,6 +88,11 @@ def _settled(scene: Scene, trial: Trial) -> Trial:
     if done or trial.bic_gain >= EVIDENCE or trial.best_lasting < MATERIAL:
         return trial
     return polished(scene, trial)
+
+
+def switches(trial: Trial) -> bool:
+    """Whether what was tried is a switch."""
+    return bool(SWITCHES & set(trial.variant.features))
 
 
 def worth(trial: Trial) -> float:

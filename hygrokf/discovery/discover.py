@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 from hygrokf.design import CASCADE
 from hygrokf.discovery.cause import Cause
-from hygrokf.discovery.choice import Choice, choose
+from hygrokf.discovery.choice import Choice, choose, switches
 from hygrokf.discovery.clocks import shifted
 from hygrokf.discovery.evidence import cause_entry, evidence
 from hygrokf.discovery.library import LIBRARY
@@ -17,6 +17,7 @@ from hygrokf.discovery.remainder import structure, unlogged
 from hygrokf.discovery.repeats import REPEATED, repeated_text, without_repeats
 from hygrokf.discovery.residuals import Residuals, residuals
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, part_of, simulating
+from hygrokf.discovery.trial import Trial
 from hygrokf.fit import Fit
 from hygrokf.fitting import maximise
 from hygrokf.identification import Basis, assembled, identified
@@ -115,6 +116,19 @@ def _stages(basis: Basis, choice: Choice, say: Progress) -> tuple[Stage, ...]:
     return tuple(found)
 
 
+def verdict(accepted: Sequence[Trial], remaining: Mapping | None, foreign: bool, repeated: bool) -> str:
+    """`none`, `named` or `unexplained`.
+
+    remaining: structure that is left; foreign: whether unrest goes with one side; repeated: whether readings were set
+    aside.  Both overrule what was accepted, the first but for switches: simulated ones lose their phase, and what their
+    cycles leave goes to one side too.
+    """
+    overruled = repeated or (foreign and not any(switches(trial) for trial in accepted))
+    if accepted and not overruled:
+        return "named"
+    return "none" if remaining is None else "unexplained"
+
+
 def _results(
     scene: Scene,
     errors: tuple[Residuals, Residuals],
@@ -129,7 +143,7 @@ def _results(
     foreign = unlogged(errors[1])
     remaining = foreign or structure(errors[1])
     if repeated:
-        remaining = foreign = {
+        remaining = {
             "quantity": "readings", "kind": REPEATED, "when": "", "driver": None, "lag_h": None,
             "correlation": 0.0, "p": 0.0, "statement": repeated_text(repeated),
         }  # fmt: skip
@@ -139,12 +153,11 @@ def _results(
             zip(choice.accepted, choice.rivals, choice.margins, strict=True)
         )
     ]
-    verdict = "named" if causes and foreign is None else "none" if remaining is None else "unexplained"
     return {
         "name": base.results["name"],
         "version": __version__,
         "synthetic": base.results["synthetic"],
-        "verdict": verdict,
+        "verdict": verdict(choice.accepted, remaining, foreign is not None, bool(repeated)),
         "baseline": _scores(base),
         "extended": None if extended is base else _scores(extended),
         "misfits": [one.to_json() for one in shown],

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -19,7 +19,10 @@ BLOCK_DAYS = 3
 DRAWS = 400
 QUANTITY = {THERMAL: "temperature_K", HYGRIC: "absolute_humidity_g_m3"}
 ONCE_AT_MOST = 0.6
-"""Confidence of a cause that was seen in one episode only."""
+"""Confidence of a cause that was seen in one episode only, or makes the held-out simulation worse beyond doubt."""
+LOST = (
+    "on the held-out period it makes the simulation worse: the name is doubtful, do not extrapolate with it"
+)
 ONCE = "seen in one episode only: what it would gain at another time cannot be said"
 EVENT = (
     "an event that nobody logged is no prediction: it gains nothing outside the stretch in which it was found"
@@ -61,13 +64,17 @@ def cause_entry(
     statement = f"{cause.meaning} ({trial.variant.form}){_clock(trial)}"
     gain = _gain(QUANTITY.get(trial.part, QUANTITY[THERMAL]), *fits)
     once = seen_once(trial)
+    sure = confidence(trial, margin, later)
     if cause.event or once:
         gain = None
         statement = f"{statement}; {ONCE if once else EVENT}"
+    elif _lost(gain):
+        sure = min(sure, ONCE_AT_MOST)
+        statement = f"{statement}; {LOST}"
     return {
         "cause": cause.name,
         "form": trial.variant.form,
-        "confidence": confidence(trial, margin, later),
+        "confidence": sure,
         "margin": margin,
         "statement": statement,
         "parameters": _parameters(trial, stages),
@@ -167,6 +174,11 @@ def _gain(quantity: str, bases: tuple[Fit, Fit], extended: tuple[Fit, Fit]) -> d
         "upper": high,
         "loglik_per_obs": per,
     }
+
+
+def _lost(gain: Mapping) -> bool:
+    """Whether the held-out period is simulated worse, with 95 % bounds that exclude a gain."""
+    return gain["period"] == "validation" and gain["upper"] is not None and gain["upper"] < 0.0
 
 
 def _bootstrap(quantity: str, period: str, before: Fit, after: Fit) -> tuple[float | None, float | None]:
