@@ -36,8 +36,6 @@ MOST_CAUSES = 3
 SHARE = 0.15
 """Share of an accepted cause's evidence that a further cause of the same part must have, and all of it where the free run
 does not gain: the true form is never known, and what it differs in is left behind."""
-AMPLE = 0.2
-"""Share of the squared free-run error that a further cause may take away with whatever evidence."""
 LEAD = 0.3
 """Share of its evidence by which a further cause must be ahead of all others where the free run does not speak for it."""
 EXPLAINED = "what it explains is explained by the accepted causes"
@@ -174,7 +172,7 @@ def _reason(trial: Trial, accepted: Sequence[Trial], library: Sequence[Cause]) -
     reason = verdict_on(trial, named(trial.variant.cause, library))
     if reason:
         return reason
-    share = 1.0 if trial.best_lasting < MATERIAL else SHARE if trial.best_lasting < AMPLE else 0.0
+    share = SHARE if trial.best_lasting >= MATERIAL else 1.0
     for other in accepted:
         if set(other.parts) & set(trial.parts) and worth(trial) < share * worth(other):
             return "no more than what a stronger cause of another form than assumed leaves behind"
