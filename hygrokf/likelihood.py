@@ -24,8 +24,6 @@ from hygrokf.timeline import Timeline
 
 CHUNK = 4096
 """Instants for which sensitivities are held in memory at a time."""
-UNSEEN, STIFF_STEP = 4.0, 2.0
-"""Decays in a common step beyond which a rate shows in no reading, and the product of rate and sub-step it may then have."""
 INITIAL = ("prior", "stationary", "diffuse")
 
 
@@ -152,8 +150,8 @@ class Likelihood:
     def _keys(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
         """Key table (sub-step length and regimes) and the number of sub-steps of every key."""
         steps = self.timeline.steps
+        limit = self.rate_step or (CONSTANT_RATES if self.recursion.exact else VARYING_RATES).rate_step
         rate = self.rate(values)
-        limit = self._rate_step(rate)
         if not self._longest * rate <= 100_000 * limit:
             raise FloatingPointError(
                 "the model's rates are not finite, or far above what the steps can carry"
@@ -164,25 +162,6 @@ class Likelihood:
         parts = np.maximum(np.ceil(steps[:, 0] * (rate / limit) - 1e-9), self._single)
         keys[:, 0] /= np.maximum(parts, 1)
         return keys, parts.astype(np.int32)
-
-    def _rate_step(self, rate: float) -> float:
-        """Largest product of the fastest rate [1/h] and a sub-step.
-
-        What decays many times between two readings shows in none of them: beyond `UNSEEN` decays in a common step, the
-        sub-steps no longer shrink, up to the product that the polynomials carry.
-        """
-        if self.rate_step:
-            return self.rate_step
-        if self.recursion.exact:
-            return CONSTANT_RATES.rate_step
-        return min(VARYING_RATES.rate_step * max(rate * self._usual / UNSEEN, 1.0), STIFF_STEP)
-
-    @cached_property
-    def _usual(self) -> float:
-        """[h] the step that most time passes in."""
-        t = self.timeline
-        length, count = np.unique(t.steps[t.key[1:], 0], return_counts=True)
-        return float(length[np.argmax(length * count)]) if len(length) else 0.0
 
     @cached_property
     def _longest(self) -> float:

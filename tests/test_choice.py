@@ -167,13 +167,16 @@ def test_finer_forms_are_tried_in_the_end() -> None:
     thin = named("moisture_sorption").variants(made)[0]
     trial = attempt(made, thin)
     beside = replace(made, parts={**made.parts, **trial.parts})
-    found, after = refined(made, beside, trial)
+    found, after = refined(made, beside, trial, alone=True)
     assert found.variant.form.startswith("slab") and found.bic_gain > trial.bic_gain + 10.0
     assert found.lasting[HYGRIC] > trial.lasting[HYGRIC]
     assert after.parts[HYGRIC].base.mechanisms[-1] == ("moisture_sorption", {"activated": True, "slab": True})
     assert len(after.parts[HYGRIC].values) == len(beside.parts[HYGRIC].values)
-    again, same = refined(made, after, found)
+    again, same = refined(made, after, found, alone=True)
     assert again is found and same is after
+    # beside others only what the form gains is its own, or another's evidence would be counted here too
+    told, _ = refined(made, beside, trial, alone=False)
+    assert told.bic_gain == pytest.approx(found.bic_gain, abs=0.1) and told.gain == trial.gain
 
 
 @pytest.mark.parametrize(

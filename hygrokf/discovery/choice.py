@@ -137,7 +137,8 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
             break
         trials = _again(scene, trials, accepted, changed, say)
     for place, trial in enumerate(accepted):
-        accepted[place], scene = refined(base, scene, trial)
+        beside = {name for other in accepted if other is not trial for name in other.parts}
+        accepted[place], scene = refined(base, scene, trial, alone=not beside & set(trial.parts))
     names = {t.variant.cause for t in accepted}
     # what was accepted beside a cause is no longer another name for it
     apart = tuple(tuple(t for t in one if t.variant.cause not in names) for one in rivals)

@@ -104,7 +104,8 @@ def _remedy(cause: Cause, trial: Trial) -> str:
     if shift is None or shift.summer:
         return cause.remedy
     line = f'clock_correction = "{shift.seconds / 60.0:+.4g}min"'
-    return f"{cause.remedy}; until then write {line} in each [[source]] of {shift.source} in the case file"
+    place = f"in each [[source]] of {shift.source} in the case file"
+    return f"{cause.remedy}; until then write {line} {place}, added to a correction that already stands there"
 
 
 def confidence(trial: Trial, margin: float, later: bool) -> float:

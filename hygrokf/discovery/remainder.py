@@ -39,7 +39,8 @@ def structure(
     """The strongest structure left in the errors, or None: quantity, when, what it goes with, p.
 
     level: [1] chance of an answer where there is none.  found: `misfits(residuals)` if at hand.  Looked for are misfits
-    under any condition, and excursions to one side under no condition that was logged.  `driver`, `lag_h` and `correlation` name the driver that the error follows best.
+    under any condition, and excursions to one side under no condition that was logged.  `driver`, `lag_h` and
+    `correlation` name the driver that the error follows best.
     """
     found = misfits(residuals, level) if found is None else found
     hours = hourly(residuals)

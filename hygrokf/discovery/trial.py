@@ -81,16 +81,16 @@ def attempt(scene: Scene, variant: Variant) -> Trial:
     return judged(scene, variant, parts)
 
 
-def refined(base: Scene, scene: Scene, trial: Trial) -> tuple[Trial, Scene]:
+def refined(base: Scene, scene: Scene, trial: Trial, alone: bool) -> tuple[Trial, Scene]:
     """An accepted trial in its finer form where that gains, and the scene with it; both as they are otherwise.
 
-    base: the scene that nothing was added to.  What the finer form gains is added to the trial's evidence; its free run
-    is judged anew where the trial is all that was added.
+    base: the scene that nothing was added to; alone: whether the trial is all that changed the parts that it changed.
+    Then it is judged anew; else what the finer form gains is added to its evidence, and its free run's gain is left.
     """
     finer = trial.variant.finer
     if finer is None:
         return trial, scene
-    alone, before, after = True, 0.0, {}
+    before, after = 0.0, {}
     for name, additions in finer.additions.items():
         part = scene.parts[name]
         start = {
@@ -100,7 +100,6 @@ def refined(base: Scene, scene: Scene, trial: Trial) -> tuple[Trial, Scene]:
         altered = replace(part, base=_altered(part.base, dict(additions)))
         after[name] = refitted(altered, (), {}, (start,))
         before += part.objective
-        alone &= set(part.values) == set(trial.parts[name].values)
     gained = 2.0 * (_objective(after) - before)
     if gained <= FINER:
         return trial, scene

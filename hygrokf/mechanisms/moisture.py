@@ -38,10 +38,11 @@ def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
         dwᵢ/dt = rᵢ (aᵢ W g(h) − wᵢ)/θ(T),    g(h) = φ(h)/φ′(½),    φ(h) = C K h/((1 − K h)(1 − K h + C K h)),
         θ(T) = θ₂₀ exp(5300 K (1/T − 1/293.15 K))  (θ₂₀ throughout without `activated`),    vapour release −Σ dwᵢ/dt,
     Σ wᵢ [g/m³] water held per volume of cabinet air, h the relative humidity at the air's temperature T, W [g/m³] the
-    moisture capacity: water for each unit of relative humidity, the isotherm's slope at 50 %; θ₂₀ [h] the time constant at
-    20 °C; C = 8 and K = 0.75.  A record shows the slope; the content itself depends on the isotherm by ± 20 %.  Thin material is one content
-    with a = r = 1.  A `slab`, into which water diffuses from its faces, has a skin that answers first and a slow rest, and
-    θ = 4 L²/(π² D), that of its slowest mode; a record of some weeks tells W/√θ better than either.
+    moisture capacity: water for each unit of relative humidity, the isotherm's slope at 50 %; θ₂₀ [h] the time constant
+    at 20 °C; C = 8 and K = 0.75.  A record shows the slope; the content itself depends on the isotherm by ± 20 %. Thin
+    material is one content with a = r = 1. A `slab`, into which water diffuses from its faces, has a skin that answers
+    first and a slow rest, and θ = 4 L²/(π² D), that of its slowest mode; a record of some weeks tells W/√θ better than
+    either.
     """
     places = SLAB if slab else BULK
 
