@@ -18,6 +18,14 @@ from hygrokf.discovery.discover import verdict as verdict_of
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, scene
 from hygrokf.discovery.trial import Trial, attempt, refined
+from hygrokf.mechanisms import humidity_ceiling, humidity_drift, moisture_sorption, stepped_exchange
+from hygrokf.model import Mechanism
+
+
+def part_of(*mechanisms: Mechanism, converged: bool = True, **values: float) -> SimpleNamespace:
+    """What a choice reads of a part."""
+    base = SimpleNamespace(model=SimpleNamespace(mechanisms=mechanisms))
+    return SimpleNamespace(base=base, values=values, converged=converged)
 
 
 def trial(
@@ -30,7 +38,7 @@ def trial(
 ) -> Trial:
     return Trial(
         Variant(cause, "by hand", features=features or {}, settings={"shift_s": 900.0}),
-        {part: SimpleNamespace(converged=converged)},
+        {part: part_of(converged=converged)},
         bic + 20.0,
         2,
         bic,
@@ -52,6 +60,27 @@ def test_evidence_and_a_better_free_run_are_both_needed() -> None:
     assert "no likelihood" in verdict(trial("moisture_sorption", -30.0, 0.2))
     assert verdict(trial("moisture_sorption", 40.0, 0.2, converged=False)) == ""
     assert "no evidence" in verdict(trial("moisture_sorption", 5.0, 0.2, converged=False))
+
+
+@pytest.mark.parametrize(
+    ("mechanism", "values", "beyond"),
+    [
+        (humidity_drift(), {"humidity_drift_total": -0.4}, True),
+        (humidity_drift(), {"humidity_drift_total": 0.39}, False),
+        # a sensor that sticks shows nothing above its ceiling; a change of -0.95 is an exchange that has stopped
+        (humidity_ceiling(), {"humidity_lost": 1.0, "humidity_ceiling": 1.0}, False),
+        (stepped_exchange(), {"exchange_change": -0.95}, False),
+        (moisture_sorption(), {"sorption_capacity": 1e-3, "sorption_time": 1.0}, False),
+    ],
+)
+def test_an_amplitude_beyond_what_is_physically_possible_is_no_cause(
+    mechanism: Mechanism, values: dict, beyond: bool
+) -> None:
+    one = trial("humidity_sensor_drift", 900.0, 0.3)
+    variant = replace(one.variant, additions={HYGRIC: ((mechanism.name, {}),)})
+    one = replace(one, variant=variant, parts={HYGRIC: part_of(mechanism, **values)})
+    assert ("physically possible" in verdict(one)) == beyond
+    assert not trial("humidity_sensor_drift", 900.0, 0.3).beyond
 
 
 @pytest.mark.parametrize(

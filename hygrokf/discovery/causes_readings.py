@@ -34,16 +34,20 @@ def temperature_offset(scene: Scene) -> list[Variant]:
     return found
 
 
+SOUND = 0.25
+"""Share of the readings that a ceiling leaves alone at least; a sensor that follows nothing is no sensor with a ceiling."""
+
+
 def humidity_drift(scene: Scene) -> list[Variant]:
     if HYGRIC not in scene.parts or "cabinet_relative_humidity" not in scene.record:
         return []
-    levels = np.quantile(inside(scene, "cabinet_relative_humidity"), (0.5, 0.8, 0.95))
+    lowest, *levels = np.quantile(inside(scene, "cabinet_relative_humidity"), (SOUND, 0.5, 0.8, 0.95))
     sticks = tuple({"humidity_lost": 0.5, "humidity_ceiling": float(a)} for a in levels)
     forms = (
         ("drift", "humidity_drift", {}, {"elapsed": span(scene)}, ({},)),
         ("scale that goes off", "humidity_scale", {}, {"elapsed": span(scene)}, ({},)),
         ("scale", "humidity_scale", {"flag": None}, {}, ({},)),
-        ("ceiling", "humidity_ceiling", {}, {}, sticks),
+        ("ceiling", "humidity_ceiling", {"lowest": float(np.clip(lowest, 0.2, 0.95))}, {}, sticks),
     )
     return [
         Variant(

@@ -70,6 +70,8 @@ def verdict_on(trial: Trial, cause: Cause) -> str:
         return "the estimate did not converge, and what it reached is no evidence"
     if trial.bic_gain < EVIDENCE:
         return "its gain in likelihood does not pay for its parameters and the settings searched"
+    if trial.beyond:
+        return f"{trial.beyond.replace('_', ' ')} would have to be larger than is physically possible"
     worse = WORSE_SWITCHED if switches(trial) else WORSE
     if min(trial.gain.values(), default=0.0) < worse and trial.best_lasting < 4.0 * -WORSE:
         return "it makes the free run worse"

@@ -11,7 +11,7 @@ from hygrokf.confidence import normal_quantile, standard_error, wald_bounds
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import named
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
-from hygrokf.discovery.trial import MATERIAL, Trial, probability, score_statistic
+from hygrokf.discovery.trial import MATERIAL, Trial, added, probability, score_statistic
 from hygrokf.fit import Fit
 from hygrokf.stage import Stage
 
@@ -128,7 +128,7 @@ def seen_once(trial: Trial) -> bool:
 
 def _parameters(trial: Trial, stages: Sequence[Stage]) -> dict:
     """The cause's own parameters in the extended model, with bounds."""
-    names = {mechanism for pairs in trial.variant.additions.values() for mechanism, _ in pairs}
+    names = added(trial.variant)
     found = {}
     for stage in stages:
         for mechanism in stage.base.model.mechanisms:

@@ -26,6 +26,8 @@ CLOCK_REACH_S = (480.0, 160.0, 50.0)
 """[s] how far around a shift the next one is looked for, all parameters estimated again before each."""
 CLOCK_S = 15.0
 """[s] by which a shift is moved at least."""
+AT_BOUND = 1e-4
+"""Share of the largest amplitude within which an estimate stands at that bound."""
 EPISODE_GAP = 3
 """[d] days of one episode lie at most so far apart."""
 WEEK = 7
@@ -61,9 +63,27 @@ class Trial:
         return max(self.lasting, key=lambda name: self.lasting[name], default="")
 
     @property
+    def beyond(self) -> str:
+        """An amplitude of the cause that ended as large as is physically possible; empty where none did."""
+        for part in self.parts.values():
+            for mechanism in part.base.model.mechanisms:
+                for p in mechanism.parameters if mechanism.name in added(self.variant) else ():
+                    if p.null is None:
+                        continue
+                    largest = max(abs(p.lower - p.null), abs(p.upper - p.null))
+                    if abs(part.values[p.name] - p.null) > (1.0 - AT_BOUND) * largest:
+                        return p.name
+        return ""
+
+    @property
     def once(self) -> bool:
         """Whether all that it gained in the free run was gained in one episode: it cannot be seen to recur."""
         return self.episodes.get(self.part, 2) < 2
+
+
+def added(variant: Variant) -> set[str]:
+    """Names of the mechanisms that a variant brings."""
+    return {mechanism for pairs in variant.additions.values() for mechanism, _ in pairs}
 
 
 def attempt(scene: Scene, variant: Variant) -> Trial:
@@ -191,7 +211,7 @@ def probability(trial: Trial) -> float:
     from scipy.stats import chi2
 
     lr, df = max(trial.lr, 0.0), trial.parameters
-    names = {mechanism for pairs in trial.variant.additions.values() for mechanism, _ in pairs}
+    names = added(trial.variant)
     bounded = any(
         p.null is not None and p.null <= p.lower
         for part in trial.parts.values()

@@ -26,7 +26,7 @@ def _reading(
 def humidity_drift() -> Mechanism:
     """Humidity reading that drifts by a from the record's beginning to its end (input `elapsed`) [1]."""
     return _reading(
-        "humidity_drift", "humidity_drift_total", "1", 0.6, "elapsed", "cabinet_relative_humidity_reading",
+        "humidity_drift", "humidity_drift_total", "1", 0.4, "elapsed", "cabinet_relative_humidity_reading",
         "drift of the humidity reading over the record",
     )  # fmt: skip
 
@@ -64,8 +64,11 @@ def humidity_scale(flag: str | None = "elapsed") -> Mechanism:
     )  # fmt: skip
 
 
-def humidity_ceiling() -> Mechanism:
-    """Humidity reading that hardly follows above a ceiling h₁: −s · max(0, h − h₁), its edge rounded over 0.5 %."""
+def humidity_ceiling(lowest: float = 0.2) -> Mechanism:
+    """Humidity reading that hardly follows above a ceiling h₁: −s · max(0, h − h₁), its edge rounded over 0.5 %.
+
+    lowest: [1] least relative humidity at which the ceiling may be.
+    """
 
     def contributions(p, x, u, q):
         above = _relative(x, u, q) - p.humidity_ceiling
@@ -77,13 +80,17 @@ def humidity_ceiling() -> Mechanism:
         name="humidity_ceiling",
         parameters=(
             Parameter(
-                "humidity_lost", "1", 0.5, 0.0, 1.0, null=0.0,
+                "humidity_lost", "1", 0.5, 0.0, 1.05, null=0.0,
                 meaning="share of what exceeds the ceiling that the reading does not show",
             ),
-            Parameter("humidity_ceiling", "1", 0.7, 0.2, 1.0, meaning="relative humidity above which the sensor sticks"),
+            Parameter(
+                "humidity_ceiling", "1", max(0.7, lowest), lowest, 1.0,
+                meaning="relative humidity above which the sensor sticks",
+            ),
         ),
         inputs=("ambient_temperature",),
         contributions=contributions,
+        settings={"lowest": lowest},
         meaning="humidity sensor that sticks at a ceiling",
         leaves="humidity readings that stop at one value whatever the simulation does",
         source="the sensor's own error",
