@@ -66,15 +66,19 @@ class Stage:
 
 @dataclass(frozen=True)
 class Estimated:
-    """One likelihood with its maximum, not yet judged."""
+    """One likelihood with its maximum, not yet judged.
+
+    `rate_step`: as in `Likelihood`, for the estimate and for what judges it.
+    """
 
     base: Design
     run: Run
     estimate: Estimate
+    rate_step: float | None = None
 
     @property
     def likelihood(self) -> Likelihood:
-        return Likelihood(self.base.model, self.run.timeline)
+        return Likelihood(self.base.model, self.run.timeline, rate_step=self.rate_step)
 
 
 def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say: Progress) -> Stage:
@@ -113,8 +117,8 @@ def judged(early: Record, found: Estimated, profiles: bool, say: Progress) -> St
         estimate,
         spread,
         bounds,
-        _clock(early, base, estimate, tuple(bounds), say),
-        _sampling(early, base, estimate, tuple(bounds), say),
+        _clock(early, found, tuple(bounds), say),
+        _sampling(early, found, tuple(bounds), say),
     )
 
 
@@ -160,16 +164,15 @@ def _with_second(
     return base, likelihood, estimate
 
 
-def _moved(early: Record, base: Design, estimate: Estimate, passes: int) -> dict[str, float]:
+def _moved(early: Record, old: Estimated, passes: int) -> dict[str, float]:
     """The estimate on a record that was changed a little, climbed from the old one."""
-    likelihood = Likelihood(base.model, run(base, early).timeline)
+    estimate = old.estimate
+    likelihood = Likelihood(old.base.model, run(old.base, early).timeline, rate_step=old.rate_step)
     found = climb(Objective(likelihood, estimate.coordinates), estimate.z, passes=passes, tolerance=0.05)
     return estimate.coordinates.values(found.z)
 
 
-def _clock(
-    early: Record, base: Design, estimate: Estimate, names: tuple[str, ...], say: Progress
-) -> dict[str, dict]:
+def _clock(early: Record, old: Estimated, names: tuple[str, ...], say: Progress) -> dict[str, dict]:
     """Every time constant with a source's clock one standard uncertainty early and late."""
     shifts: dict[str, dict] = {}
     for series in early.series:
@@ -179,12 +182,7 @@ def _clock(
         say(f"clock of {source}")
         same = [s for s in early.series if s.source.split(",")[0] == source]
         ends = [
-            _moved(
-                early.replace_series(*(replace(s, time=s.time + sign * delta) for s in same)),
-                base,
-                estimate,
-                6,
-            )
+            _moved(early.replace_series(*(replace(s, time=s.time + sign * delta) for s in same)), old, 6)
             for sign in (-1.0, 1.0)
         ]
         shifts[source] = {"clock_uncertainty_s": delta, **{name: [e[name] for e in ends] for name in names}}
@@ -192,7 +190,7 @@ def _clock(
 
 
 def _sampling(
-    early: Record, base: Design, estimate: Estimate, names: tuple[str, ...], say: Progress
+    early: Record, old: Estimated, names: tuple[str, ...], say: Progress
 ) -> dict[str, float] | None:
     """Change of the log time constants when every second ambient reading is left out.
 
@@ -206,8 +204,8 @@ def _sampling(
     if not thinned:
         return None
     say("ambient sampling")
-    values = _moved(early.replace_series(*thinned), base, estimate, 8)
-    shifts = {name: math.log(values[name] / estimate.values[name]) for name in names}
+    values = _moved(early.replace_series(*thinned), old, 8)
+    shifts = {name: math.log(values[name] / old.estimate.values[name]) for name in names}
     return {"step_h": reading_step_h(thinned[0]) / 2.0, **shifts}
 
 

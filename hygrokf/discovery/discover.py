@@ -26,6 +26,9 @@ from hygrokf.record import Record
 from hygrokf.stage import Estimated, Progress, Stage, judged, output_errors
 from hygrokf.version import __version__
 
+FINAL_STEP = 1.0
+"""Product of rate and sub-step in the last estimation: ln L right to 1e-4 where it was tried, at a third of the time."""
+
 
 @dataclass(frozen=True)
 class Discovery:
@@ -110,9 +113,9 @@ def _stages(basis: Basis, choice: Choice, say: Progress) -> tuple[Stage, ...]:
         if part.base is stage.base and part.record is basis.records[len(found)]:
             found.append(stage)
             continue
-        likelihood = Likelihood(part.base.model, part.run.timeline)
+        likelihood = Likelihood(part.base.model, part.run.timeline, rate_step=FINAL_STEP)
         estimate = maximise(likelihood, dict(part.values), count=1)
-        found.append(judged(part.record, Estimated(part.base, part.run, estimate), True, say))
+        found.append(judged(part.record, Estimated(part.base, part.run, estimate, FINAL_STEP), True, say))
     return tuple(found)
 
 
