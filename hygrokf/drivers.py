@@ -180,7 +180,9 @@ def _ambient_inputs(
                 f"{name}: no reading within the span of the cabinet's readings; check both with `hygrokf check`"
             )
         scale = 1e3 if name == "ambient_absolute_humidity" else 1.0
-        values[name] = np.interp(time, time[there], value[there]) * scale
+        # within a gap that is not bridged the last value holds: what comes later must not change what was filtered
+        place = np.maximum(np.searchsorted(np.flatnonzero(there), np.arange(len(time)), side="right") - 1, 0)
+        values[name] = value[there][place] * scale
     if "exchange_factor" in wanted:
         values["exchange_factor"] = exchange_factor(values["ambient_temperature"])
     return values, unknown

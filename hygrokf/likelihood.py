@@ -77,7 +77,8 @@ class Likelihood:
     `initial`: "prior" (each mechanism's own), "stationary" (steady state at the first inputs), "diffuse" (exact, for
     the states named in `diffuse_states`, by default all; the others keep their prior), or a `Gaussian`.
     `rate_step`: largest product of the fastest rate and a sub-step, where other than that of the discretisation's range:
-    a search may take longer sub-steps, at the price of its last digits.
+    a search may take longer sub-steps, at the price of its last digits.  `fastest`: the model's fastest rate [1/h] where it
+    is stated instead of bounded from the timeline's inputs: then no step depends on what else the run holds.
     """
 
     model: Model
@@ -85,6 +86,7 @@ class Likelihood:
     initial: str | Gaussian = "prior"
     diffuse_states: tuple[str, ...] = ()
     rate_step: float | None = None
+    fastest: float | None = None
 
     def __post_init__(self) -> None:
         unknown = sorted(set(self.diffuse_states) - set(self.model.states))
@@ -107,7 +109,9 @@ class Likelihood:
         return np.array([values[p.name] for p in self.model.parameters], dtype=float)
 
     def rate(self, values: Mapping[str, float]) -> float:
-        """Bound on the model's fastest rate [1/h] over the record."""
+        """Bound on the model's fastest rate [1/h] over the record, or the stated one."""
+        if self.fastest is not None:
+            return self.fastest
         r = self.recursion
         known = {f"p:{name}": v for name, v in values.items()}
         if self._rate_moves:

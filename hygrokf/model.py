@@ -30,6 +30,7 @@ from hygrokf.recursion import Recursion, System
 
 SUMS = {
     "heat_release": "heat released into the cabinet, as Q R_AT [K]",
+    "thermal_pace": "relative change of the thermal rate 1/τ [1]",
     "exchange": "relative change of the air exchange with the ambient [1]",
     "ambient_vapour": "departure of the air that the cabinet breathes from the ambient series [g/m³]",
     "vapour_release": "vapour released into the cabinet air, per volume [g/(m³ h)]",

@@ -15,7 +15,7 @@ ROOT = Path(hygrokf.__file__).parent
 FACE = "hygrokf"
 FLOORS = (
     # what knows nothing of the package
-    "expression machine moments parameters signals psychrometrics files lookup version discovery",
+    "expression machine moments parameters signals psychrometrics files lookup version discovery live",
     # text of code, one step, what a record is
     "emission discretisation record stamps",
     "running_sums",
@@ -25,7 +25,7 @@ FLOORS = (
     "model case",
     # the physics
     "mechanisms.thermal mechanisms.network mechanisms.sensors",
-    "mechanisms.hygric mechanisms.heat mechanisms.moisture mechanisms.readings",
+    "mechanisms.hygric mechanisms.heat mechanisms.moisture mechanisms.readings mechanisms.wandering",
     "mechanisms timeline",
     "additions",
     # the estimation
@@ -37,8 +37,8 @@ FLOORS = (
     "stage",
     "time_constants discovery.scene discovery.clocks",
     "fit discovery.scan discovery.cause",
-    "results tables identification discovery.residuals discovery.changes discovery.grids",
-    "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions",
+    "results tables identification discovery.residuals discovery.changes discovery.grids live.plan",
+    "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker",
     "discovery.library discovery.misfits discovery.repeats",
     "discovery.nesting discovery.trial",
     "discovery.own_causes discovery.choice discovery.remainder discovery.evidence",

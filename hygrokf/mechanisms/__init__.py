@@ -46,6 +46,7 @@ from hygrokf.mechanisms.thermal import (
     thermal_network,
     wall_thermal_mass,
 )
+from hygrokf.mechanisms.wandering import wandering_exchange, wandering_release, wandering_time_constant
 
 BASE = (
     thermal_network,
@@ -93,7 +94,9 @@ FURTHER = (
     temperature_step,
 )
 """What else may act on a cabinet; each of them is nested: at its null values it is not there."""
-LIBRARY = {function.__name__: function for function in (*BASE, *FURTHER)}
+WANDERING = (wandering_time_constant, wandering_exchange, wandering_release)
+"""Properties of the cabinet as states, for tracking."""
+LIBRARY = {function.__name__: function for function in (*BASE, *FURTHER, *WANDERING)}
 """Factories by mechanism name; `LIBRARY[m.name](**m.settings)` makes a mechanism again."""
 
-__all__ = [*LIBRARY, "BASE", "FURTHER", "LIBRARY", "linear_network"]
+__all__ = [*LIBRARY, "BASE", "FURTHER", "LIBRARY", "WANDERING", "linear_network"]

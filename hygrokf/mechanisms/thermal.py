@@ -26,7 +26,7 @@ def thermal_network() -> Mechanism:
 
     def drift(p, x, u, q, s):
         drive = u.ambient_temperature - x.converter_temperature + s.heat_release / p.resistance_ratio
-        return {"converter_temperature": drive / p.thermal_time_constant}
+        return {"converter_temperature": drive * (1.0 + s.thermal_pace) / p.thermal_time_constant}
 
     return Mechanism(
         name="thermal_network",

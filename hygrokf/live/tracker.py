@@ -1,0 +1,286 @@
+"""One turbine's filter on readings as they come: late, twice, in any order, and in the end that of the whole record.
+
+Readings are kept by their own times.  Up to the **point**, `lateness_s` before the newest reading, the estimate is final
+and kept as a Gaussian; from there on the filter runs again whenever something comes in.  What is final is bit for bit
+what the offline filter gives on the same readings (`whole`), because both take the same steps: instants and inputs come
+from `drivers.run`, and an instant's inputs depend on the readings around it alone.
+"""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.ambient import AMBIENT_BRIDGE_H
+from hygrokf.design import BRIDGE_H
+from hygrokf.drivers import Run, run
+from hygrokf.likelihood import Gaussian, Likelihood, Trace
+from hygrokf.live.plan import Plan
+from hygrokf.record import Record, Series
+
+CONTEXT_S = 48 * 3600.0
+"""[s] readings before the point that are kept: inputs of an instant look back over gaps and what settles after them."""
+AMBIENT_HUMIDITIES = (
+    "ambient_relative_humidity",
+    "ambient_absolute_humidity",
+    "ambient_dew_point_temperature",
+)
+AHEAD_S = 30 * 86400.0
+"""[s] how far ahead of the newest reading a gap is taken to end that is too long to be bridged."""
+SAME_S = 1e-3
+"""[s] times closer than this are one."""
+
+
+@dataclass(frozen=True)
+class Reading:
+    """One reading: a signal's name, time [s since 1970, UTC] (of a mean: the end of its interval), value [SI unit]."""
+
+    signal: str
+    time: float
+    value: float
+
+
+@dataclass(frozen=True)
+class Point:
+    """A final estimate: the Gaussian of the states after all readings up to `time` [s]."""
+
+    time: float
+    state: Gaussian
+
+
+@dataclass(frozen=True)
+class Course:
+    """Estimates after the point: their run, and the filter's moments at its instants."""
+
+    run: Run
+    trace: Trace
+
+    @property
+    def seconds(self) -> np.ndarray:
+        t = self.run.timeline
+        return t.origin_s + 3600.0 * t.time
+
+
+class Tracker:
+    """The state of one turbine's filter.
+
+    `point` is what a restart begins from, with the readings that `readings()` gives.  `counts` says what was set aside:
+    "repeated" readings that were there already, "contradicting" ones (one stamp with several values: none of them is
+    used), "late" ones, which came after their time was final.
+    """
+
+    def __init__(self, plan: Plan, point: Point | None = None, readings: Iterable[Reading] = ()) -> None:
+        self.plan = plan
+        self.point = point
+        self.counts: Counter[str] = Counter()
+        self._times: dict[str, list[float]] = {}
+        self._values: dict[str, list[float]] = {}
+        for one in readings:
+            self._insert(one)
+
+    # -- readings ---------------------------------------------------------------------------------------------
+    def take(self, readings: Iterable[Reading]) -> None:
+        """Take readings in, in any order; values must be finite."""
+        for one in readings:
+            if not math.isfinite(one.value):
+                raise ValueError(
+                    f"{one.signal}: expected a number, found {one.value}; a missing reading is none"
+                )
+            if self.point is not None and one.time <= self.point.time + SAME_S:
+                self.counts["repeated" if self._has(one) else "late"] += 1
+            else:
+                self._insert(one)
+
+    def _has(self, one: Reading) -> bool:
+        times = self._times.get(one.signal, [])
+        place = bisect.bisect_left(times, one.time)
+        return place < len(times) and times[place] == one.time
+
+    def _insert(self, one: Reading) -> None:
+        times = self._times.setdefault(one.signal, [])
+        values = self._values.setdefault(one.signal, [])
+        place = bisect.bisect_left(times, one.time)
+        if place < len(times) and times[place] == one.time:
+            if values[place] == one.value:
+                self.counts["repeated"] += 1
+            elif math.isnan(values[place]):  # the third of its stamp
+                self.counts["contradicting"] += 1
+            else:
+                self.counts["contradicting"] += 2
+                values[place] = math.nan
+            return
+        times.insert(place, one.time)
+        values.insert(place, one.value)
+
+    def readings(self) -> list[Reading]:
+        """All readings that are kept, by signal and time; NaN where two contradict each other."""
+        return [
+            Reading(signal, time, value)
+            for signal in sorted(self._times)
+            for time, value in zip(self._times[signal], self._values[signal], strict=True)
+        ]
+
+    @property
+    def newest(self) -> float:
+        """Time [s] of the newest reading; −∞ without any."""
+        return max((times[-1] for times in self._times.values() if times), default=-math.inf)
+
+    def record(self) -> Record:
+        """The readings that are kept, as a record."""
+        return record_of(self.plan, self._times, self._values)
+
+    def awaited(self) -> tuple[str, ...]:
+        """Signals that the model needs and that have not come yet; of the ambient's humidities the first one named."""
+        there = {signal for signal, values in self._values.items() if any(map(math.isfinite, values))}
+        needed = {"ambient_temperature", *self.plan.further} - there
+        if "ambient_absolute_humidity" in self.plan.model.inputs and not there & set(AMBIENT_HUMIDITIES):
+            needed.add(AMBIENT_HUMIDITIES[0])
+        return tuple(sorted(needed))
+
+    # -- the filter -------------------------------------------------------------------------------------------
+    def advance(self) -> Course | None:
+        """Filter what came in since the point, and move the point on; the course after the old point, None without any.
+
+        None also while `awaited` names signals, and until the ambient is known over some stretch of time.
+        """
+        if self.awaited() or not self._spanned():
+            return None
+        made = run(self.plan.design, self._guarded())
+        course = self._course(made)
+        if course is None:
+            return None
+        seconds = course.seconds
+        # the interval of a mean that ends after the run may have begun within it
+        final = min(self._final(), float(seconds[-1]) - self.plan.longest_mean_s)
+        last = int(np.searchsorted(seconds, final + SAME_S, side="right"))
+        if last > 0:
+            t = course.run.timeline.window(0, last)
+            state = self._filtered(t, self._start()).last
+            self.point = Point(float(seconds[last - 1]), state)
+            self._forget()
+        return course
+
+    def _spanned(self) -> bool:
+        """Whether cabinet and ambient, or the ambient alone, are known over a stretch of time."""
+        if self.point is not None:
+            return True
+        known = {
+            signal: [t for t, v in zip(times, self._values[signal], strict=True) if not math.isnan(v)]
+            for signal, times in self._times.items()
+        }
+        ambient = [known[s] for s in ("ambient_temperature", *AMBIENT_HUMIDITIES) if known.get(s)]
+        cabinet = [times for s, times in known.items() if s.startswith("cabinet_") and times] or ambient
+        first = max(min(times[0] for times in cabinet), *(times[0] for times in ambient))
+        last = min(max(times[-1] for times in cabinet), *(times[-1] for times in ambient))
+        longest = max((form.interval_s for form in self.plan.forms.values()), default=0.0)
+        return last - first > longest
+
+    def _course(self, made: Run) -> Course | None:
+        t = made.timeline
+        seconds = t.origin_s + 3600.0 * t.time
+        after = -math.inf if self.point is None else self.point.time + SAME_S
+        first = int(np.searchsorted(seconds, after, side="right"))
+        if first == len(t):
+            return None
+        part = t.window(first, len(t))
+        piece = Run(part, made.operating[first:], made.scored[first:])
+        return Course(piece, self._filtered(part, self._start()))
+
+    def _start(self) -> Gaussian | None:
+        return None if self.point is None else self.point.state
+
+    def _filtered(self, t, start: Gaussian | None) -> Trace:
+        return Likelihood(self.plan.model, t, fastest=self.plan.fastest).trace(self.plan.values, start=start)
+
+    @property
+    def _limit(self) -> float:
+        """Time [s] up to which every reading is there that will be used."""
+        return self.newest - self.plan.lateness_s
+
+    def _final(self) -> float:
+        """Time [s] up to which no reading that may still come changes anything.
+
+        Between two readings a driver follows both, and whether a gap is bridged is known when it ends or is too long.
+        """
+        final = self._limit
+        for signal, times in self._times.items():
+            place = bisect.bisect_right(times, self._limit)
+            if place and not signal.startswith("cabinet_") and not self._stale(signal):
+                final = min(final, times[place - 1] - self.plan.form(signal).interval_s)
+        # a reading of the cabinet acts at its own time, and a mean where its interval begins
+        return min(final, self._limit - self.plan.longest_mean_s)
+
+    def _stale(self, signal: str) -> bool:
+        """Whether a driver's last reading is so old that its gap will not be bridged."""
+        times = self._times[signal]
+        place = bisect.bisect_right(times, self._limit)
+        if place < len(times) or not place:
+            return False
+        form = self.plan.form(signal)
+        usual = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
+        limit_h = BRIDGE_H if form.hold == "zero-order" else AMBIENT_BRIDGE_H
+        bridge_s = max(3600.0 * limit_h, 1.5 * usual - form.interval_s)
+        return self._limit - times[-1] > bridge_s
+
+    def _guarded(self) -> Record:
+        """The readings, with one far ahead for each stale driver: its gap is then known as one that is not bridged."""
+        stale = {s for s in self._times if not s.startswith("cabinet_") and self._stale(s)}
+        if any(s.startswith("ambient_") for s in stale):
+            stale |= {s for s in self._times if s.startswith("ambient_")}
+        ahead = self.newest + AHEAD_S
+        times = {s: [*times, ahead] if s in stale else times for s, times in self._times.items()}
+        values = {s: [*v, _last_of(v)] if s in stale else v for s, v in self._values.items()}
+        return record_of(self.plan, times, values)
+
+    def _forget(self) -> None:
+        """Drop readings that no later instant looks at."""
+        assert self.point is not None
+        oldest = self.point.time - CONTEXT_S
+        for signal, times in self._times.items():
+            place = bisect.bisect_left(times, oldest)
+            if place:
+                del times[:place]
+                del self._values[signal][:place]
+
+
+def _last_of(values: list[float]) -> float:
+    return next((v for v in reversed(values) if not math.isnan(v)), math.nan)
+
+
+def record_of(
+    plan: Plan, times: Mapping[str, Iterable[float]], values: Mapping[str, Iterable[float]]
+) -> Record:
+    """Readings by signal as a record of the plan's turbine."""
+    series = []
+    for signal in sorted(times):
+        form = plan.form(signal)
+        time, value = np.array(times[signal], dtype=float), np.array(values[signal], dtype=float)
+        there = np.isfinite(value)
+        if not there.any():
+            continue
+        series.append(
+            Series(
+                signal=signal,
+                time=time[there],
+                value=value[there],
+                hold=form.hold,
+                interval_s=form.interval_s,
+                resolution=form.resolution,
+                accuracy=form.accuracy,
+            )
+        )
+    return Record(plan.name, tuple(series), plan.site, plan.rated_power_W)
+
+
+def whole(plan: Plan, record: Record) -> Course:
+    """The offline filter on a whole record, with the tracker's model and steps; missing readings are none."""
+    times = {s.signal: s.time for s in record.series}
+    values = {s.signal: s.value for s in record.series}
+    made = run(plan.design, record_of(plan, times, values))
+    found = Likelihood(plan.model, made.timeline, fastest=plan.fastest).trace(plan.values)
+    return Course(made, found)

@@ -1,0 +1,75 @@
+"""Properties of the cabinet as slowly varying states: what a tracker watches while it runs.
+
+Each is a random walk, dx = r/√24 dW with the rate r for a day: after d days without readings it is uncertain by r √d.
+"""
+
+from __future__ import annotations
+
+from hygrokf.expression import exp
+from hygrokf.mechanisms.thermal import PAPER
+from hygrokf.model import Mechanism
+from hygrokf.parameters import Parameter
+
+
+def _random_walk(
+    name: str,
+    state: str,
+    unit: str,
+    rate: float,
+    bounds: tuple[float, float],
+    contributions,
+    meaning: str,
+    **words,
+) -> Mechanism:
+    parameter = f"{state}_rate"
+    return Mechanism(
+        name=name,
+        parameters=(
+            Parameter(
+                parameter, f"{unit}/d^0.5", rate, *bounds, positive=True, null=0.0, noise=True,
+                meaning=f"how fast it wanders: {meaning}",
+            ),
+        ),
+        states=(state,),
+        contributions=contributions,
+        drift=lambda p, x, u, q, s: {state: 0.0 * getattr(x, state)},
+        diffusion=lambda p: {state: getattr(p, parameter) * getattr(p, parameter) / 24.0},
+        # what the fit knows of it is the fit's own standard error, far below a day's wandering
+        initial=lambda p, u: {state: (0.0, getattr(p, parameter) * getattr(p, parameter))},
+        settings={"rate": rate},
+        meaning=meaning,
+        **words,
+    )  # fmt: skip
+
+
+def wandering_time_constant(rate: float = 0.02) -> Mechanism:
+    """The thermal time constant as a state: τ(t) = τ e^x, x a random walk of `rate` [1/√d]."""
+    return _random_walk(
+        "wandering_time_constant", "log_thermal_change", "1", rate, (1e-4, 1.0),
+        lambda p, x, u, q: {"thermal_pace": exp(-x.log_thermal_change) - 1.0},
+        "logarithm of the thermal time constant over that of the fit",
+        leaves="innovations after every change of power that grow with a change of the cabinet",
+        source=f"{PAPER}, equation (2) with R C that varies",
+    )  # fmt: skip
+
+
+def wandering_exchange(rate: float = 0.02) -> Mechanism:
+    """The hygric time constant as a state: k(t) = k e^x, x a random walk of `rate` [1/√d]."""
+    return _random_walk(
+        "wandering_exchange", "log_hygric_change", "1", rate, (1e-4, 1.0),
+        lambda p, x, u, q: {"exchange": exp(-x.log_hygric_change) - 1.0},
+        "logarithm of k of equation (4) over that of the fit",
+        leaves="humidity that follows the ambient's faster or slower than it did",
+        source=f"{PAPER}, equation (4) with R_D* that varies",
+    )  # fmt: skip
+
+
+def wandering_release(rate: float = 0.1) -> Mechanism:
+    """An offset of the heat release as a state: f + x [K], x a random walk of `rate` [K/√d]."""
+    return _random_walk(
+        "wandering_release", "release_change", "K", rate, (1e-3, 5.0),
+        lambda p, x, u, q: {"heat_release": x.release_change},
+        "change of the heat release since the fit",
+        leaves="a temperature that is off by the same amount for days",
+        source="balance of heat",
+    )  # fmt: skip
