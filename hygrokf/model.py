@@ -121,10 +121,7 @@ class Model:
         """
         state = dict(zip(self.states, x, strict=True))
         spaces = [SimpleNamespace(**p), SimpleNamespace(**state), SimpleNamespace(**u)]
-        quantities: dict[str, object] = {}
-        for m in self.mechanisms:
-            if m.quantities is not None:
-                quantities.update(m.quantities(*spaces))
+        quantities = self._quantities(spaces)
         q = SimpleNamespace(**quantities)
         sums: dict[str, object] = defaultdict(float, dict.fromkeys(SUMS, 0.0))
         for m in self.mechanisms:
@@ -148,6 +145,18 @@ class Model:
                 f"no rate is given for the states {missing}: a mechanism's drift must return all of its own"
             )
         return Equations(quantities, dict(sums), [rates[n] for n in self.states], outputs)
+
+    def quantities(self, x: Sequence, u: Mapping[str, object], p: Mapping[str, object]) -> dict[str, object]:
+        """Shared quantities alone, as `evaluate` has them."""
+        state = dict(zip(self.states, x, strict=True))
+        return self._quantities([SimpleNamespace(**p), SimpleNamespace(**state), SimpleNamespace(**u)])
+
+    def _quantities(self, spaces: Sequence[SimpleNamespace]) -> dict[str, object]:
+        found: dict[str, object] = {}
+        for m in self.mechanisms:
+            if m.quantities is not None:
+                found.update(m.quantities(*spaces))
+        return found
 
     def noise(self, p: Mapping[str, object]) -> list[list]:
         """White noise intensity Q (n, n) [unit²/h] of the states."""

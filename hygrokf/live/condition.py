@@ -1,0 +1,168 @@
+"""What the air in a cabinet is like, and how sure that is: from the filter's Gaussian to quantities with bounds.
+
+Everything follows from two numbers, the air's temperature T and its vapour pressure e = c* R_v T_amb (equation 5), and
+their covariance; other quantities are taken to first order in it.  Shapes: T instants, n states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.model import Model
+from hygrokf.psychrometrics import (
+    GAS_CONSTANT_VAPOUR,
+    ICE_RANGE,
+    absolute_humidity_from_vapour_pressure,
+    dew_point,
+    frost_point,
+    saturation_pressure_ice_slope,
+    saturation_pressure_water,
+    saturation_pressure_water_slope,
+)
+from hygrokf.timeline import Timeline
+
+Z95 = 1.959964
+FREEZING_K = 273.15
+
+
+@dataclass(frozen=True)
+class Surface:
+    """The coldest surface in a cabinet: T_s = T_amb + follows (T − T_amb) + offset_K.
+
+    `follows` 0 for a wall that has the ambient's temperature, 1 for a part that has the cabinet air's.
+    """
+
+    follows: float = 0.3
+    offset_K: float = 0.0
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """Values (T,) with standard deviations (T,)."""
+
+    value: np.ndarray
+    sd: np.ndarray
+
+    @property
+    def lower(self) -> np.ndarray:
+        return self.value - Z95 * self.sd
+
+    @property
+    def upper(self) -> np.ndarray:
+        return self.value + Z95 * self.sd
+
+
+@dataclass(frozen=True)
+class Condition:
+    """The air in a cabinet at instants `time_s` (T,) [s since 1970, UTC].
+
+    `temperature_K`, `relative_humidity` [1] over water, `absolute_humidity_g_m3`, `dew_point_K`, `frost_point_K` (NaN
+    above freezing), `margin_K` of the cold surface above the dew point or, below freezing, the frost point, and the
+    `condensation` probability [1] that it is below.  What the model does not have is None.
+    """
+
+    time_s: np.ndarray
+    temperature_K: Quantity | None
+    relative_humidity: Quantity | None
+    absolute_humidity_g_m3: Quantity | None
+    dew_point_K: Quantity | None
+    frost_point_K: Quantity | None
+    margin_K: Quantity | None
+    condensation: np.ndarray | None
+
+
+def condition(
+    model: Model,
+    values: Mapping[str, float],
+    t: Timeline,
+    mean: np.ndarray,
+    covariance: np.ndarray,
+    surface: Surface,
+) -> Condition:
+    """The condition at the instants of a timeline, from means (T, n) and covariances (T, n, n) of the state."""
+    seconds = t.origin_s + 3600.0 * t.time
+    u = {name: t.input(name) for name in model.inputs}
+    nothing = Condition(seconds, *[None] * 7)
+    air, air_row = _air(model, values, u, mean)
+    if air is None:
+        return nothing
+    heat = np.einsum("ti,tij,tj->t", air_row, covariance, air_row)
+    warm = Quantity(air, np.sqrt(np.maximum(heat, 0.0)))
+    if "vapour" not in model.states:
+        return Condition(seconds, warm, *[None] * 6)
+    place = model.states.index("vapour")
+    outside = u["ambient_temperature"]
+    scale = 1e-3 * GAS_CONSTANT_VAPOUR * outside
+    # the filter's vapour is a linear state and may be negative where the air is all but dry
+    e = np.maximum(mean[:, place], 1e-3) * scale
+    spread = scale**2 * np.maximum(covariance[:, place, place], 0.0)
+    common = scale * np.einsum("ti,ti->t", air_row, covariance[:, :, place])
+
+    def derived(value: np.ndarray, by_air: np.ndarray | float, by_vapour: np.ndarray | float) -> Quantity:
+        variance = by_air**2 * heat + by_vapour**2 * spread + 2.0 * by_air * by_vapour * common
+        return Quantity(value, np.sqrt(np.maximum(variance, 0.0)))
+
+    saturated = saturation_pressure_water(air)
+    humidity = e / saturated
+    relative = derived(
+        humidity, -humidity * saturation_pressure_water_slope(air) / saturated, 1.0 / saturated
+    )
+    density = 1e3 * absolute_humidity_from_vapour_pressure(e, air)
+    absolute = derived(density, -density / air, density / e)
+    dew = dew_point(e)
+    by_dew = 1.0 / saturation_pressure_water_slope(dew)
+    frost = np.where(dew < FREEZING_K, frost_point(e), np.nan)
+    by_frost = 1.0 / saturation_pressure_ice_slope(np.clip(frost, ICE_RANGE[0], FREEZING_K))
+    cold = outside + surface.follows * (air - outside) + surface.offset_K
+    # on a surface below freezing vapour becomes frost, at a temperature a little above the dew point
+    icy = (cold < FREEZING_K) & np.isfinite(frost)
+    margin = derived(cold - np.where(icy, frost, dew), surface.follows, -np.where(icy, by_frost, by_dew))
+    return Condition(
+        time_s=seconds,
+        temperature_K=warm,
+        relative_humidity=relative,
+        absolute_humidity_g_m3=absolute,
+        dew_point_K=derived(dew, 0.0, by_dew),
+        frost_point_K=derived(frost, 0.0, by_frost),
+        margin_K=margin,
+        condensation=probability_below(margin, 0.0),
+    )
+
+
+def probability_below(quantity: Quantity, limit: float) -> np.ndarray:
+    """Probability (T,) that a quantity is below a limit."""
+    from scipy.special import ndtr
+
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = (limit - quantity.value) / quantity.sd
+    return np.where(quantity.sd > 0.0, ndtr(z), (quantity.value < limit).astype(float))
+
+
+def probability_above(quantity: Quantity, limit: float) -> np.ndarray:
+    """Probability (T,) that a quantity is above a limit."""
+    return 1.0 - probability_below(quantity, limit)
+
+
+def _air(
+    model: Model, values: Mapping[str, float], u: Mapping[str, np.ndarray], mean: np.ndarray
+) -> tuple[np.ndarray | None, np.ndarray]:
+    """Temperature (T,) of the cabinet air [K] and its slopes (T, n) along the states, by complex steps."""
+    columns = list(mean.T)
+    count, n = mean.shape
+
+    def at(state: list) -> np.ndarray | None:
+        found = model.quantities(state, u, values).get("cabinet_air_temperature")
+        return None if found is None else np.broadcast_to(np.asarray(found), count)
+
+    value = at(columns)
+    slopes = np.zeros((count, n))
+    if value is None:
+        return None, slopes
+    for i in range(n):
+        moved = list(columns)
+        moved[i] = columns[i] + 1e-30j
+        slopes[:, i] = np.imag(at(moved)) * 1e30
+    return np.real(value), slopes
