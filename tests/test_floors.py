@@ -38,7 +38,7 @@ FLOORS = (
     "time_constants discovery.scene discovery.clocks",
     "fit discovery.scan discovery.cause",
     "results tables identification discovery.residuals discovery.changes discovery.grids live.plan live.condition",
-    "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker",
+    "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties",
     "discovery.library discovery.misfits discovery.repeats",
     "discovery.nesting discovery.trial",
     "discovery.own_causes discovery.choice discovery.remainder discovery.evidence",
