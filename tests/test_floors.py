@@ -15,7 +15,7 @@ ROOT = Path(hygrokf.__file__).parent
 FACE = "hygrokf"
 FLOORS = (
     # what knows nothing of the package
-    "expression machine moments parameters signals psychrometrics files lookup version discovery live",
+    "expression machine moments parameters signals psychrometrics files lookup version discovery live live.schema",
     # text of code, one step, what a record is
     "emission discretisation record stamps",
     "running_sums",
@@ -40,7 +40,7 @@ FLOORS = (
     "results tables identification discovery.residuals discovery.changes discovery.grids live.plan live.condition",
     "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties",
     "discovery.library discovery.misfits discovery.repeats",
-    "discovery.nesting discovery.trial",
+    "discovery.nesting discovery.trial live.store",
     "discovery.own_causes discovery.choice discovery.remainder discovery.evidence",
     "discovery.discover",
     # pictures and faces

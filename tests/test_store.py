@@ -1,0 +1,237 @@
+"""The store: a batch whole or not at all, every bit back, nothing damaged or foreign overwritten."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hygrokf.likelihood import Gaussian
+from hygrokf.live.condition import Condition, Quantity
+from hygrokf.live.properties import Property
+from hygrokf.live.schema import MIGRATIONS, TABLES, VERSION
+from hygrokf.live.store import (
+    Alarm,
+    Batch,
+    Observation,
+    Store,
+    StoreFault,
+    open_store,
+    state_of,
+    state_text,
+    without_secret,
+)
+from hygrokf.live.tracker import Point, Reading
+
+T0 = 1.7e9
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    made = open_store(f"sqlite:{tmp_path / 'live.db'}")
+    yield made
+    made.close()
+
+
+def a_state(seed: int = 0) -> Gaussian:
+    random = np.random.default_rng(seed)
+    root = random.standard_normal((5, 5)) * 10.0 ** random.uniform(-9, 3, (5, 1))
+    return Gaussian(random.standard_normal(5) * 300.0, root @ root.T)
+
+
+def a_condition(times: list[float], value: float = 290.0) -> Condition:
+    one = Quantity(np.full(len(times), value), np.full(len(times), 0.5))
+    none = Quantity(np.full(len(times), np.nan), np.full(len(times), np.nan))
+    return Condition(np.array(times), one, one, one, one, none, one, np.full(len(times), 0.25))
+
+
+def observed(signal: str, time: float, value: float, late: bool = False) -> Observation:
+    return Observation("T1", Reading(signal, time, value), time + 3.0, late)
+
+
+def everything() -> Batch:
+    return Batch(
+        observations=[
+            observed("cabinet_temperature", T0, 290.25),
+            observed("cabinet_temperature", T0 + 600, 290.5),
+        ],
+        points={"T1": Point(T0, a_state())},
+        estimates={"T1": (a_condition([T0, T0 + 600]), 1)},
+        properties=[("T1", T0, [Property("hygric_k", "h", 0.3, 0.28, 0.33, 0.31, True)])],
+        alarms=[Alarm("a1", "T1", "condensation", "warning", T0, "water may condense", "close the door")],
+        memories={("T1", "departures"): {"hygric_k": [1.0, 2.0]}},
+        counters={("T1", "late"): 2, ("", "malformed"): 1},
+        place={"file:live.csv": "1200"},
+    )
+
+
+def test_a_batch_comes_back(store: Store) -> None:
+    store.add_turbines({"T1": "digest"})
+    store.commit(everything())
+    assert store.size() == {
+        "turbine": 1, "observation": 2, "point": 1, "estimate": 2, "property": 1, "alarm": 1, "memory": 1,
+        "counter": 2, "source": 1,
+    }  # fmt: skip
+    assert store.place("file:live.csv") == "1200" and store.place("file:other.csv") is None
+    assert store.memory("T1", "departures") == {"hygric_k": [1.0, 2.0]} and store.memory("T1", "x") is None
+    assert [one.value for one in store.readings("T1", T0)] == [290.25, 290.5]
+    assert store.readings("T1", T0 + 1.0) == [Reading("cabinet_temperature", T0 + 600, 290.5)]
+    assert store.rows(
+        "SELECT final, temperature_K, frost_point_K, condensation FROM estimate ORDER BY time"
+    ) == [
+        (1, 290.0, None, 0.25),
+        (0, 290.0, None, 0.25),
+    ]
+    store.commit(Batch(counters={("T1", "late"): 3}))
+    assert store.counters() == {("T1", "late"): 5, ("", "malformed"): 1}
+
+
+def test_every_bit_of_a_state_comes_back(store: Store) -> None:
+    for seed in range(20):
+        state = a_state(seed)
+        again = state_of(state_text(state))
+        assert np.array_equal(again.mean, state.mean) and np.array_equal(again.covariance, state.covariance)
+    store.commit(everything())
+    point = store.point("T1")
+    assert point.time == T0 and np.array_equal(point.state.covariance, a_state().covariance)
+    assert store.point("T2") is None
+
+
+def test_a_batch_that_fails_leaves_nothing(store: Store) -> None:
+    store.commit(everything())
+    before = store.size()
+    broken = everything()
+    broken.observations = [observed("rain", T0, 0.0), observed("rain", T0 + 1, None)]  # type: ignore[arg-type]
+    broken.place = {"file:live.csv": "9999"}
+    with pytest.raises(sqlite3.IntegrityError):
+        store.commit(broken)
+    assert store.size() == before and store.place("file:live.csv") == "1200"
+    store.commit(Batch(observations=[observed("rain", T0, 0.0)]))
+    assert store.size()["observation"] == before["observation"] + 1
+
+
+def test_repeated_contradicting_and_late_observations(store: Store) -> None:
+    rows = [
+        ("rain", 1.0, 5.0),
+        ("rain", 1.0, 5.0),
+        ("rain", 2.0, 5.0),
+        ("rain", 2.0, 6.0),
+        ("rain", 2.0, 5.0),
+    ]
+    for row in rows:
+        store.commit(Batch(observations=[observed(*row)]))
+    store.commit(
+        Batch(observations=[observed("rain", 3.0, 7.0, late=True), observed("rain", 1.0, 9.0, late=True)])
+    )
+    found = store.readings("T1", 0.0)
+    assert [one.time for one in found] == [1.0, 2.0]  # what came too late was not used, and will not be
+    assert found[0].value == 5.0 and np.isnan(found[1].value)
+
+
+def test_provisional_estimates_are_overtaken(store: Store) -> None:
+    store.commit(Batch(estimates={"T1": (a_condition([T0, T0 + 600, T0 + 900]), 1)}))
+    store.commit(Batch(estimates={"T1": (a_condition([T0 + 600, T0 + 1200], 291.0), 1)}))
+    assert store.rows("SELECT time, final, temperature_K FROM estimate ORDER BY time") == [
+        (T0, 1, 290.0),
+        (T0 + 600, 1, 291.0),
+        (T0 + 1200, 0, 291.0),
+    ]
+
+
+def test_another_model_begins_anew_from_the_observations(store: Store) -> None:
+    store.add_turbines({"T1": "one"})
+    store.commit(everything())
+    store.add_turbines({"T1": "one"})
+    assert store.point("T1") is not None
+    store.add_turbines({"T1": "two"})
+    assert store.point("T1") is None and store.memory("T1", "departures") is None
+    assert len(store.readings("T1", 0.0)) == 2
+
+
+def test_alarms_are_acknowledged_once(store: Store) -> None:
+    store.commit(everything())
+    assert store.acknowledge("a1", "control room", T0 + 5.0)
+    assert not store.acknowledge("a1", "someone else", T0 + 6.0)
+    assert not store.acknowledge("a2", "someone else", T0 + 6.0)
+    # a later round ends it and leaves the acknowledgement
+    ended = Alarm("a1", "T1", "condensation", "warning", T0, "water condensed", "dry it", ended=T0 + 60.0)
+    store.commit(Batch(alarms=[ended]))
+    assert store.rows("SELECT ended, acknowledged_by, statement FROM alarm") == [
+        (T0 + 60.0, "control room", "water condensed")
+    ]
+
+
+def test_old_rows_are_pruned(store: Store) -> None:
+    store.commit(everything())
+    assert store.prune(T0 + 300.0) == 3
+    assert store.size()["observation"] == store.size()["estimate"] == 1
+    assert store.size()["point"] == store.size()["alarm"] == 1
+
+
+def test_a_store_is_opened_again_and_migrated_once(tmp_path: Path) -> None:
+    url = f"sqlite:{tmp_path / 'live.db'}"
+    first = open_store(url)
+    first.commit(everything())
+    first.close()
+    second = open_store(url)
+    assert second.rows("SELECT version FROM schema_version") == [(v + 1,) for v in range(VERSION)]
+    assert second.size()["observation"] == 2
+    assert second.rows("PRAGMA journal_mode") == [("wal",)]
+    second.close()
+
+
+def test_every_table_is_known() -> None:
+    made = [s.split()[2] for statements in MIGRATIONS for s in statements if s.startswith("CREATE TABLE")]
+    assert sorted(made) == sorted(TABLES)
+
+
+def refused(url: str) -> str:
+    with pytest.raises(StoreFault) as fault:
+        open_store(url)
+    return str(fault.value)
+
+
+def test_what_is_no_store_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
+    text = tmp_path / "notes.db"
+    text.write_text("this is no database, it is a note\n" * 200)
+    other = tmp_path / "other.db"
+    with sqlite3.connect(other) as connection:
+        connection.execute("CREATE TABLE mine (x)")
+    connection.close()
+    for path, word in ((text, "no store that can be read"), (other, "another database")):
+        before = path.read_bytes()
+        assert word in refused(f"sqlite:{path}")
+        assert path.read_bytes() == before
+    assert "does not exist" in refused(f"sqlite:{tmp_path / 'none' / 'live.db'}")
+    assert "expected a store as" in refused("mysql://here/live")
+
+
+def test_a_damaged_store_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "live.db"
+    store = open_store(f"sqlite:{path}")
+    many = [observed("rain", T0 + i, float(i)) for i in range(5000)]
+    store.commit(Batch(observations=many))
+    store.close()
+    data = bytearray(path.read_bytes())
+    for place in range(8192, len(data) - 4096, 4096):
+        data[place : place + 200] = b"\xff" * 200
+    path.write_bytes(bytes(data))
+    said = refused(f"sqlite:{path}")
+    assert "damaged" in said or "no store that can be read" in said
+    assert "restore a copy" in said and path.read_bytes() == bytes(data)
+
+
+def test_a_store_of_a_newer_version_is_refused(tmp_path: Path) -> None:
+    url = f"sqlite:{tmp_path / 'live.db'}"
+    store = open_store(url)
+    with store.transaction() as cursor:
+        cursor.execute("INSERT INTO schema_version VALUES (?, 0)", (VERSION + 1,))
+    store.close()
+    assert "newer hygrokf" in refused(url)
+
+
+def test_secrets_stay_out_of_what_is_shown() -> None:
+    assert without_secret("postgresql://ann:pa%40ss@db:5433/live") == "postgresql://ann@db:5433/live"
+    assert without_secret("sqlite:/tmp/x.db") == "sqlite:/tmp/x.db"
