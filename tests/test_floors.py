@@ -40,7 +40,7 @@ FLOORS = (
     "results tables identification discovery.residuals discovery.changes discovery.grids live.plan live.condition",
     "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties",
     "discovery.library discovery.misfits discovery.repeats",
-    "discovery.nesting discovery.trial live.store",
+    "discovery.nesting discovery.trial live.store live.payload",
     "discovery.own_causes discovery.choice discovery.remainder discovery.evidence",
     "discovery.discover",
     # pictures and faces
