@@ -41,7 +41,7 @@ FLOORS = (
     "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties",
     "discovery.library discovery.misfits discovery.repeats",
     "discovery.nesting discovery.trial live.store live.payload",
-    "discovery.own_causes discovery.choice discovery.remainder discovery.evidence",
+    "discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.fleet",
     "discovery.discover",
     # pictures and faces
     "drawing excerpts report_words",

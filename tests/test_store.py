@@ -58,7 +58,7 @@ def everything() -> Batch:
             observed("cabinet_temperature", T0 + 600, 290.5),
         ],
         points={"T1": Point(T0, a_state())},
-        estimates={"T1": (a_condition([T0, T0 + 600]), 1)},
+        estimates={"T1": (a_condition([T0, T0 + 600]), 1, T0)},
         properties=[("T1", T0, [Property("hygric_k", "h", 0.3, 0.28, 0.33, 0.31, True)])],
         alarms=[Alarm("a1", "T1", "condensation", "warning", T0, "water may condense", "close the door")],
         memories={("T1", "departures"): {"hygric_k": [1.0, 2.0]}},
@@ -131,8 +131,8 @@ def test_repeated_contradicting_and_late_observations(store: Store) -> None:
 
 
 def test_provisional_estimates_are_overtaken(store: Store) -> None:
-    store.commit(Batch(estimates={"T1": (a_condition([T0, T0 + 600, T0 + 900]), 1)}))
-    store.commit(Batch(estimates={"T1": (a_condition([T0 + 600, T0 + 1200], 291.0), 1)}))
+    store.commit(Batch(estimates={"T1": (a_condition([T0, T0 + 600, T0 + 900]), 1, T0)}))
+    store.commit(Batch(estimates={"T1": (a_condition([T0 + 600, T0 + 1200], 291.0), 1, T0 + 300)}))
     assert store.rows("SELECT time, final, temperature_K FROM estimate ORDER BY time") == [
         (T0, 1, 290.0),
         (T0 + 600, 1, 291.0),

@@ -61,13 +61,14 @@ class Alarm:
 class Batch:
     """What one round found.
 
-    `estimates` turbine → (condition, how many of its instants are final); `memories` (turbine, name) → plain data that a
+    `estimates` turbine → (condition, how many of its instants are final, time [s] from which on it overtakes what was
+    provisional); `memories` (turbine, name) → plain data that a
     turbine's tracker goes on from; `counters` (turbine, name) → increase; `place` source → where it is to go on.
     """
 
     observations: list[Observation] = field(default_factory=list)
     points: dict[str, Point] = field(default_factory=dict)
-    estimates: dict[str, tuple[Condition, int]] = field(default_factory=dict)
+    estimates: dict[str, tuple[Condition, int, float]] = field(default_factory=dict)
     properties: list[tuple[str, float, Sequence[Property]]] = field(default_factory=list)
     alarms: list[Alarm] = field(default_factory=list)
     memories: dict[tuple[str, str], object] = field(default_factory=dict)
@@ -170,11 +171,10 @@ class Store:
             names = ", ".join(ESTIMATE_COLUMNS)
             marks = ", ".join("?" * len(ESTIMATE_COLUMNS))
             changed = ", ".join(f"{n} = excluded.{n}" for n in ESTIMATE_COLUMNS[2:])
-            for turbine, (found, final) in batch.estimates.items():
-                # what was provisional is overtaken by this round
+            for turbine, (found, final, since) in batch.estimates.items():
                 cursor.execute(
                     self._text("DELETE FROM estimate WHERE turbine = ? AND time >= ? AND final = 0"),
-                    (turbine, float(found.time_s[0])),
+                    (turbine, since),
                 )
                 self._many(
                     cursor,

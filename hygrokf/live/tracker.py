@@ -91,10 +91,14 @@ class Tracker:
                 raise ValueError(
                     f"{one.signal}: expected a number, found {one.value}; a missing reading is none"
                 )
-            if self.point is not None and one.time <= self.point.time + SAME_S:
+            if self.is_late(one):
                 self.counts["repeated" if self._has(one) else "late"] += 1
             else:
                 self._insert(one)
+
+    def is_late(self, one: Reading) -> bool:
+        """Whether the estimate at a reading's time is final already."""
+        return self.point is not None and one.time <= self.point.time + SAME_S
 
     def _has(self, one: Reading) -> bool:
         times = self._times.get(one.signal, [])
