@@ -282,7 +282,21 @@ def maximise(
         done = climb(objective, o.z)
         if all(_far(done, kept) for kept in optima):
             optima.append(done)
-    optima.sort(key=lambda o: -o.objective)
+    return _estimate(likelihood, coordinates, optima)
+
+
+def climbed_on(
+    likelihood: Likelihood, values: Mapping[str, float], passes: int = 25, tolerance: float = 1e-3
+) -> Estimate:
+    """The estimate that a bounded number of passes leads to from values near a maximum."""
+    coordinates = Coordinates(likelihood.model.parameters)
+    found = climb(Objective(likelihood, coordinates), coordinates.start(values), passes, tolerance)
+    return _estimate(likelihood, coordinates, [found])
+
+
+def _estimate(likelihood: Likelihood, coordinates: Coordinates, optima: list[Optimum]) -> Estimate:
+    """The best of some optima, the others beside it."""
+    optima = sorted(optima, key=lambda o: -o.objective)
     best = optima[0]
     values_ = coordinates.values(best.z)
     margin = 1e-9

@@ -19,7 +19,7 @@ from hygrokf.discovery.residuals import Residuals, residuals
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, part_of, simulating
 from hygrokf.discovery.trial import Trial
 from hygrokf.fit import Fit
-from hygrokf.fitting import maximise
+from hygrokf.fitting import climbed_on
 from hygrokf.identification import Basis, assembled, identified
 from hygrokf.likelihood import Likelihood
 from hygrokf.record import Record
@@ -114,7 +114,7 @@ def _stages(basis: Basis, choice: Choice, say: Progress) -> tuple[Stage, ...]:
             found.append(stage)
             continue
         likelihood = Likelihood(part.base.model, part.run.timeline, rate_step=FINAL_STEP)
-        estimate = maximise(likelihood, dict(part.values), count=1)
+        estimate = climbed_on(likelihood, part.values)
         found.append(judged(part.record, Estimated(part.base, part.run, estimate, FINAL_STEP), True, say))
     return tuple(found)
 
