@@ -42,7 +42,7 @@ FLOORS = (
     "discovery.library discovery.misfits discovery.repeats",
     "discovery.nesting discovery.trial live.store live.payload",
     "discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.fleet",
-    "discovery.discover",
+    "discovery.discover live.streams",
     # pictures and faces
     "drawing excerpts report_words",
     "plots_course plots_identification plots_innovations report_tables discovery.plots_residuals",

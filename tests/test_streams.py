@@ -1,0 +1,192 @@
+"""Sources without a server: growing, cut and replaced files, half-written lines, standard input, playback."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import queue
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hygrokf.live.fleet import Delivery
+from hygrokf.live.streams import Lines, Playback, StandardInput, TailedFile, messages, taken_from
+from hygrokf.record import Record, Series
+
+PATIENCE_S = 10.0
+
+
+class Collected:
+    """What a stream put, and a way to wait for it."""
+
+    def __init__(self) -> None:
+        self.found: list[Delivery] = []
+
+    def __call__(self, one: Delivery) -> None:
+        self.found.append(one)
+
+    def wait(self, count: int) -> list[Delivery]:
+        end = time.monotonic() + PATIENCE_S
+        while len(self.found) < count and time.monotonic() < end:
+            time.sleep(0.01)
+        assert len(self.found) == count, self.found
+        return self.found
+
+
+def waits(condition) -> None:
+    end = time.monotonic() + PATIENCE_S
+    while not condition() and time.monotonic() < end:
+        time.sleep(0.01)
+    assert condition()
+
+
+@pytest.fixture
+def grown(tmp_path: Path):
+    """(append text, a started tail of the file, what it put)."""
+    path, got = tmp_path / "live.csv", Collected()
+
+    def append(text: str) -> None:
+        with path.open("a", encoding="utf-8") as file:
+            file.write(text)
+
+    append("turbine,time,Tcab\n")
+    stream = TailedFile(path)
+    stream.start(None, got)
+    yield append, stream, got
+    stream.stop()
+
+
+def test_a_growing_file_delivers_whole_lines(grown) -> None:
+    append, stream, got = grown
+    append("T1,2026-03-01T12:00:00Z,31.5\nT1,2026-03-01T12:10")
+    assert got.wait(1)[0].content == {"turbine": "T1", "time": "2026-03-01T12:00:00Z", "Tcab": "31.5"}
+    time.sleep(0.5)
+    assert len(got.found) == 1  # half a line is none
+    append(":00Z,31.7\n# a comment\n\n")
+    assert got.wait(2)[1].content["time"] == "2026-03-01T12:10:00Z"
+    assert stream.state[0] == "connected"
+
+
+def test_it_goes_on_from_its_place(grown) -> None:
+    append, stream, got = grown
+    append("".join(f"T1,{i},{i}.0\n" for i in range(1, 6)))
+    places = [one.place for one in got.wait(5)]
+    stream.stop()
+    append("T1,6,6.0\n")
+    again, later = TailedFile(stream.path), Collected()
+    again.start(places[2], later)
+    assert [one.content["time"] for one in later.wait(3)] == ["4", "5", "6"]
+    assert later.found[0].place == places[3]
+    again.stop()
+
+
+def test_a_file_that_was_cut_or_replaced_begins_anew(grown) -> None:
+    append, stream, got = grown
+    append("T1,1,1.0\nT1,2,2.0\n")
+    got.wait(2)
+    os.truncate(stream.path, 0)
+    time.sleep(0.5)
+    append("time;turbine;RH\n3;T1;55\n")
+    assert got.wait(3)[2].content == {"time": "3", "turbine": "T1", "RH": "55"}
+    new = stream.path.with_suffix(".new")
+    new.write_text("turbine,time,Tcab\nT1,4,4.0\n", encoding="utf-8")
+    os.replace(new, stream.path)
+    assert got.wait(4)[3].content["time"] == "4"
+
+
+def test_a_file_that_is_not_there_yet_is_waited_for(tmp_path: Path) -> None:
+    stream, got = TailedFile(tmp_path / "later.ndjson"), Collected()
+    stream.start(None, got)
+    waits(lambda: stream.state[0] == "waiting")
+    stream.path.write_text('{"turbine": "T1"}\n', encoding="utf-8")
+    assert got.wait(1)[0].content == '{"turbine": "T1"}'
+    stream.stop()
+    assert stream.state[0] == "stopped"
+
+
+def test_a_file_that_is_read_once_ends(tmp_path: Path) -> None:
+    path, got = tmp_path / "all.csv", Collected()
+    path.write_text("\ufeffturbine;Tcab\nT1;1\nT1;2", encoding="utf-8")
+    stream = TailedFile(path, follow=False)
+    stream.start(None, got)
+    assert [one.content for one in got.wait(2)] == [
+        {"turbine": "T1", "Tcab": "1"},
+        {"turbine": "T1", "Tcab": "2"},
+    ]
+    waits(lambda: stream.state[0] == "ended")
+    none = TailedFile(tmp_path / "none.csv", follow=False)
+    none.start(None, got)
+    waits(lambda: none.state == ("lost", f"{tmp_path / 'none.csv'}: no such file"))
+
+
+def test_lines() -> None:
+    lines = Lines()
+    rows = ["# made by hand", 'a\t"b c"', "1\t2\t3", 'a\t"b c"', "", "4", '{"x": 1}']
+    assert [lines.content(row) for row in rows] == [
+        None,
+        None,
+        {"a": "1", "b c": "2"},
+        None,
+        None,
+        {"a": "4"},
+        '{"x": 1}',
+    ]
+
+
+def test_standard_input() -> None:
+    stream, got = StandardInput(io.StringIO('{"turbine": "T1"}\nno,table\n1,2\n')), Collected()
+    stream.start(None, got)
+    assert [one.content for one in got.wait(2)] == ['{"turbine": "T1"}', {"no": "1", "table": "2"}]
+    assert all(one.place == "" for one in got.found)
+    waits(lambda: stream.state[0] == "ended")
+
+
+def some_record() -> Record:
+    time_s = 1.6e9 + 600.0 * np.arange(50)
+    warm = np.where(np.arange(50) == 7, np.nan, 290.0)
+    return Record(
+        "R", (Series("cabinet_temperature", time_s, warm), Series("rain", time_s + 5.0, np.zeros(50)))
+    )
+
+
+def test_playback_delivers_every_reading_and_goes_on_from_its_place() -> None:
+    stream, got = Playback(some_record(), "T1"), Collected()
+    stream.start(None, got)
+    found = got.wait(99)
+    assert len(stream) == 99
+    assert json.loads(found[0].content) == {"turbine": "T1", "time": 1.6e9, "cabinet_temperature": 290.0}
+    assert [one.received for one in found] == sorted(one.received for one in found)
+    again, rest = Playback(some_record(), "T1"), Collected()
+    again.start(found[89].place, rest)
+    assert [one.content for one in rest.wait(9)] == [one.content for one in found[90:]]
+    waits(lambda: again.state[0] == "ended")
+
+
+def test_playback_may_be_late_and_repeated() -> None:
+    found = messages(some_record(), "T1", late_s=1800.0, repeated=0.5, seed=3)
+    assert found == messages(some_record(), "T1", late_s=1800.0, repeated=0.5, seed=3)
+    stamps = [json.loads(text)["time"] for _, text in found]
+    assert stamps != sorted(stamps) and len(set(text for _, text in found)) == 99 < len(found) < 199
+    assert all(0.0 <= at - stamp < 1800.0 for (at, _), stamp in zip(found, stamps, strict=True))
+
+
+def test_playback_keeps_its_pace() -> None:
+    stream, got = Playback(some_record(), "T1", speed=6000.0), Collected()
+    begin = time.monotonic()
+    stream.start(None, got)
+    got.wait(21)  # 6,000 s of the record after the first
+    stream.stop()
+    assert 0.9 < time.monotonic() - begin < 5.0
+    assert len(got.found) < 60
+
+
+def test_deliveries_are_taken_in_bounded_rounds() -> None:
+    waiting: queue.Queue = queue.Queue()
+    for number in range(7):
+        waiting.put(Delivery(str(number), 0.0))
+    assert [one.content for one in taken_from(waiting, 5, 0.1)] == list("01234")
+    assert [one.content for one in taken_from(waiting, 5, 0.1)] == list("56")
+    assert taken_from(waiting, 5, 0.01) == []
