@@ -44,7 +44,7 @@ FLOORS = (
     "discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.fleet",
     "discovery.discover live.streams",
     # pictures and faces
-    "drawing excerpts report_words",
+    "drawing excerpts report_words live.service",
     "plots_course plots_identification plots_innovations report_tables discovery.plots_residuals",
     "plots page discovery.plots_misfits discovery.words",
     "report discovery.tables",
