@@ -18,13 +18,14 @@ from hygrokf.discovery.discover import verdict as verdict_of
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, scene
 from hygrokf.discovery.trial import Trial, attempt, refined
-from hygrokf.mechanisms import humidity_ceiling, humidity_drift, moisture_sorption, stepped_exchange
+from hygrokf.mechanisms import condensation, humidity_ceiling, humidity_drift, temperature_step
 from hygrokf.model import Mechanism
 
 
 def part_of(*mechanisms: Mechanism, converged: bool = True, **values: float) -> SimpleNamespace:
     """What a choice reads of a part."""
-    base = SimpleNamespace(model=SimpleNamespace(mechanisms=mechanisms))
+    parameters = [p for mechanism in mechanisms for p in mechanism.parameters]
+    base = SimpleNamespace(model=SimpleNamespace(parameters=parameters))
     return SimpleNamespace(base=base, values=values, converged=converged)
 
 
@@ -67,13 +68,13 @@ def test_evidence_and_a_better_free_run_are_both_needed() -> None:
     [
         (humidity_drift(), {"humidity_drift_total": -0.4}, True),
         (humidity_drift(), {"humidity_drift_total": 0.39}, False),
-        # a sensor that sticks shows nothing above its ceiling; a change of -0.95 is an exchange that has stopped
+        (temperature_step(), {"temperature_offset": 30.0}, True),
+        # a sensor that sticks shows nothing above its ceiling; a film may grow faster than a record can resolve
         (humidity_ceiling(), {"humidity_lost": 1.0, "humidity_ceiling": 1.0}, False),
-        (stepped_exchange(), {"exchange_change": -0.95}, False),
-        (moisture_sorption(), {"sorption_capacity": 1e-3, "sorption_time": 1.0}, False),
+        (condensation(), {"condensation_rate": 4.0}, False),
     ],
 )
-def test_an_amplitude_beyond_what_is_physically_possible_is_no_cause(
+def test_a_sensor_that_is_off_beyond_what_is_possible_is_no_cause(
     mechanism: Mechanism, values: dict, beyond: bool
 ) -> None:
     one = trial("humidity_sensor_drift", 900.0, 0.3)

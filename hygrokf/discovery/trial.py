@@ -26,8 +26,10 @@ CLOCK_REACH_S = (480.0, 160.0, 50.0)
 """[s] how far around a shift the next one is looked for, all parameters estimated again before each."""
 CLOCK_S = 15.0
 """[s] by which a shift is moved at least."""
+SENSOR_ERRORS = ("humidity_drift_total", "humidity_scale_error", "temperature_offset")
+"""Parameters whose bounds are what a sensor can be off by."""
 AT_BOUND = 1e-4
-"""Share of the largest amplitude within which an estimate stands at that bound."""
+"""Share of the largest error within which an estimate stands at that bound."""
 EPISODE_GAP = 3
 """[d] days of one episode lie at most so far apart."""
 WEEK = 7
@@ -64,14 +66,15 @@ class Trial:
 
     @property
     def beyond(self) -> str:
-        """An amplitude of the cause that ended as large as is physically possible; empty where none did."""
+        """An error of a sensor that ended as large as is physically possible; empty where none did.
+
+        Bounds of other amplitudes are what a record can resolve, and no limit of physics.
+        """
         for part in self.parts.values():
-            for mechanism in part.base.model.mechanisms:
-                for p in mechanism.parameters if mechanism.name in added(self.variant) else ():
-                    if p.null is None:
-                        continue
-                    largest = max(abs(p.lower - p.null), abs(p.upper - p.null))
-                    if abs(part.values[p.name] - p.null) > (1.0 - AT_BOUND) * largest:
+            for p in part.base.model.parameters:
+                if p.name in SENSOR_ERRORS:
+                    largest = max(abs(p.lower), abs(p.upper))
+                    if abs(part.values[p.name]) > (1.0 - AT_BOUND) * largest:
                         return p.name
         return ""
 

@@ -80,7 +80,7 @@ def humidity_ceiling(lowest: float = 0.2) -> Mechanism:
         name="humidity_ceiling",
         parameters=(
             Parameter(
-                "humidity_lost", "1", 0.5, 0.0, 1.05, null=0.0,
+                "humidity_lost", "1", 0.5, 0.0, 1.0, null=0.0,
                 meaning="share of what exceeds the ceiling that the reading does not show",
             ),
             Parameter(
