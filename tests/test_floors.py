@@ -41,8 +41,9 @@ FLOORS = (
     "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties",
     "discovery.library discovery.misfits discovery.repeats",
     "discovery.nesting discovery.trial live.store live.payload",
-    "discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.fleet",
-    "discovery.discover live.streams",
+    "discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.alarms",
+    "discovery.discover live.fleet",
+    "live.streams",
     # pictures and faces
     "drawing excerpts report_words live.service",
     "plots_course plots_identification plots_innovations report_tables discovery.plots_residuals",

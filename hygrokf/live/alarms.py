@@ -1,0 +1,190 @@
+"""Alarms: when one begins and ends, how severe it is, and what it says.
+
+A rule watches a level.  An alarm begins where the level has been at or above `on` for `hold_s`, and ends where it has been
+below `off` for as long; between the two it stays as it is.  Time is that of the readings, so that a replay gives the same
+alarms; its name follows from turbine, kind and beginning, so that after a crash none is raised twice.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hygrokf.live.condition import Condition
+from hygrokf.live.properties import Departure
+from hygrokf.live.store import Alarm
+
+MINUTE_S = 60.0
+HOUR_S = 3600.0
+SEVERITIES = ("notice", "warning", "alarm")
+
+
+@dataclass(frozen=True)
+class Rule:
+    """What raises an alarm of a kind: `on`, `off` levels, `hold_s` [s], its severity, and from which level it is an alarm."""
+
+    kind: str
+    on: float
+    off: float
+    hold_s: float
+    severity: str
+    severe: float
+    remedy: str
+
+
+CONDENSATION = Rule(
+    "condensation", 0.5, 0.2, 20 * MINUTE_S, "warning", 0.95,
+    "pre-heat before the converter is started, and look for water at the coldest surface",
+)  # fmt: skip
+CHANGED = Rule("cabinet changed", 1.0, 0.5, 0.0, "warning", np.inf, "")
+STALE = Rule(
+    "data stale", 1.0, 0.5, 0.0, "warning", 12.0,
+    "check the logger, its power and the way of its data; the estimate goes on without these readings",
+)  # fmt: skip
+LOST = Rule(
+    "source lost",
+    1.0,
+    0.5,
+    0.0,
+    "alarm",
+    1.0,
+    "run `hygrokf doctor`, which says what cannot be reached and why",
+)
+RULES = {rule.kind: rule for rule in (CONDENSATION, CHANGED, STALE, LOST)}
+
+LIKELY = {
+    ("thermal_time_constant", True): (
+        "the cabinet loses its heat more slowly",
+        "look for clogged filters, a fan that stands still, or added insulation",
+    ),
+    ("thermal_time_constant", False): (
+        "the cabinet loses its heat faster",
+        "look for an open door or flap, missing insulation, or a fan that runs all the time",
+    ),
+    ("hygric_k", True): (
+        "the cabinet exchanges less air with the ambient",
+        "look for clogged vents and filters, or a seal that was renewed",
+    ),
+    ("hygric_k", False): (
+        "the cabinet exchanges more air with the ambient",
+        "check door, seals and cable glands",
+    ),
+    ("heat_release_change", True): (
+        "more heat is released than the operation explains",
+        "check cooling and fans, and whether a heater stays on",
+    ),
+    ("heat_release_change", False): (
+        "less heat is released than the operation explains",
+        "check the heater and its thermostat, and the temperature sensor against another one",
+    ),
+}
+"""(property, whether it grew) -> (what that says, what to check)."""
+
+
+@dataclass(frozen=True)
+class Level:
+    """What a rule sees: the level, what it says in words, and a remedy where it is not the rule's own.
+
+    `subject` tells several alarms of one kind apart.
+    """
+
+    kind: str
+    level: float
+    statement: str
+    remedy: str = ""
+    subject: str = ""
+
+
+@dataclass(frozen=True)
+class Standing:
+    """Where an alarm stands: since when the level is past the threshold that matters next [s], and the alarm itself."""
+
+    since: float | None = None
+    alarm: Alarm | None = None
+
+
+def judged(
+    turbine: str, known: Mapping[str, Standing], now: float, levels: list[Level]
+) -> tuple[dict[str, Standing], list[Alarm]]:
+    """Standings after the levels at `now` [s], and the alarms that began, changed or ended.
+
+    A level that is no longer told counts as 0.
+    """
+    told = {f"{one.kind} {one.subject}".strip(): one for one in levels}
+    standings: dict[str, Standing] = {}
+    changed: list[Alarm] = []
+    for key in dict.fromkeys((*known, *told)):
+        before = known.get(key, Standing())
+        level = told.get(key, Level(_kind(key), 0.0, ""))
+        after, alarm = _judged(turbine, key, before, now, level)
+        if alarm is not None:
+            changed.append(alarm)
+        if after != Standing():
+            standings[key] = after
+    return standings, changed
+
+
+def _judged(
+    turbine: str, key: str, before: Standing, now: float, level: Level
+) -> tuple[Standing, Alarm | None]:
+    rule = RULES[level.kind]
+    open_ = before.alarm
+    past = level.level < rule.off if open_ is not None else level.level >= rule.on
+    if not past:
+        after = Standing(None, open_)
+    else:
+        since = now if before.since is None else before.since
+        if now - since < rule.hold_s:
+            after = Standing(since, open_)
+        elif open_ is not None:
+            return Standing(), replace(open_, ended=since)
+        else:
+            severity = "alarm" if level.level >= rule.severe else rule.severity
+            made = Alarm(
+                id=f"{turbine}:{key}:{since:.0f}",
+                turbine=turbine,
+                kind=level.kind,
+                severity=severity,
+                began=since,
+                statement=level.statement,
+                remedy=level.remedy or rule.remedy,
+            )
+            return Standing(None, made), made
+    if open_ is not None and level.level >= rule.severe and open_.severity != "alarm":
+        worse = replace(open_, severity="alarm", statement=level.statement)
+        return replace(after, alarm=worse), worse
+    return after, None
+
+
+def _kind(key: str) -> str:
+    return next(kind for kind in RULES if key == kind or key.startswith(kind + " "))
+
+
+def condensation_level(found: Condition) -> list[Level]:
+    """The level of the last instant: the probability that the coldest surface is below the dew point."""
+    if found.condensation is None or not len(found.time_s):
+        return []
+    chance, margin = float(found.condensation[-1]), found.margin_K
+    words = (
+        f"water condenses on the coldest surface with a probability of {100 * chance:.0f} %: "
+        f"it is {margin.value[-1]:+.1f} K ({margin.lower[-1]:+.1f} … {margin.upper[-1]:+.1f}) from the dew point"
+    )
+    return [Level(CONDENSATION.kind, chance, words)]
+
+
+def departure_levels(found: Mapping[str, Departure]) -> list[Level]:
+    """A level for each property that has departed and lasts."""
+    levels = []
+    for name, one in found.items():
+        if not one.lasting:
+            continue
+        said, remedy = LIKELY[name, one.change > 0.0]
+        size = (
+            f"{one.change:+.1f} K"
+            if name == "heat_release_change"
+            else f"{100.0 * np.expm1(one.change):+.0f} %"
+        )
+        levels.append(Level(CHANGED.kind, 1.0, f"{said}: {name.replace('_', ' ')} {size}", remedy, name))
+    return levels
