@@ -15,11 +15,12 @@ from dataclasses import asdict, dataclass, field, replace
 
 import numpy as np
 
+from hygrokf.live.alarms import Standing, condensation_level, departure_levels, judged
 from hygrokf.live.condition import Condition, Quantity, Surface, condition
 from hygrokf.live.payload import Mapping, Refused, parsed, taken
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import Departure, departures, properties, states_of
-from hygrokf.live.store import Batch, Observation, Store
+from hygrokf.live.store import Alarm, Batch, Observation, Store
 from hygrokf.live.tracker import CONTEXT_S, Course, Tracker
 
 PROPERTY_S = 3600.0
@@ -57,6 +58,7 @@ class Fleet:
         self.mapping = mapping
         self.trackers = {name: Tracker(one.plan) for name, one in turbines.items()}
         self.departures: dict[str, dict[str, Departure]] = defaultdict(dict)
+        self.standings: dict[str, dict[str, Standing]] = defaultdict(dict)
         self.faults: dict[str, str] = {}
         self._slots: dict[str, float] = {}
         self._counted: dict[str, Counter] = defaultdict(Counter)
@@ -72,6 +74,8 @@ class Fleet:
             fleet.trackers[name] = Tracker(one.plan, point, store.readings(name, since))
             known = store.memory(name, "departures") or {}
             fleet.departures[name] = {key: Departure(**data) for key, data in known.items()}
+            known = store.memory(name, "alarms") or {}
+            fleet.standings[name] = {key: standing_of(data) for key, data in known.items()}
         return fleet
 
     def round(self, deliveries: Sequence[Delivery], source: str = "") -> Batch:
@@ -129,6 +133,23 @@ class Fleet:
             batch.properties.append((name, at, properties(states, one.plan.values, one.errors)))
             self.departures[name] = departures(self.departures[name], at, states, one.errors)
             batch.memories[name, "departures"] = {k: asdict(d) for k, d in self.departures[name].items()}
+        self._judge(name, found, batch)
+
+    def _judge(self, name: str, found: Condition, batch: Batch) -> None:
+        """Alarms by the newest estimate and the properties."""
+        before = self.standings[name]
+        levels = condensation_level(found) + departure_levels(self.departures[name])
+        after, changed = judged(name, before, float(found.time_s[-1]), levels)
+        if after != before:
+            self.standings[name] = after
+            batch.memories[name, "alarms"] = {key: asdict(one) for key, one in after.items()}
+        batch.alarms += changed
+
+
+def standing_of(data: MappingOf) -> Standing:
+    """A standing from what the store has of it."""
+    alarm = data["alarm"]
+    return Standing(data["since"], None if alarm is None else Alarm(**alarm))
 
 
 def conditions(one: Turbine, course: Course, final_s: float) -> tuple[Condition, int]:
