@@ -77,7 +77,9 @@ def test_a_batch_comes_back(store: Store) -> None:
     assert store.place("file:live.csv") == "1200" and store.place("file:other.csv") is None
     assert store.memory("T1", "departures") == {"hygric_k": [1.0, 2.0]} and store.memory("T1", "x") is None
     assert [one.value for one in store.readings("T1", T0)] == [290.25, 290.5]
-    assert store.readings("T1", T0 + 1.0) == [Reading("cabinet_temperature", T0 + 600, 290.5)]
+    assert [one.time for one in store.readings("T1", T0 + 1.0)] == [T0, T0 + 600]  # the last one before, too
+    assert store.readings("T1", T0 + 601.0) == [Reading("cabinet_temperature", T0 + 600, 290.5)]
+    assert store.readings("T2", T0) == []
     assert store.rows(
         "SELECT final, temperature_K, frost_point_K, condensation FROM estimate ORDER BY time"
     ) == [

@@ -150,19 +150,13 @@ def _air(
     model: Model, values: Mapping[str, float], u: Mapping[str, np.ndarray], mean: np.ndarray
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """Temperature (T,) of the cabinet air [K] and its slopes (T, n) along the states, by complex steps."""
-    columns = list(mean.T)
     count, n = mean.shape
-
-    def at(state: list) -> np.ndarray | None:
-        found = model.quantities(state, u, values).get("cabinet_air_temperature")
-        return None if found is None else np.broadcast_to(np.asarray(found), count)
-
-    value = at(columns)
-    slopes = np.zeros((count, n))
-    if value is None:
-        return None, slopes
-    for i in range(n):
-        moved = list(columns)
-        moved[i] = columns[i] + 1e-30j
-        slopes[:, i] = np.imag(at(moved)) * 1e30
-    return np.real(value), slopes
+    # row 0 is the state itself, row i + 1 the state moved along i: one evaluation for all slopes
+    moved = np.zeros((n, n + 1, count), dtype=complex)
+    moved += mean.T[:, None, :]
+    moved[np.arange(n), np.arange(n) + 1] += 1e-30j
+    found = model.quantities(list(moved), u, values).get("cabinet_air_temperature")
+    if found is None:
+        return None, np.zeros((count, n))
+    whole = np.broadcast_to(np.asarray(found), (n + 1, count))
+    return np.real(whole[0]), np.ascontiguousarray(np.imag(whole[1:]).T) * 1e30

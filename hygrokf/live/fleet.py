@@ -21,7 +21,7 @@ from hygrokf.live.payload import Mapping, Refused, parsed, taken
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import Departure, departures, properties, states_of
 from hygrokf.live.store import Alarm, Batch, Observation, Store
-from hygrokf.live.tracker import CONTEXT_S, Course, Tracker
+from hygrokf.live.tracker import Course, Tracker
 
 PROPERTY_S = 3600.0
 """[s] for which the store keeps one row of each property."""
@@ -70,7 +70,7 @@ class Fleet:
         fleet = cls(turbines, mapping)
         for name, one in turbines.items():
             point = store.point(name)
-            since = -1e18 if point is None else point.time - CONTEXT_S
+            since = -1e18 if point is None else point.time - one.plan.context_s
             fleet.trackers[name] = Tracker(one.plan, point, store.readings(name, since))
             known = store.memory(name, "departures") or {}
             fleet.departures[name] = {key: Departure(**data) for key, data in known.items()}

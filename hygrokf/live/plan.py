@@ -8,7 +8,8 @@ from functools import cached_property
 
 import numpy as np
 
-from hygrokf.design import Design, extended
+from hygrokf.ambient import AMBIENT_BRIDGE_H
+from hygrokf.design import SETTLING_H, Design, extended
 from hygrokf.fit import Fit
 from hygrokf.likelihood import Likelihood
 from hygrokf.mechanisms.hygric import exchange_factor
@@ -18,6 +19,7 @@ from hygrokf.record import Site
 from hygrokf.signals import SIGNALS
 from hygrokf.timeline import timeline
 
+FEATURES_H = 48.0
 LATENESS_S = 1800.0
 """[s] readings may come this much later than the newest one and still count."""
 WANDERING = {
@@ -67,6 +69,14 @@ class Plan:
     def form(self, signal: str) -> Form:
         """How a signal is given; instants where nothing is stated."""
         return self.forms.get(signal, Form())
+
+    @property
+    def context_s(self) -> float:
+        """How far before a final estimate readings are kept [s]: inputs look back over gaps and what settles after them.
+
+        Features may look back over a day.
+        """
+        return 3600.0 * (FEATURES_H if self.design.features else AMBIENT_BRIDGE_H + SETTLING_H + 2.0)
 
     @cached_property
     def longest_mean_s(self) -> float:

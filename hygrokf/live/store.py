@@ -279,8 +279,17 @@ class Store:
         return Point(found[0][0], state_of(found[0][1])) if found else None
 
     def readings(self, turbine: str, since: float) -> list[Reading]:
-        """Readings of a turbine from a time [s] on that the filter may use; NaN where two contradict each other."""
+        """Readings of a turbine that the filter may use: those from a time [s] on, and of each signal the last before it.
+
+        NaN where two contradict each other.
+        """
         found = self.rows(
+            "SELECT o.signal, o.time, o.value, o.contradicted FROM observation o JOIN "
+            "(SELECT signal, MAX(time) AS time FROM observation WHERE turbine = ? AND time < ? AND late = 0 GROUP BY signal) "
+            "l ON o.signal = l.signal AND o.time = l.time WHERE o.turbine = ?",
+            (turbine, since, turbine),
+        )
+        found += self.rows(
             "SELECT signal, time, value, contradicted FROM observation WHERE turbine = ? AND time >= ? AND late = 0 "
             "ORDER BY signal, time",
             (turbine, since),

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import bisect
 import math
+from array import array
 from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,8 +24,6 @@ from hygrokf.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.live.plan import Plan
 from hygrokf.record import Record, Series
 
-CONTEXT_S = 48 * 3600.0
-"""[s] readings before the point that are kept: inputs of an instant look back over gaps and what settles after them."""
 AMBIENT_HUMIDITIES = (
     "ambient_relative_humidity",
     "ambient_absolute_humidity",
@@ -78,8 +77,8 @@ class Tracker:
         self.plan = plan
         self.point = point
         self.counts: Counter[str] = Counter()
-        self._times: dict[str, list[float]] = {}
-        self._values: dict[str, list[float]] = {}
+        self._times: dict[str, array[float]] = {}
+        self._values: dict[str, array[float]] = {}
         for one in readings:
             self._insert(one)
 
@@ -101,13 +100,13 @@ class Tracker:
         return self.point is not None and one.time <= self.point.time + SAME_S
 
     def _has(self, one: Reading) -> bool:
-        times = self._times.get(one.signal, [])
+        times = self._times.get(one.signal, array("d"))
         place = bisect.bisect_left(times, one.time)
         return place < len(times) and times[place] == one.time
 
     def _insert(self, one: Reading) -> None:
-        times = self._times.setdefault(one.signal, [])
-        values = self._values.setdefault(one.signal, [])
+        times = self._times.setdefault(one.signal, array("d"))
+        values = self._values.setdefault(one.signal, array("d"))
         place = bisect.bisect_left(times, one.time)
         if place < len(times) and times[place] == one.time:
             if values[place] == one.value:
@@ -237,22 +236,22 @@ class Tracker:
         if any(s.startswith("ambient_") for s in stale):
             stale |= {s for s in self._times if s.startswith("ambient_")}
         ahead = self.newest + AHEAD_S
-        times = {s: [*times, ahead] if s in stale else times for s, times in self._times.items()}
-        values = {s: [*v, _last_of(v)] if s in stale else v for s, v in self._values.items()}
+        times = {s: array("d", [*times, ahead]) if s in stale else times for s, times in self._times.items()}
+        values = {s: array("d", [*v, _last_of(v)]) if s in stale else v for s, v in self._values.items()}
         return record_of(self.plan, times, values)
 
     def _forget(self) -> None:
-        """Drop readings that no later instant looks at."""
+        """Drop readings that no later instant looks at; the last one before them stays, as the edge of a gap."""
         assert self.point is not None
-        oldest = self.point.time - CONTEXT_S
+        oldest = self.point.time - self.plan.context_s
         for signal, times in self._times.items():
-            place = bisect.bisect_left(times, oldest)
-            if place:
+            place = bisect.bisect_left(times, oldest) - 1
+            if place > 0:
                 del times[:place]
                 del self._values[signal][:place]
 
 
-def _last_of(values: list[float]) -> float:
+def _last_of(values: Sequence[float]) -> float:
     return next((v for v in reversed(values) if not math.isnan(v)), math.nan)
 
 
