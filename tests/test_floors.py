@@ -43,7 +43,7 @@ FLOORS = (
     "discovery.nesting discovery.trial live.store live.payload",
     "discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.alarms",
     "discovery.discover live.fleet",
-    "live.streams",
+    "live.streams live.config",
     # pictures and faces
     "drawing excerpts report_words live.service",
     "plots_course plots_identification plots_innovations report_tables discovery.plots_residuals",

@@ -1,0 +1,154 @@
+"""The tracker's file: what it gives, and that every fault is told at once and in words."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from hygrokf.design import Design
+from hygrokf.fit import Fit
+from hygrokf.live.config import Config, ConfigFault, address, is_loopback, read_config
+from hygrokf.results import write_fit
+
+MODEL = Design(
+    (
+        ("thermal_network", {}),
+        ("heat_release", {"order": 0, "operation": False, "standstill_ambient": False, "ambient": False}),
+        ("thermal_diffusion", {}),
+        ("temperature_sensor", {}),
+    )
+)
+WHOLE = """\
+store = "sqlite:live.db"
+page = "127.0.0.1:8090"
+lateness = "20min"
+retention = "90d"
+[[turbine]]
+name = "T07"
+fit = "T07"
+known_as = ["plant/7", "T-07"]
+cold_surface = { follows = 0.1, offset_K = -0.5 }
+site = { latitude_deg = 54.0, longitude_deg = 8.0 }
+rated_power_kW = 2050
+[[turbine]]
+name = "T08"
+fit = "T07"
+lateness = "1h"
+[mapping]
+turbine = "{1}"
+time = "t"
+quality = "q"
+good = ["Good", 192]
+[mapping.signals]
+Tcab = { signal = "cabinet_temperature", unit = "degC", accuracy = 0.3 }
+P = { signal = "active_power", unit = "kW", stamp = "start", interval = "10min" }
+"env.T" = { signal = "ambient_temperature", unit = "degC" }
+[[source]]
+url = "file:live.csv"
+[[source]]
+url = "mqtt://127.0.0.1:1883"
+topic = "wind/#"
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    values = {p.name: {"value": p.start} for p in MODEL.model.parameters}
+    results = {
+        "name": "one", "version": "0.1.0", "design": MODEL.to_json(), "parameters": values, "synthetic": True, "time_constants": {},
+        "covariance": {"names": ["thermal_time_constant"], "matrix": [[0.01]]},
+    }  # fmt: skip
+    write_fit(Fit("one", MODEL, {k: v["value"] for k, v in values.items()}, results), tmp_path / "T07")
+    return tmp_path
+
+
+def read(folder: Path, text: str) -> Config:
+    file = folder / "track.toml"
+    file.write_text(text, encoding="utf-8")
+    return read_config(file)
+
+
+def faults(folder: Path, text: str) -> str:
+    with pytest.raises(ConfigFault) as fault:
+        read(folder, text)
+    assert all(line.startswith(("track.toml: ", str(folder))) for line in str(fault.value).splitlines())
+    return str(fault.value)
+
+
+def test_a_whole_file(folder: Path) -> None:
+    found = read(folder, WHOLE)
+    assert list(found.turbines) == ["T07", "T08"]
+    first, second = found.turbines.values()
+    assert (first.plan.lateness_s, second.plan.lateness_s) == (1200.0, 3600.0)
+    assert (first.surface.follows, first.surface.offset_K, second.surface.follows) == (0.1, -0.5, 0.3)
+    assert first.plan.site.latitude_deg == 54.0 and first.plan.rated_power_W == 2.05e6
+    assert first.errors["thermal_time_constant"] == pytest.approx(0.1 / 2.0)
+    assert (
+        "log_thermal_change" in first.plan.model.states and "log_hygric_change" not in first.plan.model.states
+    )
+    assert found.mapping.turbines == {"plant/7": "T07", "T-07": "T07", "T08": "T08"}
+    assert found.mapping.good == ("good", "192") and found.mapping.turbine == "{1}"
+    power = found.mapping.fields["P"]
+    assert (power.form.hold, power.form.interval_s, power.shift_s) == ("zero-order", 600.0, 600.0)
+    assert found.mapping.fields["Tcab"].form.accuracy == 0.3
+    assert found.store == f"sqlite:{folder / 'live.db'}" and found.retention_s == 90 * 86400.0
+    assert [one["url"] for one in found.sources] == ["file:live.csv", "mqtt://127.0.0.1:1883"]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (("store =", "stroe ="), 'unknown key "stroe"'),
+        (('page = "127.0.0.1:8090"', 'page = "8090"'), "page must be HOST:PORT"),
+        (('lateness = "20min"', 'lateness = "soon"'), "lateness"),
+        (('retention = "90d"', 'retention = "1d"'), "at least 7 d"),
+        (('name = "T08"', 'name = "T07"'), "a second turbine named 'T07'"),
+        (('name = "T08"', 'name = ""'), "1 to 100 printable characters"),
+        (('name = "T08"\nfit = "T07"', 'name = "T08"\nfit = "none"'), "none"),
+        (('name = "T08"\nfit = "T07"', 'name = "T08"'), "fit is missing"),
+        (("follows = 0.1", "follows = 1.5"), "within 0 … 1"),
+        (("follows = 0.1", 'follows = "much"'), "must be a number"),
+        (("latitude_deg = 54.0", "latitude_deg = 154.0"), "latitude_deg"),
+        (('known_as = ["plant/7", "T-07"]', 'known_as = ["T08"]'), "already stands for 'T07'"),
+        (('signal = "cabinet_temperature"', 'signal = "cabinet_temprature"'), "cabinet_temperature"),
+        (('unit = "degC", accuracy', 'unit = "kPa", accuracy'), "kPa"),
+        ((', interval = "10min"', ""), "a mean needs both"),
+        (('stamp = "start"', 'stamp = "begin"'), "stamp must be one of"),
+        (('"env.T" = { signal = "ambient_temperature"', '"env.T" = { signal = "cabinet_temperature"'), "are both"),
+        (('quality = "q"', 'quality = 7'), "quality must be text"),
+        (('quality = "q"', 'tag = "tag"'), "tag and value belong together"),
+        (('url = "file:live.csv"', 'url = "kafka://x"'), "url must begin with one of"),
+        (('[[source]]\nurl = "file:live.csv"', "[wandering]\nseal = 0.1\n[[source]]\nurl = \"stdin\""), 'unknown key "seal"'),
+        (('[[source]]\nurl = "file:live.csv"', "[wandering]\nwandering_release = 9\n[[source]]\nurl = \"stdin\""), "rate above 0"),
+        (("[mapping]", "[mapping"), "no TOML"),
+    ],
+)  # fmt: skip
+def test_faults_in_words(folder: Path, change: tuple[str, str], said: str) -> None:
+    text = WHOLE.replace(*change)
+    assert text != WHOLE
+    assert said in faults(folder, text)
+
+
+def test_all_faults_at_once(folder: Path) -> None:
+    text = (
+        WHOLE.replace("follows = 0.1", "follows = 7")
+        .replace('unit = "kW"', 'unit = "kg"')
+        .replace('lateness = "1h"', "lateness = 1")
+    )
+    found = faults(folder, text)
+    assert len(found.splitlines()) == 3
+
+
+def test_an_empty_file_says_what_is_needed(folder: Path) -> None:
+    found = faults(folder, "")
+    for word in ("no turbine", "no source", "no signals"):
+        assert word in found
+    with pytest.raises(ConfigFault, match="cannot be read"):
+        read_config(folder / "none.toml")
+
+
+def test_addresses() -> None:
+    assert address("[::1]:80", []) == ("::1", 80)
+    assert [is_loopback(host) for host in ("127.0.0.1", "127.8.0.1", "::1", "localhost")] == [True] * 4
+    assert [is_loopback(host) for host in ("0.0.0.0", "10.0.0.1", "example.org", "::")] == [False] * 4
