@@ -45,7 +45,7 @@ FLOORS = (
     "discovery.discover live.fleet",
     "live.streams live.config",
     # pictures and faces
-    "drawing excerpts report_words live.service",
+    "drawing excerpts report_words live.service live.views",
     "plots_course plots_identification plots_innovations report_tables discovery.plots_residuals",
     "plots page discovery.plots_misfits discovery.words",
     "report discovery.tables",

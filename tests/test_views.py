@@ -1,0 +1,115 @@
+"""What the page shows, from a store that is filled by hand."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hygrokf.live.condition import Condition, Quantity
+from hygrokf.live.properties import Property
+from hygrokf.live.service import Health
+from hygrokf.live.store import Alarm, Batch, Observation, Store, open_store
+from hygrokf.live.tracker import Reading
+from hygrokf.live.views import MOST, alarms_view, fleet_view, health_view, turbine_view
+
+T0 = 1.7e9
+
+
+def estimated(times: np.ndarray, kelvin: float, humidity: float | None, chance: float | None) -> Condition:
+    def of(value: float | None, sd: float) -> Quantity | None:
+        return None if value is None else Quantity(np.full(len(times), value), np.full(len(times), sd))
+
+    wet = humidity is not None
+    return Condition(
+        times, of(kelvin, 0.5), of(humidity, 0.02), of(8.0 if wet else None, 0.3), of(280.0 if wet else None, 0.4),
+        of(np.nan if wet else None, np.nan), of(2.0 if wet else None, 1.0), None if chance is None else np.full(len(times), chance),
+    )  # fmt: skip
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Store:
+    made = open_store(f"sqlite:{tmp_path / 'live.db'}")
+    times = T0 + 600.0 * np.arange(10)
+    readings = [
+        Observation(n, Reading("cabinet_temperature", t, 300.15), t + 2.0) for n in "AB" for t in times
+    ]
+    made.commit(
+        Batch(
+            observations=readings,
+            estimates={
+                "A": (estimated(times, 300.15, 0.5, 0.02), 8, T0), "B": (estimated(times, 295.15, 0.9, 0.4), 10, T0),
+                "C": (estimated(times, 290.15, None, None), 10, T0),
+            },
+            properties=[("A", T0 + d * 3600.0, [Property("hygric_k", "h", 0.3 + d, 0.2, 0.4, 0.3, d < 2)]) for d in range(3)],
+            alarms=[
+                Alarm("a", "C", "data stale", "warning", T0, "silent", "look"),
+                Alarm("b", "A", "condensation", "alarm", T0, "wet", "dry", ended=T0 + 60),
+            ],
+            counters={("A", "late"): 3, ("", "malformed"): 2},
+        )
+    )  # fmt: skip
+    yield made
+    made.close()
+
+
+def test_the_turbine_at_most_risk_comes_first(store: Store) -> None:
+    rows = fleet_view(store, ["A", "B", "C", "D"], T0 + 6000.0)
+    assert [row["turbine"] for row in rows] == ["C", "B", "A", "D"]
+    assert [row["severity"] for row in rows] == [1, -1, -1, -1]
+    b = rows[1]
+    assert (b["temperature"], b["relative_humidity"], b["fresh"]) == (
+        pytest.approx(22.0),
+        pytest.approx(90.0),
+        True,
+    )
+    assert b["margin_lower"] == pytest.approx(2.0 - 1.959964) and b["time"] == T0 + 5400.0
+    d = rows[3]
+    assert d["time"] is d["condensation"] is d["heard"] is None and not d["fresh"]
+    assert not fleet_view(store, ["A"], T0 + 5400.0 + 3700.0)[0]["fresh"]
+
+
+def test_one_turbine(store: Store) -> None:
+    found = turbine_view(store, "A", T0 + 600.0)
+    assert len(found["time"]) == 9 and found["final"] == [1] * 7 + [0] * 2
+    warm = found["courses"]["temperature"]
+    assert warm["value"][0] == pytest.approx(27.0) and warm["upper"][0] == pytest.approx(27.98, abs=0.001)
+    damp = found["courses"]["relative_humidity"]
+    assert damp["lower"][0] == pytest.approx(50.0 - 3.92, abs=0.001)
+    assert found["readings"]["temperature"]["value"] == pytest.approx([27.0] * 9)
+    (exchange,) = found["properties"]
+    assert (
+        exchange["value"] == [1.3, 2.3] and exchange["observable"] is False and exchange["reference"] == 0.3
+    )
+    assert found["counts"] == {"late": 3}
+    assert found["signals"][0]["count"] == 10
+    assert found["alarms"] == []  # it ended before
+
+
+def test_what_a_model_lacks_is_left_out(store: Store) -> None:
+    found = turbine_view(store, "C", T0)
+    assert list(found["courses"]) == ["temperature"] and found["condensation"] == [None] * 10
+    assert found["readings"] == {} and turbine_view(store, "none", T0)["time"] == []
+
+
+def test_open_alarms_come_first(store: Store) -> None:
+    assert [a["id"] for a in alarms_view(store)] == ["a", "b"]
+    assert [a["id"] for a in alarms_view(store, "A")] == ["b"]
+
+
+def test_long_courses_are_thinned(store: Store) -> None:
+    times = T0 + 60.0 * np.arange(3 * MOST + 7)
+    store.commit(Batch(estimates={"L": (estimated(times, 290.0, 0.5, 0.1), len(times), T0)}))
+    found = turbine_view(store, "L", T0)["time"]
+    assert MOST // 2 < len(found) <= MOST and found[-1] == times[-1]
+
+
+def test_health() -> None:
+    health = Health(deliveries=5)
+    health.note([0.01] * 98 + [0.2, 0.5])
+    found = health_view(
+        {"stdin": ("ended", "all of it was read")}, health, {("", "malformed"): 2, ("A", "late"): 1}
+    )
+    assert found["refused"] == {"malformed": 2} and found["wait_99_s"] == 0.2
+    assert found["sources"] == [{"url": "stdin", "state": "ended", "words": "all of it was read"}]
