@@ -240,3 +240,14 @@ def test_what_is_left_overrules_a_name_only_where_it_is_another_one(
         [] if features is None else [Trial(Variant("a", "b", features=features), {}, 9.0, 1, 8.0, {}, {}, {})]
     )
     assert verdict_of(accepted, {} if left else None, foreign, repeated) == said
+
+
+def test_a_source_that_begins_is_dated_to_the_reading() -> None:
+    """An hour off, a jump of the vapour is none of the source's, and the evidence is gone."""
+    plant = hidden_plant(331, "internal_moisture_source", form=2, days=50.0)
+    begins = plant.truth.hidden[0].dates[0]
+    record = to_record(plant)
+    found = scene(to_record(plant, until_s=record.end_s), starts=1)
+    late = next(v for v in named("internal_moisture_source").variants(found) if "date" in v.form)
+    assert late.settings["date_s"] == pytest.approx(begins, abs=1200.0)
+    assert attempt(found, late).lr > 30.0

@@ -8,6 +8,7 @@ import numpy as np
 
 from hygrokf.discovery.cause import Variant
 from hygrokf.discovery.grids import Probe, best_date, best_switch, inside
+from hygrokf.discovery.scan import abrupt
 from hygrokf.discovery.scene import HYGRIC, Scene
 
 FADING_DAYS = (8.0, 20.0, 50.0)
@@ -98,7 +99,10 @@ def source(scene: Scene) -> list[Variant]:
         found.append(variant("at standstill", "standstill", {"standstill": {}}, 3))
     late = ("internal_moisture_source", {"when": "fading"})
     probe = Probe(HYGRIC, late, "moisture_source", {"moisture_source": 1e-4})
-    setting, tried = best_date(scene, "fading", [probe], days=FADING_DAYS)
+    # where the air is exchanged fast, vapour jumps when the source begins: a date that is an hour off gains nothing
+    setting, tried = best_date(
+        scene, "fading", [probe], abrupt(scene.parts[HYGRIC]), days=FADING_DAYS, sudden=True
+    )
     found.append(variant("drying out from a date on", "fading", {"fading": setting}, tried))
     return found
 

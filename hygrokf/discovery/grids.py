@@ -17,6 +17,8 @@ from hygrokf.record import Record
 DAY_S = 86400.0
 PACES = (0.6, 0.8, 1.0, 1.25, 1.6)
 """Factors by which the days that a change takes are refined."""
+SUDDEN = (0.2, 0.03)
+"""Widths, in days of the grid, to which the date of a jump is narrowed down: to 45 min, then to 7 min."""
 NARROWEST = 0.05
 """Share of its hysteresis that a switch keeps at least when its set-points are refined."""
 Look = Callable[..., Scanned]
@@ -45,10 +47,12 @@ def best_date(
     probes: Sequence[Probe],
     more: Sequence[float] = (),
     days: Sequence[float] = (),
+    sudden: bool = False,
 ) -> tuple[dict, float]:
     """(settings of the feature, effective number searched) of the change that the parts' score statistics ask for most.
 
-    `more` dates [s] that are looked at exactly; `days` in which the change takes place, for features that have such.
+    `more` dates [s] that are looked at exactly; `days` in which the change takes place, for features that have such;
+    `sudden` for one whose beginning is a jump, which is dated to minutes.
     """
     spacing = dates(scene.record)
     step = spacing[1] - spacing[0]
@@ -69,6 +73,9 @@ def best_date(
     found = asked_for(slow_scan, [{"date_s": d, **pace} for pace in paces for d in spacing])
     near = [found["date_s"] + step * f for f in np.linspace(-1.5, 1.5, 13)]
     found = asked_for(scan, [{**found, "date_s": float(d)} for d in (*near, *more)])
+    for width in SUDDEN if sudden else ():
+        near = [found["date_s"] + step * width * f for f in np.linspace(-1.0, 1.0, 13)]
+        found = asked_for(scan, [{**found, "date_s": float(d)} for d in near])
     if len(days) > 1:
         found = asked_for(scan, [{**found, "days": found["days"] * factor} for factor in PACES])
     return found, searched
