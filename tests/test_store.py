@@ -21,7 +21,6 @@ from hygrokf.live.store import (
     open_store,
     state_of,
     state_text,
-    without_secret,
 )
 from hygrokf.live.tracker import Point, Reading
 
@@ -232,8 +231,3 @@ def test_a_store_of_a_newer_version_is_refused(tmp_path: Path) -> None:
         cursor.execute("INSERT INTO schema_version VALUES (?, 0)", (VERSION + 1,))
     store.close()
     assert "newer hygrokf" in refused(url)
-
-
-def test_secrets_stay_out_of_what_is_shown() -> None:
-    assert without_secret("postgresql://ann:pa%40ss@db:5433/live") == "postgresql://ann@db:5433/live"
-    assert without_secret("sqlite:/tmp/x.db") == "sqlite:/tmp/x.db"

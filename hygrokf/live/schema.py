@@ -1,4 +1,4 @@
-"""The store's tables, as numbered migrations that SQLite and PostgreSQL take alike.
+"""The store's tables, as numbered migrations.
 
 Times are seconds since 1970, UTC, as double precision; values are in SI units, absolute humidity in g/m³.
 """

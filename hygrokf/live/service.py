@@ -140,7 +140,7 @@ class Service:
                 batch = self.fleet.round(deliveries, url)
                 self.store.commit(batch)
                 break
-            except (sqlite3.Error, OSError, StoreFault, *_database_errors()) as fault:
+            except (sqlite3.Error, OSError, StoreFault) as fault:
                 self.health.failures += 1
                 self.health.store = str(fault).strip()
                 LOG.warning("the store failed", extra={"fault": self.health.store, "attempt": attempt + 1})
@@ -159,16 +159,8 @@ class Service:
             try:
                 self._open(open_store(self.store_url))
                 return attempt
-            except (sqlite3.Error, OSError, StoreFault, *_database_errors()) as fault:
+            except (sqlite3.Error, OSError, StoreFault) as fault:
                 self.health.store = str(fault).strip()
                 LOG.warning(
                     "the store is not reached", extra={"fault": self.health.store, "attempt": attempt}
                 )
-
-
-def _database_errors() -> tuple[type[Exception], ...]:
-    """Errors of databases whose packages are loaded."""
-    import sys
-
-    psycopg = sys.modules.get("psycopg")
-    return (psycopg.Error,) if psycopg is not None else ()

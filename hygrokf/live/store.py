@@ -347,15 +347,13 @@ def _plain(values: np.ndarray) -> list[float | None]:
 
 # -- opening ---------------------------------------------------------------------------------------------------------
 def open_store(url: str) -> Store:
-    """The store at `sqlite:PATH` or `postgresql://…`, brought to this version.
+    """The store at `sqlite:PATH`, brought to this version.
 
     Raises StoreFault, in words, where it is no store, is damaged or cannot be reached.  Nothing is overwritten.
     """
-    if url.startswith(("postgresql://", "postgres://")):
-        return _postgres(url)
     if url.startswith("sqlite:"):
         return _sqlite(Path(url.removeprefix("sqlite:").removeprefix("//")))
-    raise StoreFault(f"expected a store as sqlite:PATH or postgresql://USER@HOST/NAME, found {url!r}")
+    raise StoreFault(f"expected a store as sqlite:PATH, found {url!r}")
 
 
 def _sqlite(path: Path) -> Store:
@@ -397,32 +395,3 @@ def _examine(connection: sqlite3.Connection, path: Path) -> None:
             f"{path}: the store is damaged ({'; '.join(faults)}); nothing was written to it. "
             "Put it aside and restore a copy, or name a new file"
         )
-
-
-def _postgres(url: str) -> Store:
-    try:
-        import psycopg
-    except ImportError:
-        raise StoreFault("a PostgreSQL store needs psycopg: pip install 'hygrokf[postgres]'") from None
-    shown = without_secret(url)
-    try:
-        connection = psycopg.connect(url, connect_timeout=10)
-    except psycopg.Error as fault:
-        raise StoreFault(
-            f"{shown}: not reached ({str(fault).strip()}); check host, name, user and password"
-        ) from None
-    store = Store(connection, "%s", shown)
-    store.migrate()
-    return store
-
-
-def without_secret(url: str) -> str:
-    """A URL for logs and pages: the password is left out."""
-    from urllib.parse import urlsplit, urlunsplit
-
-    parts = urlsplit(url)
-    if parts.password is None:
-        return url
-    host = parts.hostname or ""
-    port = f":{parts.port}" if parts.port else ""
-    return urlunsplit(parts._replace(netloc=f"{parts.username or ''}@{host}{port}"))
