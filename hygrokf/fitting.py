@@ -286,11 +286,14 @@ def maximise(
 
 
 def climbed_on(
-    likelihood: Likelihood, values: Mapping[str, float], passes: int = 25, tolerance: float = 1e-3
+    likelihood: Likelihood, values: Mapping[str, float], passes: int = MAXIMUM_PASSES - 1
 ) -> Estimate:
-    """The estimate that a bounded number of passes leads to from values near a maximum."""
+    """The estimate that a bounded number of passes of scoring leads to from values near a maximum.
+
+    No quasi-Newton climb follows where scoring sticks: on a likelihood with edges it goes on for hundreds of passes.
+    """
     coordinates = Coordinates(likelihood.model.parameters)
-    found = climb(Objective(likelihood, coordinates), coordinates.start(values), passes, tolerance)
+    found = climb(Objective(likelihood, coordinates), coordinates.start(values), passes)
     return _estimate(likelihood, coordinates, [found])
 
 
