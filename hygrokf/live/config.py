@@ -20,7 +20,7 @@ from hygrokf.results import ResultFault, read_fit
 from hygrokf.signals import SIGNALS, suggestion, unit_fault
 from hygrokf.stamps import duration
 
-SCHEMES = ("file:", "stdin", "mqtt://", "mqtts://", "opc.tcp://")
+SCHEMES = ("file:", "stdin")
 STAMPS = ("instant", "start", "middle", "end")
 RETENTION_S = 400.0 * 86400.0
 LEAST_RETENTION_S = 7.0 * 86400.0
@@ -121,9 +121,7 @@ def read_config(path: str | os.PathLike[str]) -> Config:
             reader.faults.append(f"{where}: url must begin with one of {', '.join(SCHEMES)}, found {url!r}")
         sources.append(dict(table))
     if not sources and "source" not in content:
-        reader.faults.append(
-            'no source: add [[source]] with url = "mqtt://…", "opc.tcp://…", "file:…" or "stdin"'
-        )
+        reader.faults.append('no source: add [[source]] with url = "file:…" or "stdin"')
     store = reader.text(content, "store", "the file", "sqlite:live.db")
     if store.startswith("sqlite:") and not Path(store.removeprefix("sqlite:")).is_absolute():
         store = f"sqlite:{file.parent / store.removeprefix('sqlite:')}"
