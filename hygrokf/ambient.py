@@ -120,7 +120,13 @@ def bridge_h(series: Series, limit_h: float) -> float:
     time = series.time[~series.missing]
     if len(time) < 2:
         return limit_h
-    return max(limit_h, (1.5 * float(np.median(np.diff(time))) - series.interval_s) / 3600.0)
+    return max(limit_h, (1.5 * usual_step_s(time) - series.interval_s) / 3600.0)
+
+
+def usual_step_s(time: np.ndarray) -> float:
+    """Median distance of times (T,) [s], two at least: numpy's own median takes longer to begin than this to end."""
+    steps = np.sort(time[1:] - time[:-1])
+    return 0.5 * float(steps[(len(steps) - 1) // 2] + steps[len(steps) // 2])
 
 
 def at_times(series: Series, time: np.ndarray, bridge_h: float) -> np.ndarray:
@@ -129,8 +135,8 @@ def at_times(series: Series, time: np.ndarray, bridge_h: float) -> np.ndarray:
     known, value = series.time[there], series.value[there]
     if len(known) == 0:
         return np.full(len(time), np.nan)
-    after = np.clip(np.searchsorted(known, time, side="left"), 0, len(known) - 1)
-    before = np.clip(np.searchsorted(known, time, side="right") - 1, 0, len(known) - 1)
+    after = np.minimum(known.searchsorted(time, side="left"), len(known) - 1)
+    before = np.maximum(known.searchsorted(time, side="right") - 1, 0)
     if series.hold == "linear":
         result = np.interp(time, known, value, left=np.nan, right=np.nan)
         wide = known[after] - known[before] > bridge_h * 3600.0

@@ -3,12 +3,22 @@
 from __future__ import annotations
 
 import argparse
+import logging
 import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hygrokf.console import (
+    Progress,
+    UserFault,
+    expect_directory,
+    expect_file,
+    expect_other,
+    printable,
+    system_words,
+)
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:
@@ -16,10 +26,6 @@ if TYPE_CHECKING:
 
 USER_FAULT = 2
 """Exit status of a mistake that the user can mend."""
-
-
-class UserFault(Exception):
-    """A mistake of the user's, told without a traceback."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -47,31 +53,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
     except OSError as fault:
-        print(f"hygrokf: {_system(fault)}", file=sys.stderr)
+        print(f"hygrokf: {system_words(fault)}", file=sys.stderr)
         return USER_FAULT
     except Exception as fault:
         if type(fault).__name__ not in _USER_FAULTS:
             raise
-        print(f"hygrokf: {_printable(str(fault))}", file=sys.stderr)
+        print(f"hygrokf: {printable(str(fault))}", file=sys.stderr)
         return USER_FAULT
-
-
-def _printable(text: str) -> str:
-    """Text without control characters: what a binary file holds must not reach the terminal."""
-    return "".join(c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in text)
-
-
-def _system(fault: OSError) -> str:
-    """What the system refused, and what to do."""
-    where = fault.filename2 or fault.filename
-    return (
-        f"{f'{where}: ' if where else ''}cannot be read or written: {fault.strerror or fault}; "
-        "check the path, its permissions and the space on the disk"
-    )
 
 
 _USER_FAULTS = (
     "UserFault", "CaseFault", "TableFault", "ResultFault", "ReportFault", "LibraryFault", "LibraryAbsent",
+    "ConfigFault", "StoreFault", "StoreUnready", "PageFault", "SourceFault", "ExportFault",
 )  # fmt: skip
 
 
@@ -144,10 +137,95 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("case", type=Path, metavar="CASE.toml")
     _library(evaluate)
     _json(evaluate)
+    export = command("export", _export, "write what a live tracker has stored to CSV or Parquet files")
+    export.add_argument(
+        "--store", required=True, metavar="URL", help="sqlite:PATH or postgresql://USER@HOST/NAME"
+    )
+    export.add_argument("--out", type=Path, required=True, help="directory for the files, one a table")
+    export.add_argument(
+        "--format", choices=("csv", "parquet"), default="csv", help="of the files (default csv)"
+    )
+    export.add_argument("--turbine", metavar="NAME", help="one turbine alone (default all)")
+    export.add_argument(
+        "--since",
+        type=_moment,
+        default=None,
+        metavar="ISO",
+        help="from this time on, in UTC where it has no zone",
+    )
+    export.add_argument("--until", type=_moment, default=None, metavar="ISO", help="before this time")
+    _json(export)
+    track = command("track", _track, "follow cabinets live: condition, forecast, alarms, on a page")
+    _tracked(track)
+    track.add_argument(
+        "--demo", action="store_true", help="a synthetic turbine, played back; needs nothing else"
+    )
+    track.add_argument("--until-ended", action="store_true", help="end when all sources have ended")
+    track.add_argument(
+        "--log", choices=("text", "json"), default="text", help="form of the log on standard error"
+    )
+    track.add_argument(
+        "--out", type=Path, default=Path("live-demo"), help="directory of the demo (default live-demo)"
+    )
+    track.add_argument(
+        "--speed", type=_factor, default=1800.0, help="of the demo: times faster than real (default 1800)"
+    )
+    _library(track)
+    doctor = command("doctor", _doctor, "look at all that a tracker needs, change nothing, say what to mend")
+    _tracked(doctor)
+    doctor.add_argument(
+        "--wait", type=_duration, default=10.0, metavar="TIME", help="listen to sources so long (default 10s)"
+    )
+    _library(doctor)
+    _json(doctor)
     report = command("report", _report, "write the pages again from a directory of results")
     report.add_argument("directory", type=Path, metavar="DIR")
     _json(report)
     return parser
+
+
+def _tracked(parser: argparse.ArgumentParser) -> None:
+    """What is tracked, from where, into which store and on which page."""
+    parser.add_argument(
+        "what",
+        nargs="*",
+        type=Path,
+        metavar="TRACK.toml|FIT.json",
+        help="the tracker's file, or fitted models",
+    )
+    parser.add_argument(
+        "--source",
+        action="append",
+        default=[],
+        metavar="URL",
+        help="file:PATH or stdin, where no file says so",
+    )
+    parser.add_argument(
+        "--store", metavar="URL", help="sqlite:PATH (default sqlite:live.db) or postgresql://…"
+    )
+    parser.add_argument("--page", metavar="HOST:PORT", help="address of the page (default 127.0.0.1:8080)")
+    parser.add_argument("--no-page", action="store_true", help="no page: the store and alarms alone")
+
+
+def _duration(text: str) -> float:
+    """A duration such as 10s [s]."""
+    from hygrokf.stamps import duration
+
+    try:
+        return duration(text)
+    except ValueError as fault:
+        raise argparse.ArgumentTypeError(str(fault)) from None
+
+
+def _factor(text: str) -> float:
+    """A number above 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < 1e6:
+        raise argparse.ArgumentTypeError(f"expected a number above 0 and below 1e6, found {text!r}")
+    return value
 
 
 def _whole(least: int) -> Callable[[str], int]:
@@ -165,6 +243,19 @@ def _whole(least: int) -> Callable[[str], int]:
     return number
 
 
+def _moment(text: str) -> float:
+    """An ISO 8601 time as seconds since 1970; UTC where it names no zone."""
+    from datetime import UTC, datetime
+
+    try:
+        found = datetime.fromisoformat(text)
+        return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
+    except (ValueError, OverflowError):
+        raise argparse.ArgumentTypeError(
+            f"expected a time such as 2026-01-31 or 2026-01-31T12:00:00Z, found {text!r}"
+        ) from None
+
+
 def _json(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 
@@ -178,31 +269,6 @@ def _library(parser: argparse.ArgumentParser) -> None:
         metavar="FILE.py",
         help="a file with causes of your own, which is executed; may be given several times",
     )
-
-
-class Progress:
-    """A progress bar on standard error; silent where there is no terminal to look at it."""
-
-    def __init__(self, total: int) -> None:
-        from tqdm import tqdm
-
-        self._bar = tqdm(
-            total=total, file=sys.stderr, disable=None, bar_format="{l_bar}{bar}| {elapsed} {postfix}"
-        )
-
-    def __call__(self, text: str) -> None:
-        self._bar.set_postfix_str(text, refresh=False)
-        if self._bar.n < self._bar.total - 1:
-            self._bar.update()
-
-    def abandon(self) -> None:
-        """End where it is: the work was broken off."""
-        self._bar.close()
-
-    def close(self) -> None:
-        self._bar.n = self._bar.total
-        self._bar.set_postfix_str("done")
-        self._bar.close()
 
 
 def _record(path: Path, cabinet: bool = True) -> Record:
@@ -237,14 +303,19 @@ def _identify(record: Record, case: Path, options: argparse.Namespace) -> Any:
     return fit
 
 
+def _load(libraries: Sequence[Path]) -> None:
+    """Load the users' own causes, which models may be made of."""
+    if libraries:
+        from hygrokf.discovery.own_causes import load_library
+
+        load_library(*libraries)
+
+
 def _stored(options: argparse.Namespace) -> Any:
     """The fit that a command names, with the users' mechanisms of its model."""
     from hygrokf.results import LibraryAbsent, read_fit
 
-    if options.library:
-        from hygrokf.discovery.own_causes import load_library
-
-        load_library(*options.library)
+    _load(options.library)
     try:
         return read_fit(options.fit)
     except LibraryAbsent:  # packages are asked only where a model needs them
@@ -262,42 +333,6 @@ def _write(fit: Any, out: Path) -> Path:
     return write_report(out)
 
 
-def _expect_directory(path: Path) -> None:
-    """Refuse before the work what could not be written after it; nothing is made yet."""
-    there = next(one for one in (path, *path.absolute().parents) if os.path.lexists(one))
-    if not there.is_dir():
-        found = f"{there} is a file" if there.exists() else f"{there} is a link to nothing"
-    elif not os.access(there, os.W_OK | os.X_OK):
-        found = f"{there} is write-protected"
-    else:
-        return
-    raise UserFault(
-        f"--out {path}: expected a directory that can be written, found: {found}; name another one"
-    )
-
-
-def _expect_file(path: Path) -> None:
-    """The same for a file: its directory must be there."""
-    if path.is_dir():
-        raise UserFault(f"--out {path}: expected a file to write, found a directory; name a file in it")
-    if not path.parent.is_dir():
-        found = f"no {path.parent}; make it first"
-        if path.parent.exists():
-            found = f"that {path.parent} is a file"
-        raise UserFault(f"--out {path}: expected a file in an existing directory, found {found}")
-    if not os.access(path.parent, os.W_OK | os.X_OK):
-        raise UserFault(f"--out {path}: {path.parent} is write-protected; name another directory")
-
-
-def _expect_other(path: Path, *read: Path) -> None:
-    """Refuse to write over what the command reads."""
-    for one in read:
-        if path.exists() and one.exists() and path.samefile(one):
-            raise UserFault(
-                f"--out {path}: expected a file of its own, found one that is read here; name another one"
-            )
-
-
 def _print(data: Any, text: str, as_json: bool) -> None:
     from hygrokf.results import dump
 
@@ -308,7 +343,7 @@ def _demo(options: argparse.Namespace) -> int:
     from hygrokf.report import report_text
     from hygrokf.synthetic import synthetic_turbine, write_case
 
-    _expect_directory(options.out)
+    expect_directory(options.out)
     there = options.out / "case.toml"
     if there.is_file() and b"synthetic" not in there.read_bytes():
         raise UserFault(
@@ -335,7 +370,7 @@ def _check(options: argparse.Namespace) -> int:
 def _fit(options: argparse.Namespace) -> int:
     from hygrokf.report import report_text
 
-    _expect_directory(options.out)
+    expect_directory(options.out)
     record = _record(options.case)
     fit = _identify(record, options.case, options)
     page = _write(fit, options.out)
@@ -351,7 +386,7 @@ def _discover(options: argparse.Namespace) -> int:
     from hygrokf.discovery.page import write_discovery_report
     from hygrokf.discovery.words import discovery_text
 
-    _expect_directory(options.out)
+    expect_directory(options.out)
     own = load_library(*options.library, installed=True)
     record = _record(options.case)
     progress = Progress(45)
@@ -380,11 +415,11 @@ def _simulate(options: argparse.Namespace) -> int:
     from hygrokf.files import write_text_whole
     from hygrokf.tables import simulation_csv, simulation_summary
 
-    _expect_file(options.out)
+    expect_file(options.out)
     fit = _stored(options)
     record = _record(options.case, cabinet=False)
     sources = (options.case.parent / file for file, _ in record.provenance)
-    _expect_other(options.out, options.fit, options.fit / "fit.json", options.case, *sources)
+    expect_other(options.out, options.fit, options.fit / "fit.json", options.case, *sources)
     try:
         text, summary = simulation_csv(fit, record), simulation_summary(fit, record)
     except ValueError as fault:
@@ -409,6 +444,22 @@ def _evaluate(options: argparse.Namespace) -> int:
     return 0
 
 
+def _export(options: argparse.Namespace) -> int:
+    from hygrokf.live.export import export
+    from hygrokf.live.store import open_store
+
+    expect_directory(options.out)
+    times = {name: at for name in ("since", "until") if (at := getattr(options, name)) is not None}
+    store = open_store(options.store, read_only=True)
+    try:
+        counts = export(store, options.out, options.format, options.turbine, **times)
+    finally:
+        store.close()
+    said = "\n".join(f"{n} rows written: {options.out / name}.{options.format}" for name, n in counts.items())
+    _print({"rows": counts}, said, options.json)
+    return 0
+
+
 def _report(options: argparse.Namespace) -> int:
     from hygrokf.files import DISCOVERY
     from hygrokf.report import write_report
@@ -422,6 +473,87 @@ def _report(options: argparse.Namespace) -> int:
         page = write_report(options.directory)
     _print({"report": str(page)}, str(page), options.json)
     return 0
+
+
+def _track(options: argparse.Namespace) -> int:
+    from hygrokf.live.logs import log_to_stderr
+    from hygrokf.live.tracking import track
+
+    _load(options.library)
+    config = _demo_config(options) if options.demo else _track_config(options)
+    log_to_stderr(options.log)
+
+    def tell(text: str, **beside: object) -> None:
+        """To the one who started it; among logs as JSON as one of them."""
+        if options.log == "json":
+            logging.getLogger("hygrokf.track").info(text.partition(":")[0], extra=beside)
+        else:
+            print(text, file=sys.stderr, flush=True)
+
+    def begun(service: Any, page: str | None) -> None:
+        names = ", ".join(list(config.turbines)[:5]) + (" …" if len(config.turbines) > 5 else "")
+        tell(
+            f"tracking: {names} ({len(config.turbines)}); store {config.store}",
+            turbines=len(config.turbines),
+            store=config.store,
+        )
+        if page is not None:
+            tell(f"page: {page}", url=page)
+
+    service = track(config, with_page=not options.no_page, until_ended=options.until_ended, begun=begun)
+    counted = service.health.deliveries
+    tell(f"done: {counted} deliveries, all committed", deliveries=counted)
+    return 0
+
+
+def _track_config(options: argparse.Namespace) -> Any:
+    """What the file or the arguments say; arguments win over the file."""
+    from dataclasses import replace
+
+    from hygrokf.live.config import read_config
+    from hygrokf.live.usual import page_at, store_at, usual_config
+
+    files = [path for path in options.what if path.suffix == ".toml"]
+    if not options.what:
+        raise UserFault("expected a TRACK.toml or FIT.json files (or track --demo); found none of them")
+    if files and (len(options.what) > 1 or options.source):
+        raise UserFault("a TRACK.toml names turbines and sources itself; give it alone")
+    store = store_at(options.store or "sqlite:live.db")
+    if not files:
+        return usual_config(options.what, options.source, store, page_at(options.page))
+    config = read_config(files[0])
+    config = config if options.store is None else replace(config, store=store)
+    return config if options.page is None else replace(config, page=page_at(options.page))
+
+
+def _demo_config(options: argparse.Namespace) -> Any:
+    from hygrokf.live.config import Config
+    from hygrokf.live.demo import demo_stream, demo_turbines
+    from hygrokf.live.usual import page_at, store_at
+
+    if options.what or options.source:
+        raise UserFault("track --demo brings its own turbine and source; leave the others out")
+    expect_directory(options.out)
+    store, page = store_at(options.store or f"sqlite:{options.out / 'live.db'}"), page_at(options.page)
+    progress = Progress(16)
+    try:
+        turbines, record, live_s = demo_turbines(options.out, progress=progress)
+    except BaseException:
+        progress.abandon()
+        raise
+    progress.close()
+    return Config(turbines, (demo_stream(record, live_s, options.speed),), store, page)
+
+
+def _doctor(options: argparse.Namespace) -> int:
+    from hygrokf.live.doctor import as_data, as_text, examine
+
+    _load(options.library)
+    config = _track_config(options)
+    file = next((path for path in options.what if path.suffix == ".toml"), None)
+    found = examine(config, file, options.wait, with_page=not options.no_page)
+    _print(as_data(found), as_text(found), options.json)
+    return int(any(one.level == "fault" for one in found))
 
 
 if __name__ == "__main__":

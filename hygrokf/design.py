@@ -6,9 +6,11 @@ sister turbine, a forecast.
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from weakref import WeakValueDictionary
 
 import numpy as np
 
@@ -17,6 +19,7 @@ from hygrokf.ambient import ambient_absolute_humidity, bridge_h, reading_noise
 from hygrokf.features import FEATURES
 from hygrokf.loops import LINEAR, REGIME, ZERO_ORDER
 from hygrokf.mechanisms import LIBRARY
+from hygrokf.mechanisms.hygric import SHORTEST_H
 from hygrokf.model import Mechanism, Model, compose
 from hygrokf.record import Record, Series
 from hygrokf.signals import SIGNALS, signal_named
@@ -52,6 +55,10 @@ JOINT = "joint"
 CASCADE = "cascade"
 
 
+_models: WeakValueDictionary[tuple, Model] = WeakValueDictionary()
+"""Models in use, by what makes them."""
+
+
 @dataclass(frozen=True)
 class Design:
     """A model and how its inputs come from a record.
@@ -76,14 +83,22 @@ class Design:
 
     @cached_property
     def model(self) -> Model:
-        made: list[Mechanism] = [LIBRARY[name](**settings) for name, settings in self.mechanisms]
+        """The model; designs that call for the same one share it, as tracing and compiling it costs time and memory."""
         features = {name: FEATURES[name][1] for name in self.features if name in FEATURES}
-        return compose(made, {**HOLDS, **features, **self.holds}, self.averaged)
+        holds = {**HOLDS, **features, **self.holds}
+        said = [[settings for _, settings in self.mechanisms], sorted(holds.items()), dict(self.averaged)]
+        key = (tuple(LIBRARY[name] for name, _ in self.mechanisms), json.dumps(said))
+        found = _models.get(key)
+        if found is None:
+            made: list[Mechanism] = [LIBRARY[name](**settings) for name, settings in self.mechanisms]
+            found = _models[key] = compose(made, holds, self.averaged)
+        return found
 
     def to_json(self) -> dict:
         """Everything that makes the design again, as plain data; `origins` of what is not the package's own."""
         own = origins([*(name for name, _ in self.mechanisms), *self.features])
-        return asdict(self) | ({"origins": own} if own else {})
+        said = {one.name: getattr(self, one.name) for one in fields(self)}
+        return said | ({"origins": own} if own else {})
 
     @classmethod
     def from_json(cls, data: Mapping) -> Design:
@@ -93,6 +108,10 @@ class Design:
         known["statements"] = tuple(known["statements"])
         known["ambient_noise"] = {name: tuple(pair) for name, pair in known["ambient_noise"].items()}
         return cls(**known)
+
+
+RESOLVED = 0.02
+"""Share of the readings' step below which a time constant cannot be told from none."""
 
 
 def reading_step_h(series: Series) -> float:
@@ -174,7 +193,8 @@ def design(
         power_order = 0
     if humidity is not None:
         series = record[humidity]
-        chosen.append(("hygric_exchange", {}))
+        shortest = RESOLVED * reading_step_h(series)
+        chosen.append(("hygric_exchange", {"shortest_h": shortest} if shortest > SHORTEST_H else {}))
         if coloured:
             chosen.append(("vapour_disturbance", _correlation_bounds(series, record)))
         chosen.append(("hygric_diffusion", {}))

@@ -50,6 +50,11 @@ def _changes(series: Series, first: float, last: float) -> np.ndarray:
     return time[(time >= first) & (time <= last)]
 
 
+def longest_gap_h(signal: str) -> float:
+    """Longest gap [h] of a driver that is bridged, where its own usual step is not longer."""
+    return {"active_power": BRIDGE_H, "preheating": 24.0}.get(signal, AMBIENT_BRIDGE_H)
+
+
 def run(design: Design, record: Record) -> Run:
     """The instants of a record for a design.
 
@@ -101,7 +106,11 @@ def run(design: Design, record: Record) -> Run:
     values, unknown_ambient = _ambient_inputs(ambient, time, inputs_of)
     if "preheating" in inputs_of:
         duty = (
-            _over_steps(record["preheating"], time, 24.0) if "preheating" in record else np.zeros(len(time))
+            _over_steps(
+                record["preheating"], time, bridge_h(record["preheating"], longest_gap_h("preheating"))
+            )
+            if "preheating" in record
+            else np.zeros(len(time))
         )
         values["preheating"] = np.nan_to_num(duty)
     power, operating, unknown_power = _power_inputs(design, record, time)
@@ -169,11 +178,12 @@ def _ambient_inputs(
     middle = 0.5 * (time[:-1] + time[1:])
     for name, series in ambient.items():
         longest = bridge_h(series, AMBIENT_BRIDGE_H)
-        value = at_times(series, time, longest)
+        both = at_times(series, np.concatenate([time, middle]), longest)
+        value, between = both[: len(time)], both[len(time) :]
         missing = np.isnan(value)
         unknown |= missing
         # where all loggers were down no instant lies inside the gap: it is the step over it that is unknown
-        unknown[1:] |= np.isnan(at_times(series, middle, longest))
+        unknown[1:] |= np.isnan(between)
         there = ~missing
         if not there.any():
             raise ValueError(
@@ -203,7 +213,9 @@ def _power_inputs(
             )
         return {}, nothing, nothing
     series = record["active_power"]
-    relative = _over_steps(series, time, bridge_h(series, BRIDGE_H)) / design.power_scale_W
+    relative = (
+        _over_steps(series, time, bridge_h(series, longest_gap_h("active_power"))) / design.power_scale_W
+    )
     unknown = np.isnan(relative)
     features = power_features(np.where(unknown, 0.0, relative), design.power_order)
     features[unknown] = np.array(design.power_mean) if design.power_mean else 0.0

@@ -2,7 +2,7 @@
 
 `Writer` holds the text of one function.  Blocks are emitted at the current place from a mapping of leaf nodes to
 values; loops and conditions are context managers whose counters live in stack slots (LLVM turns them into registers).
-Scalars are `double`; tangents are vectors of `LANES` doubles, one lane for each parameter.
+Scalars are `double`; vectors have a lane for each of several parameters (tangents) or of several runs.
 """
 
 from __future__ import annotations
@@ -15,8 +15,12 @@ from hygrokf.expression import Expression, Graph
 from hygrokf.machine import has_fused_multiply_add
 
 LANES = 8
+"""Lanes of tangents."""
+RUNS = 4
+"""Lanes of runs side by side: half as many need half as many registers, and there are few."""
 SCALAR = "double"
 VECTOR = f"<{LANES} x double>"
+TRUTH = "i1"
 
 _OPERATION = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 
@@ -24,18 +28,29 @@ _OPERATION = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
 def declarations() -> str:
     """Declarations that every module needs."""
     lines = []
-    for kind, suffix in ((SCALAR, "f64"), (VECTOR, f"v{LANES}f64")):
-        lines.append(f"declare {kind} @llvm.fma.{suffix}({kind}, {kind}, {kind})")
-    for name in ("exp", "log", "sqrt"):
-        lines.append(f"declare {SCALAR} @llvm.{name}.f64({SCALAR})")
+    for kind in (SCALAR, VECTOR, vector(RUNS)):
+        lines.append(f"declare {kind} @llvm.fma.{_suffix(kind)}({kind}, {kind}, {kind})")
+        lines += [f"declare {kind} @llvm.{name}.{_suffix(kind)}({kind})" for name in ("exp", "log", "sqrt")]
     return "\n".join(lines) + "\n"
 
 
-class Writer:
-    """Text of one LLVM function `void name(arguments)`."""
+def vector(lanes: int, of: str = SCALAR) -> str:
+    """The kind of so many numbers, or of so many truths."""
+    return f"<{lanes} x {of}>"
 
-    def __init__(self, name: str, arguments: Sequence[tuple[str, str]]) -> None:
+
+def _suffix(kind: str) -> str:
+    return "f64" if kind == SCALAR else f"v{kind[1:].split()[0]}f64"
+
+
+class Writer:
+    """Text of one LLVM function `void name(arguments)`, with vectors of so many lanes."""
+
+    def __init__(self, name: str, arguments: Sequence[tuple[str, str]], lanes: int = LANES) -> None:
         self._name = name
+        self.lanes = lanes
+        self.vector = vector(lanes)
+        self.truths = vector(lanes, TRUTH)
         self._arguments = arguments
         self._slots: list[str] = []
         self._lines: list[str] = []
@@ -128,21 +143,19 @@ class Writer:
     ) -> list[tuple[str, str]]:
         """Compute `outputs` here from the values of `leaves`; returns (kind, value) for each.
 
-        `vectors` names the leaves that are tangent vectors.
+        `vectors` names the leaves that are vectors.
         """
-        kinds: dict[int, str] = {i: VECTOR if i in set(vectors) else SCALAR for i in leaves}
+        wide = set(vectors)
+        kinds: dict[int, str] = {i: self.vector if i in wide else SCALAR for i in leaves}
         names: dict[int, str] = dict(leaves)
         splats: dict[str, str] = {}
 
         def operand(i: int, kind: str) -> str:
             name = names[i]
-            if kind == kinds[i] or kinds[i] == "i1":
+            if kind == kinds[i] or kinds[i] in (TRUTH, self.truths):
                 return name
             if name not in splats:
-                first = self.value(f"insertelement {VECTOR} poison, double {name}, i64 0")
-                splats[name] = self.value(
-                    f"shufflevector {VECTOR} {first}, {VECTOR} poison, <{LANES} x i32> zeroinitializer"
-                )
+                splats[name] = self.splat(name)
             return splats[name]
 
         for i in graph.needed(outputs, leaves):
@@ -155,8 +168,7 @@ class Writer:
                 continue
             if operation == "symbol":
                 raise KeyError(f"no value for the leaf {node[1]!r}")
-            inner = [j for j in node[1:] if kinds[j] != "i1"]
-            kind = VECTOR if any(kinds[j] == VECTOR for j in inner) else SCALAR
+            kind = self.vector if any(kinds[j] in (self.vector, self.truths) for j in node[1:]) else SCALAR
             kinds[i] = kind
             a = [operand(j, kind) for j in node[1:]]
             match operation:
@@ -167,12 +179,13 @@ class Writer:
                 case "fma":
                     names[i] = self._fma(kind, a)
                 case "lt":
-                    names[i] = self.value(f"fcmp olt double {a[0]}, {a[1]}")
-                    kinds[i] = "i1"
+                    names[i] = self.value(f"fcmp olt {kind} {a[0]}, {a[1]}")
+                    kinds[i] = TRUTH if kind == SCALAR else self.truths
                 case "select":
-                    names[i] = self.value(f"select i1 {a[0]}, {kind} {a[1]}, {kind} {a[2]}")
+                    truth = kinds[node[1]]
+                    names[i] = self.value(f"select {truth} {a[0]}, {kind} {a[1]}, {kind} {a[2]}")
                 case _:
-                    names[i] = self.value(f"call double @llvm.{operation}.f64(double {a[0]})")
+                    names[i] = self.value(f"call {kind} @llvm.{operation}.{_suffix(kind)}({kind} {a[0]})")
         result = []
         for e in outputs:
             result.append((kinds[e.index], names[e.index]))
@@ -180,16 +193,20 @@ class Writer:
 
     def _fma(self, kind: str, a: Sequence[str]) -> str:
         if has_fused_multiply_add():
-            suffix = "f64" if kind == SCALAR else f"v{LANES}f64"
-            return self.value(f"call {kind} @llvm.fma.{suffix}({kind} {a[0]}, {kind} {a[1]}, {kind} {a[2]})")
+            three = ", ".join(f"{kind} {value}" for value in a)
+            return self.value(f"call {kind} @llvm.fma.{_suffix(kind)}({three})")
         return self.value(f"fadd {kind} {self.value(f'fmul {kind} {a[0]}, {a[1]}')}, {a[2]}")
 
     def as_vector(self, kind: str, value: str) -> str:
         """The value as a tangent vector (a structural zero tangent is a scalar constant)."""
-        if kind == VECTOR:
-            return value
-        first = self.value(f"insertelement {VECTOR} poison, double {value}, i64 0")
-        return self.value(f"shufflevector {VECTOR} {first}, {VECTOR} poison, <{LANES} x i32> zeroinitializer")
+        return value if kind == self.vector else self.splat(value)
+
+    def splat(self, value: str) -> str:
+        """A double in every lane of a vector."""
+        first = self.value(f"insertelement {self.vector} poison, double {value}, i64 0")
+        return self.value(
+            f"shufflevector {self.vector} {first}, {self.vector} poison, <{self.lanes} x i32> zeroinitializer"
+        )
 
 
 def _align(kind: str) -> int:

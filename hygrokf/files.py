@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import os
 import secrets
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import BinaryIO
 
 REPORT = "report.html"
 """The page of a directory of results: that of the fit, or of the discovery that it belongs to."""
@@ -18,13 +20,26 @@ DISCOVERY_SERIES = "discovery.npz"
 def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:
     """Write a file so that a reader sees the old content or the new one, never a part.
 
+    path, errors: as for `writing_whole`.
+    content: all bytes of the file.
+
+    Returns the path.
+    """
+    with writing_whole(path) as stream:
+        stream.write(content)
+    return Path(path)
+
+
+@contextmanager
+def writing_whole(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
+    """A file to write bytes to, of which a reader sees the old content until the block ends, and then all of the new.
+
     path: the file; its directory must exist. A symbolic link is followed, and a file that was
         there keeps its permissions.
-    content: all bytes of the file.
 
     The bytes go to a temporary file in the same directory, are forced to the disk and renamed
     over the target. If anything fails on the way, the temporary file is removed and the target
-    stays as it was. Returns the path. Raises OSError as the system gives it.
+    stays as it was. Raises OSError as the system gives it.
     """
     target = Path(os.path.realpath(path))
     temporary = target.with_name(f".{target.name}.{secrets.token_hex(6)}.part")
@@ -33,7 +48,7 @@ def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:
     descriptor = os.open(temporary, flags, 0o666)
     try:
         with os.fdopen(descriptor, "wb") as stream:
-            stream.write(content)
+            yield stream
             stream.flush()
             os.fsync(stream.fileno())
         with suppress(FileNotFoundError):
@@ -44,7 +59,6 @@ def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:
             temporary.unlink()
         raise
     _force_directory(target.parent)
-    return Path(path)
 
 
 def write_text_whole(path: str | os.PathLike[str], text: str) -> Path:

@@ -6,6 +6,7 @@ Shapes: T instants, n states, k outputs.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -150,7 +151,8 @@ def transition(
     part = part.with_readings(np.full_like(part.y, np.nan))
     n = len(mean)
     start = Gaussian(mean, np.zeros((n, n)))
-    found = Likelihood(likelihood.model, part).trace(values, start=start)
+    # the same sub-steps, whichever rate they were made for
+    found = replace(likelihood, timeline=part).trace(values, start=start)
     return found.prior_mean[0].copy(), found.transition[0].copy(), found.prior_covariance[0].copy()
 
 

@@ -108,14 +108,14 @@ class Likelihood:
         """Parameter values (d,) in the model's order."""
         return np.array([values[p.name] for p in self.model.parameters], dtype=float)
 
-    def rate(self, values: Mapping[str, float]) -> float:
-        """Bound on the model's fastest rate [1/h] over the record, or the stated one."""
+    def rate(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None = None) -> float:
+        """Bound on the model's fastest rate [1/h] over the record, or over these inputs; or the stated one."""
         if self.fastest is not None:
             return self.fastest
         r = self.recursion
         known = {f"p:{name}": v for name, v in values.items()}
         if self._rate_moves:
-            corners = self.timeline.corners
+            corners = self.timeline.corners if inputs is None else inputs
             mean, _ = self.model.initial(values, corners)
             known |= {f"m{i}": np.asarray(v) for i, v in enumerate(mean)}
             known |= {f"{kind}:{name}": v for name, v in corners.items() for kind in ("b", "g")}

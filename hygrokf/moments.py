@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 
 
@@ -18,11 +20,20 @@ def trace_width(n: int, outputs: int, diffuse: bool = False) -> int:
 
 def unpack(packed: np.ndarray, n: int) -> np.ndarray:
     """Packed lower triangles (..., q) as symmetric matrices (..., n, n)."""
-    index = np.array([[place(i, j) for j in range(n)] for i in range(n)])
-    return packed[..., index]
+    return packed[..., _places(n)]
+
+
+@cache
+def _places(n: int) -> np.ndarray:
+    return np.array([[place(i, j) for j in range(n)] for i in range(n)])
 
 
 def pack(matrix: np.ndarray) -> np.ndarray:
     """Symmetric matrices (..., n, n) as packed lower triangles (..., q)."""
-    rows, columns = np.tril_indices(matrix.shape[-1])
+    rows, columns = _triangle(matrix.shape[-1])
     return np.ascontiguousarray(matrix[..., rows, columns])
+
+
+@cache
+def _triangle(n: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.tril_indices(n)

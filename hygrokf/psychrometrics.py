@@ -11,6 +11,7 @@ sensors do.
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -130,6 +131,13 @@ def saturation_pressure_ice_slope(temperature: Number) -> Number:
     return _saturation_slope(temperature, SATURATION_ICE, ICE_RANGE)
 
 
+@cache
+def _bounds(coefficients: tuple[float, ...], valid: tuple[float, float]) -> tuple[float, float]:
+    """Saturation pressures [Pa] at the ends of a range."""
+    lowest, highest = (float(_saturation(bound, coefficients, valid)) for bound in valid)
+    return lowest, highest
+
+
 def _inverse(
     vapour_pressure: Number,
     coefficients: tuple[float, ...],
@@ -138,7 +146,7 @@ def _inverse(
 ) -> Number:
     """The temperature [K] at which `_saturation` returns the given pressure."""
     pressure = _as_number(vapour_pressure)
-    lowest, highest = (_saturation(bound, coefficients, valid) for bound in valid)
+    lowest, highest = _bounds(coefficients, valid)
     # Round-off must not push the saturation pressure of a bound itself outside.
     inside = _between(pressure, lowest * (1.0 - 1e-12), highest * (1.0 + 1e-12))
     with np.errstate(all="ignore"):

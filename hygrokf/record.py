@@ -56,8 +56,8 @@ class Series:
             )
         elif not np.isfinite(time).all():
             faults.append("every time must be a finite number of seconds")
-        elif np.any(np.diff(time) <= 0.0):
-            first = int(np.argmax(np.diff(time) <= 0.0)) + 1
+        elif (time[1:] <= time[:-1]).any():
+            first = int(np.argmax(time[1:] <= time[:-1])) + 1
             faults.append(f"time must increase strictly; reading {first} does not")
         if np.isinf(value).any():
             faults.append("value must be finite, or NaN where a reading is missing")

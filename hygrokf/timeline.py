@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -24,8 +25,7 @@ class Timeline:
     `time` (T,) [h] from `origin_s` [s since 1970, UTC]; `key` (T,) the row of `steps` (distinct steps: length [h] and
     regime inputs) that leads to each instant; `u` (T+1, m) inputs: the value at the instant for linear ones, over the
     step that ends there for zero-order ones, its first row belonging to the instant before the first one; `y` (T, k) readings, NaN where there is none; `reset` (T,) bits of the
-    running means that begin anew at the instant; `corners` inputs that span the whole run's range: sub-steps are chosen
-    by them, so that a piece of a run takes the same ones as the whole.
+    running means that begin anew at the instant; `whole` inputs of the whole run, also for a piece of it.
     """
 
     time: np.ndarray
@@ -38,10 +38,15 @@ class Timeline:
     regimes: tuple[str, ...]
     outputs: tuple[str, ...]
     origin_s: float = 0.0
-    corners: Mapping[str, np.ndarray] = field(default_factory=dict)
+    whole: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __len__(self) -> int:
         return len(self.time)
+
+    @cached_property
+    def corners(self) -> dict[str, np.ndarray]:
+        """Inputs that span the whole run's range: sub-steps are chosen by them, so that a piece takes the same ones as the whole."""
+        return _corners(self.whole)
 
     @property
     def n_readings(self) -> int:
@@ -93,7 +98,7 @@ def timeline(
     time = np.asarray(time, dtype=float)
     count = len(time)
     faults = []
-    if count == 0 or np.any(~np.isfinite(time)) or np.any(np.diff(time) <= 0):
+    if count == 0 or np.any(~np.isfinite(time)) or (time[1:] <= time[:-1]).any():
         faults.append("time must hold at least one instant and increase strictly")
     for name in model.inputs:
         if name not in inputs:
@@ -113,17 +118,18 @@ def timeline(
     varying = tuple(n for n in model.inputs if model.holds[n] != REGIME)
     regimes = tuple(n for n in model.inputs if model.holds[n] == REGIME)
     # a microsecond is below every clock: equal steps must not differ by the rounding of their end points
-    lengths = np.round(np.diff(time, prepend=time[0]) * 3.6e9) / 3.6e9
+    lengths = np.zeros(count)
+    lengths[1:] = np.round((time[1:] - time[:-1]) * 3.6e9) / 3.6e9
     rows = np.column_stack([lengths, *(np.asarray(inputs[n], float) for n in regimes)])
-    steps, key = np.unique(rows, axis=0, return_inverse=True)
+    steps, key = _distinct(rows)
     flags = np.zeros(count, dtype=np.int32)
     for bit, name in enumerate(model.averaged):
         flags |= (np.asarray((resets or {}).get(name, np.zeros(count, bool)), bool) << bit).astype(np.int32)
     return Timeline(
-        corners=_corners({n: np.asarray(inputs[n], float) for n in model.inputs}, count),
+        whole={n: np.asarray(inputs[n], float) for n in model.inputs},
         time=time,
-        key=np.ascontiguousarray(key.reshape(-1).astype(np.int32)),
-        steps=np.ascontiguousarray(steps),
+        key=key,
+        steps=steps,
         u=_columns([_led(inputs[n]) for n in varying], count + 1),
         y=_columns([readings.get(n, np.full(count, np.nan)) for n in model.outputs], count),
         reset=flags,
@@ -134,8 +140,19 @@ def timeline(
     )
 
 
-def _corners(inputs: Mapping[str, np.ndarray], count: int) -> dict[str, np.ndarray]:
+def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distinct rows in their order, and which of them each row is (as numpy's `unique` has them, in a third of its time)."""
+    order = np.lexsort(rows.T[::-1])
+    placed = rows[order]
+    begins = np.append(True, (placed[1:] != placed[:-1]).any(axis=1))
+    key = np.empty(len(rows), dtype=np.int32)
+    key[order] = np.cumsum(begins) - 1
+    return np.ascontiguousarray(placed[begins]), key
+
+
+def _corners(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """All inputs where one of them is largest or smallest, and at two dozen instants between."""
+    count = len(next(iter(inputs.values()), ()))
     rows = set(np.linspace(0, count - 1, 24).astype(int).tolist())
     for values in inputs.values():
         rows |= {int(np.argmin(values)), int(np.argmax(values))}

@@ -7,12 +7,13 @@ alarms; its name follows from turbine, kind and beginning, so that after a crash
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hygrokf.live.condition import Condition
+from hygrokf.live.inquiry import SENSORS, Finding
 from hygrokf.live.properties import Departure
 from hygrokf.live.store import Alarm
 
@@ -40,19 +41,20 @@ CONDENSATION = Rule(
 )  # fmt: skip
 CHANGED = Rule("cabinet changed", 1.0, 0.5, 0.0, "warning", np.inf, "")
 STALE = Rule(
-    "data stale", 1.0, 0.5, 0.0, "warning", 12.0,
+    "data stale", 1.0, 0.5, 5 * MINUTE_S, "warning", 12.0,
     "check the logger, its power and the way of its data; the estimate goes on without these readings",
 )  # fmt: skip
 LOST = Rule(
     "source lost",
     1.0,
     0.5,
-    0.0,
+    MINUTE_S,
     "alarm",
     1.0,
     "run `hygrokf doctor`, which says what cannot be reached and why",
 )
-RULES = {rule.kind: rule for rule in (CONDENSATION, CHANGED, STALE, LOST)}
+SUSPECT = Rule("sensor suspect", 1.0, 0.5, 0.0, "warning", np.inf, "")
+RULES = {rule.kind: rule for rule in (CONDENSATION, CHANGED, SUSPECT, STALE, LOST)}
 
 LIKELY = {
     ("thermal_time_constant", True): (
@@ -71,6 +73,14 @@ LIKELY = {
         "the cabinet exchanges more air with the ambient",
         "check door, seals and cable glands",
     ),
+    ("humidity_offset", True): (
+        "the air is moister than exchange and heat explain",
+        "look for water in the cabinet, and compare the humidity sensor with another one",
+    ),
+    ("humidity_offset", False): (
+        "the air is drier than exchange and heat explain",
+        "compare the humidity sensor with another one, and look whether something dries the air",
+    ),
     ("heat_release_change", True): (
         "more heat is released than the operation explains",
         "check cooling and fans, and whether a heater stays on",
@@ -81,6 +91,26 @@ LIKELY = {
     ),
 }
 """(property, whether it grew) -> (what that says, what to check)."""
+SENSOR = {
+    "temperature_reading_change": (
+        "the temperature sensor reads {0:.1f} K too {1}: humidity does not follow what it says",
+        "compare the temperature sensor with another one, and look where it is mounted",
+    ),
+    "humidity_reading_change": (
+        "the humidity sensor reads {0:.0f} % too {1}: neither exchange nor heat explains its level",
+        "compare the humidity sensor with another one; clean or renew it",
+    ),
+    "humidity_scale_change": (
+        "the humidity sensor reads {0:.0f} % of its value too {1}",
+        "compare the humidity sensor with another one at low and at high humidity; clean or renew it",
+    ),
+}
+"""State of a sensor's error -> (what it says, what to check)."""
+WORDS = {
+    "thermal_time_constant": "a changed heat loss", "hygric_k": "a changed exchange of air",
+    "heat_release_change": "a changed heat release", "temperature_sensor": "the temperature sensor",
+    "humidity_sensor": "the humidity sensor or a source of moisture",
+}  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -106,16 +136,20 @@ class Standing:
 
 
 def judged(
-    turbine: str, known: Mapping[str, Standing], now: float, levels: list[Level]
+    turbine: str,
+    known: Mapping[str, Standing],
+    now: float,
+    levels: list[Level],
+    kinds: Collection[str] = tuple(RULES),
 ) -> tuple[dict[str, Standing], list[Alarm]]:
     """Standings after the levels at `now` [s], and the alarms that began, changed or ended.
 
-    A level that is no longer told counts as 0.
+    A level of these `kinds` that is no longer told counts as 0; the other kinds stand as they do.
     """
     told = {f"{one.kind} {one.subject}".strip(): one for one in levels}
-    standings: dict[str, Standing] = {}
+    standings = {key: one for key, one in known.items() if _kind(key) not in kinds}
     changed: list[Alarm] = []
-    for key in dict.fromkeys((*known, *told)):
+    for key in dict.fromkeys((*(key for key in known if key not in standings), *told)):
         before = known.get(key, Standing())
         level = told.get(key, Level(_kind(key), 0.0, ""))
         after, alarm = _judged(turbine, key, before, now, level)
@@ -162,29 +196,68 @@ def _kind(key: str) -> str:
     return next(kind for kind in RULES if key == kind or key.startswith(kind + " "))
 
 
-def condensation_level(found: Condition) -> list[Level]:
-    """The level of the last instant: the probability that the coldest surface is below the dew point."""
+def condensation_level(found: Condition, place: int = -1) -> list[Level]:
+    """The level of an instant (the last one): the probability that the coldest surface is below the dew point."""
     if found.condensation is None or not len(found.time_s):
         return []
-    chance, margin = float(found.condensation[-1]), found.margin_K
+    chance, margin = float(found.condensation[place]), found.margin_K
+    if chance < CONDENSATION.off:
+        return [Level(CONDENSATION.kind, chance, "")]
     words = (
         f"water condenses on the coldest surface with a probability of {100 * chance:.0f} %: "
-        f"it is {margin.value[-1]:+.1f} K ({margin.lower[-1]:+.1f} … {margin.upper[-1]:+.1f}) from the dew point"
+        f"it is {margin.value[place]:+.1f} K ({margin.lower[place]:+.1f} … {margin.upper[place]:+.1f}) from the dew point"
     )
     return [Level(CONDENSATION.kind, chance, words)]
 
 
-def departure_levels(found: Mapping[str, Departure]) -> list[Level]:
-    """A level for each property that has departed and lasts."""
-    levels = []
-    for name, one in found.items():
-        if not one.lasting:
-            continue
-        said, remedy = LIKELY[name, one.change > 0.0]
-        size = (
-            f"{one.change:+.1f} K"
-            if name == "heat_release_change"
-            else f"{100.0 * np.expm1(one.change):+.0f} %"
-        )
-        levels.append(Level(CHANGED.kind, 1.0, f"{said}: {name.replace('_', ' ')} {size}", remedy, name))
-    return levels
+def stale_levels(ages_s: Mapping[str, float], limit_s: float) -> list[Level]:
+    """The level of a turbine's data: the age [s] of its oldest signal in units of the limit [s]."""
+    silent = {signal: age for signal, age in ages_s.items() if age > limit_s}
+    if not silent:
+        return []
+    oldest = max(silent.values())
+    which = "no signal" if len(silent) == len(ages_s) else ", ".join(sorted(silent)).replace("_", " ")
+    verb = "came" if len(silent) == len(ages_s) else "has not come"
+    return [Level(STALE.kind, oldest / limit_s, f"{which} {verb} for {oldest / HOUR_S:.1f} h")]
+
+
+def source_levels(states: Mapping[str, tuple[str, str]]) -> list[Level]:
+    """A level for each source that is lost."""
+    return [
+        Level(LOST.kind, 1.0, f"{url} is not reached: {words}", subject=url)
+        for url, (state, words) in states.items()
+        if state == "lost"
+    ]
+
+
+def departure_levels(found: Mapping[str, Departure], finding: Finding | None = None) -> list[Level]:
+    """What departures that last say: of the cabinet or, where an inquiry found it, of a sensor.
+
+    Without a finding nothing is said yet; one that names no cause leaves a level for each property.
+    """
+    lasting = {name: one for name, one in found.items() if one.lasting}
+    if not lasting or finding is None:
+        return []
+    if finding.cause in SENSORS:
+        said, remedy = SENSOR[finding.state]
+        size = abs(finding.value) * (1.0 if finding.state.startswith("temperature") else 100.0)
+        words = said.format(size, "high" if finding.value > 0.0 else "low") + _others(finding)
+        return [Level(SUSPECT.kind, 1.0, words, remedy, finding.cause)]
+    named = {finding.cause: lasting[finding.cause]} if finding.cause in lasting else lasting
+    return [_changed(name, one, finding) for name, one in named.items() if (name, one.change > 0.0) in LIKELY]
+
+
+def _changed(name: str, one: Departure, finding: Finding) -> Level:
+    said, remedy = LIKELY[name, one.change > 0.0]
+    if name == "heat_release_change":
+        size = f"{one.change:+.1f} K"
+    elif name == "humidity_offset":
+        size = f"{100.0 * one.change:+.0f} % relative humidity"
+    else:
+        size = f"{100.0 * np.expm1(one.change):+.0f} %"
+    words = f"{said}: {name.replace('_', ' ')} {size}{_others(finding)}"
+    return Level(CHANGED.kind, 1.0, words, remedy, name)
+
+
+def _others(finding: Finding) -> str:
+    return f" (or {', '.join(WORDS[cause] for cause in finding.alike)})" if finding.alike else ""

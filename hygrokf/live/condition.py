@@ -7,7 +7,7 @@ their covariance; other quantities are taken to first order in it.  Shapes: T in
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,7 +61,8 @@ class Condition:
 
     `temperature_K`, `relative_humidity` [1] over water, `absolute_humidity_g_m3`, `dew_point_K`, `frost_point_K` (NaN
     above freezing), `margin_K` of the cold surface above the dew point or, below freezing, the frost point, and the
-    `condensation` probability [1] that it is below.  What the model does not have is None.
+    `condensation` probability [1] that it is below; `surface_humidity` [1] relative humidity of the air that touches it.
+    What the model does not have is None.
     """
 
     time_s: np.ndarray
@@ -72,6 +73,7 @@ class Condition:
     frost_point_K: Quantity | None
     margin_K: Quantity | None
     condensation: np.ndarray | None
+    surface_humidity: Quantity | None
 
 
 def condition(
@@ -84,15 +86,35 @@ def condition(
 ) -> Condition:
     """The condition at the instants of a timeline, from means (T, n) and covariances (T, n, n) of the state."""
     seconds = t.origin_s + 3600.0 * t.time
-    u = {name: t.input(name) for name in model.inputs}
-    nothing = Condition(seconds, *[None] * 7)
+    return air_condition(model, values, seconds, inputs_of(model, t), mean, covariance, surface)
+
+
+def inputs_of(model: Model, t: Timeline) -> dict[str, np.ndarray]:
+    """A model's inputs (T,) at the instants of a timeline."""
+    return {name: t.input(name) for name in model.inputs}
+
+
+def air_condition(
+    model: Model,
+    values: Mapping[str, float | np.ndarray],
+    seconds: np.ndarray,
+    u: Mapping[str, np.ndarray],
+    mean: np.ndarray,
+    covariance: np.ndarray,
+    surface: Surface,
+) -> Condition:
+    """The condition at instants (T,) [s] from inputs `u` (T,), means (T, n) and covariances (T, n, n) of the state.
+
+    Values, and what a surface follows, may be other ones at each instant (T,): many cabinets of one model at once.
+    """
+    nothing = Condition(seconds, *[None] * 8)
     air, air_row = _air(model, values, u, mean)
     if air is None:
         return nothing
     heat = np.einsum("ti,tij,tj->t", air_row, covariance, air_row)
     warm = Quantity(air, np.sqrt(np.maximum(heat, 0.0)))
     if "vapour" not in model.states:
-        return Condition(seconds, warm, *[None] * 6)
+        return Condition(seconds, warm, *[None] * 7)
     place = model.states.index("vapour")
     outside = u["ambient_temperature"]
     scale = 1e-3 * GAS_CONSTANT_VAPOUR * outside
@@ -120,6 +142,9 @@ def condition(
     # on a surface below freezing vapour becomes frost, at a temperature a little above the dew point
     icy = (cold < FREEZING_K) & np.isfinite(frost)
     margin = derived(cold - np.where(icy, frost, dew), surface.follows, -np.where(icy, by_frost, by_dew))
+    at_surface = saturation_pressure_water(cold)
+    near = e / at_surface
+    by_cold = -near * saturation_pressure_water_slope(cold) / at_surface
     return Condition(
         time_s=seconds,
         temperature_K=warm,
@@ -129,7 +154,19 @@ def condition(
         frost_point_K=derived(frost, 0.0, by_frost),
         margin_K=margin,
         condensation=probability_below(margin, 0.0),
+        surface_humidity=derived(near, surface.follows * by_cold, 1.0 / at_surface),
     )
+
+
+def only(found: Condition, kept: np.ndarray | slice) -> Condition:
+    """A condition at some of its instants."""
+    chosen = {
+        name: Quantity(q.value[kept], q.sd[kept])
+        for name, q in vars(found).items()
+        if isinstance(q, Quantity)
+    }
+    chance = None if found.condensation is None else found.condensation[kept]
+    return replace(found, time_s=found.time_s[kept], condensation=chance, **chosen)
 
 
 def probability_below(quantity: Quantity, limit: float) -> np.ndarray:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import math
 import os
 import tomllib
@@ -11,23 +10,28 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from hygrokf.live.condition import Surface
-from hygrokf.live.fleet import Turbine
+from hygrokf.live.fleet import STALE_S, Turbine
+from hygrokf.live.forecast import LIMIT
+from hygrokf.live.page_settings import PAGE, PageSettings, page_settings
 from hygrokf.live.payload import GOOD, Field, Mapping
 from hygrokf.live.plan import LATENESS_S, WANDERING, Form, plan
+from hygrokf.live.postgres import url_fault
 from hygrokf.live.properties import standard_errors
+from hygrokf.live.sources import stream_of
+from hygrokf.live.streams import Stream
+from hygrokf.live.table_reader import TableReader
 from hygrokf.record import Site
 from hygrokf.results import ResultFault, read_fit
-from hygrokf.signals import SIGNALS, suggestion, unit_fault
-from hygrokf.stamps import duration
+from hygrokf.signals import SIGNALS, difference_to_si, suggestion, unit_fault
 
-SCHEMES = ("file:", "stdin")
 STAMPS = ("instant", "start", "middle", "end")
 RETENTION_S = 400.0 * 86400.0
 LEAST_RETENTION_S = 7.0 * 86400.0
-PAGE = "127.0.0.1:8080"
 
 _TOP = ("store", "page", "lateness", "retention", "turbine", "mapping", "source", "wandering")
-_TURBINE = ("name", "fit", "known_as", "cold_surface", "site", "rated_power_kW", "lateness")
+_TURBINE = (
+    "name", "fit", "known_as", "cold_surface", "site", "rated_power_kW", "lateness", "humidity_limit", "stale"
+)  # fmt: skip
 _MAPPING = ("turbine", "time", "quality", "good", "tag", "value", "signals")
 _SIGNAL = ("signal", "unit", "stamp", "interval", "accuracy", "resolution")
 _SURFACE = ("follows", "offset_K")
@@ -44,60 +48,13 @@ class ConfigFault(Exception):
 
 @dataclass(frozen=True)
 class Config:
-    """What a tracker runs on.  `sources` are tables with a `url` and what its kind of source reads besides."""
+    """What a tracker runs on."""
 
     turbines: MappingOf[str, Turbine]
-    mapping: Mapping
-    sources: tuple[MappingOf[str, object], ...]
+    streams: tuple[Stream, ...]
     store: str
-    page: str = PAGE
+    page: PageSettings = field(default_factory=PageSettings)
     retention_s: float = RETENTION_S
-
-
-@dataclass
-class _Reader:
-    """Values of a table, and what is wrong with them."""
-
-    faults: list[str] = field(default_factory=list)
-
-    def known(self, table: MappingOf, keys: tuple[str, ...], where: str) -> None:
-        for key in table:
-            if key not in keys:
-                self.faults.append(
-                    f'{where}: unknown key "{key}"; expected {", ".join(keys)}{suggestion(key, keys)}'
-                )
-
-    def text(self, table: MappingOf, key: str, where: str, default: str = "") -> str:
-        value = table.get(key, default)
-        if not isinstance(value, str):
-            self.faults.append(f"{where}: {key} must be text in quotes, found {value!r}")
-            return default
-        return value
-
-    def number(self, table: MappingOf, key: str, where: str, default: float | None = None) -> float | None:
-        value = table.get(key, default)
-        if value is None:
-            return None
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            self.faults.append(f"{where}: {key} must be a number, found {value!r}")
-            return default
-        return float(value)
-
-    def seconds(self, table: MappingOf, key: str, where: str, default: float) -> float:
-        if key not in table:
-            return default
-        try:
-            return duration(str(table[key]))
-        except ValueError as fault:
-            self.faults.append(f"{where}: {key}: {fault}")
-            return default
-
-    def tables(self, content: MappingOf, key: str) -> list[tuple[str, MappingOf]]:
-        found = content.get(key, [])
-        if not isinstance(found, list) or not all(isinstance(one, dict) for one in found):
-            self.faults.append(f"{key}: expected tables [[{key}]], found {type(found).__name__}")
-            return []
-        return [(f"[[{key}]] {place}", one) for place, one in enumerate(found, start=1)]
 
 
 def read_config(path: str | os.PathLike[str]) -> Config:
@@ -109,51 +66,39 @@ def read_config(path: str | os.PathLike[str]) -> Config:
         raise ConfigFault(file.name, [f"no TOML: {fault}"]) from None
     except OSError as fault:
         raise ConfigFault(str(file), [f"cannot be read: {fault.strerror}"]) from None
-    reader = _Reader()
+    reader = TableReader()
     reader.known(content, _TOP, "the file")
     lateness_s = reader.seconds(content, "lateness", "the file", LATENESS_S)
     mapping = _mapping(content.get("mapping", {}), reader)
     turbines, names = _turbines(content, file.parent, mapping, lateness_s, reader)
-    sources = []
+    mapping = replace(mapping, turbines=names)
+    streams: list[Stream] = []
     for where, table in reader.tables(content, "source"):
-        url = reader.text(table, "url", where)
-        if not url.startswith(SCHEMES):
-            reader.faults.append(f"{where}: url must begin with one of {', '.join(SCHEMES)}, found {url!r}")
-        sources.append(dict(table))
-    if not sources and "source" not in content:
+        made = stream_of(table, where, file.parent, mapping, reader)
+        if made is None:
+            continue
+        if made.url in [one.url for one in streams]:
+            reader.faults.append(
+                f"{where}: {made.url} is a source already; two of one broker need a client_id each"
+            )
+        streams.append(made)
+    if not streams and "source" not in content:
         reader.faults.append('no source: add [[source]] with url = "file:…" or "stdin"')
     store = reader.text(content, "store", "the file", "sqlite:live.db")
+    if (wrong := url_fault(store)) is not None:
+        reader.faults.append(f"store: {wrong}")
     if store.startswith("sqlite:") and not Path(store.removeprefix("sqlite:")).is_absolute():
         store = f"sqlite:{file.parent / store.removeprefix('sqlite:')}"
     retention_s = reader.seconds(content, "retention", "the file", RETENTION_S)
     if retention_s < LEAST_RETENTION_S:
         reader.faults.append("retention must be at least 7 d: a restart needs what was read before")
-    page = reader.text(content, "page", "the file", PAGE)
-    _ = address(page, reader.faults)
+    page = page_settings(content.get("page", PAGE), file.parent, reader)
     if reader.faults:
         raise ConfigFault(file.name, reader.faults)
-    mapping = replace(mapping, turbines=names)
-    return Config(turbines, mapping, tuple(sources), store, page, retention_s)
+    return Config(turbines, tuple(streams), store, page, retention_s)
 
 
-def address(text: str, faults: list[str]) -> tuple[str, int]:
-    """Host and port of `HOST:PORT`; what is wrong goes to `faults`."""
-    host, _, port = text.rpartition(":")
-    if not host or not port.isdecimal() or not 0 <= int(port) < 65536:
-        faults.append(f"page must be HOST:PORT such as 127.0.0.1:8080, found {text!r}")
-        return "127.0.0.1", 0
-    return host.strip("[]"), int(port)
-
-
-def is_loopback(host: str) -> bool:
-    """Whether an address is reached from this machine alone."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
-
-
-def _mapping(table: object, reader: _Reader) -> Mapping:
+def _mapping(table: object, reader: TableReader) -> Mapping:
     if not isinstance(table, dict):
         reader.faults.append(f"mapping: expected a table [mapping], found {table!r}")
         table = {}
@@ -194,7 +139,7 @@ def _mapping(table: object, reader: _Reader) -> Mapping:
     return Mapping(fields, **texts, good=tuple(str(one).strip().lower() for one in good))
 
 
-def _field(name: str, entry: object, reader: _Reader) -> Field | None:
+def _field(name: str, entry: object, reader: TableReader) -> Field | None:
     where = f"mapping.signals.{name}"
     if not isinstance(entry, dict):
         reader.faults.append(f'{where}: expected {{ signal = "…", unit = "…" }}, found {entry!r}')
@@ -219,19 +164,20 @@ def _field(name: str, entry: object, reader: _Reader) -> Field | None:
     sizes = {key: reader.number(entry, key, where) for key in ("accuracy", "resolution")}
     if len(reader.faults) > before:
         return None
+    si = {k: None if v is None else difference_to_si(v, unit, signal) for k, v in sizes.items()}
     # W, duties and speeds of machines hold over steps; everything else is joined by straight lines
     stepped = SIGNALS[signal].unit in ("W", "rad/s") or signal == "preheating"
     form = Form(
         hold="zero-order" if interval_s > 0 or stepped else "linear",
         interval_s=interval_s,
-        resolution=sizes["resolution"] or 0.0,
-        accuracy=sizes["accuracy"],
+        resolution=si["resolution"] or 0.0,
+        accuracy=si["accuracy"],
     )
     return Field(signal, unit, form, stamp)
 
 
 def _turbines(
-    content: MappingOf, folder: Path, mapping: Mapping, lateness_s: float, reader: _Reader
+    content: MappingOf, folder: Path, mapping: Mapping, lateness_s: float, reader: TableReader
 ) -> tuple[dict[str, Turbine], dict[str, str]]:
     """Turbines by name, and the names in payloads that stand for each."""
     forms = {one.signal: one.form for one in mapping.fields.values()}
@@ -276,7 +222,7 @@ def _turbine(
     forms: MappingOf[str, Form],
     rates: MappingOf[str, float] | None,
     lateness_s: float,
-    reader: _Reader,
+    reader: TableReader,
 ) -> Turbine | None:
     surface = _table(table, "cold_surface", _SURFACE, where, reader)
     cold = Surface(surface.get("follows", Surface().follows), surface.get("offset_K", 0.0))
@@ -294,6 +240,12 @@ def _turbine(
         except ValueError as fault:
             reader.faults.append(f"{where}: {fault}")
     rated = reader.number(table, "rated_power_kW", where)
+    limit = reader.number(table, "humidity_limit", where, LIMIT) or LIMIT
+    if not 0.0 < limit <= 1.0:
+        reader.faults.append(f"{where}: humidity_limit must lie above 0 and at most at 1, found {limit:g}")
+    stale_s = reader.seconds(table, "stale", where, STALE_S)
+    if stale_s <= 0.0:
+        reader.faults.append(f"{where}: stale must be longer than nothing")
     path = reader.text(table, "fit", where)
     if not path:
         reader.faults.append(f"{where}: fit is missing: the fit.json of the turbine's model")
@@ -315,11 +267,11 @@ def _turbine(
     except OSError as fault:
         reader.faults.append(f"{where}: {folder / path}: {fault.strerror}")
         return None
-    return Turbine(made, cold, standard_errors(fit))
+    return Turbine(made, cold, standard_errors(fit), limit, stale_s)
 
 
 def _table(
-    table: MappingOf, key: str, keys: tuple[str, ...], where: str, reader: _Reader
+    table: MappingOf, key: str, keys: tuple[str, ...], where: str, reader: TableReader
 ) -> dict[str, float]:
     """A table of numbers within a table."""
     found = table.get(key, {})
@@ -331,7 +283,7 @@ def _table(
     return {name: value for name, value in numbers.items() if value is not None}
 
 
-def _wandering(table: object, reader: _Reader) -> dict[str, float] | None:
+def _wandering(table: object, reader: TableReader) -> dict[str, float] | None:
     """Rates for a day of the properties that are tracked, where the file states them."""
     if table is None:
         return None

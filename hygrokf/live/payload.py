@@ -31,6 +31,10 @@ EARLIEST_S = 631_152_000.0
 """[s] 1990: stamps before it are no time of a turbine."""
 AHEAD_S = 900.0
 """[s] by which a stamp may be ahead of the clock here."""
+FORECAST_S = 20 * 86400.0
+"""[s] by which that of a weather forecast may."""
+EVERYONE = ""
+"""Turbine of a weather forecast that is for all."""
 GOOD = ("good", "ok", "valid", "true", "0", "192")
 """What marks a good reading where nothing else is stated; 192 is OPC's."""
 
@@ -70,6 +74,8 @@ class Mapping:
 
     `fields` name → field; `turbine`, `time`, `quality`, `tag`, `value` names of fields ("a.b" goes one level down, and of a
     topic "{1}" is the second level); `good` marks of quality that count; `turbines` name in the payload → turbine.
+    Without a name of the field (`turbine` "") all is the only turbine's.  `weather`: what comes is a weather forecast, which
+    is for all turbines where it names none.
     """
 
     fields: MappingOf[str, Field]
@@ -80,6 +86,7 @@ class Mapping:
     value: str = ""
     good: Collection[str] = GOOD
     turbines: MappingOf[str, str] = field(default_factory=dict)
+    weather: bool = False
 
     def __post_init__(self) -> None:
         rows = {}
@@ -109,12 +116,23 @@ def parsed(text: bytes | str) -> dict:
     if _depth(text) > DEEPEST:
         raise Refused("too deep", f"a payload nested deeper than {DEEPEST} levels")
     try:
-        found = json.loads(text)
+        found = _DECODER.decode(text.decode(json.detect_encoding(text)))
     except (ValueError, RecursionError) as fault:
         raise Refused("malformed", f"no JSON: {str(fault)[:80]}") from None
     if not isinstance(found, dict):
         raise Refused("malformed", f"expected a JSON object, found {type(found).__name__}")
     return found
+
+
+def _object(pairs: list[tuple[str, object]]) -> dict:
+    """An object of which every key stands there once: of two values nobody can say which one is meant."""
+    found = dict(pairs)
+    if len(found) < len(pairs):
+        raise ValueError("a key stands there twice")
+    return found
+
+
+_DECODER = json.JSONDecoder(object_pairs_hook=_object)
 
 
 def _depth(text: bytes) -> int:
@@ -138,10 +156,7 @@ def taken(content: MappingOf, mapping: Mapping, now: float, topic: str = "") -> 
 
     `now` [s] the clock here: stamps ahead of it by more than `AHEAD_S` are refused.
     """
-    name = _found(content, mapping.turbine, topic)
-    turbine = mapping.turbines.get(str(name)[:LONGEST]) if name is not None else None
-    if turbine is None:
-        raise Refused("unknown turbine", f"turbine {_shown(name)} is not among those that are tracked")
+    turbine = _turbine(content, mapping, topic)
     stamp = _found(content, mapping.time, topic)
     time = seconds(stamp)
     if time is None:
@@ -149,7 +164,7 @@ def taken(content: MappingOf, mapping: Mapping, now: float, topic: str = "") -> 
             "no time",
             f"expected a time as ISO 8601 with offset or as seconds since 1970, found {_shown(stamp)}",
         )
-    if not EARLIEST_S <= time <= now + AHEAD_S:
+    if not EARLIEST_S <= time <= now + (FORECAST_S if mapping.weather else AHEAD_S):
         raise Refused("impossible time", f"time {_shown(stamp)} is before 1990 or ahead of the clock here")
     counts: Counter = Counter()
     if mapping.quality:
@@ -181,14 +196,35 @@ def taken(content: MappingOf, mapping: Mapping, now: float, topic: str = "") -> 
     return Taken(turbine, tuple(readings), counts)
 
 
+def _turbine(content: MappingOf, mapping: Mapping, topic: str) -> str:
+    name = _found(content, mapping.turbine, topic) if mapping.turbine else None
+    if name is None and mapping.weather:
+        return EVERYONE
+    if not mapping.turbine and len(set(mapping.turbines.values())) == 1:
+        return next(iter(mapping.turbines.values()))
+    turbine = mapping.turbines.get(str(name)[:LONGEST]) if name is not None else None
+    if turbine is None:
+        raise Refused("unknown turbine", f"turbine {_shown(name)} is not among those that are tracked")
+    return turbine
+
+
+def stamp_of(content: MappingOf | bytes | str, mapping: Mapping) -> float | None:
+    """The time [s] that a payload states; None where it states none that can be read."""
+    try:
+        found = parsed(content) if isinstance(content, bytes | str) else content
+    except Refused:
+        return None
+    return seconds(_found(found, mapping.time, ""))
+
+
 def _found(content: MappingOf, path: str, topic: str) -> object:
     """The value at a path of names, or a level of the topic; None where there is none."""
     if path.startswith("{") and path.endswith("}"):
         levels = topic.split("/")
         place = int(path[1:-1])
         return levels[place] if 0 <= place < len(levels) else None
-    if path in content:
-        return content[path]
+    if path in content or "." not in path:
+        return content.get(path)
     value: object = content
     for name in path.split("."):
         if not isinstance(value, dict) or name not in value:

@@ -20,14 +20,23 @@ from hygrokf.signals import SIGNALS
 from hygrokf.timeline import timeline
 
 FEATURES_H = 48.0
+BEFORE = 12
+"""Readings of each signal that are kept from before the context: they tell its usual step, and so which gap is a long one."""
 LATENESS_S = 1800.0
 """[s] readings may come this much later than the newest one and still count."""
 WANDERING = {
     "wandering_time_constant": ("converter_temperature", 0.02),
     "wandering_exchange": ("vapour", 0.02),
     "wandering_release": ("converter_temperature", 0.1),
+    "wandering_temperature_reading": ("cabinet_temperature", 1e-4),
+    "wandering_humidity_reading": ("cabinet_relative_humidity", 0.005),
+    "wandering_humidity_scale": ("cabinet_relative_humidity", 1e-6),
 }
-"""Properties that are tracked: mechanism -> (state that it needs, rate for a day)."""
+"""What is tracked: mechanism -> (state or output that it needs, rate for a day).
+
+An offset of the thermometer and a change of the heat release look alike from hour to hour, and so do offset and scale of the
+humidity sensor: one of each stands still until an inquiry asks for it.
+"""
 TEMPERATURES_K = (238.15, 253.15, 268.15, 283.15, 298.15, 313.15, 323.15)
 HUMIDITIES = (0.05, 0.5, 1.0)
 """Climate that sub-steps are made for: from −35 to 50 °C, dry to saturated."""
@@ -111,7 +120,9 @@ def plan(
     unknown = sorted(set(rates) - set(WANDERING))
     if unknown:
         raise ValueError(f"wandering: expected names of {sorted(WANDERING)}, found {unknown}")
-    additions = [(m, {"rate": rate}) for m, rate in rates.items() if WANDERING[m][0] in model.states]
+    additions = [
+        (m, {"rate": rate}) for m, rate in rates.items() if WANDERING[m][0] in (*model.states, *model.outputs)
+    ]
     design = replace(extended(fit.design, additions), ambient_noise={})
     values = {p.name: fit.values.get(p.name, p.start) for p in design.model.parameters}
     return Plan(
@@ -139,6 +150,4 @@ def fastest_rate(model: Model, values: Mapping[str, float]) -> float:
     }
     inputs = {name: known.get(name, switched) for name in model.inputs}
     grid = timeline(model, np.arange(len(kelvin), dtype=float), inputs, {})
-    # every climate is a corner, not only the extreme ones of each input
-    grid = replace(grid, corners=inputs)
-    return MARGIN * Likelihood(model, grid).rate(values)
+    return MARGIN * Likelihood(model, grid).rate(values, inputs)

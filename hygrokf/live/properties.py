@@ -18,7 +18,8 @@ DAY_S = 86400.0
 @dataclass(frozen=True)
 class Watched:
     """A property that is tracked: its state, the fit's parameter that it multiplies by e^x (none: x is added to 0), its
-    unit, the least departure that matters, and the standard deviation of x from which it is not observable.
+    unit, the least departure that matters, the standard deviation of x from which it is not observable, and the readings
+    that show it.
     """
 
     name: str
@@ -27,18 +28,30 @@ class Watched:
     unit: str
     least: float
     blind: float
+    shown_by: tuple[str, ...]
 
 
+TEMPERATURES = ("cabinet_temperature",)
+HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
 WATCHED = (
     Watched(
-        "thermal_time_constant", "log_thermal_change", "thermal_time_constant", "h", math.log(1.15), 0.25
+        "thermal_time_constant",
+        "log_thermal_change",
+        "thermal_time_constant",
+        "h",
+        math.log(1.15),
+        0.25,
+        TEMPERATURES,
     ),
-    Watched("hygric_k", "log_hygric_change", "hygric_k", "h", math.log(1.15), 0.25),
-    Watched("heat_release_change", "release_change", None, "K", 1.0, 2.0),
+    Watched("hygric_k", "log_hygric_change", "hygric_k", "h", math.log(1.15), 0.25, HUMIDITIES),
+    Watched("heat_release_change", "release_change", None, "K", 1.0, 2.0, TEMPERATURES),
+    Watched("humidity_offset", "humidity_reading_change", None, "1", 0.04, 0.1, HUMIDITIES[:1]),
 )
-"""What a tracker watches; the least departures are 15 % and 1 K."""
-SURE = 4.5
+"""What a tracker watches; the least departures are 15 %, 1 K and 4 % relative humidity."""
+SURE = 4.0
 """Standard deviations by which a property must differ from the fit's."""
+SILENT_S = 3.0 * DAY_S
+"""[s] without a reading that shows it after which a property is not observable."""
 LASTING_S = 2.0 * DAY_S
 """[s] for how long it must do so."""
 BACK = 0.5
@@ -84,13 +97,20 @@ def standard_errors(fit: Fit) -> dict[str, float]:
     }
 
 
-def states_of(model: Model, mean: np.ndarray, covariance: np.ndarray) -> dict[str, tuple[float, float]]:
-    """(x, standard deviation) of each watched property that the model has, from mean (n,) and covariance (n, n)."""
+def states_of(
+    model: Model, mean: np.ndarray, covariance: np.ndarray, time: float, heard: Mapping[str, float]
+) -> dict[str, tuple[float, float]]:
+    """(x, standard deviation) of each watched property that the model has, from mean (n,) and covariance (n, n).
+
+    `heard` signal → time [s] of its newest reading; the deviation is infinite where nothing shows the property at `time`.
+    """
     found = {}
     for one in WATCHED:
         if one.state in model.states:
             i = model.states.index(one.state)
-            found[one.name] = (float(mean[i]), math.sqrt(max(float(covariance[i, i]), 0.0)))
+            newest = max((heard.get(signal, -math.inf) for signal in one.shown_by), default=-math.inf)
+            sd = math.sqrt(max(float(covariance[i, i]), 0.0)) if time - newest < SILENT_S else math.inf
+            found[one.name] = (float(mean[i]), sd)
     return found
 
 

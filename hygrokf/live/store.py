@@ -7,10 +7,9 @@ everything is as it was after some whole batch, and the source goes on from ther
 from __future__ import annotations
 
 import json
-import sqlite3
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -18,17 +17,15 @@ import numpy as np
 
 from hygrokf.likelihood import Gaussian
 from hygrokf.live.condition import Condition, Quantity
+from hygrokf.live.database import Database
+from hygrokf.live.database import StoreFault as StoreFault
+from hygrokf.live.forecast import Forecast
+from hygrokf.live.plan import BEFORE
+from hygrokf.live.postgres import SCHEMES, open_postgres
 from hygrokf.live.properties import Property
-from hygrokf.live.schema import MIGRATIONS, TABLES, VERSION
+from hygrokf.live.schema import TABLES
+from hygrokf.live.sqlite import open_sqlite
 from hygrokf.live.tracker import Point, Reading
-
-APPLICATION_ID = 0x68796B66
-"""What a store's file says it is ("hykf"), so that no other database is taken for one."""
-BUSY_S = 10.0
-
-
-class StoreFault(Exception):
-    """A store that cannot be used, in words for the one who runs it."""
 
 
 @dataclass(frozen=True)
@@ -63,7 +60,8 @@ class Batch:
 
     `estimates` turbine → (condition, how many of its instants are final, time [s] from which on it overtakes what was
     provisional); `memories` (turbine, name) → plain data that a
-    turbine's tracker goes on from; `counters` (turbine, name) → increase; `place` source → where it is to go on.
+    turbine's tracker goes on from; `counters` (turbine, name) → increase; `place` source → where it is to go on;
+    `forecasts` turbine → what takes the place of the one before; `weather` readings of a weather forecast.
     """
 
     observations: list[Observation] = field(default_factory=list)
@@ -74,6 +72,12 @@ class Batch:
     memories: dict[tuple[str, str], object] = field(default_factory=dict)
     counters: dict[tuple[str, str], int] = field(default_factory=dict)
     place: dict[str, str] = field(default_factory=dict)
+    forecasts: dict[str, Forecast | None] = field(default_factory=dict)
+    weather: list[Observation] = field(default_factory=list)
+
+    @property
+    def empty(self) -> bool:
+        return not any(vars(self).values())
 
 
 _QUANTITIES = (
@@ -87,66 +91,53 @@ _QUANTITIES = (
 ESTIMATE_COLUMNS = (
     "turbine", "time", "final", *(name for pair in _QUANTITIES for name in pair), "condensation"
 )  # fmt: skip
+_READINGS = """
+WITH RECURSIVE known (signal) AS (
+    SELECT MIN(signal) FROM observation WHERE turbine = ?
+    UNION ALL
+    SELECT (SELECT MIN(o.signal) FROM observation o WHERE o.turbine = ? AND o.signal > known.signal)
+    FROM known WHERE known.signal IS NOT NULL)
+SELECT o.signal, o.time, o.value, o.contradicted FROM known CROSS JOIN observation o
+WHERE o.turbine = ? AND o.signal = known.signal AND o.late = 0 AND o.time >= COALESCE(
+    (SELECT b.time FROM observation b WHERE b.turbine = ? AND b.signal = known.signal AND b.time < ? AND b.late = 0
+    ORDER BY b.time DESC LIMIT 1 OFFSET ?), -1e18)
+ORDER BY o.signal, o.time
+"""
+"""What `Store.readings` asks: signal by signal a step in the index, however long the history is."""
+FORGOTTEN_S = 3 * 86400.0
+"""[s] after its time for which a weather forecast is kept."""
+FORECAST_COLUMNS = ("turbine", "time", "made", *ESTIMATE_COLUMNS[3:], "above_limit")
 
 
 class Store:
-    """One store; `commit` and the readers may be used by one thread at a time.
+    """One store, in whatever database; it may be used by one thread at a time.
 
-    `connection` speaks the database interface of Python (PEP 249); `mark` is its sign for a parameter.
+    What comes from outside (disk, network, another process) is raised as StoreFault, and may be gone when the store is
+    opened anew; a wrong statement or value is raised as the driver's own error.
     """
 
-    def __init__(self, connection: object, mark: str, url: str) -> None:
-        self.connection = connection
-        self.mark = mark
-        self.url = url
+    def __init__(self, database: Database) -> None:
+        self.database = database
+
+    @property
+    def url(self) -> str:
+        return self.database.url
 
     # -- plain statements -------------------------------------------------------------------------------------
     def _text(self, statement: str) -> str:
-        return statement if self.mark == "?" else statement.replace("?", self.mark)
+        return self.database.text(statement)
 
     def rows(self, statement: str, parameters: Sequence = ()) -> list[tuple]:
         """Rows of a query; parameters stand as question marks in every store."""
-        with self.transaction(write=False) as cursor:
-            cursor.execute(self._text(statement), tuple(parameters))
-            return cursor.fetchall()
+        return self.database.rows(statement, parameters)
 
-    @contextmanager
-    def transaction(self, write: bool = True) -> Iterator:
+    def transaction(self) -> AbstractContextManager:
         """A cursor whose statements take effect together, when the block ends, or not at all."""
-        cursor = self.connection.cursor()
-        try:
-            if self.mark == "?" and write:
-                cursor.execute("BEGIN IMMEDIATE")
-            yield cursor
-            self.connection.commit()
-        except BaseException:
-            with suppress(Exception):
-                self.connection.rollback()
-            raise
-        finally:
-            with suppress(Exception):
-                cursor.close()
+        return self.database.transaction()
 
-    def migrate(self) -> None:
-        """Bring the tables to this version, each migration in a transaction of its own."""
-        with self.transaction() as cursor:
-            cursor.execute(
-                "CREATE TABLE IF NOT EXISTS schema_version (version INTEGER PRIMARY KEY, applied DOUBLE PRECISION)"
-            )
-        found = self.rows("SELECT MAX(version) FROM schema_version")[0][0] or 0
-        if found > VERSION:
-            raise StoreFault(
-                f"{self.url}: expected a schema of version {VERSION} or older, found {found}: "
-                "it was written by a newer hygrokf; update this one"
-            )
-        for version in range(found, VERSION):
-            with self.transaction() as cursor:
-                for statement in MIGRATIONS[version]:
-                    cursor.execute(statement)
-                cursor.execute(
-                    self._text("INSERT INTO schema_version (version, applied) VALUES (?, ?)"),
-                    (version + 1, time.time()),
-                )
+    def claim(self, kind: str, names: Iterable[str]) -> None:
+        """Be the only tracker of turbines or sources, until the store is closed; StoreFault names who holds one of them."""
+        self.database.claim(kind, names)
 
     # -- writing ----------------------------------------------------------------------------------------------
     def commit(self, batch: Batch) -> None:
@@ -171,17 +162,21 @@ class Store:
             names = ", ".join(ESTIMATE_COLUMNS)
             marks = ", ".join("?" * len(ESTIMATE_COLUMNS))
             changed = ", ".join(f"{n} = excluded.{n}" for n in ESTIMATE_COLUMNS[2:])
-            for turbine, (found, final, since) in batch.estimates.items():
-                cursor.execute(
-                    self._text("DELETE FROM estimate WHERE turbine = ? AND time >= ? AND final = 0"),
-                    (turbine, since),
-                )
-                self._many(
-                    cursor,
-                    f"INSERT INTO estimate ({names}) VALUES ({marks}) "
-                    f"ON CONFLICT (turbine, time) DO UPDATE SET {changed}",
-                    estimate_rows(turbine, found, final),
-                )
+            self._many(
+                cursor,
+                "DELETE FROM estimate WHERE turbine = ? AND time >= ? AND final = 0",
+                [(turbine, since) for turbine, (_, _, since) in batch.estimates.items()],
+            )
+            self._many(
+                cursor,
+                f"INSERT INTO estimate ({names}) VALUES ({marks}) "
+                f"ON CONFLICT (turbine, time) DO UPDATE SET {changed}",
+                [
+                    row
+                    for turbine, (found, final, _) in batch.estimates.items()
+                    for row in estimate_rows(turbine, found, final)
+                ],
+            )
             self._many(
                 cursor,
                 "INSERT INTO property (turbine, time, name, unit, value, lower_bound, upper_bound, reference, observable) "
@@ -222,6 +217,29 @@ class Store:
                 "INSERT INTO source (url, place) VALUES (?, ?) ON CONFLICT (url) DO UPDATE SET place = excluded.place",
                 list(batch.place.items()),
             )
+            for turbine, made in batch.forecasts.items():
+                cursor.execute(self._text("DELETE FROM forecast WHERE turbine = ?"), (turbine,))
+                if made is None:
+                    continue
+                columns = FORECAST_COLUMNS
+                self._many(
+                    cursor,
+                    f"INSERT INTO forecast ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})",
+                    forecast_rows(turbine, made),
+                )
+            if batch.weather:  # what a forecast said of the past is of no use
+                old = min(o.received for o in batch.weather) - FORGOTTEN_S
+                cursor.execute(self._text("DELETE FROM weather WHERE time < ?"), (old,))
+            self._many(
+                cursor,
+                "INSERT INTO weather (turbine, signal, time, value, received) VALUES (?, ?, ?, ?, ?) "
+                "ON CONFLICT (turbine, signal, time) DO UPDATE SET value = excluded.value, received = excluded.received "
+                "WHERE excluded.received >= weather.received",
+                [
+                    (o.turbine, o.reading.signal, o.reading.time, o.reading.value, o.received)
+                    for o in batch.weather
+                ],
+            )
 
     def _many(self, cursor, statement: str, rows: Sequence[tuple]) -> None:
         if rows:
@@ -258,47 +276,45 @@ class Store:
             )
             return cursor.rowcount == 1
 
-    def prune(self, before: float) -> int:
-        """Delete observations, estimates and properties older than `before` [s]; how many rows that were.
-
-        What a restart needs is kept: nothing after a turbine's point less the tracker's look back is touched, because the
-        caller's retention is longer than that.
-        """
-        count = 0
-        with self.transaction() as cursor:
-            for table in ("observation", "estimate", "property"):
-                cursor.execute(self._text(f"DELETE FROM {table} WHERE time < ?"), (before,))
-                count += max(cursor.rowcount, 0)
-            cursor.execute(self._text("DELETE FROM alarm WHERE ended IS NOT NULL AND ended < ?"), (before,))
-            count += max(cursor.rowcount, 0)
-        return count
-
     # -- reading ----------------------------------------------------------------------------------------------
     def point(self, turbine: str) -> Point | None:
         found = self.rows("SELECT time, state FROM point WHERE turbine = ?", (turbine,))
         return Point(found[0][0], state_of(found[0][1])) if found else None
 
     def readings(self, turbine: str, since: float) -> list[Reading]:
-        """Readings of a turbine that the filter may use: those from a time [s] on, and of each signal the last before it.
+        """Readings of a turbine that the filter may use: those from a time [s] on, and each signal's last `BEFORE` readings
+        before it.
 
         NaN where two contradict each other.
         """
-        found = self.rows(
-            "SELECT o.signal, o.time, o.value, o.contradicted FROM observation o JOIN "
-            "(SELECT signal, MAX(time) AS time FROM observation WHERE turbine = ? AND time < ? AND late = 0 GROUP BY signal) "
-            "l ON o.signal = l.signal AND o.time = l.time WHERE o.turbine = ?",
-            (turbine, since, turbine),
-        )
-        found += self.rows(
-            "SELECT signal, time, value, contradicted FROM observation WHERE turbine = ? AND time >= ? AND late = 0 "
-            "ORDER BY signal, time",
-            (turbine, since),
-        )
+        found = self.rows(_READINGS, (turbine, turbine, turbine, turbine, since, BEFORE - 1))
         return [Reading(signal, at, float("nan") if wrong else value) for signal, at, value, wrong in found]
+
+    def course(
+        self, turbine: str, signals: Sequence[str], since: float, until: float
+    ) -> list[tuple[str, float, float]]:
+        """(signal, time [s], value) of some signals from `since` to `until` [s], by signal and time."""
+        return self.rows(
+            f"SELECT signal, time, value FROM observation WHERE turbine = ? AND signal IN ({', '.join('?' * len(signals))}) "
+            "AND time >= ? AND time <= ? AND contradicted = 0 ORDER BY signal, time",
+            (turbine, *signals, since, until),
+        )
+
+    def weather(self, turbine: str, since: float) -> list[tuple[str, float, float]]:
+        """(signal, time [s], value) of the weather forecast for a turbine, or else for all, by signal and time."""
+        statement = (
+            "SELECT signal, time, value FROM weather WHERE turbine = ? AND time >= ? ORDER BY signal, time"
+        )
+        return self.rows(statement, (turbine, since)) or self.rows(statement, ("", since))
 
     def memory(self, turbine: str, name: str) -> object:
         found = self.rows("SELECT content FROM memory WHERE turbine = ? AND name = ?", (turbine, name))
         return json.loads(found[0][0]) if found else None
+
+    def memories(self, turbine: str) -> dict[str, object]:
+        """All that a turbine's tracker goes on from, by name."""
+        found = self.rows("SELECT name, content FROM memory WHERE turbine = ?", (turbine,))
+        return {name: json.loads(content) for name, content in found}
 
     def place(self, url: str) -> str | None:
         """Where a source is to go on; None for one that was never read."""
@@ -316,8 +332,7 @@ class Store:
         return {table: int(self.rows(f"SELECT COUNT(*) FROM {table}")[0][0]) for table in TABLES}
 
     def close(self) -> None:
-        with suppress(Exception):
-            self.connection.close()
+        self.database.close()
 
 
 def state_text(state: Gaussian) -> str:
@@ -341,57 +356,30 @@ def estimate_rows(turbine: str, found: Condition, final: int) -> Iterable[tuple]
     return list(zip(*columns, strict=True))
 
 
+def forecast_rows(turbine: str, made: Forecast) -> Iterable[tuple]:
+    """Rows of the forecast table, in the order of `FORECAST_COLUMNS`."""
+    return [
+        (row[0], row[1], made.made_s, *row[3:], above)
+        for row, above in zip(estimate_rows(turbine, made.condition, 0), _plain(made.above), strict=True)
+    ]
+
+
 def _plain(values: np.ndarray) -> list[float | None]:
     return [v if v == v else None for v in values.tolist()]
 
 
 # -- opening ---------------------------------------------------------------------------------------------------------
-def open_store(url: str) -> Store:
-    """The store at `sqlite:PATH`, brought to this version.
+def open_store(url: str, read_only: bool = False) -> Store:
+    """The store at `sqlite:PATH` or `postgresql://USER@HOST/NAME`, made where there is none, brought to this version.
 
-    Raises StoreFault, in words, where it is no store, is damaged or cannot be reached.  Nothing is overwritten.
+    With `read_only` it must be there, of this version, and nothing can be written.  Raises StoreFault, in words, where it
+    is no store, is damaged or cannot be reached.  Nothing is overwritten.
     """
+    if url.startswith(SCHEMES):
+        return Store(open_postgres(url, read_only))
     if url.startswith("sqlite:"):
-        return _sqlite(Path(url.removeprefix("sqlite:").removeprefix("//")))
-    raise StoreFault(f"expected a store as sqlite:PATH, found {url!r}")
-
-
-def _sqlite(path: Path) -> Store:
-    if not path.parent.is_dir():
-        raise StoreFault(f"{path}: the folder {path.parent} does not exist; make it, or name another place")
-    fresh = not path.exists() or path.stat().st_size == 0
-    url = f"sqlite:{path}"
-    connection = None
-    try:
-        connection = sqlite3.connect(path, timeout=BUSY_S, isolation_level=None, check_same_thread=False)
-        if not fresh:
-            _examine(connection, path)
-        connection.execute("PRAGMA journal_mode=WAL")
-        connection.execute("PRAGMA synchronous=FULL")
-        connection.execute("PRAGMA foreign_keys=ON")
-        connection.execute(f"PRAGMA application_id={APPLICATION_ID}")
-        store = Store(connection, "?", url)
-        store.migrate()
-        return store
-    except (sqlite3.Error, StoreFault) as fault:
-        if connection is not None:
-            connection.close()
-        if isinstance(fault, StoreFault):
-            raise
-        raise StoreFault(
-            f"{path}: this is no store that can be read ({fault}); nothing was written to it. "
-            "Put it aside and restore a copy, or name a new file"
-        ) from fault
-
-
-def _examine(connection: sqlite3.Connection, path: Path) -> None:
-    """Refuse what is damaged or not a store."""
-    said = connection.execute("PRAGMA application_id").fetchone()[0]
-    if said != APPLICATION_ID:
-        raise StoreFault(f"{path}: expected a store of hygrokf, found another database; name another file")
-    faults = [row[0] for row in connection.execute("PRAGMA quick_check(5)")]
-    if faults != ["ok"]:
-        raise StoreFault(
-            f"{path}: the store is damaged ({'; '.join(faults)}); nothing was written to it. "
-            "Put it aside and restore a copy, or name a new file"
-        )
+        return Store(open_sqlite(Path(url.removeprefix("sqlite:").removeprefix("//")), read_only))
+    scheme = url.partition(":")[0] if ":" in url else url
+    raise StoreFault(
+        f"expected a store as sqlite:PATH or postgresql://USER@HOST/NAME, found one that begins with {scheme[:40]!r}"
+    )

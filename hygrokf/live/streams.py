@@ -7,20 +7,26 @@ Every source is a `Stream`: it puts deliveries where the service takes them, in 
 from __future__ import annotations
 
 import csv
-import json
+import math
 import os
 import queue
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Mapping as MappingOf
 from pathlib import Path
 from typing import Protocol
 
 import numpy as np
 
 from hygrokf.live.fleet import Delivery
-from hygrokf.record import Record
+from hygrokf.live.payload import Field, Mapping, stamp_of
+from hygrokf.live.plan import Form
+from hygrokf.live.store import Alarm
+from hygrokf.live.table_reader import TableReader
+from hygrokf.record import Record, Series
+from hygrokf.signals import SIGNALS
 
 PAUSE_S = 0.2
 """[s] between two looks at a file that has not grown."""
@@ -34,17 +40,24 @@ class SourceFault(Exception):
 class Stream(Protocol):
     """A source of deliveries.
 
-    `url` names it in the store; `start` begins after `place` (None: at the beginning, or wherever the source has kept it);
-    `state` is one word and what stands behind it, for the page and the doctor.
+    `url` names it in the store, and never holds a secret; `mapping` says how its payloads are read; `start` begins after
+    `place` (None: at the beginning, or wherever the source has kept it); `tell` hands on alarms that began, changed or
+    ended, where the source has a place for them; `state` is one word ("connected", "waiting", "lost", "ended", "stopped",
+    "idle") and what stands behind it, for the page and the doctor.
     """
 
     url: str
+    mapping: Mapping
 
     def start(self, place: str | None, put: Callable[[Delivery], None]) -> None: ...
 
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None: ...
 
+    def tell(self, alarms: Iterable[Alarm]) -> None: ...
+
     def stop(self) -> None: ...
+
+    def now(self) -> float: ...
 
     @property
     def state(self) -> tuple[str, str]: ...
@@ -55,7 +68,8 @@ class Threaded:
 
     url = ""
 
-    def __init__(self) -> None:
+    def __init__(self, mapping: Mapping) -> None:
+        self.mapping = mapping
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
         self._state = ("idle", "not started")
@@ -79,6 +93,13 @@ class Threaded:
 
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
         """Nothing to do: the place in the store says where to go on."""
+
+    def tell(self, alarms: Iterable[Alarm]) -> None:
+        """Nothing to do: these sources only give."""
+
+    def now(self) -> float:
+        """The time [s] that its data are judged by."""
+        return time.time()
 
     def stop(self) -> None:
         self._ended.set()
@@ -120,8 +141,8 @@ class TailedFile(Threaded):
     The place is "identity offset": another file of that name is read from its start.  A line without its end is not yet one.
     """
 
-    def __init__(self, path: str | os.PathLike[str], follow: bool = True) -> None:
-        super().__init__()
+    def __init__(self, path: str | os.PathLike[str], mapping: Mapping, follow: bool = True) -> None:
+        super().__init__(mapping)
         self.path = Path(path)
         self.url = f"file:{self.path}"
         self.follow = follow
@@ -185,8 +206,8 @@ class StandardInput(Threaded):
 
     url = "stdin"
 
-    def __init__(self, file=None) -> None:
-        super().__init__()
+    def __init__(self, mapping: Mapping, file=None) -> None:
+        super().__init__(mapping)
         self._file = file
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
@@ -200,27 +221,41 @@ class StandardInput(Threaded):
 
 
 class Playback(Threaded):
-    """A record played back as messages of one turbine, faster by a factor, perhaps shuffled, repeated and late.
+    """Messages played back, each at its own time or faster by a factor.
 
-    `speed` 0 plays as fast as it is taken.  `late_s` [s] every reading arrives up to this much late, in time of the record;
-    `repeated` share of readings that come twice.  Stamps are the record's own, moved to end now with `live`.  The place is
-    the number of messages that were delivered: the same seed gives the same messages.
+    messages: (arrival [s], content), by arrival.  `speed` 0 plays as fast as it is taken, and so are those before `live_s`
+    [s].  The place is the number of messages that were delivered.
     """
 
     def __init__(
         self,
-        record: Record,
-        turbine: str,
-        *,
+        url: str,
+        messages: Sequence[tuple[float, str | dict]],
+        mapping: Mapping,
         speed: float = 0.0,
-        late_s: float = 0.0,
-        repeated: float = 0.0,
-        seed: int = 0,
+        live_s: float = -math.inf,
     ) -> None:
-        super().__init__()
-        self.url = f"replay:{record.name}?late={late_s:g}&repeated={repeated:g}&seed={seed}"
+        super().__init__(mapping)
+        self.url = url
         self.speed = speed
-        self._messages = messages(record, turbine, late_s, repeated, seed)
+        self._live_s = live_s
+        self._messages = messages
+        self._played = (messages[0][0] if messages else 0.0, math.inf)
+
+    def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
+        """What is committed has been played."""
+        for one in deliveries:
+            self._played = (one.received, time.monotonic())
+
+    def now(self) -> float:
+        """The time of the record that was reached."""
+        at, when = self._played
+        return at + self.speed * max(time.monotonic() - when, 0.0) if at >= self._live_s else at
+
+    @property
+    def messages(self) -> Sequence[tuple[float, str | dict]]:
+        """All of them: (arrival [s], content)."""
+        return self._messages
 
     def __len__(self) -> int:
         return len(self._messages)
@@ -229,37 +264,51 @@ class Playback(Threaded):
         first = int(place or 0)
         if first >= len(self._messages):
             return
-        began, origin = time.monotonic(), self._messages[first][0]
+        began, origin = math.nan, 0.0
         for number in range(first, len(self._messages)):
             at, content = self._messages[number]
-            if self.speed > 0.0:
+            if self.speed > 0.0 and at >= self._live_s:
+                if math.isnan(began):
+                    began, origin = time.monotonic(), at
                 self._ended.wait(max((at - origin) / self.speed - (time.monotonic() - began), 0.0))
             if self._ended.is_set():
                 return
             put(Delivery(content, at, place=str(number + 1)))
 
 
-def messages(
-    record: Record, turbine: str, late_s: float = 0.0, repeated: float = 0.0, seed: int = 0
-) -> list[tuple[float, str]]:
-    """(arrival [s], JSON payload) of every reading of a record, by arrival; values in SI units under the signals' names."""
-    random = np.random.default_rng(seed)
-    found: list[tuple[float, int, str]] = []
-    for time_s, signal, value in _stamped(record):
-        text = json.dumps({"turbine": turbine, "time": time_s, signal: value})
-        copies = 1 + int(random.random() < repeated)
-        for _ in range(copies):
-            found.append((time_s + late_s * float(random.random()), len(found), text))
-    return [(at, text) for at, _, text in sorted(found)]
+def record_mapping(record: Record, turbine: str) -> Mapping:
+    """How the messages of a record are read: signals under their own names, in SI units."""
+    fields = {s.signal: Field(s.signal, SIGNALS[s.signal].unit, form_of(s)) for s in record.series}
+    return Mapping(fields, turbines={turbine: turbine})
 
 
-def _stamped(record: Record) -> Iterator[tuple[float, str, float]]:
+def form_of(series: Series) -> Form:
+    return Form(series.hold, series.interval_s, series.resolution, series.accuracy)
+
+
+def record_messages(record: Record, turbine: str) -> list[tuple[float, dict]]:
+    """(time [s], content) of every reading of a record, by time and signal."""
     rows = [
         (t, s.signal, v)
         for s in record.series
         for t, v in zip(s.time[~s.missing].tolist(), s.value[~s.missing].tolist(), strict=True)
     ]
-    yield from sorted(rows)
+    return [(t, {"turbine": turbine, "time": t, signal: v}) for t, signal, v in sorted(rows)]
+
+
+def disturbed(
+    messages: Iterable[tuple[float, str | dict]], late_s: float = 0.0, repeated: float = 0.0, seed: int = 0
+) -> list[tuple[float, str | dict]]:
+    """Messages that arrive up to `late_s` [s] late each, and a share `repeated` of them twice; by arrival.
+
+    The same seed gives the same messages.
+    """
+    random = np.random.default_rng(seed)
+    found: list[tuple[float, int, str | dict]] = []
+    for at, content in messages:
+        for _ in range(1 + int(random.random() < repeated)):
+            found.append((at + late_s * float(random.random()), len(found), content))
+    return [(at, content) for at, _, content in sorted(found, key=lambda one: one[:2])]
 
 
 def taken_from(waiting: queue.Queue, most: int, patience_s: float) -> list[Delivery]:
@@ -272,3 +321,64 @@ def taken_from(waiting: queue.Queue, most: int, patience_s: float) -> list[Deliv
     except queue.Empty:
         pass
     return found
+
+
+# -- from the tracker's file -----------------------------------------------------------------------------------------
+_FILE = ("url", "follow", "speed", "late", "repeated", "seed")
+
+
+def file_stream(
+    table: MappingOf[str, object], where: str, folder: Path, mapping: Mapping, reader: TableReader
+) -> Stream | None:
+    """`file:PATH`, which is followed as it grows, or with `speed` is played back from its beginning.
+
+    `speed` times faster than it was (0: as fast as it is taken), each row up to `late` late, a share `repeated` twice.
+    """
+    reader.known(table, _FILE, where)
+    path = folder / str(table["url"]).removeprefix("file:").removeprefix("//")
+    follow = table.get("follow", True)
+    if not isinstance(follow, bool):
+        reader.faults.append(f"{where}: follow must be true or false, found {follow!r}")
+    speed = reader.number(table, "speed", where)
+    late_s = reader.seconds(table, "late", where, 0.0)
+    repeated = reader.number(table, "repeated", where, 0.0) or 0.0
+    seed = int(reader.number(table, "seed", where, 0.0) or 0.0)
+    if not 0.0 <= repeated <= 1.0:
+        reader.faults.append(f"{where}: repeated must lie within 0 … 1, found {repeated:g}")
+    if speed is None:
+        if late_s or repeated:
+            reader.faults.append(f"{where}: late and repeated need a speed: they are for playing back")
+        return TailedFile(path, mapping, follow)
+    if speed < 0.0:
+        reader.faults.append(f"{where}: speed must be 0 or more, found {speed:g}")
+    try:
+        rows = file_messages(path, mapping)
+    except OSError as fault:
+        reader.faults.append(f"{where}: {path}: {fault.strerror}; a file that is played back must be there")
+        return None
+    if not rows:
+        reader.faults.append(f"{where}: {path}: no row with a time that can be read")
+        return None
+    url = f"file:{path}?late={late_s:g}&repeated={repeated:g}&seed={seed}"
+    return Playback(url, disturbed(rows, late_s, repeated, seed), mapping, speed)
+
+
+def file_messages(path: Path, mapping: Mapping) -> list[tuple[float, str | dict]]:
+    """(time [s], content) of the rows of a file that have a time, by time."""
+    found: list[tuple[float, str | dict]] = []
+    lines = Lines()
+    with path.open(encoding="utf-8", errors="replace") as file:
+        for line in file:
+            content = lines.content(line)
+            at = None if content is None else stamp_of(content, mapping)
+            if at is not None:
+                found.append((at, content))
+    return sorted(found, key=lambda one: one[0])
+
+
+def input_stream(
+    table: MappingOf[str, object], where: str, folder: Path, mapping: Mapping, reader: TableReader
+) -> Stream:
+    """`stdin`: what is piped in."""
+    reader.known(table, ("url",), where)
+    return StandardInput(mapping)

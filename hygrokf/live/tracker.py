@@ -17,11 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.ambient import AMBIENT_BRIDGE_H
-from hygrokf.design import BRIDGE_H
-from hygrokf.drivers import Run, run
+from hygrokf.ambient import usual_step_s
+from hygrokf.drivers import Run, longest_gap_h, run
 from hygrokf.likelihood import Gaussian, Likelihood, Trace
-from hygrokf.live.plan import Plan
+from hygrokf.live.plan import BEFORE, Plan
 from hygrokf.record import Record, Series
 
 AMBIENT_HUMIDITIES = (
@@ -68,7 +67,9 @@ class Course:
 class Tracker:
     """The state of one turbine's filter.
 
-    `point` is what a restart begins from, with the readings that `readings()` gives.  `counts` says what was set aside:
+    `point` is what a restart begins from, with the readings that `readings()` gives; `newest_state` is the estimate at the
+    newest instant, which may still change, and `running` whether the turbine operates then; `newest` is the time [s] of the
+    newest reading, −∞ without any.  `counts` says what was set aside:
     "repeated" readings that were there already, "contradicting" ones (one stamp with several values: none of them is
     used), "late" ones, which came after their time was final.
     """
@@ -76,6 +77,9 @@ class Tracker:
     def __init__(self, plan: Plan, point: Point | None = None, readings: Iterable[Reading] = ()) -> None:
         self.plan = plan
         self.point = point
+        self.newest_state = point
+        self.running = False
+        self.newest = -math.inf
         self.counts: Counter[str] = Counter()
         self._times: dict[str, array[float]] = {}
         self._values: dict[str, array[float]] = {}
@@ -105,10 +109,16 @@ class Tracker:
         return place < len(times) and times[place] == one.time
 
     def _insert(self, one: Reading) -> None:
-        times = self._times.setdefault(one.signal, array("d"))
-        values = self._values.setdefault(one.signal, array("d"))
+        if one.signal not in self._times:
+            self._times[one.signal], self._values[one.signal] = array("d"), array("d")
+        times, values = self._times[one.signal], self._values[one.signal]
+        if not times or one.time > times[-1]:  # the usual one comes in order
+            times.append(one.time)
+            values.append(one.value)
+            self.newest = max(self.newest, one.time)
+            return
         place = bisect.bisect_left(times, one.time)
-        if place < len(times) and times[place] == one.time:
+        if times[place] == one.time:
             if values[place] == one.value:
                 self.counts["repeated"] += 1
             elif math.isnan(values[place]):  # the third of its stamp
@@ -128,10 +138,9 @@ class Tracker:
             for time, value in zip(self._times[signal], self._values[signal], strict=True)
         ]
 
-    @property
-    def newest(self) -> float:
-        """Time [s] of the newest reading; −∞ without any."""
-        return max((times[-1] for times in self._times.values() if times), default=-math.inf)
+    def heard(self) -> dict[str, float]:
+        """Time [s] of the newest reading of each signal."""
+        return {signal: times[-1] for signal, times in self._times.items() if times}
 
     def record(self) -> Record:
         """The readings that are kept, as a record."""
@@ -161,10 +170,10 @@ class Tracker:
         # the interval of a mean that ends after the run may have begun within it
         final = min(self._final(), float(seconds[-1]) - self.plan.longest_mean_s)
         last = int(np.searchsorted(seconds, final + SAME_S, side="right"))
+        self.newest_state = Point(float(seconds[-1]), self._state_at(course, len(seconds) - 1))
+        self.running = bool(made.operating[-1])
         if last > 0:
-            t = course.run.timeline.window(0, last)
-            state = self._filtered(t, self._start()).last
-            self.point = Point(float(seconds[last - 1]), state)
+            self.point = Point(float(seconds[last - 1]), self._state_at(course, last - 1))
             self._forget()
         return course
 
@@ -193,6 +202,13 @@ class Tracker:
         part = t.window(first, len(t))
         piece = Run(part, made.operating[first:], made.scored[first:])
         return Course(piece, self._filtered(part, self._start()))
+
+    def _state_at(self, course: Course, place: int) -> Gaussian:
+        """The state that the filter goes on with after an instant: a mean that begins there starts from nothing."""
+        t, trace = course.run.timeline, course.trace
+        if t.reset[place]:
+            return self._filtered(t.window(0, place + 1), self._start()).last
+        return Gaussian(trace.mean[place].copy(), trace.covariance[place].copy(), float(t.time[place]))
 
     def _start(self) -> Gaussian | None:
         return None if self.point is None else self.point.state
@@ -224,11 +240,11 @@ class Tracker:
         place = bisect.bisect_right(times, self._limit)
         if place < len(times) or not place:
             return False
-        form = self.plan.form(signal)
-        usual = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-        limit_h = BRIDGE_H if form.hold == "zero-order" else AMBIENT_BRIDGE_H
-        bridge_s = max(3600.0 * limit_h, 1.5 * usual - form.interval_s)
-        return self._limit - times[-1] > bridge_s
+        age, bridge_s = self._limit - times[-1], 3600.0 * longest_gap_h(signal)
+        if age <= bridge_s or len(times) < 2:
+            return age > bridge_s
+        usual = usual_step_s(np.array(times))
+        return age > max(bridge_s, 1.5 * usual - self.plan.form(signal).interval_s)
 
     def _guarded(self) -> Record:
         """The readings, with one far ahead for each stale driver: its gap is then known as one that is not bridged."""
@@ -241,11 +257,11 @@ class Tracker:
         return record_of(self.plan, times, values)
 
     def _forget(self) -> None:
-        """Drop readings that no later instant looks at; the last one before them stays, as the edge of a gap."""
+        """Drop readings that no later instant looks at; the last ones before them stay, as the edge of a gap."""
         assert self.point is not None
         oldest = self.point.time - self.plan.context_s
         for signal, times in self._times.items():
-            place = bisect.bisect_left(times, oldest) - 1
+            place = bisect.bisect_left(times, oldest) - BEFORE
             if place > 0:
                 del times[:place]
                 del self._values[signal][:place]
@@ -264,13 +280,15 @@ def record_of(
         form = plan.form(signal)
         time, value = np.array(times[signal], dtype=float), np.array(values[signal], dtype=float)
         there = np.isfinite(value)
-        if not there.any():
+        if not there.all():
+            time, value = time[there], value[there]
+        if not len(time):
             continue
         series.append(
             Series(
                 signal=signal,
-                time=time[there],
-                value=value[there],
+                time=time,
+                value=value,
                 hold=form.hold,
                 interval_s=form.interval_s,
                 resolution=form.resolution,

@@ -5,12 +5,23 @@ Temperatures are in °C, relative humidity in %, times in seconds since 1970, UT
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
-from hygrokf.live.condition import Z95
+import numpy as np
+
+from hygrokf.live.alarms import CHANGED
+from hygrokf.live.condition import Z95, Quantity, probability_above
+from hygrokf.live.forecast import LIMIT
+from hygrokf.live.properties import WATCHED
 from hygrokf.live.store import Store
+from hygrokf.signals import SIGNALS, from_si
 
 ZERO_C = 273.15
+HOUR_S = 3600.0
+DAY_S = 86400.0
+DECIMALS = 4
+"""Digits after the point, ten times as many as the page shows: what is sent is half as long."""
 FRESH_S = 3600.0
 """[s] since the last reading after which a turbine's data are not fresh."""
 SEVERITY = {"alarm": 2, "warning": 1, "notice": 0}
@@ -22,6 +33,7 @@ COURSES = {
     "margin": ("margin_K", "margin_sd", 1.0, 0.0),
 }
 """Quantity on the page -> (column, its standard deviation's, factor, offset)."""
+_COLUMNS = ", ".join(f"{column}, {sd}" for column, sd, _, _ in COURSES.values())
 MOST = 3000
 """Points of a course at most; longer ones are thinned."""
 READ = {
@@ -32,61 +44,102 @@ READ = {
 
 
 def fleet_view(store: Store, names: Sequence[str], now: float) -> list[dict]:
-    """One row a turbine, the one at most risk first: open alarms by severity, then the probability of condensation."""
+    """One row a turbine, the one at most risk first: open alarms by severity, then condensation, the likeliest now or ahead.
+
+    `…_half` is half the width of a 95 % band; `ahead` the hour of the forecast in which condensation is likeliest.
+    """
+    # LEFT JOIN: the database is to go from turbine to turbine and not through every estimate
     newest = {
         turbine: row
         for turbine, *row in store.rows(
-            "SELECT e.turbine, e.time, e.temperature_K, e.relative_humidity, e.margin_K, e.margin_sd, e.condensation "
-            "FROM estimate e JOIN (SELECT turbine, MAX(time) AS time FROM estimate GROUP BY turbine) l "
-            "ON e.turbine = l.turbine AND e.time = l.time"
+            "SELECT t.name, e.time, e.temperature_K, e.temperature_sd, e.relative_humidity, e.relative_humidity_sd, "
+            "e.margin_K, e.margin_sd, e.condensation FROM turbine t LEFT JOIN estimate e "
+            "ON e.turbine = t.name AND e.time = (SELECT MAX(time) FROM estimate WHERE turbine = t.name)"
         )
     }
-    heard = dict(store.rows("SELECT turbine, MAX(received) FROM observation GROUP BY turbine"))
+    # the newest reading is taken for the one that came last: asking for that would read every observation
+    heard = dict(
+        store.rows(
+            "SELECT t.name, (SELECT received FROM observation WHERE turbine = t.name ORDER BY time DESC LIMIT 1) FROM turbine t"
+        )
+    )
+    cabinets, ahead = _cabinets(store), _ahead(store, now)
     open_: dict[str, list[dict]] = {}
-    for alarm in alarms_view(store):
-        if alarm["ended"] is None:
-            open_.setdefault(alarm["turbine"], []).append(alarm)
+    for alarm in alarms_view(store, since=math.inf):
+        open_.setdefault(alarm["turbine"], []).append(alarm)
     rows = []
     for name in names:
-        at, kelvin, humidity, margin, margin_sd, chance = newest.get(name, [None] * 6)
+        at, kelvin, kelvin_sd, humidity, humidity_sd, margin, margin_sd, chance = newest.get(name, [None] * 8)
         alarms = open_.get(name, [])
+        last = heard.get(name)
         rows.append(
             {
                 "turbine": name,
                 "time": at,
-                "heard": heard.get(name),
-                "fresh": name in heard and now - heard[name] < FRESH_S,
-                "temperature": None if kelvin is None else kelvin - ZERO_C,
-                "relative_humidity": None if humidity is None else 100.0 * humidity,
+                "heard": last,
+                "fresh": last is not None and now - last < FRESH_S,
+                "temperature": _scaled(kelvin, 1.0, -ZERO_C),
+                "temperature_half": _scaled(kelvin_sd, Z95, 0.0),
+                "relative_humidity": _scaled(humidity, 100.0, 0.0),
+                "relative_humidity_half": _scaled(humidity_sd, 100.0 * Z95, 0.0),
                 "margin": margin,
                 "margin_lower": None if margin is None else margin - Z95 * margin_sd,
                 "condensation": chance,
+                "ahead": ahead.get(name),
+                "cabinet": "changed"
+                if any(a["kind"] == CHANGED.kind for a in alarms)
+                else cabinets.get(name),
                 "alarms": alarms,
                 "severity": max((SEVERITY[a["severity"]] for a in alarms), default=-1),
             }
         )
-    rows.sort(key=lambda row: (-row["severity"], -(row["condensation"] or 0.0), row["turbine"]))
+    rows.sort(key=lambda row: (-row["severity"], -_risk(row), row["turbine"]))
     return rows
 
 
-def turbine_view(store: Store, name: str, since: float) -> dict:
-    """One turbine from a time [s] on: courses with bounds, readings, properties now and their course, alarms, counts."""
-    columns = ", ".join(f"{column}, {sd}" for column, sd, _, _ in COURSES.values())
-    found = store.rows(
-        f"SELECT time, final, condensation, {columns} FROM estimate WHERE turbine = ? AND time >= ? ORDER BY time",
-        (name, since),
+def _risk(row: dict) -> float:
+    ahead = row["ahead"]["condensation"] if row["ahead"] else 0.0
+    return max(row["condensation"] or 0.0, ahead)
+
+
+def _cabinets(store: Store) -> dict[str, str]:
+    """Whether the properties of each turbine's cabinet can be told from its readings now."""
+    found: dict[str, str] = {}
+    for one in WATCHED:
+        for turbine, observable in store.rows(
+            "SELECT t.name, p.observable FROM turbine t LEFT JOIN property p ON p.turbine = t.name AND p.name = ? "
+            "AND p.time = (SELECT MAX(time) FROM property WHERE turbine = t.name AND name = ?)",
+            (one.name, one.name),
+        ):
+            if observable or (observable is not None and turbine not in found):
+                found[turbine] = "as fitted" if observable else "not observable"
+    return found
+
+
+def _ahead(store: Store, now: float) -> dict[str, dict]:
+    """The highest probability of condensation that is forecast for each turbine, and when first."""
+    found: dict[str, dict] = {}
+    for turbine, at, chance in store.rows(
+        "SELECT turbine, time, condensation FROM forecast WHERE time >= ? AND condensation IS NOT NULL ORDER BY turbine, time",
+        (now,),
+    ):
+        if turbine not in found or chance > found[turbine]["condensation"]:
+            found[turbine] = {"condensation": chance, "time": at}
+    return found
+
+
+def turbine_view(store: Store, name: str, since: float, now: float) -> dict:
+    """One turbine from a time [s] on: courses with bounds, readings, properties now and their course, alarms, counts.
+
+    `hours` and `humid` hold the highest probability of each hour, up to the last estimate and as it is forecast: of
+    condensation, and of a relative humidity above the turbine's limit.
+    """
+    found = _thinned(
+        store.rows(
+            f"SELECT {_COLUMNS}, time, final, condensation FROM estimate WHERE turbine = ? AND time >= ? ORDER BY time",
+            (name, since),
+        )
     )
-    found = _thinned(found)
-    courses: dict[str, dict[str, list]] = {}
-    for place, (quantity, (_, _, factor, offset)) in enumerate(COURSES.items()):
-        rows = [(row[3 + 2 * place], row[4 + 2 * place]) for row in found]
-        if all(value is None for value, _ in rows):
-            continue
-        courses[quantity] = {
-            "value": [_scaled(value, factor, offset) for value, _ in rows],
-            "lower": [_scaled(value, factor, offset, -Z95 * factor, sd) for value, sd in rows],
-            "upper": [_scaled(value, factor, offset, Z95 * factor, sd) for value, sd in rows],
-        }
     readings = {}
     for quantity, (signal, factor, offset) in READ.items():
         rows = store.rows(
@@ -98,35 +151,132 @@ def turbine_view(store: Store, name: str, since: float) -> dict:
         if rows:
             readings[quantity] = {
                 "time": [at for at, _ in rows],
-                "value": [factor * value + offset for _, value in rows],
+                "value": [_scaled(value, factor, offset) for _, value in rows],
             }
+    time, chances = [row[-3] for row in found], [row[-1] for row in found]
+    forecast = _forecast(store, name)
+    limit = forecast.get("limit", LIMIT) if forecast else LIMIT
     return {
         "turbine": name,
-        "time": [row[0] for row in found],
-        "final": [row[1] for row in found],
-        "condensation": [row[2] for row in found],
-        "courses": courses,
+        "time": time,
+        "final": [row[-2] for row in found],
+        "condensation": chances,
+        "hours": {
+            "past": by_hour(time, chances),
+            "ahead": by_hour(forecast["time"], forecast["condensation"]) if forecast else [],
+        },
+        "humid": {
+            "limit": limit,
+            "past": by_hour(time, _humid(found, limit)),
+            "ahead": by_hour(forecast["time"], forecast["above_limit"]) if forecast else [],
+        },
+        "courses": _courses(found),
         "readings": readings,
+        "forecast": forecast,
         "properties": _properties(store, name, since),
-        "alarms": [a for a in alarms_view(store, name) if a["ended"] is None or a["ended"] >= since],
-        "signals": [
-            {"signal": signal, "last": last, "received": received, "count": count}
-            for signal, last, received, count in store.rows(
-                "SELECT signal, MAX(time), MAX(received), COUNT(*) FROM observation WHERE turbine = ? GROUP BY signal "
-                "ORDER BY signal",
-                (name,),
-            )
-        ],
+        "alarms": alarms_view(store, name, since),
+        "signals": _signals(store, name, now),
         "counts": {kind: n for (turbine, kind), n in sorted(store.counters().items()) if turbine == name},
     }
 
 
-def alarms_view(store: Store, turbine: str | None = None) -> list[dict]:
-    """Alarms, open ones first, then the newest."""
+def _humid(rows: Sequence[tuple], limit: float) -> list[float | None]:
+    """Probability that relative humidity is above a limit, from rows that begin with the columns of `COURSES`."""
+    place = 2 * list(COURSES).index("relative_humidity")
+    value, sd = np.array([row[place : place + 2] for row in rows], dtype=float).reshape(-1, 2).T
+    chances = probability_above(Quantity(value, sd), limit)
+    return [None if math.isnan(v) else float(p) for v, p in zip(value, chances, strict=True)]
+
+
+def by_hour(time: Sequence[float], values: Sequence[float | None]) -> list[tuple[float, float]]:
+    """(beginning [s], highest value) of every hour that has one."""
+    most: dict[float, float] = {}
+    for at, value in zip(time, values, strict=True):
+        if value is not None:
+            hour = HOUR_S * (at // HOUR_S)
+            most[hour] = max(value, most.get(hour, value))
+    return sorted(most.items())
+
+
+def _signals(store: Store, name: str, now: float) -> list[dict]:
+    """Each signal of a turbine: its last reading in the unit that is shown, when it came, readings of the last day."""
+    found = []
+    # one step of the index for each signal: a list of all that were ever seen would read every observation
+    for (signal,) in store.rows(
+        "WITH RECURSIVE seen(signal) AS (SELECT MIN(signal) FROM observation WHERE turbine = ? UNION ALL SELECT "
+        "(SELECT MIN(signal) FROM observation WHERE turbine = ? AND signal > seen.signal) FROM seen WHERE seen.signal IS NOT NULL) "
+        "SELECT signal FROM seen WHERE signal IS NOT NULL",
+        (name, name),
+    ):
+        ((last, value, received),) = store.rows(
+            "SELECT time, value, received FROM observation WHERE turbine = ? AND signal = ? ORDER BY time DESC LIMIT 1",
+            (name, signal),
+        )
+        ((count,),) = store.rows(
+            "SELECT COUNT(*) FROM observation WHERE turbine = ? AND signal = ? AND time >= ?",
+            (name, signal, now - DAY_S),
+        )
+        row = SIGNALS.get(signal)
+        shown = value if row is None else float(from_si(value, row.display, row))
+        unit = "" if row is None else row.display
+        found.append(
+            {
+                "signal": signal,
+                "value": shown,
+                "unit": unit,
+                "last": last,
+                "received": received,
+                "count": count,
+            }
+        )
+    return found
+
+
+def _courses(rows: Sequence[tuple]) -> dict[str, dict[str, list]]:
+    """Value and bounds of each quantity, from rows that begin with the columns of `COURSES`; none where all is NULL."""
+    courses: dict[str, dict[str, list]] = {}
+    for place, (quantity, (_, _, factor, offset)) in enumerate(COURSES.items()):
+        pairs = [(row[2 * place], row[2 * place + 1]) for row in rows]
+        if all(value is None for value, _ in pairs):
+            continue
+        courses[quantity] = {
+            "value": [_scaled(value, factor, offset) for value, _ in pairs],
+            "lower": [_scaled(value, factor, offset, -Z95 * factor, sd) for value, sd in pairs],
+            "upper": [_scaled(value, factor, offset, Z95 * factor, sd) for value, sd in pairs],
+        }
+    return courses
+
+
+def _forecast(store: Store, name: str) -> dict | None:
+    """The newest forecast: what it was made from, courses, chances, and the advice for a restart.
+
+    Where none could be made `weather` says why, and the courses are empty.
+    """
+    made = store.memory(name, "forecast")
+    rows = store.rows(
+        f"SELECT {_COLUMNS}, time, condensation, above_limit FROM forecast WHERE turbine = ? ORDER BY time",
+        (name,),
+    )
+    if not made:
+        return None
+    return {
+        **made,
+        "time": [row[-3] for row in rows],
+        "condensation": [row[-2] for row in rows],
+        "above_limit": [row[-1] for row in rows],
+        "courses": _courses(rows),
+        "advice": store.memory(name, "advice"),
+    }
+
+
+def alarms_view(store: Store, turbine: str | None = None, since: float = -math.inf) -> list[dict]:
+    """Alarms, of one turbine or of all, that are open or ended at `since` [s] or later; open ones first, then the newest."""
     names = (
         "id", "turbine", "kind", "severity", "began", "ended", "acknowledged", "acknowledged_by", "statement", "remedy"
     )  # fmt: skip
-    where, parameters = ("WHERE turbine = ?", (turbine,)) if turbine is not None else ("", ())
+    where, parameters = "WHERE (ended IS NULL OR ended >= ?)", [since]
+    if turbine is not None:
+        where, parameters = f"{where} AND turbine = ?", [since, turbine]
     rows = store.rows(f"SELECT {', '.join(names)} FROM alarm {where} ORDER BY began DESC", parameters)
     found = [dict(zip(names, row, strict=True)) for row in rows]
     return sorted(found, key=lambda a: (a["ended"] is not None, -SEVERITY[a["severity"]]))
@@ -140,19 +290,29 @@ def _properties(store: Store, name: str, since: float) -> list[dict]:
         "WHERE turbine = ? AND time >= ? ORDER BY time",
         (name, since),
     ):
+        factor = 100.0 if unit == "1" else 1.0  # shares are told in per cent
         one = found.setdefault(
-            prop, {"name": prop, "unit": unit, "time": [], "value": [], "lower": [], "upper": []}
+            prop,
+            {
+                "name": prop,
+                "unit": "%" if unit == "1" else unit,
+                "time": [],
+                "value": [],
+                "lower": [],
+                "upper": [],
+            },
         )
-        one |= {"reference": reference, "observable": bool(observable)}
-        for key, number in (("time", at), ("value", value), ("lower", lower), ("upper", upper)):
-            one[key].append(number)
+        one |= {"reference": factor * reference, "observable": bool(observable)}
+        one["time"].append(at)
+        for key, number in (("value", value), ("lower", lower), ("upper", upper)):
+            one[key].append(None if number is None else factor * number)
     return list(found.values())
 
 
 def _scaled(
     value: float | None, factor: float, offset: float, width: float = 0.0, sd: float | None = 0.0
 ) -> float | None:
-    return None if value is None else factor * value + offset + width * (sd or 0.0)
+    return None if value is None else round(factor * value + offset + width * (sd or 0.0), DECIMALS)
 
 
 def _thinned(rows: Sequence) -> Sequence:

@@ -46,7 +46,14 @@ from hygrokf.mechanisms.thermal import (
     thermal_network,
     wall_thermal_mass,
 )
-from hygrokf.mechanisms.wandering import wandering_exchange, wandering_release, wandering_time_constant
+from hygrokf.mechanisms.wandering import (
+    wandering_exchange,
+    wandering_humidity_reading,
+    wandering_humidity_scale,
+    wandering_release,
+    wandering_temperature_reading,
+    wandering_time_constant,
+)
 
 BASE = (
     thermal_network,
@@ -94,7 +101,14 @@ FURTHER = (
     temperature_step,
 )
 """What else may act on a cabinet; each of them is nested: at its null values it is not there."""
-WANDERING = (wandering_time_constant, wandering_exchange, wandering_release)
+WANDERING = (
+    wandering_time_constant,
+    wandering_exchange,
+    wandering_release,
+    wandering_temperature_reading,
+    wandering_humidity_reading,
+    wandering_humidity_scale,
+)
 """Properties of the cabinet as states, for tracking."""
 LIBRARY = {function.__name__: function for function in (*BASE, *FURTHER, *WANDERING)}
 """Factories by mechanism name; `LIBRARY[m.name](**m.settings)` makes a mechanism again."""

@@ -21,12 +21,15 @@ def hygric_time_constant(k, cabinet_temperature, ambient_temperature):
     return k / (cabinet_temperature * exchange_factor(ambient_temperature))
 
 
-def hygric_exchange() -> Mechanism:
+SHORTEST_H = 0.005
+
+
+def hygric_exchange(shortest_h: float = SHORTEST_H) -> Mechanism:
     """Vapour exchange with the ambient air: equation (4) of the paper as a balance of vapour mass.
 
         dc*/dt = T_conv,a T_amb^0.8 /(k (273 K)^1.8) · (1 + Σ exchange) (c_amb − c* + w) + vapour_release,
     c* [g/m³] the equivalent concentration (the cabinet air's at ambient temperature), w the vapour disturbance.
-    The factor T_amb^0.8 is held linear between the ambient readings.
+    The factor T_amb^0.8 is held linear between the ambient readings.  `shortest_h` bounds k [h] to what readings resolve.
     """
 
     def drift(p, x, u, q, s):
@@ -41,7 +44,7 @@ def hygric_exchange() -> Mechanism:
         name="hygric_exchange",
         parameters=(
             Parameter(
-                "hygric_k", "h", 0.5, 0.005, 200.0, positive=True,
+                "hygric_k", "h", 0.5, shortest_h, 200.0, positive=True,
                 meaning="R_D*·V* at 273 K inside and outside, the k of equation (4)",
             ),
         ),
@@ -49,6 +52,7 @@ def hygric_exchange() -> Mechanism:
         inputs=("ambient_temperature", "ambient_absolute_humidity", "exchange_factor"),
         drift=drift,
         initial=initial,
+        settings={"shortest_h": shortest_h},
         meaning="vapour exchanged through gaps with the ambient air",
         source=f"{PAPER}, equations (4) and (5)",
     )  # fmt: skip

@@ -6,9 +6,11 @@ Each is a random walk, dx = r/√24 dW with the rate r for a day: after d days w
 from __future__ import annotations
 
 from hygrokf.expression import exp
+from hygrokf.mechanisms.sensors import saturation_pressure
 from hygrokf.mechanisms.thermal import PAPER
 from hygrokf.model import Mechanism
 from hygrokf.parameters import Parameter
+from hygrokf.psychrometrics import GAS_CONSTANT_VAPOUR
 
 
 def _random_walk(
@@ -72,4 +74,43 @@ def wandering_release(rate: float = 0.1) -> Mechanism:
         "change of the heat release since the fit",
         leaves="a temperature that is off by the same amount for days",
         source="balance of heat",
+    )  # fmt: skip
+
+
+def wandering_temperature_reading(rate: float = 1e-4) -> Mechanism:
+    """An offset of the temperature reading as a state: T + x [K], x a random walk of `rate` [K/√d]."""
+    return _random_walk(
+        "wandering_temperature_reading", "temperature_reading_change", "K", rate, (1e-6, 5.0),
+        lambda p, x, u, q: {"cabinet_temperature_reading": x.temperature_reading_change},
+        "change of the temperature sensor's offset since the fit",
+        leaves="a temperature reading that is off by the same amount for days, and humidity that does not follow it",
+        source="the sensor's own error",
+    )  # fmt: skip
+
+
+def wandering_humidity_reading(rate: float = 0.005) -> Mechanism:
+    """An offset of the humidity reading as a state: h + x [1], x a random walk of `rate` [1/√d]."""
+    return _random_walk(
+        "wandering_humidity_reading", "humidity_reading_change", "1", rate, (1e-6, 0.2),
+        lambda p, x, u, q: {"cabinet_relative_humidity_reading": x.humidity_reading_change},
+        "change of the humidity sensor's offset since the fit",
+        leaves="a humidity reading that is off by the same amount for days",
+        source="the sensor's own error",
+    )  # fmt: skip
+
+
+def wandering_humidity_scale(rate: float = 0.01) -> Mechanism:
+    """The scale of the humidity reading as a state: h (1 + x), x a random walk of `rate` [1/√d]."""
+
+    def contributions(p, x, u, q):
+        pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
+        humidity = pressure / saturation_pressure(q.cabinet_air_temperature)
+        return {"cabinet_relative_humidity_reading": x.humidity_scale_change * humidity}
+
+    return _random_walk(
+        "wandering_humidity_scale", "humidity_scale_change", "1", rate, (1e-7, 0.5), contributions,
+        "change of the humidity sensor's scale since the fit",
+        inputs=("ambient_temperature",),
+        leaves="a humidity reading that is too flat or too steep for days",
+        source="the sensor's own error",
     )  # fmt: skip

@@ -1,0 +1,37 @@
+// Where the data come from: sources, store, what was refused that belongs to no turbine.
+
+import { age, make, significant, whole } from "./text.js";
+import { counted } from "./turbine.js";
+
+export class Data {
+  constructor() {
+    this.store = make("p");
+    this.sources = make("tbody");
+    this.none = make("p", { class: "quiet-note" }, "No source.");
+    this.refused = make("ul", { class: "aside" });
+    this.root = make("section", { "aria-label": "Data" }, make("h1", { tabindex: "-1" }, "Data"), this.store,
+      make("h2", {}, "Sources"), this.none,
+      make("table", { class: "signals" }, make("thead", {}, make("tr", {},
+        ["Source", "State", ""].map((text) => make("th", { scope: "col" }, text)))), this.sources),
+      make("h2", {}, "Refused"), this.refused);
+  }
+
+  get title() { return "Data"; }
+  concerns() { return true; }
+  path() { return "health"; }
+
+  update(found) {
+    const since = found.committed ? [", the last ", age(found.committed), " ago"] : [];
+    const wait = found.wait_99_s === null ? "" : ` 99 of 100 waited at most ${significant(found.wait_99_s)} s to be kept.`;
+    this.store.replaceChildren(`${whole(found.deliveries)} deliveries since the tracker began`, ...since, ".", wait);
+    if (found.store) this.store.append(make("strong", { class: "fault" }, ` The store is not reached: ${found.store}`));
+    this.none.hidden = found.sources.length > 0;
+    this.sources.replaceChildren(...found.sources.map((one) => make("tr", { class: one.state === "lost" ? "lost" : null },
+      make("th", { scope: "row" }, one.url), make("td", {}, one.state), make("td", {}, one.words === one.url ? "" : one.words))));
+    const rows = Object.entries(found.refused).map(([kind, count]) => make("li", {}, counted(kind, count, "payload")));
+    this.refused.replaceChildren(...(rows.length ? rows : [make("li", { class: "quiet-note" }, "Nothing.")]));
+  }
+
+  tick() {}
+  end() {}
+}

@@ -1,0 +1,218 @@
+// The page: which view is shown, what it is told, and whether what it shows is of now.
+
+import { Alarms, prepareAcknowledge } from "./alarms.js";
+import { Data } from "./data.js";
+import { Fleet } from "./fleet.js";
+import { Events, Fault, ask, post } from "./server.js";
+import { clock, countUp, say, second, span, zone } from "./text.js";
+import { Turbine } from "./turbine.js";
+
+const PACE_MS = 1000, AGAIN_MS = 4000, HEALTH_S = 15;
+const part = (id) => document.getElementById(id);
+const fleet = new Fleet();
+let view = null, scrolled = 0;
+let lostAt = null, updatedAt = null;
+let healthAt = 0;
+let running = null, again = false;
+let openAlarms = null;
+
+// -- views ---------------------------------------------------------------------------------------------------------
+function viewOf(hash) {
+  const [, kind = "", name = ""] = hash.match(/^#\/(\w*)(?:\/(.*))?$/) ?? [];
+  if (kind === "alarms") return new Alarms();
+  if (kind === "data") return new Data();
+  if (kind === "turbine" && name) {
+    try {
+      return new Turbine(decodeURIComponent(name), refresh);
+    } catch {
+      return fleet;
+    }
+  }
+  return fleet;
+}
+
+function route() {
+  const first = view === null;
+  if (view === fleet) scrolled = scrollY;
+  view?.end();
+  view = viewOf(location.hash);
+  updatedAt = null;
+  part("main").replaceChildren(view.root);
+  document.title = `${view.title} – hygrokf`;
+  for (const link of document.querySelectorAll("nav a")) {
+    const here = link.dataset.view === view.constructor.name.toLowerCase();
+    if (here) link.setAttribute("aria-current", "page");
+    else link.removeAttribute("aria-current");
+  }
+  scrollTo(0, view === fleet ? scrolled : 0);
+  // whoever hears the page is told that another one has begun
+  if (!first) view.root.querySelector("h1")?.focus({ preventScroll: true });
+  refresh();
+}
+
+/** Ask for the view's data, one question at a time; another one follows where something changed meanwhile. */
+async function refresh() {
+  if (running === view) {
+    again = true;
+    return;
+  }
+  const asked = running = view, path = view.path();
+  again = false;
+  try {
+    const found = await ask(path);
+    if (asked === view && path === view.path()) {
+      view.update(found);
+      part("main").querySelector(":scope > .page-fault")?.remove();
+      updatedAt = clock();
+      reached();
+      tick();
+    }
+  } catch (fault) {
+    failed(fault);
+  }
+  if (running !== asked) return;
+  running = null;
+  if (again) refresh();
+}
+
+/** A function that runs `PACE_MS` after it was first asked for, however often it is. */
+function paced(run) {
+  let timer = null;
+  return () => {
+    timer ??= setTimeout(() => {
+      timer = null;
+      run();
+    }, PACE_MS);
+  };
+}
+
+function failed(fault) {
+  if (!(fault instanceof Fault)) throw fault;
+  if (fault.status === 401) askToken();
+  else if (fault.status === 0) lost();
+  else {
+    let place = part("main").querySelector(":scope > .page-fault");
+    if (!place) {
+      place = document.createElement("p");
+      place.className = "page-fault fault";
+      place.setAttribute("role", "alert");
+      part("main").prepend(place);
+    }
+    say(place, fault.message);
+    if (fault.status >= 500) setTimeout(refresh, AGAIN_MS);
+  }
+}
+
+/** Alarms and sources that any view tells of. */
+async function health() {
+  healthAt = clock();
+  try {
+    const found = await ask("health");
+    count("open-alarms", found.open_alarms, "open");
+    count("lost-sources", found.sources.filter((one) => one.state === "lost").length, "lost");
+    if (openAlarms !== null && found.open_alarms > openAlarms) say(part("said"), `${found.open_alarms} alarms are open`);
+    openAlarms = found.open_alarms;
+    say(part("version"), ` · hygrokf ${found.version}`);
+    part("logout").hidden = !found.token;
+    if (view.path() === "health") view.update(found);
+  } catch (fault) {
+    if (fault instanceof Fault && fault.status === 401) askToken();
+    else if (!(fault instanceof Fault)) throw fault;
+  }
+}
+
+function count(id, number, words) {
+  part(id).hidden = !number;
+  say(part(id), String(number));
+  part(id).setAttribute("aria-label", `${number} ${words}`);
+}
+
+const refreshSoon = paced(refresh), healthSoon = paced(health);
+
+// -- being connected -----------------------------------------------------------------------------------------------
+const events = new Events(
+  (names) => {
+    if (view.concerns(names)) refreshSoon();
+    healthSoon();
+  },
+  () => { reached(); refresh(); health(); },
+  lost,
+);
+
+function lost() {
+  if (lostAt === null) lostAt = clock();
+  document.body.classList.add("lost");
+  part("lost").hidden = false;
+  tick();
+}
+
+function reached() {
+  if (lostAt === null || events.source?.readyState !== EventSource.OPEN) return;
+  lostAt = null;
+  document.body.classList.remove("lost");
+  part("lost").hidden = true;
+  tick();
+}
+
+function tick() {
+  countUp();
+  view?.tick();
+  part("live").classList.toggle("off", lostAt !== null);
+  part("live").classList.toggle("waiting", lostAt === null && updatedAt === null);
+  if (lostAt !== null) {
+    say(part("lost"), `Connection lost since ${second(lostAt)} (${span(clock() - lostAt)}). Reconnecting … `
+      + "What is shown is as old as it says.");
+    say(part("live-words"), "not connected");
+  } else say(part("live-words"), updatedAt === null ? "connecting" : "live");
+  if (lostAt === null && clock() - healthAt > HEALTH_S) health();
+}
+
+// -- access --------------------------------------------------------------------------------------------------------
+function askToken() {
+  events.close();
+  if (!part("login").open) part("login").showModal();
+}
+
+part("login").addEventListener("cancel", (event) => event.preventDefault());
+part("login").querySelector("form").addEventListener("submit", async (event) => {
+  event.preventDefault();
+  try {
+    await post("login", { token: part("login-token").value });
+    part("login-token").value = "";
+    say(part("login-fault"), "");
+    part("login").close();
+    begin();
+  } catch (fault) {
+    if (!(fault instanceof Fault)) throw fault;
+    say(part("login-fault"), fault.message);
+  }
+});
+part("logout").addEventListener("click", async () => {
+  await post("logout", {});
+  location.reload();
+});
+
+// -- beginning -----------------------------------------------------------------------------------------------------
+async function begin() {
+  try {
+    await ask("health");
+    events.open();
+  } catch (fault) {
+    if (fault instanceof Fault && fault.status === 401) return askToken();
+    events.open();
+  }
+}
+
+prepareAcknowledge(() => { refresh(); health(); });
+say(part("zone"), `Times in ${zone()}`);
+addEventListener("hashchange", route);
+addEventListener("keydown", (event) => {
+  if (event.key !== "/" || event.ctrlKey || event.metaKey || event.altKey || /^(INPUT|TEXTAREA)$/.test(event.target.tagName)) return;
+  if (view !== fleet || document.querySelector("dialog[open]")) return;
+  event.preventDefault();
+  fleet.search.focus();
+});
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => view?.recolour?.());
+setInterval(tick, 1000);
+route();
+begin();

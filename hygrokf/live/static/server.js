@@ -1,0 +1,89 @@
+// What the page asks its server, and what it is told by it.
+
+import { setClock } from "./text.js";
+
+const SILENT_MS = 25000;
+const AGAIN_MS = 3000;
+
+export class Fault extends Error {
+  constructor(status, text) {
+    super(text);
+    this.status = status;
+  }
+}
+
+/** Data at an address below /api; raises Fault, with status 0 where nobody answers. */
+export async function ask(path, signal) {
+  return answered(fetch(`api/${path}`, { signal, headers: { Accept: "application/json" } }));
+}
+
+export async function post(path, content) {
+  const headers = { "Content-Type": "application/json" };
+  return answered(fetch(`api/${path}`, { method: "POST", headers, body: JSON.stringify(content) }));
+}
+
+async function answered(request) {
+  let response, found;
+  try {
+    response = await request;
+  } catch (fault) {
+    if (fault.name === "AbortError") throw fault;
+    throw new Fault(0, "the page's server does not answer");
+  }
+  try {
+    found = await response.json();
+  } catch {
+    throw new Fault(response.status || 0, "the page's server does not answer as it should");
+  }
+  if (!response.ok) throw new Fault(response.status, found.fault || `status ${response.status}`);
+  if (found.now) setClock(found.now);
+  return found;
+}
+
+/** The server's events: told of changes, of being connected and of being lost; comes back by itself. */
+export class Events {
+  constructor(changed, connected, lost) {
+    Object.assign(this, { changed, connected, lost });
+    this.heard = Date.now();
+    this.source = null;
+    setInterval(() => this.watch(), 1000);
+  }
+
+  open() {
+    this.close();
+    this.heard = Date.now();
+    const source = this.source = new EventSource("events");
+    source.addEventListener("alive", () => this.note());
+    source.addEventListener("changed", (event) => {
+      this.note();
+      this.changed(JSON.parse(event.data).turbines);
+    });
+    source.onopen = () => { this.note(); this.connected(); };
+    source.onerror = () => {
+      this.lost();
+      // a browser tries again where nobody answered, but not where it was refused
+      if (source.readyState === EventSource.CLOSED && source === this.source) this.again();
+    };
+  }
+
+  close() {
+    if (this.source) this.source.close();
+    this.source = null;
+    clearTimeout(this.timer);
+  }
+
+  again() {
+    this.close();
+    this.timer = setTimeout(() => this.open(), AGAIN_MS);
+  }
+
+  note() { this.heard = Date.now(); }
+
+  /** A connection that is dead without having ended: a closed lid, a network that changed. */
+  watch() {
+    if (this.source && this.source.readyState === EventSource.OPEN && Date.now() - this.heard > SILENT_MS) {
+      this.lost();
+      this.again();
+    }
+  }
+}

@@ -1,0 +1,253 @@
+// One turbine: the air now, advice, alarms, courses with forecast, time constants, its data.
+
+import { replaceItems } from "./alarms.js";
+import { Course, Hours, PropertyCourse, rangeOf } from "./charts.js";
+import {
+  DAY_S, FRESH_S, age, celsius, chance, clock, fixed, grams, kelvin, local, make, near, percent, say, significant, span, timeOf,
+  unitText, whole, words,
+} from "./text.js";
+
+const DAYS = [1, 3, 7, 14], DAYS_KEPT = "hygrokf.days";
+const HUMIDITY = "cabinet_relative_humidity", TEMPERATURE = "cabinet_temperature";
+const QUANTITIES = [
+  // quantity, title, unit, digits, with text, sensor, level that is always shown
+  ["temperature", "Temperature", "°C", 1, celsius, TEMPERATURE],
+  ["relative_humidity", "Relative humidity", "%", 0, percent, HUMIDITY],
+  ["margin", "Dew-point margin of the coldest surface", "K", 1, kelvin, HUMIDITY, 0],
+  ["absolute_humidity", "Absolute humidity", "g/m³", 1, grams, HUMIDITY],
+];
+const PROPERTIES = {
+  thermal_time_constant: "Thermal time constant",
+  hygric_k: "Hygric constant k",
+  heat_release_change: "Change of heat release",
+  humidity_offset: "Offset of the humidity reading",
+};
+const SET_ASIDE = {
+  late: "came too late to be used",
+  repeated: "came more than once",
+  contradicting: "had one time and different values; none of them is used",
+  "bad quality": "were marked as bad by the source",
+  "no number": "were no numbers",
+  "impossible value": "cannot be true of such a signal",
+  "unknown tag": "had a tag that is not mapped",
+  malformed: "could not be read",
+  "too large": "were too large",
+  "too deep": "were nested too deep",
+  "unknown turbine": "named a turbine that is not tracked",
+  "no time": "stated no time",
+  "impossible time": "stated a time before 1990 or ahead of the clock",
+};
+
+export class Turbine {
+  constructor(name, refresh) {
+    this.name = name;
+    const kept = Number(localStorage.getItem(DAYS_KEPT));
+    this.days = DAYS.includes(kept) ? kept : 3;
+    this.refresh = refresh;
+    this.tiles = make("dl", { class: "tiles" });
+    this.state = make("p", { class: "as-of" });
+    this.advice = make("p", { class: "advice", hidden: true });
+    this.alarms = make("ul", { class: "alarms" });
+    this.charts = QUANTITIES.map(([quantity, title, unit, digits, , , level]) =>
+      [quantity, new Course(quantity, title, unit, { format: (value) => fixed(value, digits), threshold: level ?? null,
+        limits: (_, low, high) => limits(low, high, level) })]);
+    this.hours = new Hours("condensation", "Probability of condensation, by hour");
+    this.humid = new Hours("humid", "");
+    this.properties = new Map();
+    this.propertyRows = make("div", { class: "properties" });
+    this.signals = make("tbody");
+    this.aside = make("ul", { class: "aside" });
+    const choice = make("div", { class: "days", role: "radiogroup", "aria-label": "Days shown" }, DAYS.map((days) =>
+      make("label", {}, make("input", { type: "radio", name: "days", value: days, checked: days === this.days,
+        onchange: () => this.choose(days) }), `${days} d`)));
+    const key = make("p", { class: "key" },
+      make("span", { class: "key-model" }, "estimate with 95 % band"), make("span", { class: "key-reading" }, "reading"),
+      make("span", { class: "key-forecast" }, "forecast with 95 % band"));
+    this.root = make("article", { class: "turbine" },
+      make("p", { class: "back" }, make("a", { href: "#/" }, "‹ All cabinets")),
+      make("div", { class: "tools" }, make("h1", { tabindex: "-1" }, name), this.state),
+      this.tiles, this.advice, this.alarms,
+      make("section", { "aria-label": "Courses" }, make("div", { class: "tools sticky" }, make("h2", {}, "Course"), choice, key),
+        this.charts.slice(0, 3).map(([, chart]) => chart.figure), this.hours.figure, this.humid.figure, this.charts[3][1].figure),
+      make("section", {}, make("h2", {}, "The cabinet itself"), this.propertyRows),
+      make("section", {}, make("h2", {}, "Data"),
+        make("table", { class: "signals" }, make("thead", {}, make("tr", {},
+          ["Signal", "Last reading", "At", "Came", "In 24 h"].map((text) => make("th", { scope: "col" }, text)))), this.signals),
+        make("h3", {}, "Set aside"), this.aside));
+  }
+
+  get title() { return this.name; }
+  concerns(names) { return names === null || names.includes(this.name); }
+  path() { return `turbine/${encodeURIComponent(this.name)}?days=${this.days}`; }
+
+  choose(days) {
+    this.days = days;
+    localStorage.setItem(DAYS_KEPT, days);
+    this.refresh();
+  }
+
+  update(found) {
+    this.found = found;
+    this.tick();
+    this.showTiles(found);
+    this.showAdvice(found);
+    replaceItems(this.alarms, found.alarms, false);
+    const range = rangeOf(found, this.days);
+    for (const [quantity, chart] of this.charts) chart.update(found, quantity, range, this.missing(found, quantity));
+    this.hours.update(found.hours, range);
+    this.humid.rename(`Probability of relative humidity above ${fixed(100 * found.humid.limit, 0)} %, by hour`);
+    this.humid.update(found.humid, range);
+    this.showProperties(found);
+    this.showData(found);
+  }
+
+  tick() {
+    if (!this.found) return;
+    const at = this.found.time.at(-1);
+    this.root.classList.toggle("stale", at === undefined || clock() - at > FRESH_S);
+    if (at === this.shown) return;
+    this.shown = at;
+    this.state.replaceChildren(...(at === undefined
+      ? [`no estimate in the last ${this.days} d`] : ["as of ", timeOf(at), ", ", age(at), " old"]));
+  }
+
+  /** Why a quantity has no readings; empty where it has some. */
+  missing(found, quantity) {
+    const [, , , , , sensor] = QUANTITIES.find((one) => one[0] === quantity);
+    const kind = sensor === HUMIDITY ? "humidity" : "temperature";
+    if (!found.courses[quantity] && !found.forecast?.courses[quantity]) {
+      return found.time.length ? `this turbine's model has no ${kind}` : "no estimate in these days";
+    }
+    const signal = found.signals.find((one) => one.signal === sensor);
+    if (!signal) return `no ${kind} sensor: the model alone says this`;
+    const days = clock() - this.days * DAY_S;
+    if (signal.last < days) return `no ${kind} reading since ${local(signal.last)}: the model alone says this`;
+    return "";
+  }
+
+  showTiles(found) {
+    const tiles = QUANTITIES.filter(([quantity]) => found.courses[quantity]).map(([quantity, title, , , text]) => {
+      const { value, lower, upper } = found.courses[quantity];
+      const missing = this.missing(found, quantity);
+      return tile(quantity, title.replace(" of the coldest surface", ""), text(value.at(-1)),
+        `95\u00a0%: ${bare(text(lower.at(-1)))} … ${bare(text(upper.at(-1)))}`, missing ? "by the model alone" : "");
+    });
+    const now = found.condensation.at(-1);
+    if (now !== undefined && now !== null) {
+      tiles.splice(3, 0, tile("condensation", "Condensation now", chance(now), highestAhead(found.forecast), "",
+        now >= 0.5 ? "likely" : now >= 0.1 ? "possible" : ""));
+    }
+    this.tiles.replaceChildren(...tiles);
+  }
+
+  showAdvice(found) {
+    const said = found.forecast?.advice;
+    const text = typeof said === "string" ? said : said?.statement;
+    this.advice.hidden = !text;
+    if (!text) return;
+    const made = found.forecast.made;
+    this.advice.replaceChildren(make("strong", {}, "Restart: "), text,
+      Number.isFinite(made) ? make("span", { class: "more" }, " (forecast made ", age(made), " ago)") : "");
+  }
+
+  showProperties(found) {
+    const rangeOfAll = [clock() - this.days * DAY_S, clock()];
+    const order = Object.keys(PROPERTIES);
+    for (const property of [...found.properties].sort((a, b) => order.indexOf(a.name) - order.indexOf(b.name))) {
+      let one = this.properties.get(property.name);
+      if (!one) {
+        this.properties.set(property.name, one = new PropertyRow(property));
+        this.propertyRows.append(one.root);
+      }
+      one.update(property, rangeOfAll);
+    }
+    for (const [name, one] of this.properties) one.root.hidden = !found.properties.some((property) => property.name === name);
+    if (!this.properties.size) this.propertyRows.replaceChildren(make("p", { class: "quiet-note" }, "Nothing is known yet of these days."));
+    else this.propertyRows.querySelector(":scope > .quiet-note")?.remove();
+  }
+
+  showData(found) {
+    this.signals.replaceChildren(...found.signals.map((one) => make("tr",
+      { class: clock() - one.received > FRESH_S ? "stale" : null, dataset: { signal: one.signal } },
+      make("th", { scope: "row" }, words(one.signal)),
+      make("td", {}, `${reading(one)}\u00a0${unitText(one.unit)}`.trim()), make("td", {}, timeOf(one.last)),
+      make("td", {}, age(one.received), " ago"), make("td", {}, whole(one.count)))));
+    const rows = Object.entries(found.counts).map(([kind, count]) => make("li", {}, counted(kind, count, "reading")));
+    this.aside.replaceChildren(...(rows.length ? rows : [make("li", { class: "quiet-note" }, "Nothing.")]));
+  }
+
+  recolour() {
+    for (const [, chart] of this.charts) chart.recolour();
+    this.hours.recolour();
+    this.humid.recolour();
+    for (const one of this.properties.values()) one.chart.recolour();
+  }
+
+  end() {
+    for (const [, chart] of this.charts) chart.end();
+    this.hours.end();
+    this.humid.end();
+    for (const one of this.properties.values()) one.chart.end();
+  }
+}
+
+/** How many of what were set aside, in words. */
+export function counted(kind, count, what) {
+  const text = SET_ASIDE[kind] ?? kind;
+  return `${whole(count)} ${what}${count === 1 ? "" : "s"} ${count === 1 ? text.replace(/^were /, "was ") : text}`;
+}
+
+class PropertyRow {
+  constructor(property) {
+    this.unit = property.unit;
+    this.relative = property.unit === "h"; // a time constant is held against the fit's, an offset against none
+    this.format = (value) => this.relative ? significant(value) : fixed(value, 1, true);
+    const title = PROPERTIES[property.name] ?? words(property.name);
+    this.now = make("p", { class: "now" });
+    this.reference = make("p", { class: "more" });
+    this.chart = new PropertyCourse(`property-${property.name}`, title, property.unit, this.format);
+    this.chart.figure.querySelector("figcaption").after(this.now, this.reference);
+    this.root = make("div", { class: "property", dataset: { property: property.name } }, this.chart.figure);
+  }
+
+  update(property, range) {
+    const { reference, observable } = property;
+    const [value, lower, upper] = ["value", "lower", "upper"].map((name) => property[name].at(-1));
+    if (observable) {
+      this.now.replaceChildren(make("strong", {}, `${this.format(value)}\u00a0${this.unit}`),
+        make("span", { class: "more" }, ` ${this.format(lower)} … ${this.format(upper)}`));
+    } else this.now.replaceChildren(make("strong", { class: "none" }, "not observable"));
+    const change = observable && this.relative ? `; now ${fixed(100 * (value / reference - 1), 0, true)}\u00a0%` : "";
+    say(this.reference, this.relative ? `from the fit: ${this.format(reference)}\u00a0${this.unit}${change}` : "against the fit's own");
+    this.chart.update(property, range);
+  }
+}
+
+function tile(id, title, value, bounds, note, rank = "") {
+  return make("div", { class: `tile ${rank}`, id: `now-${id}` }, make("dt", {}, title), make("dd", { class: "value" }, value),
+    make("dd", { class: "bounds" }, bounds), note ? make("dd", { class: "note" }, note) : null);
+}
+
+/** The highest probability that is forecast, and when first. */
+function highestAhead(forecast) {
+  let most = -1, when = null;
+  forecast?.time.forEach((at, i) => {
+    if (at >= clock() && forecast.condensation[i] > most) [most, when] = [forecast.condensation[i], at];
+  });
+  return when === null ? "no forecast" : `ahead up to ${chance(most)}, ${near(when)}`;
+}
+
+const bare = (text) => text.replace(/\u00a0.*$/, "");
+
+function reading(one) {
+  const size = Math.abs(one.value);
+  return one.unit === "degC" ? fixed(one.value, 1) : fixed(one.value, size >= 100 ? 0 : size >= 10 || one.unit === "%" ? 1 : 2);
+}
+
+/** Limits of an axis with some room, and a level that is always in sight. */
+function limits(low, high, level) {
+  let [least, most] = [low ?? 0, high ?? 1];
+  if (level !== undefined) [least, most] = [Math.min(least, level), Math.max(most, level)];
+  const room = 0.06 * (most - least) || 1;
+  return [least - room, most + room];
+}

@@ -1,0 +1,130 @@
+"""One filter step of many runs of the same model, side by side: what a fleet that is filtered in step needs.
+
+Each run has its own parameters, inputs, step, readings and state; all of them stand in arrays, and one call of compiled
+code (`hygrokf.fleet_loop`) takes every run one step on.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from hygrokf.discretisation import CONSTANT_RATES, VARYING_RATES
+from hygrokf.emission import RUNS
+from hygrokf.fleet_loop import fleet_text, kept_nodes
+from hygrokf.likelihood import Gaussian
+from hygrokf.machine import Code
+from hygrokf.model import Model
+from hygrokf.moments import pack, unpack
+
+
+class SideBySide:
+    """The states of N runs of one model, as arrays; `step` takes all of them one step on.
+
+    `values` N sets of parameter values; `states` N Gaussians; `fastest` (N,) [1/h] the rate that sub-steps are made for
+    (see `Likelihood.rate`).  `mean` (N, n), `covariance` (N, n, n) are the states after the last step.
+    """
+
+    def __init__(
+        self,
+        model: Model,
+        values: Sequence[Mapping[str, float]],
+        states: Sequence[Gaussian],
+        fastest: np.ndarray | Sequence[float],
+    ) -> None:
+        count = len(values)
+        if not (count == len(states) == len(np.atleast_1d(fastest))) or not count:
+            raise ValueError(
+                f"expected as many states and rates as sets of values, found {len(states)}, "
+                f"{len(np.atleast_1d(fastest))} and {count}"
+            )
+        recursion = model.recursion
+        self.model = model
+        self.varying = tuple(recursion.varying)
+        self.regimes = tuple(recursion.regimes)
+        self._limit = (CONSTANT_RATES if recursion.exact else VARYING_RATES).rate_step
+        self._fastest = np.asarray(fastest, dtype=float)
+        self._count = count
+        parameters = np.array([[v[p.name] for p in model.parameters] for v in values], dtype=float)
+        moments = np.array([np.concatenate([s.mean, pack(s.covariance)]) for s in states], dtype=float)
+        self._theta, self._state = self._in_blocks(parameters), self._in_blocks(moments)
+        blocks = len(self._state)
+        runs = blocks * RUNS
+        self._keys = np.zeros((1 + len(self.regimes), runs))
+        self._parts = np.ones(runs)
+        self._known = np.empty((blocks, max(1, len(kept_nodes(recursion))), RUNS))
+        self._before, self._now = (np.zeros((max(1, len(self.varying)), runs)) for _ in range(2))
+        self._y = np.full((max(1, len(model.outputs)), runs), np.nan)
+        self._code = Code(fleet_text(recursion), ["fleet"])
+
+    def __len__(self) -> int:
+        return self._count
+
+    @property
+    def mean(self) -> np.ndarray:
+        return self._in_rows(self._state)[:, : self.model.recursion.n]
+
+    @property
+    def covariance(self) -> np.ndarray:
+        return unpack(self._in_rows(self._state)[:, self.model.recursion.n :], self.model.recursion.n)
+
+    def _in_blocks(self, rows: np.ndarray) -> np.ndarray:
+        """(N, width) as (blocks, width, RUNS); the last block is filled up with the last run."""
+        spare = -len(rows) % RUNS
+        filled = np.concatenate([rows, np.repeat(rows[-1:], spare, axis=0)])
+        return np.ascontiguousarray(filled.reshape(-1, RUNS, rows.shape[1]).swapaxes(1, 2))
+
+    def _in_rows(self, blocks: np.ndarray) -> np.ndarray:
+        return blocks.swapaxes(1, 2).reshape(-1, blocks.shape[1])[: self._count]
+
+    def _fill(self, column: np.ndarray, values: np.ndarray | float) -> None:
+        """Put one number of each run (N,) into a column; lanes without a run have that of the last one."""
+        column[: self._count] = values
+        column[self._count :] = column[self._count - 1]
+
+    def step(
+        self,
+        hours: np.ndarray | float,
+        inputs: Mapping[str, np.ndarray],
+        readings: Mapping[str, np.ndarray] | None = None,
+    ) -> None:
+        """One step of `hours` (N,) [h] to instants with `inputs` (N,), at which `readings` (N,) are taken in (NaN: none).
+
+        Inputs that are joined by straight lines begin at those of the step before.  Raises ValueError for one that is
+        missing or not finite.
+        """
+        faults = [n for n in self.model.inputs if n not in inputs or not np.all(np.isfinite(inputs[n]))]
+        if faults:
+            raise ValueError(
+                f"expected finite inputs for every run, found none or others of: {', '.join(faults)}"
+            )
+        unknown = sorted(set(readings or {}) - set(self.model.outputs))
+        if unknown:
+            raise ValueError(f"expected readings of {list(self.model.outputs)}, found {unknown}")
+        self._before, self._now = self._now, self._before
+        self.begin(inputs)
+        for place, name in enumerate(self.model.outputs):
+            self._fill(self._y[place], (readings or {}).get(name, np.nan))
+        keys = self._keys.copy()
+        parts = np.maximum(np.ceil(np.multiply(hours, self._fastest) / self._limit - 1e-9), 1.0)
+        self._fill(self._parts, parts)
+        self._fill(self._keys[0], hours / parts)
+        for place, name in enumerate(self.regimes):
+            self._fill(self._keys[1 + place], inputs[name])
+        # the keys are zero before the first step, which no step is
+        changed = np.any(self._keys != keys, axis=0)
+        self._code(
+            "fleet", len(self._state), self._theta, self._keys, self._parts, _of_blocks(self._parts), _of_blocks(changed),
+            self._known, self._before, self._now, self._y, self._state,
+        )  # fmt: skip
+
+    def begin(self, inputs: Mapping[str, np.ndarray]) -> None:
+        """State the inputs at the instants where the states are, which straight lines begin at."""
+        for place, name in enumerate(self.varying):
+            self._fill(self._now[place], inputs[name])
+
+
+def _of_blocks(values: np.ndarray) -> np.ndarray:
+    """The largest of every block, from values (runs,)."""
+    return np.maximum.reduce(values.reshape(-1, RUNS).T).astype(np.int32)
