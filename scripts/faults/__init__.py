@@ -1,0 +1,1 @@
+"""What `scripts/live_faults` does to a live tracker, and what it finds afterwards."""

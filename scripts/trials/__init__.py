@@ -1,0 +1,1 @@
+"""What `scripts/live_trials` runs and prints."""

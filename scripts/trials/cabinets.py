@@ -1,0 +1,96 @@
+"""Simulated cabinets that are identified on their first weeks and tracked from then on, with the truth beside them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from plants.as_record import to_record
+from plants.plant import Plant
+
+from hygrokf.fit import Fit
+from hygrokf.identification import identify
+from hygrokf.likelihood import Gaussian
+from hygrokf.live.condition import FREEZING_K, Surface
+from hygrokf.live.outlook import DAYS, Outlook, persistence
+from hygrokf.live.plan import Form, Plan, plan
+from hygrokf.live.tracker import Course, Point, whole
+from hygrokf.psychrometrics import GAS_CONSTANT_VAPOUR, dew_point, frost_point, saturation_pressure_water
+from hygrokf.record import Record
+
+DAY_S = 86400.0
+SURFACE = Surface(follows=0.6, offset_K=0.0)
+"""The cold surface of the trials."""
+HISTORY_S = (DAYS + 6.0) * DAY_S
+"""[s] of readings that an outlook is given."""
+
+
+def identified(record: Record, until_s: float) -> Fit:
+    """The model of the readings up to `until_s` [s], by the default settings and one start."""
+    return identify(record.window(record.start_s, until_s), starts=1)
+
+
+def plan_of(fit: Fit, record: Record) -> Plan:
+    """How a tracker of this cabinet is planned."""
+    forms = {s.signal: Form(s.hold, s.interval_s, s.resolution, s.accuracy) for s in record.series}
+    return plan(fit, forms=forms, site=record.site, rated_power_W=record.rated_power_W)
+
+
+@dataclass(frozen=True)
+class Tracked:
+    """A plant, its record, its model, and the tracker's estimates: offline, which is bit for bit the same."""
+
+    made: Plant
+    record: Record
+    plan: Plan
+    course: Course
+    seconds: np.ndarray
+
+    def point(self, now_s: float) -> Point:
+        """The newest estimate at a time [s]."""
+        i = int(np.searchsorted(self.seconds, now_s + 1e-3)) - 1
+        trace = self.course.trace
+        return Point(float(self.seconds[i]), Gaussian(trace.mean[i], trace.covariance[i]))
+
+    def outlook(self, now_s: float) -> Outlook:
+        """What may come, from the readings up to a time [s].  Raises NoOutlook."""
+        history = self.record.window(now_s - HISTORY_S, now_s)
+        return persistence(history, self.point(now_s).time, self.plan.further)
+
+
+def tracked(made: Plant, until_s: float) -> Tracked:
+    """A plant that is identified on its readings up to `until_s` [s]."""
+    record = to_record(made)
+    found = plan_of(identified(record, until_s), record)
+    course = whole(found, record)
+    return Tracked(made, record, found, course, course.seconds)
+
+
+@dataclass(frozen=True)
+class Truth:
+    """What a plant's air was at some times: temperature [K], relative humidity [1] in the air and at the cold surface, and
+    the surface's margin [K] above the dew point or, below freezing, the frost point."""
+
+    kelvin: np.ndarray
+    humidity: np.ndarray
+    at_surface: np.ndarray
+    margin_K: np.ndarray
+
+
+def truth(made: Plant, time_s: np.ndarray) -> Truth:
+    """The truth at times (T,) [s]."""
+    minutes, run = made.drivers.time, made.trajectory
+    kelvin = np.interp(time_s, minutes, run.cabinet_K)
+    pressure = np.interp(time_s, minutes, run.cabinet_kg_m3) * GAS_CONSTANT_VAPOUR * kelvin
+    outside = np.interp(time_s, minutes, made.drivers.ambient_K)
+    cold = outside + SURFACE.follows * (kelvin - outside) + SURFACE.offset_K
+    dew = dew_point(pressure)
+    icy = (cold < FREEZING_K) & (dew < FREEZING_K)
+    # the ice's formula is not made for the pressures of warm air
+    drops = np.where(icy, frost_point(np.minimum(pressure, 611.0)), dew)
+    return Truth(
+        kelvin,
+        pressure / saturation_pressure_water(kelvin),
+        pressure / saturation_pressure_water(cold),
+        cold - drops,
+    )

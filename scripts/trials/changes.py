@@ -1,0 +1,218 @@
+"""Cabinets that change at a date, and such that do not: when a lasting departure is reported, and how often wrongly."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from battery.rates import rate
+from plants import DISTURBANCES, plant
+from plants.as_record import to_record
+
+from hygrokf.case import read_case
+from hygrokf.live.fleet import PROPERTY_S
+from hygrokf.live.plan import Plan
+from hygrokf.live.properties import (
+    HUMIDITIES,
+    TEMPERATURES,
+    Departure,
+    departures,
+    standard_errors,
+    states_of,
+)
+from hygrokf.live.tracker import Course, whole
+from hygrokf.record import Record, Series
+from hygrokf.synthetic import SyntheticParameters, synthetic_turbine, write_case
+from trials.cabinets import DAY_S, identified, plan_of
+
+PLANT_LEARNT_DAYS, PLANT_DAYS = 60.0, 240.0
+FOUND_DAYS = 14.0
+"""Days within which a change is to be found."""
+YEAR_DAYS = 365.25
+OTHER = tuple(kind for kind in DISTURBANCES if kind not in ("ou", "none"))
+"""Disturbances that the model's class does not hold."""
+BEFORE = SyntheticParameters()
+WARMER_K = 3.0
+VARIANTS = {
+    "none": (BEFORE, None),
+    "tau": (replace(BEFORE, thermal_time_constant_h=2.5), "thermal_time_constant"),
+    "exchange": (
+        replace(BEFORE, hygric_time_constant_h=1.6 * BEFORE.hygric_time_constant_h),
+        "hygric_k",
+    ),
+    "release": (
+        replace(
+            BEFORE,
+            operation_release=(BEFORE.operation_release[0] + WARMER_K, *BEFORE.operation_release[1:]),
+            standstill_release=(BEFORE.standstill_release[0] + WARMER_K, BEFORE.standstill_release[1]),
+        ),
+        "heat_release_change",
+    ),
+}
+"""What a synthetic turbine is after the date, and the property that is to depart."""
+WORDS = {
+    "tau": "thermal time constant 1.5 → 2.5 h",
+    "exchange": "hygric time constant × 1.6",
+    "release": f"heat release + {WARMER_K:.0f} K",
+}
+
+
+@dataclass(frozen=True)
+class Dates:
+    """Days of a record: up to which the model is identified, on which the cabinet changes, and the last one."""
+
+    learnt: float = 90.0
+    change: float = 150.0
+    last: float = 210.0
+
+
+def one(seed: int) -> dict:
+    """Lasting departures of a synthetic turbine under each variant, and of two plants that do not change.
+
+    `plant` has the disturbances that the model assumes, `other` those of another kind, and errors of all its sensors.
+    """
+    dates = Dates()
+    return {
+        "seed": seed,
+        "days": dates.last - dates.learnt,
+        "change_day": dates.change - dates.learnt,
+        "found": changed(seed, tuple(VARIANTS), dates),
+        "plant_days": PLANT_DAYS - PLANT_LEARNT_DAYS,
+        "plant": _plant(seed, "ou", "cabinet"),
+        "other": _plant(seed, OTHER[seed % len(OTHER)], "all"),
+    }
+
+
+def changed(seed: int, variants: Sequence[str], dates: Dates) -> dict[str, list]:
+    """Lasting departures after the identification of a synthetic turbine that becomes each of the variants at the date."""
+    calm = _record(seed, BEFORE, dates.last)
+    cut, date = (calm.start_s + day * DAY_S for day in (dates.learnt, dates.change))
+    fit = identified(calm, cut)
+    plan, errors = plan_of(fit, calm), standard_errors(fit)
+    found = {}
+    for name in variants:
+        later = calm if name == "none" else _record(seed, VARIANTS[name][0], dates.last)
+        found[name] = lasting(plan, _spliced(calm, later, date).window(cut, calm.end_s), errors)
+    return found
+
+
+def _plant(seed: int, disturbance: str, sensor_errors: str) -> list:
+    made = plant(
+        seed,
+        days=PLANT_DAYS,
+        operation="turbine",
+        weather="fronts",
+        preheating=True,
+        disturbance=disturbance,
+        sensor_errors=sensor_errors,
+    )
+    record = to_record(made)
+    cut = record.start_s + PLANT_LEARNT_DAYS * DAY_S
+    fit = identified(record, cut)
+    return lasting(plan_of(fit, record), record.window(cut, record.end_s), standard_errors(fit))
+
+
+def _record(seed: int, parameters: SyntheticParameters, days: float) -> Record:
+    with tempfile.TemporaryDirectory() as folder:
+        return read_case(write_case(synthetic_turbine(seed, days=days, parameters=parameters), folder))
+
+
+def _spliced(before: Record, after: Record, date_s: float) -> Record:
+    """The readings of one record up to a date [s] and of another from then on: the cabinet's alone differ."""
+
+    def joined(early: Series, late: Series) -> Series:
+        a, b = early.time < date_s, late.time >= date_s
+        return replace(
+            early, time=np.r_[early.time[a], late.time[b]], value=np.r_[early.value[a], late.value[b]]
+        )
+
+    return replace(before, series=tuple(joined(s, after[s.signal]) for s in before.series))
+
+
+def lasting(plan: Plan, record: Record, errors: Mapping[str, float]) -> list:
+    """Lasting departures in a record: [property, day of its beginning, day from which it lasted, largest change]."""
+    begin = record.start_s
+    found: list[list] = []
+    before: dict[str, Departure] = {}
+    for time, known in followed(plan, whole(plan, record), errors):
+        for name, one in known.items():
+            if one.lasting and not (name in before and before[name].lasting):
+                found.append([name, (one.since - begin) / DAY_S, (time - begin) / DAY_S, one.change])
+            elif one.lasting:
+                last = next(row for row in reversed(found) if row[0] == name)
+                last[3] = one.change
+        before = known
+    return [[name, *(round(v, 4) for v in rest)] for name, *rest in found]
+
+
+def followed(
+    plan: Plan, course: Course, errors: Mapping[str, float]
+) -> Iterator[tuple[float, dict[str, Departure]]]:
+    """(time [s], departures) once an hour, as the fleet judges them."""
+    seconds = course.seconds
+    first = np.append(True, np.diff(seconds // PROPERTY_S) > 0)
+    known: dict[str, Departure] = {}
+    for i in np.flatnonzero(first):
+        time = float(seconds[i])
+        heard = dict.fromkeys((*TEMPERATURES, *HUMIDITIES), time)
+        states = states_of(plan.model, course.trace.mean[i], course.trace.covariance[i], time, heard)
+        known = departures(known, float(seconds[i]), states, errors)
+        yield float(seconds[i]), known
+
+
+def waits(lines: Sequence[Mapping], variant: str) -> list[float]:
+    """Days from the change until its property was reported as departed to stay; infinite where it was not."""
+    wanted = VARIANTS[variant][1]
+    found = []
+    for line in lines:
+        days = [row[2] - line["change_day"] for row in line["found"][variant] if row[0] == wanted]
+        found.append(min((d for d in days if d >= 0.0), default=math.inf))
+    return found
+
+
+def table(lines: Sequence[Mapping]) -> str:
+    """What docs/live_trials.md shows of the changes."""
+    out = [
+        "| change | turbines | found within 14 days | days: median | longest | others reported besides |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for variant, words in WORDS.items():
+        days = waits(lines, variant)
+        wanted = VARIANTS[variant][1]
+        besides = sum(
+            any(r[0] != wanted and r[2] >= line["change_day"] for r in line["found"][variant])
+            for line in lines
+        )
+        seen = [d for d in days if math.isfinite(d)]
+        middle = f"{np.median(seen):.1f}" if seen else "–"
+        longest = f"{max(seen):.1f}" if len(seen) == len(days) else f"{len(days) - len(seen)} never"
+        out.append(
+            f"| {words} | {len(days)} | {rate(d <= FOUND_DAYS for d in days)} | {middle} | {longest} | {besides} |"
+        )
+    out += [
+        "",
+        "| without change | turbines | turbine-years | false alarms | a turbine-year | by property |",
+        "|" + " --- |" * 6,
+    ]
+    kinds = {
+        "synthetic turbines": (
+            [line["found"]["none"] for line in lines],
+            sum(line["days"] for line in lines),
+        ),
+        "plants": ([line["plant"] for line in lines], sum(line["plant_days"] for line in lines)),
+        "plants with other disturbances and errors of all sensors": (
+            [line["other"] for line in lines],
+            sum(line["plant_days"] for line in lines),
+        ),
+    }
+    for name, (runs, days) in kinds.items():
+        alarms = [row[0] for run in runs for row in run]
+        years = days / YEAR_DAYS
+        each = ", ".join(f"{p} {alarms.count(p)}" for p in sorted(set(alarms))) or "–"
+        out.append(
+            f"| {name} | {len(runs)} | {years:.1f} | {len(alarms)} | {len(alarms) / years:.2f} | {each} |"
+        )
+    return "\n".join(out)

@@ -1,0 +1,124 @@
+"""Standstills with pre-heating after each: was the air at the cold surface dry when the advice said so."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from battery.rates import rate
+from plants import Logging, build_plant, own_drivers
+from plants.drivers import Drivers
+from plants.operation import turbine_operation
+from plants.outdoors import with_fronts
+
+from hygrokf.live.forecast import LONGEST_H, STAYS_H, restart
+from hygrokf.live.outlook import NoOutlook
+from trials.cabinets import DAY_S, SURFACE, tracked, truth
+
+LIMIT = 0.6
+LEARNT_DAYS = 60.0
+"""Days that a model is identified on."""
+HEATED_MIN = 26 * 60
+"""Minutes of heating after each standstill: longer than any advice."""
+STANDSTILL_DAYS = (1.5, 4.5)
+PAUSE_DAYS = (1.0, 2.5)
+"""Days of operation between a pre-heating's end and the next standstill."""
+COLUMNS = ("hours", "probability", "humidity", "wettest", "needed", "before")
+
+
+def one(seed: int, days: float = 62.0, learnt: float = LEARNT_DAYS) -> dict:
+    """Advices at the ends of a plant's standstills, and how long it truly took.
+
+    hours advised (−1: none is enough) with their probability, surface humidity [1] at that time, and the highest of the
+    hour after it; hours needed until it is below the limit and stays there for as long as an advice says (−1: not within
+    the longest); humidity before.
+    """
+    random = np.random.default_rng([seed, 99])
+    drivers, ends = _drivers(seed, random, days, learnt)
+    if not drivers.preheating[: round(learnt * 1440)].any():
+        return {
+            "seed": seed,
+            "columns": COLUMNS,
+            "rows": [],
+            "without": "pre-heating in the identification period",
+        }
+    made = build_plant(f"plant-{seed}", seed, drivers, Logging())
+    minutes = made.drivers.time
+    case = tracked(made, float(minutes[0]) + learnt * DAY_S)
+    wet = truth(made, minutes).at_surface
+    rows, silent = [], 0
+    for end in ends:
+        point = case.point(float(minutes[end]))
+        try:
+            advice = restart(case.plan, point, case.outlook(float(minutes[end])), SURFACE, LIMIT)
+        except NoOutlook:
+            silent += 1
+            continue
+        here = wet[end : end + HEATED_MIN]
+        hours = -1.0 if advice.hours is None else advice.hours
+        # the advice counts from the newest estimate, which may be some minutes old
+        after = max(round(60.0 * hours - (minutes[end] - point.time) / 60.0), 0)
+        then = here[after : after + round(60 * STAYS_H) + 1]
+        rows.append((hours, advice.probability, then[0], then.max(), _needed(here), here[0]))
+    return {"seed": seed, "columns": COLUMNS, "silent": silent, "rows": np.round(rows, 4).tolist()}
+
+
+def _needed(humidity: np.ndarray) -> float:
+    """Hours of heating after which the humidity (minutes) is below the limit for `STAYS_H`."""
+    stays = round(60 * STAYS_H)
+    for minute in range(round(60 * LONGEST_H) + 1):
+        if np.all(humidity[minute : minute + stays] < LIMIT):
+            return minute / 60.0
+    return -1.0
+
+
+def _drivers(seed: int, random: np.random.Generator, days: float, learnt: float) -> tuple[Drivers, list[int]]:
+    """Weather and operation with planned standstills after the identification period, and the minutes of their ends."""
+    drivers = own_drivers(np.random.default_rng(np.random.SeedSequence([seed, 0])), days=learnt + days + 8.0)
+    drivers = with_fronts(np.random.default_rng(np.random.SeedSequence([seed, 7])), drivers)
+    drivers = turbine_operation(
+        np.random.default_rng(np.random.SeedSequence([seed, 5])), drivers, 2.05e6, True
+    )
+    power, heaters, ends = drivers.power_W.copy(), drivers.preheating.copy(), []
+    heaters[round(learnt * 1440) :] = 0.0
+    at = learnt + 2.0
+    while at < learnt + days:
+        begin = 10 * round(at * 144)
+        end = begin + 10 * round(random.uniform(*STANDSTILL_DAYS) * 144)
+        power[begin : end + HEATED_MIN] = -3.0e3
+        heaters[end : end + HEATED_MIN] = 1.0
+        ends.append(end)
+        at = (end + HEATED_MIN) / 1440.0 + random.uniform(*PAUSE_DAYS)
+    return replace(drivers, power_W=power, preheating=heaters), ends
+
+
+def table(lines: Sequence[Mapping]) -> str:
+    """What docs/live_trials.md shows of the advices."""
+    rows = np.array([row for line in lines for row in line["rows"]])
+    plants = sum(1 for line in lines if line["rows"])
+    c = dict(zip(COLUMNS, rows.T, strict=True))
+    advised, dry, never = c["hours"] > 0.0, c["hours"] == 0.0, c["hours"] < 0.0
+    out = [
+        f"{plants} plants with a pre-heating in their identification period (of {len(lines)}), {len(rows)} restarts, "
+        f"limit {100 * LIMIT:.0f} %.",
+        "",
+        "| advice | n | dry at that time | probability said | and for the hour after | needed truly |",
+        "| --- | --- | --- | --- | --- | --- |",
+    ]
+    for name, here in (("pre-heat for … h", advised), ("no pre-heating is needed", dry)):
+        needed = c["needed"][here]
+        out.append(
+            f"| {name} | {int(here.sum())} | {rate(c['humidity'][here] < LIMIT)} | {100 * c['probability'][here].mean():.0f} % | "
+            f"{rate(c['wettest'][here] < LIMIT)} | {rate(needed > 0.0)} |"
+            if here.any()
+            else f"| {name} | 0 | | | | |"
+        )
+    out.append(
+        f"| {LONGEST_H:.0f} h are not enough | {int(never.sum())} | | | | more than {LONGEST_H:.0f} h in {int((c['needed'][never] < 0).sum())} |"
+    )
+    if advised.any():
+        known = advised & (c["needed"] >= 0.0)
+        out += ["", f"Advised {c['hours'][known].mean():.1f} h on average (median {np.median(c['hours'][known]):.1f} h); truly needed "
+                f"{c['needed'][known].mean():.1f} h (median {np.median(c['needed'][known]):.1f} h) in the same {int(known.sum())} cases."]  # fmt: skip
+    return "\n".join(out)
