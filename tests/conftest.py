@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from databases import postgresql, store_url  # noqa: F401  (fixtures)
 
 from hygrokf.likelihood import Likelihood
 from hygrokf.mechanisms import (

@@ -16,6 +16,7 @@ from hygrokf.live.alarms import (
     judged,
 )
 from hygrokf.live.condition import Condition, Quantity
+from hygrokf.live.inquiry import Finding
 from hygrokf.live.properties import WATCHED, Departure
 from hygrokf.live.store import Alarm
 
@@ -73,22 +74,26 @@ def test_the_same_course_gives_the_same_alarms_also_in_pieces() -> None:
 
 
 def test_several_subjects_of_one_kind_stand_apart() -> None:
-    two = [Level("data stale", 1.0, "a", subject="rain"), Level("data stale", 1.0, "b", subject="wind_speed")]
+    two = [Level("source lost", 1.0, "a", subject="file:a"), Level("source lost", 1.0, "b", subject="file:b")]
     known, changes = judged("T1", {}, 0.0, two)
-    assert [one.id for one in changes] == ["T1:data stale rain:0", "T1:data stale wind_speed:0"]
-    known, changes = judged("T1", known, 60.0, two[:1])
-    assert [(one.id, one.ended) for one in changes] == [("T1:data stale wind_speed:0", 60.0)]
+    assert changes == []
+    known, changes = judged("T1", known, 60.0, two)
+    assert [one.id for one in changes] == ["T1:source lost file:a:0", "T1:source lost file:b:0"]
+    known, changes = judged("T1", known, 120.0, two[:1])
+    assert changes == []
+    known, changes = judged("T1", known, 180.0, two[:1])
+    assert [(one.id, one.ended) for one in changes] == [("T1:source lost file:b:0", 120.0)]
 
 
 def test_condensation_in_words() -> None:
     one = Quantity(np.array([2.0, -1.5]), np.array([1.0, 0.5]))
-    found = Condition(np.array([0.0, 600.0]), one, one, one, one, one, one, np.array([0.02, 0.998]))
+    found = Condition(np.array([0.0, 600.0]), one, one, one, one, one, one, np.array([0.02, 0.998]), one)
     (level,) = condensation_level(found)
     assert level.level == 0.998
     assert level.statement == (
         "water condenses on the coldest surface with a probability of 100 %: it is -1.5 K (-2.5 … -0.5) from the dew point"
     )
-    assert condensation_level(Condition(np.array([0.0]), one, *[None] * 6)) == []
+    assert condensation_level(Condition(np.array([0.0]), one, *[None] * 7)) == []
 
 
 def test_departures_name_cause_and_remedy() -> None:
@@ -97,7 +102,7 @@ def test_departures_name_cause_and_remedy() -> None:
         "thermal_time_constant": Departure("thermal_time_constant", 0.0, False, 0.4),
         "heat_release_change": Departure("heat_release_change", 0.0, True, 2.25),
     }
-    exchange, heat = departure_levels(found)
+    exchange, heat = departure_levels(found, Finding(0.0, ""))
     assert exchange.statement == "the cabinet exchanges more air with the ambient: hygric k -50 %"
     assert "seals" in exchange.remedy and exchange.subject == "hygric_k"
     assert heat.statement.endswith("heat release change +2.2 K")

@@ -28,7 +28,7 @@ from hygrokf.tables import evaluation, evaluation_text, simulated, simulation_su
 from hygrokf.version import __version__
 
 ROOT = Path(__file__).resolve().parents[1]
-COMMANDS = ("demo", "check", "fit", "simulate", "evaluate", "report")
+COMMANDS = ("demo", "check", "fit", "simulate", "evaluate", "export", "track", "doctor", "report")
 FIT = "fit case.toml --out made"
 SIMULATE = "simulate result case.toml --out simulated.csv"
 EVALUATE = "evaluate result/fit.json case.toml"

@@ -326,3 +326,16 @@ def test_a_merged_cascade_is_the_joint_design():
     assert found == joint
     alone = design(made, kind="thermal")
     assert merged([alone]) == alone
+
+
+def test_designs_that_call_for_one_model_share_it() -> None:
+    """A fleet of fits: other constants, the same equations; compiled once."""
+    one = Design((("thermal_network", {}), ("thermal_diffusion", {}), ("temperature_sensor", {})))
+    same = Design.from_json(
+        json.loads(json.dumps(one.to_json())) | {"power_scale_W": 2e6, "statements": ["x"]}
+    )
+    averaged = replace(one, averaged={"cabinet_temperature": 0.5})
+    other = replace(one, mechanisms=(*one.mechanisms[:2], ("temperature_sensor", {"accuracy": 0.5})))
+    assert same.model is one.model
+    assert averaged.model is not one.model and averaged.model.averaged == {"cabinet_temperature": 0.5}
+    assert other.model is not one.model and other.model.parameters != one.model.parameters

@@ -93,6 +93,8 @@ def test_missing_values_are_no_fault() -> None:
         (b"\xff\xfe\x00", "malformed"), ("", "malformed"), ("[1, 2]", "malformed"), ("31.2", "malformed"),
         ('{"turbine": "T07"', "malformed"), ('{"a":' * (DEEPEST + 1) + "1" + "}" * (DEEPEST + 1), "too deep"),
         ("[" * 60_000, "too deep"), ('{"a": "' + "x" * LARGEST + '"}', "too large"), ('{"n": ' + "9" * 5000 + "}", "malformed"),
+        ('{"turbine": "T07", "time": 1772367000, "Tcab": 31.2, "Tcab": 13.2}', "malformed"),
+        ('{"turbine": "T07", "time": 1772367000, "env": {"T": 1, "T": 2}}', "malformed"),
         ({"time": STAMP}, "unknown turbine"), ({"turbine": "<script>", "time": STAMP}, "unknown turbine"),
         ({"turbine": ["T07"], "time": STAMP}, "unknown turbine"), ({"turbine": "T07"}, "no time"),
         ({"turbine": "T07", "time": "2026-03-01T12:10:00"}, "no time"), ({"turbine": "T07", "time": {"a": 1}}, "no time"),

@@ -2,100 +2,78 @@
 
 from __future__ import annotations
 
-import sqlite3
+import os
 import threading
 import time
-from collections.abc import Iterable
-from dataclasses import replace
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
-import numpy as np
 import pytest
+from live_case import expect_offline, live_record, live_turbine
 
-from hygrokf.case import read_case
-from hygrokf.design import CASCADE, design, merged
-from hygrokf.fit import Fit
+from hygrokf.live import database
 from hygrokf.live import service as module
 from hygrokf.live.fleet import Delivery, Turbine
-from hygrokf.live.payload import Field, Mapping
-from hygrokf.live.plan import Form, plan
 from hygrokf.live.service import Service
 from hygrokf.live.store import StoreFault, open_store
-from hygrokf.live.streams import Playback
-from hygrokf.live.tracker import whole
+from hygrokf.live.streams import Playback, disturbed, record_mapping, record_messages
 from hygrokf.record import Record
-from hygrokf.synthetic import synthetic_turbine, write_case
-
-UNITS = {"cabinet_temperature": "K", "ambient_temperature": "K", "active_power": "W"}
-FRACTIONS = ("cabinet_relative_humidity", "ambient_relative_humidity", "preheating")
 
 
 @pytest.fixture(scope="module")
 def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
-    """Three days of the synthetic turbine, with the signals that its model reads."""
-    made = read_case(write_case(synthetic_turbine(seed=7, days=3.0), tmp_path_factory.mktemp("turbine")))
-    return replace(made, series=tuple(s for s in made.series if s.signal in UNITS or s.signal in FRACTIONS))
+    return live_record(tmp_path_factory.mktemp("turbine"), seed=7, days=3.0)
 
 
 @pytest.fixture(scope="module")
 def turbine(record: Record) -> Turbine:
-    base = merged([design(record, kind="thermal"), design(record, kind=CASCADE)])
-    fit = Fit(record.name, base, {p.name: p.start for p in base.model.parameters}, {})
-    forms = {s.signal: Form(s.hold, s.interval_s) for s in record.series}
-    return Turbine(plan(fit, forms=forms, site=record.site, rated_power_W=record.rated_power_W))
-
-
-@pytest.fixture(scope="module")
-def mapping(record: Record) -> Mapping:
-    fields = {
-        s.signal: Field(s.signal, UNITS.get(s.signal, "1"), Form(s.hold, s.interval_s)) for s in record.series
-    }
-    return Mapping(fields, turbines={"T1": "T1"})
+    return live_turbine(record)
 
 
 class Acknowledging(Playback):
     """A playback that remembers what it was told."""
 
-    def __init__(self, *arguments: object, **options: object) -> None:
-        super().__init__(*arguments, **options)
+    def __init__(self, record: Record, speed: float = 0.0, **disturbances: float) -> None:
+        messages = disturbed(record_messages(record, "T1"), **disturbances)
+        super().__init__("replay:", messages, record_mapping(record, "T1"), speed)
         self.acknowledged: list[str] = []
 
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
+        super().acknowledge(deliveries)
         self.acknowledged += [one.place for one in deliveries]
 
 
-def check(path: Path, record: Record, turbine: Turbine, count: int) -> None:
-    store = open_store(f"sqlite:{path}")
-    offline = whole(turbine.plan, record)
-    assert store.size()["observation"] == count
-    point = store.point("T1")
-    last = int(np.searchsorted(offline.seconds, point.time + 1e-3, side="right")) - 1
-    assert np.array_equal(point.state.mean, offline.trace.mean[last])
-    assert np.array_equal(point.state.covariance, offline.trace.covariance[last])
-    store.close()
+def until(happened: Callable[[], object], seconds: float = 60.0) -> None:
+    """Wait until something has happened."""
+    end = time.monotonic() + seconds
+    while not happened():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.005)
 
 
 def test_a_late_and_repeated_playback_ends_in_the_offline_filter(
-    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping
+    store_url: str, record: Record, turbine: Turbine
 ) -> None:
-    stream = Acknowledging(record, "T1", late_s=1500.0, repeated=0.1, seed=1)
-    path = tmp_path / "live.db"
+    stream = Acknowledging(record, late_s=1500.0, repeated=0.1, seed=1)
     settled: list = []
-    service = Service({"T1": turbine}, mapping, [stream], f"sqlite:{path}", settled.append)
+    service = Service({"T1": turbine}, [stream], store_url, settled.append)
     service.run(until_ended=True)
     assert stream.acknowledged == [str(n + 1) for n in range(len(stream))]
-    assert service.health.deliveries == len(stream) and len(settled) == service.health.rounds
-    check(path, record, turbine, sum(int((~s.missing).sum()) for s in record.series))
+    assert (
+        service.health.deliveries == len(stream)
+        and sum(bool(one.observations) for one in settled) == service.health.rounds
+    )
+    expect_offline(store_url, record, turbine)
 
 
 def test_a_store_that_fails_is_opened_anew_and_nothing_is_lost(
-    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, record: Record, turbine: Turbine, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A full disk at a commit, twice a store that cannot be opened, then all is well."""
     monkeypatch.setattr(module, "RETRY_S", (0.01,))
     monkeypatch.setattr(module, "MOST", 100)
-    stream, path = Acknowledging(record, "T1"), tmp_path / "live.db"
-    service = Service({"T1": turbine}, mapping, [stream], f"sqlite:{path}")
+    stream, path = Acknowledging(record), tmp_path / "live.db"
+    service = Service({"T1": turbine}, [stream], f"sqlite:{path}")
     faults = iter(["commit", "open", "open", "", "", "commit", "", ""] + [""] * 10_000)
     real_open, fails = module.open_store, {"open": False}
 
@@ -110,7 +88,7 @@ def test_a_store_that_fails_is_opened_anew_and_nothing_is_lost(
         def commit(batch):
             if next(faults) == "commit":
                 fails["open"] = True
-                raise sqlite3.OperationalError("database or disk is full")
+                raise StoreFault("database or disk is full")
             real_commit(batch)
 
         store.commit = commit
@@ -120,34 +98,138 @@ def test_a_store_that_fails_is_opened_anew_and_nothing_is_lost(
     service.run(until_ended=True)
     assert service.health.failures == 2 and service.health.store == ""
     assert stream.acknowledged == [str(n + 1) for n in range(len(stream))]
-    check(path, record, turbine, len(stream))
+    expect_offline(f"sqlite:{path}", record, turbine)
 
 
 def test_told_to_end_it_commits_what_was_delivered_and_goes_on_later(
-    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping
+    tmp_path: Path, record: Record, turbine: Turbine
 ) -> None:
     path = tmp_path / "live.db"
-    first = Acknowledging(record, "T1", speed=400_000.0)
-    service = Service({"T1": turbine}, mapping, [first], f"sqlite:{path}")
+    first = Acknowledging(record, speed=400_000.0)
+    service = Service({"T1": turbine}, [first], f"sqlite:{path}")
     runner = threading.Thread(target=service.run)
     runner.start()
-    end = time.monotonic() + 20.0
-    while service.health.deliveries < 150 and time.monotonic() < end:
-        time.sleep(0.01)
+    until(lambda: service.health.deliveries >= 150)
     service.stop()
     runner.join(timeout=20.0)
     assert not runner.is_alive() and first.state[0] == "stopped"
     done = service.health.deliveries
     assert 150 <= done < len(first) and len(first.acknowledged) == done
-    second = Acknowledging(record, "T1")
-    Service({"T1": turbine}, mapping, [second], f"sqlite:{path}").run(until_ended=True)
+    second = Acknowledging(record)
+    Service({"T1": turbine}, [second], f"sqlite:{path}").run(until_ended=True)
     assert second.acknowledged[0] == str(done + 1)
-    check(path, record, turbine, len(first))
+    expect_offline(f"sqlite:{path}", record, turbine)
 
 
-def test_a_store_that_cannot_be_opened_at_the_start_is_told(
-    tmp_path: Path, turbine: Turbine, mapping: Mapping
-) -> None:
-    service = Service({"T1": turbine}, mapping, [], f"sqlite:{tmp_path / 'none' / 'x.db'}")
+def test_a_store_that_cannot_be_opened_at_the_start_is_told(tmp_path: Path, turbine: Turbine) -> None:
+    service = Service({"T1": turbine}, [], f"sqlite:{tmp_path / 'none' / 'x.db'}")
     with pytest.raises(StoreFault, match="does not exist"):
         service.run()
+
+
+def test_a_commit_whose_answer_was_lost_is_not_made_again(
+    store_url: str, record: Record, turbine: Turbine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The batch is in the store, and the loop hears of a lost connection: counts must not grow twice."""
+    monkeypatch.setattr(module, "RETRY_S", (0.01,))
+    monkeypatch.setattr(module, "MOST", 300)
+    plain = [*record_messages(record, "T1")]
+    rubbish = [(at, {"turbine": "unknown", "time": at}) for at, _ in plain[::10]]
+    stream = Acknowledging(record)
+    stream._messages = sorted([*plain, *rubbish], key=lambda one: one[0])
+    service = Service({"T1": turbine}, [stream], store_url)
+    real_open, lost = module.open_store, []
+
+    def opening(url: str):
+        store = real_open(url)
+        real_commit = store.commit
+
+        def commit(batch):
+            real_commit(batch)
+            if batch.observations and len(lost) < 3:
+                lost.append(len(batch.observations))
+                raise StoreFault("the connection was lost")
+
+        store.commit = commit
+        return store
+
+    monkeypatch.setattr(module, "open_store", opening)
+    service.run(until_ended=True)
+    assert len(lost) == 3 and all(lost) and service.health.failures == 3
+    assert stream.acknowledged == [str(n + 1) for n in range(len(stream))]
+    store = real_open(store_url)
+    assert store.counters() == {("", "unknown turbine"): len(rubbish)}
+    store.close()
+    expect_offline(store_url, record, turbine)
+
+
+def test_a_mistake_of_its_own_ends_the_loop(store_url: str, record: Record, turbine: Turbine) -> None:
+    """A statement that can never succeed is not tried for ever."""
+    stream = Acknowledging(record)
+    service = Service({"T1": turbine}, [stream], store_url)
+    store = open_store(store_url)
+    errors = store.database.errors
+    with store.transaction() as cursor:
+        cursor.execute("DROP VIEW observation_hourly")
+        cursor.execute("ALTER TABLE observation RENAME COLUMN received TO seen")
+    with pytest.raises(errors, match="received"):
+        service.run(until_ended=True)
+    assert stream.acknowledged == [] and service.health.failures == 0
+    assert store.size()["observation"] == 0
+    store.close()
+
+
+def test_told_to_end_while_the_store_is_away_it_ends(
+    tmp_path: Path, record: Record, turbine: Turbine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What was not committed was not acknowledged either: the next tracker gets it again."""
+    path = tmp_path / "live.db"
+    first = Acknowledging(record, speed=400_000.0)
+    service = Service({"T1": turbine}, [first], f"sqlite:{path}")
+    faults: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            service.run()
+        except StoreFault as fault:
+            faults.append(fault)
+
+    runner = threading.Thread(target=run)
+    runner.start()
+    until(lambda: service.health.deliveries >= 150)
+    real_open = module.open_store
+
+    def refusing(url: str):
+        raise StoreFault("not reached")
+
+    monkeypatch.setattr(module, "open_store", refusing)
+    service.store.database.connection.execute("PRAGMA query_only = on")  # every write fails from here on
+    until(lambda: service.health.failures)
+    service.stop()
+    runner.join(timeout=20.0)
+    assert not runner.is_alive() and "not reached" in str(faults[0])
+    done = len(first.acknowledged)
+    monkeypatch.setattr(module, "open_store", real_open)
+    second = Acknowledging(record)
+    Service({"T1": turbine}, [second], f"sqlite:{path}").run(until_ended=True)
+    assert second.acknowledged[0] == str(done + 1)
+    expect_offline(f"sqlite:{path}", record, turbine)
+
+
+def test_a_second_tracker_of_a_turbine_is_refused(
+    store_url: str, record: Record, turbine: Turbine, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(database, "CLAIM_S", 0.2)
+    first = Acknowledging(record, speed=400_000.0)
+    service = Service({"T1": turbine}, [first], store_url)
+    runner = threading.Thread(target=service.run)
+    runner.start()
+    until(lambda: service.health.deliveries > 100)
+    second = Acknowledging(record)
+    with pytest.raises(StoreFault, match=f"the turbine T1 is tracked already, by process {os.getpid()} on "):
+        Service({"T1": turbine}, [second], store_url).run(until_ended=True)
+    assert second.state == ("idle", "not started")
+    service.stop()
+    runner.join(timeout=20.0)
+    Service({"T1": turbine}, [Acknowledging(record)], store_url).run(until_ended=True)
+    expect_offline(store_url, record, turbine)

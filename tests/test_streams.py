@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import queue
 import time
@@ -13,10 +12,23 @@ import numpy as np
 import pytest
 
 from hygrokf.live.fleet import Delivery
-from hygrokf.live.streams import Lines, Playback, StandardInput, TailedFile, messages, taken_from
+from hygrokf.live.payload import Field, Mapping
+from hygrokf.live.streams import (
+    Lines,
+    Playback,
+    StandardInput,
+    TailedFile,
+    disturbed,
+    file_messages,
+    record_mapping,
+    record_messages,
+    taken_from,
+)
 from hygrokf.record import Record, Series
 
 PATIENCE_S = 10.0
+
+MAPPING = Mapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
 
 
 class Collected:
@@ -53,7 +65,7 @@ def grown(tmp_path: Path):
             file.write(text)
 
     append("turbine,time,Tcab\n")
-    stream = TailedFile(path)
+    stream = TailedFile(path, MAPPING)
     stream.start(None, got)
     yield append, stream, got
     stream.stop()
@@ -76,7 +88,7 @@ def test_it_goes_on_from_its_place(grown) -> None:
     places = [one.place for one in got.wait(5)]
     stream.stop()
     append("T1,6,6.0\n")
-    again, later = TailedFile(stream.path), Collected()
+    again, later = TailedFile(stream.path, MAPPING), Collected()
     again.start(places[2], later)
     assert [one.content["time"] for one in later.wait(3)] == ["4", "5", "6"]
     assert later.found[0].place == places[3]
@@ -98,7 +110,7 @@ def test_a_file_that_was_cut_or_replaced_begins_anew(grown) -> None:
 
 
 def test_a_file_that_is_not_there_yet_is_waited_for(tmp_path: Path) -> None:
-    stream, got = TailedFile(tmp_path / "later.ndjson"), Collected()
+    stream, got = TailedFile(tmp_path / "later.ndjson", MAPPING), Collected()
     stream.start(None, got)
     waits(lambda: stream.state[0] == "waiting")
     stream.path.write_text('{"turbine": "T1"}\n', encoding="utf-8")
@@ -110,14 +122,14 @@ def test_a_file_that_is_not_there_yet_is_waited_for(tmp_path: Path) -> None:
 def test_a_file_that_is_read_once_ends(tmp_path: Path) -> None:
     path, got = tmp_path / "all.csv", Collected()
     path.write_text("\ufeffturbine;Tcab\nT1;1\nT1;2", encoding="utf-8")
-    stream = TailedFile(path, follow=False)
+    stream = TailedFile(path, MAPPING, follow=False)
     stream.start(None, got)
     assert [one.content for one in got.wait(2)] == [
         {"turbine": "T1", "Tcab": "1"},
         {"turbine": "T1", "Tcab": "2"},
     ]
     waits(lambda: stream.state[0] == "ended")
-    none = TailedFile(tmp_path / "none.csv", follow=False)
+    none = TailedFile(tmp_path / "none.csv", MAPPING, follow=False)
     none.start(None, got)
     waits(lambda: none.state == ("lost", f"{tmp_path / 'none.csv'}: no such file"))
 
@@ -137,7 +149,7 @@ def test_lines() -> None:
 
 
 def test_standard_input() -> None:
-    stream, got = StandardInput(io.StringIO('{"turbine": "T1"}\nno,table\n1,2\n')), Collected()
+    stream, got = StandardInput(MAPPING, io.StringIO('{"turbine": "T1"}\nno,table\n1,2\n')), Collected()
     stream.start(None, got)
     assert [one.content for one in got.wait(2)] == ['{"turbine": "T1"}', {"no": "1", "table": "2"}]
     assert all(one.place == "" for one in got.found)
@@ -152,29 +164,44 @@ def some_record() -> Record:
     )
 
 
+def played(speed: float = 0.0) -> Playback:
+    record = some_record()
+    return Playback("replay:R", record_messages(record, "T1"), record_mapping(record, "T1"), speed)
+
+
+def test_a_file_is_played_back_by_its_stamps(tmp_path: Path) -> None:
+    path = tmp_path / "old.csv"
+    path.write_text(
+        "turbine,when,Tcab\nT1,2026-03-01T12:10:00Z,2\nT1,soon,9\nT1,2026-03-01T12:00:00Z,1\n", "utf-8"
+    )
+    found = file_messages(path, Mapping({"Tcab": Field("cabinet_temperature", "degC")}, time="when"))
+    assert [(at - 1772366400.0, content["Tcab"]) for at, content in found] == [(0.0, "1"), (600.0, "2")]
+
+
 def test_playback_delivers_every_reading_and_goes_on_from_its_place() -> None:
-    stream, got = Playback(some_record(), "T1"), Collected()
+    stream, got = played(), Collected()
     stream.start(None, got)
     found = got.wait(99)
     assert len(stream) == 99
-    assert json.loads(found[0].content) == {"turbine": "T1", "time": 1.6e9, "cabinet_temperature": 290.0}
+    assert found[0].content == {"turbine": "T1", "time": 1.6e9, "cabinet_temperature": 290.0}
     assert [one.received for one in found] == sorted(one.received for one in found)
-    again, rest = Playback(some_record(), "T1"), Collected()
+    again, rest = played(), Collected()
     again.start(found[89].place, rest)
     assert [one.content for one in rest.wait(9)] == [one.content for one in found[90:]]
     waits(lambda: again.state[0] == "ended")
 
 
 def test_playback_may_be_late_and_repeated() -> None:
-    found = messages(some_record(), "T1", late_s=1800.0, repeated=0.5, seed=3)
-    assert found == messages(some_record(), "T1", late_s=1800.0, repeated=0.5, seed=3)
-    stamps = [json.loads(text)["time"] for _, text in found]
-    assert stamps != sorted(stamps) and len(set(text for _, text in found)) == 99 < len(found) < 199
+    plain = record_messages(some_record(), "T1")
+    found = disturbed(plain, late_s=1800.0, repeated=0.5, seed=3)
+    assert found == disturbed(plain, late_s=1800.0, repeated=0.5, seed=3)
+    stamps = [content["time"] for _, content in found]
+    assert stamps != sorted(stamps) and len({str(content) for _, content in found}) == 99 < len(found) < 199
     assert all(0.0 <= at - stamp < 1800.0 for (at, _), stamp in zip(found, stamps, strict=True))
 
 
 def test_playback_keeps_its_pace() -> None:
-    stream, got = Playback(some_record(), "T1", speed=6000.0), Collected()
+    stream, got = played(6000.0), Collected()
     begin = time.monotonic()
     stream.start(None, got)
     got.wait(21)  # 6,000 s of the record after the first

@@ -8,7 +8,8 @@ import pytest
 
 from hygrokf.design import Design
 from hygrokf.fit import Fit
-from hygrokf.live.config import Config, ConfigFault, address, is_loopback, read_config
+from hygrokf.live.config import Config, ConfigFault, read_config
+from hygrokf.live.page_settings import PageSettings
 from hygrokf.results import write_fit
 
 MODEL = Design(
@@ -35,6 +36,8 @@ rated_power_kW = 2050
 name = "T08"
 fit = "T07"
 lateness = "1h"
+humidity_limit = 0.7
+stale = "30min"
 [mapping]
 turbine = "{1}"
 time = "t"
@@ -42,6 +45,7 @@ quality = "q"
 good = ["Good", 192]
 [mapping.signals]
 Tcab = { signal = "cabinet_temperature", unit = "degC", accuracy = 0.3 }
+RHcab = { signal = "cabinet_relative_humidity", unit = "%", accuracy = 2.0 }
 P = { signal = "active_power", unit = "kW", stamp = "start", interval = "10min" }
 "env.T" = { signal = "ambient_temperature", unit = "degC" }
 [[source]]
@@ -75,6 +79,14 @@ def faults(folder: Path, text: str) -> str:
     return str(fault.value)
 
 
+def test_a_password_in_the_store_s_url_is_told_and_not_shown(folder: Path) -> None:
+    said = faults(folder, WHOLE.replace("sqlite:live.db", "postgresql://me:geheim@host/live"))
+    assert "store: the password does not belong" in said and "geheim" not in said
+    assert read(folder, WHOLE.replace("sqlite:live.db", "postgresql://me@host/live")).store.endswith(
+        "me@host/live"
+    )
+
+
 def test_a_whole_file(folder: Path) -> None:
     found = read(folder, WHOLE)
     assert list(found.turbines) == ["T07", "T08"]
@@ -86,13 +98,18 @@ def test_a_whole_file(folder: Path) -> None:
     assert (
         "log_thermal_change" in first.plan.model.states and "log_hygric_change" not in first.plan.model.states
     )
-    assert found.mapping.turbines == {"plant/7": "T07", "T-07": "T07", "T08": "T08"}
-    assert found.mapping.good == ("good", "192") and found.mapping.turbine == "{1}"
-    power = found.mapping.fields["P"]
+    assert (found.turbines["T08"].limit, found.turbines["T08"].stale_s) == (0.7, 1800.0)
+    assert (first.limit, first.stale_s) == (0.8, 7200.0)
+    mapping = found.streams[0].mapping
+    assert mapping.turbines == {"plant/7": "T07", "T-07": "T07", "T08": "T08"}
+    assert mapping.good == ("good", "192") and mapping.turbine == "{1}"
+    power = mapping.fields["P"]
     assert (power.form.hold, power.form.interval_s, power.shift_s) == ("zero-order", 600.0, 600.0)
-    assert found.mapping.fields["Tcab"].form.accuracy == 0.3
+    assert mapping.fields["Tcab"].form.accuracy == 0.3
+    assert mapping.fields["RHcab"].form.accuracy == pytest.approx(0.02)
+    assert found.page == PageSettings("127.0.0.1", 8090)
     assert found.store == f"sqlite:{folder / 'live.db'}" and found.retention_s == 90 * 86400.0
-    assert [one["url"] for one in found.sources] == ["file:live.csv", "stdin"]
+    assert [one.url for one in found.streams] == [f"file:{folder / 'live.csv'}", "stdin"]
 
 
 @pytest.mark.parametrize(
@@ -100,12 +117,15 @@ def test_a_whole_file(folder: Path) -> None:
     [
         (("store =", "stroe ="), 'unknown key "stroe"'),
         (('page = "127.0.0.1:8090"', 'page = "8090"'), "page must be HOST:PORT"),
+        (('page = "127.0.0.1:8090"', 'page = { address = "0.0.0.0:80" }'), "other machines reach 0.0.0.0"),
         (('lateness = "20min"', 'lateness = "soon"'), "lateness"),
         (('retention = "90d"', 'retention = "1d"'), "at least 7 d"),
         (('name = "T08"', 'name = "T07"'), "a second turbine named 'T07'"),
         (('name = "T08"', 'name = ""'), "1 to 100 printable characters"),
         (('name = "T08"\nfit = "T07"', 'name = "T08"\nfit = "none"'), "none"),
         (('name = "T08"\nfit = "T07"', 'name = "T08"'), "fit is missing"),
+        (("humidity_limit = 0.7", "humidity_limit = 70"), "at most at 1"),
+        (('stale = "30min"', 'stale = "never"'), "stale"),
         (("follows = 0.1", "follows = 1.5"), "within 0 … 1"),
         (("follows = 0.1", 'follows = "much"'), "must be a number"),
         (("latitude_deg = 54.0", "latitude_deg = 154.0"), "latitude_deg"),
@@ -118,8 +138,12 @@ def test_a_whole_file(folder: Path) -> None:
         (('quality = "q"', 'quality = 7'), "quality must be text"),
         (('quality = "q"', 'tag = "tag"'), "tag and value belong together"),
         (('url = "file:live.csv"', 'url = "kafka://x"'), "url must begin with one of"),
+        (('url = "file:live.csv"', 'url = "file:none.csv"\nspeed = 2'), "a file that is played back must be there"),
+        (('url = "file:live.csv"', 'url = "file:live.csv"\nrepeated = 0.1'), "late and repeated need a speed"),
+        (('url = "file:live.csv"', 'url = "file:live.csv"\nfollow = "no"'), "follow must be true or false"),
         (('[[source]]\nurl = "file:live.csv"', "[wandering]\nseal = 0.1\n[[source]]\nurl = \"stdin\""), 'unknown key "seal"'),
         (('[[source]]\nurl = "file:live.csv"', "[wandering]\nwandering_release = 9\n[[source]]\nurl = \"stdin\""), "rate above 0"),
+        (('url = "stdin"', 'url = "stdin"\n[[source]]\nurl = "stdin"'), "[[source]] 3: stdin is a source already"),
         (("[mapping]", "[mapping"), "no TOML"),
     ],
 )  # fmt: skip
@@ -145,9 +169,3 @@ def test_an_empty_file_says_what_is_needed(folder: Path) -> None:
         assert word in found
     with pytest.raises(ConfigFault, match="cannot be read"):
         read_config(folder / "none.toml")
-
-
-def test_addresses() -> None:
-    assert address("[::1]:80", []) == ("::1", 80)
-    assert [is_loopback(host) for host in ("127.0.0.1", "127.8.0.1", "::1", "localhost")] == [True] * 4
-    assert [is_loopback(host) for host in ("0.0.0.0", "10.0.0.1", "example.org", "::")] == [False] * 4

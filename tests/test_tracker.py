@@ -12,7 +12,7 @@ from hygrokf.case import read_case
 from hygrokf.design import CASCADE, design, merged
 from hygrokf.fit import Fit
 from hygrokf.likelihood import Likelihood
-from hygrokf.live.plan import Form, Plan, plan
+from hygrokf.live.plan import BEFORE, Form, Plan, plan
 from hygrokf.live.tracker import Reading, Tracker, whole
 from hygrokf.record import Record, Series
 from hygrokf.synthetic import synthetic_turbine, write_case
@@ -84,6 +84,31 @@ def gapped(record: Record) -> Record:
     return record.replace_series(*(holed(s) for s in record.series))
 
 
+def switches_unknown(record: Record) -> Record:
+    """Two days without power and pre-heating, longer than readings are kept; then half a day with them, and a day without."""
+
+    def holed(series: Series) -> Series:
+        hours = (series.time - record.start_s) / HOUR_S
+        hole = ((hours > 40) & (hours < 89)) | ((hours > 101) & (hours < 127))
+        return replace(series, time=series.time[~hole], value=series.value[~hole])
+
+    return record.replace_series(*(holed(record[name]) for name in ("active_power", "preheating")))
+
+
+def rarely_told(record: Record) -> Record:
+    """The pre-heating is told before and after each half of a day alone: hours in which it may have stayed on."""
+
+    def thinned(series: Series) -> Series:
+        kept = ((series.time - record.start_s) / HOUR_S) % 12.0 < 7.0
+        return (
+            series
+            if series.signal != "preheating"
+            else replace(series, time=series.time[kept], value=series.value[kept])
+        )
+
+    return record.replace_series(*(thinned(s) for s in record.series))
+
+
 def of_means(record: Record) -> Record:
     """The cabinet's and the ambient's readings as means that end at their stamps."""
 
@@ -112,7 +137,9 @@ def powerless(record: Record) -> Record:
     )
 
 
-@pytest.mark.parametrize("shape", [without_gaps, gapped, of_means, dry, blind, powerless])
+@pytest.mark.parametrize(
+    "shape", [without_gaps, gapped, switches_unknown, rarely_told, of_means, dry, blind, powerless]
+)
 @pytest.mark.parametrize(
     ("seed", "late_s", "batch"), [(0, 0.0, 9), (1, 0.95 * LATENESS_S, 7), (2, 0.95 * LATENESS_S, 400)]
 )
@@ -127,7 +154,9 @@ def test_what_is_final_is_the_offline_filter_bit_for_bit(
     tracker, course = followed(model, arriving(readings_of(shaped), seed, late_s), batch)
     offline = whole(model, shaped)
     assert tracker.counts["late"] == tracker.counts["contradicting"] == 0
-    assert tracker.point is not None and tracker.newest - tracker.point.time < LATENESS_S + HOUR_S
+    # what follows the pre-heating is final when its gap is known
+    waits_s = HOUR_S + (6.0 * HOUR_S if shape is rarely_told else 0.0)
+    assert tracker.point is not None and tracker.newest - tracker.point.time < LATENESS_S + waits_s
     last = int(np.searchsorted(offline.seconds, tracker.point.time + 1e-3, side="right"))
     there = Likelihood(model.model, offline.run.timeline.window(0, last), fastest=model.fastest).trace(
         model.values
@@ -192,7 +221,9 @@ def test_a_tracker_says_what_it_waits_for(record: Record) -> None:
 def test_readings_are_kept_as_long_as_an_instant_may_look_at_them(record: Record) -> None:
     tracker, _ = followed(planned(record), readings_of(record), 50)
     kept = [one.time for one in tracker.readings()]
-    assert 19 * HOUR_S < tracker.point.time - min(kept) <= tracker.plan.context_s + 900.0 == 20.25 * HOUR_S
+    before_s = (BEFORE + 1) * 900.0
+    assert 19 * HOUR_S < tracker.point.time - min(kept) <= tracker.plan.context_s + before_s
+    assert tracker.plan.context_s == 20.0 * HOUR_S
     assert max(kept) == tracker.newest
 
 

@@ -12,7 +12,7 @@ from hygrokf.live.properties import Property
 from hygrokf.live.service import Health
 from hygrokf.live.store import Alarm, Batch, Observation, Store, open_store
 from hygrokf.live.tracker import Reading
-from hygrokf.live.views import MOST, alarms_view, fleet_view, health_view, turbine_view
+from hygrokf.live.views import MOST, alarms_view, by_hour, fleet_view, health_view, turbine_view
 
 T0 = 1.7e9
 
@@ -25,12 +25,14 @@ def estimated(times: np.ndarray, kelvin: float, humidity: float | None, chance: 
     return Condition(
         times, of(kelvin, 0.5), of(humidity, 0.02), of(8.0 if wet else None, 0.3), of(280.0 if wet else None, 0.4),
         of(np.nan if wet else None, np.nan), of(2.0 if wet else None, 1.0), None if chance is None else np.full(len(times), chance),
+        None,
     )  # fmt: skip
 
 
 @pytest.fixture
 def store(tmp_path: Path) -> Store:
     made = open_store(f"sqlite:{tmp_path / 'live.db'}")
+    made.add_turbines(dict.fromkeys("ABC", "digest"))
     times = T0 + 600.0 * np.arange(10)
     readings = [
         Observation(n, Reading("cabinet_temperature", t, 300.15), t + 2.0) for n in "AB" for t in times
@@ -71,7 +73,7 @@ def test_the_turbine_at_most_risk_comes_first(store: Store) -> None:
 
 
 def test_one_turbine(store: Store) -> None:
-    found = turbine_view(store, "A", T0 + 600.0)
+    found = turbine_view(store, "A", T0 + 600.0, T0 + 6000.0)
     assert len(found["time"]) == 9 and found["final"] == [1] * 7 + [0] * 2
     warm = found["courses"]["temperature"]
     assert warm["value"][0] == pytest.approx(27.0) and warm["upper"][0] == pytest.approx(27.98, abs=0.001)
@@ -88,9 +90,9 @@ def test_one_turbine(store: Store) -> None:
 
 
 def test_what_a_model_lacks_is_left_out(store: Store) -> None:
-    found = turbine_view(store, "C", T0)
+    found = turbine_view(store, "C", T0, T0)
     assert list(found["courses"]) == ["temperature"] and found["condensation"] == [None] * 10
-    assert found["readings"] == {} and turbine_view(store, "none", T0)["time"] == []
+    assert found["readings"] == {} and turbine_view(store, "none", T0, T0)["time"] == []
 
 
 def test_open_alarms_come_first(store: Store) -> None:
@@ -101,7 +103,7 @@ def test_open_alarms_come_first(store: Store) -> None:
 def test_long_courses_are_thinned(store: Store) -> None:
     times = T0 + 60.0 * np.arange(3 * MOST + 7)
     store.commit(Batch(estimates={"L": (estimated(times, 290.0, 0.5, 0.1), len(times), T0)}))
-    found = turbine_view(store, "L", T0)["time"]
+    found = turbine_view(store, "L", T0, T0)["time"]
     assert MOST // 2 < len(found) <= MOST and found[-1] == times[-1]
 
 
@@ -113,3 +115,45 @@ def test_health() -> None:
     )
     assert found["refused"] == {"malformed": 2} and found["wait_99_s"] == 0.2
     assert found["sources"] == [{"url": "stdin", "state": "ended", "words": "all of it was read"}]
+
+
+def test_what_the_fleet_says_of_cabinets_and_of_what_comes(store: Store) -> None:
+    row = "INSERT INTO forecast (turbine, time, made, condensation) VALUES (?, ?, ?, ?)"
+    with store.transaction() as cursor:
+        for hour, chance in ((-1, 0.9), (1, 0.2), (2, 0.6), (3, 0.6), (4, None)):
+            cursor.execute(row, ("A", T0 + 3600.0 * hour, T0, chance))
+    hidden = [("B", T0, [Property("hygric_k", "h", None, None, None, 0.3, False)])]
+    store.commit(Batch(properties=hidden, alarms=[Alarm("c", "C", "cabinet changed", "warning", T0, "", "")]))
+    rows = {row["turbine"]: row for row in fleet_view(store, ["A", "B", "C"], T0)}
+    # what is past is no forecast; of equal chances the first
+    assert rows["A"]["ahead"] == {"condensation": 0.6, "time": T0 + 7200.0} and rows["B"]["ahead"] is None
+    assert [rows[name]["cabinet"] for name in "ABC"] == ["not observable", "not observable", "changed"]
+    seen = [("A", T0 + 9e4, [Property("hygric_k", "h", 0.3, 0.2, 0.4, 0.3, True)])]
+    store.commit(Batch(properties=seen))
+    assert fleet_view(store, ["A"], T0)[0]["cabinet"] == "as fitted"
+    assert rows["A"]["temperature_half"] == pytest.approx(1.96 * 0.5, abs=1e-3)
+
+
+def test_the_highest_chance_of_each_hour() -> None:
+    start = 3600.0 * (T0 // 3600.0)
+    time = [start, start + 3599.0, start + 3600.0, start + 9000.0]
+    assert by_hour(time, [0.1, 0.3, 0.2, None]) == [(start, 0.3), (start + 3600.0, 0.2)]
+    assert by_hour([], []) == []
+
+
+def test_signals_are_told_in_the_units_that_are_shown(store: Store) -> None:
+    store.commit(Batch(observations=[Observation("A", Reading("active_power", T0 - 9e5, 1.5e6), T0 - 9e5)]))
+    power, warm = turbine_view(store, "A", T0, T0 + 6000.0)["signals"]
+    assert (power["signal"], power["value"], power["unit"], power["count"]) == (
+        "active_power",
+        1500.0,
+        "kW",
+        0,
+    )
+    assert (warm["value"], warm["unit"], warm["last"]) == (pytest.approx(27.0), "degC", T0 + 5400.0)
+
+
+def test_alarms_that_ended_long_ago_are_left_out(store: Store) -> None:
+    assert [a["id"] for a in alarms_view(store, since=T0 + 60.0)] == ["a", "b"]
+    assert [a["id"] for a in alarms_view(store, since=T0 + 61.0)] == ["a"]
+    assert alarms_view(store, "A", T0 + 61.0) == []

@@ -1,0 +1,160 @@
+"""Pages of documentation on the live tracker: what they tell to do is done, and every key of its file stands in them."""
+
+from __future__ import annotations
+
+import os
+import re
+import signal
+import socket
+import subprocess
+import sys
+import time
+import urllib.request
+from collections.abc import Iterator
+from contextlib import closing, contextmanager
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+from test_docs import DOCS, ROOT, run_page
+from test_track_config import MODEL
+
+from hygrokf.fit import Fit
+from hygrokf.live import broker, config, opcua_table, page_settings, streams
+from hygrokf.live.config import read_config
+from hygrokf.live.logs import Lines
+from hygrokf.live.plan import WANDERING
+from hygrokf.results import write_fit
+
+PATIENCE_S = 120.0
+PORT = "127.0.0.1:8080"
+TUTORIAL = DOCS / "live_tutorial.md"
+OPERATION = DOCS / "live_operation.md"
+
+
+def blocks(page: Path, language: str) -> list[str]:
+    return re.findall(
+        rf"^```{language}\n(.*?)^```", page.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE
+    )
+
+
+def free_port() -> int:
+    with closing(socket.create_server(("127.0.0.1", 0))) as found:
+        return found.getsockname()[1]
+
+
+@contextmanager
+def started(command: str, folder: Path) -> Iterator[subprocess.Popen]:
+    """A command of a page that stays, in a process of its own, which ends with the block."""
+    assert command.startswith("hygrokf ")
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "error", "OMP_NUM_THREADS": "1"}
+    with (folder / "stderr").open("wb") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-m", *command.split()],
+            cwd=folder,
+            env=environment,
+            stderr=log,
+            stdin=subprocess.DEVNULL,
+        )
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.wait(timeout=PATIENCE_S)
+
+
+def test_the_tutorial_from_a_fit_to_a_live_page(tmp_path: Path) -> None:
+    """The page's blocks in their order: what comes before `hygrokf track`, that command, what comes after it beside it."""
+    address = f"127.0.0.1:{free_port()}"
+    text = TUTORIAL.read_text(encoding="utf-8")
+    assert text.count(PORT) >= 4
+    track = next(block for block in blocks(TUTORIAL, "bash") if block.startswith("hygrokf track"))
+    before, after = text.replace(PORT, address).split(f"```bash\n{track.replace(PORT, address)}```")
+    parts = {}
+    for name, part in (("before", before), ("after", after)):
+        parts[name] = tmp_path / f"{name}.md"
+        parts[name].write_text(part, encoding="utf-8")
+    folder = tmp_path / "work"
+    folder.mkdir()
+    done = run_page(parts["before"], folder, "python,bash")
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert " 0 fault: nothing stands in the way" in done.stdout and "rows gave readings" in done.stdout
+    with started(track.replace(PORT, address), folder) as process:
+        end = time.monotonic() + PATIENCE_S
+        while True:  # what follows looks at the page at once
+            assert process.poll() is None and time.monotonic() < end, (folder / "stderr").read_text()
+            try:
+                urllib.request.urlopen(f"http://{address}/healthz", timeout=5.0).close()
+                break
+            except OSError:
+                time.sleep(0.1)
+        parts["after"].write_text(
+            "```python\nimport time\n```\n" + parts["after"].read_text(encoding="utf-8")
+        )
+        done = run_page(parts["after"], folder, "python,bash")
+        assert done.returncode == 0, done.stdout + done.stderr + (folder / "stderr").read_text()
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(timeout=PATIENCE_S) == 0, (folder / "stderr").read_text()
+    said = done.stdout.splitlines()[0].split()
+    assert len(said) >= 4 and -30.0 < float(said[-3]) < 70.0 and 0.0 < float(said[-2]) < 100.0
+    assert (folder / "history" / "observation.csv").is_file() and "Traceback" not in (
+        folder / "stderr"
+    ).read_text()
+    (folder / "track.toml").write_text(blocks(TUTORIAL, "toml")[0])
+    assert list(read_config(folder / "track.toml").turbines) == ["T07"]
+
+
+def test_the_example_of_the_tracker_s_file_can_be_read(tmp_path: Path) -> None:
+    values = {p.name: {"value": p.start} for p in MODEL.model.parameters}
+    results = {
+        "name": "one", "version": "0.1.0", "design": MODEL.to_json(), "parameters": values, "synthetic": True,
+        "time_constants": {}, "covariance": {"names": ["thermal_time_constant"], "matrix": [[0.01]]},
+    }  # fmt: skip
+    write_fit(
+        Fit("one", MODEL, {k: v["value"] for k, v in values.items()}, results), tmp_path / "models" / "T07"
+    )
+    (text,) = blocks(OPERATION, "toml")
+    (tmp_path / "track.toml").write_text(text, encoding="utf-8")
+    found = read_config(tmp_path / "track.toml")
+    assert list(found.turbines) == ["T07"] and [one.mapping.weather for one in found.streams] == [False, True]
+
+
+@pytest.mark.parametrize(
+    ("page", "keys"),
+    [
+        (OPERATION, (*config._TOP, *config._TURBINE, *config._MAPPING, *config._SIGNAL, *config._SURFACE, *config._SITE)),
+        (OPERATION, (*streams._FILE, "weather", *page_settings._PAGE, *WANDERING)),
+        (DOCS / "live_page.md", page_settings._PAGE),
+        (DOCS / "live_mqtt.md", broker._KEYS),
+        (DOCS / "live_opcua.md", opcua_table._KEYS),
+    ],
+    ids=lambda value: value.name if isinstance(value, Path) else "",
+)  # fmt: skip
+def test_every_key_of_the_tracker_s_file_stands_in_the_pages(page: Path, keys: tuple[str, ...]) -> None:
+    text = page.read_text(encoding="utf-8")
+    assert [key for key in keys if not re.search(rf"(^|[`\[{{ .]){key}[`\]\" =]", text, re.MULTILINE)] == []
+
+
+def test_defaults_that_are_told_are_those_of_the_code() -> None:
+    text = OPERATION.read_text(encoding="utf-8")
+    rates = {name: rate for name, (_, rate) in WANDERING.items()}
+    for names, said in re.findall(r"^\| (`wandering[^|]*)\|[^|]*\| ([^|]*) \|$", text, re.MULTILINE):
+        told = [float(number) for number in said.split(" and ")]
+        stated = [rates.pop(name) for name in re.findall(r"`(\w+)`", names)]
+        assert stated == (told if len(told) == len(stated) else told * len(stated))
+    assert rates == {}
+    assert config.RETENTION_S == 400 * 86400.0 and "`400d`" in text
+    assert config.LATENESS_S == 1800.0 and "`30min`" in text
+    assert [f.default for f in fields(config.Surface)] == [0.3, 0.0] and "0.3 and 0" in text
+
+
+def test_the_fields_of_the_log_are_those_that_are_told() -> None:
+    import json
+    import logging
+
+    record = logging.makeLogRecord({"name": "hygrokf.track", "levelname": "INFO", "msg": "x", "created": 0.0})
+    told = re.findall(
+        r"^\| ((?:`\w+`[,;]? ?)+)\|", OPERATION.read_text(encoding="utf-8").split("## Logs")[1], re.MULTILINE
+    )
+    names = {name for row in told for name in re.findall(r"`(\w+)`", row)}
+    assert set(json.loads(Lines("json").format(record))) <= names

@@ -1,0 +1,128 @@
+"""Old rows go in small bites; what a restart needs stays, so that a tracker of a pruned store ends in the same state."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from live_case import live_record, live_turbine
+from test_service import Acknowledging
+from test_store import T0, a_condition, observed
+
+from hygrokf.live import retention as module
+from hygrokf.live import service
+from hygrokf.live.fleet import Fleet
+from hygrokf.live.plan import BEFORE
+from hygrokf.live.properties import Property
+from hygrokf.live.retention import Retention, prune
+from hygrokf.live.service import Service
+from hygrokf.live.store import Alarm, Batch, Store, open_store
+from hygrokf.live.tracker import whole
+
+
+@pytest.fixture
+def store(store_url: str) -> Store:
+    made = open_store(store_url)
+    times = [T0 + 60.0 * i for i in range(100)]
+    made.commit(
+        Batch(
+            observations=[
+                *(observed("cabinet_temperature", at, 290.0) for at in times),
+                *(observed("rain", at, 1.0) for at in times[:20]),
+                *(observed("snow", at, 1.0, late=True) for at in times[:10]),
+            ],
+            estimates={"T1": (a_condition(times), 100, T0)},
+            properties=[("T1", at, [Property(n, "h", 0.3, 0.2, 0.4, 0.3, True) for n in "ab"]) for at in times[::10]],
+            alarms=[
+                Alarm("open", "T1", "condensation", "alarm", T0, "wet", "dry"),
+                Alarm("old", "T1", "condensation", "alarm", T0, "wet", "dry", ended=T0 + 1.0),
+                Alarm("new", "T1", "condensation", "alarm", T0, "wet", "dry", ended=times[-1]),
+            ],
+        )
+    )  # fmt: skip
+    other = observed("rain", T0, 1.0)
+    made.commit(Batch(observations=[type(other)("T2", other.reading, T0)]))
+    yield made
+    made.close()
+
+
+def left(store: Store) -> dict[str, int]:
+    found = store.rows("SELECT signal, COUNT(*) FROM observation WHERE turbine = 'T1' GROUP BY signal")
+    found += [(t, store.rows(f"SELECT COUNT(*) FROM {t}")[0][0]) for t in ("estimate", "property", "alarm")]
+    return dict(found)
+
+
+def test_what_is_old_goes_and_what_a_restart_needs_stays(store: Store) -> None:
+    needed = T0 + 60.0 * 50 + 1.0
+    before = store.readings("T1", needed)
+    # the retention is longer ago than what is needed: it alone counts
+    assert prune(store, "T1", T0 + 60.0 * 20, needed) == 20 + 8 + 10 + 20 + 4 + 1
+    # the last readings of a signal before what is needed stay, however old; those that came too late serve nobody
+    assert left(store) == {
+        "cabinet_temperature": 80,
+        "rain": BEFORE,
+        "estimate": 80,
+        "property": 16,
+        "alarm": 2,
+    }
+    # a retention that asks for more than may go
+    assert prune(store, "T1", T0 + 1e6, needed) == 19 + 31 + 8
+    assert left(store) == {
+        "cabinet_temperature": 49 + BEFORE,
+        "rain": BEFORE,
+        "estimate": 49,
+        "property": 8,
+        "alarm": 2,
+    }
+    assert store.readings("T1", needed) == before
+    assert prune(store, "T1", T0 + 1e6, needed) == 0
+    assert store.readings("T2", 0.0) != [] and [
+        r for (r,) in store.rows("SELECT id FROM alarm ORDER BY id")
+    ] == ["new", "open"]
+
+
+def test_bites_are_small_and_come_to_an_end(store: Store) -> None:
+    needed = T0 + 60.0 * 50 + 1.0
+    counts = [prune(store, "T1", T0 + 1e6, needed, most=20)]
+    while counts[-1]:
+        counts.append(prune(store, "T1", T0 + 1e6, needed, most=20))
+    assert max(counts) <= 20 and len(counts) >= 6
+    assert left(store) == {
+        "cabinet_temperature": 49 + BEFORE,
+        "rain": BEFORE,
+        "estimate": 49,
+        "property": 8,
+        "alarm": 2,
+    }
+
+
+def test_a_turbine_without_a_point_and_an_endless_retention_keep_all(store: Store, tmp_path) -> None:
+    turbine = live_turbine(live_record(tmp_path, seed=8, days=3.0))
+    fleet = Fleet({"T1": turbine})
+    assert Retention(0.0).bite(store, fleet) == 0 and Retention(np.inf).bite(store, fleet) == 0
+    assert left(store)["cabinet_temperature"] == 100
+
+
+def test_a_pruned_store_ends_in_the_offline_filter(
+    store_url: str, tmp_path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A retention of no time at all, pruned after every round, and six restarts on the way."""
+    record = live_record(tmp_path, seed=9, days=5.0)
+    turbine = live_turbine(record)
+    monkeypatch.setattr(module, "EVERY_S", 0.0)
+    monkeypatch.setattr(service, "MOST", 60)
+    total = len(Acknowledging(record))
+    for end in range(0, total + total // 6, total // 6):
+        stream = Acknowledging(record)
+        stream._messages = stream._messages[:end]
+        Service({"T1": turbine}, [stream], store_url, retention_s=0.0).run(until_ended=True)
+    assert stream.acknowledged[-1] == str(total)
+    store = open_store(store_url)
+    point = store.point("T1")
+    offline = whole(turbine.plan, record)
+    row = int(np.searchsorted(offline.seconds, point.time + 1e-3, side="right")) - 1
+    assert np.array_equal(point.state.mean, offline.trace.mean[row])
+    assert np.array_equal(point.state.covariance, offline.trace.covariance[row])
+    needed = point.time - turbine.plan.context_s
+    ((count, oldest),) = store.rows("SELECT COUNT(*), MIN(time) FROM observation")
+    assert count < 0.4 * total and needed - 4.0 * 3600.0 < oldest < needed
+    store.close()

@@ -1,0 +1,64 @@
+"""A tracker in a process of its own, which may be killed: `tracking_process.py CASE.toml STORE-URL SPEED`."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def started(case: Path, url: str, speed: float = 0.0, **more: str) -> subprocess.Popen[str]:
+    """Play a case's record back into a store; speed 0 is as fast as it is taken."""
+    environment = {
+        **os.environ,
+        "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}",
+        "OMP_NUM_THREADS": "1",
+        **more,
+    }
+    command = [sys.executable, str(Path(__file__)), str(case), url, str(speed)]
+    return subprocess.Popen(
+        command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )  # fmt: skip
+
+
+def killed_at(
+    mark: float, tracker: subprocess.Popen[str], count: Callable[[], int], random: np.random.Generator
+) -> None:
+    """Kill a tracker at a random moment after its store holds so many observations."""
+    end = time.monotonic() + 60.0
+    try:
+        while count() <= mark:
+            assert tracker.poll() is None and time.monotonic() < end, "the tracker did not come that far"
+            time.sleep(0.005)
+        time.sleep(float(random.uniform(0.0, 0.02)))
+    finally:
+        tracker.kill()
+        said = tracker.communicate()
+    assert tracker.returncode == -signal.SIGKILL, said
+
+
+def track(case: str, url: str, speed: str) -> None:
+    from live_case import SIGNALS, live_turbine
+
+    from hygrokf.case import read_case
+    from hygrokf.live import service
+    from hygrokf.live.streams import Playback, record_mapping, record_messages
+
+    made = read_case(case)
+    record = replace(made, series=tuple(s for s in made.series if s.signal in SIGNALS))
+    service.MOST = 20  # many small rounds: a kill hits each part of one
+    stream = Playback("replay:", record_messages(record, "T1"), record_mapping(record, "T1"), float(speed))
+    service.Service({"T1": live_turbine(record)}, [stream], url).run(until_ended=True)
+
+
+if __name__ == "__main__":
+    track(*sys.argv[1:])
