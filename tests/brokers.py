@@ -20,8 +20,9 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import pytest
+from ports import free_port
 
-PATIENCE_S = 20.0
+PATIENCE_S = 60.0
 PROGRAM = shutil.which("mosquitto", path=f"{os.environ.get('PATH', '')}:/usr/sbin:/usr/local/sbin")
 needs_mosquitto = pytest.mark.skipif(
     PROGRAM is None, reason="mosquitto is not installed (Debian and Ubuntu: apt-get install mosquitto)"
@@ -34,12 +35,6 @@ def waits(condition: Callable[[], object], patience_s: float = PATIENCE_S) -> No
     while not condition() and time.monotonic() < end:
         time.sleep(0.01)
     assert condition()
-
-
-def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return found.getsockname()[1]
 
 
 class Mosquitto:
@@ -130,10 +125,16 @@ def peer(broker: Mosquitto, user: str = "", password: str = "") -> Iterator:
         client.loop_stop()
 
 
-def publish(client, messages: Iterable[tuple[str, str | bytes]], qos: int = 1, retain: bool = False) -> None:
+def publish(
+    client,
+    messages: Iterable[tuple[str, str | bytes]],
+    qos: int = 1,
+    retain: bool = False,
+    patience_s: float = PATIENCE_S,
+) -> None:
     """Publish (topic, payload) and wait until the broker has confirmed all of them."""
     found = [client.publish(topic, payload, qos, retain) for topic, payload in messages]
-    end = time.monotonic() + PATIENCE_S
+    end = time.monotonic() + patience_s
     for one in found:
         one.wait_for_publish(max(end - time.monotonic(), 0.01))
         assert one.is_published()

@@ -7,7 +7,6 @@ import os
 import secrets
 import shutil
 import signal
-import socket
 import subprocess
 import tempfile
 import time
@@ -15,6 +14,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from ports import free_port
 
 OWNER = "owner"
 STARTING_S = 60.0
@@ -38,12 +38,6 @@ def other_user() -> dict:
             found = pwd.getpwnam(name)
             return {"user": found.pw_uid, "group": found.pw_gid, "extra_groups": []}
     pytest.skip("no user to run PostgreSQL as: it refuses to be root")
-
-
-def free_port() -> int:
-    with socket.socket() as one:
-        one.bind(("127.0.0.1", 0))
-        return one.getsockname()[1]
 
 
 class Server:
@@ -130,12 +124,14 @@ class Server:
     def kill(self) -> None:
         """The server and all of its processes die where they are."""
         assert self._process is not None
+        # stopped first: a process that it starts after they were counted would live on, and keep the next server from starting
+        self._process.send_signal(signal.SIGSTOP)
         family = [self._process.pid, *children(self._process.pid)]
         for one in family:
             with contextlib.suppress(ProcessLookupError):
                 os.kill(one, signal.SIGKILL)
-        self._process.wait(timeout=10.0)
-        end = time.monotonic() + 10.0
+        self._process.wait(timeout=STARTING_S)
+        end = time.monotonic() + STARTING_S
         while any(is_alive(one) for one in family):
             assert time.monotonic() < end, "a killed server lives on"
             time.sleep(0.01)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import threading
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,9 +13,10 @@ import pytest
 from hygrokf.case import read_case
 from hygrokf.design import CASCADE, design, merged
 from hygrokf.fit import Fit
-from hygrokf.live.fleet import Turbine
+from hygrokf.live.fleet import Delivery, Turbine
 from hygrokf.live.plan import Form, plan
 from hygrokf.live.store import open_store
+from hygrokf.live.streams import Playback
 from hygrokf.live.tracker import whole
 from hygrokf.record import Record
 from hygrokf.synthetic import synthetic_turbine, write_case
@@ -76,3 +79,28 @@ def expect_offline(url: str, record: Record, turbine: Turbine, name: str = "T1")
     seen = np.isfinite(t.y).any(axis=1) & (offline.seconds <= point.time)
     assert set(np.round(offline.seconds[seen])) <= set(np.round(times))
     store.close()
+
+
+class Halting(Playback):
+    """A playback that waits at some shares of its messages, until it is let on or told to end.
+
+    What is done before it is let on happens while messages are still to come, however quick the tracker is.
+    """
+
+    def __init__(self, *given: object, halts: Sequence[float] = (), **named: object) -> None:
+        super().__init__(*given, **named)
+        self._halts = {1 + int(share * len(self)): threading.Event() for share in sorted(halts)}
+
+    def go_on(self) -> None:
+        """Pass the first halt at which it was not let on yet."""
+        next(one for one in self._halts.values() if not one.is_set()).set()
+
+    def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        def halted(one: Delivery) -> None:
+            halt = self._halts.get(int(one.place))
+            while halt is not None and not halt.wait(0.02):
+                if self._ended.is_set():
+                    return
+            put(one)
+
+        super()._deliver(place, halted)

@@ -9,7 +9,6 @@ import asyncio
 import json
 import select
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -17,16 +16,12 @@ from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 
+from ports import free_port
+
 PATIENCE_S = 120.0
 NAMESPACE = "urn:plant:cabinets"
 MOST = 40
 """Samples of one answer from the history, whatever was asked for."""
-
-
-def free_port() -> int:
-    with socket.socket() as found:
-        found.bind(("127.0.0.1", 0))
-        return found.getsockname()[1]
 
 
 class Peer:

@@ -152,7 +152,7 @@ class Fed(Threaded):
                 put(Delivery(content, at))
 
 
-def eventually(found: Callable[[], object], patience_s: float = 10.0) -> object:
+def eventually(found: Callable[[], object], patience_s: float = 60.0) -> object:
     """What a function gives as soon as it gives something; fails where it does not in time."""
     end = time.monotonic() + patience_s
     while True:

@@ -44,7 +44,7 @@ FLOORS = (
     "discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.alarms live.tally",
     "discovery.discover live.fleet",
     "live.streams live.ahead live.retention live.export",
-    "live.broker live.opcua",
+    "live.broker live.opcua live.mqtt_client",
     "live.mqtt_link live.opcua_table",
     "live.mqtt",
     "live.sources live.page_settings live.doctor_files",

@@ -34,7 +34,7 @@ from hygrokf.live.fleet import Delivery, Turbine
 from hygrokf.live.mqtt import Mqtt
 from hygrokf.live.payload import LARGEST, Field, Mapping, Refused, parsed
 from hygrokf.live.service import Service
-from hygrokf.live.store import Alarm, open_store
+from hygrokf.live.store import Alarm, Batch, open_store
 from hygrokf.live.streams import record_mapping, record_messages
 from hygrokf.record import Record
 
@@ -96,7 +96,7 @@ class Taken:
             self.free.set()
 
     def __call__(self, one: Delivery) -> None:
-        self.free.wait(30.0)
+        self.free.wait(120.0)
         self.found.append(one)
 
     @property
@@ -131,7 +131,7 @@ def serving(
         yield service
     finally:
         service.stop()
-        runner.join(timeout=30.0)
+        runner.join(timeout=60.0)
     assert not runner.is_alive() and stream.state == ("stopped", "")
 
 
@@ -171,17 +171,19 @@ def test_a_broker_that_is_killed_and_comes_back_loses_nothing(
     store = f"sqlite:{tmp_path / 'live.db'}"
     stream = stream_of(broker, record_mapping(record, "T1"))
     most = len(messages) - 100
-    held = threading.Event()
+    committed, held = threading.Event(), threading.Event()
 
-    def settle(batch: object) -> None:
-        held.wait(30.0)
+    def settle(batch: Batch) -> None:
+        if batch.observations:
+            committed.set()
+            held.wait(120.0)
 
-    with serving(turbine, stream, store, settle) as service:
+    with serving(turbine, stream, store, settle):
         try:
             with peer(broker) as other:
                 publish(other, messages[:most])
             # some are committed, some were sent and not acknowledged, the rest waits at the broker
-            waits(lambda: service.health.committed_s)
+            waits(committed.is_set)
             broker.save()
             broker.kill()
             waits(lambda: stream.state[0] == "lost")
@@ -217,10 +219,10 @@ def held(self, batch):
     rounds.extend([batch] if batch.observations else [])  # forecasts and alarms are committed too
     second = batch.observations and len(rounds) == 2
     if second and where == "before":
-        print("held", flush=True); time.sleep(60.0)
+        print("held", flush=True); time.sleep(600.0)
     commit(self, batch)
     if second:
-        print("held", flush=True); time.sleep(60.0)
+        print("held", flush=True); time.sleep(600.0)
 
 Store.commit = held
 service = Service({"T1": live_turbine(record)}, [stream], store)
@@ -263,7 +265,7 @@ def test_a_tracker_killed_around_a_commit_gets_again_what_it_had_not_acknowledge
             publish(other, messages[2 * third :])
     finally:
         child.send_signal(signal.SIGKILL)
-        child.wait(timeout=20.0)
+        child.wait(timeout=60.0)
         child.stdout.close()
     before = stored(store)
     assert 0 < before < count_of(record)
@@ -301,13 +303,14 @@ def test_an_acknowledgement_of_a_lost_connection_acknowledges_nothing(broker: Mo
 def test_a_tracker_that_does_not_keep_up_stays_connected(
     broker: Mosquitto, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(mqtt_link, "KEEPALIVE_S", 1)
+    # long enough that neither side takes the other for lost on a machine that is busy for a second
+    monkeypatch.setattr(mqtt_link, "KEEPALIVE_S", 4)
     stream = stream_of(broker)
     count = mqtt_link.OPEN_MOST + 300
     with running(stream, held=True) as taken, peer(broker) as other:
         publish(other, [(TOPIC, f"{i}") for i in range(count)])
         # the broker would send a client away after 1.5 times its keep-alive
-        waits(lambda: broker.log().count("PINGREQ from tracker") >= 3)
+        waits(lambda: broker.log().count("PINGREQ from tracker") >= 2)
         assert stream.state[0] == "connected" and not taken.found
         assert stream._link.arrived.qsize() <= mqtt_link.OPEN_MOST
         taken.free.set()
@@ -465,7 +468,7 @@ def test_a_server_that_is_no_broker_is_told() -> None:
         with running(stream, until="lost"):
             assert "TLS (mqtts://)?" in stream.state[1] or "closed the connection" in stream.state[1]
         server.shutdown(socket.SHUT_RDWR)
-        runner.join(timeout=10.0)
+        runner.join(timeout=60.0)
         assert not runner.is_alive()
 
 
@@ -642,7 +645,9 @@ def test_alarms_are_published_retained_and_nothing_else_ever_is(
             "plant/alarms/T1/condensation",
             "plant/alarms/a%2Fb%20%2B%23/data_stale",
         }
-        assert open_store(store).counters() == {}
+        opened = open_store(store)
+        assert opened.counters() == {}
+        opened.close()
     found = kept(broker, "plant/alarms/+/+")
     assert set(found) == {"plant/alarms/T1/condensation", "plant/alarms/a%2Fb%20%2B%23/data_stale"}
     last = found["plant/alarms/T1/condensation"]

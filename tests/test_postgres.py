@@ -11,11 +11,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from databases import OWNER, Server, free_port
+from databases import OWNER, Server
 from live_case import count_of, expect_offline, live_record, live_turbine
+from ports import free_port
 from test_service import Acknowledging, until
 from test_store import T0, everything, observed, refused
-from tracking_process import killed_at, started
+from tracking_process import halt_after, killed_at, started
 
 from hygrokf.live import database, postgres
 from hygrokf.live import service as module
@@ -64,7 +65,7 @@ def test_a_killed_server_loses_nothing_and_nothing_comes_twice(
     """All of its processes die at once in the middle, twice; it comes back, and so does the loop."""
     monkeypatch.setattr(module, "RETRY_S", (0.05,))
     monkeypatch.setattr(module, "MOST", 25)
-    stream = Acknowledging(record)
+    stream = Acknowledging(record, halts=(0.5, 0.8))
     service = Service({"T1": turbine}, [stream], url)
     runner = threading.Thread(target=service.run, args=(True,))
     runner.start()
@@ -73,8 +74,10 @@ def test_a_killed_server_loses_nothing_and_nothing_comes_twice(
             failures = service.health.failures
             until(lambda share=share: len(stream.acknowledged) > share * len(stream))
             postgresql.kill()
-            until(lambda failures=failures: service.health.failures > failures)
-            assert url in service.health.store
+            stream.go_on()
+            until(
+                lambda failures=failures: service.health.failures > failures and url in service.health.store
+            )
             postgresql.start()
     finally:
         if not postgresql.is_running:
@@ -90,16 +93,20 @@ def test_a_session_that_is_ended_is_opened_anew(
 ) -> None:
     monkeypatch.setattr(module, "RETRY_S", (0.01,))
     monkeypatch.setattr(module, "MOST", 50)
-    stream = Acknowledging(record)
+    stream = Acknowledging(record, halts=(0.35, 0.65, 0.9))
     service = Service({"T1": turbine}, [stream], url)
     runner = threading.Thread(target=service.run, args=(True,))
     runner.start()
     for share in (0.2, 0.5, 0.8):
         until(lambda share=share: len(stream.acknowledged) > share * len(stream))
-        postgresql.execute(
+        ended = postgresql.execute(
             "postgres",
-            "SELECT pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = 'hygrokf'",
+            "SELECT pid, pg_terminate_backend(pid) FROM pg_stat_activity WHERE application_name = 'hygrokf'",
         )
+        pids = ", ".join(str(pid) for pid, _ in ended)
+        alive = f"SELECT pid FROM pg_stat_activity WHERE pid IN ({pids})"
+        until(lambda alive=alive: not postgresql.execute("postgres", alive))
+        stream.go_on()
     runner.join(timeout=60.0)
     assert not runner.is_alive() and service.health.failures >= 3
     assert stream.acknowledged == [str(n + 1) for n in range(len(stream))]
@@ -134,7 +141,8 @@ def test_a_tracker_killed_at_random_moments_ends_in_the_offline_filter(
     random = np.random.default_rng(12)
     store = open_store(url)
     for mark in np.sort(random.uniform(0.05, 0.9, 5)) * count_of(record):
-        killed_at(mark, started(case, url), lambda: store.size()["observation"], random)
+        tracker = started(case, url, halt=halt_after(mark, record))
+        killed_at(mark, tracker, lambda: store.size()["observation"], random)
     assert store.size()["observation"] < count_of(record)
     store.close()
     tracker = started(case, url)

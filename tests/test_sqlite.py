@@ -17,7 +17,7 @@ import pytest
 from live_case import count_of, expect_offline, live_record, live_turbine
 from test_service import Acknowledging, until
 from test_store import T0, everything, observed, refused
-from tracking_process import killed_at, started
+from tracking_process import halt_after, killed_at, started
 
 from hygrokf.live import database
 from hygrokf.live import service as module
@@ -166,7 +166,7 @@ def test_several_processes_may_make_a_store_at_once(tmp_path: Path) -> None:
         for one in several:
             one.stdin.write(f"{beat}\n")
             one.stdin.flush()
-        assert [one.communicate(timeout=60.0)[1] for one in several] == [""] * 4
+        assert [one.communicate(timeout=240.0)[1] for one in several] == [""] * 4
     finally:
         for one in several:
             one.kill()
@@ -204,7 +204,7 @@ def test_a_dead_tracker_holds_nothing(file: Path) -> None:
         "store = open_store(sys.argv[1])\n"
         "store.claim('turbine', ['T1'])\n"
         "print('held', flush=True)\n"
-        "time.sleep(60)\n"
+        "time.sleep(600)\n"
     )
     root = Path(__file__).resolve().parents[1]
     holder = subprocess.Popen(
@@ -216,7 +216,7 @@ def test_a_dead_tracker_holds_nothing(file: Path) -> None:
         with pytest.raises(StoreFault, match=f"by process {holder.pid} on "):
             store.claim("turbine", ["T1"])
         holder.kill()
-        holder.wait(timeout=10.0)
+        holder.wait(timeout=60.0)
         store.claim("turbine", ["T1"])
         store.close()
     finally:
@@ -226,7 +226,11 @@ def test_a_dead_tracker_holds_nothing(file: Path) -> None:
 
 # -- a full disk, a killed tracker -----------------------------------------------------------------------------------
 def test_a_full_disk_is_outlived(
-    tmp_path: Path, record: Record, turbine: Turbine, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path,
+    record: Record,
+    turbine: Turbine,
+    monkeypatch: pytest.MonkeyPatch,
+    caplog: pytest.LogCaptureFixture,
 ) -> None:
     """SQLite itself says so: the file may not grow; when there is room again the loop goes on."""
     monkeypatch.setattr(module, "RETRY_S", (0.02,))
@@ -248,11 +252,12 @@ def test_a_full_disk_is_outlived(
     runner.start()
     try:
         until(lambda: service.health.failures >= 5)
-        said = service.health.store
     finally:
         is_full.clear()
-        runner.join(timeout=30.0)
-    assert "full" in said and not runner.is_alive() and service.health.store == ""
+        runner.join(timeout=60.0)
+    said = [one.fault for one in caplog.records if one.message == "the store failed"]
+    assert len(said) >= 5 and all("full" in words for words in said)
+    assert not runner.is_alive() and service.health.store == ""
     assert stream.acknowledged == [str(n + 1) for n in range(len(stream))]
     expect_offline(url, record, turbine)
 
@@ -266,7 +271,7 @@ def test_a_disk_that_refuses_to_write_is_outlived(
     if not hasattr(resource, "prlimit"):
         pytest.skip("this system cannot limit the files of another process")
     path = tmp_path / "live.db"
-    tracker = started(case, f"sqlite:{path}", speed=100_000.0)
+    tracker = started(case, f"sqlite:{path}", speed=30_000.0)
     try:
         until(lambda: observed_count(path) > 300)
         resource.prlimit(tracker.pid, resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
@@ -295,7 +300,8 @@ def test_a_tracker_killed_at_random_moments_ends_in_the_offline_filter(
 ) -> None:
     path, random = tmp_path / "live.db", np.random.default_rng(11)
     for mark in np.sort(random.uniform(0.05, 0.9, kills)) * count_of(record):
-        killed_at(mark, started(case, f"sqlite:{path}"), lambda: observed_count(path), random)
+        tracker = started(case, f"sqlite:{path}", halt=halt_after(mark, record))
+        killed_at(mark, tracker, lambda: observed_count(path), random)
         with closing(sqlite3.connect(path)) as connection:
             assert connection.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
     assert observed_count(path) < count_of(record)

@@ -14,6 +14,7 @@ from pathlib import Path
 import httpx
 import pytest
 from page_case import Case, add_forecast, filled, opened, write_certificate
+from ports import free_port
 from prometheus_client.parser import text_string_to_metric_families
 
 from hygrokf.live import web_access
@@ -50,7 +51,7 @@ def served(
     page = Page(service, hub, settings)
     with (
         serve(page.app(), settings, hub) as server,
-        httpx.Client(base_url=server.url, timeout=10.0) as client,
+        httpx.Client(base_url=server.url, timeout=60.0) as client,
     ):
         yield client, hub, server
     page.reader.close()
@@ -81,8 +82,9 @@ def raised(service: Service, name: str, **more: object) -> Alarm:
 
 # -- what is shown ---------------------------------------------------------------------------------------------------
 def test_the_fleet_is_the_stores(client: httpx.Client, service: Service) -> None:
+    began = time.time()
     found = client.get("/api/fleet").json()
-    assert abs(found["now"] - time.time()) < 5.0
+    assert began - 1e-3 <= found["now"] <= time.time() + 1e-3
     rows = {row["turbine"]: row for row in found["turbines"]}
     assert set(rows) == set(NAMES)
     store = opened(service)
@@ -274,7 +276,9 @@ def test_metrics_are_the_stores(service: Service) -> None:
     raised(service, "five")
     # a page of its own: the others' keeps the fleet's rows for some seconds, and this alarm comes past the tracker
     with served(service) as (client, _, _):
+        began = time.time()
         found = measured(client)
+        ended = time.time()
         rows = {row["turbine"]: row for row in client.get("/api/fleet").json()["turbines"]}
     assert found["hygrokf_deliveries_total",] == service.health.deliveries
     assert found["hygrokf_refused_total", ("kind", "malformed")] == 3.0
@@ -287,9 +291,8 @@ def test_metrics_are_the_stores(service: Service) -> None:
         turbine = ("turbine", name)
         assert found["hygrokf_condensation_probability", turbine] == row["condensation"]
         assert found["hygrokf_dew_point_margin_kelvin", turbine] == row["margin"]
-        assert found["hygrokf_heard_age_seconds", turbine] == pytest.approx(
-            time.time() - row["heard"], abs=5.0
-        )
+        age = found["hygrokf_heard_age_seconds", turbine]
+        assert began - row["heard"] - 1e-3 <= age <= ended - row["heard"] + 1e-3
     assert found["hygrokf_open_alarms", ("kind", "condensation"), ("severity", "warning")] >= 1.0
 
 
@@ -402,7 +405,7 @@ def test_tls(service: Service, tmp_path: Path) -> None:
     with served(service, settings) as (_, _, server):
         trusted = ssl.create_default_context(cafile=str(certificate))
         assert server.url.startswith("https://127.0.0.1:")
-        with httpx.Client(base_url=server.url, verify=trusted) as client:
+        with httpx.Client(base_url=server.url, verify=trusted, timeout=60.0) as client:
             cookie = client.post("/api/login", json={"token": TOKEN}).headers["set-cookie"]
             assert cookie.startswith("__Host-hygrokf_") and "; Secure" in cookie
             assert client.get("/api/fleet", headers={"Cookie": cookie.partition(";")[0]}).status_code == 200
@@ -431,7 +434,7 @@ def test_a_certificate_that_is_none_is_said(service: Service, tmp_path: Path) ->
 
 
 def test_it_listens_on_loopback_alone_and_is_gone_after_its_end(service: Service) -> None:
-    with served(service) as (_, _, server):
+    with served(service, PageSettings(port=free_port())) as (_, _, server):
         port = server.port
         assert server.url == f"http://127.0.0.1:{port}/" and server.running
         with pytest.raises(OSError):

@@ -40,7 +40,7 @@ class Listener:
 
     def _listen(self) -> None:
         try:
-            with httpx.stream("GET", f"{self._url}events", timeout=httpx.Timeout(5.0, read=20.0)) as answer:
+            with httpx.stream("GET", f"{self._url}events", timeout=60.0) as answer:
                 self.head = answer.headers["content-type"]
                 kind = ""
                 for line in answer.iter_lines():
@@ -120,7 +120,7 @@ def test_clients_are_bounded_and_leave_room_behind(page: tuple[Hub, PageServer])
     for one in sockets:
         one.sendall(b"GET /events HTTP/1.1\r\nHost: localhost\r\n\r\n")
     eventually(lambda: len(hub) == 3)
-    refused = httpx.get(f"{server.url}events")
+    refused = httpx.get(f"{server.url}events", timeout=60.0)
     assert refused.status_code == 503 and "too many" in refused.json()["fault"]
     sockets.pop().close()
     eventually(lambda: len(hub) == 2)
@@ -147,7 +147,7 @@ def test_a_client_that_takes_nothing_is_dropped(
         return len(hub) == 0
 
     with caplog.at_level(logging.WARNING, "hygrokf.page"):
-        eventually(pushed, 30.0)
+        eventually(pushed)
     assert "took nothing" in caplog.text
     slow.close()
 

@@ -1,4 +1,4 @@
-"""A tracker in a process of its own, which may be killed: `tracking_process.py CASE.toml STORE-URL SPEED`."""
+"""A tracker in a process of its own, which may be killed: `tracking_process.py CASE.toml STORE-URL SPEED HALT`."""
 
 from __future__ import annotations
 
@@ -12,19 +12,34 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from live_case import count_of
+
+from hygrokf.record import Record
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def started(case: Path, url: str, speed: float = 0.0, **more: str) -> subprocess.Popen[str]:
-    """Play a case's record back into a store; speed 0 is as fast as it is taken."""
+def started(
+    case: Path, url: str, speed: float = 0.0, halt: float | None = None, **more: str
+) -> subprocess.Popen[str]:
+    """Play a case's record back into a store; speed 0 is as fast as it is taken.
+
+    It stays at a share `halt` of the messages until it is killed.
+    """
     environment = {
         **os.environ,
         "PYTHONPATH": f"{ROOT}{os.pathsep}{ROOT / 'tests'}",
         "OMP_NUM_THREADS": "1",
         **more,
     }
-    command = [sys.executable, str(Path(__file__)), str(case), url, str(speed)]
+    command = [
+        sys.executable,
+        str(Path(__file__)),
+        str(case),
+        url,
+        str(speed),
+        "" if halt is None else str(halt),
+    ]
     return subprocess.Popen(
         command, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )  # fmt: skip
@@ -34,7 +49,7 @@ def killed_at(
     mark: float, tracker: subprocess.Popen[str], count: Callable[[], int], random: np.random.Generator
 ) -> None:
     """Kill a tracker at a random moment after its store holds so many observations."""
-    end = time.monotonic() + 60.0
+    end = time.monotonic() + 120.0
     try:
         while count() <= mark:
             assert tracker.poll() is None and time.monotonic() < end, "the tracker did not come that far"
@@ -46,17 +61,23 @@ def killed_at(
     assert tracker.returncode == -signal.SIGKILL, said
 
 
-def track(case: str, url: str, speed: str) -> None:
-    from live_case import SIGNALS, live_turbine
+def halt_after(mark: float, record: Record) -> float:
+    """A share of the messages beyond so many of them: one that halts there can neither finish nor be too slow."""
+    return min(mark / count_of(record) + 0.08, 0.98)
+
+
+def track(case: str, url: str, speed: str, halt: str) -> None:
+    from live_case import SIGNALS, Halting, live_turbine
 
     from hygrokf.case import read_case
     from hygrokf.live import service
-    from hygrokf.live.streams import Playback, record_mapping, record_messages
+    from hygrokf.live.streams import record_mapping, record_messages
 
     made = read_case(case)
     record = replace(made, series=tuple(s for s in made.series if s.signal in SIGNALS))
     service.MOST = 20  # many small rounds: a kill hits each part of one
-    stream = Playback("replay:", record_messages(record, "T1"), record_mapping(record, "T1"), float(speed))
+    messages, halts = record_messages(record, "T1"), [float(halt)] if halt else []
+    stream = Halting("replay:", messages, record_mapping(record, "T1"), float(speed), halts=halts)
     service.Service({"T1": live_turbine(record)}, [stream], url).run(until_ended=True)
 
 

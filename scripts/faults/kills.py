@@ -29,6 +29,8 @@ FLOW_S = 1.5
 """[s] over which a part of the messages is published; the kill comes at a random moment after the first commit."""
 STARTING = 0.25
 """Share of the kills that come while a tracker starts, with the messages of its predecessor waiting."""
+UNCONFIRMED_S = 10.0
+"""[s] after which a part that a killed broker has not confirmed is given up; all of it is published once more."""
 EVERY = 40
 """One message in so many is none: it must be counted, and change nothing."""
 GOOD = 0
@@ -102,7 +104,7 @@ def killed_broker(folder: Path, seed: int, kills: int = 1) -> Outcome:
                     broker.kill()
 
                 with later(0.0, amid), suppress(AssertionError, RuntimeError):  # nobody confirms any more
-                    flow(broker, part, FLOW_S)
+                    flow(broker, part, FLOW_S, UNCONFIRMED_S)
                 heard = sessions(broker)
                 broker.start()
                 until(lambda heard=heard: sessions(broker) > heard, tracker.said)

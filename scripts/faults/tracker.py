@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+from brokers import PATIENCE_S as CONFIRMING_S
 from brokers import Mosquitto, peer, publish
 
 from faults.plant import Message
@@ -118,12 +119,14 @@ def tracking(broker: Mosquitto, config: Path, hook: Path | None = None) -> Itera
         yield tracker
 
 
-def flow(broker: Mosquitto, messages: Sequence[Message], seconds: float) -> None:
-    """Publish messages over so many seconds at least, and wait until the broker has confirmed them."""
+def flow(
+    broker: Mosquitto, messages: Sequence[Message], seconds: float, patience_s: float = CONFIRMING_S
+) -> None:
+    """Publish messages over so many seconds at least; each part is confirmed within `patience_s` [s], or AssertionError."""
     with peer(broker) as client:
         step = max(len(messages) // 20, 1)
         for first in range(0, len(messages), step):
-            publish(client, messages[first : first + step])
+            publish(client, messages[first : first + step], patience_s=patience_s)
             time.sleep(seconds / 20.0)
 
 
