@@ -117,7 +117,7 @@ def centred(series: Series) -> Series:
 
 def bridge_h(series: Series, limit_h: float) -> float:
     """Longest gap that is bridged [h]: the limit, but never less than the series' own usual step leaves open."""
-    time = series.time[~series.missing]
+    time, _ = series.known
     if len(time) < 2:
         return limit_h
     return max(limit_h, (1.5 * usual_step_s(time) - series.interval_s) / 3600.0)
@@ -131,8 +131,7 @@ def usual_step_s(time: np.ndarray) -> float:
 
 def at_times(series: Series, time: np.ndarray, bridge_h: float) -> np.ndarray:
     """A series at other times [s] by its own hold; NaN outside it and inside gaps longer than `bridge_h` [h]."""
-    there = ~series.missing
-    known, value = series.time[there], series.value[there]
+    known, value = series.known
     if len(known) == 0:
         return np.full(len(time), np.nan)
     after = np.minimum(known.searchsorted(time, side="left"), len(known) - 1)

@@ -46,7 +46,7 @@ def _changes(series: Series, first: float, last: float) -> np.ndarray:
     """Times at which a series' course has a corner or a jump [s]."""
     time = series.time
     if series.interval_s > 0:
-        time = np.union1d(time, time - series.interval_s)
+        time = np.concatenate([time, time - series.interval_s])
     return time[(time >= first) & (time <= last)]
 
 
@@ -78,7 +78,7 @@ def run(design: Design, record: Record) -> Run:
         ambient[TEMPERATURE] = centred(record[TEMPERATURE])
     observed = [record[name] for name in (TEMPERATURE, *HUMIDITIES) if name in record]
     spans = observed or list(ambient.values())
-    known = [s.time[~s.missing] for s in ambient.values()]
+    known = [s.known[0] for s in ambient.values()]
     if not all(len(time) for time in known):
         empty = ", ".join(
             "the ambient humidity" if name == "ambient_absolute_humidity" else name
@@ -102,7 +102,8 @@ def run(design: Design, record: Record) -> Run:
     further = [record[name] for name in sorted(inputs_of & set(record.signals) - {*ambient, "preheating"})]
     times = [_changes(s, first, last) for s in (*ambient.values(), *switched, *further)]
     times += [_changes(record[name], first, last) for name in outputs]
-    time = np.unique(np.concatenate([np.array([first, last]), *times]))
+    time = np.sort(np.concatenate([(first, last), *times]))
+    time = time[np.append(True, time[1:] > time[:-1])]
     values, unknown_ambient = _ambient_inputs(ambient, time, inputs_of)
     if "preheating" in inputs_of:
         duty = (
@@ -190,9 +191,11 @@ def _ambient_inputs(
                 f"{name}: no reading within the span of the cabinet's readings; check both with `hygrokf check`"
             )
         scale = 1e3 if name == "ambient_absolute_humidity" else 1.0
-        # within a gap that is not bridged the last value holds: what comes later must not change what was filtered
-        place = np.maximum(np.searchsorted(np.flatnonzero(there), np.arange(len(time)), side="right") - 1, 0)
-        values[name] = value[there][place] * scale
+        if missing.any():
+            # within a gap that is not bridged the last value holds: what comes later must not change what was filtered
+            place = np.searchsorted(np.flatnonzero(there), np.arange(len(time)), side="right") - 1
+            value = value[there][np.maximum(place, 0)]
+        values[name] = value * scale
     if "exchange_factor" in wanted:
         values["exchange_factor"] = exchange_factor(values["ambient_temperature"])
     return values, unknown

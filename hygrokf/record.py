@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -54,11 +55,12 @@ class Series:
                 f"time and value must be arrays of one dimension and one length, "
                 f"found shapes {time.shape} and {value.shape}"
             )
-        elif not np.isfinite(time).all():
-            faults.append("every time must be a finite number of seconds")
-        elif (time[1:] <= time[:-1]).any():
-            first = int(np.argmax(time[1:] <= time[:-1])) + 1
-            faults.append(f"time must increase strictly; reading {first} does not")
+        elif not _increases(time):
+            if not np.isfinite(time).all():
+                faults.append("every time must be a finite number of seconds")
+            else:
+                first = int(np.argmax(time[1:] <= time[:-1])) + 1
+                faults.append(f"time must increase strictly; reading {first} does not")
         if np.isinf(value).any():
             faults.append("value must be finite, or NaN where a reading is missing")
         if self.hold not in HOLDS:
@@ -95,6 +97,20 @@ class Series:
     def missing(self) -> np.ndarray:
         """(T,) True where a reading is missing."""
         return np.isnan(self.value)
+
+    @cached_property
+    def known(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times [s] and values of the readings that are not missing."""
+        there = ~self.missing
+        return (self.time, self.value) if there.all() else (self.time[there], self.value[there])
+
+
+def _increases(time: np.ndarray) -> bool:
+    """Whether times (T,) are finite and increase strictly; between finite ends that increase nothing else can stand."""
+    if not len(time):
+        return True
+    ends = math.isfinite(time[0]) and math.isfinite(time[-1])
+    return ends and bool((time[1:] > time[:-1]).all())
 
 
 @dataclass(frozen=True)
@@ -160,7 +176,7 @@ class Record:
                 f"record {self.name}: rated_power_W must be a number above 0, found {self.rated_power_W}"
             )
 
-    @property
+    @cached_property
     def signals(self) -> tuple[str, ...]:
         """Names of the signals in the record."""
         return tuple(one.signal for one in self.series)

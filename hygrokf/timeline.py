@@ -8,7 +8,8 @@ Shapes: T instants, m inputs that vary within steps, r regime inputs, k outputs.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -98,14 +99,14 @@ def timeline(
     time = np.asarray(time, dtype=float)
     count = len(time)
     faults = []
-    if count == 0 or np.any(~np.isfinite(time)) or (time[1:] <= time[:-1]).any():
+    if count == 0 or not np.isfinite(time).all() or not (time[1:] > time[:-1]).all():
         faults.append("time must hold at least one instant and increase strictly")
     for name in model.inputs:
         if name not in inputs:
             faults.append(f"the input {name!r} of the model is missing; given are {sorted(inputs)}")
         elif np.shape(inputs[name]) != (count,):
             faults.append(f"{name}: expected {count} values, found shape {np.shape(inputs[name])}")
-        elif not np.all(np.isfinite(inputs[name])):
+        elif not np.isfinite(inputs[name]).all():
             bad = int(np.flatnonzero(~np.isfinite(inputs[name]))[0])
             faults.append(f"{name}: not finite at instant {bad}; inputs must be known everywhere")
     for name in readings:
@@ -120,8 +121,7 @@ def timeline(
     # a microsecond is below every clock: equal steps must not differ by the rounding of their end points
     lengths = np.zeros(count)
     lengths[1:] = np.round((time[1:] - time[:-1]) * 3.6e9) / 3.6e9
-    rows = np.column_stack([lengths, *(np.asarray(inputs[n], float) for n in regimes)])
-    steps, key = _distinct(rows)
+    steps, key = _distinct(_columns([lengths, *(inputs[n] for n in regimes)], count))
     flags = np.zeros(count, dtype=np.int32)
     for bit, name in enumerate(model.averaged):
         flags |= (np.asarray((resets or {}).get(name, np.zeros(count, bool)), bool) << bit).astype(np.int32)
@@ -130,8 +130,8 @@ def timeline(
         time=time,
         key=key,
         steps=steps,
-        u=_columns([_led(inputs[n]) for n in varying], count + 1),
-        y=_columns([readings.get(n, np.full(count, np.nan)) for n in model.outputs], count),
+        u=_led(_columns([inputs[n] for n in varying], count)),
+        y=_columns([readings.get(n, math.nan) for n in model.outputs], count),
         reset=flags,
         varying=varying,
         regimes=regimes,
@@ -160,12 +160,14 @@ def _corners(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     return {name: values[chosen] for name, values in inputs.items()}
 
 
-def _led(values: np.ndarray) -> np.ndarray:
-    """The values with the first one in front once more."""
-    return np.concatenate([values[:1], values])
+def _led(rows: np.ndarray) -> np.ndarray:
+    """The rows with the first one in front once more."""
+    return np.concatenate([rows[:1], rows])
 
 
-def _columns(columns: list, count: int) -> np.ndarray:
-    if not columns:
-        return np.empty((count, 0))
-    return np.ascontiguousarray(np.column_stack([np.asarray(c, dtype=float) for c in columns]))
+def _columns(columns: Sequence[np.ndarray | float], count: int) -> np.ndarray:
+    """Columns (T,), or numbers, side by side (T, n)."""
+    found = np.empty((count, len(columns)))
+    for place, column in enumerate(columns):
+        found[:, place] = column
+    return found

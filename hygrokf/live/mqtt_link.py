@@ -16,6 +16,7 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 
 from hygrokf.live.broker import Broker
+from hygrokf.live.mqtt_client import piecewise_client
 from hygrokf.live.payload import LARGEST
 from hygrokf.live.reasons import reason_words, tls_words
 
@@ -64,10 +65,10 @@ class Link:
         self.client = self._client()
 
     def _client(self):
-        from paho.mqtt.client import Client, MQTTv5
+        from paho.mqtt.client import MQTTv5
         from paho.mqtt.enums import CallbackAPIVersion
 
-        client = Client(
+        client = piecewise_client()(
             CallbackAPIVersion.VERSION2,
             client_id=self.broker.client_id,
             protocol=MQTTv5,
@@ -170,7 +171,7 @@ class Link:
     def _run(self) -> None:
         words = ""
         try:
-            while self.client.loop(timeout=1.0) == 0 and time.monotonic() < self._until:
+            while self.client.turn(1.0) and time.monotonic() < self._until:
                 pass
         except Exception as fault:
             # what a broker sends may be malformed in ways that paho does not name; the next link begins anew

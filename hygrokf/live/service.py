@@ -35,7 +35,11 @@ FILTER_S = 0.2
 TICK_S = 10.0
 """[s] between two looks at what did not come."""
 SHARE = 0.3
-"""Largest share of the time that goes into forecasts while deliveries wait."""
+"""Largest share of the time that goes into forecasts while deliveries come."""
+BEHIND_S = 0.1
+"""[s] that a delivery waited for its commit from which on the loop is behind, and forecasts get their least share."""
+LEAST_SHARE = 0.03
+"""Share of the time that forecasts get however far the loop is behind."""
 RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)
 """[s] between attempts to reach a store that failed; the last one repeats."""
 
@@ -77,7 +81,7 @@ class Service:
         self.ending = threading.Event()
         self.retention = Retention(retention_s)
         self._settle = settle
-        self._tick = self._forecasts = 0.0
+        self._tick = self._forecasts = self._latest = self._longest = 0.0
         self._words: dict[str, str] = {}
         self._inquiry: tuple[str, Iterator[Finding | None]] | None = None
         self._waiting: queue.Queue = queue.Queue(WAITING)
@@ -161,7 +165,9 @@ class Service:
             self._committed(url, deliveries)
         if found:
             now = time.monotonic()
-            self.health.note([now - came for _, _, came in found])
+            waits = [now - came for _, _, came in found]
+            self._longest = max(waits)
+            self.health.note(waits)
             self.health.rounds += 1
             self.health.deliveries += len(found)
         return bool(found)
@@ -197,8 +203,8 @@ class Service:
                         self.store.commit(batch)
                 break
             except StoreFault as fault:
-                self.health.failures += 1
                 self.health.store = str(fault).strip()
+                self.health.failures += 1  # after the words: who sees the failure finds them
                 LOG.warning("the store failed", extra={"fault": self.health.store, "attempt": attempt + 1})
                 if attempt and self.ending.is_set():
                     raise
@@ -230,13 +236,15 @@ class Service:
             states = {url: stream.state for url, stream in self.streams.items()}
             self._noted(states)
             self._told(self._kept(lambda: self.fleet.tick(self.now, states)))
-        if idle or begin >= self._forecasts:
+        if idle or begin >= (self._forecasts if self._longest < BEHIND_S else self._latest):
             name = self.fleet.due(EVERY_S)
             if name is not None:
                 self._told(self._kept(lambda: self._looked_ahead(name)))
             self._inquired()
-            spent = time.monotonic() - begin
-            self._forecasts = time.monotonic() + spent * (1.0 / SHARE - 1.0)
+            end = time.monotonic()
+            self._forecasts, self._latest = (
+                end + (end - begin) * (1.0 / share - 1.0) for share in (SHARE, LEAST_SHARE)
+            )
 
     def _noted(self, states: MappingOf[str, tuple[str, str]]) -> None:
         """Log sources that are in another state than before."""
