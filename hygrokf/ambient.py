@@ -117,16 +117,15 @@ def centred(series: Series) -> Series:
 
 def bridge_h(series: Series, limit_h: float) -> float:
     """Longest gap that is bridged [h]: the limit, but never less than the series' own usual step leaves open."""
-    time, _ = series.known
-    if len(time) < 2:
+    steps = series.steps_s
+    if not len(steps):
         return limit_h
-    return max(limit_h, (1.5 * usual_step_s(time) - series.interval_s) / 3600.0)
+    return max(limit_h, (1.5 * middle(steps) - series.interval_s) / 3600.0)
 
 
-def usual_step_s(time: np.ndarray) -> float:
-    """Median distance of times (T,) [s], two at least: numpy's own median takes longer to begin than this to end."""
-    steps = np.sort(time[1:] - time[:-1])
-    return 0.5 * float(steps[(len(steps) - 1) // 2] + steps[len(steps) // 2])
+def middle(ordered: np.ndarray) -> float:
+    """Median of numbers (n,) that are in order, one at least: numpy's own takes longer to begin than this to end."""
+    return 0.5 * float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
 
 
 def at_times(series: Series, time: np.ndarray, bridge_h: float) -> np.ndarray:
@@ -134,10 +133,14 @@ def at_times(series: Series, time: np.ndarray, bridge_h: float) -> np.ndarray:
     known, value = series.known
     if len(known) == 0:
         return np.full(len(time), np.nan)
+    linear = series.hold == "linear"
+    if linear:
+        result = np.interp(time, known, value, left=np.nan, right=np.nan)
+        if np.all(series.steps_s[-1:] <= bridge_h * 3600.0):  # the usual series has no gap at all
+            return result
     after = np.minimum(known.searchsorted(time, side="left"), len(known) - 1)
     before = np.maximum(known.searchsorted(time, side="right") - 1, 0)
-    if series.hold == "linear":
-        result = np.interp(time, known, value, left=np.nan, right=np.nan)
+    if linear:
         wide = known[after] - known[before] > bridge_h * 3600.0
         return np.where(wide, np.nan, result)
     # a mean holds over (end − interval, end]; a hole after it is bridged by the value before it

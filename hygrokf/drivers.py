@@ -262,5 +262,7 @@ def _further(record: Record, name: str, time: np.ndarray, hold: str) -> np.ndarr
 
 def _spread(time: np.ndarray, flag: np.ndarray, hours: float) -> np.ndarray:
     """Instants at which the flag holds or held within the last `hours`."""
+    if not flag.any():
+        return flag
     last = np.where(flag, time, -np.inf)
     return time - np.maximum.accumulate(last) <= hours * 3600.0

@@ -104,6 +104,12 @@ class Series:
         there = ~self.missing
         return (self.time, self.value) if there.all() else (self.time[there], self.value[there])
 
+    @cached_property
+    def steps_s(self) -> np.ndarray:
+        """Distances [s] between readings that are not missing, from the smallest to the largest."""
+        time, _ = self.known
+        return np.sort(time[1:] - time[:-1])
+
 
 def _increases(time: np.ndarray) -> bool:
     """Whether times (T,) are finite and increase strictly; between finite ends that increase nothing else can stand."""

@@ -14,8 +14,9 @@ MOST = 500
 def piecewise_client() -> type:
     """The class of clients, paho's own but for how it reads; its `loop` is to be `turn`.
 
-    Each call to the system lets another thread of the process run, for as long as that one likes: beside a busy tracker a
-    client that asks for every packet's first byte, length and rest in turn mostly waits.
+    Each call to the system lets another thread of the process run, for as long as that one likes, and takes its turn from
+    that one when it comes back: a client that asks for every packet's first byte, length and rest hinders a busy tracker
+    and waits for it.
     """
     from paho.mqtt.client import Client
 
@@ -24,12 +25,14 @@ def piecewise_client() -> type:
 
         def turn(self, timeout: float) -> bool:
             """Wait for something to come or to be sent, and do it; whether the connection still stands."""
+            if self.loop(timeout if self._place == len(self._held) else 0.0) != 0:
+                return False
             for _ in range(MOST):
                 if self._place == len(self._held):
                     break
                 if self.loop_read() != 0:
                     return False
-            return self.loop(timeout if self._place == len(self._held) else 0.0) == 0
+            return True
 
         def _sock_recv(self, bufsize: int) -> bytes:
             if self._place == len(self._held):

@@ -32,6 +32,8 @@ PACKET_MOST = 2**24
 
 Far above what a payload may be, as mosquitto 2.0.11 takes one of `OPEN_MOST` away for every packet that it holds back.
 """
+REST_S = 0.02
+"""[s] between two turns of the network thread: what comes meanwhile is taken at once, and the tracker has time of its own."""
 CLOSING_S = 3.0
 """[s] for which a link that is closed may still send what it holds."""
 
@@ -172,7 +174,7 @@ class Link:
         words = ""
         try:
             while self.client.turn(1.0) and time.monotonic() < self._until:
-                pass
+                time.sleep(REST_S)
         except Exception as fault:
             # what a broker sends may be malformed in ways that paho does not name; the next link begins anew
             words = f"{self.broker.where}: {type(fault).__name__}: {fault}"

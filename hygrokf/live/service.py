@@ -36,10 +36,8 @@ TICK_S = 10.0
 """[s] between two looks at what did not come."""
 SHARE = 0.3
 """Largest share of the time that goes into forecasts while deliveries come."""
-BEHIND_S = 0.1
-"""[s] that a delivery waited for its commit from which on the loop is behind, and forecasts get their least share."""
-LEAST_SHARE = 0.03
-"""Share of the time that forecasts get however far the loop is behind."""
+LEAST_SHARE = 0.05
+"""The same while deliveries, or turbines with readings that are not filtered, wait."""
 RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)
 """[s] between attempts to reach a store that failed; the last one repeats."""
 
@@ -81,7 +79,7 @@ class Service:
         self.ending = threading.Event()
         self.retention = Retention(retention_s)
         self._settle = settle
-        self._tick = self._forecasts = self._latest = self._longest = 0.0
+        self._tick = self._forecasts = self._latest = 0.0
         self._words: dict[str, str] = {}
         self._inquiry: tuple[str, Iterator[Finding | None]] | None = None
         self._waiting: queue.Queue = queue.Queue(WAITING)
@@ -165,9 +163,7 @@ class Service:
             self._committed(url, deliveries)
         if found:
             now = time.monotonic()
-            waits = [now - came for _, _, came in found]
-            self._longest = max(waits)
-            self.health.note(waits)
+            self.health.note([now - came for _, _, came in found])
             self.health.rounds += 1
             self.health.deliveries += len(found)
         return bool(found)
@@ -236,7 +232,8 @@ class Service:
             states = {url: stream.state for url, stream in self.streams.items()}
             self._noted(states)
             self._told(self._kept(lambda: self.fleet.tick(self.now, states)))
-        if idle or begin >= (self._forecasts if self._longest < BEHIND_S else self._latest):
+        behind = self.fleet.waiting or not self._waiting.empty()
+        if idle or begin >= (self._latest if behind else self._forecasts):
             name = self.fleet.due(EVERY_S)
             if name is not None:
                 self._told(self._kept(lambda: self._looked_ahead(name)))

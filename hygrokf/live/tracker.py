@@ -17,7 +17,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.ambient import usual_step_s
+from hygrokf.ambient import middle
 from hygrokf.drivers import Run, longest_gap_h, run
 from hygrokf.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.live.plan import BEFORE, Plan
@@ -243,7 +243,7 @@ class Tracker:
         age, bridge_s = self._limit - times[-1], 3600.0 * longest_gap_h(signal)
         if age <= bridge_s or len(times) < 2:
             return age > bridge_s
-        usual = usual_step_s(np.array(times))
+        usual = middle(np.sort(np.diff(np.array(times))))
         return age > max(bridge_s, 1.5 * usual - self.plan.form(signal).interval_s)
 
     def _guarded(self) -> Record:
