@@ -15,7 +15,7 @@ ROOT = Path(hygrokf.__file__).parent
 FACE = "hygrokf"
 FLOORS = (
     # what knows nothing of the package
-    "expression machine moments parameters signals psychrometrics files lookup version console discovery live live.schema live.reasons live.certificates",
+    "expression machine moments parameters signals psychrometrics files lookup version console resampling discovery live live.schema live.reasons live.certificates",
     # text of code, one step, what a record is
     "emission discretisation record stamps live.database",
     "running_sums live.table_reader live.sqlite live.postgres live.check",
