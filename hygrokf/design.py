@@ -89,7 +89,12 @@ class Design:
         """The model; designs that call for the same one share it, as tracing and compiling it costs time and memory."""
         features = {name: FEATURES[name][1] for name in self.features if name in FEATURES}
         holds = {**HOLDS, **features, **self.holds}
-        said = [[settings for _, settings in self.mechanisms], sorted(holds.items()), dict(self.averaged), sorted(self.priors.items())]
+        said = [
+            [settings for _, settings in self.mechanisms],
+            sorted(holds.items()),
+            dict(self.averaged),
+            sorted(self.priors.items()),
+        ]
         key = (tuple(LIBRARY[name] for name, _ in self.mechanisms), json.dumps(said))
         found = _models.get(key)
         if found is None:
@@ -120,7 +125,9 @@ def _informed(mechanism: Mechanism, priors: Mapping[str, tuple[float, float, boo
     """The mechanism with priors of its parameters."""
     if not any(p.name in priors for p in mechanism.parameters):
         return mechanism
-    known = tuple(replace(p, prior=Prior(*priors[p.name])) if p.name in priors else p for p in mechanism.parameters)
+    known = tuple(
+        replace(p, prior=Prior(*priors[p.name])) if p.name in priors else p for p in mechanism.parameters
+    )
     return replace(mechanism, parameters=known)
 
 

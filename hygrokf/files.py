@@ -15,6 +15,11 @@ BESIDE_DISCOVERY = "fit_report.html"
 """The fit's own page where report.html is a discovery's."""
 DISCOVERY = "discovery.json"
 DISCOVERY_SERIES = "discovery.npz"
+COMPARISON = "compare.json"
+COMPARISON_TABLE = "compare.csv"
+TRANSFER = "transfer.json"
+TRANSFER_SERIES = "transfer.npz"
+TYPE = "type.json"
 
 
 def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:

@@ -115,7 +115,9 @@ class TurbineType:
             "version": __version__,
             "turbines": list(self.turbines),
             "design": self.design.to_json(),
-            "type_parameters": {name: {**asdict(p), **{"in_unit": p.in_unit()}} for name, p in self.parameters.items()},
+            "type_parameters": {
+                name: {**asdict(p), **{"in_unit": p.in_unit()}} for name, p in self.parameters.items()
+            },
         }
 
     @classmethod
@@ -139,11 +141,15 @@ def pooled(fits: Sequence[Fit], name: str = "") -> TurbineType:
 
     faults = []
     if len(fits) < FEWEST:
-        faults.append(f"expected the fits of at least {FEWEST} turbines, found {len(fits)}: fit more turbines")
+        faults.append(
+            f"expected the fits of at least {FEWEST} turbines, found {len(fits)}: fit more turbines"
+        )
     names = [fit.name for fit in fits]
     twice = sorted({one for one in names if names.count(one) > 1})
     if twice:
-        faults.append(f"expected every turbine once, found several fits of {', '.join(twice)}: leave the others out")
+        faults.append(
+            f"expected every turbine once, found several fits of {', '.join(twice)}: leave the others out"
+        )
     if faults:
         raise TypeFault("; ".join(faults))
     base = fits[0].design
@@ -189,7 +195,9 @@ def random_effects(y: np.ndarray, v: np.ndarray) -> tuple[float, float, float]:
     """
     y, v = np.asarray(y, dtype=float), np.asarray(v, dtype=float)
     if len(y) < FEWEST or not np.all(v > 0) or not np.all(np.isfinite(y)):
-        raise ValueError(f"expected at least {FEWEST} finite estimates with variances above 0, found {y} and {v}")
+        raise ValueError(
+            f"expected at least {FEWEST} finite estimates with variances above 0, found {y} and {v}"
+        )
     tau2 = restricted_maximum_likelihood(y, v)
     w = 1.0 / (tau2 + v)
     mean = float(w @ y / w.sum())
@@ -276,7 +284,9 @@ def _on_scale(parameter: Parameter, value: float, variance: float) -> tuple[floa
 
 def write_type(found: TurbineType, path: str | os.PathLike[str]) -> Path:
     """Write a type as JSON, whole or not at all.  Raises OSError as the system gives it."""
-    return write_text_whole(path, json.dumps(found.to_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    return write_text_whole(
+        path, json.dumps(found.to_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    )
 
 
 def read_type(path: str | os.PathLike[str]) -> TurbineType:

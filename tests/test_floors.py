@@ -15,7 +15,7 @@ ROOT = Path(hygrokf.__file__).parent
 FACE = "hygrokf"
 FLOORS = (
     # what knows nothing of the package
-    "expression machine moments parameters signals psychrometrics files lookup version console resampling discovery live live.schema live.reasons live.certificates",
+    "expression machine moments parameters signals psychrometrics files lookup version console resampling discovery transfer live live.schema live.reasons live.certificates",
     # text of code, one step, what a record is
     "emission discretisation record stamps live.database",
     "running_sums live.table_reader live.sqlite live.postgres live.check",
@@ -37,11 +37,11 @@ FLOORS = (
     "stage",
     "time_constants discovery.scene discovery.clocks",
     "fit discovery.scan discovery.cause live.operation",
-    "results tables identification discovery.residuals discovery.changes discovery.grids live.plan live.condition live.outlook",
-    "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties",
-    "discovery.library discovery.misfits discovery.repeats live.forecast live.inquiry",
-    "discovery.nesting discovery.trial live.store live.payload",
-    "discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.alarms live.tally",
+    "results tables identification turbine_type discovery.residuals discovery.changes discovery.grids live.plan live.condition live.outlook",
+    "transfer.comparison transfer.groups discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties",
+    "transfer.scene discovery.library discovery.misfits discovery.repeats live.forecast live.inquiry",
+    "transfer.account discovery.nesting discovery.trial live.store live.payload",
+    "transfer.transfer discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.alarms live.tally",
     "discovery.discover live.fleet",
     "live.streams live.ahead live.retention live.export",
     "live.broker live.opcua live.mqtt_client",
@@ -51,12 +51,13 @@ FLOORS = (
     "live.config",
     # pictures and faces
     "drawing excerpts report_words live.service live.views live.demo live.web_access live.usual live.logs live.doctor_clock live.doctor_store live.doctor_models",
-    "plots_course plots_identification plots_innovations report_tables discovery.plots_residuals live.web_events live.web_metrics live.doctor_mqtt",
+    "transfer.plots plots_course plots_identification plots_innovations report_tables discovery.plots_residuals live.web_events live.web_metrics live.doctor_mqtt",
     "plots page discovery.plots_misfits discovery.words live.web live.web_server live.doctor_opcua",
     "live.tracking live.doctor_sources",
     "live.doctor",
-    "report discovery.tables",
-    "discovery.page",
+    "report discovery.tables transfer.comparison_page",
+    "discovery.page transfer.page",
+    "transfer.command",
     "cli",
     "__main__",
 )

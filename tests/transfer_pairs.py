@@ -9,12 +9,21 @@ from plants.as_record import to_record
 from plants.cabinet import Cabinet
 from plants.plant import plant
 
-from hygrokf.parameter_groups import HEAT, HYGRIC, THERMAL
 from hygrokf.record import Record
+from hygrokf.transfer.groups import HEAT, HYGRIC, THERMAL
 
 DAY_S = 86400.0
 DAYS, HELD_OUT_DAYS = 60.0, 15.0
-KINDS = ((), (THERMAL,), (HEAT,), (HYGRIC,), (THERMAL, HEAT), (THERMAL, HYGRIC), (HEAT, HYGRIC), (THERMAL, HEAT, HYGRIC))
+KINDS = (
+    (),
+    (THERMAL,),
+    (HEAT,),
+    (HYGRIC,),
+    (THERMAL, HEAT),
+    (THERMAL, HYGRIC),
+    (HEAT, HYGRIC),
+    (THERMAL, HEAT, HYGRIC),
+)
 """What differs; pairs that share everything and nothing come as often as all others together (`differing`)."""
 
 
@@ -41,7 +50,9 @@ def differing(seed: int) -> tuple[str, ...]:
     return ((), KINDS[1 + (seed // 3) % 6], KINDS[-1])[seed % 3]
 
 
-def changed(cabinet: Cabinet, groups: tuple[str, ...], random: np.random.Generator, least: float = 1.35) -> Cabinet:
+def changed(
+    cabinet: Cabinet, groups: tuple[str, ...], random: np.random.Generator, least: float = 1.35
+) -> Cabinet:
     """The cabinet with groups of parameters times a factor between `least` and 2, or its inverse."""
 
     def factor(top: float = 2.0) -> float:

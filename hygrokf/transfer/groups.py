@@ -71,7 +71,9 @@ class Difference:
     def of(self, names: Sequence[str]) -> Difference:
         """The difference of some of the parameters, whatever the others do."""
         place = [self.names.index(name) for name in names if name in self.names]
-        return Difference(tuple(self.names[i] for i in place), self.value[place], self.covariance[np.ix_(place, place)])
+        return Difference(
+            tuple(self.names[i] for i in place), self.value[place], self.covariance[np.ix_(place, place)]
+        )
 
     def bounds(self, name: str, level: float = 0.95) -> tuple[float, float, float]:
         """Difference of one parameter in its coordinate: (value, lower, upper)."""
