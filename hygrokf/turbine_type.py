@@ -6,7 +6,8 @@ otherwise), v_i its squared standard error and K turbines:
     y_i = μ + b_i + e_i,    b_i ~ N(0, τ²),    e_i ~ N(0, v_i),    w_i = 1/(τ² + v_i),    μ = Σ w_i y_i / Σ w_i,
 
 τ² by restricted maximum likelihood, bounds of μ after Hartung & Knapp (Student's t with K−1 degrees of freedom), and for
-the next turbine's own value the prediction μ ± t √(τ² + se²) with K−2 (at least 1) degrees of freedom.
+the next turbine's own value the prediction μ ± t √(τ² + se²) with K−2 degrees of freedom, of fewer than four turbines
+K−1: with one degree of freedom the prediction would say nothing.
 
 Sources: Viechtbauer 2005, doi:10.3102/10769986030003261 (REML); Hartung & Knapp 2001, doi:10.1002/sim.1009; Higgins,
 Thompson & Spiegelhalter 2009, doi:10.1111/j.1467-985X.2008.00552.x (prediction).
@@ -166,7 +167,7 @@ def pooled(fits: Sequence[Fit], name: str = "") -> TurbineType:
         y, v = np.array(pairs).T
         mean, se, spread = random_effects(y, v)
         reach = student(0.95, len(y) - 1) * se
-        ahead = student(0.95, max(len(y) - 2, 1)) * math.hypot(spread, se)
+        ahead = student(0.95, min(len(y) - 1, max(len(y) - 2, 2))) * math.hypot(spread, se)
         found[parameter] = Pooled(
             unit=known[parameter].unit,
             logarithmic=known[parameter].positive,

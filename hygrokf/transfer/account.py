@@ -218,10 +218,14 @@ def judged(found: Mapping, differing: Sequence[str]) -> tuple[str, list[str]]:
             name, u = unit[quantity]
             table = found["rmse"][quantity]
             before, after = table["as_is"]["total"], table["re_estimated"]["total"]
-            bounds = "" if gain["lower"] is None else f", fall {gain['lower']:.2f} … {gain['upper']:.2f}, 95 %"
+            bounds = (
+                "" if gain["lower"] is None else f", fall {gain['lower']:.2f} … {gain['upper']:.2f}, 95 %"
+            )
             where = "held-out error" if found["period"] == "validation" else "error"
             what = "own offsets" if not differing else "re-estimating"
-            reasons.append(f"{where} of the {name}: {before:.2f} {u} as it is, {after:.2f} {u} after {what}{bounds}")
+            reasons.append(
+                f"{where} of the {name}: {before:.2f} {u} as it is, {after:.2f} {u} after {what}{bounds}"
+            )
     if against:
         return NOT, against + reasons
     return (PARTLY if differing else TRANSFERS), reasons

@@ -311,6 +311,7 @@ def comparison_text(found: Mapping) -> str:
                 row = one["scores"][period].get(quantity, {}).get("total")
                 if row and row["value"] is not None:
                     words = f"{one['of']} − {one['less']}"
+                    words += "" if one["same_readings"][quantity] else " (other readings)"
                     lines.append(f"  {words}: {row['value']:+.2f} {_span(row)} (n {row['n']})")
             lines.append("")
     return "\n".join(lines).rstrip()

@@ -13,7 +13,7 @@ import numpy as np
 from hygrokf.files import COMPARISON, COMPARISON_TABLE, REPORT, write_text_whole
 from hygrokf.page import document, figure_html, prose, section, sentence, tables_html
 from hygrokf.report_tables import Table
-from hygrokf.report_words import BASELINES, NONE, fixed, percent, text_of
+from hygrokf.report_words import BASELINES, NONE, fixed, minus, percent, text_of
 from hygrokf.results import ResultFault, dump
 from hygrokf.transfer.comparison import ALL_PERIODS, REGIMES, Comparison, comparison_csv
 from hygrokf.transfer.plots import QUANTITIES, figure_errors, figure_weeks
@@ -21,7 +21,7 @@ from hygrokf.version import __version__
 
 PERIODS = {
     "whole": "whole record (as the paper's Table III)",
-    "validation": "validation: what the identification has not seen, where a column was identified on its own case",
+    "validation": "validation (after the end of each record's identification period)",
     "identification": "identification",
 }
 RULES = {key: words for group in BASELINES.values() for key, words in group.items()}
@@ -79,7 +79,7 @@ def comparison_page(found: Mapping) -> str:
 
 _CAPTIONS = {
     "whole": "Points with 95 % bounds of a block bootstrap; upright strokes: the best rule without a model, in total.",
-    "validation": "The same after each record's `until`.",
+    "validation": "The same after the end of each record's identification period.",
 }
 _NOTE = (
     "<p class=note>Both columns’ errors are drawn in the same blocks of time, so what the weather did to both at once "
@@ -202,6 +202,10 @@ def differences_table(found: Mapping) -> Table | None:
         tuple(rows),
         left=(0, 1, 2),
         marked=tuple(marked),
+        note=(
+            "Set off: bounds that exclude zero. Other readings: the columns stand for different cabinets or loggers, so the "
+            "difference is also one of these."
+        ),
     )
 
 
@@ -225,8 +229,8 @@ def skill_table(found: Mapping) -> Table | None:
                 rows.append(
                     (
                         one["label"], name, RULES.get(rule, rule), period, _value(said["rmse"]), _value(total["rmse"]),
-                        percent(said["skill"]) if said["skill"] is not None else NONE,
-                        NONE if said["lower"] is None else f"{percent(said['lower'])} … {percent(said['upper'])}",
+                        minus(percent(said["skill"])) if said["skill"] is not None else NONE,
+                        NONE if said["lower"] is None else f"{minus(percent(said['lower']))} … {minus(percent(said['upper']))}",
                     )
                 )  # fmt: skip
     if not rows:

@@ -240,9 +240,9 @@ def parameters_table(one: Mapping) -> Table | None:
         return None
     return Table(
         "Parameters",
-        ("parameter", "group", "original", "own", "difference", "95 %", "used here", "unit"),
+        ("parameter", "original", "own", "difference", "95 %", "used here", "unit"),
         tuple(rows),
-        left=(0, 1, 7),
+        left=(0, 6),
         note="± standard error. Used here: the model of the record's own folder. ×: ratio of own to original value.",
     )
 

@@ -136,7 +136,7 @@ def figure_weeks(weeks: Sequence[tuple[str, Mapping[str, tuple[np.ndarray, np.nd
     ends = [by[q][0][[0, -1]] for _, by in weeks for q in shown if q in by and len(by[q][0])]
     span = (min(e[0] for e in ends) - 302400.0, max(e[1] for e in ends) + 302400.0)
     with styled():
-        figure = new_figure(0.6 + 1.25 * len(shown))
+        figure = new_figure(0.6 + 1.5 * len(shown))
         grid = figure.add_gridspec(
             len(shown),
             1,
@@ -188,7 +188,7 @@ def figure_sets(found: Mapping) -> Figure:
     with styled():
         figure = new_figure(height)
         grid = figure.add_gridspec(
-            1, len(tables), wspace=0.5, left=0.17, right=0.985, top=0.97, bottom=0.42 / height
+            1, len(tables), wspace=0.72, left=0.17, right=0.985, top=0.97, bottom=0.42 / height
         )
         for place, (quantity, rows) in enumerate(tables.items()):
             axes = figure.add_subplot(grid[place])

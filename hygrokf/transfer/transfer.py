@@ -84,7 +84,9 @@ def transfer_fit(
     effects = {
         group: _effect(scene, own, group) for group in dict.fromkeys(scene.groups[n] for n in apart.names)
     }
-    differing = [g for g in significant if matters(g, apart.of(members(scene.groups, g)), effects[g])]
+    differing = [
+        g for g in effects if g in significant and matters(g, apart.of(members(scene.groups, g)), effects[g])
+    ]
     say("re-estimated")
     adapted, told = _adapted(scene, logger, own, differing), spread
     if adapted is not own:
