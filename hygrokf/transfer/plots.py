@@ -228,7 +228,7 @@ def figure_parameters(found: Mapping) -> Figure:
     with styled():
         figure = new_figure(height)
         grid = figure.add_gridspec(
-            1, len(panels), wspace=0.85, left=0.18, right=0.985, top=0.97, bottom=0.42 / height
+            1, len(panels), wspace=0.85, left=0.18, right=0.985, top=0.92, bottom=0.42 / height
         )
         for place, part in enumerate(panels):
             axes = figure.add_subplot(grid[place])
