@@ -30,15 +30,15 @@ class LocalAir:
     """How the air at a turbine differs from ERA5's: two Ornstein-Uhlenbeck processes.
 
     temperature_sd_K: [K], temperature_time_h: [h]. vapour_sd: [-] of the logarithm of the absolute humidity,
-    vapour_time_h: [h].  The defaults are rounded from what `paper.sites` measures: `nacelle_deviation` for the
+    vapour_time_h: [h].  The defaults are what `paper.sites` finds in measurements: `nacelle_deviation` for the
     temperature, without its mean and its course of the day, which belong to a warm sensor 80 m above the ground; the
     middle house of `eave_deviations` for the humidity.
     """
 
-    temperature_sd_K: float = 1.5
-    temperature_time_h: float = 7.0
-    vapour_sd: float = 0.07
-    vapour_time_h: float = 4.0
+    temperature_sd_K: float = 1.53
+    temperature_time_h: float = 6.9
+    vapour_sd: float = 0.072
+    vapour_time_h: float = 4.7
 
 
 def local_drivers(site: Site, days: float, seed: int, air: LocalAir, outdoor: bool = False) -> Drivers:

@@ -69,10 +69,10 @@ def sister(plan: Plan, folder: Path, seed: int, kin: Plant, outdoor: bool = Fals
     return Case(site, made, local, era5_record(local, site))
 
 
-SIMULATIONS = ("local", "era5", "local_on_era5", "sister", "sister_of_local", "sister_outdoor")
+SIMULATIONS = ("local", "era5", "local_on_era5", "sister", "sister_of_local", "sister_own", "sister_outdoor")
 """local, era5: identified and run with that air. local_on_era5: identified with the local air, run with ERA5's.
 sister: the model `era5` on the sister with ERA5's air there. sister_of_local: the model `local` on the same.
-sister_outdoor: as `sister`, but the cabinet's air is what the outdoor sensor of the French nacelle measured."""
+sister_own: identified on the sister's own record with ERA5's air.  sister_outdoor: as `sister`, but the cabinet's air is what the outdoor sensor of the French nacelle measured."""
 
 
 @dataclass(frozen=True)
@@ -93,7 +93,7 @@ def experiments(plan: Plan, folder: Path, seed: int, say: Say = lambda text: Non
     other = sister(plan, folder, seed, first.plant)
     outdoor = sister(plan, folder, seed, first.plant, outdoor=True)
     models = {}
-    for name, record in (("local", first.local), ("era5", first.era5)):
+    for name, record in (("local", first.local), ("era5", first.era5), ("sister_own", other.era5)):
         models[name] = identify_both(
             record, plan.starts, lambda text, name=name: say(f"seed {seed}, {name} air: {text}")
         )
@@ -104,6 +104,7 @@ def experiments(plan: Plan, folder: Path, seed: int, say: Say = lambda text: Non
             ("local", "local", first.local),
             ("era5", "era5", first.era5),
             ("local_on_era5", "local", first.era5),
+            ("sister_own", "sister_own", other.era5),
         ):
             found = models[model]
             fit = found.fit if criterion == LIKELIHOOD else None
