@@ -126,9 +126,9 @@ def plain(found: Outcome) -> dict:
         "seed": found.seed,
         "truth": {
             "thermal_h": truth.tau_h,
-            "hygric_h": truth.hygric_h,
+            "hygric_h": _true_hygric_h(found, "local"),
             "sister_thermal_h": kin.tau_h,
-            "sister_hygric_h": kin.hygric_h,
+            "sister_hygric_h": _true_hygric_h(found, "sister_own"),
             "sister_individual_ln": INDIVIDUAL,
             "disturbance_K": truth.heat.free_run_K,
             "disturbance_g_m3": 1e3 * truth.vapour.free_run_kg_m3,
@@ -164,6 +164,13 @@ def plain(found: Outcome) -> dict:
         },
         "baselines": {name: found.runs[name, FREE_RUN].baselines for name in ("local", "era5", "sister")},
     }
+
+
+def _true_hygric_h(found: Outcome, model: str) -> float:
+    """R_D* V* [h] that was put in, at the temperatures at which a model's estimate is stated."""
+    at = found.models[model].fit.results["time_constants"]["hygric"]["reference"]
+    case = found.sister if model == "sister_own" else found.home
+    return case.plant.cabinet.hygric_h(at["cabinet_temperature_K"], at["ambient_temperature_K"])
 
 
 def _constant(entry: dict | None) -> dict | None:

@@ -68,8 +68,18 @@ def all_figures(found: Mapping, shown: Outcome) -> tuple[Drawn, ...]:
     )  # fmt: skip
 
 
+STRIP_IN = 0.17
+"""[in] added above a figure for the line that says what is simulated."""
+
+
 def labelled(figure: Figure, label: str) -> Figure:
-    """The figure with a line in its corner that says what in it is not measured."""
+    """The figure with a line above it that says what in it is not measured."""
+    width, height = figure.get_size_inches()
+    shrunk = height / (height + STRIP_IN)
+    for axes in figure.axes:
+        place = axes.get_position()
+        axes.set_position([place.x0, place.y0 * shrunk, place.width, place.height * shrunk])
+    figure.set_size_inches(width, height + STRIP_IN)
     with styled():
         figure.text(0.995, 0.995, label, ha="right", va="top", fontsize=6.5, fontstyle="italic", color=QUIET)
     return figure
@@ -104,8 +114,8 @@ def figure_errors(found: Mapping) -> Figure:
             *(Line2D([], [], marker="o", color=COLOURS[c], linestyle="", markersize=5.0, label=f"here, {WORDS[c]}")
               for c in CRITERIA),
         ]  # fmt: skip
-        figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.005, 0.945), ncols=3)
-        figure.subplots_adjust(left=0.205, right=0.985, top=0.835, bottom=0.155, wspace=0.07)
+        figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.005, 0.935), ncols=3)
+        figure.subplots_adjust(left=0.205, right=0.985, top=0.87, bottom=0.155, wspace=0.1)
     return labelled(figure, NUMBERS_LABEL)
 
 
@@ -139,5 +149,5 @@ def figure_constants(found: Mapping) -> Figure:
             truth = seeds[0]["truth"][f"{part}_h"]
             axes.set_xlim(0.0, 2.2 * truth)
             axes.set_xlabel(f"{part} time constant [h]")
-        figure.subplots_adjust(left=0.17, right=0.985, top=0.925, bottom=0.165, wspace=0.07)
+        figure.subplots_adjust(left=0.17, right=0.985, top=0.985, bottom=0.165, wspace=0.1)
     return labelled(figure, "simulated cabinets under measured drivers")
