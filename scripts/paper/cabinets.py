@@ -31,7 +31,7 @@ class LocalAir:
 
     temperature_sd_K: [K], temperature_time_h: [h]. vapour_sd: [-] of the logarithm of the absolute humidity,
     vapour_time_h: [h].  The defaults are what `paper.sites` finds in measurements: `nacelle_deviation` for the
-    temperature, without its mean and its course of the day, which belong to a warm sensor 80 m above the ground; the
+    temperature, without its mean and its course of the day, which belong to a warm sensor high above the ground; the
     middle house of `eave_deviations` for the humidity.
     """
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -27,7 +28,7 @@ NUMBERS_LABEL = "here: simulated cabinets under measured drivers; paper: a measu
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure with what to write above and below it; `name` is that of its files."""
+    """A figure with what to write above and below it; `name` is that of its files; drawn once, at the first call."""
 
     name: str
     heading: str
@@ -42,7 +43,7 @@ def all_figures(found: Mapping, shown: Outcome) -> tuple[Drawn, ...]:
         series = shown.runs[run, LIKELIHOOD].series
         return lambda: labelled(plot({}, series), label)
 
-    return (
+    drawn = (
         Drawn("errors", "All experiments beside the paper",
               "Root mean squared errors of the free run; large dots are the seed that the tables show, small ones the others.",
               lambda: figure_errors(found)),
@@ -66,6 +67,7 @@ def all_figures(found: Mapping, shown: Outcome) -> tuple[Drawn, ...]:
               "ERA5's humidity is lent from the UK: the files have none for this site.",
               course("sister", figure_humidity, SISTER_LABEL)),
     )  # fmt: skip
+    return tuple(replace(one, draw=cache(one.draw)) for one in drawn)
 
 
 STRIP_IN = 0.17

@@ -229,8 +229,8 @@ def air_table(found: Mapping) -> Table:
         groups=(("", 3), ("temperature", 2), ("absolute humidity", 2)),
         note=(
             "Standard deviation, and the lag at which the autocorrelation has fallen to 1/e. Of the nacelle's sensor the "
-            f"mean ({mean:+.2f} K) and the mean course of the day ({day:.2f} K from least to greatest) are left out: it hangs "
-            "80 m above the ground on a warm machine. Humidity is cut off at saturation. With the shown seed the local air "
+            f"mean ({mean:+.2f} K) and the mean course of the day ({day:.2f} K from least to greatest) are left out: it hangs high "
+            "above the ground on a warm machine. Humidity is cut off at saturation. With the shown seed the local air "
             f"came out {reached['temperature_sd_K']:.2f} K and {reached['vapour_sd_g_m3']:.2f} g/m³ from ERA5's (standard "
             f"deviations). {SIMULATED_NOTE}"
         ),
