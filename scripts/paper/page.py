@@ -43,7 +43,7 @@ def _head(found: Mapping) -> str:
     plan = found["plan"]
     when = (
         f"Identified on {plan['until_day']:g} of {plan['days']:g} days from {plan['start'][0]} on (UK); the sister from "
-        f"{plan['start'][1]} on (France). Seed {plan['seed']}, {len(found['seeds'])} seeds in all."
+        f"{plan['start'][1]} on (France). Seed {plan['seed']}, {len(found['seeds'])} in all."
     )
     return (
         "<header><p class=kind>Field-measurement based hygrothermal modelling of the converter-cabinet climate · "

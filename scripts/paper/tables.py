@@ -188,7 +188,7 @@ def spread_table(found: Mapping) -> Table:
     n, others = len(found["seeds"]), [one["seed"] for one in found["seeds"][1:]]
     return Table(
         "All experiments over the seeds",
-        ("", "measured cabinet", *("shown seed", f"{n} seeds") * 2),
+        ("", "measured cabinet", *("shown seed", f"{n} seed{'s' if n > 1 else ''}") * 2),
         tuple(rows),
         groups=(("", 1), ("paper", 1), *((f"here, {WORDS[c]}", 2) for c in CRITERIA)),
         note=(
