@@ -135,7 +135,7 @@ def pooled(fits: Sequence[Fit], name: str = "") -> TurbineType:
     """The type of several turbines from their fits, each counted with its own covariance.
 
     The design is that of the first fit.  Parameters of loggers (offsets, noise of a reading) are left out, as are those
-    that fewer than two of the fits know with a standard error.  Raises TypeFault where fewer than two fits are given,
+    that a fit took over from another (marked as fixed), and those that fewer than two of the fits know with a standard error.  Raises TypeFault where fewer than two fits are given,
     where the same turbine is given twice, or where nothing is left.
     """
     from hygrokf.confidence import normal_quantile
@@ -157,8 +157,14 @@ def pooled(fits: Sequence[Fit], name: str = "") -> TurbineType:
     known = {p.name: p for p in base.model.parameters if not p.name.endswith(OWN)}
     estimates: dict[str, list[tuple[float, float]]] = {name: [] for name in known}
     for fit in fits:
+        # what a fit took over from another turbine is no second witness
+        taken = {n for n, row in fit.results.get("parameters", {}).items() if row.get("fixed")}
         for parameter, value, variance in _on(base, fit):
-            if parameter in known and (pair := _on_scale(known[parameter], value, variance)) is not None:
+            if (
+                parameter in known
+                and parameter not in taken
+                and (pair := _on_scale(known[parameter], value, variance)) is not None
+            ):
                 estimates[parameter].append(pair)
     found = {}
     for parameter, pairs in estimates.items():

@@ -30,7 +30,7 @@ def pair(seed: int, days: int, time_h: float) -> tuple[np.ndarray, np.ndarray]:
 
 @pytest.mark.parametrize(("days", "time_h"), [(30, 12.0), (60, 4.0)])
 def test_bounds_hold_the_truth_as_often_as_they_say(days: int, time_h: float) -> None:
-    runs, hits = 250, np.zeros(4)
+    runs, hits = 160, np.zeros(4)
     first, second = math.sqrt(1.25), math.sqrt(0.89)
     for seed in range(runs):
         time, errors = pair(seed, days, time_h)

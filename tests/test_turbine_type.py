@@ -143,6 +143,13 @@ def test_offsets_of_loggers_are_no_part_of_a_type() -> None:
     assert set(made.parameters) == {"thermal_time_constant"}
 
 
+def test_what_was_taken_over_from_another_turbine_is_not_counted_twice() -> None:
+    fits = [fit_of("a", 1.5, 0.03), fit_of("b", 1.6, 0.03), fit_of("c", 1.5, 0.03)]
+    results = {**fits[2].results, "parameters": {"thermal_time_constant": {"fixed": True}}}
+    made = pooled([*fits[:2], replace(fits[2], results=results)])
+    assert made.parameters["thermal_time_constant"].turbines == 2
+
+
 def test_what_cannot_be_pooled_is_said() -> None:
     with pytest.raises(TypeFault, match="at least 2 turbines, found 1"):
         pooled([fit_of("a", 1.5, 0.03)])
