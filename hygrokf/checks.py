@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -25,14 +26,23 @@ def mask(record: Record) -> Record:
 
     record: any, SI units. Readings out of the physical range, repeats of a frozen sensor and
     saturated cabinet humidity become missing, in this order; see `hygrokf.masks` for each rule.
+    The series that are only compared are treated alike.
     """
-    changed, warnings = [], []
-    for series in record.series:
-        for treat in (mask_out_of_range, mask_frozen, mask_saturated):
-            series, said = treat(series)
-            warnings += said
-        changed.append(series)
-    return record.replace_series(*changed, warnings=tuple(warnings))
+    warnings: list[str] = []
+
+    def masked(all_of_them: tuple[Series, ...]) -> tuple[Series, ...]:
+        changed = []
+        for series in all_of_them:
+            for treat in (mask_out_of_range, mask_frozen, mask_saturated):
+                series, said = treat(series)
+                warnings.extend(said)
+            changed.append(series)
+        return tuple(changed)
+
+    series, compared = masked(record.series), masked(record.compared)
+    return replace(
+        record, series=series, compared=compared, warnings=record.warnings + tuple(dict.fromkeys(warnings))
+    )
 
 
 def describe(record: Record) -> dict[str, Any]:
