@@ -203,7 +203,10 @@ def _sources(
                 faults.append(
                     f"{lines.at(block, name)}: signals.{name} is named a second time (first: "
                     f"{other}); a record has one series of a signal"
-                    + (": to compare the two, state compare = true in one of the sources" * (before is declared))
+                    + (
+                        ": to compare the two, state compare = true in one of the sources"
+                        * (before is declared)
+                    )
                 )
             before.setdefault(name, block)
         source = _source(table, columns, lines, block, faults)

@@ -81,7 +81,9 @@ def stated_weather(
     if year is not None and (isinstance(year, bool) or not isinstance(year, int) or not 1900 <= year <= 2200):
         faults.append(f"{lines.at(block, 'year')}: year must be a whole number such as 2019, found {year!r}")
     elif year is not None and form == "era5":
-        faults.append(f"{lines.at(block, 'year')}: year is for typical years (epw); this file has its own stamps")
+        faults.append(
+            f"{lines.at(block, 'year')}: year is for typical years (epw); this file has its own stamps"
+        )
     altitude = _within(table, "altitude_m", -500.0, 9000.0, lines, block, faults)
     lapse = _within(table, "lapse_rate_K_per_km", -20.0, 20.0, lines, block, faults)
     if flags["to_site_altitude"] is True and (site is None or site.altitude_m is None):

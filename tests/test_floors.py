@@ -15,14 +15,16 @@ ROOT = Path(hygrokf.__file__).parent
 FACE = "hygrokf"
 FLOORS = (
     # what knows nothing of the package
-    "expression machine moments parameters signals psychrometrics files lookup version console discovery live live.schema live.reasons live.certificates",
+    "expression machine moments parameters signals psychrometrics files lookup version console discovery live weather live.schema live.reasons live.certificates",
     # text of code, one step, what a record is
     "emission discretisation record stamps live.database",
-    "running_sums live.table_reader live.sqlite live.postgres live.check",
-    "loops masks case_form readers synthetic ambient live.opcua_security live.opcua_samples",
-    "features fleet_loop live.opcua_client",
-    "recursion checks",
-    "model case",
+    "running_sums case_keys live.table_reader live.sqlite live.postgres live.check",
+    "loops masks weather_form readers synthetic ambient live.opcua_security live.opcua_samples",
+    "features fleet_loop live.opcua_client case_form weather.archive weather.fields weather.altitude weather.joining weather.alignment",
+    "recursion weather.gridded weather.epw weather.clocks",
+    "checks weather.era5",
+    "weather.reading",
+    "model case weather.years",
     # the physics
     "mechanisms.thermal mechanisms.network mechanisms.sensors",
     "mechanisms.hygric mechanisms.heat mechanisms.moisture mechanisms.readings mechanisms.wandering",

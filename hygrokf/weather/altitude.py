@@ -62,7 +62,9 @@ def at_altitude(
         if one.signal == "ambient_temperature":
             moved.append(dataclasses.replace(one, value=one.value - lapse_rate * rise))
         elif one.signal == "ambient_pressure":
-            moved.append(dataclasses.replace(one, value=one.value * _ratio_at(record, one.time, rise, lapse_rate)))
+            moved.append(
+                dataclasses.replace(one, value=one.value * _ratio_at(record, one.time, rise, lapse_rate))
+            )
         elif one.signal == "ambient_dew_point_temperature":
             vapour = saturation_pressure_water(one.value) * _ratio_at(record, one.time, rise, lapse_rate)
             outside = _temperature_at(record, one.time) - lapse_rate * rise

@@ -127,9 +127,7 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
         raise TableFault(faults)
     if "wind_speed" not in {one.signal for one in series}:
         warnings.remove("wind_speed is that at 10 m, not at hub height")
-    return Record(
-        file.name, tuple(series), site, warnings=tuple(warnings), provenance=((file.name, digest),)
-    )
+    return Record(file.name, tuple(series), site, warnings=tuple(warnings), provenance=((file.name, digest),))
 
 
 def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float, str]:
@@ -160,7 +158,9 @@ def _lines(rows: list[list[str]], faults: list[str]) -> _Lines:
     nothing = _Lines(np.zeros((0, 4), dtype=int), {})
     periods = next((row for row in rows[:_HEADER] if row and row[0].strip().upper() == "DATA PERIODS"), None)
     if periods is None:
-        faults.append(f"expected {_HEADER} lines of header that end with DATA PERIODS; the file is cut short or no EPW")
+        faults.append(
+            f"expected {_HEADER} lines of header that end with DATA PERIODS; the file is cut short or no EPW"
+        )
         return nothing
     hourly = len(periods) > 2 and periods[2].strip()
     if hourly != "1":
@@ -217,7 +217,9 @@ def _expected_hours(periods: Sequence[str]) -> int | None:
     for cell in periods[5:7]:
         parts = [part.strip() for part in cell.split("/")]
         try:
-            days.append(datetime(2019, int(parts[0]), min(int(parts[1]), 28 if parts[0] == "2" else 31), tzinfo=UTC))
+            days.append(
+                datetime(2019, int(parts[0]), min(int(parts[1]), 28 if parts[0] == "2" else 31), tzinfo=UTC)
+            )
         except (ValueError, IndexError):
             return None
     if len(days) != 2 or days[1] < days[0]:
@@ -246,7 +248,9 @@ def _placed(lines: _Lines, year: int) -> tuple[_Lines, list[str]]:
         said.append(f"{year} is no leap year: 29 February is left out")
     own = sorted({int(one) for one in lines.calendar[:, 0]})
     if own != [year]:
-        said.append(f"hours of {own[0]} … {own[-1]} stand in {year}: a typical year, not the weather of {year}")
+        said.append(
+            f"hours of {own[0]} … {own[-1]} stand in {year}: a typical year, not the weather of {year}"
+        )
     return _Lines(stamps, {signal: one[keep] for signal, one in lines.value.items()}), said
 
 

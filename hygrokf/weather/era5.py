@@ -48,7 +48,9 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
     records = [one for one in records if one is not None]
     signals = {signal for one in records for signal in one.signals}
     if not faults and "ambient_temperature" not in signals:
-        faults.append("no 2 m temperature (t2m, 2m_temperature) in any of its files: ask for it in the request")
+        faults.append(
+            "no 2 m temperature (t2m, 2m_temperature) in any of its files: ask for it in the request"
+        )
     if faults:
         raise TableFault(faults)
     record = joined(records, file.name)

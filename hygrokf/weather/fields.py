@@ -15,7 +15,9 @@ from hygrokf.signals import from_si, signal_named
 HOUR_S = 3600.0
 GRAVITY = 9.80665
 """[m/s²] by which geopotential becomes height; the value of the reanalysis itself."""
-NO_HUMIDITY = "no dew point (d2m, 2m_dewpoint_temperature): this weather has no humidity; ask for it in the request"
+NO_HUMIDITY = (
+    "no dew point (d2m, 2m_dewpoint_temperature): this weather has no humidity; ask for it in the request"
+)
 
 
 @dataclass(frozen=True)
@@ -172,7 +174,9 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
         source = f'{points.file}, column "{names}"' + (f" at {points.place}" if points.place else "")
         hold = "zero-order" if interval_s or row.dimension == "angle" else "linear"
         # a direction holds over the hour before its stamp: between two of them a straight line may lead the wrong way
-        return Series(signal, time, number, hold, interval_s or (HOUR_S if hold == "zero-order" else 0.0), source=source)
+        return Series(
+            signal, time, number, hold, interval_s or (HOUR_S if hold == "zero-order" else 0.0), source=source
+        )
 
     series = [
         made(signal, value[short], short)
@@ -209,9 +213,7 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
     return Record(points.file, found, site, warnings=tuple(warnings), provenance=((points.file, sha256),))
 
 
-def _converted(
-    short: str, name: str, raw: np.ndarray, unit: str | None, faults: list[str]
-) -> np.ndarray:
+def _converted(short: str, name: str, raw: np.ndarray, unit: str | None, faults: list[str]) -> np.ndarray:
     """Values in the inner unit of their kind."""
     known = _UNITS[_KINDS[short]]
     own = "W m**-2" if short == "avg_sdswrf" else _OWN_UNIT[_KINDS[short]]
@@ -284,4 +286,6 @@ def _saturation(value: Mapping[str, np.ndarray]) -> list[str]:
     share = float(np.mean(above[np.isfinite(above)] > 0.5)) if np.isfinite(above).any() else 0.0
     if share <= 0.01:
         return []
-    return [f"the dew point lies above the temperature for {100 * share:.0f} % of the hours: are the two exchanged?"]
+    return [
+        f"the dew point lies above the temperature for {100 * share:.0f} % of the hours: are the two exchanged?"
+    ]

@@ -38,7 +38,9 @@ def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
     try:
         import xarray
     except ImportError:
-        raise TableFault(['reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"']) from None
+        raise TableFault(
+            ['reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"']
+        ) from None
     engine = {"netcdf4": "h5netcdf", "netcdf3": "scipy"}[kind]
     try:
         with python_warnings.catch_warnings():
@@ -47,9 +49,13 @@ def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
             with xarray.open_dataset(io.BytesIO(data), engine=engine, decode_timedelta=False) as opened:
                 return opened.load()
     except ImportError:
-        raise TableFault(['reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"']) from None
+        raise TableFault(
+            ['reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"']
+        ) from None
     except MemoryError:
-        raise TableFault(["does not fit into memory: ask for a smaller area, or for one year a file"]) from None
+        raise TableFault(
+            ["does not fit into memory: ask for a smaller area, or for one year a file"]
+        ) from None
     except Exception as broken:  # each layer of the library has errors of its own for a damaged file
         reason = " ".join(str(broken).split())[:160] or type(broken).__name__
         raise TableFault(
@@ -131,7 +137,9 @@ def _time_name(dataset: xarray.Dataset) -> str:
                 return name
             found = dataset[name].attrs.get("units", "no unit")
             raise TableFault(
-                [f'{name}: expected times such as "hours since 1900-01-01", found {found} and no calendar time']
+                [
+                    f'{name}: expected times such as "hours since 1900-01-01", found {found} and no calendar time'
+                ]
             )
     raise TableFault(
         [
@@ -183,7 +191,9 @@ def _without_single_axes(dataset: xarray.Dataset, kept: set[str | None]) -> xarr
                 f'holds {size} members of an ensemble; ask for product_type "reanalysis", or choose one member'
             )
         else:
-            faults.append(f"has an axis {name} with {size} entries; expected time, latitude and longitude only")
+            faults.append(
+                f"has an axis {name} with {size} entries; expected time, latitude and longitude only"
+            )
     if faults:
         raise TableFault(faults)
     return dataset
@@ -230,7 +240,9 @@ def _nearest(
         away = np.hypot(north[:, None], narrowing * east[None, :])
         filled = _filled(dataset, time_name, latitude, longitude, used, away.shape)
         row, column = np.unravel_index(int(np.argmin(np.where(filled, away, np.inf))), away.shape)
-    chosen = {name: int(place) for name, place in ((latitude, row), (longitude, column)) if name in dataset.dims}
+    chosen = {
+        name: int(place) for name, place in ((latitude, row), (longitude, column)) if name in dataset.dims
+    }
     return dataset.isel(chosen), (float(rows[row]), float(columns[column]))
 
 
@@ -246,6 +258,8 @@ def _filled(
     name = next((name for name, short in used.items() if short == "t2m"), None)
     if name is None or not {latitude, longitude} <= set(dataset[name].dims):
         return np.ones(shape, dtype=bool)
-    there = dataset[name].notnull().any([one for one in dataset[name].dims if one not in (latitude, longitude)])
+    there = (
+        dataset[name].notnull().any([one for one in dataset[name].dims if one not in (latitude, longitude)])
+    )
     filled = there.transpose(latitude, longitude).values
     return filled if filled.any() else np.ones(shape, dtype=bool)

@@ -47,7 +47,9 @@ def _one_place(records: Sequence[Record], faults: list[str]) -> Site | None:
     sites = [(one.name, one.site) for one in records if one.site is not None]
     for name, site in sites[1:]:
         first = sites[0][1]
-        apart = max(abs(site.latitude_deg - first.latitude_deg), abs(site.longitude_deg - first.longitude_deg))
+        apart = max(
+            abs(site.latitude_deg - first.latitude_deg), abs(site.longitude_deg - first.longitude_deg)
+        )
         if apart > SAME_PLACE_DEG:
             faults.append(
                 f"{sites[0][0]} and {name} are of different places ({first.latitude_deg:g}, {first.longitude_deg:g} "
@@ -63,7 +65,8 @@ def _one_series(parts: Sequence[Series]) -> tuple[Series, list[str]]:
     if len(parts) == 1:
         return first, []
     time, values, said = order_readings(
-        np.concatenate([part.time for part in parts]), {first.signal: np.concatenate([part.value for part in parts])}
+        np.concatenate([part.time for part in parts]),
+        {first.signal: np.concatenate([part.value for part in parts])},
     )
     source = first.source
     if len({part.source for part in parts}) > 1:

@@ -51,7 +51,9 @@ def read_weather_file(
     if to_site_altitude:
         faults = []
         if wanted_m is None:
-            faults.append("to be moved to the site's altitude, the site needs one: state altitude_m in [site]")
+            faults.append(
+                "to be moved to the site's altitude, the site needs one: state altitude_m in [site]"
+            )
         if station_m is None:
             faults.append(
                 "to be moved to the site's altitude, its own must be known: state altitude_m in this source (of a "

@@ -78,7 +78,9 @@ def read_weather(
                 break
     if faults:
         raise TableFault(faults)
-    record = joined(records, files[0].name if len(files) == 1 else f"{files[0].name} and {len(files) - 1} more")
+    record = joined(
+        records, files[0].name if len(files) == 1 else f"{files[0].name} and {len(files) - 1} more"
+    )
     warnings = _without_repeats(record.warnings) if years > 1 else list(record.warnings)
     for signal in NEEDED:
         if signal in record:
@@ -117,7 +119,9 @@ def _without_repeats(warnings: Sequence[str]) -> list[str]:
     if typical:
         first, last = typical[0].split(" stand in ")[0], typical[-1].split(" stand in ")[1].split(":")[0]
         begin = typical[0].split(" stand in ")[1].split(":")[0]
-        kept.append(f"{first} are repeated in every year {begin} … {last}: a typical year, not the weather of these")
+        kept.append(
+            f"{first} are repeated in every year {begin} … {last}: a typical year, not the weather of these"
+        )
     if leap:
         named = ", ".join(said.split()[0] for said in leap)
         kept.append(f"leap years {named}: 28 February is repeated as 29 February")
