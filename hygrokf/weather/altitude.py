@@ -67,10 +67,11 @@ def at_altitude(
             )
         elif one.signal == "ambient_dew_point_temperature":
             vapour = saturation_pressure_water(one.value) * _ratio_at(record, one.time, rise, lapse_rate)
-            outside = _temperature_at(record, one.time) - lapse_rate * rise
-            # a dew point that stood above the temperature before is no condensation on the way
-            condensed = dew_point(vapour) > np.fmax(outside, one.value)
-            value = np.where(condensed, outside, dew_point(vapour))
+            before = _temperature_at(record, one.time)
+            # what stood above saturation before, by rounding or packing, is no condensation on the way
+            limit = before - lapse_rate * rise + np.fmax(one.value - before, 0.0)
+            condensed = dew_point(vapour) > limit
+            value = np.where(condensed, limit, dew_point(vapour))
             if condensed.any():
                 warnings.append(
                     f"on the way to {altitude_m:g} m the air became saturated in "

@@ -50,9 +50,11 @@ class ClockError:
 
 
 def rounded(seconds: float) -> float:
-    """A correction as clocks are set wrong [s]: 0 or whole hours within 20 min, half hours within 10, else 5 min."""
+    """A correction as clocks are set wrong [s]: 0 within 20 min, whole hours within 15, half hours within 10, else 5 min."""
     hour, half = 3600.0 * round(seconds / 3600.0), 1800.0 * round(seconds / 1800.0)
-    if abs(seconds - hour) <= TOLERANCE_S:
+    if abs(seconds) <= TOLERANCE_S:
+        return 0.0
+    if abs(seconds - hour) <= 0.75 * TOLERANCE_S:
         return hour
     if abs(seconds - half) <= 0.5 * TOLERANCE_S:
         return half

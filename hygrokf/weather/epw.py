@@ -37,6 +37,7 @@ _COLUMNS = {
     "rain": (33, "mm", 999.0, "hour"),
 }
 _FEWEST_COLUMNS = 22
+_NINES = (99.0, 99.9, 99.99, *(10.0**power - 1.0 for power in range(3, 10)), 999.9, 9999.9, 99999.9)
 
 
 @dataclass(frozen=True)
@@ -194,8 +195,9 @@ def _lines(rows: list[list[str]], faults: list[str]) -> _Lines:
     for signal, (column, _, missing, _) in _COLUMNS.items():
         if column < table.shape[1]:
             raw = table[:, column]
-            # the same code is written with more or fewer nines after the point, and a code of ten nines means no less
-            absent = raw >= missing - 1e-9
+            # the same code is written with more or fewer nines; other values beyond it are faults of units
+            codes = [one for one in _NINES if one >= missing - 1e-9]
+            absent = np.isclose(raw[:, None], codes, rtol=0.0, atol=1e-6).any(axis=1)
             scale = 10.0 if signal == "cloud_cover" else 1.0
             value[signal] = np.where(absent, np.nan, raw) / scale
     return _Lines(stamps, value)
@@ -269,7 +271,7 @@ def _dew_point_completed(value: dict[str, np.ndarray]) -> list[str]:
     kelvin = value["ambient_temperature"] + 273.15
     # a relative humidity of 0 has no dew point, and one above 100 % is a rounding of it
     share = np.where(value["ambient_relative_humidity"] > 0.0, value["ambient_relative_humidity"], np.nan)
-    made = dew_point(vapour_pressure(np.fmin(0.01 * share, 1.0), kelvin)) - 273.15
+    made = dew_point(vapour_pressure(np.minimum(0.01 * share, 1.0), kelvin)) - 273.15
     lacking = np.isnan(own) & np.isfinite(made)
     value["ambient_dew_point_temperature"] = np.where(lacking, made, own)
     if not lacking.any():

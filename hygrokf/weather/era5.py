@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import io
-import math
 import os
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -120,13 +119,17 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
         fields[name] = Field(number.to_numpy(dtype=float))
     place, at, warnings = "", (None, None), []
     if {"latitude", "longitude"} <= set(frame.columns):
-        spots = frame[["latitude", "longitude"]].drop_duplicates()
-        if len(spots) > 1:
+        spots = frame[["latitude", "longitude"]].apply(pd.to_numeric, errors="coerce").drop_duplicates()
+        if spots.isna().any(axis=None):
+            row = int(np.argmax(spots.isna().any(axis=1).to_numpy()))
+            faults.append(
+                f"line {int(spots.index[row]) + 2}: no latitude and longitude: the file is damaged or cut short; "
+                "fetch it again"
+            )
+        elif len(spots) > 1:
             faults.append(f"holds {len(spots)} points; expected one: write each into a file of its own")
-        at = tuple(float(one) for one in spots.iloc[0])
-        if not all(map(math.isfinite, at)):
-            faults.append("latitude and longitude must be numbers in every line")
         else:
+            at = tuple(float(one) for one in spots.iloc[0])
             place = place_text(*at, site)
             if site is not None and distance_km(*at, site) > FAR_KM:
                 warnings.append(f"its point lies at {place}: is it the weather of this site?")
