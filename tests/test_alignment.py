@@ -12,7 +12,14 @@ import weather_case as made
 from hygrokf.record import Record, Series, Site
 from hygrokf.stamps import summer_time
 from hygrokf.weather.alignment import UNKNOWN, Bounded, align, mean_days
-from hygrokf.weather.clocks import alignments, clock_errors, clock_sentences, comparison_rows, described, rounded
+from hygrokf.weather.clocks import (
+    alignments,
+    clock_errors,
+    clock_sentences,
+    comparison_rows,
+    described,
+    rounded,
+)
 
 DATA = Path(__file__).resolve().parents[1] / "../shared/data"
 measured = pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there")
@@ -84,16 +91,18 @@ def test_unrelated_weather_tells_nothing() -> None:
 
 @pytest.mark.slow
 def test_bounds_hold_and_right_clocks_give_no_alarm() -> None:
-    """Seeds 6000 on, 100 pairs of 90 days without sun on the housing."""
-    inside, kinds = 0, []
-    for seed in range(6000, 6100):
+    """200 pairs of 90 days, seeds 7000 on, without sun on the housing; docs/weather.md has the counts."""
+    inside, alarms, missed, wrong = 0, 0, 0, 0
+    for seed in range(7000, 7200):
         late_s = float(np.random.default_rng(seed).choice([0.0, 0.0, -3600.0, 3600.0, 1800.0]))
-        one, other = made.weather_pair(seed, 90, late_s, sun=0.0)
-        found = align(one, other)
+        found = align(*made.weather_pair(seed, 90, late_s, sun=0.0))
         inside += found.whole.weather.low <= late_s <= found.whole.weather.high
-        kinds.append((late_s, clock_errors([found])[0].corrections_s[0]))
-    assert inside >= 86
-    assert all(corrected == -late_s for late_s, corrected in kinds)
+        corrected, _ = clock_errors([found])[0].corrections_s
+        alarms += late_s == 0.0 and corrected != 0.0
+        missed += late_s != 0.0 and corrected == 0.0
+        wrong += late_s != 0.0 and corrected not in (0.0, -late_s)
+    assert inside >= 180  # of 190 expected; 3.3 standard deviations below
+    assert (alarms, wrong) == (0, 0) and missed <= 6
 
 
 def test_offset_amplitude_and_months() -> None:
@@ -116,12 +125,15 @@ def test_the_daily_wave_is_that_of_a_least_squares_fit() -> None:
     later = 285.0 + 2.0 * np.cos(2 * np.pi * ((time - 2700.0) / 86400 - 0.6))
     found = align(Series("ambient_temperature", time, later), Series("ambient_temperature", time, wave))
     assert found.whole.mean_day.value == pytest.approx(2700.0, abs=20.0)
-    assert (found.amplitude, found.other_amplitude) == (pytest.approx(2.0, rel=0.015), pytest.approx(3.0, rel=0.015))
+    assert (found.amplitude, found.other_amplitude) == (
+        pytest.approx(2.0, rel=0.015),
+        pytest.approx(3.0, rel=0.015),
+    )
     assert found.whole.weather == UNKNOWN  # no weather but the mean day
 
 
 def test_means_stand_in_the_middle_of_their_interval() -> None:
-    one, other = made.weather_pair(5700, 60, sun=0.0)
+    _, other = made.weather_pair(5700, 60, sun=0.0)
     hours = other.time
     means = np.interp(hours - 1800.0, other.time, other.value)
     held = Series("ambient_temperature", hours, means, "zero-order", 3600.0)
@@ -154,7 +166,18 @@ def test_gaps_change_little() -> None:
 
 @pytest.mark.parametrize(
     ("seconds", "correction"),
-    [(0, 0), (900, 0), (3240, 3600), (6500, 7200), (-3700, -3600), (1750, 1800), (19900, 19800), (2600, 2700), (2340, 1800), (4580, 4500)],
+    [
+        (0, 0),
+        (900, 0),
+        (3240, 3600),
+        (6500, 7200),
+        (-3700, -3600),
+        (1750, 1800),
+        (19900, 19800),
+        (2600, 2700),
+        (2340, 1800),
+        (4580, 4500),
+    ],
 )
 def test_corrections_are_rounded_as_clocks_are_set(seconds: float, correction: float) -> None:
     assert rounded(seconds) == correction
@@ -180,7 +203,10 @@ def test_the_longer_step_is_what_is_held_against() -> None:
         (found,) = alignments(record)
         assert (found.one, found.other) == ("scada.csv", "era5.nc")
     (sentence,) = clock_sentences(clock_errors([found]))
-    assert "the clock of scada.csv runs 1 h slow against era5.nc" in sentence and 'clock_correction = "+1h"' in sentence
+    assert (
+        "the clock of scada.csv runs 1 h slow against era5.nc" in sentence
+        and 'clock_correction = "+1h"' in sentence
+    )
     rows = described(clock_errors([found]))
     assert rows[0]["corrections_s"] == [3600.0, 3600.0] and rows[0]["clock"] == "constant"
     table = comparison_rows(rows)
@@ -191,7 +217,10 @@ def test_sentences_of_seasonal_errors() -> None:
     one, other = made.weather_pair(5970, 300, -3600.0, -3600.0, 0.0, 0.0, summer_time)
     (sentence,) = clock_sentences([error(one, other)])
     assert "runs 1 h slow in winter and 2 h slow in summer against era5.nc" in sentence
-    assert "need +1 h in winter and +2 h in summer: it has no summer time" in sentence and "ignore_offset" in sentence
+    assert (
+        "need +1 h in winter and +2 h in summer: it has no summer time" in sentence
+        and "ignore_offset" in sentence
+    )
     one, other = made.weather_pair(5970, 300, 0.0, 3600.0, 0.0, 0.0, summer_time)
     (sentence,) = clock_sentences([error(one, other)])
     assert "runs right in winter and 1 h fast in summer" in sentence and "it follows summer time" in sentence
@@ -200,7 +229,9 @@ def test_sentences_of_seasonal_errors() -> None:
 def test_several_signals_are_weighed() -> None:
     from hygrokf.weather.clocks import _combined
 
-    joint = _combined([Bounded(10.0, 10.0 - 196.0, 10.0 + 196.0), Bounded(110.0, 110.0 - 196.0, 110.0 + 196.0)])
+    joint = _combined(
+        [Bounded(10.0, 10.0 - 196.0, 10.0 + 196.0), Bounded(110.0, 110.0 - 196.0, 110.0 + 196.0)]
+    )
     assert joint.value == pytest.approx(60.0)
     assert joint.high - joint.value == pytest.approx(1.96 * 100.0 / np.sqrt(2.0), rel=0.01)
     apart = _combined([Bounded(0.0, -196.0, 196.0), Bounded(2000.0, 1804.0, 2196.0)])

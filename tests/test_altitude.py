@@ -39,10 +39,18 @@ def test_the_standard_atmosphere() -> None:
         assert 101325.0 * pressure_ratio(288.15, height) == pytest.approx(pressure, rel=1e-4)
 
 
-@given(some.floats(240.0, 310.0), some.floats(-2000.0, 2000.0), some.sampled_from([0.0065, 0.0, -0.005, 0.0098, 1e-7]))
+@given(
+    some.floats(240.0, 310.0),
+    some.floats(-2000.0, 2000.0),
+    some.sampled_from([0.0065, 0.0, -0.005, 0.0098, 1e-7]),
+)
 def test_hydrostatic_balance(kelvin: float, rise: float, lapse: float) -> None:
     solved = solve_ivp(
-        lambda z, p: -9.80665 * p / (287.05 * (kelvin - lapse * z)), (0.0, rise), [1.0], rtol=1e-10, atol=1e-12
+        lambda z, p: -9.80665 * p / (287.05 * (kelvin - lapse * z)),
+        (0.0, rise),
+        [1.0],
+        rtol=1e-10,
+        atol=1e-12,
     )
     assert pressure_ratio(kelvin, rise, lapse) == pytest.approx(solved.y[0, -1], rel=1e-7)
 
@@ -53,7 +61,8 @@ def test_the_mixing_ratio_stays(altitude: float) -> None:
     assert moved["ambient_temperature"].value == pytest.approx(WARM - 0.0065 * (altitude - 250.0))
     before = humidity_ratio(saturation_pressure_water(DEW), PRESSURE)
     after = humidity_ratio(
-        saturation_pressure_water(moved["ambient_dew_point_temperature"].value), moved["ambient_pressure"].value
+        saturation_pressure_water(moved["ambient_dew_point_temperature"].value),
+        moved["ambient_pressure"].value,
     )
     saturated = moved["ambient_dew_point_temperature"].value >= moved["ambient_temperature"].value - 1e-9
     assert after[~saturated] == pytest.approx(before[~saturated], rel=1e-9)
@@ -77,7 +86,12 @@ def test_missing_readings_stay_missing() -> None:
     value = one["ambient_dew_point_temperature"].value.copy()
     value[2] = np.nan
     one = one.replace_series(replace(one["ambient_dew_point_temperature"], value=value))
-    assert list(at_altitude(one, 500.0)["ambient_dew_point_temperature"].missing) == [False, False, True, False]
+    assert list(at_altitude(one, 500.0)["ambient_dew_point_temperature"].missing) == [
+        False,
+        False,
+        True,
+        False,
+    ]
 
 
 def test_what_must_be_known() -> None:

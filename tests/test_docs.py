@@ -98,6 +98,7 @@ def broken_links(page: Path, text: str) -> list[str]:
         ),
         (DOCS / "add_a_mechanism.md", "python,bash", ["turbine/case.toml"]),
         (DOCS / "own_cause.md", "python", ["turbine/case.toml", "found/fit.json"]),
+        (DOCS / "weather.md", "python", ["site.epw"]),
     ],
     ids=lambda value: value.name if isinstance(value, Path) else "",
 )

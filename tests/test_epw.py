@@ -121,7 +121,9 @@ def test_faults_of_files(tmp_path: Path) -> None:
     assert "first line begins with LOCATION" in faults(written(tmp_path, "time,T\n1,2\n"))
     wrong = [lines[0].replace("48.500", "north"), *lines[1:100], "2010,1,4,25,0,x,warm", *lines[101:]]
     said = faults(written(tmp_path, "\n".join(wrong)))
-    assert "line 1: expected LOCATION with latitude" in said and "line 101: expected at least 22 cells" in said
+    assert (
+        "line 1: expected LOCATION with latitude" in said and "line 101: expected at least 22 cells" in said
+    )
     wrong = list(lines)
     wrong[50] = wrong[50].replace("2010,1,2,19,", "2010,1,2,25,")
     assert "line 51: expected an hour 1 … 24, found 25" in faults(written(tmp_path, "\n".join(wrong)))
@@ -130,10 +132,26 @@ def test_faults_of_files(tmp_path: Path) -> None:
     assert "line 52: the hours must follow each other" in faults(written(tmp_path, "\n".join(wrong)))
     half = text.replace("DATA PERIODS,1,1,", "DATA PERIODS,1,4,")
     assert "expected 1 record an hour, found 4" in faults(written(tmp_path, half))
-    hot = [*lines[:8], *(",".join([*c[:6], "283.1", *c[7:]]) for c in (line.split(",") for line in lines[8:]))]
-    assert "column 7: ambient_temperature would lie at 283.1 … 283.1 degC" in faults(written(tmp_path, "\n".join(hot)))
+    hot = [
+        *lines[:8],
+        *(",".join([*c[:6], "283.1", *c[7:]]) for c in (line.split(",") for line in lines[8:])),
+    ]
+    assert "column 7: ambient_temperature would lie at 283.1 … 283.1 degC" in faults(
+        written(tmp_path, "\n".join(hot))
+    )
     with pytest.raises(TableFault, match="1900 … 2200"):
         read_epw(written(tmp_path, text), 19)
+
+
+def test_archives_of_weather_services(tmp_path: Path) -> None:
+    text = made.epw_text().encode()
+    path = made.zipped(
+        tmp_path / "site.zip",
+        {"site.epw": text, "site.stat": b"statistics of the file", "site.ddy": b"! days"},
+    )
+    assert len(read_epw(path)["ambient_temperature"]) == 8760
+    assert "holds 2 EPW files" in faults(made.zipped(path, {"a.epw": text, "b.epw": text}))
+    assert 'state format = "era5"' in faults(made.new_file(tmp_path / "era5.nc"))
 
 
 @measured
@@ -154,7 +172,9 @@ def test_the_published_file_against_its_plain_columns() -> None:
         np.testing.assert_allclose(record[signal].value, table[column] + offset, atol=1e-9)
     assert record.site == Site(45.0, 8.0, 250.0) and "rain" not in record and "cloud_cover" not in record
     # dew point and relative humidity of the file agree over water, which is how the dew point is read
-    made_of = 100.0 * relative_humidity_from_dew_point(table[7].to_numpy() + 273.15, table[6].to_numpy() + 273.15)
+    made_of = 100.0 * relative_humidity_from_dew_point(
+        table[7].to_numpy() + 273.15, table[6].to_numpy() + 273.15
+    )
     cold = (table[6] < 0.0).to_numpy()
     assert cold.sum() > 100
     assert np.median(np.abs(made_of - table[8])[cold]) < 1.5 and np.median(np.abs(made_of - table[8])) < 1.5

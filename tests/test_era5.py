@@ -43,7 +43,10 @@ def test_the_layout_of_today(tmp_path: Path) -> None:
     assert_middle_cell(record)
     assert (record.site.latitude_deg, record.site.longitude_deg) == (48.5, 5.5)
     assert record.site.altitude_m == pytest.approx(311.0, abs=0.01)
-    assert record["ambient_temperature"].source == 'era5.nc, column "t2m" at 48.50° N 5.50° E, 6 km from the site'
+    assert (
+        record["ambient_temperature"].source
+        == 'era5.nc, column "t2m" at 48.50° N 5.50° E, 6 km from the site'
+    )
     assert record.warnings == () and len(record.provenance[0][1]) == 64
 
 
@@ -71,7 +74,9 @@ def test_the_streams_of_one_request_come_as_a_zip_named_nc(tmp_path: Path) -> No
     assert (sun.hold, sun.interval_s) == ("zero-order", 3600.0)
     np.testing.assert_array_equal(sun.time, made.seconds())  # the sum's hour ends at its stamp
     np.testing.assert_allclose(
-        record["diffuse_horizontal_irradiance"].value, (made.truth("ssrd") - made.truth("fdir")) / 3600.0, rtol=1e-6
+        record["diffuse_horizontal_irradiance"].value,
+        (made.truth("ssrd") - made.truth("fdir")) / 3600.0,
+        rtol=1e-6,
     )
     np.testing.assert_allclose(record["rain"].value, 1000.0 * made.truth("tp"), rtol=1e-6)
     np.testing.assert_allclose(record["cloud_cover"].value, made.truth("tcc"), rtol=1e-6)
@@ -106,12 +111,16 @@ def test_the_point_products_csv(tmp_path: Path, packing: str) -> None:
     np.testing.assert_allclose(
         record["global_horizontal_irradiance"].value, made.truth("ssrd") / 3600.0, atol=1e-3
     )
-    assert record.warnings == ("wind_speed is that at 10 m, not at hub height: the file has no u100 and v100",)
+    assert record.warnings == (
+        "wind_speed is that at 10 m, not at hub height: the file has no u100 and v100",
+    )
     assert (record.site.latitude_deg, record.site.longitude_deg) == (48.5, 5.5)
 
 
 def test_the_point_products_netcdf_needs_no_site(tmp_path: Path) -> None:
-    dataset = made.new_dataset(("t2m", "d2m", "sp")).drop_vars(["number", "expver"]).isel(latitude=1, longitude=1)
+    dataset = (
+        made.new_dataset(("t2m", "d2m", "sp")).drop_vars(["number", "expver"]).isel(latitude=1, longitude=1)
+    )
     path = tmp_path / "point.nc"
     path.write_bytes(made.netcdf4(dataset))
     assert_middle_cell(read_era5(path))
@@ -144,7 +153,9 @@ def test_stamps_in_any_order_and_twice(tmp_path: Path) -> None:
     import xarray
 
     dataset = made.new_dataset(("t2m", "d2m", "sp")).drop_vars("expver")
-    mixed = xarray.concat([dataset.isel(valid_time=slice(40, None)), dataset.isel(valid_time=slice(0, 45))], "valid_time")
+    mixed = xarray.concat(
+        [dataset.isel(valid_time=slice(40, None)), dataset.isel(valid_time=slice(0, 45))], "valid_time"
+    )
     record = era5_record(mixed, SITE)
     assert_middle_cell(record)
     assert record.warnings == ("5 stamps occur more than once; the first of each kept",)
@@ -255,7 +266,9 @@ def test_other_files(tmp_path: Path, data: bytes, words: str) -> None:
 
 def test_no_such_file_and_a_directory(tmp_path: Path) -> None:
     (tmp_path / "era5_2021.nc").touch()
-    assert "no such file" in faults(tmp_path / "era5_2020.nc") and "era5_2021" in faults(tmp_path / "era5_2020.nc")
+    assert "no such file" in faults(tmp_path / "era5_2020.nc") and "era5_2021" in faults(
+        tmp_path / "era5_2020.nc"
+    )
     assert "directory" in faults(tmp_path)
 
 
@@ -284,7 +297,9 @@ def test_missing_axes_and_fields(tmp_path: Path) -> None:
     dataset = made.new_dataset(("t2m", "d2m"))
     path = tmp_path / "era5.nc"
     path.write_bytes(made.netcdf4(dataset.isel(valid_time=0, drop=True)))
-    assert "no time axis: expected valid_time or time, found the axes latitude (3), longitude (3)" in faults(path)
+    assert "no time axis: expected valid_time or time, found the axes latitude (3), longitude (3)" in faults(
+        path
+    )
     path.write_bytes(made.netcdf4(made.new_dataset(("d2m",))))
     assert "no 2 m temperature" in faults(path)
     path.write_bytes(made.netcdf4(dataset.expand_dims(number=[0, 1]).assign_coords(number=[0, 1])))
@@ -324,14 +339,18 @@ def test_all_members_together_are_limited(tmp_path: Path, monkeypatch) -> None:
 def test_members_with_paths_are_never_written(tmp_path: Path) -> None:
     inside = tmp_path / "inside"
     inside.mkdir()
-    path = made.zipped(inside / "era5.zip", {"../../evil.nc": made.netcdf4(made.new_dataset(("t2m", "d2m", "sp")))})
+    path = made.zipped(
+        inside / "era5.zip", {"../../evil.nc": made.netcdf4(made.new_dataset(("t2m", "d2m", "sp")))}
+    )
     assert_middle_cell(read_era5(path, SITE))
     assert sorted(one.name for one in tmp_path.rglob("*")) == ["era5.zip", "inside"]
 
 
 def test_faults_of_members_are_named(tmp_path: Path) -> None:
     good = made.netcdf4(made.new_dataset(("t2m", "d2m")))
-    path = made.zipped(tmp_path / "two.zip", {"good.nc": good, "bad.nc": good[:5000], "nested.zip": b"PK\x03\x04abc"})
+    path = made.zipped(
+        tmp_path / "two.zip", {"good.nc": good, "bad.nc": good[:5000], "nested.zip": b"PK\x03\x04abc"}
+    )
     said = faults(path)
     assert "nested.zip: is a ZIP archive in a ZIP archive" in said
     path = made.zipped(tmp_path / "two.zip", {"good.nc": good, "bad.nc": good[:5000]})

@@ -54,7 +54,7 @@ FLOORS = (
     # pictures and faces
     "drawing excerpts report_words live.service live.views live.demo live.web_access live.usual live.logs live.doctor_clock live.doctor_store live.doctor_models",
     "plots_course plots_identification plots_innovations report_tables discovery.plots_residuals live.web_events live.web_metrics live.doctor_mqtt",
-    "plots page discovery.plots_misfits discovery.words live.web live.web_server live.doctor_opcua",
+    "plots page weather.plots discovery.plots_misfits discovery.words live.web live.web_server live.doctor_opcua",
     "live.tracking live.doctor_sources",
     "live.doctor",
     "report discovery.tables",

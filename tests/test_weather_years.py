@@ -37,7 +37,9 @@ def test_files_put_after_each_other(tmp_path: Path) -> None:
 
 def test_gaps_are_said(tmp_path: Path) -> None:
     later = made.START + 3600 * (made.HOURS + 50)
-    record = read_weather([made.new_file(tmp_path / "a.nc"), made.new_file(tmp_path / "b.nc", start=later)], site=SITE)
+    record = read_weather(
+        [made.new_file(tmp_path / "a.nc"), made.new_file(tmp_path / "b.nc", start=later)], site=SITE
+    )
     assert "ambient_temperature: a gap of 2.12 d from 2021-03-04T23:00Z" in record.warnings
 
 
@@ -107,7 +109,9 @@ def test_heights(tmp_path: Path) -> None:
     path.write_text(made.epw_text())
     high = Site(48.5, 5.5, 850.0)
     said = read_weather_file(path, site=high).warnings
-    assert any("its height is 250 m, the site's 850 m: the site will be about 3.9 K colder" in one for one in said)
+    assert any(
+        "its height is 250 m, the site's 850 m: the site will be about 3.9 K colder" in one for one in said
+    )
     moved = read_weather(path, site=high, to_site_altitude=True)
     plain = read_weather(path)
     difference = moved["ambient_temperature"].value - plain["ambient_temperature"].value

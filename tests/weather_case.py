@@ -53,7 +53,9 @@ def grid(name: str, hours: int = HOURS) -> np.ndarray:
     return np.moveaxis(np.array(cells), -1, 0)
 
 
-def new_dataset(names: tuple[str, ...], hours: int = HOURS, preliminary: int = 0, start: np.datetime64 = START):
+def new_dataset(
+    names: tuple[str, ...], hours: int = HOURS, preliminary: int = 0, start: np.datetime64 = START
+):
     """The layout since September 2024: valid_time, number a scalar, expver a text for each hour."""
     import xarray
 
@@ -69,7 +71,11 @@ def new_dataset(names: tuple[str, ...], hours: int = HOURS, preliminary: int = 0
         },
         coords={
             "number": ((), 0, {"units": "1", "standard_name": "realization"}),
-            "valid_time": ("valid_time", stamps(hours, start).astype("datetime64[ns]"), {"standard_name": "time"}),
+            "valid_time": (
+                "valid_time",
+                stamps(hours, start).astype("datetime64[ns]"),
+                {"standard_name": "time"},
+            ),
             "latitude": ("latitude", LATITUDES, {"units": "degrees_north", "stored_direction": "decreasing"}),
             "longitude": ("longitude", LONGITUDES, {"units": "degrees_east"}),
             "expver": ("valid_time", version),
@@ -83,7 +89,11 @@ def netcdf4(dataset) -> bytes:
         name: {"zlib": True, "complevel": 1, "_FillValue": np.float32(np.nan)} for name in dataset.data_vars
     }
     if "valid_time" in dataset.coords and np.issubdtype(dataset["valid_time"].dtype, np.datetime64):
-        encoding["valid_time"] = {"dtype": "int64", "units": "seconds since 1970-01-01", "calendar": "proleptic_gregorian"}
+        encoding["valid_time"] = {
+            "dtype": "int64",
+            "units": "seconds since 1970-01-01",
+            "calendar": "proleptic_gregorian",
+        }
     buffer = io.BytesIO()
     dataset.to_netcdf(buffer, engine="h5netcdf", encoding=encoding)
     return buffer.getvalue()
@@ -115,11 +125,15 @@ def streams(path: Path, hours: int = HOURS) -> Path:
     )
 
 
-def legacy_file(path: Path, names: tuple[str, ...] = ("t2m", "d2m", "sp"), preliminary: int | None = 24) -> Path:
+def legacy_file(
+    path: Path, names: tuple[str, ...] = ("t2m", "d2m", "sp"), preliminary: int | None = 24
+) -> Path:
     """The layout before: NetCDF-3, hours since 1900, packed in two bytes, expver 1 and 5 where it reaches the last months."""
     from scipy.io import netcdf_file
 
-    since_1900 = ((stamps() - np.datetime64("1900-01-01T00:00:00", "s")).astype(np.int64) // 3600).astype(np.int32)
+    since_1900 = ((stamps() - np.datetime64("1900-01-01T00:00:00", "s")).astype(np.int64) // 3600).astype(
+        np.int32
+    )
     with netcdf_file(str(path), "w", version=2) as file:
         for name, size in (("longitude", 3), ("latitude", 3), ("time", HOURS)):
             file.createDimension(name, size)
@@ -159,12 +173,16 @@ def legacy_file(path: Path, names: tuple[str, ...] = ("t2m", "d2m", "sp"), preli
     return path
 
 
-def point_csv(names: tuple[str, ...] = ("t2m", "d2m", "sp", "u10", "v10", "ssrd", "tp"), hours: int = HOURS) -> bytes:
+def point_csv(
+    names: tuple[str, ...] = ("t2m", "d2m", "sp", "u10", "v10", "ssrd", "tp"), hours: int = HOURS
+) -> bytes:
     """The point product's CSV."""
     lines = [",".join(["valid_time", *names, "latitude", "longitude"])]
     columns = [truth(name, hours) for name in names]
     for place, stamp in enumerate(stamps(hours)):
-        cells = [f"{column[place]:.6f}" if column[place] < 1e3 else f"{column[place]:.3f}" for column in columns]
+        cells = [
+            f"{column[place]:.6f}" if column[place] < 1e3 else f"{column[place]:.3f}" for column in columns
+        ]
         lines.append(",".join([str(stamp).replace("T", " "), *cells, "48.5", "5.5"]))
     return ("\n".join(lines) + "\n").encode()
 

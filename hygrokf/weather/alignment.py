@@ -268,7 +268,9 @@ def _without_mean_day(value: np.ndarray, time: np.ndarray, group: np.ndarray) ->
     known = np.isfinite(value)
     number = np.bincount(key[known], minlength=key.max() + 1)
     total = np.bincount(key[known], weights=value[known], minlength=key.max() + 1)
-    return value - (total / np.maximum(number, 1))[key]
+    weather = value - (total / np.maximum(number, 1))[key]
+    # rounding errors of a course that is the same every day are no weather
+    return weather if np.nanstd(weather) > 1e-6 * np.nanstd(value) else np.where(known, 0.0, np.nan)
 
 
 def _weights(days: np.ndarray, inside: np.ndarray, random: np.random.Generator) -> np.ndarray:

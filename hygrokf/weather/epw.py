@@ -54,7 +54,7 @@ class _Lines:
 def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     """Record of ambient signals from an EPW file, in SI units and UTC.
 
-    path: .epw, or gzip of it. year: a typical year is put together from months of different years; it needs the
+    path: .epw, gzip of it, or a ZIP archive with one in it. year: a typical year is put together from months of different years; it needs the
         calendar year in which it is to stand, and every hour is moved there. None: the file's own year.
 
     Hour h of a day ends at h o'clock of local standard time, with the header's time zone.  Temperature, humidity, pressure,
@@ -66,12 +66,14 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     """
     file = Path(path)
     found, digest = contents(file)
-    if len(found) != 1:
-        raise TableFault([f"holds {len(found)} files; expected one EPW file: unpack the one of the site"])
-    if found[0].kind != "epw":
+    # archives of weather services hold statistics and design days beside the EPW file
+    own = [one for one in found if one.kind == "epw"]
+    if not own:
         remedy = '; state format = "era5"' if found[0].kind.startswith("netcdf") else ""
         raise TableFault([f"expected an EPW file, whose first line begins with LOCATION{remedy}"])
-    rows = list(csv.reader(io.StringIO(found[0].data.decode("utf-8-sig", "replace"))))
+    if len(own) > 1:
+        raise TableFault([f"holds {len(own)} EPW files; expected one: unpack the one of the site"])
+    rows = list(csv.reader(io.StringIO(own[0].data.decode("utf-8-sig", "replace"))))
     faults: list[str] = []
     site, zone_h, place = _location(rows[0], faults)
     lines = _lines(rows, faults)
