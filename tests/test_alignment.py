@@ -281,6 +281,22 @@ def test_the_french_wind_farm_runs_on_utc(tmp_path: Path, capsys) -> None:
 
 
 @measured
+def test_the_reanalysis_as_a_weather_file_says_the_same(tmp_path: Path) -> None:
+    """The same file read with its format, by its own names; what the turbine measures itself is taken from there."""
+    from hygrokf.case import read_case
+
+    head = FRENCH.format(data=DATA.resolve(), clock="").partition("[[source]]\nfile")
+    turbine = (head[1] + head[2]).rpartition("[[source]]")[0]
+    case = tmp_path / "case.toml"
+    file = DATA.resolve() / "la_haute_borne_era5_hourly_2014_2015.csv.gz"
+    case.write_text(head[0] + turbine + f'[[source]]\nfile = "{file}"\nformat = "era5"\n')
+    record = read_case(case, cabinet=False)
+    assert {one.signal for one in record.compared} == {"ambient_temperature", "wind_speed"}
+    (found,) = clock_errors(alignments(record))
+    assert found.kind == "seasonal" and found.corrections_s == (3600.0, 7200.0)
+
+
+@measured
 def test_measured_weather_shifted_on_purpose() -> None:
     """ERA5 of the UK site against itself, smoothed, with noise and a wrong clock."""
     import pandas as pd

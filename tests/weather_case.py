@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import io
+import tempfile
 import zipfile
 from pathlib import Path
 
@@ -94,9 +94,10 @@ def netcdf4(dataset) -> bytes:
             "units": "seconds since 1970-01-01",
             "calendar": "proleptic_gregorian",
         }
-    buffer = io.BytesIO()
-    dataset.to_netcdf(buffer, engine="h5netcdf", encoding=encoding)
-    return buffer.getvalue()
+    with tempfile.TemporaryDirectory() as directory:
+        path = Path(directory) / "made.nc"
+        dataset.to_netcdf(path, engine="h5netcdf", encoding=encoding)
+        return path.read_bytes()
 
 
 def new_file(path: Path, names: tuple[str, ...] = ("t2m", "d2m", "sp"), **more) -> Path:

@@ -141,7 +141,7 @@ def align(one: Series, other: Series, *, america: bool = False, seed: int = 0) -
     )
     wave, other_wave = abs(np.sum(sums.wave)), abs(np.sum(sums.other_wave))
     ratio = _bounded(wave / other_wave, np.abs(weights @ sums.wave) / np.abs(weights @ sums.other_wave))
-    size = 2.0 / float(np.sum(sums.count))
+    size = 2.0 * GRID_S / (DAY_S * float(np.sum(sums.days)))
     months = []
     for month in np.unique(sums.month):
         inside = sums.month == month
@@ -249,7 +249,7 @@ def _moved(value: np.ndarray, steps: int) -> np.ndarray:
 
 
 def _without_slow(value: np.ndarray) -> np.ndarray:
-    """Values less their running mean over a day; NaN where less than 60 % of that day are known."""
+    """Values less their running mean over a day; NaN where less than 60 % of that day are known, and at either end."""
     half = round(0.5 * DAY_S / GRID_S)
     known = np.isfinite(value)
     total = np.concatenate([[0.0], np.cumsum(np.where(known, value, 0.0))])
@@ -257,7 +257,7 @@ def _without_slow(value: np.ndarray) -> np.ndarray:
     low = np.clip(np.arange(len(value)) - half, 0, None)
     high = np.clip(np.arange(len(value)) + half, None, len(value))
     many = number[high] - number[low]
-    enough = many >= 0.6 * 2 * half
+    enough = (many >= 0.6 * 2 * half) & (high - low == 2 * half)
     return np.where(enough & known, value - (total[high] - total[low]) / np.maximum(many, 1.0), np.nan)
 
 

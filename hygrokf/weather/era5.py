@@ -94,7 +94,7 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as broken:
         raise TableFault([f"cannot be read as CSV: {' '.join(str(broken).split())}"]) from None
     frame.columns = [str(name).strip() for name in frame.columns]
-    time_name = next((name for name in ("valid_time", "time") if name in frame), None)
+    time_name = next((name for name in ("valid_time", "time", "datetime") if name in frame), None)
     used = [name for name in frame.columns if short_name(name)]
     if time_name is None or not used:
         if not alone and time_name is not None:
