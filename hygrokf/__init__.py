@@ -47,6 +47,7 @@ _WHERE = {
     "load_library": "discovery.own_causes",
     "discover": "discovery.discover",
     "Discovery": "discovery.discover",
+    "read_weather": "weather.years",
     "synthetic_turbine": "synthetic",
     "write_case": "synthetic",
 }
