@@ -14,14 +14,13 @@ from __future__ import annotations
 
 import math
 import os
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
 from hygrokf.ambient import at_times, bridge_h, centred
+from hygrokf.climate.form import FormFault, is_number, read_toml, unknown_keys
 from hygrokf.record import Record, Series
 
 HOUR_S = 3600.0
@@ -74,25 +73,18 @@ class PowerCurve:
 
 
 def read_power_curve(path: str | os.PathLike[str]) -> PowerCurve:
-    """A power curve from TOML; raises PowerFault with everything that is wrong."""
-    file = Path(path)
-    try:
-        data = tomllib.loads(file.read_bytes().decode("utf-8-sig"))
-    except OSError as fault:
-        raise PowerFault(f"{file}: expected a power curve, found: {fault.strerror}; check the path") from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as fault:
-        raise PowerFault(f"{file}: expected TOML text, found: {fault}; see docs/climate.md") from None
-    faults = []
-    known = {"rated_power_kW", "wind_speed_m_s", "power_kW", "hub_height_m", "wind_height_m", "shear"}
-    faults += [f"unknown key {name}; known are {', '.join(sorted(known))}" for name in sorted(set(data) - known)]
+    """A power curve from TOML; raises FormFault with everything that is wrong."""
+    data = read_toml(path, "a power curve")
+    known = ("rated_power_kW", "wind_speed_m_s", "power_kW", "hub_height_m", "wind_height_m", "shear")
+    faults = unknown_keys(data, known, "the file")
     numbers = {}
     for name in ("rated_power_kW", "hub_height_m", "wind_height_m"):
         numbers[name] = value = data.get(name)
-        if not _number(value) or value <= 0:
+        if not is_number(value) or value <= 0:
             faults.append(f"{name}: expected a number above 0, found {value!r}")
     speed, power = (data.get(name) for name in ("wind_speed_m_s", "power_kW"))
     for name, values in (("wind_speed_m_s", speed), ("power_kW", power)):
-        if not isinstance(values, list) or len(values) < 2 or not all(map(_number, values)):
+        if not isinstance(values, list) or len(values) < 2 or not all(map(is_number, values)):
             faults.append(f"{name}: expected a list of at least two numbers, found {values!r}")
         elif min(values) < 0:
             faults.append(f"{name}: expected numbers from 0 on, found {min(values):g}")
@@ -106,7 +98,7 @@ def read_power_curve(path: str | os.PathLike[str]) -> PowerCurve:
         )
     law, number = _shear(data.get("shear"), numbers, faults)
     if faults:
-        raise PowerFault("\n".join([f"{file}:", *(f"  {i}. {one}" for i, one in enumerate(faults, 1))]))
+        raise FormFault(path, faults)
     return PowerCurve(
         np.array(speed, float), 1e3 * np.array(power, float), numbers["hub_height_m"], numbers["wind_height_m"],
         law, number, 1e3 * numbers["rated_power_kW"],
@@ -123,9 +115,9 @@ def _shear(shear: object, heights: Mapping, faults: list[str]) -> tuple[str, flo
         return "power", 0.0
     number = shear.get(LAWS[law])
     low = [heights.get(name) for name in ("hub_height_m", "wind_height_m")]
-    most = 1.0 if law == "power" else min([one for one in low if _number(one)] or [10.0])
+    most = 1.0 if law == "power" else min([one for one in low if is_number(one)] or [10.0])
     least = -0.5 if law == "power" else 0.0
-    if not _number(number) or not least < number < most or set(shear) - {"law", LAWS[law]}:
+    if not is_number(number) or not least < number < most or set(shear) - {"law", LAWS[law]}:
         faults.append(
             f'shear: expected {{ law = "{law}", {LAWS[law]} = … }} with a number between {least:g} and {most:g}, '
             f"found {shear!r}"
@@ -191,6 +183,3 @@ def _hours(record: Record) -> np.ndarray:
 def _hourly_power(ends: np.ndarray, value: np.ndarray, source: str) -> Series:
     return Series("active_power", ends, value, "zero-order", HOUR_S, source=source)
 
-
-def _number(value: object) -> bool:
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
