@@ -36,9 +36,10 @@ class Region:
 
 def read_region(name: str, files: Sequence[str | os.PathLike[str]]) -> Region:
     """The weather of one region from its files; raises what the readers raise."""
-    from hygrokf.weather.years import read_weather
-
-    return Region(name, read_weather([Path(one) for one in files]), tuple(Path(one).name for one in files))
+    paths = [Path(one) for one in files]
+    if len(paths) != 1 or paths[0].suffix != ".toml":
+        raise PowerFault(f"--weather: expected one case file, found {', '.join(map(str, files))}")
+    return Region(name, read_case(paths[0], cabinet=False), tuple(one.name for one in paths))
 
 
 def read_power(path: str | os.PathLike[str]) -> Record:
