@@ -15,12 +15,12 @@ ROOT = Path(hygrokf.__file__).parent
 FACE = "hygrokf"
 FLOORS = (
     # what knows nothing of the package
-    "expression machine moments parameters signals psychrometrics files lookup version console discovery live live.schema live.reasons live.certificates",
+    "expression machine moments parameters signals psychrometrics files lookup version console discovery climate climate.form climate.cycles climate.bounds climate.acceleration live live.schema live.reasons live.certificates",
     # text of code, one step, what a record is
-    "emission discretisation record stamps live.database",
+    "emission discretisation record stamps surface climate.chamber live.database",
     "running_sums live.table_reader live.sqlite live.postgres live.check",
     "loops masks case_form readers synthetic ambient live.opcua_security live.opcua_samples",
-    "features fleet_loop live.opcua_client",
+    "features fleet_loop climate.power live.opcua_client",
     "recursion checks",
     "model case",
     # the physics
@@ -37,11 +37,11 @@ FLOORS = (
     "stage",
     "time_constants discovery.scene discovery.clocks",
     "fit discovery.scan discovery.cause live.operation",
-    "results tables identification discovery.residuals discovery.changes discovery.grids live.plan live.condition live.outlook",
-    "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties",
-    "discovery.library discovery.misfits discovery.repeats live.forecast live.inquiry",
-    "discovery.nesting discovery.trial live.store live.payload",
-    "discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.alarms live.tally",
+    "results tables identification climate.ensemble climate.members climate.region discovery.residuals discovery.changes discovery.grids live.plan live.condition live.outlook",
+    "climate.statistics climate.days discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties",
+    "climate.limits climate.sequence discovery.library discovery.misfits discovery.repeats live.forecast live.inquiry",
+    "climate.study discovery.nesting discovery.trial live.store live.payload",
+    "climate.results discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.alarms live.tally",
     "discovery.discover live.fleet",
     "live.streams live.ahead live.retention live.export",
     "live.broker live.opcua live.mqtt_client",
@@ -52,10 +52,10 @@ FLOORS = (
     # pictures and faces
     "drawing excerpts report_words live.service live.views live.demo live.web_access live.usual live.logs live.doctor_clock live.doctor_store live.doctor_models",
     "plots_course plots_identification plots_innovations report_tables discovery.plots_residuals live.web_events live.web_metrics live.doctor_mqtt",
-    "plots page discovery.plots_misfits discovery.words live.web live.web_server live.doctor_opcua",
-    "live.tracking live.doctor_sources",
-    "live.doctor",
-    "report discovery.tables",
+    "plots page climate.tables discovery.plots_misfits discovery.words live.web live.web_server live.doctor_opcua",
+    "live.tracking live.doctor_sources climate.plots",
+    "live.doctor climate.page",
+    "report discovery.tables climate.command",
     "discovery.page",
     "cli",
     "__main__",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 
@@ -36,7 +38,7 @@ def rainflow(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             else:
                 counts.append(1.0)
                 del stack[-3:-1]
-    ranges += [abs(b - a) for a, b in zip(stack, stack[1:], strict=False)]
+    ranges += [abs(b - a) for a, b in itertools.pairwise(stack)]
     counts += [0.5] * max(len(stack) - 1, 0)
     return np.array(ranges), np.array(counts)
 

@@ -141,9 +141,9 @@ def _features(days: Days, law: Acceleration) -> tuple[np.ndarray, np.ndarray]:
     ageing = np.bincount(flat, weights=rate.ravel(), minlength=size).reshape(len(days), -1) / DAY_H
     wet = ((percent > 80.0) & (celsius > 0.0)).mean(axis=1, keepdims=True)
     span = np.ptp(celsius, axis=1)
-    ranged = (np.searchsorted(RANGE_EDGES_K, span, side="right")[:, None] == np.arange(1, len(RANGE_EDGES_K))).astype(
-        float
-    )
+    ranged = (
+        np.searchsorted(RANGE_EDGES_K, span, side="right")[:, None] == np.arange(1, len(RANGE_EDGES_K))
+    ).astype(float)
     parts = {
         "joint": joint, "ageing": ageing, "mean": rate.mean(axis=1, keepdims=True), "wet": wet, "range": ranged
     }  # fmt: skip
@@ -169,11 +169,13 @@ def ordered(days: Days) -> np.ndarray:
         for day in list(order):
             at = order.index(day)
             rest = order[:at] + order[at + 1 :]
-            gain = _join(jump, order, at - 1, day) + _join(jump, order, at, None, day) - _bridge(jump, order, at)
+            gain = (
+                _join(jump, order, at - 1, day) + _join(jump, order, at, None, day) - _bridge(jump, order, at)
+            )
             costs = [_insertion(jump, rest, place, day) for place in range(1, len(rest) + 1)]
             place = int(np.argmin(costs)) + 1 if costs else 0
             if costs and at > 0 and costs[place - 1] < gain - 1e-9:
-                order = rest[:place] + [day] + rest[place:]
+                order = [*rest[:place], day, *rest[place:]]
                 moved = True
         if not moved:
             break

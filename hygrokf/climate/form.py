@@ -25,9 +25,13 @@ def read_toml(path: str | os.PathLike[str], what: str) -> dict:
     try:
         return tomllib.loads(file.read_bytes().decode("utf-8-sig"))
     except OSError as fault:
-        raise FormFault(file, [f"expected {what}, found: {fault.strerror or fault}; check the path"]) from None
+        raise FormFault(
+            file, [f"expected {what}, found: {fault.strerror or fault}; check the path"]
+        ) from None
     except (UnicodeDecodeError, tomllib.TOMLDecodeError) as fault:
-        raise FormFault(file, [f"expected TOML text with {what}, found: {fault}; see docs/climate.md"]) from None
+        raise FormFault(
+            file, [f"expected TOML text with {what}, found: {fault}; see docs/climate.md"]
+        ) from None
 
 
 def is_number(value: object) -> bool:

@@ -90,7 +90,9 @@ def read_limits(path: str | os.PathLike[str]) -> tuple[Limit, ...]:
         raise FormFault(path, [*faults, "expected at least one [[limit]], found none; see docs/climate.md"])
     found = [_limit(row, f"limit {number}", faults) for number, row in enumerate(rows, 1)]
     names = [one.name for one in found]
-    faults += [f'two limits are called "{n}"; rename one' for n in sorted({n for n in names if names.count(n) > 1})]
+    faults += [
+        f'two limits are called "{n}"; rename one' for n in sorted({n for n in names if names.count(n) > 1})
+    ]
     if faults:
         raise FormFault(path, faults)
     return tuple(found)
@@ -104,7 +106,9 @@ def _limit(row: dict, where: str, faults: list[str]) -> Limit:
         quantity = "temperature_degC"
     sides = [side for side in ("above", "below") if side in row]
     if len(sides) != 1 or not is_number(row[sides[0]]):
-        faults.append(f"{where}: expected either above or below with a number, found {', '.join(sides) or 'neither'}")
+        faults.append(
+            f"{where}: expected either above or below with a number, found {', '.join(sides) or 'neither'}"
+        )
         sides, row = ["above"], {**row, "above": 0.0}
     if "rate" in quantity and sides[0] == "below":
         faults.append(f"{where}: a rate is limited from above; write above = …")

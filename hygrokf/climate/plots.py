@@ -147,7 +147,7 @@ def figure_regions(regions: Sequence[Mapping]) -> Figure:
         raise NothingToShow("There is only one region.")
     chosen = [name for name in SIDE_BY_SIDE if all(name in one["scopes"]["all"] for one in regions)]
     with styled():
-        made = new_figure(0.85 + 0.3 * len(regions))
+        made = new_figure(0.95 + 0.3 * len(regions))
         axes = np.atleast_1d(made.subplots(1, len(chosen), sharey=True))
         for axis, name in zip(axes, chosen, strict=True):
             words, unit = OF_SCOPES[name]
@@ -160,14 +160,14 @@ def figure_regions(regions: Sequence[Mapping]) -> Figure:
                 axis.plot([least, most], [row, row], color=MEASURED, linewidth=3.6, alpha=0.45)
                 axis.plot(value, row, "o", color=INK, markersize=3.2)
             short = words.split(" (")[0].split(" on ")[0].split(",")[0].replace("relative ", "")
-            axis.set_title(f"{short} [{unit}]", fontsize=7.0)
+            axis.set_title(f"{short}\n[{unit}]", fontsize=7.0)
             axis.grid(axis="y", visible=False)
             axis.margins(x=0.12)
         axes[0].set_yticks(range(len(regions)), [one["name"] for one in regions])
         axes[0].set_ylim(len(regions) - 0.5, -0.5)
         widest = max(len(one["name"]) for one in regions)
         made.subplots_adjust(
-            left=min(0.02 + 0.0088 * widest, 0.3), right=0.985, bottom=0.32 / made.get_figheight(),
-            top=1.0 - 0.3 / made.get_figheight(), wspace=0.14,
+            left=min(0.025 + 0.0098 * widest, 0.3), right=0.985, bottom=0.32 / made.get_figheight(),
+            top=1.0 - 0.4 / made.get_figheight(), wspace=0.14,
         )  # fmt: skip
     return made

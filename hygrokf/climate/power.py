@@ -12,6 +12,7 @@ A power curve is a TOML file:
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 from collections.abc import Mapping
@@ -64,7 +65,9 @@ class PowerCurve:
 
     def words(self) -> str:
         how = (
-            f"power law, exponent {self.number:g}" if self.law == "power" else f"log law, roughness {self.number:g} m"
+            f"power law, exponent {self.number:g}"
+            if self.law == "power"
+            else f"log law, roughness {self.number:g} m"
         )
         return (
             f"power by the power curve from the weather's wind at {self.wind_height_m:g} m, brought to "
@@ -89,8 +92,10 @@ def read_power_curve(path: str | os.PathLike[str]) -> PowerCurve:
         elif min(values) < 0:
             faults.append(f"{name}: expected numbers from 0 on, found {min(values):g}")
     if not faults and len(speed) != len(power):
-        faults.append(f"wind_speed_m_s and power_kW: expected as many numbers, found {len(speed)} and {len(power)}")
-    if not faults and not all(a < b for a, b in zip(speed, speed[1:], strict=False)):
+        faults.append(
+            f"wind_speed_m_s and power_kW: expected as many numbers, found {len(speed)} and {len(power)}"
+        )
+    if not faults and not all(a < b for a, b in itertools.pairwise(speed)):
         faults.append("wind_speed_m_s: expected rising numbers")
     if not faults and max(power) > 1.2 * numbers["rated_power_kW"]:
         faults.append(
@@ -182,4 +187,3 @@ def _hours(record: Record) -> np.ndarray:
 
 def _hourly_power(ends: np.ndarray, value: np.ndarray, source: str) -> Series:
     return Series("active_power", ends, value, "zero-order", HOUR_S, source=source)
-

@@ -11,10 +11,9 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from hygrokf.climate.study import Study
-from hygrokf.files import write_text_whole
+from hygrokf.files import CLIMATE, write_text_whole
 from hygrokf.results import ResultFault, dump
 
-CLIMATE = "climate.json"
 TABLE = "climate.csv"
 _COLUMNS = (
     "region", "scope", "statistic", "value", "lower", "upper", "mean_lower", "mean_upper", "between_years", "outside",

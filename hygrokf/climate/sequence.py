@@ -59,7 +59,7 @@ def test_sequence(days: Days, ageing_h_a_year: float, plan: TestPlan) -> Sequenc
     """
     if not len(days):
         raise ValueError("no day of the weather is known hour by hour: a test profile needs hourly weather")
-    length = int(round(plan.length_h))
+    length = round(plan.length_h)
     count = -(-length // DAY_H)
     chosen = days.take(choose_days(days, count, plan.law))
     chosen = chosen.take(ordered(chosen))
@@ -78,7 +78,9 @@ def test_sequence(days: Days, ageing_h_a_year: float, plan: TestPlan) -> Sequenc
             shift = 0.5 * (low + high)
             low, high = (shift, high) if aged(shift) < target else (low, shift)
     warm, damp = set_points(celsius, percent, shift, plan.chamber)
-    cut = np.isclose(warm, plan.chamber.temperature_degC[1]) | np.isclose(warm, plan.chamber.temperature_degC[0])
+    cut = np.isclose(warm, plan.chamber.temperature_degC[1]) | np.isclose(
+        warm, plan.chamber.temperature_degC[0]
+    )
     return Sequence(
         warm, damp, celsius, percent, np.repeat(chosen.start_s, DAY_H)[:length], shift,
         float(np.exp(plan.law.activation_energy_eV / BOLTZMANN_EV * shift)), float(cut.mean()), aged(shift), reached,
@@ -100,7 +102,9 @@ def set_points(
     celsius: np.ndarray, percent: np.ndarray, shift: float, chamber: Chamber
 ) -> tuple[np.ndarray, np.ndarray]:
     """Temperature [°C] and humidity [%] (n,) after the shift δ [1/K], as the chamber can follow them."""
-    inverse = np.maximum(1.0 / (celsius + FREEZING_K) - shift, 1.0 / (chamber.temperature_degC[1] + FREEZING_K))
+    inverse = np.maximum(
+        1.0 / (celsius + FREEZING_K) - shift, 1.0 / (chamber.temperature_degC[1] + FREEZING_K)
+    )
     warm = np.clip(1.0 / inverse - FREEZING_K, *chamber.temperature_degC)
     damp = np.clip(percent, *chamber.relative_humidity_percent)
     return (
@@ -137,7 +141,9 @@ def closeness(
     own_rate = law.rate(*_in_si(sequence.temperature_degC, sequence.relative_humidity_percent))
     site = shares(days.temperature_degC, days.relative_humidity_percent)
     site_ageing = shares(days.temperature_degC, days.relative_humidity_percent, all_rate)
-    years = [sequence.ageing_h / max(float(one), 1e-300) for one in (ageing.value, ageing.upper, ageing.lower)]
+    years = [
+        sequence.ageing_h / max(float(one), 1e-300) for one in (ageing.value, ageing.upper, ageing.lower)
+    ]
     per_year = YEAR_H / len(celsius)
     before = cycles_from(celsius, CYCLE_RANGES_K)
     after = cycles_from(sequence.temperature_degC, CYCLE_RANGES_K)

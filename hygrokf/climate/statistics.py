@@ -132,9 +132,7 @@ def _of_courses(year: Year, rows: Mapping[str, np.ndarray], per_year: float) -> 
             quantity = name.rsplit("_", 1)[0]
             found[f"{quantity}_rate_99_{unit}_per_h"] = np.quantile(steep, 0.99, axis=1)
             found[f"{quantity}_rate_largest_{unit}_per_h"] = steep.max(axis=1)
-    cycles = np.array(
-        [cycles_from(row, CYCLE_RANGES_K) for row in rows["temperature_degC"][:, year.known]]
-    )
+    cycles = np.array([cycles_from(row, CYCLE_RANGES_K) for row in rows["temperature_degC"][:, year.known]])
     for place, least in enumerate(CYCLE_RANGES_K):
         found[f"temperature_cycles_from_{least:g}_K_number"] = cycles[:, place] * per_year / year.step_h
     return found
@@ -168,11 +166,12 @@ def curves(year: Year) -> Curves:
     """Duration curves, rates and the joint distribution of a year."""
     rows = courses(year)
     shares = 1.0 - np.array(SHARES)
-    duration = {
-        name: np.quantile(value[:, year.known], shares, axis=1).T for name, value in rows.items()
-    }
+    duration = {name: np.quantile(value[:, year.known], shares, axis=1).T for name, value in rows.items()}
     steep = {}
-    for name, short in (("temperature_degC", "temperature"), ("relative_humidity_percent", "relative_humidity")):
+    for name, short in (
+        ("temperature_degC", "temperature"),
+        ("relative_humidity_percent", "relative_humidity"),
+    ):
         if name in rows:
             steep[short] = np.quantile(rates(rows[name], year), shares, axis=1).T
     joint = None

@@ -158,7 +158,9 @@ def _region(
         "duration": _curves_json(gathered, "duration"),
         "rates": _curves_json(gathered, "rates"),
         "joint": _joint_json(gathered),
-        "limits": [judged(one, gathered.limits[one.name]).to_json() for one in limits if one.name in gathered.limits],
+        "limits": [
+            judged(one, gathered.limits[one.name]).to_json() for one in limits if one.name in gathered.limits
+        ],
         "test_profile": profile,
     }
 
@@ -197,7 +199,9 @@ def _weather_words(gathered: _Gathered) -> list[str]:
             "as if the rest of the year were like them"
         )
     if hours < 0.98 * length:
-        said.append(f"{100.0 * (1.0 - hours / length):.1f} % of the time weather or power is unknown and left out")
+        said.append(
+            f"{100.0 * (1.0 - hours / length):.1f} % of the time weather or power is unknown and left out"
+        )
     return said
 
 
@@ -246,7 +250,9 @@ def _test_profile(gathered: _Gathered, plan: TestPlan) -> tuple[dict | None, str
     made = test_sequence(days, float(ageing.value), plan)
     cycles = np.array(
         [
-            np.mean([rows[f"temperature_cycles_from_{k:g}_K_number"].mean() for rows in gathered.scalars["all"]])
+            np.mean(
+                [rows[f"temperature_cycles_from_{k:g}_K_number"].mean() for rows in gathered.scalars["all"]]
+            )
             for k in CYCLE_RANGES_K
         ]
     )

@@ -65,7 +65,9 @@ def scopes_table(region: Mapping) -> Table:
         if any(name in region["scopes"][scope] for scope in scopes):
             cells = [span_text(region["scopes"][scope].get(name)) for scope in scopes]
             # ageing counts for what stands in the cabinet, not outside
-            weather = plain_number(number(region["outside"], name)) if name not in ("hours", "ageing_h") else ""
+            weather = (
+                plain_number(number(region["outside"], name)) if name not in ("hours", "ageing_h") else ""
+            )
             rows.append((words, unit, *cells, weather))
     return Table(
         "Operation and standstill",
@@ -83,7 +85,9 @@ def excursions_table(region: Mapping) -> Table:
     rows = []
     for name, words in OF_COURSES.items():
         if f"{name}_number" in year:
-            cells = [span_text(year[f"{name}_{part}"]) for part in ("h", "number", "mean_length_h", "longest_h")]
+            cells = [
+                span_text(year[f"{name}_{part}"]) for part in ("h", "number", "mean_length_h", "longest_h")
+            ]
             rows.append((words, *cells))
     return Table(
         "Excursions",
@@ -232,7 +236,11 @@ def _lines(table: Table) -> list[str]:
     rows = [table.columns, *table.rows]
     widths = [max(len(row[i]) for row in rows) for i in range(len(table.columns))]
     made = [
-        "  " + "  ".join(c.ljust(w) if i in table.left else c.rjust(w) for i, (c, w) in enumerate(zip(row, widths, strict=True)))
+        "  "
+        + "  ".join(
+            c.ljust(w) if i in table.left else c.rjust(w)
+            for i, (c, w) in enumerate(zip(row, widths, strict=True))
+        )
         for row in rows
     ]
     return [f"  {table.heading}", *(line.rstrip() for line in made)]
