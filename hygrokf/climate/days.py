@@ -90,33 +90,31 @@ def shares(celsius: np.ndarray, percent: np.ndarray, weight: np.ndarray | None =
 
 
 def choose_days(days: Days, count: int, law: Acceleration) -> np.ndarray:
-    """Places (count,) of the days that together come nearest to all of them; a day may stand twice where all are used."""
+    """Places (count,) of the days that together come nearest to all of them; none stands more often than it must."""
     rows, target = _features(days, law)
     count = max(1, count)
-    open_ = np.ones(len(rows), dtype=bool)
+    used, most = np.zeros(len(rows), dtype=int), -(-count // len(rows))
     square = np.einsum("df,df->d", rows, rows)
     chosen: list[int] = []
     total = np.zeros(rows.shape[1])
 
     def best(aim: np.ndarray) -> int:
         cost = square + 2.0 * rows @ (total - aim)
-        return int(np.argmin(np.where(open_, cost, np.inf)))
+        return int(np.argmin(np.where(used < most, cost, np.inf)))
 
     for number in range(1, count + 1):
-        if not open_.any():
-            open_[:] = True
         # at each length the days so far shall be like the whole
         place = best(number * target)
         chosen.append(place)
-        open_[place] = False
+        used[place] += 1
         total += rows[place]
     for _ in range(ROUNDS):
         changed = False
         for slot, old in enumerate(chosen):
             total -= rows[old]
-            open_[old] = True
+            used[old] -= 1
             new = best(count * target)
-            open_[new] = False
+            used[new] += 1
             total += rows[new]
             changed |= new != old
             chosen[slot] = new
