@@ -40,6 +40,16 @@ def test_members_have_the_fit_s_covariance_in_its_coordinates() -> None:
     assert draw_members(fit, 2, 3) == drawn[:2] and draw_members(fit, 2, 4) != drawn[:2]
 
 
+def test_a_noise_that_the_data_cannot_tell_from_zero_is_not_drawn_a_thousandfold() -> None:
+    """A standard error of 0.06 beside a value of 2e-5: a logarithm would be uncertain by 3000."""
+    fit = known_fit(hygric_diffusion=2e-5)
+    covariance = {"names": ["hygric_diffusion"], "matrix": [[0.06**2]]}
+    drawn = draw_members(Fit(fit.name, fit.design, fit.values, {"covariance": covariance}), 2000, 1)
+    values = np.array([m["hygric_diffusion"] for m in drawn])
+    assert values.min() == 1e-5 and values.max() < 0.3
+    assert np.quantile(values, 0.975) == pytest.approx(1.96 * 0.06, rel=0.08)
+
+
 def test_members_stay_within_bounds() -> None:
     fit = known_fit(30.0)
     bounds = {p.name: (p.lower, p.upper) for p in fit.design.model.parameters}

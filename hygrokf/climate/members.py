@@ -1,7 +1,9 @@
 """Members of an ensemble: models that the fit's data could as well have come from.
 
 Each member has parameters of its own, drawn from the normal distribution of the estimates in the coordinates of the
-estimation (logarithms of positive parameters), cut at the parameters' bounds.
+estimation (logarithms of positive parameters), cut at the parameters' bounds.  A positive parameter whose logarithm is
+uncertain by more than `LOG_MOST` is one that the data cannot tell from zero, usually a noise: a normal distribution of
+its logarithm would reach values a hundred times as large, which the data exclude.  It is drawn in its own units.
 """
 
 from __future__ import annotations
@@ -9,6 +11,10 @@ from __future__ import annotations
 import numpy as np
 
 from hygrokf.fit import Fit
+from hygrokf.parameters import Parameter
+
+LOG_MOST = 0.5
+"""Standard error of a logarithm [1] up to which its normal distribution is taken."""
 
 
 def draw_members(fit: Fit, count: int, seed: int) -> list[dict[str, float]]:
@@ -24,18 +30,27 @@ def draw_members(fit: Fit, count: int, seed: int) -> list[dict[str, float]]:
     slopes = np.array([p.slope(v) for p, v in zip(chosen, values, strict=True)])
     centre = np.array([p.to_coordinate(v) for p, v in zip(chosen, values, strict=True)])
     factor = _factor(matrix / np.outer(slopes, slopes)) if len(chosen) else np.zeros((0, 0))
+    spread = np.sqrt((factor**2).sum(axis=1))
     rows = np.random.default_rng([seed, 1]).standard_normal((count, len(chosen)))
     members = []
     for row in rows:
-        drawn = centre + factor @ row
-        own = {p.name: _within(p, float(z)) for p, z in zip(chosen, drawn, strict=True)}
+        moves = factor @ row
+        own = {
+            p.name: _moved(p, float(z), float(move), float(s))
+            for p, z, move, s in zip(chosen, centre, moves, spread, strict=True)
+        }
         members.append({**fit.values, **own})
     return members
 
 
-def _within(p, z: float) -> float:
-    lower, upper = p.to_coordinate(p.lower), p.to_coordinate(p.upper)
-    return min(max(p.from_coordinate(min(max(z, lower), upper)), p.lower), p.upper)
+def _moved(p: Parameter, z: float, move: float, sd: float) -> float:
+    """The parameter's value moved from z along its coordinate, or in its own units; within its bounds."""
+    if p.positive and sd > LOG_MOST:
+        value = p.from_coordinate(z) * (1.0 + move)
+    else:
+        # within the bounds before the exponential: a wild one has no number
+        value = p.from_coordinate(min(max(z + move, p.to_coordinate(p.lower)), p.to_coordinate(p.upper)))
+    return min(max(value, p.lower), p.upper)
 
 
 def _factor(covariance: np.ndarray) -> np.ndarray:
