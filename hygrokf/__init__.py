@@ -47,6 +47,7 @@ _WHERE = {
     "load_library": "discovery.own_causes",
     "discover": "discovery.discover",
     "Discovery": "discovery.discover",
+    "climate_profile": "climate.study",
     "synthetic_turbine": "synthetic",
     "write_case": "synthetic",
 }

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from climate_case import BEGIN_S, known_fit, made_up_weather
 
+from hygrokf.climate.chamber import TestPlan, read_test_plan
 from hygrokf.climate.form import FormFault
 from hygrokf.climate.limits import read_limits
 from hygrokf.climate.power import (
@@ -92,7 +93,7 @@ def hourly_power(first: str, days: int, value: np.ndarray | None = None) -> Seri
 def test_power_of_the_same_time_is_taken_as_it_is() -> None:
     power = hourly_power("2020-12-30T00:00:00", 400)
     found, words = power_by_season(power, made_up_weather())
-    assert found is power and "as it was" in words
+    assert found is power and "own hours" in words
 
 
 def test_power_of_another_year_is_taken_by_day_and_hour_of_the_year() -> None:
@@ -114,7 +115,7 @@ def test_what_drives_a_cabinet_is_said() -> None:
     assert np.array_equal(record["active_power"].value, standstill(weather).value)
     power = Record("p", (hourly_power("2020-12-30T00:00:00", 400),), rated_power_W=3e6)
     record, said = driven(fit, weather, power)
-    assert "as it was" in said[0] and "rated 3000 kW" in said[1]
+    assert "own hours" in said[0] and "rated 3000 kW" in said[1]
     blind = replace(fit, design=replace(fit.design, power_scale_W=None))
     record, said = driven(blind, weather, power)
     assert "active_power" not in record and "knows no power" in said[0]
@@ -162,3 +163,9 @@ def test_limits_are_read_and_all_faults_told(tmp_path: Path) -> None:
     file.write_text("limits = 3\n")
     with pytest.raises(FormFault, match="at least one"):
         read_limits(file)
+
+
+def test_the_example_files_of_the_docs_are_read() -> None:
+    docs = Path(__file__).resolve().parents[1] / "docs"
+    assert len(read_limits(docs / "climate_limits.toml")) == 5
+    assert read_test_plan(docs / "climate_test.toml") == TestPlan()

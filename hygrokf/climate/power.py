@@ -153,7 +153,7 @@ def power_by_season(power: Series, record: Record) -> tuple[Series, str]:
     """
     first, last = power.time[0] - power.interval_s, power.time[-1]
     if first <= record.start_s + 2 * 86400.0 and last >= record.end_s - 2 * 86400.0:
-        return power, "power as it was at the time of the weather"
+        return power, "power at the weather's own hours, as its record has it"
     year_s = DAYS_A_YEAR * 86400.0
     if last - first < 0.95 * year_s:
         raise PowerFault(
