@@ -15,9 +15,10 @@ from hygrokf.climate.tables import (
     limits_table,
     profile_table,
     rates_table,
+    regimes_table,
     regions_table,
-    scopes_table,
     span_text,
+    year_table,
 )
 from hygrokf.drawing import png
 from hygrokf.files import REPORT, write_bytes_whole, write_text_whole
@@ -105,20 +106,24 @@ def _region(region: Mapping, place: int, several: bool) -> list[str]:
     said = "".join(f"<p>{prose(sentence(one))}</p>" for one in region["statements"])
     return [
         f"<section class=cards>{''.join(_cards(region))}</section>" if not several else "",
-        section(f"{title}the year", f"<p class=meta>{prose(meta)}</p>", said),
+        section(_heading(title, "weather and power"), f"<p class=meta>{prose(meta)}</p>", said),
         section(
-            f"{title}limits", tables_html((limits_table(region), "No limits were given (--limits FILE)."))
+            _heading(title, "limits"),
+            tables_html((limits_table(region), "No limits were given (--limits FILE).")),
         )
         if not several or region["limits"]
         else "",
         section(
-            f"{title}hours, rates, cycles",
+            _heading(title, "hours, rates, cycles"),
             tables_html(
-                (scopes_table(region), ""), (excursions_table(region), ""), (rates_table(region), "")
+                (year_table(region), ""),
+                (regimes_table(region), "All of the year is of one kind, operation or standstill."),
+                (excursions_table(region), ""),
+                (rates_table(region), ""),
             ),
         ),
         section(
-            f"{title}distributions",
+            _heading(title, "distributions"),
             figure_html(
                 f"{short}joint",
                 "Temperature and relative humidity",
@@ -129,8 +134,13 @@ def _region(region: Mapping, place: int, several: bool) -> list[str]:
                 f"{short}duration", "Duration curves", DURATION_CAPTION, lambda: figure_duration(region)
             ),
         ),
-        section(f"{title}test profile", *_profile(region, short)),
+        section(_heading(title, "test profile"), *_profile(region, short)),
     ]
+
+
+def _heading(title: str, words: str) -> str:
+    """The heading of a region's section; a capital where no name stands before it."""
+    return title + words if title else words[:1].upper() + words[1:]
 
 
 def _cards(region: Mapping) -> list[str]:

@@ -44,7 +44,6 @@ RATES_AND_CYCLES = {
 SIDE_BY_SIDE = (
     "mean_temperature_degC", "mean_relative_humidity_percent", "wetness_h", "condensation_h", "ageing_h",
 )  # fmt: skip
-VERDICT = {"pass": "pass", "fail": "fail", "undecided": "undecided"}
 
 
 def span_text(one: Mapping | None) -> str:
@@ -57,26 +56,42 @@ def span_text(one: Mapping | None) -> str:
     return f"{plain_number(value)} ({plain_number(low)} … {plain_number(high)})"
 
 
-def scopes_table(region: Mapping) -> Table:
-    """All of the year, in operation, at standstill, and outside."""
-    scopes = [scope for scope in SCOPE_WORDS if scope in region["scopes"]]
+def year_table(region: Mapping) -> Table:
+    """The year as it is, the year if the turbine stood still, and outside."""
+    return _scopes(
+        region,
+        "The year",
+        ("all", "standstill_all_year"),
+        True,
+        "In brackets 95 % bounds for a single year. Hours are those of a year of 8766 h.",
+    )
+
+
+def regimes_table(region: Mapping) -> Table | None:
+    """Operation beside standstill; None where there is only one of them."""
+    if not {"operation", "standstill"} <= set(region["scopes"]):
+        return None
+    return _scopes(
+        region,
+        "Operation and standstill",
+        ("operation", "standstill"),
+        False,
+        "Means are those of the hours in the column; hours are those of the year that fall into it.",
+    )
+
+
+def _scopes(region: Mapping, heading: str, wanted: Sequence[str], weather: bool, note: str) -> Table:
+    scopes = [scope for scope in wanted if scope in region["scopes"]]
     rows = []
     for name, (words, unit) in OF_SCOPES.items():
         if any(name in region["scopes"][scope] for scope in scopes):
             cells = [span_text(region["scopes"][scope].get(name)) for scope in scopes]
-            # ageing counts for what stands in the cabinet, not outside
-            weather = (
-                plain_number(number(region["outside"], name)) if name not in ("hours", "ageing_h") else ""
-            )
-            rows.append((words, unit, *cells, weather))
-    return Table(
-        "Operation and standstill",
-        ("", "unit", *(SCOPE_WORDS[scope] for scope in scopes), "outside"),
-        tuple(rows),
-        left=(0, 1),
-        note="In brackets 95 % bounds for a single year. Means are those of the hours in the column; hours are those of a "
-        "year of 8766 h.",
-    )
+            if weather:  # ageing counts for what stands in the cabinet, not outside
+                told = name not in ("hours", "ageing_h")
+                cells.append(plain_number(number(region["outside"], name)) if told else "")
+            rows.append((words, unit, *cells))
+    columns = ("", "unit", *(SCOPE_WORDS[scope] for scope in scopes), *(("outside",) if weather else ()))
+    return Table(heading, columns, tuple(rows), left=(0, 1), note=note)
 
 
 def excursions_table(region: Mapping) -> Table:
@@ -127,7 +142,7 @@ def limits_table(region: Mapping) -> Table | None:
                 span_text(one["hours"]),
                 span_text(one["number"]),
                 span_text(one["longest_h"]),
-                VERDICT[one["verdict"]],
+                one["verdict"],
             )
         )
     if not rows:
@@ -208,7 +223,7 @@ def regions_table(regions: Sequence[Mapping]) -> Table | None:
             rows.append((words, unit, *(span_text(one["scopes"]["all"][name]) for one in regions)))
     rows.append(("class of wetness, ISO 9223:1992", "", *(one["wetness_class"] or NONE for one in regions)))
     for i, limit in enumerate(regions[0]["limits"]):
-        cells = [VERDICT[one["limits"][i]["verdict"]] if i < len(one["limits"]) else NONE for one in regions]
+        cells = [one["limits"][i]["verdict"] if i < len(one["limits"]) else NONE for one in regions]
         rows.append((f"limit: {limit['name']}", "", *cells))
     return Table(
         "Regions side by side",
@@ -224,7 +239,12 @@ def climate_text(data: Mapping) -> str:
     lines = []
     for region in data["regions"]:
         lines += [f"{region['name']}", *(f"  {one}" for one in region["statements"])]
-        for table in (limits_table(region), scopes_table(region), excursions_table(region)):
+        for table in (
+            limits_table(region),
+            year_table(region),
+            regimes_table(region),
+            excursions_table(region),
+        ):
             if table is not None:
                 lines += ["", *_lines(table)]
         lines.append("")
