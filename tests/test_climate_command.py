@@ -159,6 +159,7 @@ def test_the_same_seed_gives_the_same_files(folder: Path) -> None:
         (["--region", "a=W", "--region", "a=W", "--standstill"], "found twice: a"),
         (["--weather", "W", "--power", "W"], "active_power"),
         (["--weather", "none.toml", "--standstill"], "no such case file"),
+        (["--weather", "year.csv", "--standstill"], "expected one case file (.toml)"),
         (["--weather", "W", "--standstill", "--limits", "none.toml"], "check the path"),
     ],
 )

@@ -19,14 +19,19 @@ def climate_arguments(parser: argparse.ArgumentParser, whole: Callable[[int], Ca
     """Weather, power, and what is asked of a climate; `whole(least)` reads a whole number."""
     parser.add_argument("fit", type=Path, metavar="FIT.json")
     parser.add_argument(
-        "--weather", type=Path, nargs="+", default=[], metavar="FILE", help="weather files of one site"
+        "--weather",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="weather of one site, as a case file",
     )
     parser.add_argument(
         "--region",
         action="append",
         default=[],
         metavar="NAME=FILE[,FILE]",
-        help="weather files of a region; several regions stand side by side",
+        help="weather of a region; several regions stand side by side",
     )
     how = parser.add_mutually_exclusive_group()
     how.add_argument("--power", type=Path, metavar="CASE.toml", help="case file with active power over time")

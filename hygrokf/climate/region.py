@@ -35,10 +35,13 @@ class Region:
 
 
 def read_region(name: str, files: Sequence[str | os.PathLike[str]]) -> Region:
-    """The weather of one region from its files; raises what the readers raise."""
+    """The weather of one region from a case file with its ambient signals; raises PowerFault, CaseFault."""
     paths = [Path(one) for one in files]
     if len(paths) != 1 or paths[0].suffix != ".toml":
-        raise PowerFault(f"--weather: expected one case file, found {', '.join(map(str, files))}")
+        raise PowerFault(
+            f"{name}: expected one case file (.toml) with the ambient signals, found "
+            f"{', '.join(one.name for one in paths)}; name the weather's files as sources of a case file"
+        )
     return Region(name, read_case(paths[0], cabinet=False), tuple(one.name for one in paths))
 
 
