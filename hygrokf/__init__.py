@@ -48,6 +48,7 @@ _WHERE = {
     "discover": "discovery.discover",
     "Discovery": "discovery.discover",
     "read_weather": "weather.years",
+    "climate_profile": "climate.study",
     "synthetic_turbine": "synthetic",
     "write_case": "synthetic",
 }

@@ -54,11 +54,12 @@ class CaseFault(Exception):
         super().__init__("\n".join([f"{case}: {count}", *listed]))
 
 
-def read_case(path: str | os.PathLike[str], *, cabinet: bool = True) -> Record:
+def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bool = True) -> Record:
     """Record of a case file: sources read, units in SI, clocks in UTC, doubtful readings masked.
 
     path: the TOML file; the files it names are relative to it. docs/case_file.md has its form.
     cabinet: whether there must be a cabinet signal to identify; False for drivers alone.
+    ambient: whether there must be an ambient temperature; False for a power alone.
 
     What was masked or repaired is in the record's `warnings`.
     Raises CaseFault with all faults of the case file and of every source.
@@ -66,7 +67,8 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True) -> Record:
     file = Path(path)
     text, content = _case_text(file)
     case, faults = stated_case(content, file, text)
-    if "ambient_temperature" not in case.declared and all(one.compare for one in case.weather):
+    unheard = "ambient_temperature" not in case.declared and all(one.compare for one in case.weather)
+    if ambient and unheard:
         faults.append(
             f"{file.name}: no source names signals.ambient_temperature, the input that no model goes without"
         )
@@ -129,7 +131,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True) -> Record:
     if case.start_s is not None:
         record = record.window(case.start_s, math.inf)
     record = mask(record)
-    faults = _emptied(record, cabinet)
+    faults = _emptied(record, cabinet, ambient)
     if faults:
         raise CaseFault(str(path), faults)
     return record
@@ -366,10 +368,10 @@ def _period_faults(record: Record, case: StatedCase) -> list[str]:
     return faults
 
 
-def _emptied(record: Record, cabinet: bool) -> list[str]:
+def _emptied(record: Record, cabinet: bool, ambient: bool) -> list[str]:
     """Faults of a record that has no reading left where a model needs some."""
     faults = []
-    needed = [("ambient_temperature",)]
+    needed = [("ambient_temperature",)] if ambient else []
     if cabinet:
         needed.append(tuple(signal for signal in _IDENTIFIABLE if signal in record))
     for signals in needed:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hygrokf.climate.command import climate_arguments
 from hygrokf.console import (
     Progress,
     UserFault,
@@ -64,7 +65,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 _USER_FAULTS = (
     "UserFault", "CaseFault", "TableFault", "ResultFault", "ReportFault", "LibraryFault", "LibraryAbsent",
-    "ConfigFault", "StoreFault", "StoreUnready", "PageFault", "SourceFault", "ExportFault",
+    "FormFault", "PowerFault", "ConfigFault", "StoreFault", "StoreUnready", "PageFault", "SourceFault", "ExportFault",
 )  # fmt: skip
 
 
@@ -137,6 +138,12 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("case", type=Path, metavar="CASE.toml")
     _library(evaluate)
     _json(evaluate)
+    climate = command(
+        "climate", _climate, "simulate a site's climate in a fitted cabinet; limits, and a test profile"
+    )
+    climate_arguments(climate, _whole)
+    _library(climate)
+    _json(climate)
     export = command("export", _export, "write what a live tracker has stored to CSV or Parquet files")
     export.add_argument(
         "--store", required=True, metavar="URL", help="sqlite:PATH or postgresql://USER@HOST/NAME"
@@ -444,6 +451,15 @@ def _evaluate(options: argparse.Namespace) -> int:
     return 0
 
 
+def _climate(options: argparse.Namespace) -> int:
+    from hygrokf.climate.command import run_climate
+
+    page, data, text = run_climate(options, lambda: _stored(options))
+    _print(data, text, options.json)
+    print(f"report: {page}", file=sys.stderr)
+    return 0
+
+
 def _export(options: argparse.Namespace) -> int:
     from hygrokf.live.export import export
     from hygrokf.live.store import open_store
@@ -461,7 +477,7 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from hygrokf.files import DISCOVERY
+    from hygrokf.files import CLIMATE, DISCOVERY
     from hygrokf.report import write_report
 
     folder = options.directory.parent if options.directory.is_file() else options.directory
@@ -469,6 +485,10 @@ def _report(options: argparse.Namespace) -> int:
         from hygrokf.discovery.page import write_discovery_report
 
         page = write_discovery_report(None, folder)
+    elif (folder / CLIMATE).is_file():
+        from hygrokf.climate.page import write_climate_report
+
+        page = write_climate_report(None, folder)
     else:
         page = write_report(options.directory)
     _print({"report": str(page)}, str(page), options.json)
