@@ -191,9 +191,7 @@ class Record:
         object.__setattr__(self, "warnings", tuple(self.warnings))
         object.__setattr__(self, "provenance", tuple(self.provenance))
         second = [one.signal for one in self.compared]
-        twice = sorted(
-            {name for names in (self.signals, second) for name in names if names.count(name) > 1}
-        )
+        twice = sorted({name for names in (self.signals, second) for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"record {self.name}: more than one series of {', '.join(twice)}")
         if self.rated_power_W is not None and not 0.0 < self.rated_power_W < math.inf:

@@ -76,26 +76,3 @@ def known_fit(spread: float = 0.02, **values: float) -> Fit:
         known,
         {"covariance": {"names": names, "matrix": matrix.tolist()}, "name": "known cabinet"},
     )
-
-
-def epw_record(path, year: int = 2018) -> Record:
-    """Temperature, dew point and wind of an EPW file, dated to one year; hours end at their stamp, local standard time."""
-    import gzip
-
-    with gzip.open(path, "rt", encoding="latin-1") as stream:
-        rows = [line.split(",") for line in stream.read().splitlines()]
-    zone = float(rows[0][8])
-    data = rows[8:]
-    first = float(np.datetime64(f"{year}-01-01T00:00:00", "s").astype(int)) - HOUR_S * zone
-    time = first + HOUR_S * np.arange(1, len(data) + 1)
-    columns = {
-        name: np.array([float(row[i]) for row in data]) for name, i in (("T", 6), ("Td", 7), ("v", 21))
-    }
-    return Record(
-        "EPW",
-        (
-            Series("ambient_temperature", time, columns["T"] + 273.15),
-            Series("ambient_dew_point_temperature", time, np.minimum(columns["Td"], columns["T"]) + 273.15),
-            Series("wind_speed", time, columns["v"]),
-        ),
-    )

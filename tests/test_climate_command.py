@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from climate_case import known_fit, made_up_weather
 from html_page import Page
+from weather_case import epw_text
 
 from hygrokf.cli import main
 from hygrokf.climate.page import climate_page
@@ -136,6 +137,21 @@ def test_regions_stand_side_by_side(folder: Path) -> None:
     assert "Regions side by side" in page and page.count("<svg") == 7
 
 
+def test_a_typical_year_of_an_epw_file(folder: Path) -> None:
+    """Months of twelve years in the published layout are one year, of which nothing is left out."""
+    file = folder / "site.epw"
+    file.write_text(epw_text(years=tuple(range(2007, 2019))), encoding="latin-1")
+    curve = ("--power-curve", str(folder / "curve.toml"))
+    assert main(arguments(folder, "typical", "--weather", str(file), *curve)) == 0
+    (region,) = json.loads((folder / "typical" / "climate.json").read_text())["regions"]
+    assert region["files"] == ["site.epw"]
+    (year,) = region["years"]
+    assert (year["from"], year["until"]) == ("2001-01-01T00:00Z", "2001-12-31T23:00Z")
+    assert 8740.0 < year["hours_known"] < 8760.0  # what follows a gap is not counted before it has settled
+    assert region["outside"]["mean_temperature_degC"] == pytest.approx(10.0, abs=0.02)
+    assert any("at 10 m, brought to 80 m" in words for words in region["statements"])
+
+
 def test_the_same_seed_gives_the_same_files(folder: Path) -> None:
     for out in ("first", "again"):
         assert (
@@ -159,7 +175,8 @@ def test_the_same_seed_gives_the_same_files(folder: Path) -> None:
         (["--region", "a=W", "--region", "a=W", "--standstill"], "found twice: a"),
         (["--weather", "W", "--power", "W"], "active_power"),
         (["--weather", "none.toml", "--standstill"], "no such case file"),
-        (["--weather", "year.csv", "--standstill"], "expected one case file (.toml)"),
+        (["--weather", "year.csv", "--standstill"], "no such file: year.csv"),
+        (["--weather", "W", "year.epw", "--standstill"], "one case file (.toml) alone"),
         (["--weather", "W", "--standstill", "--limits", "none.toml"], "check the path"),
     ],
 )

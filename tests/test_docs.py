@@ -97,7 +97,11 @@ def broken_links(page: Path, text: str) -> list[str]:
             ["result/report.html", "simulated.csv", "step.png", "bode.png"],
         ),
         (DOCS / "add_a_mechanism.md", "python,bash", ["turbine/case.toml"]),
-        (DOCS / "climate.md", "python,bash", ["climate/report.html", "checked/climate.csv", "regions/report.html"]),
+        (
+            DOCS / "climate.md",
+            "python,bash",
+            ["climate/report.html", "checked/climate.csv", "regions/report.html"],
+        ),
         (DOCS / "own_cause.md", "python", ["turbine/case.toml", "found/fit.json"]),
         (DOCS / "weather.md", "python", ["site.epw"]),
     ],

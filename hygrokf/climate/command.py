@@ -24,7 +24,7 @@ def climate_arguments(parser: argparse.ArgumentParser, whole: Callable[[int], Ca
         nargs="+",
         default=[],
         metavar="FILE",
-        help="weather of one site, as a case file",
+        help="weather of one site: ERA5 or EPW files, one after the other, or a case file (.toml)",
     )
     parser.add_argument(
         "--region",

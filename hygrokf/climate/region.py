@@ -21,8 +21,12 @@ from hygrokf.climate.power import (
 )
 from hygrokf.fit import Fit
 from hygrokf.record import Record, Series
+from hygrokf.weather.reading import form_of
+from hygrokf.weather.years import read_weather
 
 HOUR_S = 3600.0
+TYPICAL_YEAR = 2001
+"""Calendar year that the months of a typical year, which are of several years, are put into; it has no 29 February."""
 
 
 @dataclass(frozen=True)
@@ -35,14 +39,22 @@ class Region:
 
 
 def read_region(name: str, files: Sequence[str | os.PathLike[str]]) -> Region:
-    """The weather of one region from a case file with its ambient signals; raises PowerFault, CaseFault."""
+    """The weather of one region: ERA5 or EPW files, put after each other, or one case file with ambient signals.
+
+    A typical year is told as `TYPICAL_YEAR`.  Raises PowerFault, CaseFault, TableFault.
+    """
     paths = [Path(one) for one in files]
-    if len(paths) != 1 or paths[0].suffix != ".toml":
+    cases = [one.name for one in paths if one.suffix == ".toml"]
+    if cases and len(paths) > 1:
         raise PowerFault(
-            f"{name}: expected one case file (.toml) with the ambient signals, found "
-            f"{', '.join(one.name for one in paths)}; name the weather's files as sources of a case file"
+            f"{name}: expected weather files, or one case file (.toml) alone, found {', '.join(one.name for one in paths)}"
         )
-    return Region(name, read_case(paths[0], cabinet=False), tuple(one.name for one in paths))
+    if cases:
+        weather = read_case(paths[0], cabinet=False)
+    else:
+        typical = len(paths) == 1 and form_of(paths[0]) == "epw"
+        weather = read_weather(paths, year=TYPICAL_YEAR if typical else None)
+    return Region(name, weather, tuple(one.name for one in paths))
 
 
 def read_power(path: str | os.PathLike[str]) -> Record:
