@@ -20,6 +20,7 @@ from hygrokf.console import (
     printable,
     system_words,
 )
+from hygrokf.transfer.command import compare_arguments, transfer_arguments
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:
@@ -144,6 +145,16 @@ def _parser() -> argparse.ArgumentParser:
     climate_arguments(climate, _whole)
     _library(climate)
     _json(climate)
+    compare = command("compare", _compare, "put cases, models or ambient sources side by side, with bounds")
+    compare_arguments(compare)
+    _library(compare)
+    _json(compare)
+    transfer = command(
+        "transfer", _transfer, "try a fitted model on another turbine: what travels, what differs"
+    )
+    transfer_arguments(transfer)
+    _library(transfer)
+    _json(transfer)
     export = command("export", _export, "write what a live tracker has stored to CSV or Parquet files")
     export.add_argument(
         "--store", required=True, metavar="URL", help="sqlite:PATH or postgresql://USER@HOST/NAME"
@@ -318,18 +329,19 @@ def _load(libraries: Sequence[Path]) -> None:
         load_library(*libraries)
 
 
-def _stored(options: argparse.Namespace) -> Any:
-    """The fit that a command names, with the users' mechanisms of its model."""
+def _stored(options: argparse.Namespace, path: Path | None = None) -> Any:
+    """The fit that a command names, or that of a path, with the users' mechanisms of its model."""
     from hygrokf.results import LibraryAbsent, read_fit
 
+    path = options.fit if path is None else path
     _load(options.library)
     try:
-        return read_fit(options.fit)
+        return read_fit(path)
     except LibraryAbsent:  # packages are asked only where a model needs them
         from hygrokf.discovery.own_causes import load_library
 
         load_library(*options.library, installed=True)
-        return read_fit(options.fit)
+        return read_fit(path)
 
 
 def _write(fit: Any, out: Path) -> Path:
@@ -360,9 +372,7 @@ def _demo(options: argparse.Namespace) -> int:
     print(f"synthetic turbine written: {case}", file=sys.stderr)
     fit = _identify(_record(case), case, options)
     page = _write(fit, options.out)
-    _print(fit.to_json(), report_text(fit.to_json()), options.json)
-    print(f"report: {page}", file=sys.stderr)
-    return 0
+    return _reported(page, fit.to_json(), report_text(fit.to_json()), options)
 
 
 def _check(options: argparse.Namespace) -> int:
@@ -381,9 +391,7 @@ def _fit(options: argparse.Namespace) -> int:
     record = _record(options.case)
     fit = _identify(record, options.case, options)
     page = _write(fit, options.out)
-    _print(fit.to_json(), report_text(fit.to_json()), options.json)
-    print(f"report: {page}", file=sys.stderr)
-    return 0
+    return _reported(page, fit.to_json(), report_text(fit.to_json()), options)
 
 
 def _discover(options: argparse.Namespace) -> int:
@@ -413,9 +421,7 @@ def _discover(options: argparse.Namespace) -> int:
             needs = f"; it needs {cause.needs}" if cause.needs else ""
             print(f"note: {cause.name} was not tried: this record cannot show it{needs}", file=sys.stderr)
     page = write_discovery_report(found, options.out)
-    _print(found.to_json(), discovery_text(found.to_json()), options.json)
-    print(f"report: {page}", file=sys.stderr)
-    return 0
+    return _reported(page, found.to_json(), discovery_text(found.to_json()), options)
 
 
 def _simulate(options: argparse.Namespace) -> int:
@@ -454,7 +460,26 @@ def _evaluate(options: argparse.Namespace) -> int:
 def _climate(options: argparse.Namespace) -> int:
     from hygrokf.climate.command import run_climate
 
-    page, data, text = run_climate(options, lambda: _stored(options))
+    return _reported(*run_climate(options, lambda: _stored(options)), options)
+
+
+def _compare(options: argparse.Namespace) -> int:
+    from hygrokf.transfer.command import run_compare
+
+    def stored(path: Path) -> Any:
+        return _stored(options, path)
+
+    found = run_compare(options, _record, stored, lambda record, case: _identify(record, case, options))
+    return _reported(*found, options)
+
+
+def _transfer(options: argparse.Namespace) -> int:
+    from hygrokf.transfer.command import run_transfer
+
+    return _reported(*run_transfer(options, _record, lambda path: _stored(options, path)), options)
+
+
+def _reported(page: Path, data: Any, text: str, options: argparse.Namespace) -> int:
     _print(data, text, options.json)
     print(f"report: {page}", file=sys.stderr)
     return 0
@@ -477,7 +502,7 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from hygrokf.files import CLIMATE, DISCOVERY
+    from hygrokf.files import CLIMATE, COMPARISON, DISCOVERY, TRANSFER
     from hygrokf.report import write_report
 
     folder = options.directory.parent if options.directory.is_file() else options.directory
@@ -489,6 +514,14 @@ def _report(options: argparse.Namespace) -> int:
         from hygrokf.climate.page import write_climate_report
 
         page = write_climate_report(None, folder)
+    elif (folder / COMPARISON).is_file():
+        from hygrokf.transfer.comparison_page import write_comparison
+
+        page = write_comparison(None, folder)
+    elif (folder / TRANSFER).is_file():
+        from hygrokf.transfer.page import rewrite_transfer
+
+        page = rewrite_transfer(folder)
     else:
         page = write_report(options.directory)
     _print({"report": str(page)}, str(page), options.json)

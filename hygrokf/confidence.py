@@ -154,7 +154,7 @@ def wald_bounds(estimate: Estimate, found: Uncertainty, name: str, level: float 
     place = found.place(name)
     if place is None:
         return Bounds(value, -math.inf, math.inf, level, "none", "at a bound or fixed", np.empty((0, 2)))
-    p = next(q for q in estimate.coordinates.free if q.name == name)
+    p = next(q for q in estimate.coordinates.parameters if q.name == name)
     se = math.sqrt(max(found.wald[place, place], found.sandwich[place, place]))
     z = p.to_coordinate(value)
     reach = normal_quantile(level) * se
@@ -172,7 +172,7 @@ def standard_error(estimate: Estimate, found: Uncertainty, name: str) -> float:
     place = found.place(name)
     if place is None:
         return math.nan
-    p = next(q for q in estimate.coordinates.free if q.name == name)
+    p = next(q for q in estimate.coordinates.parameters if q.name == name)
     variance = max(found.wald[place, place], found.sandwich[place, place])
     if p.positive and math.sqrt(variance) > FLAT_SE:
         return math.nan

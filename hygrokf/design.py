@@ -21,6 +21,7 @@ from hygrokf.loops import LINEAR, REGIME, ZERO_ORDER
 from hygrokf.mechanisms import LIBRARY
 from hygrokf.mechanisms.hygric import SHORTEST_H
 from hygrokf.model import Mechanism, Model, compose
+from hygrokf.parameters import Prior
 from hygrokf.record import Record, Series
 from hygrokf.signals import SIGNALS, signal_named
 
@@ -67,7 +68,8 @@ class Design:
     [h]; `power_scale_W` the power that counts as 1; `power_order` the largest power of it; `power_mean` the means of
     the features (operating, p, …) that stand for an unknown power; `humidity` the humidity signal that is observed;
     `ambient_noise` (q, r) of ambient signals whose readings are smoothed before use (see `ambient`); `features` inputs
-    that are made from the record's signals, with their settings.
+    that are made from the record's signals, with their settings; `priors` (mean, sd, logarithmic) of parameters, from
+    other turbines (see `turbine_type`).
     """
 
     mechanisms: tuple[tuple[str, dict], ...]
@@ -80,17 +82,25 @@ class Design:
     statements: tuple[str, ...] = ()
     holds: Mapping[str, str] = field(default_factory=dict)
     features: Mapping[str, dict] = field(default_factory=dict)
+    priors: Mapping[str, tuple[float, float, bool]] = field(default_factory=dict)
 
     @cached_property
     def model(self) -> Model:
         """The model; designs that call for the same one share it, as tracing and compiling it costs time and memory."""
         features = {name: FEATURES[name][1] for name in self.features if name in FEATURES}
         holds = {**HOLDS, **features, **self.holds}
-        said = [[settings for _, settings in self.mechanisms], sorted(holds.items()), dict(self.averaged)]
+        said = [
+            [settings for _, settings in self.mechanisms],
+            sorted(holds.items()),
+            dict(self.averaged),
+            sorted(self.priors.items()),
+        ]
         key = (tuple(LIBRARY[name] for name, _ in self.mechanisms), json.dumps(said))
         found = _models.get(key)
         if found is None:
-            made: list[Mechanism] = [LIBRARY[name](**settings) for name, settings in self.mechanisms]
+            made: list[Mechanism] = [
+                _informed(LIBRARY[name](**settings), self.priors) for name, settings in self.mechanisms
+            ]
             found = _models[key] = compose(made, holds, self.averaged)
         return found
 
@@ -107,7 +117,18 @@ class Design:
         known["power_mean"] = tuple(known["power_mean"])
         known["statements"] = tuple(known["statements"])
         known["ambient_noise"] = {name: tuple(pair) for name, pair in known["ambient_noise"].items()}
+        known["priors"] = {name: tuple(prior) for name, prior in known.get("priors", {}).items()}
         return cls(**known)
+
+
+def _informed(mechanism: Mechanism, priors: Mapping[str, tuple[float, float, bool]]) -> Mechanism:
+    """The mechanism with priors of its parameters."""
+    if not any(p.name in priors for p in mechanism.parameters):
+        return mechanism
+    known = tuple(
+        replace(p, prior=Prior(*priors[p.name])) if p.name in priors else p for p in mechanism.parameters
+    )
+    return replace(mechanism, parameters=known)
 
 
 RESOLVED = 0.02
@@ -368,5 +389,6 @@ def merged(parts: Sequence[Design]) -> Design:
             statements=tuple(dict.fromkeys((*first.statements, *part.statements))),
             holds={**first.holds, **part.holds},
             features={**first.features, **part.features},
+            priors={**first.priors, **part.priors},
         )
     return first

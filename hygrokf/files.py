@@ -16,6 +16,11 @@ BESIDE_DISCOVERY = "fit_report.html"
 DISCOVERY = "discovery.json"
 DISCOVERY_SERIES = "discovery.npz"
 CLIMATE = "climate.json"
+COMPARISON = "compare.json"
+COMPARISON_TABLE = "compare.csv"
+TRANSFER = "transfer.json"
+TRANSFER_SERIES = "transfer.npz"
+TYPE = "type.json"
 
 
 def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
@@ -16,6 +16,7 @@ from hygrokf.drivers import Run, run
 from hygrokf.fit import Fit
 from hygrokf.likelihood import Likelihood
 from hygrokf.output_error import OutputError
+from hygrokf.parameters import Prior
 from hygrokf.record import Record
 from hygrokf.scoring import bands, baselines, scores, sensor_share
 from hygrokf.simulation import free_run, measured
@@ -50,12 +51,14 @@ def identify(
     starts: int = STARTS,
     profiles: bool = True,
     progress: Progress | None = None,
+    prior: Callable[[Design], Mapping[str, Prior]] | None = None,
 ) -> Fit:
     """Identify the thermal and, where there is humidity, the hygric model of a record.
 
     Everything is chosen and estimated on the identification period; the validation period is only scored.
     `criterion`: "likelihood" (innovations) or "simulation" (free run, as in the paper) gives the reported values; both
-    sets of time constants are always shown.  `kind`: "joint" or "cascade".  Raises ValueError for unknown options and
+    sets of time constants are always shown.  `kind`: "joint" or "cascade".  `prior`: priors of parameters for a design,
+    from other turbines of the type (`TurbineType.prior`).  Raises ValueError for unknown options and
     for records from which nothing can be identified.
     """
     if kind not in (JOINT, CASCADE):
@@ -64,7 +67,7 @@ def identify(
         raise ValueError(f"criterion: expected one of {CRITERIA}, found {criterion!r}")
     say = progress or (lambda text: None)
     early = record.identification()
-    basis = identified(early, kind, starts, profiles, say)
+    basis = identified(early, kind, starts, profiles, say, prior)
     say("output-error fit")
     return assembled(record, basis, output_errors(early, basis.whole, basis.values), criterion, say)
 
@@ -91,7 +94,14 @@ class Basis:
         return {name: value for stage in self.stages for name, value in stage.estimate.values.items()}
 
 
-def identified(early: Record, kind: str, starts: int, profiles: bool, say: Progress) -> Basis:
+def identified(
+    early: Record,
+    kind: str,
+    starts: int,
+    profiles: bool,
+    say: Progress,
+    prior: Callable[[Design], Mapping[str, Prior]] | None = None,
+) -> Basis:
     """Estimate and judge every stage on the identification period `early`."""
     from hygrokf.stationary import heat_release_regression
 
@@ -103,6 +113,9 @@ def identified(early: Record, kind: str, starts: int, profiles: bool, say: Progr
     records: list[Record] = []
     for part in (JOINT,) if kind == JOINT else ("thermal", CASCADE):
         base = design(early, kind=part, **orders)
+        if prior is not None:
+            known = {name: (p.mean, p.sd, p.logarithmic) for name, p in prior(base).items()}
+            base = replace(base, priors=known)
         if part == CASCADE and base.humidity is None:
             continue
         driven = early
@@ -163,7 +176,7 @@ def assembled(
     errors = {
         p.name: standard_error(stage.estimate, stage.uncertainty, p.name)
         for stage in stages
-        for p in stage.estimate.coordinates.free
+        for p in stage.estimate.coordinates.parameters
     }
     made = run(whole, record)
     spread = _covariance(stages, whole, simulated if criterion == "simulation" else {}, values)
@@ -349,7 +362,7 @@ def _parameters(stage: Stage, values: Mapping[str, float], errors: Mapping[str, 
             "lower": b.lower if math.isfinite(b.lower) else None,
             "upper": b.upper if math.isfinite(b.upper) else None,
             "meaning": p.meaning,
-            "prior": None if p.prior is None else {"mean": p.prior.mean, "sd": p.prior.sd},
+            "prior": None if p.prior is None else dict(zip(("mean", "sd"), p.prior.in_unit(), strict=True)),
             "fixed": p.name in stage.estimate.coordinates.fixed,
             "at_bound": p.name in stage.estimate.at_bounds,
         }

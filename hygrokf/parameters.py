@@ -15,13 +15,36 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Prior:
-    """A normal prior of one parameter [the parameter's unit]: knowledge from outside the record."""
+    """A normal prior of one parameter [the parameter's unit]: knowledge from outside the record.
+
+    `logarithmic`: of its natural logarithm instead, `mean` and `sd` those of ln θ.
+    """
 
     mean: float
     sd: float
+    logarithmic: bool = False
 
     def log_density(self, value: float) -> float:
-        return -0.5 * ((value - self.mean) / self.sd) ** 2 - math.log(self.sd * math.sqrt(2 * math.pi))
+        return -0.5 * self._distance(value) ** 2 - math.log(self.sd * math.sqrt(2 * math.pi))
+
+    def log_slope(self, value: float) -> float:
+        """Derivative of the log density by the value."""
+        return -self._distance(value) * self._rate(value)
+
+    def information(self, value: float) -> float:
+        """Expected information about the value, 1/sd² in its own unit."""
+        return self._rate(value) ** 2
+
+    def in_unit(self) -> tuple[float, float]:
+        """Mean and standard deviation in the parameter's unit; of a logarithmic prior its median and, to first order, sd."""
+        median = math.exp(self.mean) if self.logarithmic else self.mean
+        return median, self.sd * (median if self.logarithmic else 1.0)
+
+    def _distance(self, value: float) -> float:
+        return ((math.log(value) if self.logarithmic else value) - self.mean) / self.sd
+
+    def _rate(self, value: float) -> float:
+        return 1.0 / (self.sd * value) if self.logarithmic else 1.0 / self.sd
 
 
 @dataclass(frozen=True)
@@ -51,6 +74,8 @@ class Parameter:
             raise ValueError(
                 f"{self.name}: expected a start within {self.lower} … {self.upper}, found {self.start}"
             )
+        if self.prior is not None and self.prior.logarithmic and not self.positive:
+            raise ValueError(f"{self.name}: a prior of its logarithm needs a positive parameter")
         if self.positive and self.lower <= 0:
             raise ValueError(
                 f"{self.name}: a positive parameter needs a lower bound above 0, found {self.lower}"
@@ -120,8 +145,8 @@ class Coordinates:
                 value = p.from_coordinate(float(v))
                 slope = p.slope(value)
                 total += p.prior.log_density(value)
-                gradient[i] = -(value - p.prior.mean) / p.prior.sd**2 * slope
-                curvature[i] = (slope / p.prior.sd) ** 2
+                gradient[i] = p.prior.log_slope(value) * slope
+                curvature[i] = p.prior.information(value) * slope**2
         return total, gradient, curvature
 
 

@@ -51,8 +51,8 @@ def scores(run: Run, predicted: Prediction, until_s: float | None) -> dict:
     return result
 
 
-def baselines(run: Run, until_s: float | None) -> dict:
-    """What a sceptic would ask for.
+def guesses(run: Run, until_s: float | None) -> dict[str, dict[str, np.ndarray]]:
+    """What a sceptic would put in the place of a model: readings (T,) by rule and quantity.
 
     `ambient`: c = c_amb; `ambient_pressure_balance`: c = c_amb T_amb/T_conv,a with the measured temperature;
     `no_dynamics`: T_amb plus a heat release fitted by least squares to the identification period, without any
@@ -61,23 +61,29 @@ def baselines(run: Run, until_s: float | None) -> dict:
     t = run.timeline
     known = measured(run)
     masks = period_masks(run, until_s)
-    guesses: dict[str, dict[str, np.ndarray]] = {}
+    found: dict[str, dict[str, np.ndarray]] = {}
     if "ambient_absolute_humidity" in t.varying:
         ambient = t.input("ambient_absolute_humidity")
-        guesses["ambient"] = {"absolute_humidity_g_m3": ambient}
+        found["ambient"] = {"absolute_humidity_g_m3": ambient}
         ratio = t.input("ambient_temperature") / known["temperature_K"]
-        guesses["ambient_pressure_balance"] = {"absolute_humidity_g_m3": ambient * ratio}
+        found["ambient_pressure_balance"] = {"absolute_humidity_g_m3": ambient * ratio}
     static = _static(run, known["temperature_K"], masks["identification"])
     if static is not None:
-        guesses["no_dynamics"] = {"temperature_K": static}
+        found["no_dynamics"] = {"temperature_K": static}
+    return found
+
+
+def baselines(run: Run, until_s: float | None) -> dict:
+    """Errors of the sceptic's `guesses` by period, rule and quantity, as `rmse` gives them."""
+    known, rules = measured(run), guesses(run, until_s)
     result: dict = {}
-    for period, chosen in masks.items():
+    for period, chosen in period_masks(run, until_s).items():
         result[period] = {
             name: {
                 quantity: rmse(np.where(chosen & run.scored, known[quantity] - value, np.nan), run.operating)
                 for quantity, value in guess.items()
             }
-            for name, guess in guesses.items()
+            for name, guess in rules.items()
         }
     return result
 

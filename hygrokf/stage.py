@@ -237,6 +237,7 @@ def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> d
             mechanisms=tuple(m for m in base.mechanisms if m[0] in _THERMAL_PLAIN),
             humidity=None,
             averaged={k: v for k, v in base.averaged.items() if k == "cabinet_temperature"},
+            priors={},  # what other turbines say is no part of this criterion
         )
         likelihood = Likelihood(thermal.model, run(thermal, early).timeline)
         found["thermal_time_constant"] = fit_output_error(likelihood, plain(thermal))

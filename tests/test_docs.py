@@ -102,6 +102,8 @@ def broken_links(page: Path, text: str) -> list[str]:
             "python,bash",
             ["climate/report.html", "checked/climate.csv", "regions/report.html"],
         ),
+        (DOCS / "compare.md", "python,bash", ["compared/report.html", "compared/compare.csv"]),
+        (DOCS / "transfer.md", "python,bash", ["moved/report.html", "moved/synthetic-turbine-42/fit.json"]),
         (DOCS / "own_cause.md", "python", ["turbine/case.toml", "found/fit.json"]),
         (DOCS / "weather.md", "python", ["site.epw"]),
     ],

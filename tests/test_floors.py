@@ -15,7 +15,7 @@ ROOT = Path(hygrokf.__file__).parent
 FACE = "hygrokf"
 FLOORS = (
     # what knows nothing of the package
-    "expression machine moments parameters signals psychrometrics files lookup version console discovery live weather live.schema live.reasons live.certificates climate climate.form climate.cycles climate.bounds climate.acceleration",
+    "expression machine moments parameters signals psychrometrics files lookup version console discovery live weather live.schema live.reasons live.certificates climate climate.form climate.cycles climate.bounds climate.acceleration resampling transfer",
     # text of code, one step, what a record is
     "emission discretisation record stamps live.database surface climate.chamber",
     "running_sums case_keys live.table_reader live.sqlite live.postgres live.check",
@@ -39,11 +39,11 @@ FLOORS = (
     "stage",
     "time_constants discovery.scene discovery.clocks",
     "fit discovery.scan discovery.cause live.operation",
-    "results tables identification discovery.residuals discovery.changes discovery.grids live.plan live.condition live.outlook climate.ensemble climate.members climate.region",
-    "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties climate.statistics climate.days",
-    "discovery.library discovery.misfits discovery.repeats live.forecast live.inquiry climate.limits climate.sequence",
-    "discovery.nesting discovery.trial live.store live.payload climate.study",
-    "discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.alarms live.tally climate.results",
+    "results tables identification discovery.residuals discovery.changes discovery.grids live.plan live.condition live.outlook climate.ensemble climate.members climate.region turbine_type",
+    "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties climate.statistics climate.days transfer.comparison transfer.groups",
+    "discovery.library discovery.misfits discovery.repeats live.forecast live.inquiry climate.limits climate.sequence transfer.scene",
+    "discovery.nesting discovery.trial live.store live.payload climate.study transfer.account",
+    "discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.alarms live.tally climate.results transfer.transfer",
     "discovery.discover live.fleet",
     "live.streams live.ahead live.retention live.export",
     "live.broker live.opcua live.mqtt_client",
@@ -53,12 +53,13 @@ FLOORS = (
     "live.config",
     # pictures and faces
     "drawing excerpts report_words live.service live.views live.demo live.web_access live.usual live.logs live.doctor_clock live.doctor_store live.doctor_models",
-    "plots_course plots_identification plots_innovations report_tables discovery.plots_residuals live.web_events live.web_metrics live.doctor_mqtt",
+    "plots_course plots_identification plots_innovations report_tables discovery.plots_residuals live.web_events live.web_metrics live.doctor_mqtt transfer.plots",
     "plots page weather.plots discovery.plots_misfits discovery.words live.web live.web_server live.doctor_opcua climate.tables",
     "live.tracking live.doctor_sources climate.plots",
     "live.doctor climate.page",
-    "report discovery.tables climate.command",
-    "discovery.page",
+    "report discovery.tables climate.command transfer.comparison_page",
+    "discovery.page transfer.page",
+    "transfer.command",
     "cli",
     "__main__",
 )

@@ -13,15 +13,12 @@ from hygrokf.discovery.changes import change_p, drift_p, sharp_step
 from hygrokf.discovery.significance import (
     Null,
     Prewhitened,
-    autoregression,
     benjamini_hochberg,
-    effective_size,
-    integral_time_h,
     largest_p,
     linear_p,
-    surrogates,
     tail,
 )
+from hygrokf.resampling import autoregression, effective_size, integral_time_h, surrogates
 
 
 def remembering(seed: int, size: int, time_h: float, step_h: float = 1.0) -> np.ndarray:

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.discovery.significance import Null, autoregression, centred, tail
+from hygrokf.discovery.significance import Null, centred, tail
+from hygrokf.resampling import autoregression
 
 LEAST_LEAD = -4.0
 CLEAR_LEAD = 2.0

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.discovery.residuals import Hours, run_lengths, shown, words
-from hygrokf.discovery.significance import block_h
+from hygrokf.resampling import block_h
 
 LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)
 RATE_H = 3.0

@@ -7,16 +7,16 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from hygrokf.confidence import normal_quantile, standard_error, wald_bounds
+from hygrokf.confidence import standard_error, wald_bounds
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import named
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
 from hygrokf.discovery.trial import MATERIAL, Trial, added, probability, score_statistic
 from hygrokf.fit import Fit
+from hygrokf.resampling import resampled
 from hygrokf.stage import Stage
 
 BLOCK_DAYS = 3
-DRAWS = 400
 QUANTITY = {THERMAL: "temperature_K", HYGRIC: "absolute_humidity_g_m3"}
 ONCE_AT_MOST = 0.6
 """Confidence of a cause that was seen in one episode only, or makes the held-out simulation worse beyond doubt."""
@@ -184,28 +184,17 @@ def _lost(gain: Mapping) -> bool:
 
 def _bootstrap(quantity: str, period: str, before: Fit, after: Fit) -> tuple[float | None, float | None]:
     """95 % bounds of RMSE before − RMSE after."""
-    sums = []
+    columns = []
     for fit in (before, after):
         s = fit.series
         stem = quantity.removesuffix("_K").removesuffix("_g_m3")
         error = s[f"{stem}_measured"] - s[f"{stem}_simulated"]
         late = s["time_s"] > float(s["until_s"]) if math.isfinite(float(s["until_s"])) else s["time_s"] < 0
         there = np.isfinite(error) & (s["scored"] > 0) & (late if period == "validation" else ~late)
-        block = np.floor(s["time_s"] / (BLOCK_DAYS * 86400.0)).astype(int)
-        sums.append((block[there], error[there] ** 2))
-    first, last = min(b.min() for b, _ in sums), max(b.max() for b, _ in sums)
-    count = last - first + 1
-    squares = [np.bincount(b - first, e, count) for b, e in sums]
-    numbers = [np.bincount(b - first, minlength=count) for b, _ in sums]
-    if count < 4:
-        return None, None
-    random = np.random.default_rng(0)
-    draws = random.integers(0, count, (DRAWS, count))
-    values = [
-        np.sqrt(s[draws].sum(axis=1) / np.maximum(n[draws].sum(axis=1), 1))
-        for s, n in zip(squares, numbers, strict=True)
-    ]
-    z = normal_quantile(0.95)
-    tail = 0.5 * math.erfc(z / math.sqrt(2.0))
-    low, high = np.quantile(values[0] - values[1], [tail, 1.0 - tail])
-    return float(low), float(high)
+        columns.append(dict(zip(s["time_s"][there], error[there], strict=True)))
+    # an extended model may have instants of its own: those of both are compared
+    time = np.array(sorted(set(columns[0]) & set(columns[1])))
+    errors = np.array([[column[at] for column in columns] for at in time]).reshape(-1, 2)
+    drawn = resampled(time, errors, length_h=24.0 * BLOCK_DAYS)
+    found = None if drawn is None else drawn.difference(0, 1)
+    return (None, None) if found is None else (found[1], found[2])

@@ -20,7 +20,7 @@ from hygrokf.discovery.residuals import (
     hourly,
     run_lengths,
 )
-from hygrokf.discovery.significance import block_h
+from hygrokf.resampling import block_h
 
 BLOCK_H = 6.0
 APART = 12

@@ -1,9 +1,8 @@
 """Whether errors that remember their past go with a condition: block bootstrap, effective size, false discoveries.
 
 The errors of a free run are correlated over half a day and more, so readings are no independent witnesses.  The
-bootstrap here is post-blackened: an autoregression takes most of the memory out, what is left is drawn in circular
-blocks of at least a day, and the memory is put back.  Blocks of the raw errors would lose a share τ/L of the variance
-of their means (τ integral time, L block), which at the far tail doubles or triples p.
+surrogates here are post-blackened (`resampling`): blocks of the raw errors would lose a share τ/L of the variance of
+their means (τ integral time, L block), which at the far tail doubles or triples p.
 
 Shapes: n bins of equal length, k columns of a basis, B surrogates, J questions.
 
@@ -19,122 +18,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-SURROGATES = 400
+from hygrokf.resampling import SURROGATES, autoregression, block_h, effective_size, surrogates
+
 SECOND_LOOK = 200
 """Surrogates where the noise is judged again without an effect."""
-SEED = 20200925
-"""Fixed: the same record has the same answer."""
-LEAST_BLOCK_H = 24.0
-BLOCKS_PER_TIME = 4.0
-"""Blocks are this many integral times long, and at least a day."""
-LARGEST_ORDER = 24
-SHORT_HOLE = 6
-"""Bins over which a hole is bridged by a straight line before memory is estimated."""
 FEWEST_CLUSTERS = 10.0
 """Effective number of blocks from which a condition's own scatter can be judged."""
 LIVELY = 1.5
 """Ratio of variances from which errors are livelier under a condition; then the blocks' number is what counts."""
-
-
-# --- memory ----------------------------------------------------------------------------------
-
-
-def bridged(values: np.ndarray) -> np.ndarray:
-    """Deviations (n,) from the mean; short holes bridged by straight lines, long ones zero."""
-    known = np.isfinite(values)
-    if not known.any():
-        return np.zeros(len(values))
-    centred = values - float(np.mean(values[known]))
-    place = np.arange(len(values))
-    line = np.interp(place, place[known], centred[known])
-    last = np.maximum.accumulate(np.where(known, place, -len(values)))
-    following = np.minimum.accumulate(np.where(known, place, 2 * len(values))[::-1])[::-1]
-    return np.where(following - last <= SHORT_HOLE, line, np.where(known, centred, 0.0))
-
-
-def autocovariance(values: np.ndarray, lags: int) -> np.ndarray:
-    """Autocovariance (lags + 1,) of deviations (n,), divided by n: never indefinite."""
-    n = len(values)
-    size = 1 << (n + lags).bit_length()
-    spectrum = np.abs(np.fft.rfft(values, size)) ** 2
-    return np.fft.irfft(spectrum, size)[: lags + 1] / n
-
-
-def integral_time_h(values: np.ndarray, step_h: float = 1.0) -> float:
-    """Integral time scale [h] of a series (n,), NaN = missing: ∫ρ dt from 0 to where ρ first falls below 0.05.
-
-    An exponential memory of time constant τ gives τ.  At least half a step.
-    """
-    centred = bridged(values)
-    lags = min(len(values) - 1, int(20 * 24 / step_h))
-    covariance = autocovariance(centred, lags)
-    if covariance[0] <= 0:
-        return 0.5 * step_h
-    rho = covariance / covariance[0]
-    below = np.flatnonzero(rho < 0.05)
-    last = int(below[0]) if len(below) else lags
-    return step_h * max(0.5, 0.5 + float(rho[1:last].sum()))
-
-
-def effective_size(values: np.ndarray, step_h: float = 1.0) -> float:
-    """Number of independent values that know the mean as well as the n correlated ones do."""
-    there = int(np.isfinite(values).sum())
-    return max(1.0, there * step_h / (2.0 * integral_time_h(values, step_h)))
-
-
-def block_h(values: np.ndarray, step_h: float = 1.0) -> float:
-    """Length of the blocks [h]: four integral times, at least a day, at most a tenth of the record."""
-    longest = max(LEAST_BLOCK_H, 0.1 * step_h * len(values))
-    return min(max(LEAST_BLOCK_H, BLOCKS_PER_TIME * integral_time_h(values, step_h)), longest)
-
-
-def autoregression(values: np.ndarray, largest: int = LARGEST_ORDER) -> tuple[np.ndarray, np.ndarray]:
-    """Coefficients φ (p,) of x_t = Σ φ_j x_{t−j} + w_t by Yule–Walker and AIC, and its errors w (n,).
-
-    values: (n,), NaN = missing.  Errors are NaN where a value within reach is missing, and at the first p.
-    """
-    centred = bridged(values)
-    n = int(np.isfinite(values).sum())
-    largest = max(1, min(largest, n // 20))
-    covariance = autocovariance(centred, largest)
-    if covariance[0] <= 0:
-        return np.empty(0), np.where(np.isfinite(values), 0.0, np.nan)
-    phi, spread = np.zeros(0), covariance[0]
-    best, best_aic = phi, n * math.log(spread)
-    for order in range(1, largest + 1):
-        part = (covariance[order] - float(phi @ covariance[order - 1 : 0 : -1])) / spread
-        phi = np.append(phi - part * phi[::-1], part)
-        spread *= max(1.0 - part * part, 1e-12)
-        aic = n * math.log(spread) + 2.0 * order
-        if aic < best_aic:
-            best, best_aic = phi, aic
-    kernel = np.concatenate([[1.0], -best])
-    error = np.convolve(centred, kernel)[: len(values)]
-    missing = (~np.isfinite(values)).astype(float)
-    spoilt = np.convolve(missing, np.ones(len(kernel)))[: len(values)] > 0.5
-    spoilt[: len(best)] = True
-    return best, np.where(spoilt, np.nan, error)
-
-
-def surrogates(
-    values: np.ndarray, step_h: float = 1.0, count: int = SURROGATES, seed: int = SEED
-) -> np.ndarray:
-    """Series (count, n) with the memory of `values` (n,), but tied to no condition."""
-    from scipy.signal import lfilter
-
-    n = len(values)
-    phi, error = autoregression(values)
-    pool = error[np.isfinite(error)]
-    if len(pool) < 2:
-        return np.zeros((count, n))
-    pool = pool - pool.mean()
-    lead = max(24, 8 * len(phi))
-    block = max(1, min(round(block_h(values, step_h) / step_h), len(pool)))
-    random = np.random.default_rng(seed)
-    starts = random.integers(0, len(pool), (count, -(-(n + lead) // block)))
-    place = (starts[:, :, None] + np.arange(block)) % len(pool)
-    drawn = pool[place.reshape(count, -1)[:, : n + lead]]
-    return lfilter([1.0], np.concatenate([[1.0], -phi]), drawn, axis=1)[:, lead:]
 
 
 # --- one condition ---------------------------------------------------------------------------

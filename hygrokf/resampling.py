@@ -1,0 +1,239 @@
+"""What correlated errors know: their memory, blocks of them, and bounds of root mean squared errors by resampling.
+
+The errors of a free run are correlated over half a day and more, so readings are no independent witnesses.  Two ways to
+draw such errors again stand here.  Surrogates (post-blackened: an autoregression takes most of the memory out, what is
+left is drawn in circular blocks, and the memory is put back) answer whether errors go with a condition.  Circular
+blocks of the squared errors themselves answer how far a root mean squared error, and the difference of two on the same
+instants, may be trusted.
+
+Shapes: n bins of equal length, T instants, k columns of errors, B draws.
+
+Source: Künsch 1989, doi:10.1214/aos/1176347265; Politis & Romano 1992 (circular blocks); Davison & Hinkley 1997,
+section 8.2.3 (post-blackening).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+SURROGATES = 400
+SEED = 20200925
+"""Fixed: the same record has the same answer."""
+LEAST_BLOCK_H = 24.0
+BLOCKS_PER_TIME = 4.0
+"""Blocks are this many integral times long, and at least a day."""
+LARGEST_ORDER = 24
+SHORT_HOLE = 6
+"""Bins over which a hole is bridged by a straight line before memory is estimated."""
+DRAWS = 600
+"""Draws of blocks for bounds of root mean squared errors."""
+FEWEST_BLOCKS = 4.0
+"""Effective number of blocks below which no bounds are given."""
+MOST_LOST = 0.5
+"""Share of the variance at most for which the blocks' shortness is made up."""
+HOUR_S = 3600.0
+
+
+# --- memory ----------------------------------------------------------------------------------
+
+
+def bridged(values: np.ndarray) -> np.ndarray:
+    """Deviations (n,) from the mean; short holes bridged by straight lines, long ones zero."""
+    known = np.isfinite(values)
+    if not known.any():
+        return np.zeros(len(values))
+    centred = values - float(np.mean(values[known]))
+    place = np.arange(len(values))
+    line = np.interp(place, place[known], centred[known])
+    last = np.maximum.accumulate(np.where(known, place, -len(values)))
+    following = np.minimum.accumulate(np.where(known, place, 2 * len(values))[::-1])[::-1]
+    return np.where(following - last <= SHORT_HOLE, line, np.where(known, centred, 0.0))
+
+
+def autocovariance(values: np.ndarray, lags: int) -> np.ndarray:
+    """Autocovariance (lags + 1,) of deviations (n,), divided by n: never indefinite."""
+    n = len(values)
+    size = 1 << (n + lags).bit_length()
+    spectrum = np.abs(np.fft.rfft(values, size)) ** 2
+    return np.fft.irfft(spectrum, size)[: lags + 1] / n
+
+
+def integral_time_h(values: np.ndarray, step_h: float = 1.0) -> float:
+    """Integral time scale [h] of a series (n,), NaN = missing: ∫ρ dt from 0 to where ρ first falls below 0.05.
+
+    An exponential memory of time constant τ gives τ.  At least half a step.
+    """
+    centred = bridged(values)
+    lags = min(len(values) - 1, int(20 * 24 / step_h))
+    covariance = autocovariance(centred, lags)
+    if covariance[0] <= 0:
+        return 0.5 * step_h
+    rho = covariance / covariance[0]
+    below = np.flatnonzero(rho < 0.05)
+    last = int(below[0]) if len(below) else lags
+    return step_h * max(0.5, 0.5 + float(rho[1:last].sum()))
+
+
+def effective_size(values: np.ndarray, step_h: float = 1.0) -> float:
+    """Number of independent values that know the mean as well as the n correlated ones do."""
+    there = int(np.isfinite(values).sum())
+    return max(1.0, there * step_h / (2.0 * integral_time_h(values, step_h)))
+
+
+def block_h(values: np.ndarray, step_h: float = 1.0) -> float:
+    """Length of the blocks [h]: four integral times, at least a day, at most a tenth of the record."""
+    longest = max(LEAST_BLOCK_H, 0.1 * step_h * len(values))
+    return min(max(LEAST_BLOCK_H, BLOCKS_PER_TIME * integral_time_h(values, step_h)), longest)
+
+
+def autoregression(values: np.ndarray, largest: int = LARGEST_ORDER) -> tuple[np.ndarray, np.ndarray]:
+    """Coefficients φ (p,) of x_t = Σ φ_j x_{t−j} + w_t by Yule–Walker and AIC, and its errors w (n,).
+
+    values: (n,), NaN = missing.  Errors are NaN where a value within reach is missing, and at the first p.
+    """
+    centred = bridged(values)
+    n = int(np.isfinite(values).sum())
+    largest = max(1, min(largest, n // 20))
+    covariance = autocovariance(centred, largest)
+    if covariance[0] <= 0:
+        return np.empty(0), np.where(np.isfinite(values), 0.0, np.nan)
+    phi, spread = np.zeros(0), covariance[0]
+    best, best_aic = phi, n * math.log(spread)
+    for order in range(1, largest + 1):
+        part = (covariance[order] - float(phi @ covariance[order - 1 : 0 : -1])) / spread
+        phi = np.append(phi - part * phi[::-1], part)
+        spread *= max(1.0 - part * part, 1e-12)
+        aic = n * math.log(spread) + 2.0 * order
+        if aic < best_aic:
+            best, best_aic = phi, aic
+    kernel = np.concatenate([[1.0], -best])
+    error = np.convolve(centred, kernel)[: len(values)]
+    missing = (~np.isfinite(values)).astype(float)
+    spoilt = np.convolve(missing, np.ones(len(kernel)))[: len(values)] > 0.5
+    spoilt[: len(best)] = True
+    return best, np.where(spoilt, np.nan, error)
+
+
+def surrogates(
+    values: np.ndarray, step_h: float = 1.0, count: int = SURROGATES, seed: int = SEED
+) -> np.ndarray:
+    """Series (count, n) with the memory of `values` (n,), but tied to no condition."""
+    from scipy.signal import lfilter
+
+    n = len(values)
+    phi, error = autoregression(values)
+    pool = error[np.isfinite(error)]
+    if len(pool) < 2:
+        return np.zeros((count, n))
+    pool = pool - pool.mean()
+    lead = max(24, 8 * len(phi))
+    block = max(1, min(round(block_h(values, step_h) / step_h), len(pool)))
+    random = np.random.default_rng(seed)
+    starts = random.integers(0, len(pool), (count, -(-(n + lead) // block)))
+    place = (starts[:, :, None] + np.arange(block)) % len(pool)
+    drawn = pool[place.reshape(count, -1)[:, : n + lead]]
+    return lfilter([1.0], np.concatenate([[1.0], -phi]), drawn, axis=1)[:, lead:]
+
+
+# --- root mean squared errors ----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Resampled:
+    """Root mean squared errors (k,) of columns on the same instants, B draws (B, k) of them, and what they are worth.
+
+    `n` readings; `blocks` the effective number of blocks that hold them; `length_h` [h] of a block; `lost` [1] share of
+    the variance that blocks of this length leave out.
+    """
+
+    value: np.ndarray
+    draws: np.ndarray
+    n: int
+    blocks: float
+    length_h: float
+    lost: float
+
+    def bounds(self, column: int, level: float = 0.95) -> tuple[float, float] | None:
+        """Bounds of one error, symmetric on its logarithm; None where there are too few blocks."""
+        if self.value[column] <= 0:
+            return None
+        reach = self._reach(np.log(np.maximum(self.draws[:, column], 1e-300)), level)
+        if reach is None:
+            return None
+        return float(self.value[column] * math.exp(-reach)), float(self.value[column] * math.exp(reach))
+
+    def difference(self, first: int, second: int, level: float = 0.95) -> tuple[float, float, float] | None:
+        """First less second error with its bounds (value, lower, upper); None where there are too few blocks."""
+        value = float(self.value[first] - self.value[second])
+        reach = self._reach(self.draws[:, first] - self.draws[:, second], level)
+        return None if reach is None else (value, value - reach, value + reach)
+
+    def skill(self, column: int, rule: int, level: float = 0.95) -> tuple[float, float, float] | None:
+        """1 − MSE/MSE of a rule (value, lower, upper), bounds symmetric on the ratio's logarithm; None as for `bounds`."""
+        if not (self.value[column] > 0 and self.value[rule] > 0):
+            return None
+        ratio = 2.0 * math.log(self.value[column] / self.value[rule])
+        draws = np.log(np.maximum(self.draws, 1e-300))
+        reach = self._reach(2.0 * (draws[:, column] - draws[:, rule]), level)
+        if reach is None:
+            return None
+        return -math.expm1(ratio), -math.expm1(ratio + reach), -math.expm1(ratio - reach)
+
+    def _reach(self, draws: np.ndarray, level: float) -> float | None:
+        """Half the width of bounds: Student's quantile for the blocks' number times the draws' spread.
+
+        A mean of K blocks varies by σ²/K, its bootstrap by σ² (K−1)/K²: the factor K/(K−1) makes up for it, and 1/(1 − τ/L)
+        for what correlation beyond a block's end (length L, integral time τ of the errors) adds to the variance.
+        """
+        if self.blocks < FEWEST_BLOCKS:
+            return None
+        from scipy.stats import t as student
+
+        spread = float(np.std(draws)) * math.sqrt(self.blocks / (self.blocks - 1.0) / (1.0 - self.lost))
+        return float(student.ppf(0.5 + 0.5 * level, self.blocks - 1.0)) * spread
+
+
+def resampled(
+    time_s: np.ndarray,
+    errors: np.ndarray,
+    length_h: float | None = None,
+    count: int = DRAWS,
+    seed: int = SEED,
+) -> Resampled | None:
+    """Root mean squared errors of columns (T, k) at times (T,) [s], with draws of circular blocks of hours.
+
+    Only instants at which every column has an error are used, so that differences compare like with like.  `length_h`
+    [h] of the blocks: else four integral times of the slowest column's errors, at least a day and at most a tenth of the
+    span.  Hours without errors are drawn too, and count for nothing.  None without any instant.
+    """
+    there = np.isfinite(errors).all(axis=1)
+    if not there.any():
+        return None
+    hour = np.floor(time_s[there] / HOUR_S).astype(np.int64)
+    hour -= hour.min()
+    size, kept = int(hour.max()) + 1, errors[there]
+    number = np.bincount(hour, minlength=size).astype(float)
+    sums = np.column_stack([np.bincount(hour, column, size) for column in kept.T])
+    squares = np.column_stack([np.bincount(hour, column**2, size) for column in kept.T])
+    means = np.where(number[:, None] > 0, sums / np.maximum(number, 1.0)[:, None], np.nan)
+    if length_h is None:
+        length_h = max(block_h(column) for column in means.T)
+    length = int(min(max(round(length_h), 1), size))
+    groups = np.add.reduceat(number, np.arange(0, size, length))
+    blocks = float(groups.sum()) ** 2 / float((groups**2).sum())
+    table = np.column_stack([number, squares])
+    running = np.concatenate(
+        [np.zeros((1, table.shape[1])), np.cumsum(np.vstack([table, table[:length]]), axis=0)]
+    )
+    whole = running[length : length + size] - running[:size]
+    random = np.random.default_rng(seed)
+    starts = random.integers(0, size, (count, max(round(size / length), 1)))
+    drawn = whole[starts].sum(axis=1)
+    drawn = drawn[drawn[:, 0] > 0]
+    value = np.sqrt(squares.sum(axis=0) / number.sum())
+    draws = np.sqrt(np.maximum(drawn[:, 1:], 0.0) / drawn[:, :1])
+    lost = min(max(integral_time_h(column) for column in means.T) / length, MOST_LOST)
+    return Resampled(value, draws, int(number.sum()), blocks, float(length), lost)
