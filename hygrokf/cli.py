@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hygrokf.climate.command import climate_arguments
 from hygrokf.console import (
     Progress,
     UserFault,
@@ -65,7 +66,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 _USER_FAULTS = (
     "UserFault", "CaseFault", "TableFault", "ResultFault", "ReportFault", "LibraryFault", "LibraryAbsent",
-    "ConfigFault", "StoreFault", "StoreUnready", "PageFault", "SourceFault", "ExportFault",
+    "FormFault", "PowerFault", "ConfigFault", "StoreFault", "StoreUnready", "PageFault", "SourceFault", "ExportFault",
 )  # fmt: skip
 
 
@@ -138,6 +139,12 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("case", type=Path, metavar="CASE.toml")
     _library(evaluate)
     _json(evaluate)
+    climate = command(
+        "climate", _climate, "simulate a site's climate in a fitted cabinet; limits, and a test profile"
+    )
+    climate_arguments(climate, _whole)
+    _library(climate)
+    _json(climate)
     compare = command("compare", _compare, "put cases, models or ambient sources side by side, with bounds")
     compare_arguments(compare)
     _library(compare)
@@ -450,6 +457,12 @@ def _evaluate(options: argparse.Namespace) -> int:
     return 0
 
 
+def _climate(options: argparse.Namespace) -> int:
+    from hygrokf.climate.command import run_climate
+
+    return _reported(*run_climate(options, lambda: _stored(options)), options)
+
+
 def _compare(options: argparse.Namespace) -> int:
     from hygrokf.transfer.command import run_compare
 
@@ -489,7 +502,7 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from hygrokf.files import COMPARISON, DISCOVERY, TRANSFER
+    from hygrokf.files import CLIMATE, COMPARISON, DISCOVERY, TRANSFER
     from hygrokf.report import write_report
 
     folder = options.directory.parent if options.directory.is_file() else options.directory
@@ -497,6 +510,10 @@ def _report(options: argparse.Namespace) -> int:
         from hygrokf.discovery.page import write_discovery_report
 
         page = write_discovery_report(None, folder)
+    elif (folder / CLIMATE).is_file():
+        from hygrokf.climate.page import write_climate_report
+
+        page = write_climate_report(None, folder)
     elif (folder / COMPARISON).is_file():
         from hygrokf.transfer.comparison_page import write_comparison
 

@@ -97,9 +97,15 @@ def broken_links(page: Path, text: str) -> list[str]:
             ["result/report.html", "simulated.csv", "step.png", "bode.png"],
         ),
         (DOCS / "add_a_mechanism.md", "python,bash", ["turbine/case.toml"]),
+        (
+            DOCS / "climate.md",
+            "python,bash",
+            ["climate/report.html", "checked/climate.csv", "regions/report.html"],
+        ),
         (DOCS / "compare.md", "python,bash", ["compared/report.html", "compared/compare.csv"]),
         (DOCS / "transfer.md", "python,bash", ["moved/report.html", "moved/synthetic-turbine-42/fit.json"]),
         (DOCS / "own_cause.md", "python", ["turbine/case.toml", "found/fit.json"]),
+        (DOCS / "weather.md", "python", ["site.epw"]),
     ],
     ids=lambda value: value.name if isinstance(value, Path) else "",
 )
