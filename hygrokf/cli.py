@@ -64,7 +64,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 _USER_FAULTS = (
     "UserFault", "CaseFault", "TableFault", "ResultFault", "ReportFault", "LibraryFault", "LibraryAbsent",
-    "ConfigFault", "StoreFault", "StoreUnready", "PageFault", "SourceFault", "ExportFault",
+    "ConfigFault", "StoreFault", "StoreUnready", "PageFault", "SourceFault", "ExportFault", "FleetFault",
 )  # fmt: skip
 
 
@@ -137,6 +137,18 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("case", type=Path, metavar="CASE.toml")
     _library(evaluate)
     _json(evaluate)
+    fleet = command("fleet", _fleet, "fit, discover or evaluate many turbines: one table and one page of all")
+    fleet.add_argument("fleet", type=Path, metavar="FLEET.toml")
+    fleet.add_argument(
+        "--out", type=Path, required=True, help="directory for fleet.csv, report.html and each turbine's results"
+    )
+    fleet.add_argument(
+        "--workers", type=_whole(1), default=None, help="processes on this machine (default one a core)"
+    )
+    fleet.add_argument(
+        "--dask", metavar="ADDRESS", help="do it on a Dask cluster, such as tcp://HOST:8786, instead"
+    )
+    _json(fleet)
     export = command("export", _export, "write what a live tracker has stored to CSV or Parquet files")
     export.add_argument(
         "--store", required=True, metavar="URL", help="sqlite:PATH or postgresql://USER@HOST/NAME"
@@ -444,6 +456,32 @@ def _evaluate(options: argparse.Namespace) -> int:
     return 0
 
 
+def _fleet(options: argparse.Namespace) -> int:
+    from hygrokf.fleet.plan import read_plan
+    from hygrokf.fleet.running import run_fleet
+    from hygrokf.fleet.words import fleet_text, outcome_text
+
+    expect_directory(options.out)
+    if options.dask and options.workers:
+        raise UserFault("--workers is for this machine; a cluster has its own: leave it out beside --dask")
+    plan = read_plan(options.fleet)
+    progress = Progress(len(plan.turbines))
+
+    def say(found: Any, known: bool) -> None:
+        progress.tell(outcome_text(found, known))
+        progress(found.turbine)
+
+    try:
+        result = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=say)
+    except BaseException:
+        progress.abandon()
+        raise
+    progress.close()
+    _print({"rows": result.rows}, fleet_text(plan.task, result.rows), options.json)
+    print(f"report: {result.page}", file=sys.stderr)
+    return int(bool(result.missing))
+
+
 def _export(options: argparse.Namespace) -> int:
     from hygrokf.live.export import export
     from hygrokf.live.store import open_store
@@ -461,7 +499,7 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from hygrokf.files import DISCOVERY
+    from hygrokf.files import DISCOVERY, FLEET
     from hygrokf.report import write_report
 
     folder = options.directory.parent if options.directory.is_file() else options.directory
@@ -469,6 +507,10 @@ def _report(options: argparse.Namespace) -> int:
         from hygrokf.discovery.page import write_discovery_report
 
         page = write_discovery_report(None, folder)
+    elif (folder / FLEET).is_file():
+        from hygrokf.fleet.running import write_fleet_report
+
+        page = write_fleet_report(folder)
     else:
         page = write_report(options.directory)
     _print({"report": str(page)}, str(page), options.json)

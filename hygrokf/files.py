@@ -15,6 +15,7 @@ BESIDE_DISCOVERY = "fit_report.html"
 """The fit's own page where report.html is a discovery's."""
 DISCOVERY = "discovery.json"
 DISCOVERY_SERIES = "discovery.npz"
+FLEET = "fleet.json"
 
 
 def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:

@@ -15,7 +15,7 @@ ROOT = Path(hygrokf.__file__).parent
 FACE = "hygrokf"
 FLOORS = (
     # what knows nothing of the package
-    "expression machine moments parameters signals psychrometrics files lookup version console discovery live live.schema live.reasons live.certificates",
+    "expression machine moments parameters signals psychrometrics files lookup version console discovery fleet live live.schema live.reasons live.certificates",
     # text of code, one step, what a record is
     "emission discretisation record stamps live.database",
     "running_sums live.table_reader live.sqlite live.postgres live.check",
@@ -56,7 +56,12 @@ FLOORS = (
     "live.tracking live.doctor_sources",
     "live.doctor",
     "report discovery.tables",
-    "discovery.page",
+    "discovery.page fleet.job",
+    "fleet.tasks",
+    "fleet.plan fleet.worker fleet.cluster fleet.table fleet.outliers",
+    "fleet.processes fleet.plots fleet.words",
+    "fleet.page",
+    "fleet.running",
     "cli",
     "__main__",
 )
