@@ -140,7 +140,10 @@ def _parser() -> argparse.ArgumentParser:
     fleet = command("fleet", _fleet, "fit, discover or evaluate many turbines: one table and one page of all")
     fleet.add_argument("fleet", type=Path, metavar="FLEET.toml")
     fleet.add_argument(
-        "--out", type=Path, required=True, help="directory for fleet.csv, report.html and each turbine's results"
+        "--out",
+        type=Path,
+        required=True,
+        help="directory for fleet.csv, report.html and each turbine's results",
     )
     fleet.add_argument(
         "--workers", type=_whole(1), default=None, help="processes on this machine (default one a core)"

@@ -84,7 +84,9 @@ def spread(rows: Sequence[Mapping[str, object]], compared: Compared, quantities:
     between = float(np.sqrt(max(scale**2 - float(np.median(own)), 0.0)))
     z = p = nothing
     if len(x) >= FEWEST and scale > 0:
-        z = (x - center) / np.sqrt(scale**2 - min(float(np.median(own)), scale**2) + own if own.any() else scale**2)
+        z = (x - center) / np.sqrt(
+            scale**2 - min(float(np.median(own)), scale**2) + own if own.any() else scale**2
+        )
         p = np.minimum(1.0, quantities * family_chance(np.abs(z)))
     return Spread(compared, tuple(named), x, error, tuple(open_), center, between, z, p)
 

@@ -77,7 +77,7 @@ def _cards(rows: Sequence[Mapping], done: Sequence[Mapping], found: Sequence[Spr
         if one.compared.lower and len(one.turbines):
             middle, low, high = (math.exp(v) for v in (one.center, one.x.min(), one.x.max()))
             unit = one.compared.unit
-            decimals = decimals_for(high - low) if high > low else 2
+            decimals = min(decimals_for(high - low) + 1, 3) if high > low else 2
             between = (
                 f"between turbines {100 * one.between:.0f} % (standard deviation beyond their bounds)"
                 if one.between > 0.005
@@ -110,7 +110,9 @@ def _failures(rows: Sequence[Mapping]) -> str:
     failed = [row for row in rows if row.get("status") != DONE]
     if not failed:
         return ""
-    cells = tuple((text_of(r.get("turbine")), text_of(r.get("status")), text_of(r.get("reason"))) for r in failed)
+    cells = tuple(
+        (text_of(r.get("turbine")), text_of(r.get("status")), text_of(r.get("reason"))) for r in failed
+    )
     table = Table("Turbines and reasons", ("turbine", "status", "reason"), cells, left=(0, 1, 2))
     said = "<p>Run the fleet again when they are mended: what is done is not done again.</p>"
     return section("Without a result", tables_html((table, "")), said)
@@ -130,7 +132,9 @@ def _verdicts(done: Sequence[Mapping]) -> str:
     table = Table("Accepted causes", ("cause", "turbines", "which"), rows, left=(0, 2)) if rows else None
     said = ", ".join(f"{verdicts[v]} {v}" for v in ("none", "named", "unexplained") if verdicts[v])
     return section(
-        "What the simulations lack", f"<p>Verdicts: {escape(said)}.</p>", tables_html((table, "No cause was accepted."))
+        "What the simulations lack",
+        f"<p>Verdicts: {escape(said)}.</p>",
+        tables_html((table, "No cause was accepted.")),
     )
 
 
@@ -145,7 +149,12 @@ def _spreads_section(found: Sequence[Spread]) -> str:
             constants,
             "Turbines of one type should lie in the shade, or reach into it with their bounds.",
         ),
-        ("errors", "Free-run errors", errors, "A turbine far to the right is simulated worse than the others."),
+        (
+            "errors",
+            "Free-run errors",
+            errors,
+            "A turbine far to the right is simulated worse than the others.",
+        ),
     ):
         if chosen:
             parts.append(figure_html(name, heading, caption, lambda chosen=chosen: figure_spreads(chosen)))
@@ -196,7 +205,9 @@ def _outliers(found: Sequence[Spread]) -> str:
     )
 
 
-def _ranking(column: str, compared: Sequence[Compared], done: Sequence[Mapping], found: Sequence[Spread]) -> str:
+def _ranking(
+    column: str, compared: Sequence[Compared], done: Sequence[Mapping], found: Sequence[Spread]
+) -> str:
     there = [one for one in compared if any(math.isfinite(number(row, one.column)) for row in done)]
     if not there:
         return ""
@@ -220,7 +231,9 @@ def _method(fleet: Mapping, found: Sequence[Spread]) -> str:
     options = entry(fleet, "options")
     stated = ", ".join(f"{k} = {v}" for k, v in options.items()) if isinstance(options, Mapping) else ""
     lines = [
-        f"Each turbine was treated alone, with the same options ({stated})." if stated else "Each turbine was treated alone.",
+        f"Each turbine was treated alone, with the same options ({stated})."
+        if stated
+        else "Each turbine was treated alone.",
         f"Outliers: the distance of each turbine’s logarithm from the median, in median absolute deviations from which the "
         f"turbines’ own bounds are taken out and added again for each, is compared with the largest distance in as many "
         f"normal numbers ({DRAWS} simulated fleets at most). The chance of any false outlier is {100 * LEVEL:.0f} % for "

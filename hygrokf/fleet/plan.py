@@ -44,7 +44,9 @@ class Plan:
         made = []
         for one in self.turbines:
             folder = out.absolute() / FOLDER / one.name
-            job = Job(one.name, self.task, one.case.absolute(), folder, one.fit and one.fit.absolute(), self.options)
+            job = Job(
+                one.name, self.task, one.case.absolute(), folder, one.fit and one.fit.absolute(), self.options
+            )
             made.append(replace(job, key=content_key(job, beside)))
         return made
 

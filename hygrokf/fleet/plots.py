@@ -54,7 +54,9 @@ def figure_spreads(found: Sequence[Spread]) -> Figure:
         if any(one.outliers for one in shown):
             handles.insert(1, Line2D([], [], color=SIMULATED, marker="o", markersize=3, label="outlier"))
         top = figure.get_figheight()
-        figure.legend(handles=handles, loc="upper left", ncols=len(handles), bbox_to_anchor=(0.012, 1.0 - 0.03 / top))
+        figure.legend(
+            handles=handles, loc="upper left", ncols=len(handles), bbox_to_anchor=(0.012, 1.0 - 0.03 / top)
+        )
         figure.tight_layout(rect=(0.0, 0.0, 1.0, 1.0 - 0.2 / top), w_pad=1.5)
     return figure
 
@@ -86,10 +88,10 @@ def _panel(axes: Axes, one: Spread, named: bool, most: int) -> None:
     axes.grid(axis="y", visible=False)
     axes.set_xlabel(f"{one.compared.title} [{one.compared.unit}]")
     left, right = axes.get_xlim()
-    if left <= 0 or right / left < 1.6:  # a decade's marks would leave such a narrow axis empty
+    if left <= 0 or right / left < 5.0:  # a decade's marks would leave such a narrow axis empty
         from matplotlib.ticker import MaxNLocator
 
-        axes.xaxis.set_major_locator(MaxNLocator(5))
+        axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     else:
         axes.set_xlim(max(left, 0.5 * value.min()), right)
         logarithmic(axes, "x", 4)

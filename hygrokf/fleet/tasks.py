@@ -98,7 +98,9 @@ def perform(job: Job) -> Outcome:
     try:
         keep(job, found)
     except OSError as fault:
-        return outcome(job, FAILED, f"{job.folder}: cannot be written: {fault.strerror or fault}", found.seconds)
+        return outcome(
+            job, FAILED, f"{job.folder}: cannot be written: {fault.strerror or fault}", found.seconds
+        )
     return found
 
 
@@ -240,7 +242,9 @@ def _evaluate(job: Job) -> dict:
     for quantity, column in _ERRORS.items():
         name = column.partition("_rmse")[0]
         for regime in ("operation", "standstill"):
-            columns[column.replace("rmse", f"rmse_{regime}")] = number(results, "rmse", period, quantity, regime)
+            columns[column.replace("rmse", f"rmse_{regime}")] = number(
+                results, "rmse", period, quantity, regime
+            )
         columns[f"{name}_coverage"] = number(results, "bands", "free_run", quantity, "coverage")
     columns["statements"] = "; ".join(results["statements"])
     return columns
@@ -287,8 +291,12 @@ TASKS: Mapping[str, Task] = {
         _fit,
         "identify the models of every case",
         {
-            "criterion": Option("likelihood", ("likelihood", "simulation"), "innovations, or the free run's error"),
-            "kind": Option("cascade", ("cascade", "joint"), "hygric on the measured temperature, or one filter"),
+            "criterion": Option(
+                "likelihood", ("likelihood", "simulation"), "innovations, or the free run's error"
+            ),
+            "kind": Option(
+                "cascade", ("cascade", "joint"), "hygric on the measured temperature, or one filter"
+            ),
             "starts": _STARTS,
             "profiles": Option(False, "flag", "bounds by profile likelihood; without, Wald bounds"),
             "report": _REPORT,

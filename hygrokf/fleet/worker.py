@@ -22,11 +22,11 @@ def main() -> int:
     """Do what comes until the input ends."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the one who was interrupted ends this process
     answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
-    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # whatever else is printed must not stand among the answers
+    os.dup2(
+        sys.stderr.fileno(), sys.stdout.fileno()
+    )  # whatever else is printed must not stand among the answers
     for line in sys.stdin:
         found = perform(Job.from_json(json.loads(line)))
         answers.write(json.dumps(found.to_json()) + "\n")
         answers.flush()
     return 0
-
-
