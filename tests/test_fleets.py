@@ -523,7 +523,7 @@ def test_the_command_tells_writes_and_reports_again(
     kept = (out / "fleet.json").read_text(encoding="utf-8")
     for damaged in ("{", '{"task": "none", "rows": []}', "[]"):
         (out / "fleet.json").write_text(damaged)
-        with pytest.raises(FleetFault, match="fleet.json"):
+        with pytest.raises(FleetFault, match=r"fleet\.json"):
             write_fleet_report(out)
     (out / "fleet.json").write_text(kept, encoding="utf-8")
 

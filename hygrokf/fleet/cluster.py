@@ -52,7 +52,7 @@ def on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
             sent[future.key] = batch
             return future
 
-        coming = as_completed([send(batch) for batch in batches(jobs, workers)])
+        coming = as_completed([send(batch) for batch in batches(jobs, workers)], loop=client.loop)
         for future in coming:
             batch = sent.pop(future.key)
             if future.status == "finished":

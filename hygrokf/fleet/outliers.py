@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -93,7 +94,15 @@ def spread(rows: Sequence[Mapping[str, object]], compared: Compared, quantities:
 
 def family_chance(z: np.ndarray) -> np.ndarray:
     """Chance (N,) that the largest |z| of N normal numbers, scaled by their own median deviation, is as large."""
-    random, count = np.random.default_rng(SEED), len(z)
+    largest = _largest(len(z))
+    beyond = len(largest) - np.searchsorted(largest, z, side="left")
+    return (beyond + 1.0) / (len(largest) + 1.0)
+
+
+@cache
+def _largest(count: int) -> np.ndarray:
+    """Largest |z| of so many normal numbers in each of many draws, in order."""
+    random = np.random.default_rng(SEED)
     draws = max(DRAWS // 8, min(DRAWS, 8_000_000 // count))
     largest = np.empty(draws)
     part = max(1, NUMBERS_AT_ONCE // count)
@@ -101,5 +110,4 @@ def family_chance(z: np.ndarray) -> np.ndarray:
         x = random.normal(size=(min(part, draws - start), count))
         away = np.abs(x - np.median(x, axis=1, keepdims=True))
         largest[start : start + part] = away.max(axis=1) / (TO_SD * np.median(away, axis=1))
-    beyond = draws - np.searchsorted(np.sort(largest), z, side="left")
-    return (beyond + 1.0) / (draws + 1.0)
+    return np.sort(largest)

@@ -77,7 +77,7 @@ class _Worker:
         self.dismissed = False
         self.epitaph = ""
         self._process: subprocess.Popen[str] | None = None
-        self._said = tempfile.TemporaryFile()  # noqa: SIM115  (closed with the process)
+        self._said = tempfile.TemporaryFile()
         self._lock = threading.Lock()
 
     def ask(self, job: Job) -> Outcome | None:
