@@ -460,27 +460,10 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 
 def _fleet(options: argparse.Namespace) -> int:
-    from hygrokf.fleet.plan import read_plan
-    from hygrokf.fleet.running import run_fleet
-    from hygrokf.fleet.words import fleet_text, outcome_text
+    from hygrokf.fleet.command import tell_fleet
 
-    expect_directory(options.out)
-    if options.dask and options.workers:
-        raise UserFault("--workers is for this machine; a cluster has its own: leave it out beside --dask")
-    plan = read_plan(options.fleet)
-    progress = Progress(len(plan.turbines))
-
-    def say(found: Any, known: bool) -> None:
-        progress.tell(outcome_text(found, known))
-        progress(found.turbine)
-
-    try:
-        result = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=say)
-    except BaseException:
-        progress.abandon()
-        raise
-    progress.close()
-    _print({"rows": result.rows}, fleet_text(plan.task, result.rows), options.json)
+    result, text = tell_fleet(options.fleet, options.out, options.workers, options.dask)
+    _print({"rows": result.rows}, text, options.json)
     print(f"report: {result.page}", file=sys.stderr)
     return int(bool(result.missing))
 

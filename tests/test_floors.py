@@ -62,6 +62,7 @@ FLOORS = (
     "fleet.processes fleet.plots fleet.words",
     "fleet.page",
     "fleet.running",
+    "fleet.command",
     "cli",
     "__main__",
 )
