@@ -147,7 +147,7 @@ def _spreads_section(found: Sequence[Spread]) -> str:
             "constants",
             "Time constants",
             constants,
-            "Turbines of one type should lie in the shade, or reach into it with their bounds.",
+            "Turbines of one type should reach with their bounds into the shade, or to the median where there is none.",
         ),
         (
             "errors",

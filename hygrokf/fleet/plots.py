@@ -31,6 +31,7 @@ def figure_spreads(found: Sequence[Spread]) -> Figure:
     """One panel a quantity: turbines from the least to the largest value, bounds as lines, outliers in red.
 
     The shade is where 95 % of turbines would lie if their bounds were closed to a point: median and spread between them.
+    There is none where the bounds explain all of the spread.
     """
     shown = [one for one in found if len(one.turbines)]
     if not shown:
@@ -49,8 +50,9 @@ def figure_spreads(found: Sequence[Spread]) -> Figure:
         handles = [
             Line2D([], [], color=MEASURED, marker="o", markersize=3, label="turbine" + _with_bounds(shown)),
             Line2D([], [], color=QUIET, label="median"),
-            Patch(color=SHADE, label="95 % of turbines"),
         ]
+        if any(one.between > 0 for one in shown):
+            handles.append(Patch(color=SHADE, label="95 % of turbines"))
         if any(one.outliers for one in shown):
             handles.insert(1, Line2D([], [], color=SIMULATED, marker="o", markersize=3, label="outlier"))
         top = figure.get_figheight()
@@ -91,7 +93,7 @@ def _panel(axes: Axes, one: Spread, named: bool, most: int) -> None:
     if left <= 0 or right / left < 5.0:  # a decade's marks would leave such a narrow axis empty
         from matplotlib.ticker import MaxNLocator
 
-        axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+        axes.xaxis.set_major_locator(MaxNLocator(7, steps=[1, 2, 2.5, 5, 10]))
     else:
         axes.set_xlim(max(left, 0.5 * value.min()), right)
         logarithmic(axes, "x", 4)
