@@ -23,6 +23,7 @@ def discovered(made: Plant) -> dict:
     return discover(record, starts=1).to_json()
 
 
+@pytest.mark.slow
 def test_the_papers_moisture_peak_is_sorption() -> None:
     made = paper_case(41, form=0, days=DAYS)
     (hidden,) = made.truth.hidden

@@ -235,3 +235,44 @@ def test_a_second_tracker_of_a_turbine_is_refused(
     runner.join(timeout=60.0)
     Service({"T1": turbine}, [Acknowledging(record)], store_url).run(until_ended=True)
     expect_offline(store_url, record, turbine)
+
+
+@pytest.mark.parametrize(("behind", "share"), [(False, module.SHARE), (True, module.LEAST_SHARE)])
+def test_forecasts_give_way_while_anything_waits(
+    behind: bool,
+    share: float,
+    store_url: str,
+    record: Record,
+    turbine: Turbine,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now, spent = [1000.0], [0.0]
+
+    def forecast(*_: object) -> None:
+        now[0] += 0.5
+        spent[0] += 0.5
+
+    stream = Acknowledging(record)
+    service = Service({"T1": turbine}, [stream], store_url)
+    service._open()
+    first: list[Delivery] = []
+    stream.start(None, lambda one: first.append(one))
+    until(lambda: stream.state[0] == "ended")
+    for one in first[:500]:
+        service._put(stream.url, one)
+    while service.round():
+        pass
+    assert service.fleet.due(module.EVERY_S) == "T1"
+    if behind:
+        service._put(stream.url, first[500])
+    try:
+        with monkeypatch.context() as patched:
+            patched.setattr(module, "look_ahead", forecast)
+            patched.setattr(module.time, "monotonic", lambda: now[0])
+            for _ in range(8_000):
+                now[0] += 0.05
+                service._aside(idle=False)
+    finally:
+        stream.stop()
+        service.store.close()
+    assert spent[0] / (now[0] - 1000.0) == pytest.approx(share, rel=0.05)

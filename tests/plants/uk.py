@@ -37,7 +37,7 @@ def _hours() -> dict[str, np.ndarray]:
     return columns
 
 
-def _ten_minute_power(random: np.random.Generator, hourly_kW: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def ten_minute_power(random: np.random.Generator, hourly_kW: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Power [kW] over ten minutes with the measured hourly means, and whether it was measured."""
     known = np.isfinite(hourly_kW)
     hour = np.arange(hourly_kW.size)
@@ -90,7 +90,7 @@ def uk_plant(
             f"measured drivers run from {np.datetime64(int(first), 's')} to "
             f"{np.datetime64(int(last), 's')}, asked for {begin} and {days} days: ask for less"
         )
-    power_kW, known = _ten_minute_power(random, hours[_TURBINE])
+    power_kW, known = ten_minute_power(random, hours[_TURBINE])
     place = ((time - first) // (60.0 * POWER_STEP_MIN)).astype(int)
     dew_K, kelvin = hours["Td2m_C"] + FREEZING_K, hours["T2m_C"] + FREEZING_K
     vapour = concentration(saturation_pressure(np.minimum(dew_K, kelvin)), kelvin)
