@@ -557,3 +557,23 @@ def test_results_are_plain_data() -> None:
     job = Job("a", "fit", Path("c"), Path("f"))
     found = outcome(job, "done", thermal_upper_h=float("inf"), n_readings=np.int64(3))
     assert found.row["thermal_upper_h"] is None and json.loads(dump(found.to_json()))["row"] == found.row
+
+
+@pytest.mark.slow
+def test_discoveries_of_a_fleet_are_those_of_the_command(
+    park: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    file = park / "discoveries.toml"
+    file.write_text('task = "discover"\ncases = ["T[12]/case.toml"]\noptions.starts = 1\n')
+    assert main(["fleet", str(file), "--out", str(tmp_path), "--workers", "1", "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)["rows"][1]
+    alone = ["discover", str(park / "T2" / "case.toml"), "--out", str(tmp_path / "alone"), "--starts", "1"]
+    assert main([*alone, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert row["verdict"] == found["verdict"]
+    assert row["causes"].split() == [one["cause"] for one in found["causes"]]
+    assert row["base_temperature_rmse_K"] == found["baseline"]["rmse"]["validation"]["temperature_K"]["total"]
+    final = found["extended"] or found["baseline"]
+    assert row["thermal_value_h"] == final["time_constants"]["thermal"]["value_h"]
+    assert "What the simulations lack" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert (tmp_path / "turbines" / "T2" / "fit_report.html").is_file()
