@@ -47,6 +47,8 @@ _WHERE = {
     "load_library": "discovery.own_causes",
     "discover": "discovery.discover",
     "Discovery": "discovery.discover",
+    "read_weather": "weather.years",
+    "climate_profile": "climate.study",
     "synthetic_turbine": "synthetic",
     "write_case": "synthetic",
 }

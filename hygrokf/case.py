@@ -33,6 +33,8 @@ from hygrokf.stamps import (
     stamp_text,
     summer_time_holes,
 )
+from hygrokf.weather.reading import read_weather_file
+from hygrokf.weather_form import StatedWeather
 
 _IDENTIFIABLE = (
     "cabinet_temperature",
@@ -52,11 +54,12 @@ class CaseFault(Exception):
         super().__init__("\n".join([f"{case}: {count}", *listed]))
 
 
-def read_case(path: str | os.PathLike[str], *, cabinet: bool = True) -> Record:
+def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bool = True) -> Record:
     """Record of a case file: sources read, units in SI, clocks in UTC, doubtful readings masked.
 
     path: the TOML file; the files it names are relative to it. docs/case_file.md has its form.
     cabinet: whether there must be a cabinet signal to identify; False for drivers alone.
+    ambient: whether there must be an ambient temperature; False for a power alone.
 
     What was masked or repaired is in the record's `warnings`.
     Raises CaseFault with all faults of the case file and of every source.
@@ -64,7 +67,8 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True) -> Record:
     file = Path(path)
     text, content = _case_text(file)
     case, faults = stated_case(content, file, text)
-    if "ambient_temperature" not in case.declared:
+    unheard = "ambient_temperature" not in case.declared and all(one.compare for one in case.weather)
+    if ambient and unheard:
         faults.append(
             f"{file.name}: no source names signals.ambient_temperature, the input that no model goes without"
         )
@@ -74,6 +78,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True) -> Record:
             f"{', signals.'.join(_IDENTIFIABLE)}"
         )
     series: list[Series] = []
+    compared: list[Series] = []
     warnings: list[str] = []
     provenance: dict[str, str] = {}
     whole = True
@@ -93,11 +98,31 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True) -> Record:
         found, said, wrong = _source_series(source, table, case.rated_power_W)
         warnings += [f"{source.file}: {one}" for one in said]
         faults += [f"{source.file}: {one}" for one in wrong]
-        series += found
+        (compared if source.compare else series).extend(found)
         whole = whole and not wrong
+    for weather in case.weather:
+        try:
+            read = _weather(weather, file.parent, case)
+        except TableFault as broken:
+            faults += [f"{weather.file}: {fault}" for fault in broken.faults]
+            whole = False
+            continue
+        provenance.update(read.provenance)
+        warnings += [f"{weather.file}: {one}" for one in read.warnings]
+        used = set(case.declared) | {one.signal for one in series}
+        series += [one for one in read.series if not weather.compare and one.signal not in used]
+        compared += [one for one in read.series if weather.compare or one.signal in used]
     unique = {one.signal: one for one in series}
+    second = {one.signal: one for one in reversed(compared)}
     faults += _overlap_faults(tuple(unique.values()))
-    record = Record(case.name, tuple(unique.values()), case.site, case.rated_power_W, None, tuple(warnings))
+    record = Record(
+        case.name,
+        tuple(unique.values()),
+        case.site,
+        case.rated_power_W,
+        warnings=tuple(warnings),
+        compared=tuple(second.values()),
+    )
     if whole and series:
         faults += _period_faults(record, case)
     if faults:
@@ -106,7 +131,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True) -> Record:
     if case.start_s is not None:
         record = record.window(case.start_s, math.inf)
     record = mask(record)
-    faults = _emptied(record, cabinet)
+    faults = _emptied(record, cabinet, ambient)
     if faults:
         raise CaseFault(str(path), faults)
     return record
@@ -144,6 +169,33 @@ def _syntax_fault(reason: str, text: str) -> str:
     line = text.splitlines()[number - 1 : number]
     shown = f", in: {line[0].strip()[:80]}" if line else ""
     return f"{where}: not valid TOML: {reason}{shown}"
+
+
+def _weather(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
+    """What a weather file brings; its record named as the case file names the file."""
+    read = read_weather_file(
+        folder / stated.file,
+        stated.format,
+        site=case.site,
+        year=stated.year,
+        altitude_m=stated.altitude_m,
+        to_site_altitude=stated.to_site_altitude,
+        lapse_rate=stated.lapse_rate,
+    )
+    name = Path(stated.file).name
+    return dataclasses.replace(
+        read,
+        series=tuple(
+            dataclasses.replace(
+                one,
+                time=one.time + stated.clock_correction_s,
+                clock_uncertainty_s=stated.clock_uncertainty_s,
+                source=stated.file + one.source.removeprefix(name),
+            )
+            for one in read.series
+        ),
+        provenance=tuple((stated.file, digest) for _, digest in read.provenance),
+    )
 
 
 def _source_series(
@@ -316,10 +368,10 @@ def _period_faults(record: Record, case: StatedCase) -> list[str]:
     return faults
 
 
-def _emptied(record: Record, cabinet: bool) -> list[str]:
+def _emptied(record: Record, cabinet: bool, ambient: bool) -> list[str]:
     """Faults of a record that has no reading left where a model needs some."""
     faults = []
-    needed = [("ambient_temperature",)]
+    needed = [("ambient_temperature",)] if ambient else []
     if cabinet:
         needed.append(tuple(signal for signal in _IDENTIFIABLE if signal in record))
     for signals in needed:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import math
-import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from hygrokf.case_keys import CaseLines, expect_known_keys, stated_number, stated_positive, stated_text
 from hygrokf.record import HOLDS, Site
 from hygrokf.signals import SIGNALS, Signal, suggestion, unit_fault
 from hygrokf.stamps import duration, moment, signed_duration, stamp_text
+from hygrokf.weather_form import StatedWeather, stated_weather
 
 STAMPS = ("instant", "start", "middle", "end")
 """What a stamp marks: an instant, or a place in the interval that was averaged over."""
@@ -33,6 +33,7 @@ _SOURCE_KEYS = (
     "missing",
     "time_format",
     "ignore_offset",
+    "compare",
     "signals",
 )
 _COLUMN_KEYS = ("column", "unit", "accuracy", "resolution")
@@ -61,6 +62,7 @@ class StatedSource:
     stamp: one of `STAMPS`. interval_s: [s] averaged over, or None: the step.
     hold: "linear", "zero-order" or None: as the stamp has it.
     clock_uncertainty_s: [s]. clock_correction_s: [s] added to the stamps. reading: further arguments of `read_table`.
+    compare: whether it is only held against the other sources.
     """
 
     file: str
@@ -72,51 +74,7 @@ class StatedSource:
     clock_uncertainty_s: float
     clock_correction_s: float
     reading: dict[str, Any]
-
-
-class CaseLines:
-    """Finds the line of the case file on which a key stands, so that faults can name it."""
-
-    def __init__(self, name: str, text: str) -> None:
-        self.name = name
-        self.lines = [line.split("#")[0] for line in text.splitlines()]
-        heads = [
-            number for number, line in enumerate(self.lines) if re.match(r"\s*\[\[\s*source\s*\]\]", line)
-        ]
-        ends = [
-            next(
-                (
-                    other
-                    for other in range(head + 1, len(self.lines))
-                    if re.match(r"\s*\[(?!\s*source\s*\.)", self.lines[other])
-                ),
-                len(self.lines),
-            )
-            for head in heads
-        ]
-        self.blocks = list(zip(heads, ends, strict=True))
-
-    def at(self, block: int | None, *keys: str) -> str:
-        """ "case.toml, line 7", or the file's name alone where the line is not found.
-
-        block: number of the [[source]], or None for the rest of the file.
-        keys: the first of these that stands on a line gives the line.
-        """
-        inside = [number for first, last in self.blocks for number in range(first, last)]
-        if block is None:
-            numbers = [number for number in range(len(self.lines)) if number not in set(inside)]
-        elif block < len(self.blocks):
-            numbers = list(range(*self.blocks[block]))
-        else:
-            numbers = list(range(len(self.lines)))
-        for key in keys:
-            pattern = re.compile(rf"(?<![\w.-])(?:signals\.)?[\"']?{re.escape(key)}[\"']?\s*[.=\]]")
-            for number in numbers:
-                if pattern.search(self.lines[number]):
-                    return f"{self.name}, line {number + 1}"
-        if block is not None and block < len(self.blocks):
-            return f"{self.name}, line {self.blocks[block][0] + 1}"
-        return self.name
+    compare: bool = False
 
 
 @dataclass(frozen=True)
@@ -125,7 +83,8 @@ class StatedCase:
 
     name: of the enclosure. site: or None. rated_power_W: [W] or None.
     start_s, until_s: [s] limits of the identification period since 1970-01-01T00:00Z, or None.
-    sources: that can be read. declared: every signal named, with the number of its source.
+    sources: that can be read. weather: sources that are weather files.
+    declared: every signal named by a source that is used, with the number of its source.
     lines: finds the line of a key.
     """
 
@@ -137,6 +96,7 @@ class StatedCase:
     sources: tuple[StatedSource, ...]
     declared: dict[str, int]
     lines: CaseLines
+    weather: tuple[StatedWeather, ...] = ()
 
 
 def stated_case(content: dict[str, Any], file: Path, text: str) -> tuple[StatedCase, list[str]]:
@@ -146,12 +106,12 @@ def stated_case(content: dict[str, Any], file: Path, text: str) -> tuple[StatedC
     """
     faults: list[str] = []
     lines = CaseLines(file.name, text)
-    _unknown_keys(content, _CASE_KEYS, "", lines, None, faults)
-    name = _text(content, "name", lines, None, faults) or file.stem
+    expect_known_keys(content, _CASE_KEYS, "", lines, None, faults)
+    name = stated_text(content, "name", lines, None, faults) or file.stem
     site = _site(content.get("site"), lines, faults)
-    rated = _positive(content, "rated_power_kW", lines, None, faults)
+    rated = stated_positive(content, "rated_power_kW", lines, None, faults)
     start_s, until_s = _periods(content.get("identification"), lines, faults)
-    sources, declared = _sources(content.get("source"), lines, faults)
+    sources, weather, declared = _sources(content.get("source"), site, lines, faults)
     case = StatedCase(
         name,
         site,
@@ -161,55 +121,9 @@ def stated_case(content: dict[str, Any], file: Path, text: str) -> tuple[StatedC
         tuple(sources),
         declared,
         lines,
+        tuple(weather),
     )
     return case, faults
-
-
-def _unknown_keys(
-    table: dict[str, Any],
-    known: tuple[str, ...],
-    of: str,
-    lines: CaseLines,
-    block: int | None,
-    faults: list[str],
-) -> None:
-    for key in table:
-        if key not in known:
-            faults.append(
-                f'{lines.at(block, key)}: unknown key "{key}"{of}; expected '
-                f"{', '.join(known)}{suggestion(key, known)}"
-            )
-
-
-def _text(
-    table: dict[str, Any], key: str, lines: CaseLines, block: int | None, faults: list[str]
-) -> str | None:
-    """A text that may be absent."""
-    value = table.get(key)
-    if value is None:
-        return None
-    if isinstance(value, str) and value:
-        return value
-    faults.append(f"{lines.at(block, key)}: {key} must be text in quotes, found {value!r}")
-    return None
-
-
-def _number(value: Any) -> float | None:
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-        return None
-    return float(value)
-
-
-def _positive(
-    table: dict[str, Any], key: str, lines: CaseLines, block: int | None, faults: list[str]
-) -> float | None:
-    if key not in table:
-        return None
-    number = _number(table[key])
-    if number is None or number <= 0.0:
-        faults.append(f"{lines.at(block, key)}: {key} must be a number above 0, found {table[key]!r}")
-        return None
-    return number
 
 
 def _site(table: Any, lines: CaseLines, faults: list[str]) -> Site | None:
@@ -219,14 +133,14 @@ def _site(table: Any, lines: CaseLines, faults: list[str]) -> Site | None:
         faults.append(f"{lines.at(None, 'site')}: expected a table [site], found {table!r}")
         return None
     before = len(faults)
-    _unknown_keys(table, _SITE_KEYS, " in [site]", lines, None, faults)
+    expect_known_keys(table, _SITE_KEYS, " in [site]", lines, None, faults)
     for key in _SITE_KEYS[:2]:
         if key not in table:
             faults.append(f"{lines.at(None, 'site')}: [site] needs {key}")
     numbers = {"latitude_deg": 0.0, "longitude_deg": 0.0, "altitude_m": None}
     for key in _SITE_KEYS:
         if key in table:
-            number = _number(table[key])
+            number = stated_number(table[key])
             if number is None:
                 faults.append(f"{lines.at(None, key)}: {key} must be a number, found {table[key]!r}")
             else:
@@ -245,7 +159,7 @@ def _periods(table: Any, lines: CaseLines, faults: list[str]) -> tuple[float | N
     if not isinstance(table, dict):
         faults.append(f"{lines.name}: expected a table [identification], found {table!r}")
         return None, None
-    _unknown_keys(table, _IDENTIFICATION_KEYS, " in [identification]", lines, None, faults)
+    expect_known_keys(table, _IDENTIFICATION_KEYS, " in [identification]", lines, None, faults)
     moments: dict[str, float | None] = {"start": None, "until": None}
     for key in moments:
         if key in table:
@@ -263,30 +177,42 @@ def _periods(table: Any, lines: CaseLines, faults: list[str]) -> tuple[float | N
     return start_s, until_s
 
 
-def _sources(tables: Any, lines: CaseLines, faults: list[str]) -> tuple[list[StatedSource], dict[str, int]]:
-    """The sources that can be read, and every signal named with the number of its source."""
+def _sources(
+    tables: Any, site: Site | None, lines: CaseLines, faults: list[str]
+) -> tuple[list[StatedSource], list[StatedWeather], dict[str, int]]:
+    """The sources that can be read, weather files apart, and every signal named with the number of its source."""
     declared: dict[str, int] = {}
+    compared: dict[str, int] = {}
     if not tables:
         faults.append(f"{lines.name}: names no source; expected one [[source]] for each file")
-        return [], declared
+        return [], [], declared
     if not isinstance(tables, list) or not all(isinstance(one, dict) for one in tables):
         faults.append(f"{lines.at(None, 'source')}: write [[source]] with two brackets")
         tables = [tables] if isinstance(tables, dict) else []
-    sources = []
+    sources, weather = [], []
     for block, table in enumerate(tables):
+        if "format" in table:
+            found = stated_weather(table, site, lines, block, faults)
+            weather += [] if found is None else [found]
+            continue
         columns = _columns(table.get("signals"), lines, block, faults)
+        before = compared if table.get("compare") is True else declared
         for name in table["signals"] if isinstance(table.get("signals"), dict) else ():
-            if name in declared and name in SIGNALS:
-                other = lines.at(declared[name], name).split(", ")[-1]
+            if name in before and name in SIGNALS:
+                other = lines.at(before[name], name).split(", ")[-1]
                 faults.append(
                     f"{lines.at(block, name)}: signals.{name} is named a second time (first: "
                     f"{other}); a record has one series of a signal"
+                    + (
+                        ": to compare the two, state compare = true in one of the sources"
+                        * (before is declared)
+                    )
                 )
-            declared.setdefault(name, block)
+            before.setdefault(name, block)
         source = _source(table, columns, lines, block, faults)
         if source is not None:
             sources.append(source)
-    return sources, declared
+    return sources, weather, declared
 
 
 def _columns(table: Any, lines: CaseLines, block: int, faults: list[str]) -> tuple[StatedColumn, ...]:
@@ -309,7 +235,7 @@ def _columns(table: Any, lines: CaseLines, block: int, faults: list[str]) -> tup
             faults.append(f'{where}: {name} must be {{ column = "…", unit = "…" }}')
             continue
         before = len(faults)
-        _unknown_keys(entry, _COLUMN_KEYS, f" in signals.{name}", lines, block, faults)
+        expect_known_keys(entry, _COLUMN_KEYS, f" in signals.{name}", lines, block, faults)
         for key in ("column", "unit"):
             value = entry.get(key)
             if not isinstance(value, str) or (key == "column" and not value):
@@ -323,7 +249,7 @@ def _columns(table: Any, lines: CaseLines, block: int, faults: list[str]) -> tup
                 faults.append(f"{where}: {wrong}")
         sizes = {}
         for key in ("accuracy", "resolution"):
-            sizes[key] = _number(entry.get(key))
+            sizes[key] = stated_number(entry.get(key))
             if key in entry and (sizes[key] is None or sizes[key] < 0.0):
                 faults.append(
                     f"{where}: {key} must be a number ≥ 0 in the unit of the column, found {entry[key]!r}"
@@ -340,9 +266,9 @@ def _source(
     block: int,
     faults: list[str],
 ) -> StatedSource | None:
-    _unknown_keys(table, _SOURCE_KEYS, " in [[source]]", lines, block, faults)
+    expect_known_keys(table, _SOURCE_KEYS, " in [[source]]", lines, block, faults)
     words = {
-        key: _text(table, key, lines, block, faults)
+        key: stated_text(table, key, lines, block, faults)
         for key in (
             "file",
             "time",
@@ -368,7 +294,7 @@ def _source(
         )
     choices = {}
     for key, allowed in (("stamp", STAMPS), ("hold", HOLDS)):
-        choices[key] = _text(table, key, lines, block, faults)
+        choices[key] = stated_text(table, key, lines, block, faults)
         if choices[key] is not None and choices[key] not in allowed:
             faults.append(
                 f"{lines.at(block, key)}: {key} must be one of {', '.join(allowed)}, found "
@@ -407,6 +333,9 @@ def _source(
         faults.append(
             f"{lines.at(block, 'ignore_offset')}: ignore_offset = true needs the timezone of the clock"
         )
+    compare = table.get("compare", False)
+    if not isinstance(compare, bool):
+        faults.append(f"{lines.at(block, 'compare')}: compare must be true or false, found {compare!r}")
     if words["file"] is None or words["time"] is None:
         return None
     return StatedSource(
@@ -427,4 +356,5 @@ def _source(
             "time_format": words["time_format"],
             "ignore_offset": ignore is True and words["timezone"] is not None,
         },
+        compare=compare is True,
     )

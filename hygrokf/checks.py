@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from hygrokf.psychrometrics import absolute_humidity, absolute_humidity_from_dew
 from hygrokf.record import Record, Series
 from hygrokf.signals import difference_from_si, from_si, signal_named
 from hygrokf.stamps import duration_text, modal_step, stamp_text
+from hygrokf.weather.clocks import alignments, clock_errors, clock_sentences, comparison_rows, described
 
 _DAY = 86400.0
 _GAP_STEPS = 3.0
@@ -25,25 +27,35 @@ def mask(record: Record) -> Record:
 
     record: any, SI units. Readings out of the physical range, repeats of a frozen sensor and
     saturated cabinet humidity become missing, in this order; see `hygrokf.masks` for each rule.
+    The series that are only compared are treated alike.
     """
-    changed, warnings = [], []
-    for series in record.series:
-        for treat in (mask_out_of_range, mask_frozen, mask_saturated):
-            series, said = treat(series)
-            warnings += said
-        changed.append(series)
-    return record.replace_series(*changed, warnings=tuple(warnings))
+    warnings: list[str] = []
+
+    def masked(all_of_them: tuple[Series, ...]) -> tuple[Series, ...]:
+        changed = []
+        for series in all_of_them:
+            for treat in (mask_out_of_range, mask_frozen, mask_saturated):
+                series, said = treat(series)
+                warnings.extend(said)
+            changed.append(series)
+        return tuple(changed)
+
+    series, compared = masked(record.series), masked(record.compared)
+    return replace(
+        record, series=series, compared=compared, warnings=record.warnings + tuple(dict.fromkeys(warnings))
+    )
 
 
 def describe(record: Record) -> dict[str, Any]:
     """What is in a record, for `hygrokf check`: plain numbers and text, ready for JSON.
 
     record: any. Keys: `name`, `start`, `end`, `days`, `site`, `rated_power_kW`, `identification`
-    and `validation` (`start`, `end`, `days`, or None), `signals` (one dictionary each), `warnings`,
-    `doubts`, `files`. Values of a signal are in its `unit`, steps and gaps in seconds, stamps in
+    and `validation` (`start`, `end`, `days`, or None), `signals` (one dictionary each), `comparisons` (of sources
+    that are compared; see `hygrokf.weather.clocks.described`), `warnings`, `doubts`, `files`. Values of a signal are in its `unit`, steps and gaps in seconds, stamps in
     UTC; what is not known is None.
     """
     site = record.site
+    clocks = clock_errors(alignments(record))
     return {
         "name": record.name,
         **_span(record.start_s, record.end_s),
@@ -58,8 +70,9 @@ def describe(record: Record) -> dict[str, Any]:
         "identification": _period_of(record.identification()),
         "validation": _period_of(record.validation()),
         "signals": [_describe_series(series) for series in record.series],
+        "comparisons": described(clocks),
         "warnings": list(record.warnings),
-        "doubts": list(doubts(record)),
+        "doubts": [*clock_sentences(clocks), *doubts(record)],
         "files": [{"file": file, "sha256": digest} for file, digest in record.provenance],
     }
 
@@ -380,6 +393,8 @@ def describe_text(description: dict[str, Any]) -> str:
             )
         )
     lines += ["", *_table(rows, right=())]
+    if description.get("comparisons"):
+        lines += ["", *_table(comparison_rows(description["comparisons"]), right=(3, 6))]
     for title in ("warnings", "doubts"):
         said = description[title]
         lines += ["", f"{title}: {len(said) or 'none'}"]

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hygrokf.climate.command import climate_arguments
 from hygrokf.console import (
     Progress,
     UserFault,
@@ -19,6 +20,7 @@ from hygrokf.console import (
     printable,
     system_words,
 )
+from hygrokf.fleet.command import fleet_arguments, tell_fleet
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:
@@ -64,7 +66,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 _USER_FAULTS = (
     "UserFault", "CaseFault", "TableFault", "ResultFault", "ReportFault", "LibraryFault", "LibraryAbsent",
-    "ConfigFault", "StoreFault", "StoreUnready", "PageFault", "SourceFault", "ExportFault", "FleetFault",
+    "FormFault", "PowerFault", "ConfigFault", "StoreFault", "StoreUnready", "PageFault", "SourceFault", "ExportFault",
+    "FleetFault",
 )  # fmt: skip
 
 
@@ -138,20 +141,14 @@ def _parser() -> argparse.ArgumentParser:
     _library(evaluate)
     _json(evaluate)
     fleet = command("fleet", _fleet, "fit, discover or evaluate many turbines: one table and one page of all")
-    fleet.add_argument("fleet", type=Path, metavar="FLEET.toml")
-    fleet.add_argument(
-        "--out",
-        type=Path,
-        required=True,
-        help="directory for fleet.csv, report.html and each turbine's results",
-    )
-    fleet.add_argument(
-        "--workers", type=_whole(1), default=None, help="processes on this machine (default one a core)"
-    )
-    fleet.add_argument(
-        "--dask", metavar="ADDRESS", help="do it on a Dask cluster, such as tcp://HOST:8786, instead"
-    )
+    fleet_arguments(fleet, _whole)
     _json(fleet)
+    climate = command(
+        "climate", _climate, "simulate a site's climate in a fitted cabinet; limits, and a test profile"
+    )
+    climate_arguments(climate, _whole)
+    _library(climate)
+    _json(climate)
     export = command("export", _export, "write what a live tracker has stored to CSV or Parquet files")
     export.add_argument(
         "--store", required=True, metavar="URL", help="sqlite:PATH or postgresql://USER@HOST/NAME"
@@ -460,12 +457,19 @@ def _evaluate(options: argparse.Namespace) -> int:
 
 
 def _fleet(options: argparse.Namespace) -> int:
-    from hygrokf.fleet.command import tell_fleet
+    page, rows, text, status = tell_fleet(options)
+    _print({"rows": rows}, text, options.json)
+    print(f"report: {page}", file=sys.stderr)
+    return status
 
-    result, text = tell_fleet(options.fleet, options.out, options.workers, options.dask)
-    _print({"rows": result.rows}, text, options.json)
-    print(f"report: {result.page}", file=sys.stderr)
-    return int(bool(result.missing))
+
+def _climate(options: argparse.Namespace) -> int:
+    from hygrokf.climate.command import run_climate
+
+    page, data, text = run_climate(options, lambda: _stored(options))
+    _print(data, text, options.json)
+    print(f"report: {page}", file=sys.stderr)
+    return 0
 
 
 def _export(options: argparse.Namespace) -> int:
@@ -485,7 +489,7 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from hygrokf.files import DISCOVERY, FLEET
+    from hygrokf.files import CLIMATE, DISCOVERY, FLEET
     from hygrokf.report import write_report
 
     folder = options.directory.parent if options.directory.is_file() else options.directory
@@ -497,6 +501,10 @@ def _report(options: argparse.Namespace) -> int:
         from hygrokf.fleet.running import write_fleet_report
 
         page = write_fleet_report(folder)
+    elif (folder / CLIMATE).is_file():
+        from hygrokf.climate.page import write_climate_report
+
+        page = write_climate_report(None, folder)
     else:
         page = write_report(options.directory)
     _print({"report": str(page)}, str(page), options.json)

@@ -16,6 +16,7 @@ BESIDE_DISCOVERY = "fit_report.html"
 DISCOVERY = "discovery.json"
 DISCOVERY_SERIES = "discovery.npz"
 FLEET = "fleet.json"
+CLIMATE = "climate.json"
 
 
 def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:

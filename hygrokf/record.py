@@ -104,6 +104,14 @@ class Series:
         there = ~self.missing
         return (self.time, self.value) if there.all() else (self.time[there], self.value[there])
 
+    def window(self, start_s: float, end_s: float) -> Series | None:
+        """The readings with start_s ≤ time ≤ end_s [s]; None where there is none."""
+        first = np.searchsorted(self.time, start_s, side="left")
+        last = np.searchsorted(self.time, end_s, side="right")
+        if last <= first:
+            return None
+        return dataclasses.replace(self, time=self.time[first:last], value=self.value[first:last])
+
     @cached_property
     def steps_s(self) -> np.ndarray:
         """Distances [s] between readings that are not missing, from the smallest to the largest."""
@@ -145,6 +153,11 @@ class Site:
         if faults:
             raise ValueError("site: " + "; ".join(faults))
 
+    @property
+    def in_north_america(self) -> bool:
+        """Whether summer time here is North America's, roughly: its beginning and end differ from Europe's."""
+        return self.latitude_deg > 0.0 and -170.0 < self.longitude_deg < -40.0
+
 
 @dataclass(frozen=True)
 class Record:
@@ -157,8 +170,10 @@ class Record:
     until_s: [s] end of the identification period since 1970-01-01T00:00Z; None: whole record.
     warnings: what was masked or repaired, one sentence each.
     provenance: (file name, SHA-256) of every file read.
+    compared: series of a second source, one per signal, that nothing is fitted to or driven by: `check` holds
+        them against those of the record, which shows wrong clocks.
 
-    Raises ValueError for a signal that occurs twice.
+    Raises ValueError for a signal that occurs twice among the series, or twice among those compared.
     """
 
     name: str
@@ -168,13 +183,17 @@ class Record:
     until_s: float | None = None
     warnings: tuple[str, ...] = ()
     provenance: tuple[tuple[str, str], ...] = ()
+    compared: tuple[Series, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "series", tuple(self.series))
+        object.__setattr__(self, "compared", tuple(self.compared))
         object.__setattr__(self, "warnings", tuple(self.warnings))
         object.__setattr__(self, "provenance", tuple(self.provenance))
-        names = self.signals
-        twice = sorted({name for name in names if names.count(name) > 1})
+        second = [one.signal for one in self.compared]
+        twice = sorted(
+            {name for names in (self.signals, second) for name in names if names.count(name) > 1}
+        )
         if twice:
             raise ValueError(f"record {self.name}: more than one series of {', '.join(twice)}")
         if self.rated_power_W is not None and not 0.0 < self.rated_power_W < math.inf:
@@ -218,14 +237,13 @@ class Record:
         """
         if not start_s <= end_s:
             raise ValueError(f"window: start {start_s} must not be after end {end_s}")
-        kept = []
-        for one in self.series:
-            first = np.searchsorted(one.time, start_s, side="left")
-            last = np.searchsorted(one.time, end_s, side="right")
-            if last > first:
-                kept.append(dataclasses.replace(one, time=one.time[first:last], value=one.value[first:last]))
+        kept, second = (
+            tuple(part for one in all_of_them if (part := one.window(start_s, end_s)) is not None)
+            for all_of_them in (self.series, self.compared)
+        )
         inside = self.until_s is not None and start_s < self.until_s < end_s
-        return dataclasses.replace(self, series=tuple(kept), until_s=self.until_s if inside else None)
+        until_s = self.until_s if inside else None
+        return dataclasses.replace(self, series=kept, compared=second, until_s=until_s)
 
     def identification(self) -> Record:
         """The identification period: readings up to and including `until_s`."""

@@ -70,6 +70,12 @@ class SideBySide:
     def covariance(self) -> np.ndarray:
         return unpack(self._in_rows(self._state)[:, self.model.recursion.n :], self.model.recursion.n)
 
+    def settle(self, mean: np.ndarray) -> None:
+        """State that every run is exactly at `mean` (N, n): covariances of zero, as each step of a simulation begins."""
+        rows = np.zeros((self._count, self._state.shape[1]))
+        rows[:, : mean.shape[1]] = mean
+        self._state[...] = self._in_blocks(rows)
+
     def _in_blocks(self, rows: np.ndarray) -> np.ndarray:
         """(N, width) as (blocks, width, RUNS); the last block is filled up with the last run."""
         spare = -len(rows) % RUNS

@@ -7,6 +7,7 @@ import re
 import warnings as python_warnings
 from dataclasses import dataclass
 from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
 
@@ -412,3 +413,33 @@ def _change_date(seconds: float) -> tuple[date, str]:
     if (day.month == 10 and day.day >= 25) or (day.month == 11 and day.day <= 7):
         return day, "autumn"
     return day, ""
+
+
+def summer_time(time: np.ndarray, america: bool = False) -> np.ndarray:
+    """Whether summer time holds (T,) at instants [s] of UTC.
+
+    Europe: from 01:00 UTC of March's last Sunday to that of October's.  North America: from 08:00 UTC of March's second
+    Sunday to 07:00 UTC of November's first, the hours of its central zone.
+    """
+    years = np.asarray(time).astype("datetime64[s]").astype("datetime64[Y]").astype(int) + 1970
+    summer = np.zeros(len(time), dtype=bool)
+    for year in np.unique(years):
+        begin, end = _turns(int(year), america)
+        summer |= (time >= begin) & (time < end)
+    return summer
+
+
+@lru_cache(maxsize=64)
+def _turns(year: int, america: bool) -> tuple[float, float]:
+    """Beginning and end of summer time [s]."""
+    if america:
+        return _sunday(year, 3, 1) + 8.0 * _HOUR, _sunday(year, 11, 0) + 7.0 * _HOUR
+    return _sunday(year, 3, -1) + _HOUR, _sunday(year, 10, -1) + _HOUR
+
+
+def _sunday(year: int, month: int, which: int) -> float:
+    """Midnight UTC of a month's Sunday [s], counted from 0, or from its end with −1."""
+    first = np.datetime64(f"{year}-{month:02d}-01", "D")
+    days = np.arange(first, np.datetime64(first, "M") + 1, dtype="datetime64[D]")
+    sundays = days[(days.astype(int) + 4) % 7 == 0]  # 1 January 1970 was a Thursday
+    return float(sundays[which].astype("datetime64[s]").astype(int))

@@ -102,7 +102,9 @@ def broken_links(page: Path, text: str) -> list[str]:
             ["result/fleet.csv", "result/fleet.parquet", "result/report.html"],
         ),
         (DOCS / "add_a_mechanism.md", "python,bash", ["turbine/case.toml"]),
+        (DOCS / "climate.md", "python,bash", ["climate/report.html", "checked/climate.csv", "regions/report.html"]),
         (DOCS / "own_cause.md", "python", ["turbine/case.toml", "found/fit.json"]),
+        (DOCS / "weather.md", "python", ["site.epw"]),
     ],
     ids=lambda value: value.name if isinstance(value, Path) else "",
 )

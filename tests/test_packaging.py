@@ -40,6 +40,9 @@ LATE = {
     "psycopg",
     "asyncua",
     "cryptography",
+    "xarray",
+    "h5netcdf",
+    "h5py",
 }
 """Packages that cost too much to be loaded before a command needs them."""
 IMPORT_NAMES = {"pytest-xdist": "xdist", "paho-mqtt": "paho", "prometheus-client": "prometheus_client"}

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 
 from hygrokf.record import Record, Series
+from hygrokf.stamps import summer_time
 
 HOUR_S = 3600.0
 
@@ -47,41 +47,10 @@ def _moved(series: Series, record: Record, shift: Shift) -> Series:
 
 def in_america(record: Record) -> bool:
     """Whether the site's summer time is North America's; Europe's counts elsewhere and where no site is stated."""
-    site = record.site
-    return site is not None and site.latitude_deg > 0.0 and -170.0 < site.longitude_deg < -40.0
-
-
-def summer_time(time: np.ndarray, america: bool = False) -> np.ndarray:
-    """Whether summer time holds (T,) at instants [s] of UTC.
-
-    Europe: from 01:00 UTC of March's last Sunday to that of October's.  North America: from 08:00 UTC of March's second
-    Sunday to 07:00 UTC of November's first, the hours of its central zone.
-    """
-    years = np.asarray(time).astype("datetime64[s]").astype("datetime64[Y]").astype(int) + 1970
-    summer = np.zeros(len(time), dtype=bool)
-    for year in np.unique(years):
-        begin, end = _turns(int(year), america)
-        summer |= (time >= begin) & (time < end)
-    return summer
+    return record.site is not None and record.site.in_north_america
 
 
 def turns_within(record: Record) -> bool:
     """Whether the clocks were changed within the record."""
     ends = summer_time(np.arange(record.start_s, record.end_s, 24.0 * HOUR_S), in_america(record))
     return bool(ends.any() and not ends.all())
-
-
-@lru_cache(maxsize=64)
-def _turns(year: int, america: bool) -> tuple[float, float]:
-    """Beginning and end of summer time [s]."""
-    if america:
-        return _sunday(year, 3, 1) + 8.0 * HOUR_S, _sunday(year, 11, 0) + 7.0 * HOUR_S
-    return _sunday(year, 3, -1) + HOUR_S, _sunday(year, 10, -1) + HOUR_S
-
-
-def _sunday(year: int, month: int, which: int) -> float:
-    """Midnight UTC of a month's Sunday [s], counted from 0, or from its end with −1."""
-    first = np.datetime64(f"{year}-{month:02d}-01", "D")
-    days = np.arange(first, np.datetime64(first, "M") + 1, dtype="datetime64[D]")
-    sundays = days[(days.astype(int) + 4) % 7 == 0]  # 1 January 1970 was a Thursday
-    return float(sundays[which].astype("datetime64[s]").astype(int))

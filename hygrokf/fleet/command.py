@@ -1,22 +1,45 @@
-"""`hygrokf fleet` at the terminal: a bar, a line for each turbine as it is done."""
+"""`hygrokf fleet` at the terminal: its arguments; a bar, and a line for each turbine as it is done."""
 
 from __future__ import annotations
 
+from argparse import ArgumentParser, Namespace
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from hygrokf.console import Progress, UserFault, expect_directory
-from hygrokf.fleet.job import Outcome
-from hygrokf.fleet.plan import read_plan
-from hygrokf.fleet.running import Result, run_fleet
-from hygrokf.fleet.words import fleet_text, outcome_text
+
+if TYPE_CHECKING:
+    from hygrokf.fleet.job import Outcome
 
 
-def tell_fleet(file: Path, out: Path, workers: int | None, cluster: str | None) -> tuple[Result, str]:
-    """Run the fleet of a file; its result, and the table as text.  Raises FleetFault and UserFault."""
-    expect_directory(out)
-    if cluster and workers:
+def fleet_arguments(parser: ArgumentParser, whole: Callable[[int], Callable[[str], int]]) -> None:
+    """Arguments of the command; `whole` makes a reader of whole numbers from a least one on."""
+    parser.add_argument("fleet", type=Path, metavar="FLEET.toml")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="directory for fleet.csv, report.html, each turbine's results"
+    )
+    parser.add_argument(
+        "--workers", type=whole(1), default=None, help="processes on this machine (default one a core)"
+    )
+    parser.add_argument(
+        "--dask", metavar="ADDRESS", help="do it on a Dask cluster, such as tcp://HOST:8786, instead"
+    )
+
+
+def tell_fleet(options: Namespace) -> tuple[Path, list[Mapping[str, object]], str, int]:
+    """Run the fleet of a file: its page, its rows, the table as text, and the exit status.
+
+    The status is 1 where any turbine has no result.  Raises FleetFault and UserFault.
+    """
+    from hygrokf.fleet.plan import read_plan
+    from hygrokf.fleet.running import run_fleet
+    from hygrokf.fleet.words import fleet_text, outcome_text
+
+    expect_directory(options.out)
+    if options.dask and options.workers:
         raise UserFault("--workers is for this machine; a cluster has its own: leave it out beside --dask")
-    plan = read_plan(file)
+    plan = read_plan(options.fleet)
     progress = Progress(len(plan.turbines))
 
     def say(found: Outcome, known: bool) -> None:
@@ -24,9 +47,9 @@ def tell_fleet(file: Path, out: Path, workers: int | None, cluster: str | None) 
         progress(found.turbine)
 
     try:
-        result = run_fleet(plan, out, workers=workers, cluster=cluster, say=say)
+        result = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=say)
     except BaseException:
         progress.abandon()
         raise
     progress.close()
-    return result, fleet_text(plan.task, result.rows)
+    return result.page, result.rows, fleet_text(plan.task, result.rows), int(bool(result.missing))

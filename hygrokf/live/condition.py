@@ -22,21 +22,11 @@ from hygrokf.psychrometrics import (
     saturation_pressure_water,
     saturation_pressure_water_slope,
 )
+from hygrokf.surface import Surface
 from hygrokf.timeline import Timeline
 
 Z95 = 1.959964
 FREEZING_K = 273.15
-
-
-@dataclass(frozen=True)
-class Surface:
-    """The coldest surface in a cabinet: T_s = T_amb + follows (T − T_amb) + offset_K.
-
-    `follows` 0 for a wall that has the ambient's temperature, 1 for a part that has the cabinet air's.
-    """
-
-    follows: float = 0.3
-    offset_K: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -138,7 +128,7 @@ def air_condition(
     by_dew = 1.0 / saturation_pressure_water_slope(dew)
     frost = np.where(dew < FREEZING_K, frost_point(e), np.nan)
     by_frost = 1.0 / saturation_pressure_ice_slope(np.clip(frost, ICE_RANGE[0], FREEZING_K))
-    cold = outside + surface.follows * (air - outside) + surface.offset_K
+    cold = surface.temperature(outside, air)
     # on a surface below freezing vapour becomes frost, at a temperature a little above the dew point
     icy = (cold < FREEZING_K) & np.isfinite(frost)
     margin = derived(cold - np.where(icy, frost, dew), surface.follows, -np.where(icy, by_frost, by_dew))

@@ -1,0 +1,222 @@
+"""Free runs of an ensemble through years of weather: parameters drawn, disturbances simulated.
+
+From one instant to the next every member takes one step of the model's own moments, begun from a known state: the mean
+and covariance that it gives are the distribution of the next state (exactly where the model is linear over a step), and
+the next state is drawn from it.  All members step side by side in compiled code.
+
+Shapes: N members, T instants that are kept, n states.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.design import read_as
+from hygrokf.drivers import Run, run
+from hygrokf.fit import Fit
+from hygrokf.likelihood import Gaussian, Likelihood
+from hygrokf.model import Model
+from hygrokf.psychrometrics import (
+    GAS_CONSTANT_VAPOUR,
+    absolute_humidity_from_vapour_pressure,
+    saturation_pressure_water,
+)
+from hygrokf.record import Record
+from hygrokf.side_by_side import SideBySide
+from hygrokf.surface import Surface, condenses
+
+STEP_H = 1.0
+"""[h] distance of the instants that are kept; what happens between them is simulated, not kept."""
+YEAR_H = 8766.0
+"""[h] of a year, 365.25 days."""
+WHOLE = 0.9
+"""Share of a year that a last stretch must have to count as a year."""
+SPIN_UP_H = 720.0
+"""[h] the first month is run twice: its first run lets the state forget where it began."""
+DRAWN = 256
+"""Steps whose random numbers are drawn at once."""
+
+
+@dataclass(frozen=True)
+class Year:
+    """One year of an ensemble; of the last or only one maybe a part.
+
+    `time_s` (T,) [s since 1970, UTC]; `temperature_K` (N, T) of the cabinet air; `relative_humidity` [1] over water and
+    `vapour_Pa` (N, T) or None; `absolute_humidity_g_m3` likewise; `condensing` (N, T) whether the cold surface is wet;
+    `operating` (T,); `known` (T,) False where weather or power is not known; `ambient` the weather (T,) in the same
+    units: temperature_K, relative_humidity, absolute_humidity_g_m3; `step_h` distance of the instants.
+    """
+
+    time_s: np.ndarray
+    temperature_K: np.ndarray
+    relative_humidity: np.ndarray | None
+    absolute_humidity_g_m3: np.ndarray | None
+    condensing: np.ndarray | None
+    operating: np.ndarray
+    known: np.ndarray
+    ambient: Mapping[str, np.ndarray]
+    step_h: float
+
+    @property
+    def hours(self) -> float:
+        """[h] of which weather and power are known."""
+        return float(self.known.sum()) * self.step_h
+
+
+def course(fit: Fit, record: Record) -> Run:
+    """The instants of weather and power for a fit's model; raises ValueError where they do not suffice."""
+    return run(read_as(fit.design, record), record)
+
+
+def simulate_years(
+    fit: Fit,
+    record: Record,
+    members: Sequence[Mapping[str, float]],
+    seed: int,
+    surface: Surface,
+    process: bool = True,
+    say: Callable[[str], None] = lambda text: None,
+) -> Iterator[Year]:
+    """Years of weather and power (a record), one after the other, through every member's model.
+
+    Without `process` the disturbances stay at what is expected of them: parameters alone.  Raises ValueError where the
+    record lacks what the model reads.
+    """
+    made = course(fit, record)
+    design = read_as(fit.design, record)
+    model, t = design.model, made.timeline
+    kept = kept_instants(t.time)
+    groups = years_of(t.time[kept])
+    likelihood = Likelihood(model, t)
+    starts, fastest = [], []
+    random = np.random.default_rng([seed, 2])
+    inputs = {name: t.input(name) for name in model.inputs}
+    first = {name: float(value[0]) for name, value in inputs.items()}
+    n = len(model.states)
+    for values in members:
+        mean, variance = (np.array(part, dtype=float) for part in model.initial(values, first))
+        kick = random.standard_normal(n) if process else np.zeros(n)
+        starts.append(Gaussian(mean + np.sqrt(variance) * kick, np.zeros((n, n))))
+        fastest.append(likelihood.rate(values))
+    runs = SideBySide(model, members, starts, np.array(fastest))
+    walk = _Walk(runs, inputs, t.time, random if process else None)
+    again = int(np.searchsorted(t.time, t.time[0] + SPIN_UP_H, side="right"))
+    walk.through(range(min(again, len(t.time))))
+    at = 0
+    for number, group in enumerate(groups):
+        say(f"year {number + 1} of {len(groups)}")
+        places = kept[group]
+        states = np.empty((len(places), len(members), n))
+        for row, place in enumerate(places):
+            walk.through(range(at, place + 1), jump=at == 0)
+            at = place + 1
+            states[row] = walk.state
+        yield _year(model, members, made, places, states, surface)
+
+
+def kept_instants(time_h: np.ndarray) -> np.ndarray:
+    """Places of instants [h] that are at least an hour apart, the first that do."""
+    whole = np.flatnonzero(np.abs(time_h / STEP_H - np.round(time_h / STEP_H)) < 1e-6)
+    # where every hour has an instant of its own these are the hours; else whatever stands an hour on
+    if len(whole) >= WHOLE * (time_h[-1] - time_h[0]) / STEP_H:
+        return whole
+    chosen, last = [], -np.inf
+    for place, hour in enumerate(time_h.tolist()):
+        if hour - last >= STEP_H - 1e-6:
+            chosen.append(place)
+            last = hour
+    return np.array(chosen)
+
+
+def years_of(time_h: np.ndarray) -> list[np.ndarray]:
+    """Places of instants [h] by the year that they lie in; a last stretch far shorter than a year is left out."""
+    number = ((time_h - time_h[0]) // YEAR_H).astype(int)
+    groups = [np.flatnonzero(number == year) for year in range(number[-1] + 1)]
+    long = [g for g in groups if time_h[g[-1]] - time_h[g[0]] >= WHOLE * YEAR_H]
+    return long or groups[:1]
+
+
+class _Walk:
+    """The states of all members on their way through the instants."""
+
+    def __init__(
+        self,
+        runs: SideBySide,
+        inputs: Mapping[str, np.ndarray],
+        time_h: np.ndarray,
+        random: np.random.Generator | None,
+    ) -> None:
+        self.runs, self.inputs, self.time_h, self.random = runs, inputs, time_h, random
+        self.state = runs.mean
+        self._kicks = np.empty((0, *self.state.shape))
+        self._at = 0
+
+    def through(self, places: range, jump: bool = True) -> None:
+        """Step to each of the instants; a `jump` to the first of them takes no time."""
+        for place in places:
+            now = {name: value[place] for name, value in self.inputs.items()}
+            if jump:
+                self.runs.begin(now)
+                jump = False
+                continue
+            self.runs.step(self.time_h[place] - self.time_h[place - 1], now)
+            mean = self.runs.mean
+            if self.random is not None:
+                mean = mean + _drawn(self.runs.covariance, self._kick())
+            self.runs.settle(mean)
+            self.state = mean
+
+    def _kick(self) -> np.ndarray:
+        if self._at == len(self._kicks):
+            self._kicks, self._at = self.random.standard_normal((DRAWN, *self.state.shape)), 0
+        self._at += 1
+        return self._kicks[self._at - 1]
+
+
+def _drawn(covariance: np.ndarray, kick: np.ndarray) -> np.ndarray:
+    """Errors (N, n) with covariances (N, n, n), which may be singular, from standard normal numbers (N, n)."""
+    scale = np.sqrt(np.maximum(np.einsum("nii->ni", covariance), 0.0))
+    safe = np.where(scale > 0.0, scale, 1.0)
+    correlation = covariance / (safe[:, :, None] * safe[:, None, :])
+    n = kick.shape[1]
+    correlation[:, np.arange(n), np.arange(n)] = 1.0 + 1e-9  # a part in 1e9 of noise keeps it positive
+    return scale * np.einsum("nij,nj->ni", np.linalg.cholesky(correlation), kick)
+
+
+def _year(
+    model: Model,
+    members: Sequence[Mapping[str, float]],
+    made: Run,
+    places: np.ndarray,
+    states: np.ndarray,
+    surface: Surface,
+) -> Year:
+    t = made.timeline
+    u = {name: t.input(name)[places][:, None] for name in model.inputs}
+    values = {p.name: np.array([m[p.name] for m in members])[None, :] for p in model.parameters}
+    columns = [states[:, :, i] for i in range(states.shape[2])]
+    air = model.quantities(columns, u, values)["cabinet_air_temperature"]
+    air = np.ascontiguousarray(np.broadcast_to(air, states.shape[:2]).T)
+    outside = t.input("ambient_temperature")[places]
+    ambient = {"temperature_K": outside}
+    relative = absolute = wet = None
+    if "vapour" in model.states:
+        # the vapour is a linear state and may be negative where the air is all but dry
+        c = np.maximum(states[:, :, model.states.index("vapour")].T, 1e-3)
+        pressure = 1e-3 * GAS_CONSTANT_VAPOUR * outside * c
+        relative = pressure / saturation_pressure_water(air)
+        absolute = 1e3 * absolute_humidity_from_vapour_pressure(pressure, air)
+        wet = condenses(pressure, surface.temperature(outside, air))
+        vapour = t.input("ambient_absolute_humidity")[places]
+        ambient["absolute_humidity_g_m3"] = vapour
+        ambient["relative_humidity"] = (
+            1e-3 * GAS_CONSTANT_VAPOUR * outside * vapour / saturation_pressure_water(outside)
+        )
+    seconds = t.origin_s + 3600.0 * t.time[places]
+    step = float(np.median(np.diff(t.time[places]))) if len(places) > 1 else STEP_H
+    return Year(
+        seconds, air, relative, absolute, wet, made.operating[places], made.scored[places], ambient, step
+    )

@@ -1,0 +1,211 @@
+"""`report.html` of a climate: limits, numbers with bounds, distributions, and the test profile."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+
+from hygrokf.climate.plots import figure_duration, figure_joint, figure_profile, figure_regions
+from hygrokf.climate.results import read_climate, write_climate
+from hygrokf.climate.study import Study
+from hygrokf.climate.tables import (
+    excursions_table,
+    limits_table,
+    profile_table,
+    rates_table,
+    regimes_table,
+    regions_table,
+    span_text,
+    year_table,
+)
+from hygrokf.drawing import png
+from hygrokf.files import REPORT, write_bytes_whole, write_text_whole
+from hygrokf.lookup import entry, number
+from hygrokf.page import document, figure_html, moment, prose, section, sentence, tables_html
+from hygrokf.report_words import percent, plain_number, text_of
+
+PICTURE = "test_profile.png"
+JOINT_CAPTION = (
+    "Hours a year in bins of 2.5 K and 5 %. The red line is 80 %, above which a surface counts as wet. The cabinet is drier "
+    "than the outside air because it is warmer, not because it holds less vapour."
+)
+DURATION_CAPTION = (
+    "For how much of the time a value lies above the curve. The band holds 95 % of single years: parameters that the fit "
+    "leaves open, disturbances, and the spread between the years of weather."
+)
+PROFILE_CAPTION = (
+    "Days of the simulated climate, chosen so that together they are like all of it, and warmed as far as the law of "
+    "acceleration asks for. Relative humidity is the site's own."
+)
+
+
+def write_climate_report(study: Study | None, directory: str | os.PathLike[str]) -> Path:
+    """Write climate.json, climate.csv, the test profile as CSV and PNG, and `report.html`; returns the page's path.
+
+    study: None where the directory holds climate.json already: then the page and the picture alone are made again.
+    Raises ResultFault where it is missing or damaged, OSError as the system gives it.
+    """
+    folder = Path(directory)
+    if study is not None:
+        write_climate(study, folder)
+    found = read_climate(folder).results
+    (folder / PICTURE).unlink(missing_ok=True)
+    if len(found["regions"]) == 1 and found["regions"][0]["test_profile"] is not None:
+        write_bytes_whole(folder / PICTURE, png(figure_profile(found["regions"][0])))
+    return write_text_whole(folder / REPORT, climate_page(found))
+
+
+def climate_page(found: Mapping) -> str:
+    """The whole page as HTML text, from the data of `climate.json`."""
+    regions = found["regions"]
+    name = text_of(entry(found, "name")).strip() or "unnamed model"
+    parts = [_head(found, name)]
+    if len(regions) > 1:
+        drawing = figure_html(
+            "regions",
+            "Regions side by side",
+            "Thin: 95 % of single years. Thick: 95 % bounds of the mean over all years.",
+            lambda: figure_regions(regions),
+        )
+        parts.append(section("Regions side by side", drawing, tables_html((regions_table(regions), ""))))
+    for place, region in enumerate(regions, 1):
+        parts += _region(region, place, len(regions) > 1)
+    parts.append(_method(found))
+    return document(f"{name} – hygrokf climate", parts)
+
+
+def _head(found: Mapping, name: str) -> str:
+    regions = found["regions"]
+    where = ", ".join(text_of(one["name"]) for one in regions)
+    line = (
+        f"{where}; {found['members']} members, seed {found['seed']}, bounds {percent(number(found, 'level'))}; cold surface "
+        f"follows the cabinet air by {found['surface']['follows']:g}, offset {found['surface']['offset_K']:g} K"
+    )
+    banner = ""
+    if found.get("synthetic") is True or any(one.get("synthetic") for one in regions):
+        banner = (
+            "<p class='banner synthetic'><b>SYNTHETIC</b> The model or the weather was made by a computer. "
+            "Nothing on this page was measured.</p>"
+        )
+    return (
+        "<header><p class=kind>Hygrothermal model of an enclosure · simulated climate</p>"
+        f"<h1>{escape(name)}</h1><p class=meta>{prose(line)}</p>{banner}</header>"
+    )
+
+
+def _region(region: Mapping, place: int, several: bool) -> list[str]:
+    title = f"{text_of(region['name'])}: " if several else ""
+    short = f"r{place}-"
+    spans = region["years"]
+    meta = (
+        f"Weather of {moment(spans[0]['from'])} to {moment(spans[-1]['until'])} UTC, {len(spans)} "
+        f"{'year' if len(spans) == 1 else 'years'}, from {', '.join(map(text_of, region['files'])) or 'a record'}."
+    )
+    said = "".join(f"<p>{prose(sentence(one))}</p>" for one in region["statements"])
+    return [
+        f"<section class=cards>{''.join(_cards(region))}</section>" if not several else "",
+        section(_heading(title, "weather and power"), f"<p class=meta>{prose(meta)}</p>", said),
+        section(
+            _heading(title, "limits"),
+            tables_html((limits_table(region), "No limits were given (--limits FILE).")),
+        )
+        if not several or region["limits"]
+        else "",
+        section(
+            _heading(title, "hours, rates, cycles"),
+            tables_html(
+                (year_table(region), ""),
+                (regimes_table(region), "All of the year is of one kind, operation or standstill."),
+                (excursions_table(region), ""),
+                (rates_table(region), ""),
+            ),
+        ),
+        section(
+            _heading(title, "distributions"),
+            figure_html(
+                f"{short}joint",
+                "Temperature and relative humidity",
+                JOINT_CAPTION,
+                lambda: figure_joint(region),
+            ),
+            figure_html(
+                f"{short}duration", "Duration curves", DURATION_CAPTION, lambda: figure_duration(region)
+            ),
+        ),
+        section(_heading(title, "test profile"), *_profile(region, short)),
+    ]
+
+
+def _heading(title: str, words: str) -> str:
+    """The heading of a region's section; a capital where no name stands before it."""
+    return title + words if title else words[:1].upper() + words[1:]
+
+
+def _cards(region: Mapping) -> list[str]:
+    year, cards = region["scopes"]["all"], []
+    verdicts = [one["verdict"] for one in region["limits"]]
+    if verdicts:
+        worst = next(v for v in ("fail", "undecided", "pass") if v in verdicts)
+        counted = ", ".join(
+            f"{verdicts.count(v)} {v}" for v in ("pass", "undecided", "fail") if v in verdicts
+        )
+        cards.append(
+            f"<div class='card wide{'' if worst == 'pass' else ' open'}'><p class=label>Limits "
+            f"<span>{len(verdicts)} asked</span></p><p class='value words'>{escape(counted)}</p></div>"
+        )
+    for name, label, note in (
+        ("wetness_h", "Time of wetness", f"class {region['wetness_class']}, ISO 9223:1992"),
+        ("condensation_h", "Condensation", "on the coldest surface"),
+    ):
+        if name in year:
+            found = span_text(year[name])
+            value, _, rest = found.partition(" (")
+            bounds = f"95 % of single years: {rest.rstrip(')')}" if rest else "in every member and year"
+            cards.append(
+                f"<div class=card><p class=label>{label} <span>{escape(note)}</span></p><p class=value>{escape(value)} h/a</p>"
+                f"<p class=bounds>{escape(bounds)}</p></div>"
+            )
+    return cards
+
+
+def _profile(region: Mapping, short: str) -> list[str]:
+    profile = region["test_profile"]
+    if profile is None:
+        return ["<p class=left-out>There is none: see above.</p>"]
+    close = profile["closeness"]
+    years, hours = close["ageing"]["years"], len(profile["hour"])
+    words = (
+        f"{hours} hours that age as much as {plain_number(years)} years at the site "
+        f"({plain_number(close['ageing']['years_lower'])} … {plain_number(close['ageing']['years_upper'])}), an acceleration "
+        f"of {plain_number(profile['acceleration'])} before the chamber's limits; "
+        f"{percent(profile['share_at_chamber_limit'])} of the hours stand at a limit of the chamber's temperature."
+    )
+    if not profile["reached"]:
+        words += (
+            " The stated years of service are out of reach within these limits and this length: "
+            "state a longer test, fewer years, or a hotter chamber."
+        )
+    return [
+        f"<p>{prose(words)}</p>",
+        figure_html(f"{short}profile", "Test profile", PROFILE_CAPTION, lambda: figure_profile(region)),
+        tables_html((profile_table(region), "")),
+    ]
+
+
+def _method(found: Mapping) -> str:
+    law = found["plan"]["law"]
+    kind = "Peck's law" if law["humidity_exponent"] else "Arrhenius' law"
+    lines = [
+        "Every member of the ensemble is the fitted model with parameters drawn from their estimated distribution, driven by "
+        "the weather and the power alone, with disturbances simulated as the fit found them. Nothing was measured in these years.",
+        "Bounds hold what the fit does not know of its own parameters, what the disturbances may do, and how years differ where "
+        "there are several. They do not hold what the model leaves out: heaters and doors that no signal reports, moisture "
+        "stored in materials and condensed water unless the model has them, another cabinet, another climate to come.",
+        "Where the model has no condensation its air may be above saturation; such hours count as wet.",
+        f"Ageing is {kind}, rate ∝ RH^{law['humidity_exponent']:g} exp(−{law['activation_energy_eV']:g} eV/kT), in hours at "
+        f"{law['reference_degC']:g} °C and {law['reference_percent']:g} %. Its exponents are of single failure mechanisms "
+        "(Peck 1986: aluminium corrosion in plastic packages); state those of yours.",
+    ]
+    return section("How this was made", *(f"<p>{prose(line)}</p>" for line in lines))

@@ -1,0 +1,103 @@
+"""A region: weather files, and what its cabinets are driven by.
+
+Where weather is read stands here alone.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+from hygrokf.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h, centred
+from hygrokf.case import read_case
+from hygrokf.climate.power import (
+    PowerCurve,
+    PowerFault,
+    power_by_season,
+    power_from_wind,
+    standstill,
+)
+from hygrokf.fit import Fit
+from hygrokf.record import Record, Series
+
+HOUR_S = 3600.0
+
+
+@dataclass(frozen=True)
+class Region:
+    """Weather of one place under its name, as a record; `files` that it was read from."""
+
+    name: str
+    weather: Record
+    files: tuple[str, ...] = ()
+
+
+def read_region(name: str, files: Sequence[str | os.PathLike[str]]) -> Region:
+    """The weather of one region from a case file with its ambient signals; raises PowerFault, CaseFault."""
+    paths = [Path(one) for one in files]
+    if len(paths) != 1 or paths[0].suffix != ".toml":
+        raise PowerFault(
+            f"{name}: expected one case file (.toml) with the ambient signals, found "
+            f"{', '.join(one.name for one in paths)}; name the weather's files as sources of a case file"
+        )
+    return Region(name, read_case(paths[0], cabinet=False), tuple(one.name for one in paths))
+
+
+def read_power(path: str | os.PathLike[str]) -> Record:
+    """The record of a case file that has active power; other signals are left out.  Raises CaseFault, PowerFault."""
+    record = read_case(path, cabinet=False, ambient=False)
+    if "active_power" not in record:
+        raise PowerFault(
+            f"{path}: expected a case file with signals.active_power, found {', '.join(record.signals)}"
+        )
+    return replace(record, series=(record["active_power"],))
+
+
+def driven(fit: Fit, weather: Record, power: Record | PowerCurve | None) -> tuple[Record, list[str]]:
+    """Weather and power as a record for a fit's model, and in words how they were put together.
+
+    `power`: a record of it, a power curve, or None for standstill all year.  The weather's own power, cabinet and
+    pre-heating are left out.  Raises PowerFault where the power cannot be had.
+    """
+    said = []
+    kept = [s for s in weather.series if not s.signal.startswith(("cabinet_", "active_power", "preheating"))]
+    if fit.design.power_scale_W is None:
+        said.append("the model knows no power: all of the year counts as standstill")
+        return replace(weather, series=tuple(map(_hourly, kept)), until_s=None), said
+    if power is None:
+        series, words = standstill(weather), "standstill all year: no power at any time"
+    elif isinstance(power, PowerCurve):
+        series, words = power_from_wind(power, weather), power.words()
+        said += _scale_words(fit, power.rated_power_W)
+    else:
+        series, words = power_by_season(power["active_power"], weather)
+        said += _scale_words(fit, power.rated_power_W)
+    said.insert(0, words)
+    if "preheating" in fit.design.model.inputs:
+        said.append("no pre-heating is simulated: nothing says when it would be on")
+    return replace(weather, series=(*map(_hourly, kept), series), until_s=None), said
+
+
+def _scale_words(fit: Fit, rated_W: float | None) -> list[str]:
+    """A remark where the power's rated power is not that of the fit."""
+    scale = fit.design.power_scale_W
+    if rated_W is None or abs(rated_W / scale - 1.0) < 0.1:
+        return []
+    return [
+        f"the power's turbine is rated {rated_W / 1e3:.0f} kW, the fit's power counts as 1 at {scale / 1e3:.0f} kW: "
+        "the heat release is that of the power in kW"
+    ]
+
+
+def _hourly(series: Series) -> Series:
+    """Weather that comes less often than every hour, with straight lines between, so that statistics are hourly."""
+    middle = centred(series)
+    steps = series.steps_s
+    if not len(steps) or steps[len(steps) // 2] <= 1.01 * HOUR_S:
+        return series
+    import numpy as np
+
+    time = np.arange(np.ceil(middle.time[0] / HOUR_S), np.floor(middle.time[-1] / HOUR_S) + 1.0) * HOUR_S
+    return replace(middle, time=time, value=at_times(middle, time, bridge_h(middle, AMBIENT_BRIDGE_H)))

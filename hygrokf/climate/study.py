@@ -1,0 +1,271 @@
+"""`climate_profile`: from a fit and the weather of regions to the climate in the cabinet, with bounds."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hygrokf.climate.acceleration import Acceleration
+from hygrokf.climate.bounds import LEVEL, Bounded, bounded
+from hygrokf.climate.chamber import TestPlan
+from hygrokf.climate.days import Days, days_of, joined, thinned
+from hygrokf.climate.ensemble import Year, simulate_years
+from hygrokf.climate.form import as_list
+from hygrokf.climate.limits import Limit, exceeded, judged
+from hygrokf.climate.members import draw_members
+from hygrokf.climate.power import PowerCurve
+from hygrokf.climate.region import Region, driven
+from hygrokf.climate.sequence import closeness, test_sequence
+from hygrokf.climate.statistics import (
+    CYCLE_RANGES_K,
+    HUMIDITY_EDGES,
+    SCOPES,
+    SHARES,
+    TEMPERATURE_EDGES,
+    Curves,
+    curves,
+    outside,
+    scalars,
+    scope_of,
+    wetness_class,
+)
+from hygrokf.fit import Fit
+from hygrokf.record import Record
+from hygrokf.stamps import stamp_text
+from hygrokf.surface import Surface
+from hygrokf.version import __version__
+
+MEMBERS = 50
+DAYS_OF = 8
+"""Members of whose days a test profile is chosen, of each year."""
+STANDSTILL_YEAR = "standstill_all_year"
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Study:
+    """Climates of one or several regions; `results` is the plain data of `climate.json`."""
+
+    results: Mapping[str, object]
+
+    def to_json(self) -> dict:
+        return dict(self.results)
+
+
+@dataclass
+class _Gathered:
+    """What the years of one ensemble add up to: one entry a year."""
+
+    scalars: dict[str, list[dict]] = field(default_factory=lambda: {scope: [] for scope in SCOPES})
+    curves: list[Curves] = field(default_factory=list)
+    limits: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    outside: list[tuple[dict, Curves]] = field(default_factory=list)
+    days: list[Days] = field(default_factory=list)
+    spans: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+
+def climate_profile(
+    fit: Fit,
+    regions: Sequence[Region],
+    power: Record | PowerCurve | None = None,
+    *,
+    limits: Sequence[Limit] = (),
+    plan: TestPlan | None = None,
+    members: int = MEMBERS,
+    seed: int = 1,
+    surface: Surface | None = None,
+    progress: Progress = lambda text: None,
+) -> Study:
+    """The climate in a fitted cabinet under the weather of regions.
+
+    power: a record that has it, a power curve for the weather's wind, or None for standstill all year.  limits: of a
+    specification.  plan: of a test profile, with its law of acceleration.  members: of the ensemble.  seed: of the
+    parameters drawn and of the disturbances.  surface: the coldest one in the cabinet.
+
+    Raises ValueError, PowerFault where weather and power do not suffice for the model.
+    """
+    if not regions:
+        raise ValueError("expected the weather of at least one region, found none")
+    if members < 2:
+        raise ValueError(f"an ensemble has at least 2 members, found {members}")
+    plan, surface = plan or TestPlan(), surface or Surface()
+    drawn = draw_members(fit, members, seed)
+    found = [_region(fit, one, power, limits, plan, drawn, seed, surface, progress) for one in regions]
+    return Study(
+        {
+            "name": fit.name,
+            "version": __version__,
+            "members": members,
+            "seed": seed,
+            "level": LEVEL,
+            "surface": vars(surface),
+            "plan": plan.to_json(),
+            "synthetic": fit.results.get("synthetic") is True,
+            "regions": found,
+        }
+    )
+
+
+def _region(
+    fit: Fit,
+    region: Region,
+    power: Record | PowerCurve | None,
+    limits: Sequence[Limit],
+    plan: TestPlan,
+    drawn: Sequence[Mapping[str, float]],
+    seed: int,
+    surface: Surface,
+    say: Progress,
+) -> dict:
+    record, statements = driven(fit, region.weather, power)
+    gathered = _Gathered()
+    for year in simulate_years(fit, record, drawn, seed, surface, say=lambda t: say(f"{region.name}: {t}")):
+        _gather(gathered, year, limits, plan.law, len(drawn))
+    statements += _weather_words(gathered)
+    scopes = {scope: _summary(rows) for scope, rows in gathered.scalars.items() if rows}
+    if power is not None and fit.design.power_scale_W is not None:
+        still, _ = driven(fit, region.weather, None)
+        rows = []
+        for year in simulate_years(
+            fit, still, drawn, seed, surface, say=lambda t: say(f"{region.name} at standstill: {t}")
+        ):
+            rows.append(scalars(year, plan.law))
+        scopes[STANDSTILL_YEAR] = _summary(rows)
+    say(f"{region.name}: test profile")
+    profile, why = _test_profile(gathered, plan)
+    if why:
+        statements.append(why)
+    wet = scopes["all"].get("wetness_h")
+    return {
+        "name": region.name,
+        "files": list(region.files),
+        "synthetic": any("synthetic" in s.source for s in region.weather.series),
+        "statements": statements,
+        "years": [
+            {"from": stamp_text(a), "until": stamp_text(b), "hours_known": hours, "operating_share": share}
+            for a, b, hours, share in gathered.spans
+        ],
+        "wetness_class": None if wet is None else wetness_class(float(wet.value)),
+        "scopes": {
+            scope: {name: _plain(one) for name, one in rows.items()} for scope, rows in scopes.items()
+        },
+        "outside": {
+            name: float(np.mean([rows[name] for rows, _ in gathered.outside]))
+            for name in gathered.outside[0][0]
+        },
+        "duration": _curves_json(gathered, "duration"),
+        "rates": _curves_json(gathered, "rates"),
+        "joint": _joint_json(gathered),
+        "limits": [
+            judged(one, gathered.limits[one.name]).to_json() for one in limits if one.name in gathered.limits
+        ],
+        "test_profile": profile,
+    }
+
+
+def _gather(into: _Gathered, year: Year, limits: Sequence[Limit], law: Acceleration, members: int) -> None:
+    for scope in SCOPES:
+        if scope_of(year, scope).any() or scope == "all":
+            into.scalars[scope].append(scalars(year, law, scope))
+    into.curves.append(curves(year))
+    weather = outside(year)
+    into.outside.append(
+        ({name: float(value[0]) for name, value in scalars(weather, law).items()}, curves(weather))
+    )
+    for one in limits:
+        found = exceeded(year, one)
+        if found is not None:
+            into.limits.setdefault(one.name, []).append(found)
+    if year.relative_humidity is not None and abs(year.step_h - 1.0) < 1e-6:
+        # other members in other years, so that their differences are among the days too
+        first = len(into.days) * DAYS_OF
+        chosen = sorted({(first + i) % members for i in range(min(DAYS_OF, members))})
+        into.days.append(thinned(days_of(year, chosen)))
+    operating = float(year.operating[year.known].mean())
+    into.spans.append((year.time_s[0], year.time_s[-1], year.hours, operating))
+
+
+def _weather_words(gathered: _Gathered) -> list[str]:
+    hours, count = sum(span[2] for span in gathered.spans), len(gathered.spans)
+    length = sum(span[1] - span[0] for span in gathered.spans) / 3600.0 + count
+    said = []
+    if count == 1:
+        said.append("one year of weather: the bounds say nothing of how much years differ")
+    if length < 0.95 * 8766.0:
+        said.append(
+            f"the weather covers {length / 24.0:.0f} days, not a year: hours a year are scaled up from them, "
+            "as if the rest of the year were like them"
+        )
+    if hours < 0.98 * length:
+        said.append(
+            f"{100.0 * (1.0 - hours / length):.1f} % of the time weather or power is unknown and left out"
+        )
+    return said
+
+
+def _summary(years: Sequence[Mapping[str, np.ndarray]]) -> dict[str, Bounded]:
+    return {name: bounded(np.array([year[name] for year in years])) for name in years[0]}
+
+
+def _plain(one: Bounded) -> dict:
+    return {name: as_list(value) for name, value in vars(one).items()}
+
+
+def _curves_json(gathered: _Gathered, kind: str) -> dict:
+    result = {}
+    weather = [getattr(one, kind) for _, one in gathered.outside]
+    for name in getattr(gathered.curves[0], kind):
+        made = _plain(bounded(np.array([getattr(one, kind)[name] for one in gathered.curves])))
+        made["outside"] = as_list(np.mean([one[name][0] for one in weather if name in one], axis=0))
+        result[name] = {"share_beyond": list(SHARES), **made}
+    return result
+
+
+def _joint_json(gathered: _Gathered) -> dict | None:
+    """The joint distribution without its empty rows."""
+    if gathered.curves[0].joint is None:
+        return None
+    inside = bounded(np.array([one.joint for one in gathered.curves]))
+    weather = np.mean([one.joint[0] for _, one in gathered.outside], axis=0)
+    used = np.flatnonzero((inside.value > 0).any(axis=1) | (weather > 0).any(axis=1))
+    rows = slice(int(used[0]), int(used[-1]) + 1)
+    return {
+        "temperature_edges_degC": TEMPERATURE_EDGES[rows.start : rows.stop + 1].tolist(),
+        "humidity_edges_percent": HUMIDITY_EDGES.tolist(),
+        "hours": as_list(inside.value[rows], 4),
+        "lower": as_list(inside.lower[rows], 4),
+        "upper": as_list(inside.upper[rows], 4),
+        "outside": as_list(weather[rows], 4),
+    }
+
+
+def _test_profile(gathered: _Gathered, plan: TestPlan) -> tuple[dict | None, str]:
+    """The test profile of a region as plain data, or why there is none."""
+    days = thinned(joined(gathered.days)) if gathered.days else None
+    if days is None or not len(days):
+        return None, "no test profile: it needs humidity, and weather known hour by hour over whole days"
+    ageing = bounded(np.array([rows["ageing_h"] for rows in gathered.scalars["all"]]))
+    made = test_sequence(days, float(ageing.value), plan)
+    cycles = np.array(
+        [
+            np.mean(
+                [rows[f"temperature_cycles_from_{k:g}_K_number"].mean() for rows in gathered.scalars["all"]]
+            )
+            for k in CYCLE_RANGES_K
+        ]
+    )
+    return {
+        "hour": list(range(len(made.temperature_degC))),
+        "temperature_degC": np.round(made.temperature_degC, 2).tolist(),
+        "relative_humidity_percent": np.round(made.relative_humidity_percent, 2).tolist(),
+        "site_temperature_degC": np.round(made.site_temperature_degC, 2).tolist(),
+        "site_humidity_percent": np.round(made.site_humidity_percent, 2).tolist(),
+        "day": [stamp_text(one) for one in made.day_s[::24]],
+        "shift_per_K": made.shift,
+        "acceleration": made.factor,
+        "share_at_chamber_limit": made.cut,
+        "reached": made.reached,
+        "closeness": closeness(made, days, plan, ageing, cycles),
+    }, ""

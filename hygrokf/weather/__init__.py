@@ -1,0 +1,1 @@
+"""Weather of a site: reanalyses and typical years as records, and how two weather series differ."""

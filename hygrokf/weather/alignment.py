@@ -1,0 +1,348 @@
+"""How two weather series of the same signal lie to each other: lag, offset and daily course, with bounds.
+
+A lag is found twice, by what two clocks that differ must both show:
+
+- by the weather: both courses without their slow part (the running mean of a day) and without the mean day of each month;
+  the lag at which they correlate best.  Fronts, clouds and showers set it, the sun's warming of a sensor does not.
+- by the mean day: the phase between the daily waves of both courses.  A sensor in the sun, or in a slow housing, moves it
+  by half an hour; a front that reaches the one place before the other does not.
+
+Bounds are quantiles of a bootstrap of blocks of five days, which keeps what is correlated within a weather situation.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.ambient import at_times, bridge_h, centred
+from hygrokf.record import Series
+from hygrokf.stamps import summer_time
+
+DAY_S = 86400.0
+GRID_S = 600.0
+"""[s] grid on which both are held against each other; lags are found between its points by a parabola."""
+REACH_H = 14.0
+"""[h] largest lag that is looked for: the widest difference of two time zones in use."""
+BRIDGE_H = 3.0
+BLOCK_D = 5.0
+FEWEST_D = 20.0
+"""[d] both known, below which nothing is said."""
+DRAWS = 400
+LEAST_CORRELATION = 0.25
+"""Best correlation of two courses below which they are not of the same weather, and no lag is told."""
+WIDEST_H = 3.0
+"""[h] width of a lag's bounds above which it is not told."""
+
+
+@dataclass(frozen=True)
+class Bounded:
+    """An estimate with 95 % bounds; NaN where it cannot be told."""
+
+    value: float
+    low: float
+    high: float
+
+    @property
+    def known(self) -> bool:
+        return math.isfinite(self.value)
+
+
+UNKNOWN = Bounded(math.nan, math.nan, math.nan)
+
+
+@dataclass(frozen=True)
+class Lag:
+    """How much later one series is than the other, over some part of the time.
+
+    weather, mean_day: [s] found by each; positive where the first series is late. days: [d] both known.
+    correlation: best correlation of the courses without their mean day.
+    """
+
+    weather: Bounded
+    mean_day: Bounded
+    days: float
+    correlation: float
+
+
+@dataclass(frozen=True)
+class Alignment:
+    """How one series lies to another of the same signal.
+
+    signal: of both. one, other: their sources. start_s, end_s: [s] common span. days: [d] both known.
+    offset: [SI unit] mean of one less other, at their stamps.
+    amplitude, other_amplitude: [SI unit] of the daily wave. amplitude_ratio: one over other.
+    whole: lag over all; winter, summer: outside and inside summer time, or None where either is too short.
+    change: [s] lag by the weather in summer less that in winter. mean_day_change: [s] the same by the mean day.
+    months: (start [s], lag by the weather, lag by the mean day) of every month with enough days.
+    """
+
+    signal: str
+    one: str
+    other: str
+    start_s: float
+    end_s: float
+    days: float
+    offset: Bounded
+    amplitude: float
+    other_amplitude: float
+    amplitude_ratio: Bounded
+    whole: Lag
+    winter: Lag | None
+    summer: Lag | None
+    change: Bounded
+    mean_day_change: Bounded
+    months: tuple[tuple[float, Bounded, Bounded], ...]
+
+
+def align(one: Series, other: Series, *, america: bool = False, seed: int = 0) -> Alignment | None:
+    """Lag, offset and daily course of one series against another of the same signal; None below 20 common days.
+
+    one, other: any holds and steps up to an hour or two; means stand in the middle of their interval.
+    america: whether summer time is North America's. seed: of the bootstrap.
+
+    Raises ValueError for different signals.
+    """
+    if one.signal != other.signal:
+        raise ValueError(f"expected two series of one signal, found {one.signal} and {other.signal}")
+    first, second = centred(one), centred(other)
+    if len(first.known[0]) < 2 or len(second.known[0]) < 2:
+        return None
+    start = math.ceil(max(first.known[0][0], second.known[0][0]) / GRID_S) * GRID_S
+    end = min(first.known[0][-1], second.known[0][-1])
+    if not end - start >= FEWEST_D * DAY_S:
+        return None
+    time = np.arange(start, end, GRID_S)
+    x, y = (at_times(each, time, bridge_h(each, BRIDGE_H)) for each in (first, second))
+    both = np.isfinite(x) & np.isfinite(y)
+    days = float(both.sum()) * GRID_S / DAY_S
+    if days < FEWEST_D:
+        return None
+    sums = _sums(time, x, y, america)
+    random = np.random.default_rng(seed)
+    everything = np.ones(len(sums.days), dtype=bool)
+    whole, _ = _lag(sums, everything, random)
+    winter, winter_draws = _part(sums, ~sums.summer, random)
+    summer, summer_draws = _part(sums, sums.summer, random)
+    change = mean_day_change = UNKNOWN
+    if winter is not None and summer is not None:
+        change, mean_day_change = (
+            _difference(
+                getattr(summer, name), getattr(winter, name), summer_draws[place], winter_draws[place]
+            )
+            for place, name in enumerate(("weather", "mean_day"))
+        )
+    weights = _weights(sums.days, everything, random)
+    number = weights @ sums.count
+    offset = _bounded(
+        float(np.sum(sums.difference) / np.sum(sums.count)), (weights @ sums.difference) / number
+    )
+    wave, other_wave = abs(np.sum(sums.wave)), abs(np.sum(sums.other_wave))
+    ratio = _bounded(wave / other_wave, np.abs(weights @ sums.wave) / np.abs(weights @ sums.other_wave))
+    size = 2.0 * GRID_S / (DAY_S * float(np.sum(sums.days)))
+    months = []
+    for month in np.unique(sums.month):
+        inside = sums.month == month
+        if sums.days[inside].sum() >= 0.5 * FEWEST_D:
+            lag, _ = _lag(sums, inside, random)
+            months.append((float(month.astype("datetime64[s]").astype(int)), lag.weather, lag.mean_day))
+    return Alignment(
+        one.signal, _file(one), _file(other), float(start), float(end), days, offset, size * wave, size * other_wave,
+        ratio, whole, winter, summer, change, mean_day_change, tuple(months),
+    )  # fmt: skip
+
+
+def mean_days(
+    one: Series, other: Series, shift: tuple[float, float] = (0.0, 0.0), *, america: bool = False
+) -> dict:
+    """Mean daily courses of both by the hour of UTC, winter and summer apart, for a picture.
+
+    one, other: as for `align`. shift: [s] added to the stamps of `one` in winter and in summer.
+    Returns "winter" and "summer" -> (hour [h] (24,), one (24,), other (24,)), deviations from the day's mean [SI unit];
+    a season without 10 days is left out.
+    """
+    first, second = centred(one), centred(other)
+    start, end = (f(first.known[0][k], second.known[0][k]) for f, k in ((max, 0), (min, -1)))
+    time = np.arange(math.ceil(start / 3600.0) * 3600.0, end, 3600.0)
+    warm = summer_time(time, america)
+    found = {}
+    for name, inside, late in (("winter", ~warm, shift[0]), ("summer", warm, shift[1])):
+        x = at_times(first, time - late, bridge_h(first, BRIDGE_H))
+        y = at_times(second, time, bridge_h(second, BRIDGE_H))
+        known = inside & np.isfinite(x) & np.isfinite(y)
+        hour = np.mod(time[known] / 3600.0, 24.0).astype(int)
+        number = np.bincount(hour, minlength=24)
+        if number.min() < 10:
+            continue
+        courses = [np.bincount(hour, value[known], minlength=24) / number for value in (x, y)]
+        found[name] = (np.arange(24.0), *(course - course.mean() for course in courses))
+    return found
+
+
+@dataclass(frozen=True)
+class _Sums:
+    """What the bootstrap weighs, block by block (B blocks, L lags).
+
+    lags: [s] (L,). xy, xx, yy: (B, L) of the courses without mean day. wave, other_wave: (B,) complex.
+    difference, count: (B,) of one less other. days: (B,). summer: (B,). month: (B,) datetime64[M].
+    """
+
+    lags: np.ndarray
+    xy: np.ndarray
+    xx: np.ndarray
+    yy: np.ndarray
+    wave: np.ndarray
+    other_wave: np.ndarray
+    difference: np.ndarray
+    count: np.ndarray
+    days: np.ndarray
+    summer: np.ndarray
+    month: np.ndarray
+
+
+def _sums(time: np.ndarray, x: np.ndarray, y: np.ndarray, america: bool) -> _Sums:
+    """Sums of every block; a block ends with five days, a month, or summer time."""
+    month = time.astype("datetime64[s]").astype("datetime64[M]")
+    warm = summer_time(time, america)
+    part = np.floor((time - time[0]) / (BLOCK_D * DAY_S)).astype(int)
+    turns = (np.diff(part) != 0) | (np.diff(month.astype(int)) != 0) | (np.diff(warm.astype(int)) != 0)
+    starts = np.append(0, np.flatnonzero(turns) + 1)
+    group = np.unique(np.stack([month.astype(int), warm.astype(int)]), axis=1, return_inverse=True)[1].ravel()
+    swift_x, swift_y = _without_slow(x), _without_slow(y)
+    phase = np.exp(-2j * math.pi * np.mod(time, DAY_S) / DAY_S)
+    known = np.isfinite(swift_x) & np.isfinite(swift_y)
+    waves = [np.add.reduceat(np.where(known, swift, 0.0) * phase, starts) for swift in (swift_x, swift_y)]
+    weather_x, weather_y = _without_mean_day(swift_x, time, group), _without_mean_day(swift_y, time, group)
+    there_x, there_y = np.isfinite(weather_x), np.isfinite(weather_y)
+    weather_x, weather_y = np.where(there_x, weather_x, 0.0), np.where(there_y, weather_y, 0.0)
+    square_x, square_y = weather_x**2, weather_y**2
+    reach = round(REACH_H * 3600.0 / GRID_S)
+    lags = np.arange(-reach, reach + 1)
+    xy, xx, yy = (np.empty((len(starts), len(lags))) for _ in range(3))
+    for place, lag in enumerate(lags):
+        # one is late by the lag: what it shows now the other showed before
+        moved, square, there = (_moved(each, lag) for each in (weather_y, square_y, there_y))
+        xy[:, place] = np.add.reduceat(weather_x * moved, starts)
+        xx[:, place] = np.add.reduceat(square_x * there, starts)
+        yy[:, place] = np.add.reduceat(square * there_x, starts)
+    both = np.isfinite(x) & np.isfinite(y)
+    count = np.add.reduceat(both.astype(float), starts)
+    difference = np.add.reduceat(np.where(both, x - y, 0.0), starts)
+    days = np.add.reduceat(known.astype(float), starts) * GRID_S / DAY_S
+    return _Sums(
+        GRID_S * lags, xy, xx, yy, waves[0], waves[1], difference, count, days, warm[starts], month[starts]
+    )  # fmt: skip
+
+
+def _moved(value: np.ndarray, steps: int) -> np.ndarray:
+    """Values later by so many steps; what comes from beyond the ends is zero."""
+    result = np.zeros_like(value)
+    if steps > 0:
+        result[steps:] = value[:-steps]
+    elif steps < 0:
+        result[:steps] = value[-steps:]
+    else:
+        result[:] = value
+    return result
+
+
+def _without_slow(value: np.ndarray) -> np.ndarray:
+    """Values less their running mean over a day; NaN where less than 60 % of that day are known, and at either end."""
+    half = round(0.5 * DAY_S / GRID_S)
+    known = np.isfinite(value)
+    total = np.concatenate([[0.0], np.cumsum(np.where(known, value, 0.0))])
+    number = np.concatenate([[0.0], np.cumsum(known)])
+    low = np.clip(np.arange(len(value)) - half, 0, None)
+    high = np.clip(np.arange(len(value)) + half, None, len(value))
+    many = number[high] - number[low]
+    enough = (many >= 0.6 * 2 * half) & (high - low == 2 * half)
+    return np.where(enough & known, value - (total[high] - total[low]) / np.maximum(many, 1.0), np.nan)
+
+
+def _without_mean_day(value: np.ndarray, time: np.ndarray, group: np.ndarray) -> np.ndarray:
+    """Values less the mean day of their month, winter and summer time apart."""
+    per_day = round(DAY_S / GRID_S)
+    key = group * per_day + np.round(np.mod(time, DAY_S) / GRID_S).astype(int) % per_day
+    known = np.isfinite(value)
+    number = np.bincount(key[known], minlength=key.max() + 1)
+    total = np.bincount(key[known], weights=value[known], minlength=key.max() + 1)
+    weather = value - (total / np.maximum(number, 1))[key]
+    # rounding errors of a course that is the same every day are no weather
+    return weather if np.nanstd(weather) > 1e-6 * np.nanstd(value) else np.where(known, 0.0, np.nan)
+
+
+def _weights(days: np.ndarray, inside: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """How often each block comes in each draw (draws, B); blocks outside never do."""
+    blocks = np.flatnonzero(inside & (days > 0.0))
+    weights = np.zeros((DRAWS, len(days)))
+    if len(blocks):
+        weights[:, blocks] = random.multinomial(
+            len(blocks), np.full(len(blocks), 1.0 / len(blocks)), size=DRAWS
+        )
+    return weights
+
+
+def _part(
+    sums: _Sums, inside: np.ndarray, random: np.random.Generator
+) -> tuple[Lag | None, tuple[np.ndarray, np.ndarray]]:
+    if sums.days[inside].sum() < FEWEST_D:
+        return None, (np.zeros(0), np.zeros(0))
+    return _lag(sums, inside, random)
+
+
+def _lag(
+    sums: _Sums, inside: np.ndarray, random: np.random.Generator
+) -> tuple[Lag, tuple[np.ndarray, np.ndarray]]:
+    """Lag over some blocks, and the draws of both of its estimates."""
+    weights = np.concatenate([inside[None, :].astype(float), _weights(sums.days, inside, random)])
+    with np.errstate(invalid="ignore", divide="ignore"):
+        curves = (weights @ sums.xy) / np.sqrt((weights @ sums.xx) * (weights @ sums.yy))
+    peaks, highest = _peaks(sums.lags, np.nan_to_num(curves, nan=-1.0))
+    turn = (weights @ sums.wave) / (weights @ sums.other_wave)
+    phase = -np.angle(turn) * DAY_S / (2.0 * math.pi)
+    # draws on either side of half a day are one and the same lag
+    phase = phase[0] + np.mod(phase - phase[0] + 0.5 * DAY_S, DAY_S) - 0.5 * DAY_S
+    weather = _bounded(float(peaks[0]), peaks[1:])
+    at_edge = abs(peaks[0]) >= sums.lags[-1] - GRID_S
+    if highest[0] < LEAST_CORRELATION or weather.high - weather.low > WIDEST_H * 3600.0 or at_edge:
+        weather = UNKNOWN
+    mean_day = _bounded(float(phase[0]), phase[1:])
+    if mean_day.high - mean_day.low > WIDEST_H * 3600.0:
+        mean_day = UNKNOWN
+    lag = Lag(weather, mean_day, float(sums.days[inside].sum()), float(highest[0]))
+    return lag, (peaks[1:], phase[1:])
+
+
+def _peaks(lags: np.ndarray, curves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Where curves (N, L) are highest [s] (N,), between their points by a parabola through seven, and how high they are there."""
+    top = np.argmax(curves, axis=1)
+    reach = 3
+    middle = np.clip(top, reach, curves.shape[1] - 1 - reach)
+    offsets = np.arange(-reach, reach + 1)
+    near = np.take_along_axis(curves, middle[:, None] + offsets, axis=1)
+    # least squares of a + b k + c k² on k = −3 … 3
+    slope = near @ offsets / np.sum(offsets**2)
+    squares = offsets**2 - np.mean(offsets**2)
+    bend = near @ squares / np.sum(squares**2)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        step = np.where(bend < 0.0, -0.5 * slope / bend, 0.0)
+    step = np.clip(step, -reach, reach)
+    return lags[middle] + step * GRID_S, np.take_along_axis(curves, top[:, None], axis=1)[:, 0]
+
+
+def _bounded(value: float, draws: np.ndarray) -> Bounded:
+    low, high = np.quantile(draws, [0.025, 0.975])
+    return Bounded(value, float(low), float(high))
+
+
+def _difference(one: Bounded, other: Bounded, draws: np.ndarray, other_draws: np.ndarray) -> Bounded:
+    """Difference of two estimates over blocks of which none is in both."""
+    if not (one.known and other.known):
+        return UNKNOWN
+    return _bounded(one.value - other.value, draws - other_draws)
+
+
+def _file(series: Series) -> str:
+    return series.source.split(",")[0] or series.signal

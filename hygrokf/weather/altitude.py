@@ -1,0 +1,98 @@
+"""From the height of a weather station, or of a grid cell, to that of the site."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from hygrokf.psychrometrics import GAS_CONSTANT_DRY_AIR, dew_point, saturation_pressure_water
+from hygrokf.record import Record, Site
+
+GRAVITY = 9.80665
+"""[m/s²] standard acceleration of free fall."""
+LAPSE_RATE = 0.0065
+"""[K/m] by which temperature falls with height in the standard atmosphere (ICAO)."""
+SAID_FROM_M = 100.0
+"""[m] difference of height from which a record that is not corrected says so: 0.65 K."""
+
+
+def pressure_ratio(temperature: np.ndarray, rise_m: float, lapse_rate: float = LAPSE_RATE) -> np.ndarray:
+    """Pressure of the air at a height over that at another, p(z + Δz)/p(z) [-].
+
+    temperature: [K] any shape, at the lower of the two heights z. rise_m: [m] Δz, may be negative.
+    lapse_rate: [K/m] Γ, by which temperature falls with height.
+
+    Hydrostatic balance of dry air dp/dz = −g p/(R_d T) with T(z + Δz) = T − Γ Δz:
+    (1 − Γ Δz/T)^(g/(R_d Γ)), and exp(−g Δz/(R_d T)) for Γ = 0.  Moisture changes it by less than 0.1 % over 500 m.
+    """
+    kelvin = np.asarray(temperature, dtype=float)
+    if abs(lapse_rate) < 1e-9:
+        return np.exp(-GRAVITY * rise_m / (GAS_CONSTANT_DRY_AIR * kelvin))
+    return (1.0 - lapse_rate * rise_m / kelvin) ** (GRAVITY / (GAS_CONSTANT_DRY_AIR * lapse_rate))
+
+
+def at_altitude(
+    record: Record, altitude_m: float, from_m: float | None = None, lapse_rate: float = LAPSE_RATE
+) -> Record:
+    """A record of weather, moved to the height of the site.
+
+    record: of ambient signals. altitude_m: [m] of the site. from_m: [m] that the record is of; None: that of its site.
+    lapse_rate: [K/m] by which temperature falls with height, -0.02 … 0.02.
+
+    Temperature changes by the lapse rate, pressure by hydrostatic balance.  The mixing ratio ε e/(p − e) of the air stays,
+    so that vapour pressure and pressure change by the same factor; where the cooled air could not hold it, the dew point
+    is the temperature (the rest has condensed on the way up), and how often is said.  Sun, wind, cloud and rain stay as
+    they are.  The lapse rate of single hours differs, in winter inversions even in sign; what is right on average is
+    not right each hour.
+
+    Raises ValueError where the record's height is not known, or a number is out of its range.
+    """
+    station_m = from_m
+    if station_m is None and record.site is not None:
+        station_m = record.site.altitude_m
+    if station_m is None:
+        raise ValueError(f"{record.name}: the height of this weather is not known; state it")
+    if not -0.02 <= lapse_rate <= 0.02:
+        raise ValueError(f"lapse_rate must lie within -0.02 … 0.02 K/m, found {lapse_rate:g}")
+    rise = altitude_m - station_m
+    site = record.site and Site(record.site.latitude_deg, record.site.longitude_deg, altitude_m)
+    moved, warnings = [], []
+    for one in record.series:
+        if one.signal == "ambient_temperature":
+            moved.append(dataclasses.replace(one, value=one.value - lapse_rate * rise))
+        elif one.signal == "ambient_pressure":
+            moved.append(
+                dataclasses.replace(one, value=one.value * _ratio_at(record, one.time, rise, lapse_rate))
+            )
+        elif one.signal == "ambient_dew_point_temperature":
+            vapour = saturation_pressure_water(one.value) * _ratio_at(record, one.time, rise, lapse_rate)
+            before = _temperature_at(record, one.time)
+            # what stood above saturation before, by rounding or packing, is no condensation on the way
+            limit = before - lapse_rate * rise + np.fmax(one.value - before, 0.0)
+            condensed = dew_point(vapour) > limit
+            value = np.where(condensed, limit, dew_point(vapour))
+            if condensed.any():
+                warnings.append(
+                    f"on the way to {altitude_m:g} m the air became saturated in "
+                    f"{100 * np.mean(condensed):.1f} % of the hours"
+                )
+            moved.append(dataclasses.replace(one, value=value))
+        else:
+            moved.append(one)
+    warnings.insert(
+        0,
+        f"moved from {station_m:g} m to {altitude_m:g} m: {-1e3 * lapse_rate:+g} K/km, hydrostatic pressure, "
+        "mixing ratio kept",
+    )
+    return dataclasses.replace(record, series=tuple(moved), site=site, warnings=(*record.warnings, *warnings))
+
+
+def _temperature_at(record: Record, time: np.ndarray) -> np.ndarray:
+    """Ambient temperature [K] at times (T,) [s], along straight lines."""
+    known, value = record["ambient_temperature"].known
+    return np.interp(time, known, value) if len(known) else np.full(len(time), np.nan)
+
+
+def _ratio_at(record: Record, time: np.ndarray, rise_m: float, lapse_rate: float) -> np.ndarray:
+    return pressure_ratio(_temperature_at(record, time), rise_m, lapse_rate)

@@ -1,0 +1,305 @@
+"""What two weather sources say about each other's clocks: right, off by a constant, or off with summer time."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from hygrokf.record import Record
+from hygrokf.signals import difference_from_si, signal_named
+from hygrokf.stamps import modal_step
+from hygrokf.weather.alignment import UNKNOWN, Alignment, Bounded, Lag, align
+
+MINUTE_S = 60.0
+TOLERANCE_S = 20.0 * MINUTE_S
+"""[s] within which a lag is no clock error: slow housings, and fronts that meet a grid cell's middle before the site."""
+APART_S = 60.0 * MINUTE_S
+"""[s] by which the lags by the weather and by the mean day may differ where both come from a clock."""
+JUDGES = ("ambient_temperature", "global_horizontal_irradiance")
+"""Signals whose mean day the sun sets alike everywhere; that of wind differs between heights and places."""
+
+
+@dataclass(frozen=True)
+class ClockError:
+    """How one source's clock goes against another's.
+
+    one, other: the sources. kind: "right", "constant", "seasonal", or "unclear": nothing can be told, or what moves the
+        weather does not move the mean day, as between distant places.
+    winter, summer: [s] how much later readings of `one` are stamped; equal unless seasonal.
+    mean_day_winter, mean_day_summer: [s] the same by the mean day. alignments: what it is judged by.
+    """
+
+    one: str
+    other: str
+    kind: str
+    winter: Bounded
+    summer: Bounded
+    mean_day_winter: Bounded
+    mean_day_summer: Bounded
+    alignments: tuple[Alignment, ...]
+
+    @property
+    def corrections_s(self) -> tuple[float, float]:
+        """What to add to the stamps of `one` in winter and in summer [s], rounded as zones are; (0, 0) if nothing."""
+        if self.kind not in ("constant", "seasonal"):
+            return 0.0, 0.0
+        winter = rounded(-self.winter.value)
+        return winter, winter if self.kind == "constant" else rounded(-self.summer.value)
+
+
+def rounded(seconds: float) -> float:
+    """A correction as clocks are set wrong [s]: 0 within 20 min, whole hours within 15, half hours within 10, else 5 min."""
+    hour, half = 3600.0 * round(seconds / 3600.0), 1800.0 * round(seconds / 1800.0)
+    if abs(seconds) <= TOLERANCE_S:
+        return 0.0
+    if abs(seconds - hour) <= 0.75 * TOLERANCE_S:
+        return hour
+    if abs(seconds - half) <= 0.5 * TOLERANCE_S:
+        return half
+    return 300.0 * round(seconds / 300.0)
+
+
+def alignments(record: Record, seed: int = 0) -> tuple[Alignment, ...]:
+    """Every series of a record that is compared, against that of the same signal which is used.
+
+    record: with `compared` series. seed: of the bootstrap.
+    What is held against is the series with the longer step, as those of reanalyses are, else the one that is only
+    compared; it is the `other` of an alignment.
+    """
+    america = record.site is not None and record.site.in_north_america
+    found = []
+    for other in record.compared:
+        # a direction has no mean, and flags of rain differ between places
+        if other.signal not in record or other.signal in ("wind_direction", "rain"):
+            continue
+        first, second = record[other.signal], other
+        if modal_step(first.time)[0] > modal_step(second.time)[0]:
+            first, second = second, first
+        made = align(first, second, america=america, seed=seed)
+        if made is not None:
+            found.append(made)
+    return tuple(found)
+
+
+def clock_errors(found: Sequence[Alignment]) -> tuple[ClockError, ...]:
+    """What the comparisons say about clocks, one for each pair of sources.
+
+    found: of `alignments`. A clock is off where the weather's lag lies beyond 20 min with its bounds, and the mean day's
+    lag to the same side, within an hour of it: what moves one alone is no clock.  It is off with summer time where both
+    change by more than 20 min (the mean day: 15 min) between winter and summer.  Where no mean day can be judged, of wind
+    alone for instance, 30 min are asked of the weather.
+    """
+    pairs: dict[tuple[str, str], list[Alignment]] = {}
+    for one in found:
+        pairs.setdefault((one.one, one.other), []).append(one)
+    return tuple(_judged(one, other, tuple(ones)) for (one, other), ones in pairs.items())
+
+
+def _judged(one: str, other: str, found: tuple[Alignment, ...]) -> ClockError:
+    weather = {name: _weather(found, name) for name in ("whole", "winter", "summer")}
+    day = {name: _mean_day(found, name) for name in ("whole", "winter", "summer")}
+    change = _combined([each.change for each in found])
+    day_change = next(
+        (each.mean_day_change for each in found if each.signal in JUDGES and each.mean_day_change.known),
+        UNKNOWN,
+    )
+    if not weather["whole"].known and not (weather["winter"].known and weather["summer"].known):
+        return ClockError(one, other, "unclear", *(UNKNOWN,) * 4, found)
+    seasonal = _beyond(change) and (
+        not day_change.known
+        or (day_change.value * change.value > 0 and abs(day_change.value) > 0.75 * TOLERANCE_S)
+    )
+    if seasonal and any(_off(weather[name], day[name]) for name in ("winter", "summer")):
+        return ClockError(
+            one, other, "seasonal", weather["winter"], weather["summer"], day["winter"], day["summer"], found
+        )
+    constant = not seasonal and _off(weather["whole"], day["whole"])
+    kind = "constant" if constant else "unclear" if _beyond(weather["whole"]) or seasonal else "right"
+    return ClockError(
+        one, other, kind, weather["whole"], weather["whole"], day["whole"], day["whole"], found
+    )  # fmt: skip
+
+
+def _weather(found: Sequence[Alignment], name: str) -> Bounded:
+    lags: list[Lag | None] = [getattr(each, name) for each in found]
+    return _combined([lag.weather for lag in lags if lag is not None])
+
+
+def _mean_day(found: Sequence[Alignment], name: str) -> Bounded:
+    for each in sorted(found, key=lambda one: one.signal not in JUDGES):
+        lag = getattr(each, name)
+        if each.signal in JUDGES and lag is not None and lag.mean_day.known:
+            return lag.mean_day
+    return UNKNOWN
+
+
+def _combined(estimates: Sequence[Bounded]) -> Bounded:
+    """Mean of estimates of the same lag, weighed by their variances; its bounds take in how far they lie apart."""
+    known = [one for one in estimates if one.known]
+    if len(known) < 2:
+        return known[0] if known else UNKNOWN
+    spread = [max((one.high - one.low) / 3.92, MINUTE_S) for one in known]
+    weights = [1.0 / one**2 for one in spread]
+    total = sum(weights)
+    mean = sum(w * one.value for w, one in zip(weights, known, strict=True)) / total
+    misfit = sum(w * (one.value - mean) ** 2 for w, one in zip(weights, known, strict=True)) / (
+        len(known) - 1
+    )
+    half = 1.96 * math.sqrt(max(misfit, 1.0) / total)
+    return Bounded(mean, mean - half, mean + half)
+
+
+def _beyond(lag: Bounded, limit_s: float = TOLERANCE_S) -> bool:
+    return lag.known and (lag.low > limit_s or lag.high < -limit_s)
+
+
+def _off(weather: Bounded, day: Bounded) -> bool:
+    """Whether both witnesses say that the clock is off."""
+    if not day.known:
+        return _beyond(weather, 1.5 * TOLERANCE_S)
+    same_side = weather.value * day.value > 0 and (day.low > 0.0 or day.high < 0.0)
+    return _beyond(weather) and same_side and abs(weather.value - day.value) <= APART_S
+
+
+def clock_sentences(errors: Sequence[ClockError]) -> list[str]:
+    """What is wrong with clocks, one sentence a pair of sources, with what to do; nothing for those that are right."""
+    return [_sentence(one) for one in errors if one.kind in ("constant", "seasonal")]
+
+
+def _sentence(error: ClockError) -> str:
+    winter, summer = error.corrections_s
+    if error.kind == "constant":
+        return (
+            f"the clock of {error.one} runs {_pace(winter)} against {error.other}: by their stamps the weather comes "
+            f"{_late(error.winter)}; its stamps need {_signed(winter)}. If {error.other} is right, state "
+            f'clock_correction = "{_signed(winter).replace(" ", "")}" in that source'
+        )
+    paces = f"{_pace(winter)} in winter and {_pace(summer)} in summer"
+    remedy = ""
+    if abs((summer - winter) - 3600.0) < 1.0:
+        remedy = (
+            ": it has no summer time although its stamps are read with it. Read them at the clock's own fixed offset: "
+            f"timezone = {_zone(winter)}, with ignore_offset = true where the stamps carry offsets"
+        )
+    elif abs((summer - winter) + 3600.0) < 1.0:
+        remedy = (
+            ": it follows summer time although its stamps are read at a fixed offset. State its zone by name, such as "
+            'timezone = "Europe/Berlin"'
+        )
+    return (
+        f"the clock of {error.one} runs {paces} against {error.other}: by their stamps the weather comes "
+        f"{_late(error.winter)} in winter and {_late(error.summer)} in summer; its stamps need {_signed(winter)} in "
+        f"winter and {_signed(summer)} in summer{remedy}"
+    )
+
+
+def _zone(winter_s: float) -> str:
+    """The offset that the clock keeps, told from the one at which its stamps are read in winter."""
+    if winter_s == 0.0:
+        return "the offset of winter"
+    sign, minutes = "+" if winter_s > 0 else "-", round(abs(winter_s) / MINUTE_S)
+    return f'"UTC" if they are read at {sign}{minutes // 60:02d}:{minutes % 60:02d} in winter'
+
+
+def _pace(correction_s: float) -> str:
+    if correction_s == 0.0:
+        return "right"
+    return f"{_length(abs(correction_s))} {'slow' if correction_s > 0 else 'fast'}"
+
+
+def _signed(correction_s: float) -> str:
+    return f"{'+' if correction_s >= 0 else '-'}{_length(abs(correction_s))}"
+
+
+def _length(seconds: float) -> str:
+    if seconds >= 3600.0 and seconds % 1800.0 == 0.0:
+        return f"{seconds / 3600.0:g} h"
+    return f"{seconds / 60.0:.0f} min"
+
+
+def _late(lag: Bounded) -> str:
+    """A lag in words: "54 min early (48 … 60)"."""
+    ends = sorted(
+        abs(end) / MINUTE_S if lag.low * lag.high > 0 else end / MINUTE_S for end in (lag.low, lag.high)
+    )
+    way = "late" if lag.value > 0 else "early"
+    return f"{abs(lag.value) / MINUTE_S:.0f} min {way} ({ends[0]:.0f} … {ends[1]:.0f})"
+
+
+def described(errors: Sequence[ClockError]) -> list[dict[str, Any]]:
+    """The comparisons as plain numbers, ready for JSON: one dictionary a signal; lags in seconds, None where not told.
+
+    errors: of `clock_errors`. Offsets and amplitudes are in the SI unit of the signal.
+    """
+    rows = []
+    for error in errors:
+        for one in error.alignments:
+            rows.append(
+                {
+                    "signal": one.signal,
+                    "one": one.one,
+                    "other": one.other,
+                    "days": round(one.days, 2),
+                    "offset": _plain(one.offset),
+                    "daily_amplitude": float(f"{one.amplitude:.4g}"),
+                    "other_daily_amplitude": float(f"{one.other_amplitude:.4g}"),
+                    "lags": {
+                        name: None
+                        if lag is None
+                        else {
+                            "weather_s": _plain(lag.weather),
+                            "mean_day_s": _plain(lag.mean_day),
+                            "correlation": float(f"{lag.correlation:.3g}"),
+                            "days": round(lag.days, 2),
+                        }
+                        for name, lag in (
+                            ("whole", one.whole),
+                            ("winter", one.winter),
+                            ("summer", one.summer),
+                        )
+                    },
+                    "clock": error.kind,
+                    "corrections_s": list(error.corrections_s),
+                }
+            )
+    return rows
+
+
+def _plain(one: Bounded) -> list[float] | None:
+    """Value and bounds, or None."""
+    return [float(f"{number:.4g}") for number in (one.value, one.low, one.high)] if one.known else None
+
+
+def comparison_rows(rows: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
+    """The comparisons as cells of a table with its head, for the terminal.
+
+    rows: of `described`. Lags are minutes by the weather, with bounds; positive where the first source is late.
+    """
+    head = ("compared", "source", "against", "offset", "lag in winter", "lag in summer", "daily wave")
+    table = [head]
+    for row in rows:
+        signal = signal_named(row["signal"])
+        unit = "K" if signal.display == "degC" else signal.display
+        offset = difference_from_si(row["offset"][0], signal.display, signal)
+        share = (
+            row["daily_amplitude"] / row["other_daily_amplitude"]
+            if row["other_daily_amplitude"]
+            else math.nan
+        )
+        lags = [_lag_text(row["lags"][season] or row["lags"]["whole"]) for season in ("winter", "summer")]
+        table.append(
+            (
+                row["signal"], row["one"], row["other"], f"{offset:+.2g} {unit}".rstrip(" 1"), *lags,
+                f"{100 * share:.0f} %" if math.isfinite(share) else "-",
+            )
+        )  # fmt: skip
+    return table
+
+
+def _lag_text(lag: dict[str, Any]) -> str:
+    if lag["weather_s"] is None:
+        return "-"
+    value, low, high = (number / MINUTE_S for number in lag["weather_s"])
+    return f"{value:+.0f} min ({low:+.0f} … {high:+.0f})"

@@ -1,0 +1,281 @@
+"""Reads EPW, the weather of building simulation: 8760 hours of a typical or of a real year, in local standard time."""
+
+from __future__ import annotations
+
+import calendar
+import csv
+import io
+import math
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+
+from hygrokf.psychrometrics import dew_point, vapour_pressure
+from hygrokf.readers import TableFault
+from hygrokf.record import Record, Series, Site
+from hygrokf.signals import from_si, signal_named, to_si
+from hygrokf.weather.archive import contents
+
+HOUR_S = 3600.0
+_HEADER = 8
+_COLUMNS = {
+    # signal: column (from 0), unit, code from which a value is missing, hold
+    "ambient_temperature": (6, "degC", 99.9, "instant"),
+    "ambient_dew_point_temperature": (7, "degC", 99.9, "instant"),
+    "ambient_relative_humidity": (8, "%", 999.0, "instant"),
+    "ambient_pressure": (9, "Pa", 999999.0, "instant"),
+    "global_horizontal_irradiance": (13, "W/m2", 9999.0, "hour"),
+    "direct_normal_irradiance": (14, "W/m2", 9999.0, "hour"),
+    "diffuse_horizontal_irradiance": (15, "W/m2", 9999.0, "hour"),
+    "wind_direction": (20, "deg", 999.0, "held"),
+    "wind_speed": (21, "m/s", 999.0, "instant"),
+    "cloud_cover": (22, "1", 99.0, "instant"),
+    "rain": (33, "mm", 999.0, "hour"),
+}
+_FEWEST_COLUMNS = 22
+_NINES = (99.0, 99.9, 99.99, *(10.0**power - 1.0 for power in range(3, 10)), 999.9, 9999.9, 99999.9)
+
+
+@dataclass(frozen=True)
+class _Lines:
+    """What stands in the file, hour by hour.
+
+    calendar: (T, 4) year, month, day, hour 1…24 as written. value: signal -> (T,) in the unit of `_COLUMNS`, NaN = missing.
+    """
+
+    calendar: np.ndarray
+    value: dict[str, np.ndarray]
+
+
+def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
+    """Record of ambient signals from an EPW file, in SI units and UTC.
+
+    path: .epw, gzip of it, or a ZIP archive with one in it. year: a typical year is put together from months of different years; it needs the
+        calendar year in which it is to stand, and every hour is moved there. None: the file's own year.
+
+    Hour h of a day ends at h o'clock of local standard time, with the header's time zone.  Temperature, humidity, pressure,
+    wind and cloud are instants at that end; radiation (Wh/m² within the hour, so W/m² as its mean) and rain belong to the
+    hour.  The codes for a missing value (99.9, 999, 9999, 99999, 999999) are NaN.  Where the dew point is missing it is
+    made from relative humidity over water.  In a leap year 28 February is repeated where the file has no 29 February.
+
+    Raises TableFault with every fault: not an EPW file, lines missing, text among numbers, a typical year without `year`.
+    """
+    file = Path(path)
+    found, digest = contents(file)
+    # archives of weather services hold statistics and design days beside the EPW file
+    own = [one for one in found if one.kind == "epw"]
+    if not own:
+        remedy = '; state format = "era5"' if found[0].kind.startswith("netcdf") else ""
+        raise TableFault([f"expected an EPW file, whose first line begins with LOCATION{remedy}"])
+    if len(own) > 1:
+        raise TableFault([f"holds {len(own)} EPW files; expected one: unpack the one of the site"])
+    rows = list(csv.reader(io.StringIO(own[0].data.decode("utf-8-sig", "replace"))))
+    faults: list[str] = []
+    site, zone_h, place = _location(rows[0], faults)
+    lines = _lines(rows, faults)
+    if faults:
+        raise TableFault(faults)
+    years = sorted({int(one) for one in lines.calendar[:, 0]})
+    warnings = []
+    if year is None and len(years) > 1:
+        raise TableFault(
+            [
+                f"is a typical year put together from months of {years[0]} … {years[-1]}; state the calendar year in "
+                "which it is to stand, such as year = 2019"
+            ]
+        )
+    if year is not None:
+        lines, said = _placed(lines, year)
+        warnings += said
+    time = _local_seconds(lines.calendar) - zone_h * HOUR_S
+    if (np.diff(time) <= 0.0).any():
+        row = int(np.argmax(np.diff(time) <= 0.0)) + 1
+        raise TableFault([f"line {row + _HEADER + 1}: the hours must follow each other, this one does not"])
+    value = dict(lines.value)
+    warnings += _dew_point_completed(value)
+    warnings.append("wind_speed is that at 10 m, not at hub height")
+    source = f"{file.name}, column"
+    series = []
+    for signal, (column, unit, _, kind) in _COLUMNS.items():
+        if signal == "ambient_relative_humidity" or signal not in value or np.isnan(value[signal]).all():
+            continue
+        row = signal_named(signal)
+        number = to_si(value[signal], unit, row)
+        low, high = np.nanquantile(number, [0.02, 0.98])
+        if low < row.low or high > row.high:
+            shown = [f"{float(from_si(end, row.display, row)):.4g}" for end in (low, high)]
+            faults.append(
+                f"column {column + 1}: {signal} would lie at {shown[0]} … {shown[1]} {row.display}, which cannot be: "
+                "the columns are moved, or in other units"
+            )
+            continue
+        held = kind != "instant"
+        series.append(
+            Series(
+                signal,
+                time,
+                number,
+                "zero-order" if held else "linear",
+                HOUR_S if held else 0.0,
+                source=f"{source} {column + 1} at {place}",
+            )
+        )
+    if "ambient_temperature" not in {one.signal for one in series} and not faults:
+        faults.append("no dry-bulb temperature: all values of column 7 are missing")
+    if faults:
+        raise TableFault(faults)
+    if "wind_speed" not in {one.signal for one in series}:
+        warnings.remove("wind_speed is that at 10 m, not at hub height")
+    return Record(file.name, tuple(series), site, warnings=tuple(warnings), provenance=((file.name, digest),))
+
+
+def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float, str]:
+    """Site, time zone [h] and the place in words, from the first line."""
+    cells = [cell.strip() for cell in row]
+    names = ("latitude", "longitude", "time zone", "elevation")
+    try:
+        latitude, longitude, zone, altitude = (float(cells[column]) for column in (6, 7, 8, 9))
+    except (IndexError, ValueError):
+        faults.append(
+            f"line 1: expected LOCATION with {', '.join(names)} in cells 7 to 10, found {', '.join(cells[6:10]) or 'none'}"
+        )
+        return None, 0.0, ""
+    if not -14.0 <= zone <= 14.0:
+        faults.append(f"line 1: expected a time zone within -14 … 14 h, found {zone:g}")
+    try:
+        site = Site(latitude, longitude, altitude)
+    except ValueError as outside:
+        faults.append(f"line 1: {outside}")
+        return None, zone, ""
+    north, east = "N" if latitude >= 0 else "S", "E" if longitude >= 0 else "W"
+    place = f"{abs(latitude):.2f}° {north} {abs(longitude):.2f}° {east} {altitude:g} m"
+    return site, zone, place
+
+
+def _lines(rows: list[list[str]], faults: list[str]) -> _Lines:
+    """The hours of the file; what is wrong with them goes to `faults`."""
+    nothing = _Lines(np.zeros((0, 4), dtype=int), {})
+    periods = next((row for row in rows[:_HEADER] if row and row[0].strip().upper() == "DATA PERIODS"), None)
+    if periods is None:
+        faults.append(
+            f"expected {_HEADER} lines of header that end with DATA PERIODS; the file is cut short or no EPW"
+        )
+        return nothing
+    hourly = len(periods) > 2 and periods[2].strip()
+    if hourly != "1":
+        faults.append(f"line {_HEADER}: expected 1 record an hour, found {hourly or 'none'}")
+        return nothing
+    body = [row for row in rows[_HEADER:] if any(cell.strip() for cell in row)]
+    stamps, wrong = np.zeros((len(body), 4), dtype=int), []
+    width = max((len(row) for row in body), default=0)
+    table = np.full((len(body), max(width, _FEWEST_COLUMNS)), np.nan)
+    used = sorted({column for column, *_ in _COLUMNS.values()})
+    for place, row in enumerate(body):
+        try:
+            if len(row) < _FEWEST_COLUMNS:
+                raise ValueError(f"expected at least {_FEWEST_COLUMNS} cells, found {len(row)}")
+            stamps[place] = [int(float(cell)) for cell in row[:4]]
+            _expect_hour(*stamps[place])
+            for column in used:
+                if column < len(row) and row[column].strip():
+                    table[place, column] = float(row[column])
+        except ValueError as reason:
+            wrong.append(f"line {place + _HEADER + 1}: {reason}")
+    if wrong:
+        more = f" (and {len(wrong) - 3} more lines)" if len(wrong) > 3 else ""
+        faults += [*wrong[:2], wrong[2] + more] if len(wrong) > 2 else wrong
+        return nothing
+    expected = _expected_hours(periods)
+    if expected is not None and len(body) not in (expected, expected + 24):
+        remedy = "the file is cut short; fetch it again" if len(body) < expected else "lines occur twice"
+        faults.append(f"expected {expected} hours after its DATA PERIODS, found {len(body)}: {remedy}")
+    value = {}
+    for signal, (column, _, missing, _) in _COLUMNS.items():
+        if column < table.shape[1]:
+            raw = table[:, column]
+            # the same code is written with more or fewer nines; other values beyond it are faults of units
+            codes = [one for one in _NINES if one >= missing - 1e-9]
+            absent = np.isclose(raw[:, None], codes, rtol=0.0, atol=1e-6).any(axis=1)
+            scale = 10.0 if signal == "cloud_cover" else 1.0
+            value[signal] = np.where(absent, np.nan, raw) / scale
+    return _Lines(stamps, value)
+
+
+def _expect_hour(year: int, month: int, day: int, hour: int) -> None:
+    """Raises ValueError for a date and hour that are none."""
+    if not 1 <= hour <= 24:
+        raise ValueError(f"expected an hour 1 … 24, found {hour}")
+    if not (1 <= month <= 12 and 1 <= day <= 31 and 1800 <= year <= 2300):
+        raise ValueError(f"expected a date, found {year}, {month}, {day}")
+    if day > (29 if month == 2 else calendar.monthrange(year, month)[1]):
+        raise ValueError(f"month {month} has no day {day}")
+
+
+def _expected_hours(periods: Sequence[str]) -> int | None:
+    """Hours from the first to the last day of the header's period, without 29 February; None where it names none."""
+    days = []
+    for cell in periods[5:7]:
+        parts = [part.strip() for part in cell.split("/")]
+        try:
+            days.append(
+                datetime(2019, int(parts[0]), min(int(parts[1]), 28 if parts[0] == "2" else 31), tzinfo=UTC)
+            )
+        except (ValueError, IndexError):
+            return None
+    if len(days) != 2 or days[1] < days[0]:
+        return None
+    return 24 * ((days[1] - days[0]).days + 1)
+
+
+def _placed(lines: _Lines, year: int) -> tuple[_Lines, list[str]]:
+    """The hours in one calendar year; 28 February comes twice in a leap year, 29 February is left out of others."""
+    if not 1900 <= year <= 2200:
+        raise TableFault([f"year must lie within 1900 … 2200, found {year}"])
+    month, day = lines.calendar[:, 1], lines.calendar[:, 2]
+    leap_day = (month == 2) & (day == 29)
+    before = np.flatnonzero((month == 2) & (day == 28))
+    keep, said = np.arange(len(month)), []
+    stamps = lines.calendar.copy()
+    stamps[:, 0] = year
+    if calendar.isleap(year) and not leap_day.any() and len(before) == 24:
+        keep = np.insert(keep, before[-1] + 1, before)
+        stamps = stamps[keep]
+        stamps[before[-1] + 1 : before[-1] + 25, 2] = 29
+        said.append(f"{year} is a leap year: 28 February is repeated as 29 February")
+    elif not calendar.isleap(year) and leap_day.any():
+        keep = np.flatnonzero(~leap_day)
+        stamps = stamps[keep]
+        said.append(f"{year} is no leap year: 29 February is left out")
+    own = sorted({int(one) for one in lines.calendar[:, 0]})
+    if own != [year]:
+        said.append(
+            f"hours of {own[0]} … {own[-1]} stand in {year}: a typical year, not the weather of {year}"
+        )
+    return _Lines(stamps, {signal: one[keep] for signal, one in lines.value.items()}), said
+
+
+def _local_seconds(stamps: np.ndarray) -> np.ndarray:
+    """Ends of hours as seconds since 1970-01-01T00:00 of the local clock [s]."""
+    months = (stamps[:, 0] - 1970) * 12 + stamps[:, 1] - 1
+    days = months.astype("datetime64[M]").astype("datetime64[D]").astype(int) + stamps[:, 2] - 1
+    return days * 86400.0 + stamps[:, 3] * HOUR_S
+
+
+def _dew_point_completed(value: dict[str, np.ndarray]) -> list[str]:
+    """Put dew points made from relative humidity where the file has none."""
+    if "ambient_relative_humidity" not in value:
+        return []
+    own = value.get("ambient_dew_point_temperature", np.full(len(value["ambient_temperature"]), math.nan))
+    kelvin = value["ambient_temperature"] + 273.15
+    # a relative humidity of 0 has no dew point, and one above 100 % is a rounding of it
+    share = np.where(value["ambient_relative_humidity"] > 0.0, value["ambient_relative_humidity"], np.nan)
+    made = dew_point(vapour_pressure(np.minimum(0.01 * share, 1.0), kelvin)) - 273.15
+    lacking = np.isnan(own) & np.isfinite(made)
+    value["ambient_dew_point_temperature"] = np.where(lacking, made, own)
+    if not lacking.any():
+        return []
+    return [f"{int(lacking.sum())} dew points are missing and made from relative humidity over water"]

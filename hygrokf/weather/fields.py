@@ -1,0 +1,291 @@
+"""From the fields of a reanalysis at one point to series: names, units, means of accumulated fields, wind."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from hygrokf.readers import TableFault
+from hygrokf.record import Record, Series, Site
+from hygrokf.signals import from_si, signal_named
+
+HOUR_S = 3600.0
+GRAVITY = 9.80665
+"""[m/s²] by which geopotential becomes height; the value of the reanalysis itself."""
+NO_HUMIDITY = (
+    "no dew point (d2m, 2m_dewpoint_temperature): this weather has no humidity; ask for it in the request"
+)
+
+
+@dataclass(frozen=True)
+class Field:
+    """One field at one point: values (T,) and the unit that the file states, or None."""
+
+    value: np.ndarray
+    unit: str | None = None
+
+
+@dataclass(frozen=True)
+class PointFields:
+    """Fields of a reanalysis at one point, as in the file.
+
+    file: its name. time: [s] (T,) since 1970-01-01T00:00Z, in any order, repeats allowed. fields: name in the file -> field.
+    latitude_deg, longitude_deg: of the point, or None. altitude_m: [m] of the reanalysis' ground there, or None.
+    place: of the point, in words. warnings: what was chosen or left out on the way.
+    """
+
+    file: str
+    time: np.ndarray
+    fields: Mapping[str, Field]
+    latitude_deg: float | None = None
+    longitude_deg: float | None = None
+    altitude_m: float | None = None
+    place: str = ""
+    warnings: tuple[str, ...] = field(default=())
+
+
+NAMES: dict[str, tuple[str, ...]] = {
+    "t2m": ("t2m", "2m_temperature", "2t", "t_2m", "VAR_2T"),
+    "d2m": ("d2m", "2m_dewpoint_temperature", "2d", "d_2m", "VAR_2D"),
+    "sp": ("sp", "surface_pressure", "surf_pres"),
+    "u10": ("u10", "u_10", "10m_u_component_of_wind", "10u", "VAR_10U"),
+    "v10": ("v10", "v_10", "10m_v_component_of_wind", "10v", "VAR_10V"),
+    "u100": ("u100", "u_100", "100m_u_component_of_wind", "100u", "VAR_100U"),
+    "v100": ("v100", "v_100", "100m_v_component_of_wind", "100v", "VAR_100V"),
+    "ssrd": ("ssrd", "surface_solar_radiation_downwards"),
+    "fdir": ("fdir", "total_sky_direct_solar_radiation_at_surface"),
+    "avg_sdswrf": ("avg_sdswrf", "msdwswrf", "mean_surface_downward_short_wave_radiation_flux"),
+    "tp": ("tp", "total_precipitation"),
+    "tcc": ("tcc", "total_cloud_cover"),
+    "z": ("z", "geopotential", "geopotential_at_surface"),
+}
+"""Short name of a field of ERA5 -> every name that it goes by."""
+
+_UNITS: dict[str, dict[str, tuple[float, float]]] = {
+    "temperature": {
+        "K": (1.0, 0.0), "kelvin": (1.0, 0.0), "degC": (1.0, 273.15), "°C": (1.0, 273.15), "C": (1.0, 273.15),
+        "celsius": (1.0, 273.15), "degree_Celsius": (1.0, 273.15), "degrees_celsius": (1.0, 273.15),
+    },
+    "pressure": {"Pa": (1.0, 0.0), "hPa": (100.0, 0.0), "mbar": (100.0, 0.0), "kPa": (1000.0, 0.0)},
+    "speed": {
+        "m s**-1": (1.0, 0.0), "m s-1": (1.0, 0.0), "m/s": (1.0, 0.0), "m s^-1": (1.0, 0.0),
+        "km/h": (1 / 3.6, 0.0), "km h**-1": (1 / 3.6, 0.0), "km h-1": (1 / 3.6, 0.0),
+    },
+    "radiation": {
+        "J m**-2": (1 / HOUR_S, 0.0), "J m-2": (1 / HOUR_S, 0.0), "J/m2": (1 / HOUR_S, 0.0),
+        "J m^-2": (1 / HOUR_S, 0.0), "Wh m**-2": (1.0, 0.0), "Wh/m2": (1.0, 0.0),
+        "W m**-2": (1.0, 0.0), "W m-2": (1.0, 0.0), "W/m2": (1.0, 0.0), "W m^-2": (1.0, 0.0),
+    },
+    "depth": {"m": (1000.0, 0.0), "mm": (1.0, 0.0), "kg m**-2": (1.0, 0.0), "kg m-2": (1.0, 0.0)},
+    "share": {
+        "(0 - 1)": (1.0, 0.0), "1": (1.0, 0.0), "%": (0.01, 0.0), "dimensionless": (1.0, 0.0), "": (1.0, 0.0)
+    },
+    "geopotential": {"m**2 s**-2": (1 / GRAVITY, 0.0), "m2 s-2": (1 / GRAVITY, 0.0), "m": (1.0, 0.0)},
+}  # fmt: skip
+"""What a field is of -> unit in the file -> (factor, offset) to K, Pa, m/s, W/m² over the hour, mm, 1, m."""
+
+_KINDS = {
+    "t2m": "temperature", "d2m": "temperature", "sp": "pressure", "u10": "speed", "v10": "speed", "u100": "speed",
+    "v100": "speed", "ssrd": "radiation", "fdir": "radiation", "avg_sdswrf": "radiation", "tp": "depth", "tcc": "share",
+    "z": "geopotential",
+}  # fmt: skip
+_OWN_UNIT = {
+    "temperature": "K", "pressure": "Pa", "speed": "m s**-1", "radiation": "J m**-2", "depth": "m", "share": "1",
+    "geopotential": "m**2 s**-2",
+}  # fmt: skip
+_ACCUMULATED = ("ssrd", "fdir", "tp")
+
+
+def short_name(name: str) -> str | None:
+    """Short name of a field of ERA5, such as "t2m" for "2m_temperature"; None for a field that is not used."""
+    for short, names in NAMES.items():
+        if name in names or name.lower() in names:
+            return short
+    return None
+
+
+def altitude_of(value: np.ndarray, unit: str | None) -> float | None:
+    """Height of the reanalysis' ground [m] from its geopotential, or None."""
+    finite = np.asarray(value, dtype=float).ravel()
+    finite = finite[np.isfinite(finite)]
+    factor, _ = _UNITS["geopotential"].get(unit or "m**2 s**-2", (math.nan, 0.0))
+    height = factor * float(np.median(finite)) if len(finite) else math.nan
+    return height if -500.0 <= height <= 9000.0 else None
+
+
+def point_record(points: PointFields, sha256: str = "", *, temperature: bool = True) -> Record:
+    """Record of the fields at a point: SI units, each series with the hold of its own field.
+
+    points: the fields. sha256: of the file. temperature: whether there must be one; False for one of several files.
+
+    Instantaneous fields (temperature, dew point, pressure, wind, cloud) are instants.  Accumulated ones (radiation, rain)
+    are sums over the hour that ends at the stamp: radiation becomes the mean of that hour, J/m² / 3600 s, and both
+    hold over it.  Sums since midnight, as ERA5-Land has them, are told from hourly ones and turned into them first.
+    Diffuse radiation is the global less the direct one, both on a horizontal plane.  Wind is that at 100 m where it is
+    given, else that at 10 m, which is said.
+
+    Raises TableFault with every fault: an unknown unit, values that cannot be in their unit, no temperature.
+    """
+    faults: list[str] = []
+    warnings = list(points.warnings)
+    given = {short: (name, one) for name, one in points.fields.items() if (short := short_name(name))}
+    if temperature and "t2m" not in given:
+        raise TableFault(
+            [
+                f"no 2 m temperature (t2m, 2m_temperature); found {', '.join(points.fields) or 'no field'}: "
+                "ask for it in the request"
+            ]
+        )
+    order = np.argsort(points.time, kind="stable")
+    time = points.time[order]
+    fresh = np.append(True, np.diff(time) > 0.0)
+    if not fresh.all():
+        warnings.append(f"{int((~fresh).sum())} stamps occur more than once; the first of each kept")
+    time = time[fresh]
+    value: dict[str, np.ndarray] = {}
+    for short, (name, one) in given.items():
+        if short != "z":
+            raw = np.asarray(one.value, dtype=float)[order][fresh]
+            value[short] = _converted(short, name, raw, one.unit, faults)
+    for short in _ACCUMULATED:
+        if short in value and _since_midnight(time, value[short]):
+            value[short] = _hourly_sums(time, value[short])
+            warnings.append(f"{given[short][0]}: sums since 00:00 UTC, turned into those of each hour")
+
+    def made(signal: str, number: np.ndarray, shorts: str, interval_s: float = 0.0) -> Series | None:
+        row = signal_named(signal)
+        names = " and ".join(given[short][0] for short in shorts.split())
+        finite = number[np.isfinite(number)]
+        if not len(finite):
+            warnings.append(f"{names}: no value at this point, {signal} is left out")
+            return None
+        low, high = np.quantile(finite, [0.02, 0.98])
+        if low < row.low or high > row.high:
+            shown = [f"{float(from_si(end, row.display, row)):.4g}" for end in (low, high)]
+            unit = "" if row.display == "1" else f" {row.display}"
+            faults.append(
+                f"{names}: {signal} would lie at {shown[0]} … {shown[1]}{unit}, which cannot be: the file states "
+                f"{_stated(given, shorts)}; correct it or fetch the file again"
+            )
+            return None
+        source = f'{points.file}, column "{names}"' + (f" at {points.place}" if points.place else "")
+        hold = "zero-order" if interval_s or row.dimension == "angle" else "linear"
+        # a direction holds over the hour before its stamp: between two of them a straight line may lead the wrong way
+        return Series(
+            signal, time, number, hold, interval_s or (HOUR_S if hold == "zero-order" else 0.0), source=source
+        )
+
+    series = [
+        made(signal, value[short], short)
+        for short, signal in (
+            ("t2m", "ambient_temperature"),
+            ("d2m", "ambient_dew_point_temperature"),
+            ("sp", "ambient_pressure"),
+            ("tcc", "cloud_cover"),
+        )
+        if short in value
+    ]
+    if "ssrd" in value:
+        sun = np.fmax(value["ssrd"], 0.0)
+        series.append(made("global_horizontal_irradiance", sun, "ssrd", HOUR_S))
+        if "fdir" in value:
+            diffuse = np.fmax(sun - value["fdir"], 0.0)
+            series.append(made("diffuse_horizontal_irradiance", diffuse, "ssrd fdir", HOUR_S))
+    elif "avg_sdswrf" in value:
+        sun = np.fmax(value["avg_sdswrf"], 0.0)
+        series.append(made("global_horizontal_irradiance", sun, "avg_sdswrf", HOUR_S))
+    if "tp" in value:
+        series.append(made("rain", np.fmax(value["tp"], 0.0), "tp", HOUR_S))
+    series += _wind(value, made, warnings)
+    if faults:
+        raise TableFault(faults)
+    if temperature and "d2m" not in value:
+        warnings.append(NO_HUMIDITY)
+    warnings += _saturation(value)
+    site = None
+    if points.latitude_deg is not None and points.longitude_deg is not None:
+        east = (points.longitude_deg + 180.0) % 360.0 - 180.0
+        site = Site(points.latitude_deg, east, points.altitude_m)
+    found = tuple(one for one in series if one is not None)
+    return Record(points.file, found, site, warnings=tuple(warnings), provenance=((points.file, sha256),))
+
+
+def _converted(short: str, name: str, raw: np.ndarray, unit: str | None, faults: list[str]) -> np.ndarray:
+    """Values in the inner unit of their kind."""
+    known = _UNITS[_KINDS[short]]
+    own = "W m**-2" if short == "avg_sdswrf" else _OWN_UNIT[_KINDS[short]]
+    stated = own if unit is None else unit.strip()
+    if stated not in known:
+        listed = ", ".join(one for one in known if one)
+        faults.append(f'{name}: unknown unit "{stated}"; expected one of {listed}')
+        return np.full(len(raw), np.nan)
+    factor, offset = known[stated]
+    return factor * raw + offset
+
+
+def _stated(given: Mapping[str, tuple[str, Field]], shorts: str) -> str:
+    units = []
+    for short in shorts.split():
+        unit = given[short][1].unit
+        units.append(f'the unit "{unit}"' if unit else f"no unit, so {_OWN_UNIT[_KINDS[short]]} was taken")
+    return " and ".join(dict.fromkeys(units))
+
+
+def _wind(
+    value: Mapping[str, np.ndarray], made: Callable[..., Series | None], warnings: list[str]
+) -> list[Series | None]:
+    """Speed and direction of the wind, at 100 m before 10 m."""
+    for height in ("100", "10"):
+        east, north = f"u{height}", f"v{height}"
+        if east in value and north in value:
+            break
+    else:
+        return []
+    if height == "10":
+        warnings.append("wind_speed is that at 10 m, not at hub height: the file has no u100 and v100")
+    speed = np.hypot(value[east], value[north])
+    # where the wind comes from, clockwise from north
+    direction = np.mod(np.arctan2(-value[east], -value[north]), 2.0 * math.pi)
+    both = f"{east} {north}"
+    return [made("wind_speed", speed, both), made("wind_direction", direction, both)]
+
+
+def _since_midnight(time: np.ndarray, value: np.ndarray) -> bool:
+    """Whether an accumulated field is summed since 00:00 UTC: it then never falls until the next day begins.
+
+    Sums of single hours fall within 24 hours wherever the sun sets or rain ends.
+    """
+    inside = np.diff(time) <= HOUR_S
+    # the sum at 00:00 is the last of the day before, that at 01:00 the first of the new one
+    inside &= np.round(np.mod(time[1:], 86400.0)) != HOUR_S
+    steps = np.diff(value)
+    inside &= np.isfinite(steps)
+    top = float(np.nanmax(value)) if np.isfinite(value).any() else 0.0
+    if inside.sum() < 24 or top <= 0.0:
+        return False
+    rises, falls = ((sign * steps[inside] > 1e-6 * top).sum() for sign in (1.0, -1.0))
+    return bool(rises >= 4 and falls < 0.02 * rises)
+
+
+def _hourly_sums(time: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Sums of each hour from sums since 00:00 UTC; NaN after a gap."""
+    first = np.round(np.mod(time, 86400.0)) == HOUR_S
+    before = np.append(np.nan, value[:-1])
+    before[np.append(True, np.round(np.diff(time)) != HOUR_S)] = np.nan
+    return np.where(first, value, np.fmax(value - before, 0.0))
+
+
+def _saturation(value: Mapping[str, np.ndarray]) -> list[str]:
+    """A dew point above the temperature by more than packing explains."""
+    if not {"t2m", "d2m"} <= set(value):
+        return []
+    above = value["d2m"] - value["t2m"]
+    share = float(np.mean(above[np.isfinite(above)] > 0.5)) if np.isfinite(above).any() else 0.0
+    if share <= 0.01:
+        return []
+    return [
+        f"the dew point lies above the temperature for {100 * share:.0f} % of the hours: are the two exchanged?"
+    ]

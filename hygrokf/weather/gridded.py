@@ -1,0 +1,265 @@
+"""Fields at one point of an xarray data set, in whichever layout the reanalysis was delivered.
+
+New layout (since September 2024): time axis `valid_time`, `number` and `expver` as coordinates that need no dimension.
+Legacy layout: `time` in hours since 1900, and where a request reaches into the last months a dimension `expver` whose
+two halves, final and preliminary, are NaN where the other has values.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import warnings as python_warnings
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hygrokf.readers import TableFault
+from hygrokf.record import Site
+from hygrokf.weather.fields import Field, PointFields, altitude_of, short_name
+
+if TYPE_CHECKING:
+    import xarray
+
+EARTH_RADIUS_KM = 6371.0
+FAR_KM = 50.0
+"""[km] distance from the site to the point of the weather above which it is said as a warning."""
+_TIMES = ("valid_time", "time", "datetime", "date")
+_LATITUDES = ("latitude", "lat")
+_LONGITUDES = ("longitude", "lon")
+_PRELIMINARY = ("5", "0005")
+
+
+def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
+    """The data set in the bytes of a NetCDF file, all of it read, scale and offset undone.
+
+    data: all bytes. kind: "netcdf4" or "netcdf3". Raises TableFault where it cannot be read, with the remedy.
+    """
+    try:
+        import xarray
+    except ImportError:
+        raise TableFault(
+            ['reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"']
+        ) from None
+    engine = {"netcdf4": "h5netcdf", "netcdf3": "scipy"}[kind]
+    try:
+        with python_warnings.catch_warnings():
+            # what a library will change one day concerns no user of a weather file
+            python_warnings.simplefilter("ignore")
+            with xarray.open_dataset(io.BytesIO(data), engine=engine, decode_timedelta=False) as opened:
+                return opened.load()
+    except ImportError:
+        raise TableFault(
+            ['reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"']
+        ) from None
+    except MemoryError:
+        raise TableFault(
+            ["does not fit into memory: ask for a smaller area, or for one year a file"]
+        ) from None
+    except Exception as broken:  # each layer of the library has errors of its own for a damaged file
+        reason = " ".join(str(broken).split())[:160] or type(broken).__name__
+        raise TableFault(
+            [f"cannot be read as NetCDF ({reason}): the file is damaged or cut short; fetch it again"]
+        ) from None
+
+
+def distance_km(latitude_deg: float, longitude_deg: float, site: Site) -> float:
+    """Distance on the sphere from a point [deg] to a site [km], by the haversine formula."""
+    one, other = math.radians(latitude_deg), math.radians(site.latitude_deg)
+    across = math.radians(site.longitude_deg - longitude_deg)
+    half = math.sin(0.5 * (other - one)) ** 2 + math.cos(one) * math.cos(other) * math.sin(0.5 * across) ** 2
+    return 2.0 * EARTH_RADIUS_KM * math.asin(min(1.0, math.sqrt(half)))
+
+
+def place_text(latitude_deg: float, longitude_deg: float, site: Site | None) -> str:
+    """A point in words, with its distance from the site where there is one: "48.50° N 5.50° E, 11 km from the site"."""
+    east = (longitude_deg + 180.0) % 360.0 - 180.0
+    text = f"{abs(latitude_deg):.2f}° {'N' if latitude_deg >= 0 else 'S'} {abs(east):.2f}° {'E' if east >= 0 else 'W'}"
+    if site is None:
+        return text
+    return f"{text}, {distance_km(latitude_deg, east, site):.0f} km from the site"
+
+
+def point_fields(dataset: xarray.Dataset, file: str, site: Site | None = None) -> PointFields:
+    """Fields of a data set at the site.
+
+    dataset: with a time axis (`valid_time` or `time`, decoded) and latitude and longitude as scalars or axes; other
+        axes must have one entry, except `expver`, whose halves are merged. Names short (t2m) or long (2m_temperature).
+    file: name for messages. site: whose nearest grid cell with data is taken; may be None where there is one cell.
+
+    Raises TableFault: no time, a time that is not decoded, a grid without a site, a site outside of the grid, ensemble
+    members, levels.
+    """
+    time_name = _time_name(dataset)
+    used = {str(name): short for name in dataset.data_vars if (short := short_name(str(name)))}
+    if not used:
+        listed = ", ".join(str(name) for name in dataset.data_vars) or "no field"
+        raise TableFault([f"no field of weather that is known here; found {listed}"])
+    dataset = dataset[list(used)]
+    latitude, longitude = _axis_name(dataset, _LATITUDES), _axis_name(dataset, _LONGITUDES)
+    dataset, preliminary = _merged_versions(dataset, time_name)
+    dataset = _without_single_axes(dataset, {time_name, latitude, longitude})
+    warnings = []
+    if preliminary:
+        warnings.append(
+            f"{preliminary} hours are preliminary (ERA5T): ask again in three months for the final ones"
+        )
+    place = ""
+    at: tuple[float, float] | None = None
+    if latitude is not None and longitude is not None:
+        dataset, at = _nearest(dataset, time_name, latitude, longitude, site, used)
+        place = place_text(*at, site)
+        if site is not None and distance_km(*at, site) > FAR_KM:
+            warnings.append(f"its point lies at {place}: is it the weather of this site?")
+    stamps = dataset[time_name].values.astype("datetime64[us]").astype(np.int64) / 1e6
+    fields, altitude_m = {}, None
+    for name, short in used.items():
+        one = dataset[name]
+        unit = one.attrs.get("units")
+        if short == "z":
+            altitude_m = altitude_of(one.values, unit)
+        elif one.dims == (time_name,):
+            fields[name] = Field(one.values.astype(float), None if unit is None else str(unit))
+    return PointFields(
+        file, np.atleast_1d(stamps), fields, *(at or (None, None)), altitude_m, place, tuple(warnings)
+    )
+
+
+def _time_name(dataset: xarray.Dataset) -> str:
+    """The axis of time. Raises TableFault where there is none, or where its units are missing."""
+    there = [name for name in _TIMES if name in dataset.variables]
+    if not there:
+        listed = ", ".join(f"{name} ({size})" for name, size in dataset.sizes.items()) or "none"
+        raise TableFault([f"no time axis: expected valid_time or time, found the axes {listed}"])
+    for name in there:
+        if dataset[name].dims in ((name,), ()):
+            if np.issubdtype(dataset[name].dtype, np.datetime64):
+                return name
+            found = dataset[name].attrs.get("units", "no unit")
+            raise TableFault(
+                [
+                    f'{name}: expected times such as "hours since 1900-01-01", found {found} and no calendar time'
+                ]
+            )
+    raise TableFault(
+        [
+            f"{there[0]} has the axes {', '.join(map(str, dataset[there[0]].dims))}; expected one axis of time: "
+            "ask for NetCDF, not for a converted forecast with steps"
+        ]
+    )
+
+
+def _axis_name(dataset: xarray.Dataset, names: tuple[str, ...]) -> str | None:
+    return next((name for name in names if name in dataset.variables), None)
+
+
+def _merged_versions(dataset: xarray.Dataset, time_name: str) -> tuple[xarray.Dataset, int]:
+    """The data set without an axis `expver`, and how many hours are preliminary."""
+    if "expver" not in dataset.variables and "expver" not in dataset.dims:
+        return dataset, 0
+    if "expver" not in dataset.dims:
+        version = dataset["expver"]
+        many = version.dims == (time_name,)
+        number = sum(str(one).strip() in _PRELIMINARY for one in np.atleast_1d(version.values)) if many else 0
+        return dataset.drop_vars("expver"), int(number)
+    labels = (
+        [str(one).strip() for one in dataset["expver"].values]
+        if "expver" in dataset.variables
+        else [str(number) for number in range(dataset.sizes["expver"])]
+    )
+    # the final version first; what it does not have comes from the preliminary one
+    order = sorted(range(len(labels)), key=lambda place: (labels[place] in _PRELIMINARY, labels[place]))
+    parts = [dataset.isel(expver=place, drop=True) for place in order]
+    merged = parts[0]
+    for part in parts[1:]:
+        merged = merged.fillna(part)
+    name = next(iter(merged.data_vars))
+    filled = merged[name].notnull() & parts[0][name].isnull()
+    others = [one for one in filled.dims if one != time_name]
+    return merged, int(filled.any(others).sum())
+
+
+def _without_single_axes(dataset: xarray.Dataset, kept: set[str | None]) -> xarray.Dataset:
+    """The data set without further axes of one entry. Raises TableFault for axes of several."""
+    faults = []
+    for name in [one for one in dataset.dims if one not in kept]:
+        size = dataset.sizes[name]
+        if size == 1:
+            dataset = dataset.isel({name: 0}, drop=True)
+        elif name == "number":
+            faults.append(
+                f'holds {size} members of an ensemble; ask for product_type "reanalysis", or choose one member'
+            )
+        else:
+            faults.append(
+                f"has an axis {name} with {size} entries; expected time, latitude and longitude only"
+            )
+    if faults:
+        raise TableFault(faults)
+    return dataset
+
+
+def _nearest(
+    dataset: xarray.Dataset,
+    time_name: str,
+    latitude: str,
+    longitude: str,
+    site: Site | None,
+    used: dict[str, str],
+) -> tuple[xarray.Dataset, tuple[float, float]]:
+    """The data set at the cell next to the site that has a temperature, and the cell's latitude and longitude [deg]."""
+    rows, columns = (np.atleast_1d(dataset[name].values.astype(float)) for name in (latitude, longitude))
+    gridded = [name for name in (latitude, longitude) if name in dataset.dims]
+    for name in (latitude, longitude):
+        if dataset[name].dims not in ((), (name,)):
+            raise TableFault([f"{name} has the axes {', '.join(map(str, dataset[name].dims))}; expected one"])
+    if len(rows) * len(columns) > 1 and site is None:
+        raise TableFault(
+            [
+                f"holds a grid of {len(rows)} × {len(columns)} cells and no site is given: state [site] latitude_deg "
+                "and longitude_deg in the case file, or pass site="
+            ]
+        )
+    row, column = 0, 0
+    if site is not None and gridded:
+        east = (columns - site.longitude_deg + 180.0) % 360.0 - 180.0
+        north = rows - site.latitude_deg
+        outside = []
+        for name, off, values in ((latitude, north, rows), (longitude, east, columns)):
+            step = float(np.median(np.abs(np.diff(values)))) if len(values) > 1 else math.inf
+            if len(values) > 1 and np.abs(off).min() > 0.75 * step:
+                outside.append(f"{name} {values.min():g} … {values.max():g}")
+        if outside:
+            raise TableFault(
+                [
+                    f"the site at {place_text(site.latitude_deg, site.longitude_deg, None)} lies outside of the grid "
+                    f"({', '.join(outside)}): ask for an area around it, or correct [site]"
+                ]
+            )
+        narrowing = math.cos(math.radians(site.latitude_deg))
+        away = np.hypot(north[:, None], narrowing * east[None, :])
+        filled = _filled(dataset, time_name, latitude, longitude, used, away.shape)
+        row, column = np.unravel_index(int(np.argmin(np.where(filled, away, np.inf))), away.shape)
+    chosen = {
+        name: int(place) for name, place in ((latitude, row), (longitude, column)) if name in dataset.dims
+    }
+    return dataset.isel(chosen), (float(rows[row]), float(columns[column]))
+
+
+def _filled(
+    dataset: xarray.Dataset,
+    time_name: str,
+    latitude: str,
+    longitude: str,
+    used: dict[str, str],
+    shape: tuple[int, int],
+) -> np.ndarray:
+    """Cells (rows, columns) that have a temperature: reanalyses of the land alone have none over the sea."""
+    name = next((name for name, short in used.items() if short == "t2m"), None)
+    if name is None or not {latitude, longitude} <= set(dataset[name].dims):
+        return np.ones(shape, dtype=bool)
+    there = (
+        dataset[name].notnull().any([one for one in dataset[name].dims if one not in (latitude, longitude)])
+    )
+    filled = there.transpose(latitude, longitude).values
+    return filled if filled.any() else np.ones(shape, dtype=bool)

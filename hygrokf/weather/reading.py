@@ -1,0 +1,87 @@
+"""One weather file of any kind as the record of a site: read, its place compared with the site, moved to its height."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+from pathlib import Path
+
+from hygrokf.readers import TableFault
+from hygrokf.record import Record, Site
+from hygrokf.weather.altitude import LAPSE_RATE, SAID_FROM_M, at_altitude
+from hygrokf.weather.epw import read_epw
+from hygrokf.weather.era5 import read_era5
+from hygrokf.weather.gridded import FAR_KM, distance_km
+
+FORMATS = ("era5", "epw")
+
+
+def read_weather_file(
+    path: str | os.PathLike[str],
+    form: str | None = None,
+    *,
+    site: Site | None = None,
+    year: int | None = None,
+    altitude_m: float | None = None,
+    to_site_altitude: bool = False,
+    lapse_rate: float = LAPSE_RATE,
+) -> Record:
+    """Record of ambient signals of a site from one weather file, in SI units and UTC.
+
+    path: of ERA5 or EPW. form: "era5" or "epw"; None: by the name, .epw and .epw.gz are EPW.
+    site: of the cabinet; the nearest cell of a grid is taken, and a weather from afar is said.
+    year: calendar year of a typical year. altitude_m: [m] that the weather is of, where the file does not say or is wrong.
+    to_site_altitude: move temperature, dew point and pressure to the site's altitude, see `at_altitude`; without it a
+        difference above 100 m is said. lapse_rate: [K/m] for this.
+
+    Raises TableFault with every fault.
+    """
+    file = Path(path)
+    kind = form or form_of(file)
+    if kind not in FORMATS:
+        raise ValueError(f'form must be one of {", ".join(FORMATS)}, found "{kind}"')
+    if kind == "epw":
+        record = _said_from_afar(read_epw(file, year), site)
+    else:
+        record = read_era5(file, site)
+    if altitude_m is not None and record.site is not None:
+        record = dataclasses.replace(record, site=dataclasses.replace(record.site, altitude_m=altitude_m))
+    station_m = altitude_m if altitude_m is not None else (record.site and record.site.altitude_m)
+    wanted_m = None if site is None else site.altitude_m
+    if to_site_altitude:
+        faults = []
+        if wanted_m is None:
+            faults.append(
+                "to be moved to the site's altitude, the site needs one: state altitude_m in [site]"
+            )
+        if station_m is None:
+            faults.append(
+                "to be moved to the site's altitude, its own must be known: state altitude_m in this source (of a "
+                "reanalysis: the height of its ground in that cell, geopotential / 9.80665)"
+            )
+        if faults:
+            raise TableFault(faults)
+        return at_altitude(record, wanted_m, station_m, lapse_rate)
+    if wanted_m is not None and station_m is not None and abs(wanted_m - station_m) > SAID_FROM_M:
+        colder = 6.5e-3 * (wanted_m - station_m)
+        said = (
+            f"its height is {station_m:.0f} m, the site's {wanted_m:.0f} m: the site will be about {abs(colder):.1f} K "
+            f"{'colder' if colder > 0 else 'warmer'}; to_site_altitude = true corrects this"
+        )
+        record = dataclasses.replace(record, warnings=(*record.warnings, said))
+    return record
+
+
+def form_of(path: Path) -> str:
+    """ "epw" or "era5", by the name of a file."""
+    return "epw" if path.name.lower().endswith((".epw", ".epw.gz")) else "era5"
+
+
+def _said_from_afar(record: Record, site: Site | None) -> Record:
+    if site is None or record.site is None:
+        return record
+    away = distance_km(record.site.latitude_deg, record.site.longitude_deg, site)
+    if away <= FAR_KM:
+        return record
+    said = f"its station lies {away:.0f} km from the site: is it the weather of this site?"
+    return dataclasses.replace(record, warnings=(*record.warnings, said))

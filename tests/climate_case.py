@@ -1,0 +1,101 @@
+"""A climate to test on: the EPW-like weather of one made-up year, and a model with known parameters."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from hygrokf.fit import Fit
+from hygrokf.record import Record, Series
+
+HOUR_S = 3600.0
+BEGIN_S = float(np.datetime64("2021-01-01T00:00:00", "s").astype(int))
+FREE = ("thermal_time_constant", "heat_release_operation", "heat_disturbance_sd", "hygric_k")
+"""Parameters that are uncertain in `known_fit`."""
+
+
+@cache
+def made_up_weather(days: int = 365, seed: int = 5) -> Record:
+    """Hourly temperature, dew point and wind with season, day and fronts; nothing of it was measured."""
+    random = np.random.default_rng(seed)
+    hour = np.arange(24 * days + 1)
+    time = BEGIN_S + HOUR_S * hour
+
+    def wander(scale_h: float) -> np.ndarray:
+        gain = np.exp(-1.0 / scale_h)
+        kicks = np.sqrt(1 - gain**2) * random.standard_normal(len(hour))
+        state, course = 0.0, []
+        for kick in kicks.tolist():
+            state = gain * state + kick
+            course.append(state)
+        return np.array(course)
+
+    season = -np.cos(2 * np.pi * (hour / 24.0 - 20) / 365.25)
+    day = np.cos(2 * np.pi * (hour - 15) / 24.0)
+    celsius = 9.0 + 8.0 * season + 3.5 * day + 3.0 * wander(60.0)
+    dew = celsius - 1.0 - np.abs(2.5 + 2.0 * day + 2.0 * wander(20.0))
+    wind = 6.0 * np.exp(0.5 * wander(18.0))
+    return Record(
+        "made-up weather",
+        (
+            Series("ambient_temperature", time, celsius + 273.15),
+            Series("ambient_dew_point_temperature", time, dew + 273.15),
+            Series("wind_speed", time, wind),
+        ),
+    )
+
+
+def known_fit(spread: float = 0.02, **values: float) -> Fit:
+    """The usual joint model with stated parameters; those of `FREE` are uncertain by a share `spread` of their value."""
+    from hygrokf.design import Design
+
+    mechanisms = (
+        ("thermal_network", {}),
+        ("heat_release", {"order": 1, "reference_K": 283.15}),
+        ("heat_disturbance", {}),
+        ("thermal_diffusion", {}),
+        ("temperature_sensor", {}),
+        ("hygric_exchange", {}),
+        ("vapour_disturbance", {}),
+        ("hygric_diffusion", {}),
+        ("humidity_sensor", {}),
+    )
+    made = Design(mechanisms, power_scale_W=2e6, power_order=1, power_mean=(0.8, 0.4))
+    stated = {
+        "thermal_time_constant": 1.5, "resistance_ratio": 0.85, "heat_release_operation": 5.0, "heat_release_power_1": 4.0,
+        "heat_release_standstill": 2.0, "heat_disturbance_sd": 1.2, "heat_disturbance_time": 8.0, "hygric_k": 0.4,
+        "vapour_disturbance_sd": 0.3, "vapour_disturbance_time": 6.0,
+    }  # fmt: skip
+    known = {p.name: stated.get(p.name, p.start) for p in made.model.parameters} | values
+    names = [name for name in FREE if name in known]
+    matrix = np.diag([(spread * known[name]) ** 2 for name in names])
+    return Fit(
+        "known cabinet",
+        made,
+        known,
+        {"covariance": {"names": names, "matrix": matrix.tolist()}, "name": "known cabinet"},
+    )
+
+
+def epw_record(path, year: int = 2018) -> Record:
+    """Temperature, dew point and wind of an EPW file, dated to one year; hours end at their stamp, local standard time."""
+    import gzip
+
+    with gzip.open(path, "rt", encoding="latin-1") as stream:
+        rows = [line.split(",") for line in stream.read().splitlines()]
+    zone = float(rows[0][8])
+    data = rows[8:]
+    first = float(np.datetime64(f"{year}-01-01T00:00:00", "s").astype(int)) - HOUR_S * zone
+    time = first + HOUR_S * np.arange(1, len(data) + 1)
+    columns = {
+        name: np.array([float(row[i]) for row in data]) for name, i in (("T", 6), ("Td", 7), ("v", 21))
+    }
+    return Record(
+        "EPW",
+        (
+            Series("ambient_temperature", time, columns["T"] + 273.15),
+            Series("ambient_dew_point_temperature", time, np.minimum(columns["Td"], columns["T"]) + 273.15),
+            Series("wind_speed", time, columns["v"]),
+        ),
+    )

@@ -1,0 +1,214 @@
+"""`hygrokf climate` from files to page, table and test profile."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from climate_case import known_fit, made_up_weather
+from html_page import Page
+
+from hygrokf.cli import main
+from hygrokf.climate.page import climate_page
+from hygrokf.climate.region import Region
+from hygrokf.climate.results import climate_csv, profile_files
+from hygrokf.climate.study import climate_profile
+from hygrokf.results import dump
+from hygrokf.version import __version__
+
+LIMITS = '[[limit]]\nquantity = "temperature_degC"\nabove = 60\n[[limit]]\nquantity = "temperature_degC"\nabove = 10\n'
+
+
+def write_weather(folder: Path, days: int = 365, stem: str = "weather", warmer: float = 0.0) -> Path:
+    weather = made_up_weather(days)
+    stamps = np.datetime_as_string(weather["wind_speed"].time.astype(int).astype("datetime64[s]"))
+    values = [s.value for s in weather.series]
+    rows = [
+        f"{t}Z,{a - 273.15 + warmer:.2f},{d - 273.15 + warmer:.2f},{w:.2f}"
+        for t, a, d, w in zip(stamps, *values, strict=True)
+    ]
+    (folder / f"{stem}.csv").write_text("time,T,Td,v\n" + "\n".join(rows) + "\n")
+    case = folder / f"{stem}.toml"
+    case.write_text(
+        f'name = "made-up"\n[[source]]\nfile = "{stem}.csv"\ntime = "time"\n'
+        'signals.ambient_temperature = { column = "T", unit = "degC" }\n'
+        'signals.ambient_dew_point_temperature = { column = "Td", unit = "degC" }\n'
+        'signals.wind_speed = { column = "v", unit = "m/s" }\n'
+    )
+    return case
+
+
+def write_known_fit(folder: Path) -> Path:
+    fit = known_fit()
+    data = {
+        "name": fit.name, "version": __version__, "design": fit.design.to_json(),
+        "parameters": {name: {"value": value} for name, value in fit.values.items()},
+        "covariance": fit.results["covariance"], "time_constants": {},
+    }  # fmt: skip
+    file = folder / "fit.json"
+    file.write_text(dump(data))
+    return file
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("climate")
+    write_known_fit(made)
+    write_weather(made)
+    write_weather(made, 365, "warm", 6.0)
+    (made / "limits.toml").write_text(LIMITS)
+    (made / "curve.toml").write_text(
+        "rated_power_kW = 2000\nwind_speed_m_s = [0, 3, 12, 25]\npower_kW = [0, 0, 2000, 2000]\nhub_height_m = 80\n"
+        'wind_height_m = 10\nshear = { law = "power", exponent = 0.15 }\n'
+    )
+    return made
+
+
+def arguments(folder: Path, out: str, *more: str) -> list[str]:
+    return ["climate", str(folder / "fit.json"), "--out", str(folder / out), "--members", "12", *more]
+
+
+def test_a_climate_is_written_whole(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    status = main(
+        arguments(
+            folder,
+            "one",
+            "--weather",
+            str(folder / "weather.toml"),
+            "--power-curve",
+            str(folder / "curve.toml"),
+            "--limits",
+            str(folder / "limits.toml"),
+        )
+    )
+    assert status == 0
+    out = folder / "one"
+    assert sorted(p.name for p in out.iterdir()) == [
+        "climate.csv", "climate.json", "report.html", "test_profile.csv", "test_profile.png",
+    ]  # fmt: skip
+    data = json.loads((out / "climate.json").read_text())
+    region = data["regions"][0]
+    assert [one["verdict"] for one in region["limits"]] == ["pass", "fail"]
+    assert set(region["scopes"]) == {"all", "operation", "standstill", "standstill_all_year"}
+    hours = {scope: region["scopes"][scope]["hours"]["value"] for scope in region["scopes"]}
+    assert hours["operation"] + hours["standstill"] == pytest.approx(8766, abs=0.1)
+    assert np.sum(region["joint"]["hours"]) == pytest.approx(8766, rel=1e-3)
+    rows = list(csv.DictReader((out / "climate.csv").read_text(encoding="utf-8").splitlines()))
+    assert {row["scope"] for row in rows} == {*region["scopes"], "limit"}
+    printed = capsys.readouterr().out
+    assert "pass" in printed and "in operation" in printed
+    profile = np.genfromtxt(out / "test_profile.csv", delimiter=",", names=True)
+    assert len(profile) == 1000 and profile["temperature_degC"].max() <= 85.0
+    page = (out / "report.html").read_text(encoding="utf-8")
+    Page(page)
+    assert page.count("<svg") == 3 and "NaN" not in page and "power law" in page
+    # the page is a function of climate.json alone
+    before = page
+    (out / "report.html").unlink()
+    assert main(["report", str(out)]) == 0
+    assert (out / "report.html").read_text(encoding="utf-8") == before
+
+
+def test_regions_stand_side_by_side(folder: Path) -> None:
+    status = main(
+        arguments(
+            folder,
+            "two",
+            "--region",
+            f"north={folder / 'weather.toml'}",
+            "--region",
+            f"so/uth={folder / 'warm.toml'}",
+            "--standstill",
+            "--json",
+        )
+    )
+    assert status == 0
+    out = folder / "two"
+    assert {p.name for p in out.iterdir()} >= {"test_profile_north.csv", "test_profile_so_uth.csv"}
+    data = json.loads((out / "climate.json").read_text())
+    means = [r["scopes"]["all"]["mean_temperature_degC"]["value"] for r in data["regions"]]
+    assert 4.0 < means[1] - means[0] < 7.0  # the model's own slope of the heat release takes a part
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "Regions side by side" in page and page.count("<svg") == 7
+
+
+def test_the_same_seed_gives_the_same_files(folder: Path) -> None:
+    for out in ("first", "again"):
+        assert (
+            main(
+                arguments(
+                    folder, out, "--weather", str(folder / "weather.toml"), "--standstill", "--seed", "7"
+                )
+            )
+            == 0
+        )
+    for name in ("climate.json", "climate.csv", "report.html", "test_profile.csv"):
+        assert (folder / "first" / name).read_bytes() == (folder / "again" / name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ([], "expected --weather FILE"),
+        (["--weather", "W"], "expected --power, --power-curve or --standstill"),
+        (["--region", "no-file", "--standstill"], "expected NAME=FILE"),
+        (["--region", "a=W", "--region", "a=W", "--standstill"], "found twice: a"),
+        (["--weather", "W", "--power", "W"], "active_power"),
+        (["--weather", "none.toml", "--standstill"], "no such case file"),
+        (["--weather", "year.csv", "--standstill"], "expected one case file (.toml)"),
+        (["--weather", "W", "--standstill", "--limits", "none.toml"], "check the path"),
+    ],
+)
+def test_mistakes_are_told_and_nothing_is_written(
+    folder: Path, more: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    weather = str(folder / "weather.toml")
+    words = [one.replace("=W", f"={weather}") if one != "W" else weather for one in more]
+    assert main(arguments(folder, "refused", *words)) == 2
+    error = capsys.readouterr().err
+    assert told in error and "Traceback" not in error
+    assert not (folder / "refused").exists()
+
+
+def test_other_results_are_not_written_over(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["climate", str(folder / "fit.json"), "--out", str(folder), "--weather", "x", "--standstill"]
+    assert main(words) == 2
+    assert "a directory of its own" in capsys.readouterr().err
+
+
+def test_a_damaged_result_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "climate.json").write_text("{}")
+    assert main(["report", str(tmp_path)]) == 2
+    assert "run it again" in capsys.readouterr().err
+
+
+def test_a_model_of_temperature_alone_has_a_climate(folder: Path) -> None:
+    fit = known_fit()
+    dry = replace(
+        fit.design,
+        mechanisms=tuple(
+            m for m in fit.design.mechanisms if not m[0].startswith(("hygric", "vapour", "humidity"))
+        ),
+    )
+    values = {p.name: fit.values[p.name] for p in dry.model.parameters}
+    covariance = {"names": ["thermal_time_constant"], "matrix": [[0.01]]}
+    plain = replace(fit, design=dry, values=values, results={"covariance": covariance})
+    found = climate_profile(plain, [Region("here", made_up_weather(40))], members=5).to_json()
+    region = found["regions"][0]
+    assert region["joint"] is None and region["test_profile"] is None and region["wetness_class"] is None
+    assert "mean_temperature_degC" in region["scopes"]["all"] and "wetness_h" not in region["scopes"]["all"]
+    assert any("not a year" in one for one in region["statements"])
+    page = climate_page(found)
+    assert "The model has no humidity." in page and profile_files(found) == {}
+    assert "mean_temperature_degC" in climate_csv(found)
+
+
+def test_names_are_escaped_on_the_page() -> None:
+    weather = replace(made_up_weather(40))
+    found = climate_profile(known_fit(), [Region("<b>&", weather, ("<i>.csv",))], members=3).to_json()
+    page = climate_page(json.loads(dump(found)))
+    assert "<b>&<" not in page and "<i>.csv" not in page
