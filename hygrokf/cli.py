@@ -20,6 +20,7 @@ from hygrokf.console import (
     printable,
     system_words,
 )
+from hygrokf.fleet.command import fleet_arguments, tell_fleet
 from hygrokf.transfer.command import compare_arguments, transfer_arguments
 from hygrokf.version import __version__
 
@@ -67,6 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 _USER_FAULTS = (
     "UserFault", "CaseFault", "TableFault", "ResultFault", "ReportFault", "LibraryFault", "LibraryAbsent",
     "FormFault", "PowerFault", "ConfigFault", "StoreFault", "StoreUnready", "PageFault", "SourceFault", "ExportFault",
+    "FleetFault",
 )  # fmt: skip
 
 
@@ -139,6 +141,9 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("case", type=Path, metavar="CASE.toml")
     _library(evaluate)
     _json(evaluate)
+    fleet = command("fleet", _fleet, "fit, discover or evaluate many turbines: one table and one page of all")
+    fleet_arguments(fleet, _whole)
+    _json(fleet)
     climate = command(
         "climate", _climate, "simulate a site's climate in a fitted cabinet; limits, and a test profile"
     )
@@ -457,6 +462,13 @@ def _evaluate(options: argparse.Namespace) -> int:
     return 0
 
 
+def _fleet(options: argparse.Namespace) -> int:
+    page, rows, text, status = tell_fleet(options)
+    _print({"rows": rows}, text, options.json)
+    print(f"report: {page}", file=sys.stderr)
+    return status
+
+
 def _climate(options: argparse.Namespace) -> int:
     from hygrokf.climate.command import run_climate
 
@@ -502,7 +514,7 @@ def _export(options: argparse.Namespace) -> int:
 
 
 def _report(options: argparse.Namespace) -> int:
-    from hygrokf.files import CLIMATE, COMPARISON, DISCOVERY, TRANSFER
+    from hygrokf.files import CLIMATE, COMPARISON, DISCOVERY, FLEET, TRANSFER
     from hygrokf.report import write_report
 
     folder = options.directory.parent if options.directory.is_file() else options.directory
@@ -510,6 +522,10 @@ def _report(options: argparse.Namespace) -> int:
         from hygrokf.discovery.page import write_discovery_report
 
         page = write_discovery_report(None, folder)
+    elif (folder / FLEET).is_file():
+        from hygrokf.fleet.running import write_fleet_report
+
+        page = write_fleet_report(folder)
     elif (folder / CLIMATE).is_file():
         from hygrokf.climate.page import write_climate_report
 

@@ -26,6 +26,12 @@ class Progress:
         if self._bar.n < self._bar.total - 1:
             self._bar.update()
 
+    def tell(self, text: str) -> None:
+        """A line that stays, above the bar."""
+        from tqdm import tqdm
+
+        tqdm.write(printable(text), file=sys.stderr)
+
     def abandon(self) -> None:
         """End where it is: the work was broken off."""
         self._bar.close()

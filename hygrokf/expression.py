@@ -22,11 +22,22 @@ BINARY = ("add", "sub", "mul", "div", "lt")
 TERNARY = ("fma", "select")  # fma(a, b, c) = a b + c ; select(a, b, c) = b where a else c
 
 
+class Given(float):
+    """A number of one record or logger, such as a mean temperature or a resolution.
+
+    Traced it becomes a leaf, not a constant: models that differ in such numbers alone are one program, compiled once.
+    Anywhere else it is the float that it is; what is computed from it is a plain float.
+    """
+
+    __slots__ = ()
+
+
 class Graph:
-    """A growing list of nodes `(operation, arguments)`; arguments are indices of earlier nodes."""
+    """A growing list of nodes `(operation, arguments)`; arguments are indices of earlier nodes; `given` the numbers of the leaves `c:i`."""
 
     def __init__(self) -> None:
         self.nodes: list[tuple] = []
+        self.given: list[Given] = []
         self._index: dict[tuple, int] = {}
         self._orders: dict[tuple[int, ...], list[int]] = {}
 
@@ -50,7 +61,16 @@ class Graph:
             if value.graph is not self:
                 raise ValueError("an expression of another graph was mixed in: trace the model once, whole")
             return value
+        if isinstance(value, Given) and value not in (0.0, 1.0, -1.0):  # those simplify what they meet
+            return self._given(value)
         return self.constant(value)
+
+    def _given(self, value: Given) -> Expression:
+        """The leaf `c:i` of the given number i; the same object gives the same leaf."""
+        place = next((i for i, known in enumerate(self.given) if known is value), len(self.given))
+        if place == len(self.given):
+            self.given.append(value)
+        return self.symbol(f"c:{place}")
 
     def number(self, index: int) -> float | None:
         """The value of a constant node, None for every other node."""
@@ -193,7 +213,8 @@ class Graph:
             if node[0] == "const":
                 result[i] = node[1]
             elif node[0] == "symbol":
-                result[i] = values[node[1]]
+                name = node[1]
+                result[i] = self.given[int(name[2:])] if name.startswith("c:") else values[name]
             else:
                 result[i] = _compute(node[0], [result[j] for j in node[1:]])
         return [result[e.index] for e in lifted]

@@ -74,7 +74,8 @@ class _Emission:
 
     def _parameters_and_keys(self, block: str) -> dict[int, str]:
         r = self.recursion
-        return self._row("theta", block, [e.index for e in r.p.values()]) | self._keys(block)
+        leaves = [e.index for e in (*r.p.values(), *r.given)]
+        return self._row("theta", block, leaves) | self._keys(block)
 
     def _keys(self, block: str) -> dict[int, str]:
         return {e.index: self._column("keys", block, c) for c, e in enumerate(self.recursion._key_leaves)}

@@ -105,8 +105,9 @@ class Likelihood:
 
     # -- numbers that the compiled loops start from ----------------------------------------------------------
     def theta(self, values: Mapping[str, float]) -> np.ndarray:
-        """Parameter values (d,) in the model's order."""
-        return np.array([values[p.name] for p in self.model.parameters], dtype=float)
+        """Parameter values (d,) in the model's order, and behind them the record's own numbers."""
+        known = [values[p.name] for p in self.model.parameters]
+        return np.array([*known, *self.recursion.constants], dtype=float)
 
     def rate(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None = None) -> float:
         """Bound on the model's fastest rate [1/h] over the record, or over these inputs; or the stated one."""
@@ -136,7 +137,7 @@ class Likelihood:
         r = self.recursion
         needed = r.graph.needed([r.graph.lift(r.jacobian[i][j]) for i, j in self._rate_entries[0]])
         symbols = [r.graph.nodes[i][1] for i in needed if r.graph.nodes[i][0] == "symbol"]
-        return not all(name.startswith("p:") for name in symbols)
+        return not all(name.startswith(("p:", "c:")) for name in symbols)
 
     @cached_property
     def _rate_entries(self) -> tuple[list, list]:

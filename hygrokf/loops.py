@@ -76,7 +76,7 @@ class _Emission:
     def _parameters(self) -> None:
         r, w = self.recursion, self.writer
         self.at_parameters: dict[int, str] = {}
-        for i, e in enumerate(r.p.values()):
+        for i, e in enumerate([*r.p.values(), *r.given]):
             self.at_parameters[e.index] = w.load(SCALAR, w.at(SCALAR, "%theta", i))
         wanted = [Expression(r.graph, i) for i in r.parameter_nodes]
         for e, (_, name) in zip(wanted, w.block(r.graph, wanted, self.at_parameters), strict=True):
@@ -344,7 +344,7 @@ class _Emission:
         bars = self._slots(self.recursion.state)
         bar_symbol = {i: g.symbol(f"bar:{i}") for i in bars}
         self._load_state(bars, "%statebar")
-        self.parameter_bars = {i: w.slot(SCALAR, literal(0.0)) for i in r.parameter_nodes}
+        self.parameter_bars = {i: w.slot(SCALAR, literal(0.0)) for i in r.estimated_nodes}
         for e in r.p.values():
             self.parameter_bars.setdefault(e.index, w.slot(SCALAR, literal(0.0)))
         with w.loop("%count", backwards=True) as k:
@@ -426,6 +426,7 @@ class _Emission:
         """Adjoint of one block: replaces (or, `keep`, adds to) the bars of the state, adds to the earlier stages'."""
         w, r = self.writer, self.recursion
         parameters, keys = r._boundary(block.outputs, INSTANT)
+        parameters = [i for i in parameters if i in self.parameter_bars]
         targets = [*bars, *parameters, *keys]
         found = reverse(r.graph, seeds, targets)
         names = {bar_symbol[i].index: w.load(SCALAR, s) for i, s in bars.items()}
@@ -454,7 +455,7 @@ class _Emission:
         inner, _ = r._boundary(keys, KEY)
         seeds = {i: g.symbol(f"keybar:{i}") for i in r.key_nodes}
         found = reverse(g, seeds, inner)
-        order = [i for i in inner if i in found]
+        order = [i for i in inner if i in found and i in self.parameter_bars]
         with w.loop("%nkeys") as key:
             row = w.integer("mul", key, len(r.key_nodes))
             names = {
@@ -466,7 +467,7 @@ class _Emission:
             for i, (_, name) in zip(order, values, strict=True):
                 accumulate(w, name, self.parameter_bars[i])
         leaf = {e.index for e in r.p.values()}
-        seeds = {i: g.symbol(f"parbar:{i}") for i in r.parameter_nodes if i not in leaf}
+        seeds = {i: g.symbol(f"parbar:{i}") for i in r.estimated_nodes if i not in leaf}
         names = {seeds[i].index: w.load(SCALAR, self.parameter_bars[i]) for i in seeds}
         found = reverse(g, seeds, leaf) if seeds else {}
         order = list(found)
@@ -483,7 +484,7 @@ class _Emission:
         directions = {e.index: g.symbol(f"dot:{e.index}") for e in r.p.values()}
         for c, s in enumerate(directions.values()):
             dots[s.index] = w.load(VECTOR, w.at(VECTOR, "%seeds", c))
-        later = [i for i in r.parameter_nodes if i not in directions]
+        later = [i for i in r.estimated_nodes if i not in directions]
         derivative = forward(g, [Expression(g, i) for i in later], directions)
         values = w.block(g, derivative, self.at_parameters | dots, list(dots))
         for i, (kind, name) in zip(later, values, strict=True):

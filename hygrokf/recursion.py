@@ -7,6 +7,9 @@ linearised at the state that the one before left; a missing reading (NaN) is lef
 and a forecast are one code path.  Every loop starts from a given Gaussian and returns the last one: the offline
 filter is a fold of the online step.
 
+Numbers of one record (`expression.Given`) stand behind the parameters and are no part of the code: recursions that
+differ in them alone share it.
+
 Values are computed where they first can be: with the parameters, with the distinct steps ("keys": sub-step length
 and regime), or at every instant.
 
@@ -16,9 +19,12 @@ k outputs, d parameters, L = `LANES`.
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+
+import numpy as np
 
 from hygrokf.discretisation import Step, congruence, step
 from hygrokf.expression import (
@@ -126,6 +132,9 @@ class Recursion:
         self.jacobian = jacobian(system.drift(self.mean, self.now, self.p), self.mean)
         self.updates = [self._trace_update(function) for _, function in system.outputs]
         self._transition_outputs = [g.lift(v) for row in self.step.transition for v in row]
+        self.given = [g.symbol(f"c:{i}") for i in range(len(g.given))]
+        self.constants = np.array(g.given, dtype=float)
+        self._structure = self._described()
 
     # -- tracing ---------------------------------------------------------------------------------------------
     def _lower(self, matrix: Matrix) -> list[Expression]:
@@ -196,7 +205,8 @@ class Recursion:
                 result.append(CONSTANT)
             elif node[0] == "symbol":
                 at_key = i in key
-                result.append(PARAMETER if node[1].startswith("p:") else KEY if at_key else INSTANT)
+                early = node[1].startswith(("p:", "c:"))
+                result.append(PARAMETER if early else KEY if at_key else INSTANT)
             else:
                 result.append(max(result[j] for j in arguments(node)))
         return result
@@ -255,12 +265,32 @@ class Recursion:
         found.update(e.index for e in self._transition_outputs if self.stage[e.index] == PARAMETER)
         return sorted(found)
 
+    @cached_property
+    def estimated_nodes(self) -> list[int]:
+        """Those of `parameter_nodes` that move with a parameter: the others have no derivative."""
+        names = [f"p:{name}" for name in self.p]
+        return [i for i in self.parameter_nodes if depends_on(self.graph, Expression(self.graph, i), names)]
+
+    def _described(self) -> str:
+        """Digest of all that the compiled loops are made from: recursions that share it share their code."""
+        outputs = [[e.index for e in block.outputs] for block in self._blocks]
+        system = self.system
+        said = (
+            *(system.parameters, system.states, sorted(system.inputs.items()), list(system.inputs)),
+            *(system.resets, self.diffuse, self.graph.nodes, outputs),
+            [e.index for e in self._transition_outputs],
+        )
+        return hashlib.sha256(repr(said).encode()).hexdigest()
+
     def code(self, kind: str, gain: bool = True) -> Code:
         """Compiled function of a kind: value, trace, adjoint, tangent; without gain the filter runs free."""
-        made = self.__dict__.setdefault("_codes", {})
+        made = _codes.setdefault(self._structure, {})
         if (kind, gain) not in made:
             made[kind, gain] = Code(loop_text(self, kind, gain), [kind])
         return made[kind, gain]
+
+
+_codes: dict[str, dict[tuple[str, bool], Code]] = {}
 
 
 def _quadratic(row: list, covariance: Matrix, cross: list):

@@ -46,7 +46,8 @@ class SideBySide:
         self._limit = (CONSTANT_RATES if recursion.exact else VARYING_RATES).rate_step
         self._fastest = np.asarray(fastest, dtype=float)
         self._count = count
-        parameters = np.array([[v[p.name] for p in model.parameters] for v in values], dtype=float)
+        given = list(recursion.constants)
+        parameters = np.array([[*(v[p.name] for p in model.parameters), *given] for v in values], dtype=float)
         moments = np.array([np.concatenate([s.mean, pack(s.covariance)]) for s in states], dtype=float)
         self._theta, self._state = self._in_blocks(parameters), self._in_blocks(moments)
         blocks = len(self._state)

@@ -164,3 +164,9 @@ def test_memory_counts_what_a_likelihood_keeps(part, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(identify.cases, "joint", identify.cases.thermal)
     found = {f.name: f.reached for f in identify.memory(True)}
     assert found["value"] + 20.0 < found["score"] < found["value"] + 60.0
+
+
+@pytest.mark.slow
+def test_the_figures_of_fleets_can_be_measured(part) -> None:
+    figures = [one for section in part("fleet").SECTIONS.values() for one in section(True)]
+    assert len(figures) >= 8 and all(math.isfinite(one.reached) and one.reached > 0 for one in figures)

@@ -96,6 +96,11 @@ def broken_links(page: Path, text: str) -> list[str]:
             "python,bash",
             ["result/report.html", "simulated.csv", "step.png", "bode.png"],
         ),
+        (
+            DOCS / "fleet.md",
+            "python,bash",
+            ["result/fleet.csv", "result/fleet.parquet", "result/report.html"],
+        ),
         (DOCS / "add_a_mechanism.md", "python,bash", ["turbine/case.toml"]),
         (
             DOCS / "climate.md",

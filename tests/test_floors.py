@@ -15,7 +15,7 @@ ROOT = Path(hygrokf.__file__).parent
 FACE = "hygrokf"
 FLOORS = (
     # what knows nothing of the package
-    "expression machine moments parameters signals psychrometrics files lookup version console discovery live weather live.schema live.reasons live.certificates climate climate.form climate.cycles climate.bounds climate.acceleration resampling transfer",
+    "expression machine moments parameters signals psychrometrics files lookup version console discovery live weather live.schema live.reasons live.certificates climate climate.form climate.cycles climate.bounds climate.acceleration resampling transfer fleet",
     # text of code, one step, what a record is
     "emission discretisation record stamps live.database surface climate.chamber",
     "running_sums case_keys live.table_reader live.sqlite live.postgres live.check",
@@ -58,7 +58,13 @@ FLOORS = (
     "live.tracking live.doctor_sources climate.plots",
     "live.doctor climate.page",
     "report discovery.tables climate.command transfer.comparison_page",
-    "discovery.page transfer.page",
+    "discovery.page transfer.page fleet.job",
+    "fleet.tasks",
+    "fleet.plan fleet.worker fleet.cluster fleet.table fleet.outliers",
+    "fleet.processes fleet.plots fleet.words",
+    "fleet.page",
+    "fleet.running",
+    "fleet.command",
     "transfer.command",
     "cli",
     "__main__",

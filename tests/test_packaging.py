@@ -35,6 +35,8 @@ LATE = {
     "llvmlite",
     "tqdm",
     "pyarrow",
+    "dask",
+    "distributed",
     "psycopg",
     "asyncua",
     "cryptography",

@@ -12,7 +12,13 @@ from scipy.linalg import expm
 
 from hygrokf.expression import where
 from hygrokf.likelihood import Gaussian, Likelihood, Trace
-from hygrokf.mechanisms import linear_network
+from hygrokf.mechanisms import (
+    heat_release,
+    linear_network,
+    temperature_sensor,
+    thermal_diffusion,
+    thermal_network,
+)
 from hygrokf.model import Model, compose
 from hygrokf.moments import pack, trace_width, unpack
 from hygrokf.parameters import Parameter
@@ -459,3 +465,37 @@ def test_the_extended_filter_is_as_good_as_exact(make_case: Callable) -> None:
     settled = away[24:]  # six hours
     assert np.all(np.abs(settled.mean(axis=0)) < 0.01)
     assert np.all(np.sqrt((settled**2).mean(axis=0)) < 0.05)  # single means carry the particles' noise
+
+
+def test_models_that_differ_in_a_records_numbers_share_their_code() -> None:
+    """The reference temperature and the resolution are no part of the code, and are read where they belong."""
+    time = np.arange(40.0)
+    inputs = {"ambient_temperature": 283.0 + np.sin(time)}
+    readings = {"cabinet_temperature": 289.0 + np.cos(time)}
+    found = []
+    for reference, resolution in ((280.0, 0.1), (290.0, 0.5)):
+        parts = (
+            thermal_network(),
+            heat_release(order=0, standstill=False, reference_K=reference),
+            thermal_diffusion(),
+            temperature_sensor(0.3, resolution),
+        )
+        model = compose(parts, {"ambient_temperature": "linear"})
+        values = {p.name: p.start for p in model.parameters} | {"heat_release_operation_ambient": -0.1}
+        found.append((Likelihood(model, timeline(model, time, inputs, readings)), values))
+    (one, values), (other, _) = found
+    assert one.recursion is not other.recursion
+    for kind in ("value", "adjoint", "tangent", "trace"):
+        assert one.recursion.code(kind) is other.recursion.code(kind)
+    assert one.value(values) != other.value(values)
+    same = values | {"cabinet_temperature_noise": math.sqrt(values["cabinet_temperature_noise"] ** 2 + 0.04)}
+    # f + a (T − 280) is (f + 10 a) + a (T − 290), and the noises add in quadrature
+    noise = math.sqrt(same["cabinet_temperature_noise"] ** 2 + (0.1**2 - 0.5**2) / 12.0)
+    back = values | {
+        "heat_release_operation": values["heat_release_operation"] + 10.0 * -0.1,
+        "cabinet_temperature_noise": noise,
+    }
+    assert other.value(back) == pytest.approx(one.value(same), rel=1e-12)
+    value, score = other.score(back)
+    assert len(score) == len(values) and value == pytest.approx(one.score(same)[0], rel=1e-12)
+    assert score[0] == pytest.approx(one.score(same)[1][0], rel=1e-9)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hygrokf.expression import exp, log
+from hygrokf.expression import Given, exp, log
 from hygrokf.model import Mechanism
 from hygrokf.parameters import Parameter, Prior
 from hygrokf.psychrometrics import GAS_CONSTANT_VAPOUR, SATURATION_WATER
@@ -42,7 +42,7 @@ def _noise(name: str, unit: str, start: float, lower: float, upper: float) -> Pa
 
 def temperature_sensor(accuracy: float = 0.3, resolution: float = 0.0) -> Mechanism:
     """The temperature reading [K]: T_conv,a + bias + noise; rounding to `resolution` adds resolution²/12."""
-    floor = resolution**2 / 12.0
+    floor = Given(resolution**2 / 12.0)
     bias = _bias("cabinet_temperature", "K", accuracy)
 
     def output(p, x, u, q, s):
@@ -65,7 +65,7 @@ def humidity_sensor(accuracy: float = 0.02, resolution: float = 0.0) -> Mechanis
 
     The reading belongs to the air at the sensor, c_conv,a R_v T_conv,a = c* R_v T_amb by equation (5).
     """
-    floor = resolution**2 / 12.0
+    floor = Given(resolution**2 / 12.0)
     bias = _bias("cabinet_relative_humidity", "1", accuracy)
 
     def output(p, x, u, q, s):
@@ -89,7 +89,7 @@ def humidity_sensor(accuracy: float = 0.02, resolution: float = 0.0) -> Mechanis
 
 def absolute_humidity_sensor(accuracy: float = 0.0, resolution: float = 0.0) -> Mechanism:
     """The absolute-humidity reading [g/m³]: c_conv,a = c* T_amb/T_conv,a, equation (5)."""
-    floor = resolution**2 / 12.0
+    floor = Given(resolution**2 / 12.0)
     bias = _bias("cabinet_absolute_humidity", "g/m3", accuracy)
 
     def output(p, x, u, q, s):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from hygrokf.expression import Given
 from hygrokf.model import Mechanism
 from hygrokf.parameters import Parameter, Prior
 
@@ -113,6 +114,8 @@ def heat_release(
     `gap_covariance` (features operating, p, …, p^K) and correlation time `gap_time_h` [h] is added.
     """
     given = start or {}
+    origin, fade = Given(reference_K), Given(1.0 / gap_time_h)
+    spread = [[Given(value) for value in row] for row in gap_covariance or ()]
     both = operation and standstill
     parameters: list[Parameter] = []
 
@@ -138,7 +141,7 @@ def heat_release(
         parameter("preheating_heat", "K", 5.0, 80.0, "heat release of the known pre-heating")
 
     def contributions(p, x, u, q):
-        warm = u.ambient_temperature - reference_K
+        warm = u.ambient_temperature - origin
         total = 0.0
         if operation:
             share = u.operating if both else 1.0
@@ -165,7 +168,7 @@ def heat_release(
         )
         slopes += [getattr(p, f"heat_release_{name}") for name in powers]
         total = 0.0
-        for row, a in zip(gap_covariance or (), slopes, strict=True):
+        for row, a in zip(spread, slopes, strict=True):
             for value, b in zip(row, slopes, strict=True):
                 total = total + value * a * b
         return total
@@ -183,8 +186,8 @@ def heat_release(
             *(("power_unknown",) if gap else ()),
         ),
         contributions=contributions,
-        drift=(lambda p, x, u, q, s: {"unknown_heat": x.unknown_heat * (-1.0 / gap_time_h)}) if gap else None,
-        diffusion=(lambda p: {"unknown_heat": unknown_variance(p) * (2.0 / gap_time_h)}) if gap else None,
+        drift=(lambda p, x, u, q, s: {"unknown_heat": -(x.unknown_heat * fade)}) if gap else None,
+        diffusion=(lambda p: {"unknown_heat": unknown_variance(p) * 2.0 * fade}) if gap else None,
         initial=(lambda p, u: {"unknown_heat": (0.0, unknown_variance(p))}) if gap else None,
         settings={
             "order": order, "ambient": ambient, "standstill_ambient": standstill_ambient,

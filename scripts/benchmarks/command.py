@@ -11,7 +11,7 @@ from importlib import import_module
 
 from benchmarks.measure import Figure, table
 
-TOPICS = {"identify": "benchmarks.identify", "track": "benchmarks.track"}
+TOPICS = {"identify": "benchmarks.identify", "track": "benchmarks.track", "fleet": "benchmarks.fleet"}
 """What can be measured: topic -> the module whose `SECTIONS` maps names to functions quick -> figures."""
 
 

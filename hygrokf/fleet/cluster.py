@@ -1,0 +1,107 @@
+"""Jobs on the workers of a Dask cluster, which may stand on other machines that share the files."""
+
+from __future__ import annotations
+
+import math
+import os
+import threading
+from collections.abc import Iterator, Mapping, Sequence
+
+from hygrokf.fleet.job import LOST, FleetFault, Job, Outcome, outcome
+from hygrokf.fleet.tasks import perform
+from hygrokf.version import __version__
+
+BATCHES = 8
+"""Batches for each worker: enough that none waits long for the others at the end."""
+LARGEST = 25
+"""Jobs in one batch at the most: what a worker's death costs is done again."""
+WAIT_S = 30.0
+"""[s] how long a scheduler and its first worker are waited for."""
+_one_at_a_time = threading.Lock()
+
+
+def perform_batch(jobs: Sequence[Mapping]) -> list[dict]:
+    """Outcomes of some jobs, one after the other, as plain data: what a worker of the cluster runs."""
+    with _one_at_a_time:  # a worker with several threads is given several batches
+        return [perform(Job.from_json(job)).to_json() for job in jobs]
+
+
+def batches(jobs: Sequence[Job], workers: int) -> list[Sequence[Job]]:
+    """Jobs in batches, in their order."""
+    size = max(1, min(LARGEST, math.ceil(len(jobs) / (BATCHES * max(workers, 1)))))
+    return [jobs[i : i + size] for i in range(0, len(jobs), size)]
+
+
+def on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
+    """Outcomes of jobs as they come, in no order: exactly one for each.
+
+    A batch whose worker dies is done again by another one.  Where that happens more often than the scheduler allows, its
+    jobs are sent one by one, and the one that goes on killing workers is `lost`.  Raises FleetFault where there is no
+    cluster at the address, no worker, or another version of hygrokf on it.
+    """
+    try:
+        from distributed import Client, as_completed
+    except ImportError:
+        raise FleetFault("--dask", ["needs dask.distributed: pip install 'hygrokf[cluster]'"]) from None
+    with _client(Client, address) as client:
+        workers = _checked(client, address)
+        sent = {}
+
+        def send(batch: Sequence[Job]) -> object:
+            future = client.submit(perform_batch, [job.to_json() for job in batch], pure=False)
+            sent[future.key] = batch
+            return future
+
+        coming = as_completed([send(batch) for batch in batches(jobs, workers)], loop=client.loop)
+        for future in coming:
+            batch = sent.pop(future.key)
+            if future.status == "finished":
+                yield from map(Outcome.from_json, future.result())
+            elif len(batch) > 1:
+                coming.update([send([job]) for job in batch])
+            else:
+                reason = " ".join(str(future.exception() or f"the task was {future.status}").split())
+                yield outcome(batch[0], LOST, f"no worker of the cluster could do it: {reason}")
+
+
+def _client(kind: type, address: str) -> object:
+    try:
+        return kind(address, timeout=WAIT_S, set_as_default=False)
+    except (OSError, ValueError, TypeError) as fault:
+        said = " ".join(str(fault).split())
+        raise FleetFault(
+            f"--dask {address}",
+            [f"expected the scheduler of a Dask cluster, such as tcp://HOST:8786, found none: {said}"],
+        ) from None
+
+
+def _checked(client: object, address: str) -> int:
+    """The number of workers, all of which can do the work."""
+    try:
+        client.wait_for_workers(1, timeout=WAIT_S)
+    except TimeoutError:
+        raise FleetFault(
+            f"--dask {address}",
+            [f"the scheduler has no worker after {WAIT_S:g} s: start some with `dask worker {address}`"],
+        ) from None
+    faults = []
+    for worker, found in client.run(_described, on_error="return").items():
+        if isinstance(found, BaseException):
+            faults.append(f"worker {worker}: hygrokf cannot be loaded there: {found}; install it there too")
+        elif found["version"] != __version__:
+            faults.append(
+                f"worker {worker}: expected hygrokf {__version__} as here, found {found['version']}; install the same one"
+            )
+        elif found["threads"] != "1":
+            faults.append(
+                f"worker {worker}: expected one thread for linear algebra, found OMP_NUM_THREADS = "
+                f"{found['threads'] or 'not set'}; start it with a nanny (the default), or set OMP_NUM_THREADS=1 there"
+            )
+    if faults:
+        raise FleetFault(f"--dask {address}", faults)
+    return len(client.scheduler_info(n_workers=-1)["workers"])
+
+
+def _described() -> dict:
+    """What matters of a worker: the version of hygrokf there, and its threads for linear algebra."""
+    return {"version": __version__, "threads": os.environ.get("OMP_NUM_THREADS", "")}

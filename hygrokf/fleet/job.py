@@ -1,0 +1,160 @@
+"""One task for one turbine: what it reads, what makes it the same work as before, and its row on disk."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import tomllib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hygrokf.files import (
+    BESIDE_DISCOVERY,
+    DISCOVERY,
+    DISCOVERY_SERIES,
+    REPORT,
+    write_text_whole,
+)
+from hygrokf.results import dump
+from hygrokf.version import __version__
+
+ROW = "row.json"
+"""The last file that a job writes: it is done where this is there."""
+DONE, FAILED, LOST = "done", "failed", "lost"
+"""How a job ended: with results; with a reason that its data give; because its process died."""
+WRITES = (ROW, "fit.json", "series.npz", "evaluation.json", REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES)  # fmt: skip
+
+
+class FleetFault(Exception):
+    """A fleet that cannot be run, in one message; `faults` lists every reason."""
+
+    def __init__(self, where: str, faults: Sequence[str]) -> None:
+        self.faults = tuple(faults)
+        count = f"{len(self.faults)} fault{'s' if len(self.faults) != 1 else ''}"
+        super().__init__("\n".join([f"{where}: {count}", *(f"  {i}. {f}" for i, f in enumerate(faults, 1))]))
+
+
+@dataclass(frozen=True)
+class Job:
+    """One turbine's share of a fleet's work.
+
+    turbine: its name, unique in the fleet. task: a name of `tasks.TASKS`. case: its case file. folder: where its results
+    go. fit: the fitted model that the task uses, or None. options: of the task, complete, as plain data. key: of what
+    it reads (`content_key`).
+    """
+
+    turbine: str
+    task: str
+    case: Path
+    folder: Path
+    fit: Path | None = None
+    options: Mapping[str, object] = field(default_factory=dict)
+    key: str = ""
+
+    def to_json(self) -> dict:
+        """Plain data that any process can make the job from again."""
+        paths = {name: None if (p := getattr(self, name)) is None else str(p) for name in _PATHS}
+        said = {"turbine": self.turbine, "task": self.task, "options": dict(self.options), "key": self.key}
+        return said | paths
+
+    @classmethod
+    def from_json(cls, data: Mapping) -> Job:
+        return cls(**{**data, **{n: None if data[n] is None else Path(data[n]) for n in _PATHS}})
+
+
+_PATHS = ("case", "folder", "fit")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of a job: its row of the fleet's table (plain data), and the CPU time that it took [s]."""
+
+    row: Mapping[str, object]
+    seconds: float = 0.0
+
+    @property
+    def turbine(self) -> str:
+        return str(self.row["turbine"])
+
+    @property
+    def status(self) -> str:
+        return str(self.row["status"])
+
+    def to_json(self) -> dict:
+        return {"row": dict(self.row), "seconds": self.seconds}
+
+    @classmethod
+    def from_json(cls, data: Mapping) -> Outcome:
+        return cls(data["row"], float(data["seconds"]))
+
+
+def outcome(job: Job, status: str, reason: str = "", seconds: float = 0.0, **columns: object) -> Outcome:
+    """The outcome of a job with the columns that every row has, those of its task behind them."""
+    shared = {"turbine": job.turbine, "status": status, "reason": reason, "task": job.task, "key": job.key}
+    return Outcome(json.loads(dump(shared | columns)), seconds)
+
+
+def content_key(job: Job, files: Sequence[Path] = ()) -> str:
+    """SHA-256 of all that the results of a job follow from: version, task, options, and the bytes of its files.
+
+    Files are the case, those that its sources name, the fit, and `files`.  One that cannot be read counts as absent:
+    the job itself then says why.
+    """
+    digest = hashlib.sha256()
+
+    def take(*parts: object) -> None:
+        for part in parts:
+            data = part if isinstance(part, bytes) else json.dumps(part, sort_keys=True).encode()
+            digest.update(len(data).to_bytes(8, "little") + data)
+
+    take(__version__, job.turbine, job.task, dict(job.options))
+    take(_digest(job.case))
+    for name in _source_files(job.case):
+        take(name, _digest(job.case.parent / name))
+    for path in (*([job.fit] if job.fit else []), *files):
+        take(_digest(path / "fit.json" if path.is_dir() else path))
+    return digest.hexdigest()
+
+
+def _digest(path: Path) -> bytes:
+    try:
+        with open(path, "rb") as stream:
+            return hashlib.file_digest(stream, "sha256").digest()
+    except OSError:
+        return b"absent"
+
+
+def _source_files(case: Path) -> list[str]:
+    """Files that the sources of a case name, as far as it can be read."""
+    try:
+        content = tomllib.loads(case.read_bytes().decode("utf-8-sig").replace("\r\n", "\n"))
+    except (OSError, ValueError):
+        return []
+    tables = content.get("source", [])
+    tables = tables if isinstance(tables, list) else [tables]
+    named = [one.get("file") for one in tables if isinstance(one, dict)]
+    return [name for name in named if isinstance(name, str)]
+
+
+def finished(job: Job) -> Outcome | None:
+    """The outcome on disk of the very same work, if it was done; failures are tried again."""
+    try:
+        data = json.loads((job.folder / ROW).read_text(encoding="utf-8"))
+        found = Outcome.from_json(data)
+        same = found.row["key"] == job.key and found.turbine == job.turbine and found.status == DONE
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return None
+    return found if same else None
+
+
+def begin(job: Job) -> None:
+    """Remove what an earlier run has left in the folder: it belongs to other data."""
+    job.folder.mkdir(parents=True, exist_ok=True)
+    for name in WRITES:
+        (job.folder / name).unlink(missing_ok=True)
+
+
+def keep(job: Job, found: Outcome) -> None:
+    """Write the row, whole; from then on the job is done."""
+    write_text_whole(job.folder / ROW, dump(found.to_json()))

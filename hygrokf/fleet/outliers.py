@@ -1,0 +1,113 @@
+"""Which turbines depart from their fleet: a robust rule with the number of turbines and of quantities in it.
+
+On the logarithm x of a positive quantity, with standard errors e from its bounds,
+
+    z_i = (x_i − med x) / √(S² − ē² + e_i²),   S = 1.4826 med |x − med x|,   ē² = med e²  (S² − ē² at least 0),
+
+so a turbine with wide bounds must depart further.  z is compared with the largest |z| of as many normal numbers, found by
+simulation (seed stated): the chance that any turbine of a fleet alike is called an outlier is `LEVEL`, shared by the
+quantities that are compared (Bonferroni).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import numpy as np
+
+from hygrokf.fleet.tasks import Compared
+from hygrokf.lookup import number
+
+LEVEL = 0.05
+"""Chance of any outlier, in all quantities together, in a fleet of turbines that are alike."""
+FEWEST = 6
+"""Turbines below which no one can be told from the others."""
+DRAWS, SEED = 4000, 20
+TO_SD = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+REACH = 1.959963984540054
+NUMBERS_AT_ONCE = 2_000_000
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A quantity over the fleet: turbines with a value, x = ln value (N,), standard errors (N,), NaN without bounds.
+
+    `z` (N,) robust distances, `p` (N,) their chances after correction for turbines and quantities; both NaN where
+    there are fewer than `FEWEST` turbines.  `center`, `between` median of x and the turbines' own spread (log).
+    """
+
+    compared: Compared
+    turbines: tuple[str, ...]
+    x: np.ndarray
+    error: np.ndarray
+    open: tuple[str, ...]
+    center: float
+    between: float
+    z: np.ndarray
+    p: np.ndarray
+
+    @property
+    def outliers(self) -> list[int]:
+        """Places of the outliers, the farthest first."""
+        return [int(i) for i in np.argsort(-np.abs(self.z)) if self.p[i] < LEVEL]
+
+
+def spreads(rows: Sequence[Mapping[str, object]], compared: Sequence[Compared]) -> list[Spread]:
+    """The spread of every quantity that any turbine has; turbines with open bounds are set aside by name (`open`)."""
+    there = [one for one in compared if any(number(row, one.column) > 0 for row in rows)]
+    return [spread(rows, one, len(there)) for one in there]
+
+
+def spread(rows: Sequence[Mapping[str, object]], compared: Compared, quantities: int = 1) -> Spread:
+    """One quantity over the fleet, judged as one of several."""
+    named, x, error, open_ = [], [], [], []
+    for row in rows:
+        value = number(row, compared.column)
+        if not value > 0:
+            continue
+        low, high = (number(row, name) if name else np.nan for name in (compared.lower, compared.upper))
+        if compared.lower and not 0 < low < high:
+            open_.append(str(row["turbine"]))
+            continue
+        named.append(str(row["turbine"]))
+        x.append(np.log(value))
+        error.append(np.log(high / low) / (2.0 * REACH) if compared.lower else np.nan)
+    x, error = np.array(x), np.array(error)
+    nothing = np.full(len(x), np.nan)
+    if not len(x):
+        return Spread(compared, (), x, error, tuple(open_), np.nan, np.nan, nothing, nothing)
+    center = float(np.median(x))
+    scale = TO_SD * float(np.median(np.abs(x - center)))
+    own = error**2 if compared.lower else np.zeros(len(x))
+    between = float(np.sqrt(max(scale**2 - float(np.median(own)), 0.0)))
+    z = p = nothing
+    if len(x) >= FEWEST and scale > 0:
+        z = (x - center) / np.sqrt(
+            scale**2 - min(float(np.median(own)), scale**2) + own if own.any() else scale**2
+        )
+        p = np.minimum(1.0, quantities * family_chance(np.abs(z)))
+    return Spread(compared, tuple(named), x, error, tuple(open_), center, between, z, p)
+
+
+def family_chance(z: np.ndarray) -> np.ndarray:
+    """Chance (N,) that the largest |z| of N normal numbers, scaled by their own median deviation, is as large."""
+    largest = _largest(len(z))
+    beyond = len(largest) - np.searchsorted(largest, z, side="left")
+    return (beyond + 1.0) / (len(largest) + 1.0)
+
+
+@cache
+def _largest(count: int) -> np.ndarray:
+    """Largest |z| of so many normal numbers in each of many draws, in order."""
+    random = np.random.default_rng(SEED)
+    draws = max(DRAWS // 8, min(DRAWS, 8_000_000 // count))
+    largest = np.empty(draws)
+    part = max(1, NUMBERS_AT_ONCE // count)
+    for start in range(0, draws, part):
+        x = random.normal(size=(min(part, draws - start), count))
+        away = np.abs(x - np.median(x, axis=1, keepdims=True))
+        largest[start : start + part] = away.max(axis=1) / (TO_SD * np.median(away, axis=1))
+    return np.sort(largest)

@@ -1,0 +1,126 @@
+"""`run_fleet`: every job of a plan, on one machine or a cluster, and what all of them give together."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+
+from hygrokf.files import FLEET, REPORT, write_bytes_whole, write_text_whole
+from hygrokf.fleet.cluster import on_cluster
+from hygrokf.fleet.job import DONE, FleetFault, Job, Outcome, finished, keep
+from hygrokf.fleet.page import fleet_page
+from hygrokf.fleet.plan import Plan
+from hygrokf.fleet.processes import cores, in_processes
+from hygrokf.fleet.table import CSV, PARQUET, table_csv, table_parquet
+from hygrokf.fleet.tasks import TASKS
+from hygrokf.results import dump
+from hygrokf.version import __version__
+
+EVERY_S = 2.0
+"""[s] between two writings of the table while results come."""
+
+
+@dataclass(frozen=True)
+class Result:
+    """A fleet's outcomes in the order of its plan, how many of them were on disk before, and the page."""
+
+    outcomes: tuple[Outcome, ...]
+    known: int
+    page: Path
+
+    @property
+    def rows(self) -> list[Mapping[str, object]]:
+        return [one.row for one in self.outcomes]
+
+    @property
+    def missing(self) -> list[Outcome]:
+        """Turbines without a result."""
+        return [one for one in self.outcomes if one.status != DONE]
+
+
+def run_fleet(
+    plan: Plan,
+    out: Path,
+    *,
+    workers: int | None = None,
+    cluster: str | None = None,
+    say: Callable[[Outcome, bool], None] = lambda found, known: None,
+) -> Result:
+    """Do what a plan states for every turbine, and write `fleet.csv`, `fleet.parquet`, `fleet.json` and `report.html`.
+
+    out: directory of the results; each turbine's are in `turbines/NAME`.  workers: processes on this machine (default:
+    one a core); cluster: address of a Dask scheduler, whose workers see the same files under the same paths.  say: told
+    of each outcome as it comes, and whether it was on disk already.  Work is known by its content: what was done with
+    the same files, options and version is not done again; what failed is tried again.  The table is the same whatever
+    does the work.  Raises FleetFault where there is no cluster.
+    """
+    jobs = plan.jobs(out)
+    out.mkdir(parents=True, exist_ok=True)
+    by_name: dict[str, Outcome] = {}
+    for job in jobs:
+        if (known := finished(job)) is not None:
+            by_name[job.turbine] = known
+            say(known, True)
+    todo = [job for job in jobs if job.turbine not in by_name]
+    before, written = len(by_name), time.monotonic()
+    folders = {job.turbine: job for job in todo}
+    for found in _outcomes(todo, workers, cluster):
+        by_name[found.turbine] = found
+        if found.status not in (DONE, "failed"):  # its process could not write the row
+            keep(folders[found.turbine], found)
+        say(found, False)
+        if time.monotonic() - written > EVERY_S:
+            write_text_whole(out / CSV, table_csv(plan.task, _in_order(jobs, by_name)))
+            written = time.monotonic()
+    ordered = tuple(by_name[job.turbine] for job in jobs)
+    return Result(ordered, before, _written(plan, out, ordered))
+
+
+def _outcomes(jobs: Sequence[Job], workers: int | None, cluster: str | None) -> Iterator[Outcome]:
+    if not jobs:
+        return iter(())
+    return on_cluster(jobs, cluster) if cluster else in_processes(jobs, workers or cores())
+
+
+def _in_order(jobs: Sequence[Job], found: Mapping[str, Outcome]) -> list[Mapping]:
+    return [found[job.turbine].row for job in jobs if job.turbine in found]
+
+
+def _written(plan: Plan, out: Path, outcomes: Sequence[Outcome]) -> Path:
+    """Write the table and the page of all."""
+    rows = [one.row for one in outcomes]
+    write_text_whole(out / CSV, table_csv(plan.task, rows))
+    binary = table_parquet(plan.task, rows)
+    if binary is None:
+        (out / PARQUET).unlink(missing_ok=True)  # one of an earlier run would be of other numbers
+    else:
+        write_bytes_whole(out / PARQUET, binary)
+    fleet = {
+        "name": plan.name,
+        "version": __version__,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "task": plan.task,
+        "options": dict(plan.options),
+        "rows": rows,
+        "cpu_s": {one.turbine: round(one.seconds, 3) for one in outcomes},
+    }
+    write_text_whole(out / FLEET, dump(fleet))
+    return write_fleet_report(out)
+
+
+def write_fleet_report(out: Path) -> Path:
+    """Write `report.html` again from `fleet.json`; raises FleetFault where that is missing or damaged."""
+    file = out / FLEET
+    try:
+        fleet = json.loads(file.read_text(encoding="utf-8"))
+        named = [row["turbine"] for row in fleet["rows"]]
+        known = fleet["task"] in TASKS and len(named) == len(set(named))
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as fault:
+        raise FleetFault(str(file), [f"expected JSON written by `hygrokf fleet`, found: {fault}"]) from None
+    if not known:
+        raise FleetFault(str(file), ["expected rows of a task of this version; run `hygrokf fleet` again"])
+    return write_text_whole(out / REPORT, fleet_page(fleet))

@@ -1,0 +1,369 @@
+"""What can be done for each turbine of a fleet: a table of tasks, one function each, from a `Job` to columns of its row.
+
+A task is added in `TASKS`: its function, its options, whether it uses a fitted model, the columns that it gives, and
+those of them that turbines are compared by.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+import traceback
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hygrokf.files import write_text_whole
+from hygrokf.fleet.job import DONE, FAILED, Job, Outcome, begin, finished, keep, outcome
+from hygrokf.lookup import entry, number
+
+if TYPE_CHECKING:
+    from hygrokf.fit import Fit
+    from hygrokf.record import Record
+
+
+@dataclass(frozen=True)
+class Option:
+    """One option of a task: its default, and what it may be.
+
+    `allowed`: a tuple of words, the least whole number, or "flag" (true or false), "files" (a list of paths).
+    """
+
+    default: object
+    allowed: tuple[str, ...] | int | str
+    meaning: str
+
+    def fault(self, value: object) -> str:
+        """What is wrong with a value, or nothing."""
+        if self.allowed == "flag":
+            good, expected = isinstance(value, bool), "true or false"
+        elif self.allowed == "files":
+            good = isinstance(value, list) and all(isinstance(one, str) for one in value)
+            expected = "a list of paths in quotes"
+        elif isinstance(self.allowed, tuple):
+            good, expected = value in self.allowed, f"one of {', '.join(self.allowed)}"
+        else:
+            good = type(value) is int and value >= self.allowed
+            expected = f"a whole number from {self.allowed} on"
+        return "" if good else f"expected {expected}, found {value!r}"
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A positive quantity by which turbines are compared on a logarithmic scale.
+
+    column: its value; lower, upper: columns of its 95 % bounds, or empty. title, unit: for tables and pictures.
+    """
+
+    column: str
+    title: str
+    unit: str
+    lower: str = ""
+    upper: str = ""
+
+
+@dataclass(frozen=True)
+class Task:
+    """One thing that can be done for every turbine.
+
+    perform: writes results into the job's folder and returns columns of its row; an exception is the turbine's
+    failure. columns: name -> meaning with unit. compared: what turbines are compared by. ranking: the column by which
+    they are ranked, largest first. uses_fit: whether a fitted model is needed.
+    """
+
+    perform: Callable[[Job], Mapping[str, object]]
+    meaning: str
+    options: Mapping[str, Option]
+    columns: Mapping[str, str]
+    compared: tuple[Compared, ...]
+    ranking: str
+    uses_fit: bool = False
+    files: tuple[str, ...] = field(default=())
+    """Options that hold paths: the bytes of these files are part of what the results follow from."""
+
+
+def perform(job: Job) -> Outcome:
+    """Do one job: whatever goes wrong becomes the reason in its row.  Work that is on disk already is not repeated."""
+    there = finished(job)
+    if there is not None:
+        return there
+    started = time.process_time()
+    try:
+        begin(job)
+        columns = TASKS[job.task].perform(job)
+        found = outcome(job, DONE, seconds=time.process_time() - started, **columns)
+    except Exception as fault:
+        found = outcome(job, FAILED, reason_of(fault), time.process_time() - started)
+    try:
+        keep(job, found)
+    except OSError as fault:
+        return outcome(
+            job, FAILED, f"{job.folder}: cannot be written: {fault.strerror or fault}", found.seconds
+        )
+    return found
+
+
+def reason_of(fault: Exception) -> str:
+    """A failure on one line; for one that no one foresaw also where it happened."""
+    listed = getattr(fault, "faults", ())
+    text = " ".join(("; ".join(map(str, listed)) if listed else str(fault)).split())
+    if type(fault).__name__.endswith("Fault") or type(fault) in (ValueError, OSError):
+        return text or type(fault).__name__
+    where = traceback.extract_tb(fault.__traceback__)
+    place = f" ({Path(where[-1].filename).name}, line {where[-1].lineno})" if where else ""
+    return f"{type(fault).__name__}: {text or 'no more is said'}{place}"
+
+
+# --- the tasks -------------------------------------------------------------------------------
+
+
+def _fit(job: Job) -> dict:
+    """Identify the models of a case, as `hygrokf fit` does."""
+    from hygrokf.case import read_case
+    from hygrokf.identification import identify
+    from hygrokf.results import write_fit
+
+    record, options = read_case(job.case), job.options
+    fit = identify(
+        record,
+        criterion=options["criterion"],
+        kind=options["kind"],
+        starts=options["starts"],
+        profiles=options["profiles"],
+    )
+    write_fit(fit, job.folder)
+    if options["report"]:
+        from hygrokf.report import write_report
+
+        write_report(job.folder)
+    return _of_fit(fit, record)
+
+
+def _of_fit(fit: Fit, record: Record) -> dict:
+    results = fit.results
+    return {
+        **_of_record(record),
+        "converged": results["converged"],
+        "n_readings": entry(results, "period", "n_readings"),
+        **_of_time_constants(results),
+        **_of_scores(results),
+        "loglik": number(results, "loglik"),
+        "at_bounds": " ".join(results["at_bounds"]),
+    }
+
+
+def _of_record(record: Record) -> dict:
+    from hygrokf.stamps import stamp_text
+
+    return {
+        "record": record.name,
+        "start": stamp_text(record.start_s),
+        "end": stamp_text(record.end_s),
+        "synthetic": "synthetic" in record.name.lower(),
+        "warnings": len(record.warnings),
+    }
+
+
+def _of_time_constants(results: Mapping) -> dict:
+    found: dict[str, object] = {}
+    for name in ("thermal", "hygric"):
+        for part in ("value", "lower", "upper"):
+            found[f"{name}_{part}_h"] = number(results, "time_constants", name, f"{part}_h")
+        found[f"{name}_statement"] = entry(results, "time_constants", name, "statement") or ""
+    return found
+
+
+def _of_scores(results: Mapping) -> dict:
+    """Free-run errors in total, of the validation period where it was scored and else of the identification period."""
+    found: dict[str, object] = {}
+    scored = math.isfinite(number(results, "rmse", "validation", "temperature_K", "total"))
+    found["scored_period"] = period = "validation" if scored else "identification"
+    for quantity, column in _ERRORS.items():
+        found[column] = number(results, "rmse", period, quantity, "total")
+    return found
+
+
+_ERRORS = {"temperature_K": "temperature_rmse_K", "absolute_humidity_g_m3": "humidity_rmse_g_m3"}
+
+
+def _discover(job: Job) -> dict:
+    """Show what the simulation gets wrong, name the cause, extend the model, as `hygrokf discover` does."""
+    from hygrokf.case import read_case
+    from hygrokf.discovery.discover import discover
+    from hygrokf.discovery.library import LIBRARY
+    from hygrokf.discovery.own_causes import load_library
+    from hygrokf.discovery.page import write_discovery_report
+    from hygrokf.discovery.results import write_discovery
+    from hygrokf.discovery.words import rows_of, scored_error, verdict_of
+
+    own = load_library(*job.options["library"], installed=True)
+    record = read_case(job.case)
+    found = discover(record, starts=job.options["starts"], **({"library": (*LIBRARY, *own)} if own else {}))
+    results = found.to_json()
+    if job.options["report"]:
+        write_discovery_report(found, job.folder)
+    else:
+        write_discovery(found, job.folder)
+    final = results["extended"] or results["baseline"]
+    causes = rows_of(results, "causes")
+    columns: dict[str, object] = {
+        **_of_record(record),
+        "verdict": verdict_of(results),
+        "causes": " ".join(str(one["cause"]) for one in causes),
+        "confidence": min((number(one, "confidence") for one in causes), default=math.nan),
+        **_of_time_constants(final),
+    }
+    for quantity, column in _ERRORS.items():
+        before, after, period = scored_error(results, quantity)
+        columns |= {"scored_period": columns.get("scored_period") or period}
+        columns |= {column: after if math.isfinite(after) else before, f"base_{column}": before}
+    return columns
+
+
+def _evaluate(job: Job) -> dict:
+    """Score a fitted model on a case, as `hygrokf evaluate` does."""
+    from hygrokf.case import read_case
+    from hygrokf.results import LibraryAbsent, dump, read_fit
+    from hygrokf.tables import evaluation
+
+    try:
+        fit = read_fit(job.fit)
+    except LibraryAbsent:
+        from hygrokf.discovery.own_causes import load_library
+
+        load_library(*job.options["library"], installed=True)
+        fit = read_fit(job.fit)
+    record = read_case(job.case)
+    results = evaluation(fit, record)
+    write_text_whole(job.folder / "evaluation.json", dump(results))
+    columns: dict[str, object] = {**_of_record(record), "model": fit.name, **_of_scores(results)}
+    period = columns["scored_period"]
+    for quantity, column in _ERRORS.items():
+        name = column.partition("_rmse")[0]
+        for regime in ("operation", "standstill"):
+            columns[column.replace("rmse", f"rmse_{regime}")] = number(
+                results, "rmse", period, quantity, regime
+            )
+        columns[f"{name}_coverage"] = number(results, "bands", "free_run", quantity, "coverage")
+    columns["statements"] = "; ".join(results["statements"])
+    return columns
+
+
+# --- the table of tasks ----------------------------------------------------------------------
+
+_RECORD = {
+    "record": "name of the record, from the case file",
+    "start": "first reading of the record [UTC]",
+    "end": "last reading of the record [UTC]",
+    "synthetic": "whether the record says of itself that a computer made it",
+    "warnings": "how many things were masked or repaired at reading",
+}
+_CONSTANTS = {
+    f"{name}_{part}": f"{text} of the {name} time constant{unit}"
+    for name in ("thermal", "hygric")
+    for part, text, unit in (
+        ("value_h", "estimate", " [h]"),
+        ("lower_h", "lower 95 % bound", " [h]"),
+        ("upper_h", "upper 95 % bound", " [h], empty where the data do not bound it"),
+        ("statement", "what is to be said", ", empty where value and bounds say it"),
+    )
+}
+_SCORES = {
+    "scored_period": "period of the errors: validation, or identification where nothing is held out",
+    "temperature_rmse_K": "free-run error of the temperature in total, root mean square [K]",
+    "humidity_rmse_g_m3": "free-run error of the absolute humidity in total, root mean square [g/m³]",
+}
+_COMPARED_CONSTANTS = tuple(
+    Compared(f"{name}_value_h", f"{name} time constant", "h", f"{name}_lower_h", f"{name}_upper_h")
+    for name in ("thermal", "hygric")
+)
+_COMPARED_ERRORS = (
+    Compared("temperature_rmse_K", "free-run error of the temperature", "K"),
+    Compared("humidity_rmse_g_m3", "free-run error of the absolute humidity", "g/m³"),
+)
+_REPORT = Option(False, "flag", "write each turbine's own page too")
+_STARTS = Option(4, 1, "starts over the noise parameters")
+_LIBRARY = Option([], "files", "files with causes of your own, which are executed")
+
+TASKS: Mapping[str, Task] = {
+    "fit": Task(
+        _fit,
+        "identify the models of every case",
+        {
+            "criterion": Option(
+                "likelihood", ("likelihood", "simulation"), "innovations, or the free run's error"
+            ),
+            "kind": Option(
+                "cascade", ("cascade", "joint"), "hygric on the measured temperature, or one filter"
+            ),
+            "starts": _STARTS,
+            "profiles": Option(False, "flag", "bounds by profile likelihood; without, Wald bounds"),
+            "report": _REPORT,
+        },
+        {
+            **_RECORD,
+            "converged": "whether every climb ended at a maximum",
+            "n_readings": "readings of the identification period",
+            **_CONSTANTS,
+            **_SCORES,
+            "loglik": "log-likelihood of all stages",
+            "at_bounds": "parameters that ended at a bound",
+        },
+        (*_COMPARED_CONSTANTS, *_COMPARED_ERRORS),
+        "temperature_rmse_K",
+    ),
+    "discover": Task(
+        _discover,
+        "name what every simulation lacks",
+        {"starts": _STARTS, "library": _LIBRARY, "report": Option(True, "flag", _REPORT.meaning)},
+        {
+            **_RECORD,
+            "verdict": "none, named or unexplained",
+            "causes": "accepted causes, in the order in which they were accepted",
+            "confidence": "least confidence of the accepted causes [1]",
+            **_CONSTANTS,
+            **_SCORES,
+            "base_temperature_rmse_K": "free-run error of the temperature before the extension [K]",
+            "base_humidity_rmse_g_m3": "free-run error of the absolute humidity before the extension [g/m³]",
+        },
+        (*_COMPARED_CONSTANTS, *_COMPARED_ERRORS),
+        "temperature_rmse_K",
+        files=("library",),
+    ),
+    "evaluate": Task(
+        _evaluate,
+        "score a fitted model on every case",
+        {"library": _LIBRARY},
+        {
+            **_RECORD,
+            "model": "name of the fitted model",
+            **_SCORES,
+            **{
+                f"{name}_rmse_{regime}_{unit}": f"the same of the {text} {words} [{unit.replace('g_m3', 'g/m³')}]"
+                for name, unit, text in (
+                    ("temperature", "K", "temperature"),
+                    ("humidity", "g_m3", "absolute humidity"),
+                )
+                for regime, words in (("operation", "in operation"), ("standstill", "at standstill"))
+            },
+            "temperature_coverage": "share of temperature readings inside the free run's 95 % band [1]",
+            "humidity_coverage": "share of absolute humidities inside the free run's 95 % band [1]",
+            "statements": "what the record brings that the model does not know, and the reverse",
+        },
+        _COMPARED_ERRORS,
+        "temperature_rmse_K",
+        uses_fit=True,
+        files=("library",),
+    ),
+}
+"""Every task by its name in FLEET.toml."""
+
+SHARED = {
+    "turbine": "name of the turbine in the fleet",
+    "status": "done; failed: see reason; lost: its process died, twice",
+    "reason": "why there is no result, empty otherwise",
+    "task": "what was done",
+    "key": "SHA-256 of what the row follows from: version, task, options, case, data files, fit",
+}
+"""Columns of every row, in front of the task's."""

@@ -1,0 +1,579 @@
+"""Fleets: the same table whatever does the work, whoever dies over it, and nothing done twice."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import signal
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hygrokf import identify, read_case, synthetic_turbine, write_case
+from hygrokf.cli import main
+from hygrokf.fleet import job as job_module
+from hygrokf.fleet.cluster import batches, on_cluster
+from hygrokf.fleet.job import FleetFault, Job, content_key, finished
+from hygrokf.fleet.outliers import FEWEST, REACH, spread, spreads
+from hygrokf.fleet.page import fleet_page
+from hygrokf.fleet.plan import read_plan
+from hygrokf.fleet.processes import in_processes
+from hygrokf.fleet.running import run_fleet, write_fleet_report
+from hygrokf.fleet.table import columns_of, table_csv, table_parquet
+from hygrokf.fleet.tasks import TASKS, Compared, perform
+from hygrokf.results import dump
+
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+DAYS, TURBINES = 5.0, 5
+FLEET = 'name = "Park <A&B>"\ntask = "fit"\ncases = ["*/case.toml"]\n[options]\nstarts = 1\n'
+WHOLE, HALF = ("T1", "T2", "T4"), {"T3": "cabinet.csv: no such file", "T5": "correct the unit or the column"}
+
+
+@pytest.fixture(scope="module")
+def park(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five synthetic turbines: a file of the third is missing, a unit of the fifth is wrong."""
+    folder = tmp_path_factory.mktemp("park")
+    for seed in range(1, TURBINES + 1):
+        write_case(synthetic_turbine(seed=seed, days=DAYS), folder / f"T{seed}")
+    (folder / "T3" / "cabinet.csv").unlink()
+    case = folder / "T5" / "case.toml"
+    case.write_text(case.read_text().replace('"T_cab_degC", unit = "degC"', '"T_cab_degC", unit = "K"'))
+    (folder / "fleet.toml").write_text(FLEET)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def serial(park: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Folder and table of the fleet, each turbine done here, one after the other."""
+    out = tmp_path_factory.mktemp("serial")
+    jobs = read_plan(park / "fleet.toml").jobs(out)
+    return out, table_csv("fit", [perform(job).row for job in jobs])
+
+
+def rows_of(text: str) -> dict[str, dict[str, str]]:
+    return {row["turbine"]: row for row in csv.DictReader(io.StringIO(text))}
+
+
+# -- the plan ----------------------------------------------------------------------------------------------------------
+def test_a_plan_has_every_turbine_with_the_whole_set_of_options(park: Path) -> None:
+    plan = read_plan(park / "fleet.toml")
+    assert [one.name for one in plan.turbines] == [f"T{i}" for i in range(1, TURBINES + 1)]
+    assert plan.options == {
+        "criterion": "likelihood", "kind": "cascade", "starts": 1, "profiles": False, "report": False
+    }  # fmt: skip
+    again = [Job.from_json(json.loads(json.dumps(job.to_json()))) for job in plan.jobs(park / "out")]
+    assert again == plan.jobs(park / "out")
+
+
+def test_models_are_named_by_turbine_or_for_all(park: Path) -> None:
+    file = park / "evaluate.toml"
+    file.write_text(
+        'task = "evaluate"\ncases = ["T[12]/case.toml"]\nfit = "models/{name}/fit.json"\n'
+        '[[turbine]]\nname = "other"\ncase = "T4/case.toml"\nfit = "own.json"\n'
+    )
+    plan = read_plan(file)
+    assert plan.name == "evaluate"
+    assert {one.name: one.fit.relative_to(park).as_posix() for one in plan.turbines} == {
+        "T1": "models/T1/fit.json",
+        "T2": "models/T2/fit.json",
+        "other": "own.json",
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("task = ", ["expected TOML"]),
+        ('task = "fitt"\nnmae = "x"', ['unknown key "nmae"', "did you mean", "expected one of fit, discover", '"fitt"']),
+        ('cases = ["*/case.toml"]', ["task: expected one of", "found none"]),
+        ('task = "fit"', ["no turbine: state cases"]),
+        ('task = "fit"\ncases = ["none/*.toml"]', ['no file matches "none/*.toml"']),
+        (
+            'task = "fit"\ncases = ["T1/case.toml"]\nfit = "f.json"\n[options]\nstart = 3\nstarts = 0\nkind = "both"\nreport = 1',
+            ["uses no fitted model", 'unknown key "start" for fit', "starts: expected a whole number from 1 on, found 0",
+             "kind: expected one of cascade, joint, found 'both'", "report: expected true or false, found 1", "5 faults"],
+        ),
+        (
+            'task = "fit"\n[[turbine]]\nname = "../up"\ncase = "T1/case.toml"\n[[turbine]]\nname = "a"\ncase = "T1/case.toml"\n'
+            '[[turbine]]\nname = "A"\ncase = "T2/case.toml"\n[[turbine]]\nname = "b"\nCase = "T2"',
+            ['the name "../up" becomes a folder', 'the name "A" is that of [[turbine]] 2 too', 'unknown key "Case"', "needs case"],
+        ),
+        ('task = "evaluate"\ncases = ["T1/case.toml"]', ["needs a fitted model"]),
+        ('task = "discover"\ncases = ["T1/case.toml"]\noptions.library = ["none.py"]', ["no such file", "none.py"]),
+    ],
+)  # fmt: skip
+def test_every_fault_of_a_plan_is_said_at_once(park: Path, text: str, words: list[str]) -> None:
+    file = park / "faulty.toml"
+    file.write_text(text)
+    with pytest.raises(FleetFault) as found:
+        read_plan(file)
+    assert [word for word in words if word not in str(found.value)] == []
+
+
+def test_a_plan_that_is_not_there_is_said(park: Path) -> None:
+    with pytest.raises(FleetFault, match=r"cannot be read: No such file.*did you mean \"fleet.toml\""):
+        read_plan(park / "fleets.toml")
+
+
+# -- the same work ------------------------------------------------------------------------------------------------------
+def test_the_key_follows_all_that_results_follow_from(
+    park: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("case.toml", "cabinet.csv", "ambient.csv", "scada.csv"):
+        (tmp_path / name).write_bytes((park / "T1" / name).read_bytes())
+    fit = tmp_path / "fit.json"
+    fit.write_text("{}")
+    job = Job("T1", "fit", tmp_path / "case.toml", tmp_path / "out", fit, {"starts": 1})
+    keys = [content_key(job)]
+    os.utime(tmp_path / "scada.csv", (1, 1))
+    assert content_key(replace(job, folder=tmp_path / "elsewhere")) == keys[0]
+    for file in ("case.toml", "cabinet.csv", "ambient.csv", "scada.csv", "fit.json"):
+        before = (tmp_path / file).read_bytes()
+        (tmp_path / file).write_bytes(before + b"\n")
+        keys.append(content_key(job))
+        (tmp_path / file).write_bytes(before)
+    assert content_key(job) == keys[0]
+    (tmp_path / "scada.csv").unlink()
+    keys += [
+        content_key(job),
+        content_key(replace(job, options={"starts": 2})),
+        content_key(job, [park / "fleet.toml"]),
+    ]
+    monkeypatch.setattr(job_module, "__version__", "99.0")
+    keys.append(content_key(job))
+    assert len(set(keys)) == len(keys) == 10
+
+
+def test_a_fleets_table_holds_every_turbine_with_result_or_reason(
+    park: Path, serial: tuple[Path, str]
+) -> None:
+    out, table = serial
+    rows = rows_of(table)
+    assert list(rows) == [f"T{i}" for i in range(1, TURBINES + 1)]
+    assert {name for name, row in rows.items() if row["status"] == "done"} == set(WHOLE)
+    for name, reason in HALF.items():
+        assert rows[name]["status"] == "failed" and reason in rows[name]["reason"]
+        assert not rows[name]["thermal_value_h"] and not (out / "turbines" / name / "fit.json").exists()
+    fit = identify(read_case(park / "T2" / "case.toml"), profiles=False, starts=1)
+    found = fit.results["time_constants"]["thermal"]
+    assert float(rows["T2"]["thermal_upper_h"]) == found["upper_h"]
+    assert float(rows["T2"]["loglik"]) == fit.results["loglik"]
+    assert (
+        float(rows["T2"]["temperature_rmse_K"]) == fit.results["rmse"]["validation"]["temperature_K"]["total"]
+    )
+    assert rows["T2"]["synthetic"] == "true"
+
+
+def children() -> list[int]:
+    """Processes that this one and its threads have started, and theirs."""
+    found, look = [], [os.getpid()]
+    while look:
+        for file in Path(f"/proc/{look.pop()}/task").glob("*/children"):
+            try:
+                new = [int(one) for one in file.read_text().split()]
+            except OSError:
+                continue
+            found += new
+            look += new
+    return found
+
+
+def working() -> list[int]:
+    """Those of them that do jobs: processes of ours, and workers of a cluster under their nannies."""
+    marks = ("hygrokf.fleet.worker", "spawn_main", "--multiprocessing-fork", "dask_worker")
+    found = []
+    for one in children():
+        try:
+            said = Path(f"/proc/{one}/cmdline").read_text()
+        except OSError:
+            continue
+        if any(mark in said for mark in marks) and "resource_tracker" not in said:
+            found.append(one)
+    return found
+
+
+needs_proc = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds its processes in /proc")
+
+
+@needs_proc
+def test_processes_that_are_killed_cost_nothing(park: Path, serial: tuple[Path, str], tmp_path: Path) -> None:
+    """Every process is killed while it works; the table is complete and that of the serial run; then nothing is done."""
+    killed: list[int] = []
+    came: list[str] = []
+
+    def say(found: object, known: bool) -> None:
+        came.append(found.turbine)
+        assert not known
+        if len(came) == 1:
+            for one in working():
+                os.kill(one, signal.SIGKILL)
+                killed.append(one)
+
+    plan = read_plan(park / "fleet.toml")
+    result = run_fleet(plan, tmp_path, workers=2, say=say)
+    assert killed and sorted(came) == [f"T{i}" for i in range(1, TURBINES + 1)]
+    assert (tmp_path / "fleet.csv").read_text() == serial[1]
+    assert (result.known, len(result.missing)) == (0, len(HALF))
+    assert working() == []
+    made = {name: (tmp_path / "turbines" / name / "fit.json").stat().st_mtime_ns for name in WHOLE}
+    again: dict[str, bool] = {}
+    result = run_fleet(
+        plan, tmp_path, workers=1, say=lambda found, known: again.update({found.turbine: known})
+    )
+    assert again == {**dict.fromkeys(WHOLE, True), **dict.fromkeys(HALF, False)} and result.known == len(
+        WHOLE
+    )
+    assert made == {name: (tmp_path / "turbines" / name / "fit.json").stat().st_mtime_ns for name in WHOLE}
+    assert (tmp_path / "fleet.csv").read_text() == serial[1]
+
+
+def deadly(park: Path) -> Path:
+    """A library that kills the process that loads it."""
+    file = park / "deadly.py"
+    file.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n")
+    return file
+
+
+def lethal_plan(park: Path) -> Path:
+    file = park / "lethal.toml"
+    library = deadly(park).name
+    file.write_text(f'task = "discover"\ncases = ["T[12]/case.toml"]\noptions.library = ["{library}"]\n')
+    return file
+
+
+def test_a_turbine_that_kills_its_process_is_lost_and_told(park: Path, tmp_path: Path) -> None:
+    result = run_fleet(read_plan(lethal_plan(park)), tmp_path, workers=1)
+    assert [row["status"] for row in result.rows] == ["lost", "lost"]
+    assert all("killed by SIGKILL, 2 times in a row" in row["reason"] for row in result.rows)
+    assert json.loads((tmp_path / "turbines" / "T1" / "row.json").read_text())["row"]["status"] == "lost"
+    assert "lost" in (tmp_path / "report.html").read_text()
+
+
+def test_whoever_stops_early_leaves_no_process(park: Path, tmp_path: Path) -> None:
+    coming = in_processes(read_plan(park / "fleet.toml").jobs(tmp_path), 2)
+    next(coming)
+    coming.close()
+    if Path("/proc/self/task").exists():
+        assert working() == []
+
+
+def test_changed_data_are_done_again_and_nothing_of_before_is_left(
+    park: Path, serial: tuple[Path, str], tmp_path: Path
+) -> None:
+    for name in ("case.toml", "cabinet.csv", "ambient.csv", "scada.csv"):
+        (tmp_path / "T2").mkdir(exist_ok=True)
+        (tmp_path / "T2" / name).write_bytes((park / "T2" / name).read_bytes())
+    (tmp_path / "fleet.toml").write_text(FLEET)
+    (job,) = read_plan(tmp_path / "fleet.toml").jobs(tmp_path / "out")
+    first = perform(job)
+    assert finished(job) == first and perform(job) == first
+    assert first.row["key"] == rows_of(serial[1])["T2"]["key"]
+    (tmp_path / "T2" / "cabinet.csv").write_text("time,other\n")
+    (job,) = read_plan(tmp_path / "fleet.toml").jobs(tmp_path / "out")
+    assert finished(job) is None
+    assert perform(job).status == "failed"
+    assert {one.name for one in job.folder.iterdir()} == {"row.json"}
+
+
+def test_a_fault_that_no_one_foresaw_is_a_row_too(
+    park: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(job: Job) -> dict:
+        return {"thermal_value_h": 1 / (len(job.turbine) - 2)}
+
+    monkeypatch.setitem(TASKS, "fit", replace(TASKS["fit"], perform=broken))
+    job = read_plan(park / "fleet.toml").jobs(tmp_path)[0]
+    found = perform(job)
+    assert found.status == "failed"
+    assert found.row["reason"].startswith("ZeroDivisionError: division by zero (test_fleets.py, line ")
+
+
+def test_a_models_scores_are_those_of_the_command(
+    park: Path, serial: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    file = park / "scores.toml"
+    fits = serial[0] / "turbines"
+    file.write_text(f'task = "evaluate"\ncases = ["T[14]/case.toml"]\nfit = "{(fits / "T2").as_posix()}"\n')
+    assert main(["fleet", str(file), "--out", str(tmp_path), "--workers", "1", "--json"]) == 0
+    rows = {row["turbine"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
+    assert main(["evaluate", str(fits / "T2" / "fit.json"), str(park / "T4" / "case.toml"), "--json"]) == 0
+    one = json.loads(capsys.readouterr().out)
+    assert rows["T4"]["temperature_rmse_K"] == one["rmse"]["validation"]["temperature_K"]["total"]
+    assert (
+        rows["T4"]["humidity_rmse_operation_g_m3"]
+        == one["rmse"]["validation"]["absolute_humidity_g_m3"]["operation"]
+    )
+    assert rows["T4"]["humidity_coverage"] == one["bands"]["free_run"]["absolute_humidity_g_m3"]["coverage"]
+    assert rows["T4"]["model"] == "synthetic-turbine-2"
+
+
+# -- a cluster ----------------------------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[object]:
+    import dask
+    from distributed import LocalCluster
+
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
+        LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as made,
+    ):
+        yield made
+
+
+@needs_proc
+def test_a_cluster_whose_worker_is_killed_gives_the_serial_table(
+    park: Path, serial: tuple[Path, str], tmp_path: Path, cluster: object
+) -> None:
+    came: list[str] = []
+    killed: list[int] = []
+
+    def say(found: object, known: bool) -> None:
+        came.append(found.turbine)
+        if len(came) == 1:
+            killed.append(max(cluster_pids(cluster)))
+            os.kill(killed[0], signal.SIGKILL)
+
+    run_fleet(read_plan(park / "fleet.toml"), tmp_path, cluster=cluster.scheduler_address, say=say)
+    assert len(killed) == 1 and sorted(came) == [f"T{i}" for i in range(1, TURBINES + 1)]
+    assert (tmp_path / "fleet.csv").read_text() == serial[1]
+
+
+def cluster_pids(cluster: object) -> list[int]:
+    from distributed import Client
+
+    with Client(cluster.scheduler_address, set_as_default=False) as client:
+        return list(client.run(os.getpid).values())
+
+
+def test_a_turbine_that_kills_workers_is_lost_alone(park: Path, tmp_path: Path, cluster: object) -> None:
+    """Three jobs in one batch, the second of which kills: sent again one by one, the others are done."""
+    good = read_plan(park / "fleet.toml").jobs(tmp_path)
+    bad = read_plan(lethal_plan(park)).jobs(tmp_path / "bad")[0]
+    jobs = [good[2], bad, good[4]]
+    assert batches(jobs * 20, 1) != [[job] for job in jobs * 20]
+    found = {one.row["key"]: one for one in in_one_batch(jobs, cluster.scheduler_address)}
+    assert [found[job.key].status for job in jobs] == ["failed", "lost", "failed"]
+    assert "no worker of the cluster could do it" in str(found[bad.key].row["reason"])
+
+
+def in_one_batch(jobs: list[Job], address: str) -> list:
+    from hygrokf.fleet import cluster
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cluster, "BATCHES", 0.01)
+        return list(on_cluster(jobs, address))
+
+
+def test_batches_hold_every_job_once_in_order() -> None:
+    for count in (1, 7, 100, 5000):
+        made = batches(list(range(count)), 4)
+        assert [one for batch in made for one in batch] == list(range(count))
+        assert max(map(len, made)) <= 25 and (count > 4000 or len(made) >= min(count, 4))
+
+
+def test_where_there_is_no_cluster_it_is_said(park: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from hygrokf.fleet import cluster
+
+    monkeypatch.setattr(cluster, "WAIT_S", 0.3)
+    with pytest.raises(FleetFault, match="expected the scheduler of a Dask cluster"):
+        list(on_cluster(read_plan(park / "fleet.toml").jobs(park), "tcp://127.0.0.1:1"))
+
+
+# -- table and page -----------------------------------------------------------------------------------------------------
+def test_both_tables_say_the_same(serial: tuple[Path, str], tmp_path: Path) -> None:
+    from pyarrow import parquet
+
+    rows = [json.loads(f.read_text())["row"] for f in sorted((serial[0] / "turbines").glob("*/row.json"))]
+    file = tmp_path / "fleet.parquet"
+    file.write_bytes(table_parquet("fit", rows))
+    read = parquet.read_table(file)
+    assert read.column_names == list(columns_of("fit")) == serial[1].split("\n")[0].split(",")
+    for name, line in zip(("T1", "T3"), (read.to_pylist()[0], read.to_pylist()[2]), strict=True):
+        for column, text in rows_of(serial[1])[name].items():
+            value = line[column]
+            assert text == (
+                "" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+            )
+    kinds = {field.name: str(field.type) for field in read.schema}
+    assert (
+        kinds["thermal_upper_h"] == "double"
+        and kinds["n_readings"] == "int64"
+        and kinds["converged"] == "bool"
+    )
+    empty = parquet.read_schema(io.BytesIO(table_parquet("fit", [rows[2]])))
+    assert (
+        str(empty.field("thermal_upper_h").type) == "double"
+        and str(empty.field("at_bounds").type) == "string"
+    )
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_column_and_option_is_documented(task: str) -> None:
+    text = (DOCS / "fleet.md").read_text(encoding="utf-8")
+    for name, meaning in TASKS[task].columns.items():
+        assert f"| `{name}` | {meaning} |" in text, name
+    for name, option in TASKS[task].options.items():
+        assert f"`{name}`" in text and option.meaning in text, name
+
+
+def made_rows(random: np.random.Generator, count: int, between: float, error: np.ndarray) -> list[dict]:
+    x = np.log(1.5) + between * random.normal(size=count) + error * random.normal(size=count)
+    return [
+        {
+            "turbine": f"W{i}", "status": "done", "v": float(np.exp(a)),
+            "l": float(np.exp(a - REACH * e)), "u": float(np.exp(a + REACH * e)),
+        }
+        for i, (a, e) in enumerate(zip(x, error, strict=True))
+    ]  # fmt: skip
+
+
+BOUNDED, BARE = Compared("v", "time constant", "h", "l", "u"), Compared("v", "error", "K")
+
+
+@pytest.mark.parametrize(
+    ("count", "between", "unequal", "compared", "least_power"),
+    [
+        (8, 0.06, 0.0, BARE, 0.6),
+        (12, 0.06, 0.0, BOUNDED, 0.8),
+        (40, 0.06, 0.5, BOUNDED, 0.9),
+        (40, 0.0, 0.3, BOUNDED, 0.9),
+        (150, 0.06, 0.0, BARE, 0.9),
+    ],
+)
+def test_false_outliers_are_as_rare_as_stated(
+    count: int, between: float, unequal: float, compared: Compared, least_power: float
+) -> None:
+    """200 fleets alike: any outlier in at most 5 % (its 99.9 % bound with 200 draws: 10 %); one that is e^0.6 off is found."""
+    random = np.random.default_rng(4711 + count)
+    false = found = 0
+    for _ in range(200):
+        rows = made_rows(random, count, between, 0.05 * np.exp(unequal * random.normal(size=count)))
+        false += bool(spread(rows, compared).outliers)
+        moved = dict(rows[0])
+        moved |= {name: moved[name] * np.exp(0.6) for name in ("v", "l", "u")}
+        found += 0 in spread([moved, *rows[1:]], compared).outliers
+    assert false <= 20
+    assert found >= 200 * least_power
+
+
+def test_open_bounds_and_few_turbines_are_not_judged() -> None:
+    rows = made_rows(np.random.default_rng(1), FEWEST - 1, 0.05, np.full(FEWEST - 1, 0.05))
+    rows[1] |= {"u": None}
+    (one,) = spreads(rows, [BOUNDED, Compared("none", "nothing", "")])
+    assert (
+        one.open == ("W1",) and len(one.turbines) == FEWEST - 2 and np.isnan(one.z).all() and not one.outliers
+    )
+    alike = [{"turbine": f"W{i}", "v": 1.5, "l": 1.4, "u": 1.6} for i in range(9)]
+    assert not spread(alike, BOUNDED).outliers
+
+
+def test_several_quantities_share_the_chance() -> None:
+    rows = made_rows(np.random.default_rng(3), 12, 0.05, np.full(12, 0.05))
+    alone, shared = spread(rows, BOUNDED, 1), spread(rows, BOUNDED, 4)
+    assert np.allclose(shared.p, np.minimum(1.0, 4.0 * alone.p)) and np.array_equal(shared.z, alone.z)
+
+
+def test_the_page_shows_failures_outliers_and_ranking() -> None:
+    random = np.random.default_rng(5)
+    rows = []
+    for place in range(9):
+        row: dict = {"turbine": f"W<{place}>", "status": "done", "task": "fit", "synthetic": True}
+        for name, middle in (("thermal", 1.5), ("hygric", 0.3)):
+            value = middle * float(
+                np.exp(0.05 * random.normal() + (1.0 if place == 4 and name == "thermal" else 0.0))
+            )
+            row |= {f"{name}_{k}_h": value * f for k, f in (("lower", 0.9), ("value", 1.0), ("upper", 1.1))}
+        rows.append(row | {"temperature_rmse_K": 1.0 + 0.01 * place, "humidity_rmse_g_m3": 0.4})
+    rows[7] |= {"thermal_upper_h": None, "thermal_statement": "at least 1.2 h"}
+    rows.append({"turbine": "W9", "status": "failed", "reason": "no <file>", "task": "fit"})
+    text = fleet_page(
+        {"name": "P & Q", "task": "fit", "rows": rows, "options": {}, "created": "2024-05-01T12:00:00"}
+    )
+    assert "<script" not in text and "W<4>" not in text and "P &amp; Q" in text and "no &lt;file&gt;" in text
+    outliers = text.split("<h2>Outliers</h2>")[1].split("</section>")[0]
+    assert "W&lt;4&gt;" in outliers and outliers.count("<tr") == 2
+    ranking = text.split("<h2>Ranking</h2>")[1]
+    assert ranking.index("W&lt;8&gt;") < ranking.index("W&lt;1&gt;") and "at least 1.2 h" in ranking
+    assert "9 of 10" in text and text.count("<svg") == 2 and "SYNTHETIC" in text
+    assert (
+        "Outliers" not in fleet_page({"task": "fit", "rows": rows[-1:], "name": "one"}).split("<footer>")[0]
+    )
+
+
+# -- the command --------------------------------------------------------------------------------------------------------
+def test_the_command_tells_writes_and_reports_again(
+    park: Path, serial: tuple[Path, str], capsys: pytest.CaptureFixture
+) -> None:
+    """On the folder of the serial run only the failures are tried again."""
+    out = serial[0]
+    assert main(["fleet", str(park / "fleet.toml"), "--out", str(out), "--workers", "1"]) == 1
+    told = capsys.readouterr()
+    assert "3 of 5 turbines with a result" in told.out and "T3" in told.out and "no such file" in told.out
+    assert told.err.count("done before") == len(WHOLE) and "report: " in told.err
+    assert (out / "fleet.csv").read_text() == serial[1]
+    page = (out / "report.html").read_text(encoding="utf-8")
+    (out / "report.html").unlink()
+    assert main(["report", str(out)]) == 0
+    assert (out / "report.html").read_text(encoding="utf-8") == page and "Park &lt;A&amp;B&gt;" in page
+    kept = (out / "fleet.json").read_text(encoding="utf-8")
+    for damaged in ("{", '{"task": "none", "rows": []}', "[]"):
+        (out / "fleet.json").write_text(damaged)
+        with pytest.raises(FleetFault, match=r"fleet\.json"):
+            write_fleet_report(out)
+    (out / "fleet.json").write_text(kept, encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (["--workers", "2", "--dask", "tcp://x:1"], "leave it out beside --dask"),
+        (["--dask", "nowhere"], "--dask nowhere: 1 fault"),
+    ],
+)
+def test_what_cannot_be_run_is_said(
+    park: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+    more: list,
+    words: str,
+) -> None:
+    from hygrokf.fleet import cluster
+
+    monkeypatch.setattr(cluster, "WAIT_S", 0.3)
+    assert main(["fleet", str(park / "fleet.toml"), "--out", str(tmp_path / "out"), *more]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_results_are_plain_data() -> None:
+    """What a row holds survives JSON: not a number and infinities become null."""
+    from hygrokf.fleet.job import outcome
+
+    job = Job("a", "fit", Path("c"), Path("f"))
+    found = outcome(job, "done", thermal_upper_h=float("inf"), n_readings=np.int64(3))
+    assert found.row["thermal_upper_h"] is None and json.loads(dump(found.to_json()))["row"] == found.row
+
+
+@pytest.mark.slow
+def test_discoveries_of_a_fleet_are_those_of_the_command(
+    park: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    file = park / "discoveries.toml"
+    file.write_text('task = "discover"\ncases = ["T[12]/case.toml"]\noptions.starts = 1\n')
+    assert main(["fleet", str(file), "--out", str(tmp_path), "--workers", "1", "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)["rows"][1]
+    alone = ["discover", str(park / "T2" / "case.toml"), "--out", str(tmp_path / "alone"), "--starts", "1"]
+    assert main([*alone, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert row["verdict"] == found["verdict"]
+    assert row["causes"].split() == [one["cause"] for one in found["causes"]]
+    assert row["base_temperature_rmse_K"] == found["baseline"]["rmse"]["validation"]["temperature_K"]["total"]
+    final = found["extended"] or found["baseline"]
+    assert row["thermal_value_h"] == final["time_constants"]["thermal"]["value_h"]
+    assert "What the simulations lack" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert (tmp_path / "turbines" / "T2" / "fit_report.html").is_file()
