@@ -57,7 +57,7 @@ FLOORS = (
     "plots page weather.plots discovery.plots_misfits discovery.words live.web live.web_server live.doctor_opcua climate.tables",
     "live.tracking live.doctor_sources climate.plots",
     "live.doctor climate.page",
-    "report discovery.tables climate.command transfer.comparison_page",
+    "report live.command discovery.tables climate.command transfer.comparison_page",
     "discovery.page transfer.page fleet.job",
     "fleet.tasks",
     "fleet.plan fleet.worker fleet.cluster fleet.table fleet.outliers",
