@@ -141,7 +141,7 @@ def _parser() -> argparse.ArgumentParser:
     evaluate.add_argument("case", type=Path, metavar="CASE.toml")
     _library(evaluate)
     _json(evaluate)
-    fleet = command("fleet", _fleet, "fit, discover or evaluate many turbines: one table and one page of all")
+    fleet = command("fleet", _fleet, "do one of these for many turbines: one table and one page of all")
     fleet_arguments(fleet, _whole)
     _json(fleet)
     climate = command(

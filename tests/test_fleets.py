@@ -26,7 +26,8 @@ from hygrokf.fleet.processes import in_processes
 from hygrokf.fleet.running import run_fleet, write_fleet_report
 from hygrokf.fleet.table import columns_of, table_csv, table_parquet
 from hygrokf.fleet.tasks import TASKS, Compared, perform
-from hygrokf.results import dump
+from hygrokf.results import dump, read_fit
+from hygrokf.turbine_type import pooled, read_type
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 DAYS, TURBINES = 5.0, 5
@@ -419,6 +420,60 @@ def test_every_column_and_option_is_documented(task: str) -> None:
         assert f"| `{name}` | {meaning} |" in text, name
     for name, option in TASKS[task].options.items():
         assert f"`{name}`" in text and option.meaning in text, name
+
+
+def limits_file(park: Path) -> None:
+    (park / "limits.toml").write_text('[[limit]]\nquantity = "temperature_degC"\nabove = 90\n')
+
+
+@pytest.mark.parametrize(
+    ("task", "options", "files"),
+    [
+        ("transfer", "", ["transfer.json", "transfer.npz", "report.html"]),
+        ("climate", '[options]\nmembers = 4\nlimits = ["limits.toml"]\n', ["climate.json", "climate.csv", "report.html"]),
+    ],
+)  # fmt: skip
+def test_models_go_elsewhere(
+    task: str, options: str, files: list[str], park: Path, serial: tuple[Path, str], tmp_path: Path
+) -> None:
+    limits_file(park)
+    fit = serial[0] / "turbines" / "T1" / "fit.json"
+    file = park / f"{task}.toml"
+    file.write_text(f'task = "{task}"\ncases = ["T[23]/case.toml"]\nfit = "{fit}"\n{options}')
+    found = run_fleet(read_plan(file), tmp_path / "out", workers=1)
+    done, failed = (one.row for one in found.outcomes)
+    assert (done["status"], failed["status"]) == ("done", "failed"), done["reason"]
+    assert set(TASKS[task].columns) <= set(done) and done["model"] == "synthetic-turbine-1"
+    assert all((tmp_path / "out" / "turbines" / "T2" / name).is_file() for name in files)
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    if task == "transfer":
+        data = json.loads((tmp_path / "out" / "turbines" / "T2" / "transfer.json").read_text())["records"][0]
+        assert (done["transfer"], done["sentence"]) == (data["verdict"], data["sentence"])
+        assert done["temperature_rmse_K"] == data["rmse"]["temperature_K"]["re_estimated"]["total"]
+        # five days are too few for bounds of the gain
+        assert done["temperature_gain_K"] == pytest.approx(
+            done["as_is_temperature_rmse_K"] - done["temperature_rmse_K"]
+        )
+        assert "What travels" in page
+    else:
+        (region,) = json.loads((tmp_path / "out" / "turbines" / "T2" / "climate.json").read_text())["regions"]
+        assert done["wetness_h"] == region["scopes"]["all"]["wetness_h"]["value"]
+        assert done["ageing_h_lower"] <= done["ageing_h"] <= done["ageing_h_upper"]
+        assert done["limits"] == "pass"
+        assert "Climate of a year" in page
+
+
+def test_fits_of_a_fleet_give_the_type_of_its_turbines(
+    park: Path, serial: tuple[Path, str], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    run_fleet(read_plan(park / "fleet.toml"), out, workers=1)
+    kind = read_type(out / "type.json")
+    assert kind.turbines == WHOLE
+    fits = [replace(read_fit(serial[0] / "turbines" / name), name=name) for name in WHOLE]
+    expected = pooled(fits, "any").parameters["thermal_time_constant"]
+    assert kind.parameters["thermal_time_constant"] == expected
+    assert "The type of turbine" in (out / "report.html").read_text(encoding="utf-8")
 
 
 def made_rows(random: np.random.Generator, count: int, between: float, error: np.ndarray) -> list[dict]:

@@ -11,9 +11,12 @@ from pathlib import Path
 
 from hygrokf.files import (
     BESIDE_DISCOVERY,
+    CLIMATE,
     DISCOVERY,
     DISCOVERY_SERIES,
     REPORT,
+    TRANSFER,
+    TRANSFER_SERIES,
     write_text_whole,
 )
 from hygrokf.results import dump
@@ -23,7 +26,10 @@ ROW = "row.json"
 """The last file that a job writes: it is done where this is there."""
 DONE, FAILED, LOST = "done", "failed", "lost"
 """How a job ended: with results; with a reason that its data give; because its process died."""
-WRITES = (ROW, "fit.json", "series.npz", "evaluation.json", REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES)  # fmt: skip
+WRITES = (
+    ROW, "fit.json", "series.npz", "evaluation.json", REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES, TRANSFER,
+    TRANSFER_SERIES, CLIMATE, "climate.csv", "test_profile.csv", "test_profile.png",
+)  # fmt: skip
 
 
 class FleetFault(Exception):

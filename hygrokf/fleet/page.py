@@ -16,6 +16,7 @@ from hygrokf.lookup import entry, number
 from hygrokf.page import document, figure_html, moment, prose, section, sentence, tables_html
 from hygrokf.report_tables import Table
 from hygrokf.report_words import NONE, decimals_for, fixed, text_of
+from hygrokf.transfer.page import type_section
 from hygrokf.version import __version__
 
 RANKED = 50
@@ -34,8 +35,9 @@ def fleet_page(fleet: Mapping) -> str:
         _cards(rows, done, found),
         _failures(rows),
         _verdicts(done),
+        _transfers(done),
         _spreads_section(found),
-        # the type model of `hygrokf.turbine_type.pooled` stands here, once there is one: the fits are in `fleet["rows"]`
+        type_section(fleet.get("type")),
         _outliers(found),
         _ranking(task.ranking, task.compared, done, found),
         _method(fleet, found),
@@ -138,6 +140,25 @@ def _verdicts(done: Sequence[Mapping]) -> str:
     )
 
 
+def _transfers(done: Sequence[Mapping]) -> str:
+    """On which turbines a model transfers, and what is to be re-estimated."""
+    judged = [row for row in done if text_of(row.get("transfer"))]
+    if not judged:
+        return ""
+    rows = tuple(
+        (
+            text_of(r.get("turbine")),
+            text_of(r.get("re_estimate")).replace("_", " "),
+            text_of(r.get("sentence")),
+        )
+        for r in judged
+    )
+    counts = Counter(text_of(row.get("transfer")) for row in judged)
+    table = Table("Verdicts", ("turbine", "to be re-estimated", "in words"), rows, left=(0, 1, 2))
+    said = "; ".join(f"{n} {verdict}" for verdict, n in counts.most_common())
+    return section("What travels", f"<p>{escape(sentence(said))}</p>", tables_html((table, "")))
+
+
 def _spreads_section(found: Sequence[Spread]) -> str:
     constants = [one for one in found if one.compared.lower]
     errors = [one for one in found if not one.compared.lower]
@@ -145,7 +166,7 @@ def _spreads_section(found: Sequence[Spread]) -> str:
     for name, heading, chosen, caption in (
         (
             "constants",
-            "Time constants",
+            "Time constants" if all(one.compared.unit == "h" for one in constants) else "Climate of a year",
             constants,
             "Turbines of one type should reach with their bounds into the shade, or to the median where there is none.",
         ),

@@ -5,11 +5,11 @@ from __future__ import annotations
 import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from hygrokf.files import FLEET, REPORT, write_bytes_whole, write_text_whole
+from hygrokf.files import FLEET, REPORT, TYPE, write_bytes_whole, write_text_whole
 from hygrokf.fleet.cluster import on_cluster
 from hygrokf.fleet.job import DONE, FleetFault, Job, Outcome, finished, keep
 from hygrokf.fleet.page import fleet_page
@@ -17,9 +17,12 @@ from hygrokf.fleet.plan import Plan
 from hygrokf.fleet.processes import cores, in_processes
 from hygrokf.fleet.table import CSV, PARQUET, table_csv, table_parquet
 from hygrokf.fleet.tasks import TASKS
-from hygrokf.results import dump
+from hygrokf.results import ResultFault, dump, read_fit
+from hygrokf.turbine_type import TypeFault, pooled, write_type
 from hygrokf.version import __version__
 
+FEWEST_OF_A_TYPE = 3
+"""Turbines that a type is made of at least."""
 EVERY_S = 2.0
 """[s] between two writings of the table while results come."""
 
@@ -106,10 +109,27 @@ def _written(plan: Plan, out: Path, outcomes: Sequence[Outcome]) -> Path:
         "task": plan.task,
         "options": dict(plan.options),
         "rows": rows,
+        "type": _type_of(plan, out, rows),
         "cpu_s": {one.turbine: round(one.seconds, 3) for one in outcomes},
     }
     write_text_whole(out / FLEET, dump(fleet))
     return write_fleet_report(out)
+
+
+def _type_of(plan: Plan, out: Path, rows: Sequence[Mapping]) -> dict | None:
+    """The pooled type of a fleet's fits, also as `type.json`; None where the fits make none."""
+    file = out / TYPE
+    file.unlink(missing_ok=True)  # one of an earlier run would be of other fits
+    names = [str(row["turbine"]) for row in rows if row["status"] == DONE]
+    if plan.task != "fit" or len(names) < FEWEST_OF_A_TYPE:
+        return None
+    folders = {job.turbine: job.folder for job in plan.jobs(out)}
+    try:
+        kind = pooled([replace(read_fit(folders[name]), name=name) for name in names], plan.name)
+    except (TypeFault, ResultFault):  # fits that have nothing in common, or that someone has removed
+        return None
+    write_type(kind, file)
+    return kind.to_json()
 
 
 def write_fleet_report(out: Path) -> Path:

@@ -224,17 +224,10 @@ def _discover(job: Job) -> dict:
 def _evaluate(job: Job) -> dict:
     """Score a fitted model on a case, as `hygrokf evaluate` does."""
     from hygrokf.case import read_case
-    from hygrokf.results import LibraryAbsent, dump, read_fit
+    from hygrokf.results import dump
     from hygrokf.tables import evaluation
 
-    try:
-        fit = read_fit(job.fit)
-    except LibraryAbsent:
-        from hygrokf.discovery.own_causes import load_library
-
-        load_library(*job.options["library"], installed=True)
-        fit = read_fit(job.fit)
-    record = read_case(job.case)
+    fit, record = _stored(job), read_case(job.case)
     results = evaluation(fit, record)
     write_text_whole(job.folder / "evaluation.json", dump(results))
     columns: dict[str, object] = {**_of_record(record), "model": fit.name, **_of_scores(results)}
@@ -249,6 +242,87 @@ def _evaluate(job: Job) -> dict:
     columns["statements"] = "; ".join(results["statements"])
     return columns
 
+
+def _stored(job: Job) -> Fit:
+    """The fitted model that a job uses, with causes of the user's own where it has some."""
+    from hygrokf.results import LibraryAbsent, read_fit
+
+    try:
+        return read_fit(job.fit)
+    except LibraryAbsent:
+        from hygrokf.discovery.own_causes import load_library
+
+        load_library(*job.options["library"], installed=True)
+        return read_fit(job.fit)
+
+
+def _transfer(job: Job) -> dict:
+    """Try a fitted model, or a type, on another turbine's record, as `hygrokf transfer` does."""
+    from hygrokf.case import read_case
+    from hygrokf.transfer.page import write_transfer
+    from hygrokf.transfer.transfer import transfer_fit
+    from hygrokf.turbine_type import is_type, read_type
+
+    record = read_case(job.case)
+    made = transfer_fit(read_type(job.fit) if is_type(job.fit) else _stored(job), record)
+    write_transfer([made], job.folder)
+    results = made.results
+    columns: dict[str, object] = {
+        **_of_record(record),
+        "model": entry(results, "from", "name"),
+        "transfer": results["verdict"],
+        "re_estimate": " ".join(results["re_estimate"]),
+        "sentence": results["sentence"],
+        "scored_period": results["period"],
+    }
+    for quantity, column in _ERRORS.items():
+        for which, name in (("re_estimated", column), ("as_is", f"as_is_{column}")):
+            columns[name] = number(results, "rmse", quantity, which, "total")
+        gain = column.replace("rmse", "gain")
+        for part, name in (("gain", gain), ("lower", f"{gain}_lower"), ("upper", f"{gain}_upper")):
+            columns[name] = number(results, "gains", quantity, "re_estimated", "over_as_is", part)
+    return columns
+
+
+def _climate(job: Job) -> dict:
+    """The climate in a fitted cabinet under the weather and power of a case, as `hygrokf climate` has it."""
+    from hygrokf.case import read_case
+    from hygrokf.climate.limits import read_limits
+    from hygrokf.climate.page import write_climate_report
+    from hygrokf.climate.region import Region, read_power
+    from hygrokf.climate.study import climate_profile
+
+    fit, options = _stored(job), job.options
+    weather = read_case(job.case, cabinet=False)
+    still = options["standstill"] or fit.design.power_scale_W is None
+    study = climate_profile(
+        fit,
+        [Region(job.turbine, weather, (job.case.name,))],
+        None if still else read_power(job.case),
+        limits=[one for file in options["limits"] for one in read_limits(file)],
+        members=options["members"],
+        seed=options["seed"],
+    )
+    write_climate_report(study, job.folder)
+    (region,) = study.results["regions"]
+    columns: dict[str, object] = {**_of_record(weather), "model": fit.name}
+    for name in _CLIMATE:
+        for part, column in (("value", name), ("lower", f"{name}_lower"), ("upper", f"{name}_upper")):
+            columns[column] = number(region, "scopes", "all", name, part)
+    verdicts = [one["verdict"] for one in region["limits"]]
+    columns["limits"] = next((v for v in ("fail", "undecided", "pass") if v in verdicts), "")
+    columns["wetness_class"] = region["wetness_class"] or ""
+    columns["statements"] = "; ".join(region["statements"])
+    return columns
+
+
+_CLIMATE = {
+    "mean_temperature_degC": "mean temperature in the cabinet [°C]",
+    "mean_relative_humidity_percent": "mean relative humidity in the cabinet [%]",
+    "wetness_h": "time of wetness, above 80 % and 0 °C [h a year]",
+    "condensation_h": "condensation on the coldest surface [h a year]",
+    "ageing_h": "hours at the reference condition that age as much, by Peck's law [h a year]",
+}
 
 # --- the table of tasks ----------------------------------------------------------------------
 
@@ -282,6 +356,7 @@ _COMPARED_ERRORS = (
     Compared("temperature_rmse_K", "free-run error of the temperature", "K"),
     Compared("humidity_rmse_g_m3", "free-run error of the absolute humidity", "g/m³"),
 )
+_ENDS = (("", ""), ("_lower", "lower 95 % bound of "), ("_upper", "upper 95 % bound of "))
 _REPORT = Option(False, "flag", "write each turbine's own page too")
 _STARTS = Option(4, 1, "starts over the noise parameters")
 _LIBRARY = Option([], "files", "files with causes of your own, which are executed")
@@ -355,6 +430,68 @@ TASKS: Mapping[str, Task] = {
         "temperature_rmse_K",
         uses_fit=True,
         files=("library",),
+    ),
+    "transfer": Task(
+        _transfer,
+        "try a fitted model on every case, and say what travels",
+        {"library": _LIBRARY},
+        {
+            **_RECORD,
+            "model": "name of the fitted model",
+            "transfer": "whether the model transfers, transfers after re-estimating, or does not",
+            "re_estimate": "groups of parameters that are to be re-estimated",
+            "sentence": "the verdict in words",
+            **_SCORES,
+            **{
+                f"as_is_{column}": f"the same of the {text}, with the model as it is [{unit}]"
+                for column, text, unit in (
+                    ("temperature_rmse_K", "temperature", "K"),
+                    ("humidity_rmse_g_m3", "absolute humidity", "g/m³"),
+                )
+            },
+            **{
+                f"{column}{end}": f"{words}what re-estimating takes off the error of the {text} [{unit}]"
+                for column, text, unit in (
+                    ("temperature_gain_K", "temperature", "K"),
+                    ("humidity_gain_g_m3", "absolute humidity", "g/m³"),
+                )
+                for end, words in _ENDS
+            },
+        },
+        _COMPARED_ERRORS,
+        "temperature_rmse_K",
+        uses_fit=True,
+        files=("library",),
+    ),
+    "climate": Task(
+        _climate,
+        "simulate a year's climate in every cabinet",
+        {
+            "standstill": Option(False, "flag", "no power all year; without, the case has `active_power`"),
+            "limits": Option([], "files", "files with limits to hold the climate against"),
+            "members": Option(50, 2, "of the ensemble"),
+            "seed": Option(1, 0, "of the ensemble"),
+            "library": _LIBRARY,
+        },
+        {
+            **_RECORD,
+            "model": "name of the fitted model",
+            **{
+                f"{name}{end}": f"{words}{meaning}"
+                for name, meaning in _CLIMATE.items()
+                for end, words in _ENDS
+            },
+            "limits": "worst verdict on the limits: fail, undecided or pass; empty without any",
+            "wetness_class": "class of the time of wetness, ISO 9223:1992",
+            "statements": "how weather and power were put together",
+        },
+        (
+            Compared("ageing_h", "ageing", "h a year", "ageing_h_lower", "ageing_h_upper"),
+            Compared("wetness_h", "time of wetness", "h a year", "wetness_h_lower", "wetness_h_upper"),
+        ),
+        "ageing_h",
+        uses_fit=True,
+        files=("library", "limits"),
     ),
 }
 """Every task by its name in FLEET.toml."""

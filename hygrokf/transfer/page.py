@@ -100,7 +100,7 @@ def transfer_page(found: Mapping, series: Sequence[Mapping[str, np.ndarray]]) ->
     parts = [_head(found, source, names), _cards(records)]
     for i, one in enumerate(records):
         parts.append(_record(one, series[i] if i < len(series) else {}, i, len(records) > 1))
-    parts += [_type(found), _foot(found)]
+    parts += [type_section(found.get("type")), _foot(found)]
     return document(f"{source} on {', '.join(names)} – hygrokf transfer", parts)
 
 
@@ -268,8 +268,8 @@ def ratios_table(one: Mapping) -> Table | None:
     )
 
 
-def _type(found: Mapping) -> str:
-    data = found.get("type")
+def type_section(data: object) -> str:
+    """A pooled type as a section, from its plain data; nothing where there is none."""
     if not isinstance(data, Mapping):
         return ""
     rows = []
