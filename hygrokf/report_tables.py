@@ -45,6 +45,13 @@ class Table:
     groups: tuple[tuple[str, int], ...] = ()
     note: str = ""
 
+    def __post_init__(self) -> None:
+        wrong = [row for row in self.rows if len(row) != len(self.columns)]
+        if wrong:
+            raise ValueError(
+                f"{self.heading}: expected a cell for each of {len(self.columns)} columns, found {wrong[0]}"
+            )
+
 
 def time_constants_table(fit: Mapping) -> Table | None:
     """Both time constants by both criteria; None where neither was identified."""

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from climate_case import BEGIN_S, known_fit, made_up_weather
 
-from hygrokf.climate.chamber import TestPlan, read_test_plan
+from hygrokf.climate.chamber import ProfilePlan, read_test_plan
 from hygrokf.climate.form import FormFault
 from hygrokf.climate.limits import read_limits
 from hygrokf.climate.power import (
@@ -168,4 +168,4 @@ def test_limits_are_read_and_all_faults_told(tmp_path: Path) -> None:
 def test_the_example_files_of_the_docs_are_read() -> None:
     docs = Path(__file__).resolve().parents[1] / "docs"
     assert len(read_limits(docs / "climate_limits.toml")) == 5
-    assert read_test_plan(docs / "climate_test.toml") == TestPlan()
+    assert read_test_plan(docs / "climate_test.toml") == ProfilePlan()

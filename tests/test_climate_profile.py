@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 
 from hygrokf.climate.acceleration import BOLTZMANN_EV, Acceleration
 from hygrokf.climate.bounds import bounded
-from hygrokf.climate.chamber import Chamber, TestPlan, read_test_plan
+from hygrokf.climate.chamber import Chamber, ProfilePlan, read_test_plan
 from hygrokf.climate.days import Days, choose_days, ordered, shares
 from hygrokf.climate.form import FormFault
-from hygrokf.climate.sequence import closeness, set_points, test_sequence
+from hygrokf.climate.sequence import chamber_sequence, closeness, set_points
 
 
 def many_days(count: int = 400, seed: int = 6) -> Days:
@@ -35,8 +35,8 @@ AGEING = float(LAW.rate(DAYS.temperature_degC + 273.15, DAYS.relative_humidity_p
 
 
 def test_a_profile_ages_as_much_as_the_service() -> None:
-    plan = TestPlan(length_h=1000, service_years=10)
-    made = test_sequence(DAYS, AGEING, plan)
+    plan = ProfilePlan(length_h=1000, service_years=10)
+    made = chamber_sequence(DAYS, AGEING, plan)
     aged = LAW.rate(made.temperature_degC + 273.15, made.relative_humidity_percent / 100).sum()
     assert made.reached and len(made.temperature_degC) == 1000
     assert aged == pytest.approx(10 * AGEING, rel=1e-6) == made.ageing_h
@@ -86,18 +86,18 @@ def test_a_chamber_is_never_asked_for_more_than_it_can(
 
 
 def test_what_is_out_of_reach_is_said() -> None:
-    plan = TestPlan(48, 50, chamber=Chamber(temperature_degC=(-20.0, 60.0)))
-    made = test_sequence(DAYS, AGEING, plan)
+    plan = ProfilePlan(48, 50, chamber=Chamber(temperature_degC=(-20.0, 60.0)))
+    made = chamber_sequence(DAYS, AGEING, plan)
     assert not made.reached and made.ageing_h < 50 * AGEING
     found = closeness(made, DAYS, plan, bounded(np.full((1, 50), AGEING)), np.array([200.0, 100.0, 2.0]))
     assert found["ageing"]["years"] == pytest.approx(made.ageing_h / AGEING) and found["ageing"]["years"] < 50
     with pytest.raises(ValueError, match="no day of the weather"):
-        test_sequence(DAYS.take(np.arange(0)), 1.0, plan)
+        chamber_sequence(DAYS.take(np.arange(0)), 1.0, plan)
 
 
 def test_closeness_tells_what_the_test_has() -> None:
-    plan = TestPlan(length_h=480, service_years=5)
-    made = test_sequence(DAYS, AGEING, plan)
+    plan = ProfilePlan(length_h=480, service_years=5)
+    made = chamber_sequence(DAYS, AGEING, plan)
     years = np.random.default_rng(3).normal(AGEING, 0.05 * AGEING, (1, 200))
     found = closeness(made, DAYS, plan, bounded(years), np.array([200.0, 100.0, 2.0]))
     assert found["ageing"]["years_lower"] < 5.0 < found["ageing"]["years_upper"]

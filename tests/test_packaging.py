@@ -23,7 +23,12 @@ TOP_LEVEL = {
     "setup.cfg", "hygrokf", "tests", "scripts", "docs", "README.md",
     "pyproject.toml", "LICENSE", ".gitignore", ".ci",
 }  # fmt: skip
-SCRIPTS = ("scripts/demo", "scripts/test", "scripts/benchmark", ".ci/run")
+SCRIPTS = (
+    *sorted(
+        f"scripts/{p.name}" for p in (ROOT / "scripts").iterdir() if p.is_file() and p.name != "environment"
+    ),
+    ".ci/run",
+)
 LATE = {
     "pandas",
     "scipy",

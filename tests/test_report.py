@@ -421,3 +421,10 @@ def test_the_page_reads_what_the_results_hold(tmp_path) -> None:
     folder = write_case(tmp_path, fit, series)
     again, arrays = read_results(folder)
     assert again == json.loads(json.dumps(fit)) and set(arrays) == set(series)
+
+
+def test_a_table_with_a_cell_too_many_is_refused() -> None:
+    from hygrokf.report_tables import Table
+
+    with pytest.raises(ValueError, match="Parameters: expected a cell for each of 2 columns, found"):
+        Table("Parameters", ("name", "value"), (("a", "1"), ("b", "group", "2")))

@@ -39,10 +39,8 @@ class Chamber:
 
 
 @dataclass(frozen=True)
-class TestPlan:
+class ProfilePlan:
     """A test: its length [h], the years of service whose ageing it is to have, law and chamber."""
-
-    __test__ = False  # no test of pytest's
 
     length_h: float = 1000.0
     service_years: float = 20.0
@@ -53,7 +51,7 @@ class TestPlan:
         return asdict(self)
 
 
-def read_test_plan(path: str | os.PathLike[str]) -> TestPlan:
+def read_test_plan(path: str | os.PathLike[str]) -> ProfilePlan:
     """A test from a TOML file, defaults for what it leaves out; raises FormFault with everything that is wrong."""
     data = read_toml(path, "a test with [test], [law] and [chamber]")
     faults = unknown_keys(data, ("test", "law", "chamber"), "the file")
@@ -70,8 +68,8 @@ def read_test_plan(path: str | os.PathLike[str]) -> TestPlan:
         faults += unknown_keys(table, known, f"[{name}]")
         tables[name] = table
     test, law, chamber = tables["test"], tables["law"], tables["chamber"]
-    plain = TestPlan()
-    made = TestPlan(
+    plain = ProfilePlan()
+    made = ProfilePlan(
         number_of(test, "length_h", "[test]", 24.0, 20000.0, plain.length_h, faults),
         number_of(test, "service_years", "[test]", 0.001, 100.0, plain.service_years, faults),
         Acceleration(

@@ -14,7 +14,7 @@ import numpy as np
 
 from hygrokf.climate.acceleration import BOLTZMANN_EV, FREEZING_K, Acceleration
 from hygrokf.climate.bounds import Bounded
-from hygrokf.climate.chamber import Chamber, TestPlan
+from hygrokf.climate.chamber import Chamber, ProfilePlan
 from hygrokf.climate.cycles import cycles_from
 from hygrokf.climate.days import DAY_H, Days, choose_days, ordered, shares
 from hygrokf.climate.ensemble import YEAR_H
@@ -52,7 +52,7 @@ class Sequence:
     reached: bool
 
 
-def test_sequence(days: Days, ageing_h_a_year: float, plan: TestPlan) -> Sequence:
+def chamber_sequence(days: Days, ageing_h_a_year: float, plan: ProfilePlan) -> Sequence:
     """A test profile from the days of a climate that ages by so many hours a year [h at the reference].
 
     Raises ValueError where there is no whole day to choose from.
@@ -85,9 +85,6 @@ def test_sequence(days: Days, ageing_h_a_year: float, plan: TestPlan) -> Sequenc
         warm, damp, celsius, percent, np.repeat(chosen.start_s, DAY_H)[:length], shift,
         float(np.exp(plan.law.activation_energy_eV / BOLTZMANN_EV * shift)), float(cut.mean()), aged(shift), reached,
     )  # fmt: skip
-
-
-test_sequence.__test__ = False  # type: ignore[attr-defined]
 
 
 def _span(celsius: np.ndarray, chamber: Chamber) -> tuple[float, float]:
@@ -128,7 +125,7 @@ def _in_si(celsius: np.ndarray, percent: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def closeness(
-    sequence: Sequence, days: Days, plan: TestPlan, ageing: Bounded, service_cycles: np.ndarray
+    sequence: Sequence, days: Days, plan: ProfilePlan, ageing: Bounded, service_cycles: np.ndarray
 ) -> dict:
     """What a test profile reproduces of the site, and how closely; plain data.
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from hygrokf.climate.acceleration import Acceleration
 from hygrokf.climate.bounds import LEVEL, Bounded, bounded
-from hygrokf.climate.chamber import TestPlan
+from hygrokf.climate.chamber import ProfilePlan
 from hygrokf.climate.days import Days, days_of, joined, thinned
 from hygrokf.climate.ensemble import Year, simulate_years
 from hygrokf.climate.form import as_list
@@ -17,7 +17,7 @@ from hygrokf.climate.limits import Limit, exceeded, judged
 from hygrokf.climate.members import draw_members
 from hygrokf.climate.power import PowerCurve
 from hygrokf.climate.region import Region, driven
-from hygrokf.climate.sequence import closeness, test_sequence
+from hygrokf.climate.sequence import chamber_sequence, closeness
 from hygrokf.climate.statistics import (
     CYCLE_RANGES_K,
     HUMIDITY_EDGES,
@@ -72,7 +72,7 @@ def climate_profile(
     power: Record | PowerCurve | None = None,
     *,
     limits: Sequence[Limit] = (),
-    plan: TestPlan | None = None,
+    plan: ProfilePlan | None = None,
     members: int = MEMBERS,
     seed: int = 1,
     surface: Surface | None = None,
@@ -90,7 +90,7 @@ def climate_profile(
         raise ValueError("expected the weather of at least one region, found none")
     if members < 2:
         raise ValueError(f"an ensemble has at least 2 members, found {members}")
-    plan, surface = plan or TestPlan(), surface or Surface()
+    plan, surface = plan or ProfilePlan(), surface or Surface()
     drawn = draw_members(fit, members, seed)
     found = [_region(fit, one, power, limits, plan, drawn, seed, surface, progress) for one in regions]
     return Study(
@@ -113,7 +113,7 @@ def _region(
     region: Region,
     power: Record | PowerCurve | None,
     limits: Sequence[Limit],
-    plan: TestPlan,
+    plan: ProfilePlan,
     drawn: Sequence[Mapping[str, float]],
     seed: int,
     surface: Surface,
@@ -241,13 +241,13 @@ def _joint_json(gathered: _Gathered) -> dict | None:
     }
 
 
-def _test_profile(gathered: _Gathered, plan: TestPlan) -> tuple[dict | None, str]:
+def _test_profile(gathered: _Gathered, plan: ProfilePlan) -> tuple[dict | None, str]:
     """The test profile of a region as plain data, or why there is none."""
     days = thinned(joined(gathered.days)) if gathered.days else None
     if days is None or not len(days):
         return None, "no test profile: it needs humidity, and weather known hour by hour over whole days"
     ageing = bounded(np.array([rows["ageing_h"] for rows in gathered.scalars["all"]]))
-    made = test_sequence(days, float(ageing.value), plan)
+    made = chamber_sequence(days, float(ageing.value), plan)
     cycles = np.array(
         [
             np.mean(

@@ -219,7 +219,9 @@ def judged(found: Mapping, differing: Sequence[str]) -> tuple[str, list[str]]:
             table = found["rmse"][quantity]
             before, after = table["as_is"]["total"], table["re_estimated"]["total"]
             bounds = (
-                "" if gain["lower"] is None else f", fall {gain['lower']:.2f} … {gain['upper']:.2f}, 95 %"
+                ""
+                if gain["lower"] is None
+                else f", fall {gain['lower']:.2f} … {gain['upper']:.2f}, 95 %".replace("-", "−")
             )
             where = "held-out error" if found["period"] == "validation" else "error"
             what = "own offsets" if not differing else "re-estimating"

@@ -145,7 +145,12 @@ def _record(one: Mapping, series: Mapping[str, np.ndarray], place: int, several:
             lambda: figure_parameters(one),
         ),
         tables_html((errors_table(one), "Nothing was scored.")),
-        figure_html(f"sets-{place}", "Held-out errors", "With 95 % bounds.", lambda: figure_sets(one)),
+        figure_html(
+            f"sets-{place}",
+            "Held-out errors" if one["period"] == "validation" else "Errors of the identification period",
+            "With 95 % bounds.",
+            lambda: figure_sets(one),
+        ),
         figure_html(
             f"course-{place}",
             "The first held-out days",
@@ -233,16 +238,13 @@ def parameters_table(one: Mapping) -> Table | None:
                 f"{plain_number(d['lower'])} … {plain_number(d['upper'])}",
             ]
         both = [_with_se(row["original"], row["original_se"]), _with_se(row["own"], row["own_se"])]
-        rows.append(
-            (name, text_of(row["group"]), *both, *cells, plain_number(row["re_estimated"]), row["unit"])
-        )
+        rows.append((f"{name} [{row['unit']}]", *both, *cells, plain_number(row["re_estimated"])))
     if not rows:
         return None
     return Table(
         "Parameters",
-        ("parameter", "original", "own", "difference", "95 %", "used here", "unit"),
+        ("parameter", "original", "own", "difference", "95 %", "used here"),
         tuple(rows),
-        left=(0, 6),
         note="± standard error. Used here: the model of the record's own folder. ×: ratio of own to original value.",
     )
 

@@ -179,7 +179,7 @@ SET_COLOURS = {"as_is": SIMULATED, "own_loggers": AMBIENT, "re_estimated": RE_ES
 
 
 def figure_sets(found: Mapping) -> Figure:
-    """Held-out errors of the four sets of values and of the rules, with bounds."""
+    """Errors of the four sets of values and of the rules in the scored period, with bounds."""
     tables = {q: rows for q in QUANTITIES if isinstance(rows := entry(found, "rmse", q), Mapping) and rows}
     if not tables:
         raise NothingToShow("Nothing was scored.")
@@ -209,7 +209,7 @@ def figure_sets(found: Mapping) -> Figure:
             axes.set_ylim(-0.6, len(names) - 0.4)
             axes.grid(axis="y", visible=False)
             axes.set_xlim(left=0.0)
-            axes.set_xlabel("RMSE of the {} [{}], held out".format(*QUANTITIES[quantity]))
+            axes.set_xlabel("RMSE of the {} [{}]".format(*QUANTITIES[quantity]))
     return figure
 
 
