@@ -238,14 +238,14 @@ def parameters_table(one: Mapping) -> Table | None:
                 f"{plain_number(d['lower'])} … {plain_number(d['upper'])}",
             ]
         both = [_with_se(row["original"], row["original_se"]), _with_se(row["own"], row["own_se"])]
-        rows.append((f"{name} [{row['unit']}]", *both, *cells, plain_number(row["re_estimated"])))
+        rows.append((f"{name} [{row['unit']}]", *both, *cells))
     if not rows:
         return None
     return Table(
         "Parameters",
-        ("parameter", "original", "own", "difference", "95 %", "used here"),
+        ("parameter", "original", "own", "difference", "95 %"),
         tuple(rows),
-        note="± standard error. Used here: the model of the record's own folder. ×: ratio of own to original value.",
+        note="± standard error. ×: ratio of own to original value. The values to go on with are in the record's own folder.",
     )
 
 
