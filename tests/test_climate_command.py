@@ -14,10 +14,13 @@ from html_page import Page
 from weather_case import epw_text
 
 from hygrokf.cli import main
+from hygrokf.climate.ensemble import years_of
+from hygrokf.climate.limits import Limit
 from hygrokf.climate.page import climate_page
 from hygrokf.climate.region import Region
 from hygrokf.climate.results import climate_csv, profile_files
 from hygrokf.climate.study import climate_profile
+from hygrokf.record import Record
 from hygrokf.results import dump
 from hygrokf.version import __version__
 
@@ -214,11 +217,13 @@ def test_a_model_of_temperature_alone_has_a_climate(folder: Path) -> None:
     values = {p.name: fit.values[p.name] for p in dry.model.parameters}
     covariance = {"names": ["thermal_time_constant"], "matrix": [[0.01]]}
     plain = replace(fit, design=dry, values=values, results={"covariance": covariance})
-    found = climate_profile(plain, [Region("here", made_up_weather(40))], members=5).to_json()
+    damp = Limit("damp", "relative_humidity_percent", "above", 80.0)
+    found = climate_profile(plain, [Region("here", made_up_weather(40))], members=5, limits=[damp]).to_json()
     region = found["regions"][0]
     assert region["joint"] is None and region["test_profile"] is None and region["wetness_class"] is None
     assert "mean_temperature_degC" in region["scopes"]["all"] and "wetness_h" not in region["scopes"]["all"]
     assert any("not a year" in one for one in region["statements"])
+    assert region["limits"] == [] and any('"damp" is not judged' in one for one in region["statements"])
     page = climate_page(found)
     assert "The model has no humidity." in page and profile_files(found) == {}
     assert "mean_temperature_degC" in climate_csv(found)
@@ -229,3 +234,61 @@ def test_names_are_escaped_on_the_page() -> None:
     found = climate_profile(known_fit(), [Region("<b>&", weather, ("<i>.csv",))], members=3).to_json()
     page = climate_page(json.loads(dump(found)))
     assert "<b>&<" not in page and "<i>.csv" not in page
+
+
+def moved(weather: Record, days: float) -> Record:
+    return replace(weather, series=tuple(replace(s, time=s.time + 86400.0 * days) for s in weather.series))
+
+
+def after(first: Record, second: Record) -> Record:
+    pairs = zip(first.series, second.series, strict=True)
+    return replace(
+        first,
+        series=tuple(
+            replace(a, time=np.append(a.time, b.time), value=np.append(a.value, b.value)) for a, b in pairs
+        ),
+    )
+
+
+def climate_of(weather: Record, **more: object) -> dict:
+    return climate_profile(known_fit(), [Region("here", weather)], members=3, **more).to_json()["regions"][0]
+
+
+def test_years_far_apart_are_taken_and_those_between_told() -> None:
+    weather = made_up_weather()
+    region = climate_of(after(weather, moved(weather, 5 * 365.25)))
+    assert [year["from"][:4] for year in region["years"]] == ["2021", "2026"]
+    assert any("4 of 6 years left out" in one for one in region["statements"])
+    assert len(years_of(np.concatenate([np.arange(8766.0), np.arange(52600.0, 61300.0)]))) == 2
+    unknown = replace(
+        weather, series=tuple(replace(s, value=np.full(len(s.value), np.nan)) for s in weather.series)
+    )
+    with pytest.raises(ValueError, match="no reading of ambient_temperature"):
+        climate_of(unknown)
+
+
+def test_limits_of_one_name_are_refused() -> None:
+    """Their hours would be taken for those of several years of one limit."""
+    two = [Limit("hot", "temperature_degC", "above", level, 24.0) for level in (10.0, 60.0)]
+    with pytest.raises(ValueError, match='two limits are called "hot"'):
+        climate_of(made_up_weather(40), limits=two)
+
+
+def test_what_a_verdict_and_bounds_do_not_say_is_told() -> None:
+    limits = [
+        Limit("idle", "temperature_degC", "above", -50.0, 0.0, "operation"),
+        Limit("never", "temperature_degC", "above", 90.0),
+    ]
+    region = climate_of(made_up_weather(40), limits=limits)
+    assert [one["verdict"] for one in region["limits"]] == ["pass", "pass"]
+    said = "\n".join(region["statements"])
+    assert 'limit "idle" passes for want of hours: these years have none in operation' in said
+    assert "never" not in said and "not shown to hold in a whole year" in said
+    assert "hold a single year in 50 % of cases, not in 95 %" in said
+    rare = made_up_weather(40)
+    rare = replace(
+        rare, series=tuple(replace(s, time=s.time[::6], value=s.value[::6]) for s in rare.series[:2])
+    )
+    assert any("comes every 6 h" in one for one in climate_of(rare)["statements"])
+    enough = climate_profile(known_fit(), [Region("here", rare)], members=39).to_json()["regions"][0]
+    assert not any("members are few" in one for one in enough["statements"])

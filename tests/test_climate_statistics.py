@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hygrokf.climate.acceleration import Acceleration
-from hygrokf.climate.bounds import bounded
+from hygrokf.climate.bounds import bounded, held
 from hygrokf.climate.cycles import rainflow, turning_points
 from hygrokf.climate.ensemble import Year
 from hygrokf.climate.limits import Limit, exceeded, judged
@@ -108,7 +108,30 @@ def test_excursions_of_many_members() -> None:
     for row, n, m, most in zip(beyond, number, mean, longest, strict=True):
         runs = [len(part) for part in "".join("x" if b else " " for b in row).split()]
         assert (n, most) == (len(runs), 2.0 * max(runs)) and m == pytest.approx(2.0 * np.mean(runs))
-    assert [float(v[0]) for v in excursions(np.zeros((1, 5), bool), 1.0)] == [0.0, 0.0, 0.0]
+    number, mean, longest = excursions(np.zeros((1, 5), bool), 1.0)
+    assert number[0] == longest[0] == 0.0 and np.isnan(mean[0])
+
+
+def test_members_without_an_excursion_do_not_shorten_the_others() -> None:
+    """Three members in two years, two of six without any: the mean length is that of the stretches that there are."""
+    lengths = np.array([[4.0, np.nan, 6.0], [2.0, np.nan, 8.0]])
+    found = bounded(lengths)
+    assert found.value == 5.0 and (found.lower, found.upper) == (2.0, 8.0)
+    assert (found.mean_lower, found.mean_upper) == (3.0, 7.0) and found.between_years == 0.0
+    assert np.isnan(bounded(np.full((1, 3), np.nan)).value)
+    whole = np.random.default_rng(1).random((2, 50))
+    some = bounded(np.concatenate([whole, np.full((2, 5), np.nan)], axis=1))
+    assert vars(some) == pytest.approx(vars(bounded(whole)))
+
+
+def test_few_members_hold_less_than_is_stated() -> None:
+    """The extremes of n draws hold a further one in (n − 1)/(n + 1) of cases."""
+    random = np.random.default_rng(6)
+    for n in (2, 10, 50):
+        draws = random.standard_normal((6000, n + 1))
+        found = [bounded(row[None, :n]) for row in draws]
+        share = np.mean([one.lower <= row[n] <= one.upper for one, row in zip(found, draws, strict=True)])
+        assert share == pytest.approx(held(n), abs=0.02)
 
 
 def test_curves_and_the_joint_distribution() -> None:

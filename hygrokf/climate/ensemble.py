@@ -132,9 +132,12 @@ def kept_instants(time_h: np.ndarray) -> np.ndarray:
 
 
 def years_of(time_h: np.ndarray) -> list[np.ndarray]:
-    """Places of instants [h] by the year that they lie in; a last stretch far shorter than a year is left out."""
+    """Places of instants [h] by the year that they lie in; a last stretch far shorter than a year is left out.
+
+    Years without any instant, between files of weather that are years apart, are none.
+    """
     number = ((time_h - time_h[0]) // YEAR_H).astype(int)
-    groups = [np.flatnonzero(number == year) for year in range(number[-1] + 1)]
+    groups = [np.flatnonzero(number == year) for year in np.unique(number)]
     long = [g for g in groups if time_h[g[-1]] - time_h[g[0]] >= WHOLE * YEAR_H]
     return long or groups[:1]
 

@@ -89,13 +89,23 @@ def read_limits(path: str | os.PathLike[str]) -> tuple[Limit, ...]:
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise FormFault(path, [*faults, "expected at least one [[limit]], found none; see docs/climate.md"])
     found = [_limit(row, f"limit {number}", faults) for number, row in enumerate(rows, 1)]
-    names = [one.name for one in found]
-    faults += [
-        f'two limits are called "{n}"; rename one' for n in sorted({n for n in names if names.count(n) > 1})
-    ]
+    faults += _doubled(found)
     if faults:
         raise FormFault(path, faults)
     return tuple(found)
+
+
+def _doubled(limits: Sequence[Limit]) -> list[str]:
+    names = [one.name for one in limits]
+    return [
+        f'two limits are called "{n}"; rename one' for n in sorted({n for n in names if names.count(n) > 1})
+    ]
+
+
+def expect_names(limits: Sequence[Limit]) -> None:
+    """Refuse limits of one name, maybe of several files; raises ValueError."""
+    if faults := _doubled(limits):
+        raise ValueError("; ".join(faults))
 
 
 def _limit(row: dict, where: str, faults: list[str]) -> Limit:

@@ -150,7 +150,7 @@ def rates(values: np.ndarray, year: Year) -> np.ndarray:
 def excursions(beyond: np.ndarray, step_h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Number (N,) of stretches in which `beyond` (N, T) holds, their mean length and the longest (N,) [h].
 
-    Each instant stands for one step.
+    Each instant stands for one step.  Where there is no stretch the mean length is NaN: none has a length.
     """
     edge = np.zeros((len(beyond), 1), dtype=bool)
     padded = np.concatenate([edge, beyond, edge], axis=1)
@@ -159,7 +159,8 @@ def excursions(beyond: np.ndarray, step_h: float) -> tuple[np.ndarray, np.ndarra
     last_off = np.maximum.accumulate(np.where(padded, 0, place), axis=1)
     longest = (place - last_off).max(axis=1) * step_h
     total = beyond.sum(axis=1) * step_h
-    return number.astype(float), total / np.maximum(number, 1), longest.astype(float)
+    mean = np.where(number > 0, total / np.maximum(number, 1), np.nan)
+    return number.astype(float), mean, longest.astype(float)
 
 
 def curves(year: Year) -> Curves:

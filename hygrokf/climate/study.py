@@ -7,13 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hygrokf.ambient import middle
 from hygrokf.climate.acceleration import Acceleration
-from hygrokf.climate.bounds import LEVEL, Bounded, bounded
+from hygrokf.climate.bounds import LEVEL, Bounded, bounded, held
 from hygrokf.climate.chamber import ProfilePlan
 from hygrokf.climate.days import Days, days_of, joined, thinned
-from hygrokf.climate.ensemble import Year, simulate_years
+from hygrokf.climate.ensemble import WHOLE, YEAR_H, Year, simulate_years
 from hygrokf.climate.form import as_list
-from hygrokf.climate.limits import Limit, exceeded, judged
+from hygrokf.climate.limits import Limit, exceeded, expect_names, judged
 from hygrokf.climate.members import draw_members
 from hygrokf.climate.power import PowerCurve
 from hygrokf.climate.region import Region, driven
@@ -38,6 +39,8 @@ from hygrokf.surface import Surface
 from hygrokf.version import __version__
 
 MEMBERS = 50
+FEWEST_MEMBERS = 39
+"""Members whose extremes are 95 % bounds."""
 DAYS_OF = 8
 """Members of whose days a test profile is chosen, of each year."""
 STANDSTILL_YEAR = "standstill_all_year"
@@ -82,7 +85,8 @@ def climate_profile(
 
     power: a record that has it, a power curve for the weather's wind, or None for standstill all year.  limits: of a
     specification.  plan: of a test profile, with its law of acceleration.  members: of the ensemble.  seed: of the
-    parameters drawn and of the disturbances.  surface: the coldest one in the cabinet.
+    parameters drawn and of the disturbances.  surface: the coldest one in the cabinet.  Of several years those of which
+    less than `WHOLE` is known are left out.
 
     Raises ValueError, PowerFault where weather and power do not suffice for the model.
     """
@@ -90,6 +94,7 @@ def climate_profile(
         raise ValueError("expected the weather of at least one region, found none")
     if members < 2:
         raise ValueError(f"an ensemble has at least 2 members, found {members}")
+    expect_names(limits)
     plan, surface = plan or ProfilePlan(), surface or Surface()
     drawn = draw_members(fit, members, seed)
     found = [_region(fit, one, power, limits, plan, drawn, seed, surface, progress) for one in regions]
@@ -120,19 +125,30 @@ def _region(
     say: Progress,
 ) -> dict:
     record, statements = driven(fit, region.weather, power)
-    gathered = _Gathered()
+    whole, part, count = _Gathered(), _Gathered(), 0
     for year in simulate_years(fit, record, drawn, seed, surface, say=lambda t: say(f"{region.name}: {t}")):
-        _gather(gathered, year, limits, plan.law, len(drawn))
-    statements += _weather_words(gathered)
+        count += 1
+        if year.known.any():
+            _gather(whole if _is_whole(year) else part, year, limits, plan.law, len(drawn))
+    gathered = whole if whole.spans else part
+    if not gathered.spans:
+        raise ValueError(
+            f"{region.name}: neither weather nor power is known at any instant; check the files and their spans"
+        )
+    statements += _interval_words(region.weather)
+    statements += _weather_words(gathered, count)
+    statements += _member_words(len(drawn), len(gathered.spans))
+    statements += _limit_words(limits, gathered)
     scopes = {scope: _summary(rows) for scope, rows in gathered.scalars.items() if rows}
     if power is not None and fit.design.power_scale_W is not None:
         still, _ = driven(fit, region.weather, None)
-        rows = []
+        rows = {True: [], False: []}
         for year in simulate_years(
             fit, still, drawn, seed, surface, say=lambda t: say(f"{region.name} at standstill: {t}")
         ):
-            rows.append(scalars(year, plan.law))
-        scopes[STANDSTILL_YEAR] = _summary(rows)
+            if year.known.any():
+                rows[_is_whole(year)].append(scalars(year, plan.law))
+        scopes[STANDSTILL_YEAR] = _summary(rows[True] or rows[False])
     say(f"{region.name}: test profile")
     profile, why = _test_profile(gathered, plan)
     if why:
@@ -187,16 +203,71 @@ def _gather(into: _Gathered, year: Year, limits: Sequence[Limit], law: Accelerat
     into.spans.append((year.time_s[0], year.time_s[-1], year.hours, operating))
 
 
-def _weather_words(gathered: _Gathered) -> list[str]:
+def _is_whole(year: Year) -> bool:
+    """Whether enough of a year is known to stand for it."""
+    return year.hours >= WHOLE * YEAR_H
+
+
+def _interval_words(weather: Record) -> list[str]:
+    """A remark where weather comes less often than every hour."""
+    rare = [
+        (middle(s.steps_s) / 3600.0, s.signal)
+        for s in weather.series
+        if s.signal.startswith("ambient_") and len(s.steps_s) and middle(s.steps_s) > 1.01 * 3600.0
+    ]
+    if not rare:
+        return []
+    step, name = max(rare)
+    more = "; of a day's course nothing is left" if step >= 12.0 else ""
+    return [
+        f"{name} comes every {step:g} h, with straight lines between: extremes, rates, cycles and short excursions "
+        f"come out too small{more}"
+    ]
+
+
+def _member_words(members: int, years: int) -> list[str]:
+    """A remark where there are too few members for the stated bounds."""
+    share = held(members * years)
+    if share >= LEVEL:
+        return []
+    return [
+        f"{members} members are few: bounds are the least and the largest of them, which hold a single year in "
+        f"{100.0 * share:.0f} % of cases, not in {100.0 * LEVEL:.0f} %; state {FEWEST_MEMBERS} or more (--members)"
+    ]
+
+
+def _limit_words(limits: Sequence[Limit], gathered: _Gathered) -> list[str]:
+    """Limits that say nothing: of what the model does not have, or of hours that never are."""
+    said = []
+    for one in limits:
+        if one.name not in gathered.limits:
+            said.append(
+                f'limit "{one.name}" is not judged: the model has no {one.quantity_words}, only a temperature'
+            )
+        elif one.during != "all" and not gathered.scalars[one.during]:
+            said.append(
+                f'limit "{one.name}" passes for want of hours: these years have none'
+                f"{' at' if one.during == 'standstill' else ' in'} {one.during}"
+            )
+    return said
+
+
+def _weather_words(gathered: _Gathered, found: int) -> list[str]:
+    """Remarks on the years, of which so many were found."""
     hours, count = sum(span[2] for span in gathered.spans), len(gathered.spans)
     length = sum(span[1] - span[0] for span in gathered.spans) / 3600.0 + count
     said = []
+    if count < found:
+        said.append(
+            f"{found - count} of {found} years left out: of them less than {100.0 * WHOLE:.0f} % of weather and power is known"
+        )
     if count == 1:
         said.append("one year of weather: the bounds say nothing of how much years differ")
-    if length < 0.95 * 8766.0:
+    if length < 0.95 * YEAR_H * count:
+        days = f"{length / 24.0:.0f} days" if length >= 48.0 else f"{length:.0f} hours"
         said.append(
-            f"the weather covers {length / 24.0:.0f} days, not a year: hours a year are scaled up from them, "
-            "as if the rest of the year were like them"
+            f"the weather covers {days}, not {'a year' if count == 1 else f'{count} years'}: hours a year are scaled up "
+            "from them, as if the rest were like them; a limit that passes here is not shown to hold in a whole year"
         )
     if hours < 0.98 * length:
         said.append(
