@@ -6,6 +6,8 @@ import os
 import sys
 from pathlib import Path
 
+from hygrokf.files import RESULTS
+
 
 class UserFault(Exception):
     """A mistake of the user's, told without a traceback."""
@@ -68,6 +70,15 @@ def expect_directory(path: Path) -> None:
     raise UserFault(
         f"--out {path}: expected a directory that can be written, found: {found}; name another one"
     )
+
+
+def expect_own_directory(out: Path, own: str) -> None:
+    """Refuse a directory that holds other results than `own`, one of `RESULTS`: its report.html would be theirs no longer."""
+    for name in RESULTS:
+        if name != own and (out / name).exists():
+            raise UserFault(
+                f"--out {out}: expected a directory of its own, found {name} in it; name another one"
+            )
 
 
 def expect_file(path: Path) -> None:

@@ -22,6 +22,8 @@ COMPARISON_TABLE = "compare.csv"
 TRANSFER = "transfer.json"
 TRANSFER_SERIES = "transfer.npz"
 TYPE = "type.json"
+RESULTS = ("fit.json", DISCOVERY, FLEET, CLIMATE, COMPARISON, TRANSFER)
+"""Files of which a directory of results has one kind: its report.html is made from it."""
 
 
 def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:

@@ -194,16 +194,32 @@ def test_mistakes_are_told_and_nothing_is_written(
     assert not (folder / "refused").exists()
 
 
-def test_other_results_are_not_written_over(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["climate", str(folder / "fit.json"), "--out", str(folder), "--weather", "x", "--standstill"]
+@pytest.mark.parametrize(
+    "other", ["fit.json", "discovery.json", "fleet.json", "compare.json", "transfer.json"]
+)
+def test_other_results_are_not_written_over(
+    folder: Path, other: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / other).write_text("{}")
+    words = ["climate", str(folder / "fit.json"), "--out", str(tmp_path), "--weather", "x", "--standstill"]
     assert main(words) == 2
-    assert "a directory of its own" in capsys.readouterr().err
+    assert f"a directory of its own, found {other}" in capsys.readouterr().err
 
 
-def test_a_damaged_result_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    (tmp_path / "climate.json").write_text("{}")
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{}", "[]", '{"regions": []}', '{"regions": [{"scopes": {}}]}',
+        '{"regions": [{"scopes": {"all": 3}, "test_profile": null, "name": 3, "years": [], "limits": null}], "members": 3}',
+    ],
+)  # fmt: skip
+def test_a_damaged_result_is_told(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "climate.json").write_text(text)
+    (tmp_path / "test_profile.png").write_text("of before")
     assert main(["report", str(tmp_path)]) == 2
-    assert "run it again" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "again" in told and "climate.json" in told and "Traceback" not in told
+    assert (tmp_path / "test_profile.png").exists() and not (tmp_path / "report.html").exists()
 
 
 def test_a_model_of_temperature_alone_has_a_climate(folder: Path) -> None:

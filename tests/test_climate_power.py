@@ -71,8 +71,14 @@ def test_a_curve_that_is_wrong_tells_all_faults(tmp_path: Path) -> None:
     assert len(told.value.faults) >= 5 and "wind_height_m" in str(told.value) and "shear" in str(told.value)
     with pytest.raises(FormFault, match="expected rising"):
         read_power_curve(curve_file(tmp_path, CURVE.replace("[0, 3, 12, 25]", "[0, 12, 3, 25]")))
-    with pytest.raises(FormFault, match="roughness_m"):
-        read_power_curve(curve_file(tmp_path, CURVE.replace("0.03", "12")))
+    for wrong in ("roughness_m = 12", 'roughness_m = "a"', "exponent = 0.1"):
+        with pytest.raises(FormFault, match="roughness_m"):
+            read_power_curve(curve_file(tmp_path, CURVE.replace("roughness_m = 0.03", wrong)))
+    with pytest.raises(FormFault, match="shear: expected"):
+        read_power_curve(curve_file(tmp_path, CURVE.replace('"log"', '["log"]')))
+    for megawatts in ("[0, 0, 2, 2]", "[0, 0, 4000, 4000]"):
+        with pytest.raises(FormFault, match="are both in kW"):
+            read_power_curve(curve_file(tmp_path, CURVE.replace("[0, 0, 2000, 2000]", megawatts)))
     with pytest.raises(FormFault, match="check the path"):
         read_power_curve(tmp_path / "none.toml")
 
@@ -103,9 +109,28 @@ def test_power_of_another_year_is_taken_by_day_and_hour_of_the_year() -> None:
     # 1 July 2021, 12 … 13 o'clock: the 182nd day, give or take the leap day that lies between
     at = float(np.datetime64("2021-07-01T13:00:00", "s").astype(int))
     value = found.value[np.searchsorted(found.time, at)]
-    assert value % 24 == 12 and abs(value // 24 - 181) <= 1
+    assert (value % 24, value // 24) == (12, 181)
     with pytest.raises(PowerFault, match="use --power-curve, or a longer record"):
         power_by_season(hourly_power("2018-01-01T00:00:00", 100), made_up_weather())
+
+
+@pytest.mark.parametrize("year", [1981, 2001, 2018, 2041])
+def test_the_day_of_the_year_stays_however_far_the_power_is(year: int) -> None:
+    """Its value is the day that it stands for; the calendar's leap days move it by one at most, and no hour is held."""
+    days = np.repeat(np.arange(365.0), 24)
+    found, _ = power_by_season(hourly_power(f"{year}-01-01T00:00:00", 365, days), made_up_weather())
+    wanted = np.floor((found.time - 1.0 - BEGIN_S) / 86400.0)
+    inside = (wanted >= 1) & (wanted <= 363)
+    assert np.abs(found.value - wanted)[inside].max() <= 1
+    assert np.unique(found.value, return_counts=True)[1].max() <= 48
+
+
+def test_days_that_a_power_lacks_are_unknown() -> None:
+    """A record of 348 days says nothing of the last fortnight; its last hour must not stand for them."""
+    power = hourly_power("2018-01-01T00:00:00", 348, np.full(24 * 348, 2e6))
+    found, _ = power_by_season(power, made_up_weather())
+    assert 15 * 24 <= np.isnan(found.value).sum() <= 18 * 24
+    assert np.isfinite(found.value[: 24 * 345]).all()
 
 
 def test_what_drives_a_cabinet_is_said() -> None:
@@ -163,6 +188,30 @@ def test_limits_are_read_and_all_faults_told(tmp_path: Path) -> None:
     file.write_text("limits = 3\n")
     with pytest.raises(FormFault, match="at least one"):
         read_limits(file)
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ('[[limit]]\nquantity = ["temperature_degC"]\nabove = 4\n', "quantity: expected one of"),
+        ("[[limit]]\nquantity = { a = 1 }\nabove = 4\n", "quantity: expected one of"),
+        (f'[[limit]]\nquantity = "temperature_degC"\nabove = 1{"0" * 400}\n', "above = 1000"),
+        ('[[limit]]\nquantity = "temperature_degC"\nabove = inf\n', "found above = inf"),
+        (f"x = {'9' * 5000}\n", "expected TOML text"),
+        (f"x = {'[' * 20000}{']' * 20000}\n", "expected TOML text"),
+        (
+            '[[limit]]\nname = "a"\nquantity = "temperature_degC"\nabove = 4\n'
+            '[[limit]]\nname = "a"\nquantity = "temperature_degC"\nabove = 5\n',
+            'two limits are called "a"',
+        ),
+    ],
+)
+def test_whatever_stands_in_a_file_of_limits_is_told(text: str, told: str, tmp_path: Path) -> None:
+    file = tmp_path / "limits.toml"
+    file.write_text(text)
+    with pytest.raises(FormFault, match=told) as found:
+        read_limits(file)
+    assert len(found.value.faults) == 1 and found.value.file == str(file)
 
 
 def test_the_example_files_of_the_docs_are_read() -> None:

@@ -377,6 +377,40 @@ def test_batches_hold_every_job_once_in_order() -> None:
         assert max(map(len, made)) <= 25 and (count > 4000 or len(made) >= min(count, 4))
 
 
+MODELS_GO = {
+    "transfer": "",
+    "climate": '[options]\nmembers = 4\nlimits = ["limits.toml"]\n',
+}
+
+
+@pytest.mark.parametrize("task", MODELS_GO)
+def test_models_go_elsewhere_on_a_cluster_as_here(
+    task: str, park: Path, serial: tuple[Path, str], tmp_path: Path, cluster: object
+) -> None:
+    """The table, and the numbers in every turbine's own files, are those of a serial run."""
+    limits_file(park)
+    file = park / f"{task}_there.toml"
+    fit = serial[0] / "turbines" / "T1" / "fit.json"
+    file.write_text(f'task = "{task}"\ncases = ["T[123]/case.toml"]\nfit = "{fit}"\n{MODELS_GO[task]}')
+    here, there = tmp_path / "here", tmp_path / "there"
+    table = table_csv(task, [perform(job).row for job in read_plan(file).jobs(here)])
+    result = run_fleet(read_plan(file), there, cluster=cluster.scheduler_address)
+    assert [row["status"] for row in result.rows] == ["done", "done", "failed"]
+    assert (there / "fleet.csv").read_text() == table
+    for name in ("T1", "T2"):
+        made = sorted(one.name for one in (here / "turbines" / name).iterdir())
+        assert made == sorted(one.name for one in (there / "turbines" / name).iterdir())
+        for one in made:
+            if one.endswith((".csv", ".json")) and one != "row.json":  # which has the time that it took
+                same = [untimed((out / "turbines" / name / one).read_text()) for out in (here, there)]
+                assert same[0] == same[1], one
+
+
+def untimed(text: str) -> list[str]:
+    """Lines of a file but the one that says when it was made."""
+    return [line for line in text.split("\n") if not line.startswith(' "created": ')]
+
+
 def test_where_there_is_no_cluster_it_is_said(park: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from hygrokf.fleet import cluster
 
@@ -460,7 +494,7 @@ def test_models_go_elsewhere(
         assert done["wetness_h"] == region["scopes"]["all"]["wetness_h"]["value"]
         assert done["ageing_h_lower"] <= done["ageing_h"] <= done["ageing_h_upper"]
         assert done["limits"] == "pass"
-        assert "Climate of a year" in page
+        assert "Climate of a year" in page and "Limits: 1 pass." in page
 
 
 def test_fits_of_a_fleet_give_the_type_of_its_turbines(
@@ -474,6 +508,43 @@ def test_fits_of_a_fleet_give_the_type_of_its_turbines(
     expected = pooled(fits, "any").parameters["thermal_time_constant"]
     assert kind.parameters["thermal_time_constant"] == expected
     assert "The type of turbine" in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_limits_file_that_is_wrong_is_named_in_the_row(
+    park: Path, serial: tuple[Path, str], tmp_path: Path
+) -> None:
+    (park / "wrong.toml").write_text("[[limit\n")
+    (park / "same.toml").write_text('[[limit]]\nquantity = "temperature_degC"\nabove = 90\n')
+    limits_file(park)
+    fit = serial[0] / "turbines" / "T1" / "fit.json"
+    reasons = []
+    for files in ('"wrong.toml"', '"limits.toml", "same.toml"'):
+        file = park / "limited.toml"
+        options = f"[options]\nmembers = 2\nlimits = [{files}]\n"
+        file.write_text(f'task = "climate"\ncases = ["T2/case.toml"]\nfit = "{fit}"\n{options}')
+        (job,) = read_plan(file).jobs(tmp_path)
+        found = perform(job)
+        assert found.status == "failed"
+        reasons.append(str(found.row["reason"]))
+    assert "wrong.toml: expected TOML text" in reasons[0]
+    assert 'two limits are called "temperature above 90 °C"' in reasons[1]
+
+
+def test_the_page_of_climates_shows_limits_and_numbers_that_are_zero() -> None:
+    rows = []
+    for place in range(7):
+        row: dict = {"turbine": f"W{place}", "status": "done", "limits": "fail" if place == 2 else "pass"}
+        row |= {"wetness_class": "τ2", "statements": "one; the other" if place else "one"}
+        row |= {"ageing_h": 12.0 + place, "ageing_h_lower": 11.0 + place, "ageing_h_upper": 13.0 + place}
+        row |= {f"wetness_h{end}": v for end, v in (("", 43.5397), ("_lower", 0.0), ("_upper", 116.1))}
+        rows.append(row)
+    rows[6] |= {"wetness_h": 0.0, "wetness_h_upper": 0.0}
+    text = fleet_page({"task": "climate", "rows": rows, "name": "one"})
+    assert "Limits: 1 fail, 6 pass." in text and "7 of 7: one<" in text and "6 of 7: the other<" in text
+    ranking = text.split("<h2>Ranking</h2>")[1]
+    assert ranking.count("43.5 (0 … 116)") == 6 and "43.5397" not in text
+    assert "above zero on both sides, so not compared: time of wetness of W0, W1" in text
+    assert "W6.</p>" in text  # also the one without any wet hour
 
 
 def made_rows(random: np.random.Generator, count: int, between: float, error: np.ndarray) -> list[dict]:
@@ -588,6 +659,7 @@ def test_the_command_tells_writes_and_reports_again(
     [
         (["--workers", "2", "--dask", "tcp://x:1"], "leave it out beside --dask"),
         (["--dask", "nowhere"], "--dask nowhere: 1 fault"),
+        (["--out", "climate"], "expected a directory of its own, found climate.json"),
     ],
 )
 def test_what_cannot_be_run_is_said(
@@ -601,6 +673,8 @@ def test_what_cannot_be_run_is_said(
     from hygrokf.fleet import cluster
 
     monkeypatch.setattr(cluster, "WAIT_S", 0.3)
+    (tmp_path / "climate.json").write_text("{}")
+    more = [str(tmp_path) if one == "climate" else one for one in more]
     assert main(["fleet", str(park / "fleet.toml"), "--out", str(tmp_path / "out"), *more]) == 2
     assert words in capsys.readouterr().err
 

@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hygrokf.console import Progress, UserFault, expect_directory
-from hygrokf.files import DISCOVERY
+from hygrokf.console import Progress, UserFault, expect_directory, expect_own_directory
+from hygrokf.files import CLIMATE
 
 if TYPE_CHECKING:
     from hygrokf.fit import Fit
@@ -88,7 +88,7 @@ def run_climate(options: argparse.Namespace, stored: Callable[[], Fit]) -> tuple
     from hygrokf.climate.tables import climate_text
 
     expect_directory(options.out)
-    _expect_own_directory(options.out)
+    expect_own_directory(options.out, CLIMATE)
     groups = _regions(options)
     fit = stored()
     stated = options.power or options.power_curve or options.standstill
@@ -120,15 +120,6 @@ def run_climate(options: argparse.Namespace, stored: Callable[[], Fit]) -> tuple
     progress.close()
     page = write_climate_report(study, options.out)
     return page, study.to_json(), climate_text(study.to_json())
-
-
-def _expect_own_directory(out: Path) -> None:
-    """Refuse a directory that holds other results: its report.html would be theirs no longer."""
-    for name in ("fit.json", DISCOVERY):
-        if (out / name).exists():
-            raise UserFault(
-                f"--out {out}: expected a directory of its own, found {name} in it; name another one"
-            )
 
 
 def _regions(options: argparse.Namespace) -> list[tuple[str, list[Path]]]:

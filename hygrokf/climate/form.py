@@ -16,7 +16,7 @@ class FormFault(Exception):
 
     def __init__(self, file: object, faults: list[str]) -> None:
         super().__init__("\n".join([f"{file}:", *(f"  {i}. {one}" for i, one in enumerate(faults, 1))]))
-        self.faults = tuple(faults)
+        self.file, self.faults = str(file), tuple(faults)
 
 
 def read_toml(path: str | os.PathLike[str], what: str) -> dict:
@@ -28,7 +28,10 @@ def read_toml(path: str | os.PathLike[str], what: str) -> dict:
         raise FormFault(
             file, [f"expected {what}, found: {fault.strerror or fault}; check the path"]
         ) from None
-    except (UnicodeDecodeError, tomllib.TOMLDecodeError) as fault:
+    except (
+        ValueError,
+        RecursionError,
+    ) as fault:  # also a number of more digits, or more brackets, than Python reads
         raise FormFault(
             file, [f"expected TOML text with {what}, found: {fault}; see docs/climate.md"]
         ) from None
@@ -36,7 +39,10 @@ def read_toml(path: str | os.PathLike[str], what: str) -> dict:
 
 def is_number(value: object) -> bool:
     """Whether a value of a TOML file is a finite number."""
-    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    try:
+        return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
+    except OverflowError:  # a whole number beyond all floating ones
+        return False
 
 
 def unknown_keys(table: Mapping, known: tuple[str, ...], where: str) -> list[str]:

@@ -89,7 +89,7 @@ def read_limits(path: str | os.PathLike[str]) -> tuple[Limit, ...]:
     if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
         raise FormFault(path, [*faults, "expected at least one [[limit]], found none; see docs/climate.md"])
     found = [_limit(row, f"limit {number}", faults) for number, row in enumerate(rows, 1)]
-    faults += _doubled(found)
+    faults = faults or _doubled(found)  # rows that are wrong have names that only look alike
     if faults:
         raise FormFault(path, faults)
     return tuple(found)
@@ -111,13 +111,14 @@ def expect_names(limits: Sequence[Limit]) -> None:
 def _limit(row: dict, where: str, faults: list[str]) -> Limit:
     faults += unknown_keys(row, _KEYS, where)
     quantity, during = row.get("quantity"), row.get("during", "all")
-    if quantity not in QUANTITIES:
+    if not isinstance(quantity, str) or quantity not in QUANTITIES:
         faults.append(f"{where}: quantity: expected one of {', '.join(QUANTITIES)}, found {quantity!r}")
         quantity = "temperature_degC"
     sides = [side for side in ("above", "below") if side in row]
     if len(sides) != 1 or not is_number(row[sides[0]]):
         faults.append(
-            f"{where}: expected either above or below with a number, found {', '.join(sides) or 'neither'}"
+            f"{where}: expected either above or below with a number, found "
+            f"{', '.join(f'{side} = {str(row[side])[:40]}' for side in sides) or 'neither'}"
         )
         sides, row = ["above"], {**row, "above": 0.0}
     if "rate" in quantity and sides[0] == "below":

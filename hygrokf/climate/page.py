@@ -21,10 +21,11 @@ from hygrokf.climate.tables import (
     year_table,
 )
 from hygrokf.drawing import png
-from hygrokf.files import REPORT, write_bytes_whole, write_text_whole
+from hygrokf.files import CLIMATE, REPORT, write_bytes_whole, write_text_whole
 from hygrokf.lookup import entry, number
 from hygrokf.page import document, figure_html, moment, prose, section, sentence, tables_html
 from hygrokf.report_words import percent, plain_number, text_of
+from hygrokf.results import ResultFault
 
 PICTURE = "test_profile.png"
 JOINT_CAPTION = (
@@ -51,10 +52,20 @@ def write_climate_report(study: Study | None, directory: str | os.PathLike[str])
     if study is not None:
         write_climate(study, folder)
     found = read_climate(folder).results
-    (folder / PICTURE).unlink(missing_ok=True)
-    if len(found["regions"]) == 1 and found["regions"][0]["test_profile"] is not None:
-        write_bytes_whole(folder / PICTURE, png(figure_profile(found["regions"][0])))
-    return write_text_whole(folder / REPORT, climate_page(found))
+    try:
+        single = len(found["regions"]) == 1 and found["regions"][0]["test_profile"] is not None
+        picture = png(figure_profile(found["regions"][0])) if single else None
+        page = climate_page(found)
+    except (LookupError, TypeError, AttributeError, ValueError) as fault:
+        raise ResultFault(
+            f"{folder / CLIMATE}: expected what `hygrokf climate` wrote, found it changed or of another version "
+            f"({type(fault).__name__}: {fault}); run `hygrokf climate` again"
+        ) from None
+    if picture is None:
+        (folder / PICTURE).unlink(missing_ok=True)
+    else:
+        write_bytes_whole(folder / PICTURE, picture)
+    return write_text_whole(folder / REPORT, page)
 
 
 def climate_page(found: Mapping) -> str:

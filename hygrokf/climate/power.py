@@ -27,6 +27,8 @@ from hygrokf.record import Record, Series
 HOUR_S = 3600.0
 DAYS_A_YEAR = 365.25
 WIND_BRIDGE_H = 6.0
+RATED = (0.5, 1.2)
+"""Highest power of a curve over the rated power [1]."""
 LAWS = {"power": "exponent", "log": "roughness_m"}
 
 
@@ -97,9 +99,10 @@ def read_power_curve(path: str | os.PathLike[str]) -> PowerCurve:
         )
     if not faults and not all(a < b for a, b in itertools.pairwise(speed)):
         faults.append("wind_speed_m_s: expected rising numbers")
-    if not faults and max(power) > 1.2 * numbers["rated_power_kW"]:
+    if not faults and not RATED[0] <= max(power) / numbers["rated_power_kW"] <= RATED[1]:
         faults.append(
-            f"power_kW reaches {max(power):g}, above rated_power_kW = {numbers['rated_power_kW']:g}; correct one of them"
+            f"power_kW: expected a curve that reaches about rated_power_kW = {numbers['rated_power_kW']:g}, found "
+            f"{max(power):g} at most; are both in kW? correct one of them"
         )
     law, number = _shear(data.get("shear"), numbers, faults)
     if faults:
@@ -112,7 +115,7 @@ def read_power_curve(path: str | os.PathLike[str]) -> PowerCurve:
 
 def _shear(shear: object, heights: Mapping, faults: list[str]) -> tuple[str, float]:
     law = shear.get("law") if isinstance(shear, dict) else None
-    if law not in LAWS:
+    if not isinstance(law, str) or law not in LAWS:
         faults.append(
             'shear: expected { law = "power", exponent = … } or { law = "log", roughness_m = … }, found '
             f"{shear!r}"
@@ -148,8 +151,9 @@ def power_from_wind(curve: PowerCurve, record: Record) -> Series:
 def power_by_season(power: Series, record: Record) -> tuple[Series, str]:
     """Power [W] for a weather record from one of other years, hour by hour; and in words how it was taken.
 
-    Where it covers the weather's time it is taken as it is.  Else each hour has the power of the same day and hour of
-    the year, of the years that the record of the power has one after another.
+    Where it covers the weather's time it is taken as it is.  Else each hour has the power of the same hour and, give or
+    take one, the same day of the year, of the years that the record of the power has one after another; days of the year
+    that the record does not have are unknown (NaN).
     """
     first, last = power.time[0] - power.interval_s, power.time[-1]
     if first <= record.start_s + 2 * 86400.0 and last >= record.end_s - 2 * 86400.0:
@@ -162,10 +166,12 @@ def power_by_season(power: Series, record: Record) -> tuple[Series, str]:
         )
     ends = _hours(record)
     whole = max(1.0, np.floor((last - first) / year_s + 0.05))
-    # whole days are moved, so that the hour of the day stays
-    back = np.floor((ends - first) / (whole * year_s)) * np.round(whole * DAYS_A_YEAR) * 86400.0
-    at = np.clip(ends - back, first + HOUR_S, last)
-    value = at_times(power, at, 1.0)
+    # whole days are moved, so that the hour of the day stays; leap days never add up to more than a part of a day
+    back = 86400.0 * np.round(np.floor((ends - first) / (whole * year_s)) * whole * DAYS_A_YEAR)
+    at = ends - back
+    at += 86400.0 * (at <= first)
+    at -= 86400.0 * ((at > last) & (at <= last + 86400.0))
+    value = np.where(at > last, np.nan, at_times(power, at, 1.0))
     span = "a year" if whole == 1 else f"{whole:.0f} years"
     return _hourly_power(ends, value, power.source), (
         f"power of other times than the weather's, taken by the time of the year from a record of {span}: "

@@ -56,7 +56,9 @@ class Spread:
 
 
 def spreads(rows: Sequence[Mapping[str, object]], compared: Sequence[Compared]) -> list[Spread]:
-    """The spread of every quantity that any turbine has; turbines with open bounds are set aside by name (`open`)."""
+    """The spread of every quantity that any turbine has; turbines without a value and bounds above zero on both sides
+    are set aside by name (`open`).
+    """
     there = [one for one in compared if any(number(row, one.column) > 0 for row in rows)]
     return [spread(rows, one, len(there)) for one in there]
 
@@ -66,7 +68,10 @@ def spread(rows: Sequence[Mapping[str, object]], compared: Compared, quantities:
     named, x, error, open_ = [], [], [], []
     for row in rows:
         value = number(row, compared.column)
-        if not value > 0:
+        if not value >= 0:
+            continue
+        if value == 0:  # no logarithm
+            open_.append(str(row["turbine"]))
             continue
         low, high = (number(row, name) if name else np.nan for name in (compared.lower, compared.upper))
         if compared.lower and not 0 < low < high:

@@ -15,12 +15,14 @@ from hygrokf.fleet.tasks import TASKS, Compared
 from hygrokf.lookup import entry, number
 from hygrokf.page import document, figure_html, moment, prose, section, sentence, tables_html
 from hygrokf.report_tables import Table
-from hygrokf.report_words import NONE, decimals_for, fixed, text_of
+from hygrokf.report_words import NONE, decimals_for, fixed, plain_number, text_of
 from hygrokf.transfer.page import type_section
 from hygrokf.version import __version__
 
 RANKED = 50
 """Rows of the ranking on the page; the table of all is fleet.csv."""
+REMARKS = 12
+"""Remarks on weather and power that the page tells, those of most turbines first."""
 
 
 def fleet_page(fleet: Mapping) -> str:
@@ -36,6 +38,7 @@ def fleet_page(fleet: Mapping) -> str:
         _failures(rows),
         _verdicts(done),
         _transfers(done),
+        _climates(done),
         _spreads_section(found),
         type_section(fleet.get("type")),
         _outliers(found),
@@ -159,6 +162,46 @@ def _transfers(done: Sequence[Mapping]) -> str:
     return section("What travels", f"<p>{escape(sentence(said))}</p>", tables_html((table, "")))
 
 
+def _climates(done: Sequence[Mapping]) -> str:
+    """Of a fleet's climates: the limits, the class of wetness, condensation, and what is to be said of each."""
+    judged = [row for row in done if "wetness_class" in row]
+    if not judged:
+        return ""
+    rows = tuple(
+        (
+            text_of(r.get("turbine")),
+            text_of(r.get("limits")) or NONE,
+            text_of(r.get("wetness_class")) or NONE,
+            _span(*(number(r, f"condensation_h{end}") for end in ("", "_lower", "_upper"))),
+        )
+        for r in judged
+    )
+    counts = Counter(text_of(row.get("limits")) for row in judged)
+    verdicts = ", ".join(f"{counts[v]} {v}" for v in ("fail", "undecided", "pass") if counts[v])
+    said = f"Limits: {verdicts}." if verdicts else "No limits were given."
+    head = ("turbine", "limits", "wetness", "condensation, h/a")
+    marked = tuple(i for i, row in enumerate(judged) if row.get("limits") == "fail")
+    note = "Limits: the worst of a turbine's verdicts. Wetness: class of ISO 9223:1992. In brackets 95 % bounds for a single year."
+    table = Table("Each turbine", head, rows, left=(0, 1, 2), marked=marked, note=note)
+    remarks = Counter(one for row in judged for one in text_of(row.get("statements")).split("; ") if one)
+    told = "".join(
+        f"<p class=note>{count} of {len(judged)}: {prose(one)}</p>"
+        for one, count in remarks.most_common(REMARKS)
+    )
+    if len(remarks) > REMARKS:
+        told += f"<p class=note>{len(remarks) - REMARKS} more in the column statements of {CSV}.</p>"
+    return section("Climates", f"<p>{escape(said)}</p>", tables_html((table, "")), told)
+
+
+def _span(value: float, low: float, high: float) -> str:
+    """A value with its bounds, which may be zero."""
+    if not math.isfinite(value):
+        return NONE
+    if plain_number(low) == plain_number(high):
+        return plain_number(value)
+    return f"{plain_number(value)} ({plain_number(low)} … {plain_number(high)})"
+
+
 def _spreads_section(found: Sequence[Spread]) -> str:
     constants = [one for one in found if one.compared.lower]
     errors = [one for one in found if not one.compared.lower]
@@ -182,7 +225,7 @@ def _spreads_section(found: Sequence[Spread]) -> str:
     for one in found:
         if one.open:
             parts.append(
-                f"<p class=note>Without bounds on both sides, so not compared: {escape(one.compared.title)} of "
+                f"<p class=note>Without a value and bounds above zero on both sides, so not compared: {escape(one.compared.title)} of "
                 f"{escape(', '.join(one.open[:20]))}{' …' if len(one.open) > 20 else ''}.</p>"
             )
     return section("Spread over the fleet", *parts) if parts else ""
@@ -196,6 +239,8 @@ def _value(row: Mapping, one: Compared) -> str:
     if not one.lower:
         return fixed(value)
     low, high = number(row, one.lower), number(row, one.upper)
+    if not (0 < low < high) and not one.column.endswith("value_h"):
+        return _span(value, low, high)
     if not (0 < low < high):
         return text_of(row.get(one.column.replace("value_h", "statement"))) or "open"
     decimals = decimals_for(high - low)

@@ -62,4 +62,6 @@ def _kind(name: str, values: Sequence[object]) -> type:
     return there.pop() if len(there) == 1 else float if name.endswith(_NUMBERS) else str
 
 
-_NUMBERS = ("_h", "_K", "_m3", "_coverage", "loglik", "confidence", "n_readings", "warnings")
+_NUMBERS = (
+    "_h", "_K", "_m3", "_degC", "_percent", "_lower", "_upper", "_coverage", "loglik", "confidence", "n_readings", "warnings",
+)  # fmt: skip

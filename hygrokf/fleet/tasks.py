@@ -108,6 +108,8 @@ def reason_of(fault: Exception) -> str:
     """A failure on one line; for one that no one foresaw also where it happened."""
     listed = getattr(fault, "faults", ())
     text = " ".join(("; ".join(map(str, listed)) if listed else str(fault)).split())
+    if file := getattr(fault, "file", ""):
+        text = f"{file}: {text}"
     if type(fault).__name__.endswith("Fault") or type(fault) in (ValueError, OSError):
         return text or type(fault).__name__
     where = traceback.extract_tb(fault.__traceback__)
