@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterable
 from pathlib import Path
-
-from hygrokf.files import RESULTS
 
 
 class UserFault(Exception):
@@ -72,10 +71,10 @@ def expect_directory(path: Path) -> None:
     )
 
 
-def expect_own_directory(out: Path, own: str) -> None:
-    """Refuse a directory that holds other results than `own`, one of `RESULTS`: its report.html would be theirs no longer."""
-    for name in RESULTS:
-        if name != own and (out / name).exists():
+def expect_own_directory(out: Path, others: Iterable[str]) -> None:
+    """Refuse a directory that holds other results, told by the names of their files: its report.html would be theirs no longer."""
+    for name in others:
+        if (out / name).exists():
             raise UserFault(
                 f"--out {out}: expected a directory of its own, found {name} in it; name another one"
             )

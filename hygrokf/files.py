@@ -26,6 +26,11 @@ RESULTS = ("fit.json", DISCOVERY, FLEET, CLIMATE, COMPARISON, TRANSFER)
 """Files of which a directory of results has one kind: its report.html is made from it."""
 
 
+def other_results(own: str) -> tuple[str, ...]:
+    """The files of `RESULTS` that a directory with its own kind must not have."""
+    return tuple(name for name in RESULTS if name != own)
+
+
 def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:
     """Write a file so that a reader sees the old content or the new one, never a part.
 

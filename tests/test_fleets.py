@@ -391,19 +391,18 @@ def test_models_go_elsewhere_on_a_cluster_as_here(
     limits_file(park)
     file = park / f"{task}_there.toml"
     fit = serial[0] / "turbines" / "T1" / "fit.json"
-    file.write_text(f'task = "{task}"\ncases = ["T[123]/case.toml"]\nfit = "{fit}"\n{MODELS_GO[task]}')
+    file.write_text(f'task = "{task}"\ncases = ["T[23]/case.toml"]\nfit = "{fit}"\n{MODELS_GO[task]}')
     here, there = tmp_path / "here", tmp_path / "there"
     table = table_csv(task, [perform(job).row for job in read_plan(file).jobs(here)])
     result = run_fleet(read_plan(file), there, cluster=cluster.scheduler_address)
-    assert [row["status"] for row in result.rows] == ["done", "done", "failed"]
+    assert [row["status"] for row in result.rows] == ["done", "failed"]
     assert (there / "fleet.csv").read_text() == table
-    for name in ("T1", "T2"):
-        made = sorted(one.name for one in (here / "turbines" / name).iterdir())
-        assert made == sorted(one.name for one in (there / "turbines" / name).iterdir())
-        for one in made:
-            if one.endswith((".csv", ".json")) and one != "row.json":  # which has the time that it took
-                same = [untimed((out / "turbines" / name / one).read_text()) for out in (here, there)]
-                assert same[0] == same[1], one
+    made = sorted(one.name for one in (here / "turbines" / "T2").iterdir())
+    assert made == sorted(one.name for one in (there / "turbines" / "T2").iterdir())
+    for one in made:
+        if one.endswith((".csv", ".json")) and one != "row.json":  # which has the time that it took
+            same = [untimed((out / "turbines" / "T2" / one).read_text()) for out in (here, there)]
+            assert same[0] == same[1], one
 
 
 def untimed(text: str) -> list[str]:

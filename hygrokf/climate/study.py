@@ -12,13 +12,14 @@ from hygrokf.climate.acceleration import Acceleration
 from hygrokf.climate.bounds import LEVEL, Bounded, bounded, held
 from hygrokf.climate.chamber import ProfilePlan
 from hygrokf.climate.days import Days, days_of, joined, thinned
-from hygrokf.climate.ensemble import WHOLE, YEAR_H, Year, simulate_years
+from hygrokf.climate.ensemble import WHOLE, YEAR_H, Year, shots_of, simulate_years
 from hygrokf.climate.form import as_list
 from hygrokf.climate.limits import Limit, exceeded, expect_names, judged
 from hygrokf.climate.members import draw_members
 from hygrokf.climate.power import PowerCurve
 from hygrokf.climate.region import Region, driven
 from hygrokf.climate.sequence import chamber_sequence, closeness
+from hygrokf.climate.shots import words as shot_words
 from hygrokf.climate.statistics import (
     CYCLE_RANGES_K,
     HUMIDITY_EDGES,
@@ -125,8 +126,12 @@ def _region(
     say: Progress,
 ) -> dict:
     record, statements = driven(fit, region.weather, power)
+    rare = shots_of(fit, record)
+    statements += shot_words(rare)
     whole, part, count = _Gathered(), _Gathered(), 0
-    for year in simulate_years(fit, record, drawn, seed, surface, say=lambda t: say(f"{region.name}: {t}")):
+    for year in simulate_years(
+        fit, record, drawn, seed, surface, rare=rare, say=lambda t: say(f"{region.name}: {t}")
+    ):
         count += 1
         if year.known.any():
             _gather(whole if _is_whole(year) else part, year, limits, plan.law, len(drawn))
@@ -144,7 +149,13 @@ def _region(
         still, _ = driven(fit, region.weather, None)
         rows = {True: [], False: []}
         for year in simulate_years(
-            fit, still, drawn, seed, surface, say=lambda t: say(f"{region.name} at standstill: {t}")
+            fit,
+            still,
+            drawn,
+            seed,
+            surface,
+            rare=rare,
+            say=lambda t: say(f"{region.name} at standstill: {t}"),
         ):
             if year.known.any():
                 rows[_is_whole(year)].append(scalars(year, plan.law))
