@@ -7,6 +7,8 @@ import io
 import json
 import os
 import signal
+import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -255,6 +257,19 @@ def test_a_turbine_that_kills_its_process_is_lost_and_told(park: Path, tmp_path:
     assert "lost" in (tmp_path / "report.html").read_text()
 
 
+def test_a_process_that_dies_before_it_begins_stops_nothing(
+    park: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has made no folder for its row."""
+    from hygrokf.fleet import processes
+
+    monkeypatch.setattr(processes.sys, "executable", "/bin/false")
+    result = run_fleet(read_plan(park / "fleet.toml"), tmp_path, workers=1)
+    assert [row["status"] for row in result.rows] == ["lost"] * TURBINES
+    assert "ended with status 1, 2 times in a row" in str(result.rows[0]["reason"])
+    assert (tmp_path / "turbines" / "T5" / "row.json").is_file()
+
+
 def test_whoever_stops_early_leaves_no_process(park: Path, tmp_path: Path) -> None:
     coming = in_processes(read_plan(park / "fleet.toml").jobs(tmp_path), 2)
     next(coming)
@@ -321,7 +336,7 @@ def cluster() -> Iterator[object]:
 
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 1}),
-        LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None) as made,
+        LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as made,
     ):
         yield made
 
@@ -375,6 +390,28 @@ def test_batches_hold_every_job_once_in_order() -> None:
         made = batches(list(range(count)), 4)
         assert [one for batch in made for one in batch] == list(range(count))
         assert max(map(len, made)) <= 25 and (count > 4000 or len(made) >= min(count, 4))
+
+
+def sleeping(jobs: list) -> list:
+    """In place of a batch: what is not done when the scheduler ends."""
+    time.sleep(4.0)
+    return []
+
+
+def test_a_scheduler_that_ends_is_told(park: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not as turbines that are lost: what is left is done by the same command."""
+    from distributed import LocalCluster
+
+    from hygrokf.fleet import cluster
+
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    monkeypatch.setattr(cluster, "perform_batch", sleeping)
+    monkeypatch.setattr(cluster, "WAIT_S", 1.5)
+    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0") as made:
+        threading.Timer(1.5, made.close).start()
+        with pytest.raises(FleetFault, match="the scheduler ended before the work, or was not reached"):
+            run_fleet(read_plan(park / "fleet.toml"), tmp_path / "out", cluster=made.scheduler_address)
+    assert not (tmp_path / "out" / "turbines").exists()
 
 
 MODELS_GO = {

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import os
 import threading
 from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 
 from hygrokf.fleet.job import LOST, FleetFault, Job, Outcome, outcome
 from hygrokf.fleet.tasks import perform
@@ -37,13 +39,13 @@ def on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
 
     A batch whose worker dies is done again by another one.  Where that happens more often than the scheduler allows, its
     jobs are sent one by one, and the one that goes on killing workers is `lost`.  Raises FleetFault where there is no
-    cluster at the address, no worker, or another version of hygrokf on it.
+    cluster at the address, no worker, or another version of hygrokf on it, and where the scheduler ends before the work.
     """
     try:
         from distributed import Client, as_completed
     except ImportError:
         raise FleetFault("--dask", ["needs dask.distributed: pip install 'hygrokf[cluster]'"]) from None
-    with _client(Client, address) as client:
+    with _quiet(), _client(Client, address) as client:
         workers = _checked(client, address)
         sent = {}
 
@@ -57,11 +59,31 @@ def on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
             batch = sent.pop(future.key)
             if future.status == "finished":
                 yield from map(Outcome.from_json, future.result())
+            elif future.status != "error":  # the worker's death is an error; this is the scheduler's
+                raise FleetFault(
+                    f"--dask {address}",
+                    [
+                        f"the scheduler ended before the work, or was not reached any more (the tasks are {future.status}); "
+                        "what is done stays done: start a scheduler with workers, and run the same command again"
+                    ],
+                )
             elif len(batch) > 1:
                 coming.update([send([job]) for job in batch])
             else:
-                reason = " ".join(str(future.exception() or f"the task was {future.status}").split())
+                reason = " ".join(str(future.exception()).split())
                 yield outcome(batch[0], LOST, f"no worker of the cluster could do it: {reason}")
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without the tracebacks that the client logs where a scheduler ends: what became of the work is told by us."""
+    log = logging.getLogger("distributed.client")
+    before = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(before)
 
 
 def _client(kind: type, address: str) -> object:

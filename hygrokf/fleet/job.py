@@ -162,5 +162,6 @@ def begin(job: Job) -> None:
 
 
 def keep(job: Job, found: Outcome) -> None:
-    """Write the row, whole; from then on the job is done."""
+    """Write the row, whole; from then on the job is done.  Its folder may be missing: a process can die before it makes it."""
+    job.folder.mkdir(parents=True, exist_ok=True)
     write_text_whole(job.folder / ROW, dump(found.to_json()))
