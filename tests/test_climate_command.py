@@ -14,13 +14,14 @@ from html_page import Page
 from weather_case import epw_text
 
 from hygrokf.cli import main
+from hygrokf.climate.chamber import Chamber, ProfilePlan
 from hygrokf.climate.ensemble import years_of
 from hygrokf.climate.limits import Limit
 from hygrokf.climate.page import climate_page
 from hygrokf.climate.region import Region
 from hygrokf.climate.results import climate_csv, profile_files
 from hygrokf.climate.study import climate_profile
-from hygrokf.record import Record
+from hygrokf.record import Record, Series
 from hygrokf.results import dump
 from hygrokf.version import __version__
 
@@ -283,6 +284,31 @@ def test_years_far_apart_are_taken_and_those_between_told() -> None:
         climate_of(unknown)
 
 
+def test_a_year_without_operation_counts_among_the_others() -> None:
+    """Two years, the second at standstill: operation has half of its hours, at the temperature of the first."""
+    weather = made_up_weather(731)
+    time = weather["wind_speed"].time
+    value = np.where(time < time[0] + 8766 * 3600.0, 2e6, 0.0)
+    power = Record("p", (Series("active_power", time, value, "zero-order", 3600.0),), rated_power_W=2e6)
+    region = climate_profile(known_fit(), [Region("here", weather)], power, members=3).to_json()["regions"][0]
+    hours = {scope: region["scopes"][scope]["hours"]["value"] for scope in ("operation", "standstill")}
+    assert hours["operation"] + hours["standstill"] == pytest.approx(8766.0, abs=0.1)
+    assert hours["operation"] == pytest.approx(4383.0, abs=2.0)
+    assert region["scopes"]["operation"]["hours"]["lower"] == 0.0
+    warm = region["scopes"]["operation"]["mean_temperature_degC"]
+    assert np.isfinite(warm["value"]) and warm["lower"] <= warm["value"] <= warm["upper"]
+
+
+def test_what_to_do_about_years_out_of_reach() -> None:
+    found = climate_of(
+        made_up_weather(40), plan=ProfilePlan(20000, 0.01, chamber=Chamber(temperature_degC=(20.0, 85.0)))
+    )
+    assert not found["test_profile"]["reached"]
+    study = climate_profile(known_fit(), [Region("here", made_up_weather(40))], members=3).to_json()
+    page = climate_page(json.loads(dump({**study, "regions": [found]})))
+    assert "a shorter test, more years, or a colder chamber" in page
+
+
 def test_limits_of_one_name_are_refused() -> None:
     """Their hours would be taken for those of several years of one limit."""
     two = [Limit("hot", "temperature_degC", "above", level, 24.0) for level in (10.0, 60.0)]
@@ -306,5 +332,7 @@ def test_what_a_verdict_and_bounds_do_not_say_is_told() -> None:
         rare, series=tuple(replace(s, time=s.time[::6], value=s.value[::6]) for s in rare.series[:2])
     )
     assert any("comes every 6 h" in one for one in climate_of(rare)["statements"])
+    study = climate_profile(known_fit(), [Region("here", rare)], members=3).to_json()
+    assert "2 asked, of 40 days of weather, not a year" in climate_page({**study, "regions": [region]})
     enough = climate_profile(known_fit(), [Region("here", rare)], members=39).to_json()["regions"][0]
     assert not any("members are few" in one for one in enough["statements"])

@@ -336,7 +336,9 @@ def cluster() -> Iterator[object]:
 
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 1}),
-        LocalCluster(n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as made,
+        LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0"
+        ) as made,
     ):
         yield made
 
@@ -407,7 +409,9 @@ def test_a_scheduler_that_ends_is_told(park: Path, tmp_path: Path, monkeypatch: 
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     monkeypatch.setattr(cluster, "perform_batch", sleeping)
     monkeypatch.setattr(cluster, "WAIT_S", 1.5)
-    with LocalCluster(n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0") as made:
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
+    ) as made:
         threading.Timer(1.5, made.close).start()
         with pytest.raises(FleetFault, match="the scheduler ended before the work, or was not reached"):
             run_fleet(read_plan(park / "fleet.toml"), tmp_path / "out", cluster=made.scheduler_address)

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 
+from hygrokf.climate.ensemble import WHOLE, YEAR_H
 from hygrokf.climate.plots import figure_duration, figure_joint, figure_profile, figure_regions
 from hygrokf.climate.results import read_climate, write_climate
 from hygrokf.climate.study import Study
@@ -164,7 +165,7 @@ def _cards(region: Mapping) -> list[str]:
         )
         cards.append(
             f"<div class='card wide{'' if worst == 'pass' else ' open'}'><p class=label>Limits "
-            f"<span>{len(verdicts)} asked</span></p><p class='value words'>{escape(counted)}</p></div>"
+            f"<span>{len(verdicts)} asked{escape(_of_a_part(region))}</span></p><p class='value words'>{escape(counted)}</p></div>"
         )
     for name, label, note in (
         ("wetness_h", "Time of wetness", f"class {region['wetness_class']}, ISO 9223:1992"),
@@ -181,6 +182,12 @@ def _cards(region: Mapping) -> list[str]:
     return cards
 
 
+def _of_a_part(region: Mapping) -> str:
+    """What a verdict rests on, where that is less than a year."""
+    known = max(number(one, "hours_known") for one in region["years"])
+    return f", of {known / 24.0:.0f} days of weather, not a year" if known < WHOLE * YEAR_H else ""
+
+
 def _profile(region: Mapping, short: str) -> list[str]:
     profile = region["test_profile"]
     if profile is None:
@@ -194,9 +201,10 @@ def _profile(region: Mapping, short: str) -> list[str]:
         f"{percent(profile['share_at_chamber_limit'])} of the hours stand at a limit of the chamber's temperature."
     )
     if not profile["reached"]:
+        short = close["ageing"]["test_h"] < close["ageing"]["service_h"]
         words += (
-            " The stated years of service are out of reach within these limits and this length: "
-            "state a longer test, fewer years, or a hotter chamber."
+            " The stated years of service are out of reach within these limits and this length: state "
+            f"{'a longer test, fewer years, or a hotter chamber' if short else 'a shorter test, more years, or a colder chamber'}."
         )
     return [
         f"<p>{prose(words)}</p>",

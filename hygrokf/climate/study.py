@@ -30,7 +30,6 @@ from hygrokf.climate.statistics import (
     curves,
     outside,
     scalars,
-    scope_of,
     wetness_class,
 )
 from hygrokf.fit import Fit
@@ -68,6 +67,10 @@ class _Gathered:
     outside: list[tuple[dict, Curves]] = field(default_factory=list)
     days: list[Days] = field(default_factory=list)
     spans: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+    def has(self, scope: str) -> bool:
+        """Whether any hour of any year is of a scope."""
+        return any(year["hours"].max() > 0.0 for year in self.scalars[scope])
 
 
 def climate_profile(
@@ -144,7 +147,7 @@ def _region(
     statements += _weather_words(gathered, count)
     statements += _member_words(len(drawn), len(gathered.spans))
     statements += _limit_words(limits, gathered)
-    scopes = {scope: _summary(rows) for scope, rows in gathered.scalars.items() if rows}
+    scopes = {scope: _summary(gathered.scalars[scope]) for scope in SCOPES if gathered.has(scope)}
     if power is not None and fit.design.power_scale_W is not None:
         still, _ = driven(fit, region.weather, None)
         rows = {True: [], False: []}
@@ -193,9 +196,8 @@ def _region(
 
 
 def _gather(into: _Gathered, year: Year, limits: Sequence[Limit], law: Acceleration, members: int) -> None:
-    for scope in SCOPES:
-        if scope_of(year, scope).any() or scope == "all":
-            into.scalars[scope].append(scalars(year, law, scope))
+    for scope in SCOPES:  # a year without operation has 0 h of it, and counts among the others
+        into.scalars[scope].append(scalars(year, law, scope))
     into.curves.append(curves(year))
     weather = outside(year)
     into.outside.append(
@@ -255,7 +257,7 @@ def _limit_words(limits: Sequence[Limit], gathered: _Gathered) -> list[str]:
             said.append(
                 f'limit "{one.name}" is not judged: the model has no {one.quantity_words}, only a temperature'
             )
-        elif one.during != "all" and not gathered.scalars[one.during]:
+        elif not gathered.has(one.during):
             said.append(
                 f'limit "{one.name}" passes for want of hours: these years have none'
                 f"{' at' if one.during == 'standstill' else ' in'} {one.during}"
