@@ -101,7 +101,13 @@ def climate_profile(
     expect_names(limits)
     plan, surface = plan or ProfilePlan(), surface or Surface()
     drawn = draw_members(fit, members, seed)
-    found = [_region(fit, one, power, limits, plan, drawn, seed, surface, progress) for one in regions]
+    found = []
+    for one in regions:
+        try:
+            found.append(_region(fit, one, power, limits, plan, drawn, seed, surface, progress))
+        except ValueError as fault:
+            files = f" ({', '.join(one.files)})" if one.files else ""
+            raise ValueError(f"{one.name}{files}: {fault}") from fault
     return Study(
         {
             "name": fit.name,
@@ -140,9 +146,7 @@ def _region(
             _gather(whole if _is_whole(year) else part, year, limits, plan.law, len(drawn))
     gathered = whole if whole.spans else part
     if not gathered.spans:
-        raise ValueError(
-            f"{region.name}: neither weather nor power is known at any instant; check the files and their spans"
-        )
+        raise ValueError("neither weather nor power is known at any instant; check the files and their spans")
     statements += _interval_words(region.weather)
     statements += _weather_words(gathered, count)
     statements += _member_words(len(drawn), len(gathered.spans))
