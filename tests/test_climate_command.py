@@ -229,3 +229,17 @@ def test_names_are_escaped_on_the_page() -> None:
     found = climate_profile(known_fit(), [Region("<b>&", weather, ("<i>.csv",))], members=3).to_json()
     page = climate_page(json.loads(dump(found)))
     assert "<b>&<" not in page and "<i>.csv" not in page
+
+
+def test_what_the_model_lacks_and_what_its_noise_is_like_are_said() -> None:
+    """Hours above saturation that nothing holds back, and innovations with the tails of shots."""
+    regions = [Region("here", made_up_weather(40))]
+    calm = climate_profile(known_fit(), regions, members=3).to_json()["regions"][0]["statements"]
+    assert not any("100 %" in one or "shots" in one for one in calm)
+    damp = known_fit(vapour_disturbance_sd=4.0)
+    seen = {"n": 17000, "step_h": 0.25, "excess_kurtosis": 9.0}
+    damp.results["innovations"] = {"outputs": {"humidity": seen}}
+    found = climate_profile(damp, regions, members=3).to_json()["regions"][0]
+    assert found["scopes"]["all"]["saturation_h"]["value"] > 24.0
+    assert any("above 100 % for" in one for one in found["statements"])
+    assert any("as shots, on average those of vapour every" in one for one in found["statements"])
