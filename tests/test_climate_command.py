@@ -237,7 +237,7 @@ def test_what_the_model_lacks_and_what_its_noise_is_like_are_said() -> None:
     calm = climate_profile(known_fit(), regions, members=3).to_json()["regions"][0]["statements"]
     assert not any("100 %" in one or "shots" in one for one in calm)
     damp = known_fit(vapour_disturbance_sd=4.0)
-    seen = {"n": 17000, "step_h": 0.25, "excess_kurtosis": 9.0}
+    seen = {"n": 17000, "step_h": 0.25, "excess_kurtosis": 60.0}
     damp.results["innovations"] = {"outputs": {"humidity": seen}}
     found = climate_profile(damp, regions, members=3).to_json()["regions"][0]
     assert found["scopes"]["all"]["saturation_h"]["value"] > 24.0
