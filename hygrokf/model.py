@@ -45,6 +45,7 @@ SUMS = {
 class Mechanism:
     """One piece of physics; see the module's text for the functions.
 
+    `amounts` are states of which there cannot be less than nothing; the filter does not know that, simulations keep to it.
     `settings` are the numbers that the mechanism was made with (they make it again: `library[name](**settings)`);
     `leaves` says what its absence leaves in the residuals, `source` where the equations come from.
     """
@@ -59,6 +60,7 @@ class Mechanism:
     diffusion: Callable | None = None
     initial: Callable | None = None
     outputs: Mapping[str, Callable] = field(default_factory=dict)
+    amounts: tuple[str, ...] = ()
     settings: Mapping[str, object] = field(default_factory=dict)
     meaning: str = ""
     leaves: str = ""
@@ -97,6 +99,12 @@ class Model:
     def states(self) -> tuple[str, ...]:
         """The mechanisms' states and one running mean for every output that is read as an interval mean."""
         return self.own_states + tuple(f"mean_{name}" for name in self.averaged)
+
+    @cached_property
+    def amounts(self) -> tuple[bool, ...]:
+        """Which of the states cannot be below 0."""
+        names = {name for m in self.mechanisms for name in m.amounts}
+        return tuple(name in names for name in self.states)
 
     @cached_property
     def inputs(self) -> tuple[str, ...]:

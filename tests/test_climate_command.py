@@ -336,3 +336,28 @@ def test_what_a_verdict_and_bounds_do_not_say_is_told() -> None:
     assert "2 asked, of 40 days of weather, not a year" in climate_page({**study, "regions": [region]})
     enough = climate_profile(known_fit(), [Region("here", rare)], members=39).to_json()["regions"][0]
     assert not any("members are few" in one for one in enough["statements"])
+
+
+def test_what_the_model_lacks_and_what_its_noise_is_like_are_said() -> None:
+    """Hours above saturation that nothing holds back, and innovations with the tails of shots."""
+    regions = [Region("here", made_up_weather(40))]
+    calm = climate_profile(known_fit(), regions, members=3).to_json()["regions"][0]["statements"]
+    assert not any("100 %" in one or "shots" in one for one in calm)
+    damp = known_fit(vapour_disturbance_sd=4.0)
+    seen = {"n": 17000, "step_h": 0.25, "excess_kurtosis": 60.0}
+    damp.results["innovations"] = {"outputs": {"humidity": seen}}
+    found = climate_profile(damp, regions, members=3).to_json()["regions"][0]
+    assert found["scopes"]["all"]["saturation_h"]["value"] > 24.0
+    assert any("above 100 % for" in one for one in found["statements"])
+    assert any("as shots, on average those of vapour every" in one for one in found["statements"])
+
+
+def test_weather_that_does_not_suffice_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (folder / "weather.csv").read_text().splitlines()
+    (folder / "single.csv").write_text("\n".join(text[:2]) + "\n")
+    case = (folder / "weather.toml").read_text().replace("weather.csv", "single.csv")
+    (folder / "single.toml").write_text(case)
+    words = arguments(folder, "refused", "--weather", str(folder / "single.toml"), "--standstill")
+    assert main(words) == 2
+    assert "site (single.toml): the ambient series have no stretch" in capsys.readouterr().err
+    assert not (folder / "refused").exists()

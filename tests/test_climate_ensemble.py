@@ -134,6 +134,35 @@ def test_drawn_errors_have_singular_covariances_too() -> None:
     assert np.all(errors[:, 3] == 0.0) and np.abs(errors[:, 1] - 2 * errors[:, 0]).max() < 1e-3
 
 
+def test_covariances_that_curvature_spoils_are_mended_and_endless_ones_told() -> None:
+    """Rounding, or moments of a curved model: an eigenvalue a little below 0.  Not a number: said in words."""
+    random = np.random.default_rng(2)
+    spoiled = np.array([[1.0, 1.0 + 1e-7], [1.0 + 1e-7, 1.0]])
+    batch = np.stack([spoiled, np.eye(2)])
+    errors = np.array([_drawn(batch, random.standard_normal((2, 2))) for _ in range(20000)])
+    assert np.cov(errors[:, 0].T) == pytest.approx(np.ones((2, 2)), abs=0.05)
+    assert np.cov(errors[:, 1].T) == pytest.approx(np.eye(2), abs=0.05)
+    with pytest.raises(ValueError, match="found others in 1 of 2 members"):
+        _drawn(np.stack([np.eye(2), np.full((2, 2), np.nan)]), np.zeros((2, 2)))
+
+
+def test_amounts_are_never_below_nothing() -> None:
+    """Vapour under disturbances larger than the air's own humidity, and water in a material in very dry air."""
+    base = known_fit(vapour_disturbance_sd=6.0)
+    design = replace(base.design, mechanisms=(*base.design.mechanisms, ("moisture_sorption", {"slab": True})))
+    values = {p.name: base.values.get(p.name, p.start) for p in design.model.parameters}
+    fit = Fit(base.name, design, values | {"sorption_capacity": 60.0}, base.results)
+    assert [n for n, yes in zip(design.model.states, design.model.amounts, strict=True) if yes] == [
+        "vapour",
+        "sorbed_water",
+        "sorbed_skin",
+    ]
+    record, _ = driven(fit, short(30), None)
+    (year,) = simulate_years(fit, record, [fit.values] * 40, 3, Surface())
+    assert np.isfinite(year.relative_humidity).all() and year.relative_humidity.min() >= 0.0
+    assert year.absolute_humidity_g_m3.max() < 60.0
+
+
 def test_years_and_hours() -> None:
     assert kept_instants(np.arange(0, 5, 0.25)).tolist() == [0, 4, 8, 12, 16]
     assert kept_instants(np.array([0.0, 0.5, 1.5, 2.5, 3.0])).tolist() == [0, 2, 3]

@@ -16,7 +16,7 @@ from hygrokf.expression import Graph, jacobian
 from hygrokf.likelihood import Likelihood
 from hygrokf.mechanisms import LIBRARY, linear_network
 from hygrokf.mechanisms.hygric import exchange_factor, hygric_time_constant
-from hygrokf.mechanisms.moisture import GAB_C, GAB_K, GAB_SLOPE, SLAB
+from hygrokf.mechanisms.moisture import GAB_C, GAB_ENDS, GAB_K, GAB_SLOPE, SLAB, _gab
 from hygrokf.model import Mechanism, Model, compose, extend, without
 from hygrokf.parameters import Parameter
 from hygrokf.psychrometrics import relative_humidity
@@ -496,3 +496,16 @@ def test_a_moisture_capacity_is_the_isotherms_slope_at_half_humidity() -> None:
     wet = GAB_K * np.array([0.4999, 0.5001])
     content = GAB_C * wet / ((1.0 - wet) * (1.0 - wet + GAB_C * wet))
     assert np.diff(content)[0] / 0.0002 == pytest.approx(GAB_SLOPE, rel=1e-5)
+
+
+def test_the_isotherm_goes_on_straight_beyond_its_range() -> None:
+    """Between 2 and 98 % it is the equation's within 0.1 %; beyond 0 and 100 % it neither turns round nor has a pole."""
+    h = np.linspace(0.02, 0.98, 97)
+    wet = GAB_K * h
+    content = GAB_C * wet / ((1.0 - wet) * (1.0 - wet + GAB_C * wet))
+    found = np.array([float(_gab(one)) for one in h])
+    assert found == pytest.approx(content, rel=1e-3)
+    outside = np.array([float(_gab(one)) for one in np.linspace(-1.0, 3.0, 801)])
+    slopes = np.diff(outside) / 0.005
+    assert slopes.min() > 2.0 and slopes.max() < 12.2
+    assert slopes[[0, -1]] == pytest.approx(GAB_ENDS, rel=1e-3)

@@ -38,6 +38,8 @@ WHOLE = 0.9
 """Share of a year that a last stretch must have to count as a year."""
 SPIN_UP_H = 720.0
 """[h] the first month is run twice: its first run lets the state forget where it began."""
+SINGULAR = 1e-9
+"""Share of a state's variance [1] that is added as noise of its own, so that singular covariances have a factor."""
 DRAWN = 256
 """Steps whose random numbers are drawn at once."""
 
@@ -126,7 +128,8 @@ def simulate_years(
     for values in members:
         mean, variance = (np.array(part, dtype=float) for part in model.initial(values, first))
         kick = random.standard_normal(n) if process else np.zeros(n)
-        starts.append(Gaussian(mean + np.sqrt(variance) * kick, np.zeros((n, n))))
+        begin = mean + np.sqrt(variance) * kick
+        starts.append(Gaussian(np.where(model.amounts, np.maximum(begin, 0.0), begin), np.zeros((n, n))))
         fastest.append(likelihood.rate(values))
     runs = SideBySide(model, members, starts, np.array(fastest))
     walk = _Walk(runs, inputs, t.time, random if process else None, rare)
@@ -183,6 +186,7 @@ class _Walk:
         self.runs, self.inputs, self.time_h, self.random = runs, inputs, time_h, random
         self.rare = [one for one in rare if one.every_h > 0.0 and one.states.any()]
         self.state = runs.mean
+        self._amounts = np.array(runs.model.amounts)
         self._kicks = np.empty((0, *self.state.shape))
         self._at = 0
 
@@ -199,6 +203,7 @@ class _Walk:
             mean = self.runs.mean
             if self.random is not None:
                 mean = mean + _drawn(self.runs.covariance, self._kick(step_h))
+                mean[:, self._amounts] = np.maximum(mean[:, self._amounts], 0.0)
             self.runs.settle(mean)
             self.state = mean
 
@@ -213,13 +218,29 @@ class _Walk:
 
 
 def _drawn(covariance: np.ndarray, kick: np.ndarray) -> np.ndarray:
-    """Errors (N, n) with covariances (N, n, n), which may be singular, from standard normal numbers (N, n)."""
+    """Errors (N, n) with covariances (N, n, n), which may be singular, from standard normal numbers (N, n).
+
+    Raises ValueError where a covariance is not finite.
+    """
+    lost = int((~np.isfinite(covariance).all(axis=(1, 2))).sum())
+    if lost:
+        raise ValueError(
+            f"expected finite states, found others in {lost} of {len(covariance)} members: with the parameters that the fit "
+            "leaves open its model runs away under this weather; identify it on more data, or with fewer causes"
+        )
     scale = np.sqrt(np.maximum(np.einsum("nii->ni", covariance), 0.0))
     safe = np.where(scale > 0.0, scale, 1.0)
     correlation = covariance / (safe[:, :, None] * safe[:, None, :])
     n = kick.shape[1]
-    correlation[:, np.arange(n), np.arange(n)] = 1.0 + 1e-9  # a part in 1e9 of noise keeps it positive
-    return scale * np.einsum("nij,nj->ni", np.linalg.cholesky(correlation), kick)
+    correlation[:, np.arange(n), np.arange(n)] = 1.0 + SINGULAR
+    try:
+        factor = np.linalg.cholesky(correlation)
+    except np.linalg.LinAlgError:
+        # a curved model's moments may miss by a little what makes them those of a distribution
+        least = np.linalg.eigvalsh(correlation)[:, 0]
+        correlation[:, np.arange(n), np.arange(n)] += np.maximum(2.0 * SINGULAR - least, 0.0)[:, None]
+        factor = np.linalg.cholesky(correlation)
+    return scale * np.einsum("nij,nj->ni", factor, kick)
 
 
 def _year(

@@ -43,6 +43,8 @@ FEWEST_MEMBERS = 39
 """Members whose extremes are 95 % bounds."""
 DAYS_OF = 8
 """Members of whose days a test profile is chosen, of each year."""
+DRIPPING_H = 24.0
+"""[h/a] above saturation from which it is said that the model lacks what would hold the air below it."""
 STANDSTILL_YEAR = "standstill_all_year"
 Progress = Callable[[str], None]
 
@@ -152,6 +154,7 @@ def _region(
     statements += _member_words(len(drawn), len(gathered.spans))
     statements += _limit_words(limits, gathered)
     scopes = {scope: _summary(gathered.scalars[scope]) for scope in SCOPES if gathered.has(scope)}
+    statements += _saturation_words(scopes["all"])
     if power is not None and fit.design.power_scale_W is not None:
         still, _ = driven(fit, region.weather, None)
         rows = {True: [], False: []}
@@ -291,6 +294,16 @@ def _weather_words(gathered: _Gathered, found: int) -> list[str]:
             f"{100.0 * (1.0 - hours / length):.1f} % of the time weather or power is unknown and left out"
         )
     return said
+
+
+def _saturation_words(found: Mapping[str, Bounded]) -> list[str]:
+    hours = found.get("saturation_h")
+    if hours is None or hours.value < DRIPPING_H:
+        return []
+    return [
+        f"the cabinet's air is above 100 % for {hours.value:.0f} h a year: the model lacks what holds it below (condensation, "
+        "moisture storage), and the bounds do not know that; hours of damp and condensation are unreliable"
+    ]
 
 
 def _summary(years: Sequence[Mapping[str, np.ndarray]]) -> dict[str, Bounded]:

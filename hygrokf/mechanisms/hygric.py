@@ -49,6 +49,7 @@ def hygric_exchange(shortest_h: float = SHORTEST_H) -> Mechanism:
             ),
         ),
         states=("vapour",),
+        amounts=("vapour",),
         inputs=("ambient_temperature", "ambient_absolute_humidity", "exchange_factor"),
         drift=drift,
         initial=initial,

@@ -16,6 +16,10 @@ GAB_C, GAB_K = 8.0, 0.75
 """[1] constants of the isotherm; papers, polyamides and laminates have C from 4 to 15 and K from 0.65 to 0.85."""
 GAB_SLOPE = 2.31952
 """[1] slope of that isotherm, in monolayers for each unit of relative humidity, at 50 %."""
+GAB_ENDS = (6.0, 12.134375)
+"""[1] slopes of that isotherm at 0 and at 100 %, beyond which it goes on straight."""
+ROUNDED = 0.003
+"""[1] relative humidity over which these two ends are rounded."""
 PLATE = 4.85
 """[g/m³] vapour over water at the freezing point: what a cold-plate drier leaves."""
 BULK = {"sorbed_water": (1.0, 1.0)}
@@ -39,7 +43,7 @@ def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
         θ(T) = θ₂₀ exp(5300 K (1/T − 1/293.15 K))  (θ₂₀ throughout without `activated`),    vapour release −Σ dwᵢ/dt,
     Σ wᵢ [g/m³] water held per volume of cabinet air, h the relative humidity at the air's temperature T, W [g/m³] the
     moisture capacity: water for each unit of relative humidity, the isotherm's slope at 50 %; θ₂₀ [h] the time constant
-    at 20 °C; C = 8 and K = 0.75.  A record shows the slope; the content itself depends on the isotherm by ± 20 %. Thin
+    at 20 °C; C = 8 and K = 0.75; beyond 0 and 100 % φ is straight.  A record shows the slope; the content itself depends on the isotherm by ± 20 %. Thin
     material is one content with a = r = 1. A `slab`, into which water diffuses from its faces, has a skin that answers
     first and a slow rest, and θ = 4 L²/(π² D), that of its slowest mode; a record of some weeks tells W/√θ better than
     either.
@@ -78,6 +82,7 @@ def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
             ),
         ),
         states=tuple(places),
+        amounts=tuple(places),
         inputs=("ambient_temperature", "ambient_absolute_humidity"),
         contributions=lambda p, x, u, q: {"vapour_release": -sum(rates(p, x, u, q).values())},
         drift=lambda p, x, u, q, s: rates(p, x, u, q),
@@ -90,9 +95,15 @@ def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
 
 
 def _gab(h):
-    """Isotherm of Guggenheim, Anderson and de Boer, in monolayers."""
-    wet = GAB_K * h
-    return GAB_C * wet / ((1.0 - wet) * (1.0 - wet + GAB_C * wet))
+    """Isotherm of Guggenheim, Anderson and de Boer, in monolayers; beyond 0 and 100 % it goes on straight.
+
+    It has poles at -19 and 133 %, and beyond them the wrong sign: nothing holds the humidity of a free run between.
+    """
+    below = 0.5 * (sqrt(h * h + ROUNDED * ROUNDED) - h)
+    above = 0.5 * (h - 1.0 + sqrt((h - 1.0) * (h - 1.0) + ROUNDED * ROUNDED))
+    wet = GAB_K * (h + below - above)
+    inner = GAB_C * wet / ((1.0 - wet) * (1.0 - wet + GAB_C * wet))
+    return inner - GAB_ENDS[0] * below + GAB_ENDS[1] * above
 
 
 def condensation(sky: bool = False) -> Mechanism:
@@ -137,6 +148,7 @@ def condensation(sky: bool = False) -> Mechanism:
             ),
         ),
         states=("film", "surface_temperature"),
+        amounts=("film",),
         inputs=("ambient_temperature", *(("night_sky",) if sky else ())),
         contributions=lambda p, x, u, q: {"vapour_release": -rate(p, x, u, q)},
         drift=lambda p, x, u, q, s: {"film": rate(p, x, u, q), "surface_temperature": surface(p, x, u, q)},
@@ -185,6 +197,7 @@ def rain_ingress(flag: str = "rain") -> Mechanism:
             Parameter("rain_drying_time", "h", 6.0, 0.5, 100.0, positive=True, meaning="time to evaporate"),
         ),
         states=("rain_water",),
+        amounts=("rain_water",),
         inputs=(flag,),
         contributions=lambda p, x, u, q: {"vapour_release": x.rain_water / p.rain_drying_time},
         drift=lambda p, x, u, q, s: {
@@ -365,6 +378,7 @@ def breathed_lag() -> Mechanism:
             Parameter("breathed_lag_time", "h", 3.0, 0.25, 24.0, positive=True, meaning="its lag"),
         ),
         states=("breathed_vapour",),
+        amounts=("breathed_vapour",),
         inputs=("ambient_absolute_humidity",),
         contributions=lambda p, x, u, q: {
             "ambient_vapour": p.breathed_lag_share * (x.breathed_vapour - u.ambient_absolute_humidity)
