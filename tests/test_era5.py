@@ -367,3 +367,32 @@ def test_the_missing_extra_is_named(tmp_path: Path, monkeypatch) -> None:
     path = tmp_path / "era5.nc"
     path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
     assert 'pip install "hygrokf[weather]"' in faults(path)
+
+
+# -- what is missing, and what only looks right ----------------------------------------------------------------------
+def test_lost_radiation_and_rain_stay_missing() -> None:
+    dataset = made.new_dataset(("t2m", "d2m", "ssrd", "fdir", "tp"))
+    for name in ("ssrd", "fdir", "tp"):
+        dataset[name][10:14] = np.nan
+    record = era5_record(dataset, SITE)
+    for signal in ("global_horizontal_irradiance", "diffuse_horizontal_irradiance", "rain"):
+        assert np.flatnonzero(record[signal].missing).tolist() == [10, 11, 12, 13]
+    dataset["ssrd"][:] = np.nan
+    record = era5_record(dataset, SITE)
+    assert "global_horizontal_irradiance" not in record
+    assert any("ssrd: no value at this point" in said for said in record.warnings)
+
+
+def test_sums_since_midnight_are_missing_after_a_gap() -> None:
+    dataset = made.new_dataset(("t2m", "d2m", "ssrd"))
+    hourly = dataset["ssrd"].values.astype(float)
+    day = (made.seconds() - 1.0) // 86400.0
+    for number in np.unique(day):
+        dataset["ssrd"][day == number] = np.cumsum(hourly[day == number], axis=0)
+    whole = era5_record(dataset, SITE)["global_horizontal_irradiance"]
+    left = np.delete(np.arange(made.HOURS), np.arange(32, 36))
+    cut = era5_record(dataset.isel(valid_time=left), SITE)["global_horizontal_irradiance"]
+    expected = whole.value[left].copy()
+    expected[32] = np.nan  # the first hour after the gap
+    np.testing.assert_allclose(cut.value, expected, atol=0.05)
+    assert np.isnan(whole.value[0])  # the day before the file is not in it

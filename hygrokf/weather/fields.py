@@ -189,16 +189,16 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
         if short in value
     ]
     if "ssrd" in value:
-        sun = np.fmax(value["ssrd"], 0.0)
+        sun = np.maximum(value["ssrd"], 0.0)  # NaN stays NaN
         series.append(made("global_horizontal_irradiance", sun, "ssrd", HOUR_S))
         if "fdir" in value:
-            diffuse = np.fmax(sun - value["fdir"], 0.0)
+            diffuse = np.maximum(sun - value["fdir"], 0.0)
             series.append(made("diffuse_horizontal_irradiance", diffuse, "ssrd fdir", HOUR_S))
     elif "avg_sdswrf" in value:
-        sun = np.fmax(value["avg_sdswrf"], 0.0)
+        sun = np.maximum(value["avg_sdswrf"], 0.0)
         series.append(made("global_horizontal_irradiance", sun, "avg_sdswrf", HOUR_S))
     if "tp" in value:
-        series.append(made("rain", np.fmax(value["tp"], 0.0), "tp", HOUR_S))
+        series.append(made("rain", np.maximum(value["tp"], 0.0), "tp", HOUR_S))
     series += _wind(value, made, warnings)
     if faults:
         raise TableFault(faults)
@@ -275,7 +275,7 @@ def _hourly_sums(time: np.ndarray, value: np.ndarray) -> np.ndarray:
     first = np.round(np.mod(time, 86400.0)) == HOUR_S
     before = np.append(np.nan, value[:-1])
     before[np.append(True, np.round(np.diff(time)) != HOUR_S)] = np.nan
-    return np.where(first, value, np.fmax(value - before, 0.0))
+    return np.where(first, value, np.maximum(value - before, 0.0))
 
 
 def _saturation(value: Mapping[str, np.ndarray]) -> list[str]:
