@@ -104,6 +104,23 @@ def test_contradicting_files_are_masked_and_said() -> None:
     assert "contradicting ones masked" in record.warnings[0]
 
 
+def test_the_rounding_of_packed_files_is_no_contradiction() -> None:
+    time = 3600.0 * np.arange(400)
+    truth = 280.0 + 15.0 * np.sin(np.arange(400) / 30.0)
+
+    def packed(first: int, last: int) -> Record:
+        part = truth[first:last]
+        step = np.ptp(part) / 65530.0
+        value = part.min() + step * np.round((part - part.min()) / step)
+        return Record("x", (Series("ambient_temperature", time[first:last], value),))
+
+    one, other = packed(0, 250), packed(190, 400)
+    assert np.any(one["ambient_temperature"].value[190:] != other["ambient_temperature"].value[:60])
+    record = joined([one, other], "x")
+    assert not record["ambient_temperature"].missing.any()
+    np.testing.assert_allclose(record["ambient_temperature"].value, truth, atol=3e-4)
+
+
 def test_heights(tmp_path: Path) -> None:
     path = tmp_path / "site.epw"
     path.write_text(made.epw_text())
