@@ -216,7 +216,8 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
         raise TableFault(faults)
     if temperature and "d2m" not in value:
         warnings.append(NO_HUMIDITY)
-    warnings += _saturation(value)
+    if {"t2m", "d2m"} <= set(value):
+        warnings += saturation_doubt(value["t2m"], value["d2m"])
     site = None
     if points.latitude_deg is not None and points.longitude_deg is not None:
         east = (points.longitude_deg + 180.0) % 360.0 - 180.0
@@ -315,11 +316,9 @@ def _hourly_sums(time: np.ndarray, value: np.ndarray) -> np.ndarray:
     return np.where(first, value, np.maximum(value - before, 0.0))
 
 
-def _saturation(value: Mapping[str, np.ndarray]) -> list[str]:
-    """A dew point above the temperature by more than packing explains."""
-    if not {"t2m", "d2m"} <= set(value):
-        return []
-    above = value["d2m"] - value["t2m"]
+def saturation_doubt(temperature: np.ndarray, dew_point: np.ndarray) -> list[str]:
+    """A dew point (T,) above the temperature (T,), both [K] or [degC], by more than packing explains, in words."""
+    above = dew_point - temperature
     share = float(np.mean(above[np.isfinite(above)] > 0.5)) if np.isfinite(above).any() else 0.0
     if share <= 0.01:
         return []
