@@ -147,14 +147,14 @@ def run_transfer(options: argparse.Namespace, record_of: Read, stored: Read) -> 
     progress.close()
     fits = [] if is_type(options.fit) else [source]
     fits += [one.own for one in found if one.own is not None]
-    kind = None
+    kind, unpooled = None, ""
     if len(fits) > 2:
         try:
             kind = pooled(fits)
-        except TypeFault:  # the same turbine twice: nothing to pool
-            kind = None
+        except TypeFault as fault:
+            unpooled = f"\n\nno type of turbine was made: {fault}"
     return (
         write_transfer(found, options.out, kind),
         transfer_json(found, kind),
-        transfer_text(transfer_json(found, kind)),
+        transfer_text(transfer_json(found, kind)) + unpooled,
     )
