@@ -71,6 +71,8 @@ def labels_of(given: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[st
     if given:
         if len(given) != len(pairs):
             raise UserFault(f"--label: expected {len(pairs)} names, one a column, found {len(given)}")
+        if not all(name.strip() for name in given):
+            raise UserFault("--label: expected a name for each column, found an empty one")
         if len(set(given)) < len(given):
             raise UserFault(f"--label: expected names that differ, found {', '.join(given)}")
         return list(given)
