@@ -196,6 +196,19 @@ def test_check_shows_the_comparison_and_stays_quiet_on_right_clocks(tmp_path: Pa
         assert "lag in winter" in shown and "daily wave" in shown
 
 
+def test_check_says_that_two_files_have_too_little_in_common(folder: Path) -> None:
+    outside = 'signals.ambient_temperature = { column = "outside", unit = "degC" }\n'
+    record = case(folder, SITE, CABINET + outside, ERA5)
+    said = describe(record)["doubts"]
+    assert (
+        "era5.nc cannot be compared (ambient_temperature): fewer than 20 days in common with the source that is used"
+        in said
+    )
+    assert not any(
+        "cannot be compared" in one for one in describe(case(folder, SITE, CABINET, ERA5))["doubts"]
+    )
+
+
 def test_the_picture(tmp_path: Path) -> None:
     from hygrokf.drawing import NothingToShow, png
     from hygrokf.stamps import summer_time
