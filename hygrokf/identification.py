@@ -175,7 +175,7 @@ def assembled(
     say("free run and scores")
     if criterion == "simulation":
         for found in simulated.values():
-            values |= {name: found.values[name] for name in found.names if name in values}
+            values |= {n: found.values[n] for n in (*found.names, *found.unseen) if n in values}
     errors = {
         p.name: standard_error(stage.estimate, stage.uncertainty, p.name)
         for stage in stages
@@ -190,6 +190,11 @@ def assembled(
         thermal, moist = by_simulation(thermal), by_simulation(moist)
     table = scores(made, predicted, record.until_s)
     lines = list(dict.fromkeys(line for stage in stages for line in stage.base.statements))
+    if criterion == "simulation" and any(found.unseen for found in simulated.values()):
+        lines.append(
+            "the free run's least error is the criterion: constant errors of the cabinet's sensors are taken as 0, "
+            "and what there is of them is in the model's parameters"
+        )
     lines += [e["disagreement"] for e in (thermal, moist) if e and e["disagreement"]]
     lines += [line for stage in stages for line in _remarks(stage)]
     n = sum(stage.run.timeline.n_readings for stage in stages)
@@ -302,7 +307,7 @@ def _covariance(
     known = {p.name for p in whole.model.parameters}
     for stage in stages:
         slopes = {p.name: p.slope(values[p.name]) for p in stage.base.model.parameters}
-        taken = {name for found in simulated.values() for name in found.names}
+        taken = {name for found in simulated.values() for name in (*found.names, *found.unseen)}
         names = tuple(n for n in stage.uncertainty.names if n not in taken and n in known)
         place = [stage.uncertainty.place(n) for n in names]
         scale = np.array([slopes[n] for n in names])
@@ -344,7 +349,10 @@ def _rows(
                 se = 0.5 * (upper - lower) / normal_quantile(LEVEL)
                 row = {"lower": lower, "upper": upper, "se": se}
                 rows[name] |= {key: v if math.isfinite(v) else None for key, v in row.items()}
-                rows[name]["value"] = found.values[name]
+                rows[name] |= {"value": found.values[name], "at_bound": name in found.at_bounds}
+        for name in set(found.unseen) & rows.keys():
+            rows[name] |= {"value": 0.0, "se": None, "lower": None, "upper": None}
+            rows[name] |= {"prior": None, "fixed": True, "at_bound": False}
     for name, entry in entries.items():
         if entry is not None:
             scale = values[name] / entry["value_h"]

@@ -24,7 +24,8 @@ FEWEST_BLOCKS = 40
 class OutputError:
     """Estimates by simulation: all parameters' `values`, covariance of the coordinates `names`, residual sd by output.
 
-    `at_bounds` those that ended at a bound of their range.
+    `at_bounds` those that ended at a bound of their range; `unseen` the sensors' constant errors, which are 0 in `values`:
+    in a free run they cannot be told from the model's own parameters, and this criterion has no prior for them.
     """
 
     values: dict[str, float]
@@ -33,6 +34,7 @@ class OutputError:
     residual_sd: tuple[float, ...]
     converged: bool
     at_bounds: tuple[str, ...] = ()
+    unseen: tuple[str, ...] = ()
 
     def bounds(self, name: str, positive: bool, level: float = 0.95) -> tuple[float, float]:
         """Symmetric bounds in the parameter's coordinate; open where the estimate ended at a bound of its range."""
@@ -48,15 +50,15 @@ class OutputError:
 
 
 def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: int = 40) -> OutputError:
-    """Free-run least squares from start `values`; noise parameters and sensor biases are held.
+    """Free-run least squares from start `values`; noise parameters are held, sensor errors are 0.
 
     The first day (of short records the first quarter) is run but not counted.
     """
     model, time = likelihood.model, likelihood.timeline.time
     counted = time - time[0] >= min(TRANSIENT_H, 0.25 * (time[-1] - time[0]))
     held = {p.name: values[p.name] for p in model.parameters if p.noise}
-    held |= {p.name: 0.0 for p in model.parameters if p.prior is not None}
-    coordinates = Coordinates(model.parameters, held)
+    unseen = tuple(p.name for p in model.parameters if p.prior is not None)
+    coordinates = Coordinates(model.parameters, held | dict.fromkeys(unseen, 0.0))
     z = coordinates.start(values)
     place, count = coordinates.place(), len(model.parameters)
 
@@ -110,9 +112,8 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
     sd = tuple(float(np.sqrt(np.nanmean(c**2))) if np.isfinite(c).any() else math.nan for c in e.T)
     ends = (z <= coordinates.lower + 1e-9) | (z >= coordinates.upper - 1e-9)
     at = tuple(name for name, there in zip(coordinates.names, ends, strict=True) if there)
-    return OutputError(
-        coordinates.values(z), coordinates.names, inverse @ spread @ inverse, sd, converged, at
-    )
+    covariance = inverse @ spread @ inverse
+    return OutputError(coordinates.values(z), coordinates.names, covariance, sd, converged, at, unseen)
 
 
 def _normal_equations(e: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

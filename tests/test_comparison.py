@@ -21,7 +21,7 @@ from hygrokf.synthetic import synthetic_turbine, write_case
 from hygrokf.tables import evaluation
 from hygrokf.transfer.command import labels_of, pairs_of
 from hygrokf.transfer.comparison import Column, column, compared, comparison_csv, comparison_text
-from hygrokf.transfer.comparison_page import comparison_page, write_comparison
+from hygrokf.transfer.comparison_page import comparison_page, summary, write_comparison
 
 HOUR = 3600.0
 
@@ -213,3 +213,30 @@ def test_compare_and_transfer_from_the_command_line(
     assert "at least two columns" in capsys.readouterr().err
     assert main(["transfer", str(tmp_path / "none.json"), str(second), "--out", str(tmp_path / "x")]) == 2
     assert "no such file" in capsys.readouterr().err and not (tmp_path / "x").exists()
+
+
+def test_the_summary_says_what_is_sure() -> None:
+    """Validation alone where it has bounds; where it is too short for them, the whole record beside it."""
+
+    def row(value: float, reach: float | None) -> dict:
+        ends = (
+            {"lower": None, "upper": None}
+            if reach is None
+            else {"lower": value - reach, "upper": value + reach}
+        )
+        return {"total": {"value": value, "n": 100, **ends}}
+
+    def said(validation: dict | None, whole: dict) -> list[str]:
+        scores = {"whole": {"temperature_K": whole}}
+        if validation is not None:
+            scores["validation"] = {"temperature_K": validation}
+        return summary({"differences": [{"of": "one", "less": "other", "scores": scores}]})
+
+    assert said(row(-0.5, 0.2), row(-0.4, 0.1)) == [
+        "One simulates the temperature in validation with 0.50 K less error than other (95 % 0.30 … 0.70)."
+    ]
+    both = said(row(0.3, None), row(-0.4, 0.5))
+    assert both[0].startswith("Other simulates") and both[0].endswith("too few blocks for bounds.")
+    assert "over the whole record" in both[1] and both[1].endswith("the bounds include no difference.")
+    assert len(both) == 2 and len(said(None, row(0.1, None))) == 1
+    assert summary({"differences": []})[0].startswith("The columns have no instants in common")

@@ -39,6 +39,7 @@ FLOORS = (
     "stage",
     "time_constants discovery.scene discovery.clocks",
     "fit discovery.scan discovery.cause live.operation",
+    "climate.shots",
     "results tables identification discovery.residuals discovery.changes discovery.grids live.plan live.condition live.outlook climate.ensemble climate.members climate.region turbine_type",
     "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties climate.statistics climate.days transfer.comparison transfer.groups",
     "discovery.library discovery.misfits discovery.repeats live.forecast live.inquiry climate.limits climate.sequence transfer.scene",

@@ -64,7 +64,7 @@ def test_free_run_errs_as_the_plant_does(fit, made):
 def test_bands_hold_on_the_validation_period(fit):
     """The 1 h and 6 h bands hold 95 % to within what ten days of dependent forecasts allow."""
     for lead in ("1h", "6h"):
-        for quantity in ("temperature_K", "relative_humidity"):
+        for quantity in ("temperature_K", "absolute_humidity_g_m3"):
             cell = fit.results["bands"][lead][quantity]
             assert cell["n"] > 100
             assert 0.85 < cell["coverage"] <= 1.0
@@ -129,6 +129,27 @@ def test_simulation_criterion_puts_the_free_run_first(record, fit):
     ours = other.results["rmse"]["identification"]["temperature_K"]["total"]
     assert ours <= fit.results["rmse"]["identification"]["temperature_K"]["total"] + 0.01
     assert other.values["thermal_time_constant"] == pytest.approx(entry["value_h"])
+
+
+def test_simulation_criterion_knows_no_errors_of_the_sensors():
+    """A logger that reads 1 K and 2 % too high: what is scored, tabled and written is the model that the criterion
+    fitted, without sensor errors, and its temperature has the least error; the likelihood's biases are not added."""
+    wrong = to_record(plant(8, days=40))
+    for name, amount in {"cabinet_temperature": 1.0, "cabinet_relative_humidity": 0.02}.items():
+        wrong = wrong.replace_series(replace(wrong[name], value=wrong[name].value + amount))
+    by_likelihood = identify(wrong, starts=1)
+    other = identify(wrong, criterion="simulation", starts=1)
+    held = [name for name in other.values if name.endswith("_bias")]
+    assert len(held) == 2 and all(abs(by_likelihood.values[name]) > 1e-3 for name in held)
+    for name in held:
+        row = other.results["parameters"][name]
+        assert other.values[name] == row["value"] == 0.0 and row["fixed"] and row["se"] is None
+        assert name not in other.results["covariance"]["names"]
+    assert any("taken as 0" in line for line in other.results["statements"])
+    least, ours = (
+        f.results["rmse"]["identification"]["temperature_K"]["total"] for f in (other, by_likelihood)
+    )
+    assert least <= ours * 1.002
 
 
 @pytest.mark.parametrize(

@@ -14,6 +14,8 @@ from hygrokf.transfer.groups import HEAT, HYGRIC, THERMAL
 
 DAY_S = 86400.0
 DAYS, HELD_OUT_DAYS = 60.0, 15.0
+MOST_HEAT = 1.8
+"""Largest factor of the heat release: twice as much heats a cabinet beyond what is built."""
 KINDS = (
     (),
     (THERMAL,),
@@ -51,14 +53,18 @@ def differing(seed: int) -> tuple[str, ...]:
 
 
 def changed(
-    cabinet: Cabinet, groups: tuple[str, ...], random: np.random.Generator, least: float = 1.35
+    cabinet: Cabinet,
+    groups: tuple[str, ...],
+    random: np.random.Generator,
+    least: float = 1.35,
+    most: float = 2.0,
 ) -> Cabinet:
-    """The cabinet with groups of parameters times a factor between `least` and 2, or its inverse."""
+    """The cabinet with groups of parameters times a factor between `least` and `most`, or its inverse."""
 
-    def factor(top: float = 2.0) -> float:
+    def factor(top: float) -> float:
         return float(np.exp(random.choice([-1.0, 1.0]) * random.uniform(np.log(least), np.log(top))))
 
-    thermal, heat, hygric = factor(), factor(1.8), factor()
+    thermal, heat, hygric = factor(most), factor(min(most, MOST_HEAT)), factor(most)
     if THERMAL in groups:
         cabinet = replace(cabinet, heat_capacity=cabinet.heat_capacity * thermal)
     if HEAT in groups:
@@ -85,12 +91,14 @@ def pair(
     days: float = DAYS,
     held_out: float = HELD_OUT_DAYS,
     disturbance: str = "ou",
+    factor: float | None = None,
 ) -> Pair:
-    """Two turbines with weather, operation, loggers and disturbances of their own."""
+    """Two turbines with weather, operation, loggers and disturbances of their own; what differs does so by `factor`."""
     groups = differing(seed) if differ is None else differ
     first, second = 20_000 + 2 * seed, 20_001 + 2 * seed
     cabinet = plant(first, days=2.0).cabinet
-    other = changed(cabinet, groups, np.random.default_rng([seed, 11]))
+    span = {} if factor is None else {"least": factor, "most": factor}
+    other = changed(cabinet, groups, np.random.default_rng([seed, 11]), **span)
     return Pair(
         record_of(first, cabinet, days, held_out, disturbance),
         record_of(second, other, days, held_out, disturbance),

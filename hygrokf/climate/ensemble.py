@@ -2,7 +2,8 @@
 
 From one instant to the next every member takes one step of the model's own moments, begun from a known state: the mean
 and covariance that it gives are the distribution of the next state (exactly where the model is linear over a step), and
-the next state is drawn from it.  All members step side by side in compiled code.
+the next state is drawn from it, Gaussian or with the shots that the fit's innovations show (`climate.shots`).  All
+members step side by side in compiled code.
 
 Shapes: N members, T instants that are kept, n states.
 """
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hygrokf.climate.shots import Shots, shots
 from hygrokf.design import read_as
 from hygrokf.drivers import Run, run
 from hygrokf.fit import Fit
@@ -71,6 +73,30 @@ def course(fit: Fit, record: Record) -> Run:
     return run(read_as(fit.design, record), record)
 
 
+def shots_of(fit: Fit, record: Record) -> tuple[Shots, ...]:
+    """The shots of a fit's disturbances, under inputs that are typical of a record."""
+    t, model = course(fit, record).timeline, read_as(fit.design, record).model
+    inputs = {name: _typical(t.input(name), name in t.regimes) for name in model.inputs}
+    first = Gaussian(
+        np.array(model.initial(fit.values, inputs)[0], dtype=float), np.zeros((len(model.states),) * 2)
+    )
+    runs = SideBySide(model, [fit.values], [first], [Likelihood(model, t).rate(fit.values)])
+    walk = _Walk(
+        runs, {name: np.full(2, value) for name, value in inputs.items()}, np.array([0.0, STEP_H]), None
+    )
+    walk.through(range(1))
+    for _ in range(int(SPIN_UP_H / STEP_H)):
+        walk.through(range(1, 2), jump=False)
+    return shots(fit, model, inputs, walk.state[0])
+
+
+def _typical(values: np.ndarray, regime: bool) -> float:
+    if not regime:
+        return float(np.median(values))
+    kinds, count = np.unique(values, return_counts=True)
+    return float(kinds[count.argmax()])
+
+
 def simulate_years(
     fit: Fit,
     record: Record,
@@ -78,11 +104,12 @@ def simulate_years(
     seed: int,
     surface: Surface,
     process: bool = True,
+    rare: Sequence[Shots] = (),
     say: Callable[[str], None] = lambda text: None,
 ) -> Iterator[Year]:
     """Years of weather and power (a record), one after the other, through every member's model.
 
-    Without `process` the disturbances stay at what is expected of them: parameters alone.  Raises ValueError where the
+    `rare`: noise that comes as shots (`shots_of`); what is not named there is Gaussian.  Without `process` the disturbances stay at what is expected of them: parameters alone.  Raises ValueError where the
     record lacks what the model reads.
     """
     made = course(fit, record)
@@ -102,7 +129,7 @@ def simulate_years(
         starts.append(Gaussian(mean + np.sqrt(variance) * kick, np.zeros((n, n))))
         fastest.append(likelihood.rate(values))
     runs = SideBySide(model, members, starts, np.array(fastest))
-    walk = _Walk(runs, inputs, t.time, random if process else None)
+    walk = _Walk(runs, inputs, t.time, random if process else None, rare)
     again = int(np.searchsorted(t.time, t.time[0] + SPIN_UP_H, side="right"))
     walk.through(range(min(again, len(t.time))))
     at = 0
@@ -148,8 +175,10 @@ class _Walk:
         inputs: Mapping[str, np.ndarray],
         time_h: np.ndarray,
         random: np.random.Generator | None,
+        rare: Sequence[Shots] = (),
     ) -> None:
         self.runs, self.inputs, self.time_h, self.random = runs, inputs, time_h, random
+        self.rare = [one for one in rare if one.every_h > 0.0 and one.states.any()]
         self.state = runs.mean
         self._kicks = np.empty((0, *self.state.shape))
         self._at = 0
@@ -162,18 +191,22 @@ class _Walk:
                 self.runs.begin(now)
                 jump = False
                 continue
-            self.runs.step(self.time_h[place] - self.time_h[place - 1], now)
+            step_h = self.time_h[place] - self.time_h[place - 1]
+            self.runs.step(step_h, now)
             mean = self.runs.mean
             if self.random is not None:
-                mean = mean + _drawn(self.runs.covariance, self._kick())
+                mean = mean + _drawn(self.runs.covariance, self._kick(step_h))
             self.runs.settle(mean)
             self.state = mean
 
-    def _kick(self) -> np.ndarray:
+    def _kick(self, step_h: float) -> np.ndarray:
         if self._at == len(self._kicks):
             self._kicks, self._at = self.random.standard_normal((DRAWN, *self.state.shape)), 0
+        kick = self._kicks[self._at]
+        for one in self.rare:
+            kick[:, one.states] *= one.factors(self.random, step_h, len(kick))[:, None]
         self._at += 1
-        return self._kicks[self._at - 1]
+        return kick
 
 
 def _drawn(covariance: np.ndarray, kick: np.ndarray) -> np.ndarray:

@@ -11,13 +11,14 @@ from hygrokf.climate.acceleration import Acceleration
 from hygrokf.climate.bounds import LEVEL, Bounded, bounded
 from hygrokf.climate.chamber import ProfilePlan
 from hygrokf.climate.days import Days, days_of, joined, thinned
-from hygrokf.climate.ensemble import Year, simulate_years
+from hygrokf.climate.ensemble import Year, shots_of, simulate_years
 from hygrokf.climate.form import as_list
 from hygrokf.climate.limits import Limit, exceeded, judged
 from hygrokf.climate.members import draw_members
 from hygrokf.climate.power import PowerCurve
 from hygrokf.climate.region import Region, driven
 from hygrokf.climate.sequence import chamber_sequence, closeness
+from hygrokf.climate.shots import words as shot_words
 from hygrokf.climate.statistics import (
     CYCLE_RANGES_K,
     HUMIDITY_EDGES,
@@ -120,8 +121,12 @@ def _region(
     say: Progress,
 ) -> dict:
     record, statements = driven(fit, region.weather, power)
+    rare = shots_of(fit, record)
+    statements += shot_words(rare)
     gathered = _Gathered()
-    for year in simulate_years(fit, record, drawn, seed, surface, say=lambda t: say(f"{region.name}: {t}")):
+    for year in simulate_years(
+        fit, record, drawn, seed, surface, rare=rare, say=lambda t: say(f"{region.name}: {t}")
+    ):
         _gather(gathered, year, limits, plan.law, len(drawn))
     statements += _weather_words(gathered)
     scopes = {scope: _summary(rows) for scope, rows in gathered.scalars.items() if rows}
@@ -129,7 +134,13 @@ def _region(
         still, _ = driven(fit, region.weather, None)
         rows = []
         for year in simulate_years(
-            fit, still, drawn, seed, surface, say=lambda t: say(f"{region.name} at standstill: {t}")
+            fit,
+            still,
+            drawn,
+            seed,
+            surface,
+            rare=rare,
+            say=lambda t: say(f"{region.name} at standstill: {t}"),
         ):
             rows.append(scalars(year, plan.law))
         scopes[STANDSTILL_YEAR] = _summary(rows)

@@ -108,35 +108,36 @@ def _head(found: Mapping, labels: list[str]) -> str:
 
 
 def summary(found: Mapping) -> list[str]:
-    """Which differences are sure, in sentences."""
+    """Which differences are sure, in sentences: in validation; where that is too short for bounds, also as a whole."""
     said = []
     for one in found["differences"]:
-        period = next((p for p in ("validation", "whole") if _total(one, p)), None)
-        for quantity, row in (_total(one, period) or {}).items() if period else ():
-            name, unit = QUANTITIES[quantity]
-            if row["value"] is None:
-                continue
-            where = "in validation" if period == "validation" else "over the whole record"
-            less, more = (one["of"], one["less"]) if row["value"] < 0 else (one["less"], one["of"])
-            size = f"{fixed(abs(row['value']))} {unit}"
-            if row["lower"] is None:
-                sure = "; too few blocks for bounds"
-            elif row["lower"] > 0 or row["upper"] < 0:
-                ends = sorted((abs(row["lower"]), abs(row["upper"])))
-                sure = f" (95 % {fixed(ends[0])} … {fixed(ends[1])})"
-            else:
-                sure = "; the bounds include no difference"
-            said.append(
-                sentence(f"{less} simulates the {name} {where} with {size} less error than {more}{sure}")
-            )
+        for quantity in QUANTITIES:
+            rows = [(p, _total(one, p, quantity)) for p in ("validation", "whole")]
+            there = [(p, row) for p, row in rows if row is not None]
+            last = next((i for i, (_, row) in enumerate(there) if row["lower"] is not None), 0)
+            said += [_sentence(one, quantity, period, row) for period, row in there[: last + 1]]
     return said or ["The columns have no instants in common: compare their errors with their own bounds."]
 
 
-def _total(one: Mapping, period: str | None) -> dict:
-    if period is None:
-        return {}
-    rows = {q: by["total"] for q, by in one["scores"][period].items()}
-    return rows if any(row["value"] is not None for row in rows.values()) else {}
+def _sentence(one: Mapping, quantity: str, period: str, row: Mapping) -> str:
+    name, unit = QUANTITIES[quantity]
+    where = "in validation" if period == "validation" else "over the whole record"
+    less, more = (one["of"], one["less"]) if row["value"] < 0 else (one["less"], one["of"])
+    if row["lower"] is None:
+        sure = "; too few blocks for bounds"
+    elif row["lower"] > 0 or row["upper"] < 0:
+        ends = sorted((abs(row["lower"]), abs(row["upper"])))
+        sure = f" (95 % {fixed(ends[0])} … {fixed(ends[1])})"
+    else:
+        sure = "; the bounds include no difference"
+    size = f"{fixed(abs(row['value']))} {unit}"
+    return sentence(f"{less} simulates the {name} {where} with {size} less error than {more}{sure}")
+
+
+def _total(one: Mapping, period: str, quantity: str) -> Mapping | None:
+    """A difference's total in a period, None where no instants are common."""
+    row = one["scores"].get(period, {}).get(quantity, {}).get("total")
+    return None if row is None or row["value"] is None else row
 
 
 def tables(found: Mapping) -> list[str]:

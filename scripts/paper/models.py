@@ -50,8 +50,8 @@ def identify_both(record: Record, starts: int, say: Say) -> Identified:
     fit = assembled(record, basis, simulated, "likelihood", say)
     free = dict(basis.values)
     for found in simulated.values():
-        free |= {name: found.values[name] for name in found.names if name in free}
-    return Identified(fit, {LIKELIHOOD: dict(basis.values), FREE_RUN: free | _no_errors(basis.whole)})
+        free |= {n: found.values[n] for n in (*found.names, *found.unseen) if n in free}
+    return Identified(fit, {LIKELIHOOD: dict(basis.values), FREE_RUN: free})
 
 
 @dataclass(frozen=True)
