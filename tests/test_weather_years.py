@@ -121,6 +121,16 @@ def test_the_rounding_of_packed_files_is_no_contradiction() -> None:
     np.testing.assert_allclose(record["ambient_temperature"].value, truth, atol=3e-4)
 
 
+def test_a_code_for_missing_among_the_readings_is_masked(tmp_path: Path) -> None:
+    dataset = made.new_dataset(("t2m", "d2m"))
+    dataset["t2m"][7] = -9999.0
+    path = tmp_path / "era5.nc"
+    path.write_bytes(made.netcdf4(dataset))
+    record = read_weather(path, site=SITE)
+    assert np.flatnonzero(record["ambient_temperature"].missing).tolist() == [7]
+    assert any("masked" in said and "ambient_temperature" in said for said in record.warnings)
+
+
 def test_heights(tmp_path: Path) -> None:
     path = tmp_path / "site.epw"
     path.write_text(made.epw_text())

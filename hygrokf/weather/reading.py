@@ -7,6 +7,7 @@ import os
 import zipfile
 from pathlib import Path
 
+from hygrokf.masks import mask_out_of_range
 from hygrokf.readers import TableFault
 from hygrokf.record import Record, Site
 from hygrokf.weather.altitude import LAPSE_RATE, SAID_FROM_M, at_altitude
@@ -45,6 +46,7 @@ def read_weather_file(
         record = _said_from_afar(read_epw(file, year), site)
     else:
         record = read_era5(file, site)
+    record = _within_range(record)
     if altitude_m is not None and record.site is not None:
         record = dataclasses.replace(record, site=dataclasses.replace(record.site, altitude_m=altitude_m))
     station_m = altitude_m if altitude_m is not None else (record.site and record.site.altitude_m)
@@ -87,6 +89,16 @@ def form_of(path: Path) -> str:
     except (OSError, ValueError, zipfile.BadZipFile):  # what is wrong with it, the reader says
         return "era5"
     return "epw" if head.removeprefix(b"\xef\xbb\xbf").upper().startswith(b"LOCATION,") else "era5"
+
+
+def _within_range(record: Record) -> Record:
+    """The record without single readings that cannot be, such as codes for what is missing, and what was left out."""
+    series, warnings = [], list(record.warnings)
+    for one in record.series:
+        kept, said = mask_out_of_range(one)
+        series.append(kept)
+        warnings += said
+    return dataclasses.replace(record, series=tuple(series), warnings=tuple(warnings))
 
 
 def _said_from_afar(record: Record, site: Site | None) -> Record:
