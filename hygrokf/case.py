@@ -33,6 +33,7 @@ from hygrokf.stamps import (
     stamp_text,
     summer_time_holes,
 )
+from hygrokf.weather.joining import follows, joined
 from hygrokf.weather.reading import read_weather_file
 from hygrokf.weather_form import StatedWeather
 
@@ -100,6 +101,7 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
         faults += [f"{source.file}: {one}" for one in wrong]
         (compared if source.compare else series).extend(found)
         whole = whole and not wrong
+    reads: list[tuple[StatedWeather, Record]] = []
     for weather in case.weather:
         try:
             read = _weather(weather, file.parent, case)
@@ -109,6 +111,24 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
             continue
         provenance.update(read.provenance)
         warnings += [f"{weather.file}: {one}" for one in read.warnings]
+        read = dataclasses.replace(read, warnings=())
+        for place, (before, earlier) in enumerate(reads):
+            # one file a year, say: the second goes on where the first ends
+            if (before.format, before.compare) == (weather.format, weather.compare) and follows(
+                earlier, read
+            ):
+                try:
+                    made = joined((earlier, read), earlier.name)
+                except TableFault as broken:
+                    faults += [f"{before.file} and {weather.file}: {fault}" for fault in broken.faults]
+                    whole = False
+                    break
+                warnings += [f"{before.file} and {weather.file}: {one}" for one in made.warnings]
+                reads[place] = (before, dataclasses.replace(made, warnings=()))
+                break
+        else:
+            reads.append((weather, read))
+    for weather, read in reads:
         used = set(case.declared) | {one.signal for one in series}
         series += [one for one in read.series if not weather.compare and one.signal not in used]
         compared += [one for one in read.series if weather.compare or one.signal in used]

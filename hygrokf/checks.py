@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -13,7 +14,16 @@ from hygrokf.psychrometrics import absolute_humidity, absolute_humidity_from_dew
 from hygrokf.record import Record, Series
 from hygrokf.signals import difference_from_si, from_si, signal_named
 from hygrokf.stamps import duration_text, modal_step, stamp_text
-from hygrokf.weather.clocks import alignments, clock_errors, clock_sentences, comparison_rows, described
+from hygrokf.weather.alignment import FEWEST_D
+from hygrokf.weather.clocks import (
+    NOT_COMPARED,
+    ClockError,
+    alignments,
+    clock_errors,
+    clock_sentences,
+    comparison_rows,
+    described,
+)
 
 _DAY = 86400.0
 _GAP_STEPS = 3.0
@@ -56,6 +66,7 @@ def describe(record: Record) -> dict[str, Any]:
     """
     site = record.site
     clocks = clock_errors(alignments(record))
+    south = site is not None and site.latitude_deg < 0.0
     return {
         "name": record.name,
         **_span(record.start_s, record.end_s),
@@ -72,9 +83,23 @@ def describe(record: Record) -> dict[str, Any]:
         "signals": [_describe_series(series) for series in record.series],
         "comparisons": described(clocks),
         "warnings": list(record.warnings),
-        "doubts": [*clock_sentences(clocks), *doubts(record)],
+        "doubts": [*clock_sentences(clocks, south), *_uncompared(record, clocks), *doubts(record)],
         "files": [{"file": file, "sha256": digest} for file, digest in record.provenance],
     }
+
+
+def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
+    """Files that are there to be compared, and have too little time in common with what is used."""
+    done = {one.signal for error in clocks for one in error.alignments}
+    apart = [one for one in record.compared if one.signal in record and one.signal not in done]
+    apart = [one for one in apart if one.signal not in NOT_COMPARED]
+    files: dict[str, list[str]] = {}
+    for one in apart:
+        files.setdefault(one.source.split(", column")[0], []).append(one.signal)
+    return [
+        f"{file} cannot be compared ({', '.join(signals)}): fewer than {FEWEST_D:g} days in common with the source that is used"
+        for file, signals in files.items()
+    ]
 
 
 def _span(start_s: float, end_s: float) -> dict[str, Any]:

@@ -105,7 +105,7 @@ def identified(
     """Estimate and judge every stage on the identification period `early`."""
     from hygrokf.stationary import heat_release_regression
 
-    _refuse(early)
+    expect_readings(early)
     say("heat-release regression")
     regression = heat_release_regression(early)
     orders = _orders(regression)
@@ -127,8 +127,11 @@ def identified(
     return Basis(kind, tuple(stages), tuple(records), regression)
 
 
-def _refuse(early: Record) -> None:
-    """Say what is missing where nothing can be identified."""
+def expect_readings(early: Record) -> None:
+    """Say what is missing where nothing can be identified.
+
+    early: the identification period.  Raises ValueError with every temperature that has too few readings.
+    """
     missing = [
         f"{name}: expected at least {FEWEST} readings in the identification period, found {found}"
         for name in ("cabinet_temperature", "ambient_temperature")

@@ -64,6 +64,19 @@ class Pooled:
     next_sd: float
     turbines: int
 
+    def expect_sound(self, name: str) -> None:
+        """Raises ValueError for what is no number, for widths below zero, and for a mean that no parameter can have."""
+        numbers = (self.mean, self.se, self.lower, self.upper, self.spread, self.next_sd)
+        if any(
+            isinstance(one, bool) or not isinstance(one, (int, float)) or not math.isfinite(one)
+            for one in numbers
+        ):
+            raise ValueError(f"{name} with {numbers}: expected finite numbers")
+        if min(self.se, self.spread, self.next_sd) < 0.0 or not self.lower <= self.mean <= self.upper:
+            raise ValueError(f"{name}: expected lower ≤ mean ≤ upper and se, spread, next_sd of 0 or more")
+        if self.logarithmic and max(map(abs, (self.lower, self.upper))) > 300.0:
+            raise ValueError(f"{name}: a logarithm of {self.mean:g} is no parameter's")
+
     def in_unit(self) -> dict:
         """Value, bounds of the type, and of the next turbine's own value, in the parameter's unit."""
         reach = 1.959964 * self.next_sd
@@ -128,7 +141,11 @@ class TurbineType:
             name: Pooled(**{key: value for key, value in row.items() if key != "in_unit"})
             for name, row in data["type_parameters"].items()
         }
-        return cls(data["name"], Design.from_json(data["design"]), tuple(data["turbines"]), parameters)
+        for name, row in parameters.items():
+            row.expect_sound(name)
+        return cls(
+            str(data["name"]), Design.from_json(data["design"]), tuple(map(str, data["turbines"])), parameters
+        )
 
 
 def pooled(fits: Sequence[Fit], name: str = "") -> TurbineType:

@@ -13,6 +13,7 @@ from hygrokf.record import Record, Series, Site
 from hygrokf.stamps import summer_time
 from hygrokf.weather.alignment import UNKNOWN, Bounded, align, mean_days
 from hygrokf.weather.clocks import (
+    ClockError,
     alignments,
     clock_errors,
     clock_sentences,
@@ -211,6 +212,25 @@ def test_the_longer_step_is_what_is_held_against() -> None:
     assert rows[0]["corrections_s"] == [3600.0, 3600.0] and rows[0]["clock"] == "constant"
     table = comparison_rows(rows)
     assert table[1][:3] == ("ambient_temperature", "scada.csv", "era5.nc") and len(table[1]) == len(table[0])
+
+
+@pytest.mark.parametrize("late_s", [43200.0, -43200.0, 45000.0])
+def test_a_clock_that_is_off_by_half_a_day(late_s: float) -> None:
+    """Morning and afternoon exchanged: the daily wave alone cannot tell early from late."""
+    found = error(*made.weather_pair(4300, 90, late_s))
+    assert found.kind == "constant" and found.corrections_s == (-late_s, -late_s)
+
+
+def test_the_seasons_of_the_south_are_named_by_months() -> None:
+    def told(first: float, second: float) -> str:
+        lags = [Bounded(value, value - 300.0, value + 300.0) for value in (first, second)]
+        found = ClockError("logger.csv", "era5.nc", "seasonal", *lags, *lags, ())
+        return clock_sentences([found], south=True)[0]
+
+    zone = told(39600.0, 36000.0)  # UTC+11 in the southern summer, UTC+10 in its winter, both read as UTC
+    assert "11 h fast from November to March and 10 h fast from April to October" in zone
+    assert "follow summer time although" in zone and "by name" in zone and " in winter" not in zone
+    assert "have no summer time although" in told(-3600.0, 0.0)
 
 
 def test_sentences_of_seasonal_errors() -> None:

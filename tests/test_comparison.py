@@ -136,7 +136,11 @@ def test_names_of_columns() -> None:
     assert labels_of([], [("a", "f"), ("a", "g")]) == ["f", "g"]
     assert labels_of([], [("a", "f"), ("a", "f")]) == ["f on a (1)", "f on a (2)"]
     assert labels_of(["x", "y"], [("a", "f"), ("a", "g")]) == ["x", "y"]
-    for given, word in ((["x"], "expected 2 names"), (["x", "x"], "names that differ")):
+    for given, word in (
+        (["x"], "expected 2 names"),
+        (["x", "x"], "names that differ"),
+        (["x", " "], "an empty one"),
+    ):
         with pytest.raises(UserFault, match=word):
             labels_of(given, [("a", "f"), ("a", "g")])
 
@@ -165,6 +169,25 @@ def test_a_column_is_what_evaluate_says(turbines: tuple[Path, Path, Fit]) -> Non
                 ours = found[period][quantity][regime]
                 assert ours["rmse"] == pytest.approx(theirs["rmse"][period][quantity][regime], nan_ok=True)
                 assert ours["n"] == theirs["rmse"][period][quantity]["n"][regime]
+
+
+def test_a_column_without_a_score_says_why_and_long_names_stay_apart(
+    turbines: tuple[Path, Path, Fit],
+) -> None:
+    from hygrokf.case import read_case
+
+    record: Record = read_case(turbines[1])
+    idle = replace(record, series=tuple(one for one in record.series if one.signal != "active_power"))
+    names = [
+        f"the turbine in the far north-east corner, {name}" for name in ("as it is", "without its power")
+    ]
+    found = compared(
+        [column(turbines[2], one, name) for one, name in zip((record, idle), names, strict=True)]
+    )
+    assert any("nothing to score" in said for said in found.results["columns"][1]["statements"])
+    text = comparison_text(found.results)
+    assert f"note: {names[1]}: nothing to score" in text
+    assert f"\n{names[0]} " in text and "against heat release without heat storage: skill" in text
 
 
 def test_compare_and_transfer_from_the_command_line(

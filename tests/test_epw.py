@@ -13,6 +13,8 @@ from hygrokf.psychrometrics import relative_humidity_from_dew_point
 from hygrokf.readers import TableFault
 from hygrokf.record import Site
 from hygrokf.weather.epw import read_epw
+from hygrokf.weather.reading import form_of
+from hygrokf.weather.years import read_weather
 
 DATA = Path(__file__).resolve().parents[1] / "../shared/data"
 measured = pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there")
@@ -178,3 +180,37 @@ def test_the_published_file_against_its_plain_columns() -> None:
     cold = (table[6] < 0.0).to_numpy()
     assert cold.sum() > 100
     assert np.median(np.abs(made_of - table[8])[cold]) < 1.5 and np.median(np.abs(made_of - table[8])) < 1.5
+
+
+def test_an_archive_of_a_weather_service_is_known_by_what_is_in_it(tmp_path: Path) -> None:
+    text = made.epw_text(TYPICAL)
+    members = {
+        "FRA_site.epw": text.encode(),
+        "FRA_site.stat": b"- Statistics",
+        "FRA_site.ddy": b"! design days",
+    }
+    path = made.zipped(tmp_path / "FRA_site.zip", members)
+    assert (
+        form_of(path) == "epw" and len(read_weather(path, year=2019, years=2)["ambient_temperature"]) == 17544
+    )
+    assert form_of(written(tmp_path, text, "site.txt")) == "epw"
+    assert form_of(made.streams(tmp_path / "era5.nc")) == form_of(tmp_path / "nowhere.zip") == "era5"
+    (tmp_path / "cut.zip").write_bytes(path.read_bytes()[:400])
+    with pytest.raises(TableFault, match="damaged ZIP"):
+        read_weather(tmp_path / "cut.zip")
+
+
+def test_what_only_looks_like_a_reading(tmp_path: Path) -> None:
+    lines = made.epw_text().splitlines()
+
+    def changed(column: int, number) -> Path:
+        body = [line.split(",") for line in lines[8:]]
+        for place, cells in enumerate(body):
+            cells[column] = number(place, cells)
+        return written(tmp_path, "\n".join([*lines[:8], *map(",".join, body)]) + "\n")
+
+    path = changed(6, lambda place, cells: "inf" if place == 3 else cells[6])
+    assert faults(path) == "line 12: cell 7: expected a number, found inf"
+    assert "column 9: relative humidity reaches 0.6 only" in faults(changed(8, lambda place, cells: "0.6"))
+    exchanged = read_epw(changed(7, lambda place, cells: str(float(cells[6]) + 4.0)))
+    assert any("the dew point lies above the temperature for 100 %" in said for said in exchanged.warnings)

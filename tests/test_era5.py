@@ -367,3 +367,108 @@ def test_the_missing_extra_is_named(tmp_path: Path, monkeypatch) -> None:
     path = tmp_path / "era5.nc"
     path.write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(100))
     assert 'pip install "hygrokf[weather]"' in faults(path)
+
+
+# -- what is missing, and what only looks right ----------------------------------------------------------------------
+def test_lost_radiation_and_rain_stay_missing() -> None:
+    dataset = made.new_dataset(("t2m", "d2m", "ssrd", "fdir", "tp"))
+    for name in ("ssrd", "fdir", "tp"):
+        dataset[name][10:14] = np.nan
+    record = era5_record(dataset, SITE)
+    for signal in ("global_horizontal_irradiance", "diffuse_horizontal_irradiance", "rain"):
+        assert np.flatnonzero(record[signal].missing).tolist() == [10, 11, 12, 13]
+    dataset["ssrd"][:] = np.nan
+    record = era5_record(dataset, SITE)
+    assert "global_horizontal_irradiance" not in record
+    assert any("ssrd: no value at this point" in said for said in record.warnings)
+
+
+def test_sums_since_midnight_are_missing_after_a_gap() -> None:
+    dataset = made.new_dataset(("t2m", "d2m", "ssrd"))
+    hourly = dataset["ssrd"].values.astype(float)
+    day = (made.seconds() - 1.0) // 86400.0
+    for number in np.unique(day):
+        dataset["ssrd"][day == number] = np.cumsum(hourly[day == number], axis=0)
+    whole = era5_record(dataset, SITE)["global_horizontal_irradiance"]
+    left = np.delete(np.arange(made.HOURS), np.arange(32, 36))
+    cut = era5_record(dataset.isel(valid_time=left), SITE)["global_horizontal_irradiance"]
+    expected = whole.value[left].copy()
+    expected[32] = np.nan  # the first hour after the gap
+    np.testing.assert_allclose(cut.value, expected, atol=0.05)
+    assert np.isnan(whole.value[0])  # the day before the file is not in it
+
+
+def test_sums_since_midnight_every_three_hours_are_refused() -> None:
+    dataset = made.new_dataset(("t2m", "d2m", "ssrd"), hours=240)
+    hourly = 0.1 * dataset["ssrd"].values.astype(float)  # a winter: the sums alone look possible
+    day = (made.seconds(240) - 1.0) // 86400.0
+    for number in np.unique(day):
+        dataset["ssrd"][day == number] = np.cumsum(hourly[day == number], axis=0)
+    with pytest.raises(TableFault, match="sums since 00:00 UTC, every 3 h"):
+        era5_record(dataset.isel(valid_time=slice(None, None, 3)), SITE)
+    dataset["ssrd"][:] = hourly  # sums of an hour, known every third hour: those of ERA5 itself
+    every_third = era5_record(dataset.isel(valid_time=slice(None, None, 3)), SITE)
+    np.testing.assert_allclose(
+        every_third["global_horizontal_irradiance"].value, hourly[::3, 1, 1] / 3600.0, atol=0.01
+    )
+
+
+def test_radiation_in_watts_that_is_called_joules() -> None:
+    dataset = made.new_dataset(("t2m", "d2m", "ssrd"))
+    watts = dataset["ssrd"] / 3600.0
+    dataset["ssrd"] = watts.assign_attrs(units="J m**-2")
+    with pytest.raises(TableFault, match=r"would reach 0.19 W/m² only; the file states .J m\*\*-2."):
+        era5_record(dataset, SITE)
+    dataset["ssrd"] = watts.assign_attrs(units="W m**-2")
+    assert era5_record(dataset, SITE)["global_horizontal_irradiance"].value.max() > 600.0
+
+
+def test_a_forecasts_hour_stands_at_its_valid_time() -> None:
+    dataset = made.new_dataset(("t2m", "d2m")).drop_vars(("expver", "number"))
+    stamps = dataset["valid_time"].values
+    dataset = dataset.rename(valid_time="time").assign_coords(
+        time=stamps - np.timedelta64(1, "h"), step=np.timedelta64(1, "h"), valid_time=("time", stamps)
+    )
+    np.testing.assert_array_equal(era5_record(dataset, SITE)["ambient_temperature"].time, made.seconds())
+
+
+def test_damaged_stamps_and_numbers(tmp_path: Path) -> None:
+    dataset = made.new_dataset(("t2m", "d2m", "sp"))
+    stamps = dataset["valid_time"].values.copy()
+    stamps[5] = np.datetime64("NaT")
+    with pytest.raises(TableFault, match="valid_time: 1 of 96 stamps are missing"):
+        era5_record(dataset.assign_coords(valid_time=stamps), SITE)
+    with pytest.raises(TableFault, match="has no hour in it"):
+        era5_record(dataset.isel(valid_time=slice(0, 0)), SITE)
+    assert len(era5_record(dataset.isel(valid_time=3), SITE)["ambient_temperature"]) == 1
+    dataset["sp"][7] = np.inf
+    record = era5_record(dataset.assign_coords(expver=("valid_time", np.array([b"0005"] * made.HOURS))), SITE)
+    assert np.flatnonzero(record["ambient_pressure"].missing).tolist() == [7]
+    assert "sp: 1 values are infinite, taken as missing" in record.warnings
+    assert record.warnings[0].startswith("96 hours are preliminary")
+    table = tmp_path / "point.csv"
+    table.write_text("valid_time,t2m,latitude,longitude\n")
+    assert "no hour below it" in faults(table)
+    table.write_text("valid_time,t2m,latitude,longitude\n2021-03-01 00:00:00,280,95.0,5.5\n")
+    assert "latitude_deg must lie within" in faults(table, None)
+
+
+def test_a_small_file_of_a_huge_array_is_refused(tmp_path: Path) -> None:
+    h5py = pytest.importorskip("h5py")
+    path = tmp_path / "huge.nc"
+    with h5py.File(path, "w") as file:
+        axes = {
+            "valid_time": np.arange(100_000),
+            "latitude": np.linspace(60, 40, 200),
+            "longitude": np.arange(200) / 9,
+        }
+        for name, values in axes.items():
+            file.create_dataset(name, data=values).make_scale(name)
+        file["valid_time"].attrs["units"] = "hours since 2014-01-01"
+        field = file.create_dataset(
+            "t2m", (100_000, 200, 200), "f4", chunks=(1000, 200, 200), compression="gzip"
+        )
+        for place, name in enumerate(axes):
+            field.dims[place].attach_scale(file[name])
+    assert path.stat().st_size < 2_000_000
+    assert "holds 14.9 GiB of fields" in faults(path)

@@ -147,16 +147,53 @@ def test_what_speaks_against_a_transfer_is_named(other: Transfer) -> None:
     worse["gains"]["temperature_K"]["re_estimated"]["over_rule"] = {
         "against": "no_dynamics", "gain": -1.0, "lower": -1.5, "upper": -0.4
     }  # fmt: skip
+    spoilt = copy.deepcopy(plain)
+    spoilt["gains"]["temperature_K"]["re_estimated"]["over_as_is"] = {
+        "against": "as_is", "gain": -3.0, "lower": -5.0, "upper": -1.0
+    }  # fmt: skip
     lacking = copy.deepcopy(plain)
     lacking["structure"]["temperature_K"] = {"rmse": 4.0, "rmse_of_the_fit": 1.5, "ratio": 2.7, "lower": 2.2}
     for found, word in (
         (at_bound, "edge of its range"),
         (worse, "no gain over"),
         (lacking, "hygrokf discover"),
+        (spoilt, "larger by 3.00 K"),
     ):
         verdict, reasons = judged(found, [HEAT])
         assert verdict == "does not transfer" and word in reasons[0]
     assert "nothing of the cabinet" in judged(plain, [THERMAL, HEAT, HYGRIC])[1][0]
+
+
+def test_a_record_that_can_judge_nothing_is_refused(origin: Fit) -> None:
+    record = sister(())
+    idle = replace(record, series=tuple(s for s in record.series if s.signal != "active_power"))
+    with pytest.raises(ValueError, match="needs the power"):
+        transfer_fit(origin, idle, fits=False)
+    with pytest.raises(ValueError, match="at least 50 readings in the identification period, found"):
+        transfer_fit(origin, replace(record, until_s=record.start_s + 3 * 3600.0), fits=False)
+
+
+def test_a_short_record_excludes_little_of_the_heat_release(origin: Fit) -> None:
+    """An estimate that would matter and lies within its bounds is no proof that the heat release is the same."""
+    record = sister(()).window(0.0, sister(()).start_s + 4 * 86400.0)
+    rows = transfer_fit(origin, replace(record, until_s=None), fits=False).results["groups"]
+    row = next(row for row in rows if row["group"] == HEAT)
+    assert row["outcome"] == "travels" and row["effect"]["temperature_K"] > 0.3
+    assert "cannot be excluded" in row["statement"]
+
+
+def test_the_fits_own_record_and_a_types_own_turbine_are_told(origin: Fit) -> None:
+    record = replace(sister(()), provenance=(("cabinet.csv", "a" * 64),))
+    made = replace(origin, results={**origin.results, "provenance": [["elsewhere/cabinet.csv", "a" * 64]]})
+    statements = transfer_fit(made, record, fits=False).results["statements"]
+    assert any("nothing is tried" in line for line in statements)
+    kind = pooled([replace(origin, name="one"), replace(origin, name=record.name)])
+    known = {name: row for name, row in kind.parameters.items() if name != "hygric_k"}
+    found = transfer_fit(replace(kind, parameters=known), record, fits=False).results
+    assert any(f"made of {record.name} among others" in line for line in found["statements"])
+    # a start value is no knowledge of the type
+    assert any("does not know hygric_k" in line for line in found["statements"])
+    assert found["parameters"]["hygric_k"]["difference"] is None and found["verdict"] == "transfers"
 
 
 def test_a_plant_that_the_model_cannot_describe_does_not_transfer(origin: Fit) -> None:

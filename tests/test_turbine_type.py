@@ -174,6 +174,18 @@ def test_a_type_is_read_again_as_it_was_written(tmp_path: Path) -> None:
             read_type(tmp_path / name)
 
 
+@pytest.mark.parametrize(
+    "key, value", [("mean", "x"), ("mean", 1e9), ("next_sd", -1.0), ("se", None), ("upper", -99.0)]
+)
+def test_a_type_with_impossible_numbers_is_refused(tmp_path: Path, key: str, value: object) -> None:
+    data = pooled([fit_of("a", 1.4, 0.03), fit_of("b", 1.6, 0.04)]).to_json()
+    data["type_parameters"]["thermal_time_constant"][key] = value
+    path = tmp_path / "type.json"
+    path.write_text(json.dumps(data))
+    with pytest.raises(TypeFault, match="thermal_time_constant"):
+        read_type(path)
+
+
 def test_a_logarithmic_prior_has_the_derivatives_of_its_density() -> None:
     p = Parameter(
         "thermal_time_constant", "h", 2.0, 0.02, 200.0, positive=True, prior=Prior(math.log(1.5), 0.1, True)

@@ -87,6 +87,27 @@ def test_a_signal_of_both_is_taken_from_the_table_and_compared(folder: Path) -> 
     assert len(inside.compared[0]) == 24  # the first hour of rain begins an hour before
 
 
+def test_one_file_a_year_is_one_weather(folder: Path) -> None:
+    half = made.HOURS // 2
+    dataset = made.new_dataset(("t2m", "d2m", "ssrd"))
+    for name, part in (("early.nc", slice(None, half)), ("late.nc", slice(half, None))):
+        (folder / name).write_bytes(made.netcdf4(dataset.isel(valid_time=part)))
+    early, late = (ERA5.replace("era5.nc", name) for name in ("early.nc", "late.nc"))
+    for order in ((early, late), (late, early)):
+        record = case(folder, SITE, CABINET, *order)
+        assert record["ambient_temperature"].value == pytest.approx(made.truth("t2m"), rel=1e-6)
+        assert len(record["global_horizontal_irradiance"]) == made.HOURS and record.compared == ()
+        assert dict(record.provenance).keys() == {"cabinet.csv", "early.nc", "late.nc"}
+    # two opinions on the same time are not put together: the second is compared
+    record = case(folder, SITE, CABINET, ERA5, early)
+    assert len(record["ambient_temperature"]) == made.HOURS
+    assert {one.signal: len(one) for one in record.compared}["ambient_temperature"] == half
+    # both halves are compared with a station
+    outside = 'signals.ambient_temperature = { column = "outside", unit = "degC" }\n'
+    record = case(folder, SITE, CABINET + outside, early, late)
+    assert {one.signal: len(one) for one in record.compared}["ambient_temperature"] == made.HOURS
+
+
 def test_a_source_that_is_only_compared(folder: Path) -> None:
     second = (
         '[[source]]\nfile = "cabinet.csv"\ntime = "time"\ncompare = true\n'
@@ -173,6 +194,19 @@ def test_check_shows_the_comparison_and_stays_quiet_on_right_clocks(tmp_path: Pa
         assert row["lags"]["whole"]["weather_s"][0] == pytest.approx(late_s, abs=400.0)
         shown = describe_text(describe(read_case(path, cabinet=False)))
         assert "lag in winter" in shown and "daily wave" in shown
+
+
+def test_check_says_that_two_files_have_too_little_in_common(folder: Path) -> None:
+    outside = 'signals.ambient_temperature = { column = "outside", unit = "degC" }\n'
+    record = case(folder, SITE, CABINET + outside, ERA5)
+    said = describe(record)["doubts"]
+    assert (
+        "era5.nc cannot be compared (ambient_temperature): fewer than 20 days in common with the source that is used"
+        in said
+    )
+    assert not any(
+        "cannot be compared" in one for one in describe(case(folder, SITE, CABINET, ERA5))["doubts"]
+    )
 
 
 def test_the_picture(tmp_path: Path) -> None:

@@ -104,6 +104,33 @@ def test_contradicting_files_are_masked_and_said() -> None:
     assert "contradicting ones masked" in record.warnings[0]
 
 
+def test_the_rounding_of_packed_files_is_no_contradiction() -> None:
+    time = 3600.0 * np.arange(400)
+    truth = 280.0 + 15.0 * np.sin(np.arange(400) / 30.0)
+
+    def packed(first: int, last: int) -> Record:
+        part = truth[first:last]
+        step = np.ptp(part) / 65530.0
+        value = part.min() + step * np.round((part - part.min()) / step)
+        return Record("x", (Series("ambient_temperature", time[first:last], value),))
+
+    one, other = packed(0, 250), packed(190, 400)
+    assert np.any(one["ambient_temperature"].value[190:] != other["ambient_temperature"].value[:60])
+    record = joined([one, other], "x")
+    assert not record["ambient_temperature"].missing.any()
+    np.testing.assert_allclose(record["ambient_temperature"].value, truth, atol=3e-4)
+
+
+def test_a_code_for_missing_among_the_readings_is_masked(tmp_path: Path) -> None:
+    dataset = made.new_dataset(("t2m", "d2m"))
+    dataset["t2m"][7] = -9999.0
+    path = tmp_path / "era5.nc"
+    path.write_bytes(made.netcdf4(dataset))
+    record = read_weather(path, site=SITE)
+    assert np.flatnonzero(record["ambient_temperature"].missing).tolist() == [7]
+    assert any("masked" in said and "ambient_temperature" in said for said in record.warnings)
+
+
 def test_heights(tmp_path: Path) -> None:
     path = tmp_path / "site.epw"
     path.write_text(made.epw_text())

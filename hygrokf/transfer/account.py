@@ -108,7 +108,7 @@ def groups_of(
             outcome, said = "differs", "differs by more than both uncertainties explain, and enough to matter"
         elif group in significant:
             outcome, said = "travels", "differs measurably, but by less than matters"
-        elif _could_matter(group, alone):
+        elif _could_matter(group, alone, effects[group]):
             said += "; one that would matter cannot be excluded by this record"
         rows.append(
             {
@@ -131,13 +131,20 @@ def groups_of(
     return rows
 
 
-def _could_matter(group: str, alone: Difference) -> bool:
-    """Whether the bounds of a time constant's difference hold one that would matter."""
-    name = {THERMAL: "thermal_time_constant", HYGRIC: "hygric_k"}.get(group)
-    if name is None or name not in alone.names:
-        return False
-    _, low, high = alone.bounds(name)
-    return max(-low, high) >= MATTERS["ln_time_constant"]
+def _could_matter(group: str, alone: Difference, effect: Mapping[str, float]) -> bool:
+    """Whether a difference that would matter is within the uncertainty of this record.
+
+    Of time constants and the resistance ratio: whether their bounds hold one. Of other groups: whether the estimate itself,
+    which is within its bounds, changes the simulation by what matters.
+    """
+    watched = {
+        THERMAL: {"thermal_time_constant": "ln_time_constant", "resistance_ratio": "resistance_ratio"},
+        HYGRIC: {"hygric_k": "ln_time_constant"},
+    }.get(group)
+    if watched is None:
+        return matters(group, alone, effect)
+    ends = {key: alone.bounds(name)[1:] for name, key in watched.items() if name in alone.names}
+    return any(max(-low, high) >= MATTERS[key] for key, (low, high) in ends.items())
 
 
 def ratios_of(
@@ -214,6 +221,12 @@ def judged(found: Mapping, differing: Sequence[str]) -> tuple[str, list[str]]:
             )
     for quantity, rows in found["gains"].items():
         gain = rows.get("re_estimated", {}).get("over_as_is")
+        if differing and gain and gain["upper"] is not None and gain["upper"] < 0.0:
+            name, u = unit[quantity]
+            against.append(
+                f"re-estimating {_list(differing)} makes the error of the simulated {name} larger by {-gain['gain']:.2f} {u}, "
+                "beyond its bounds: what the identification period says does not hold afterwards; take a longer one"
+            )
         if gain:
             name, u = unit[quantity]
             table = found["rmse"][quantity]

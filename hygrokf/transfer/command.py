@@ -71,6 +71,8 @@ def labels_of(given: Sequence[str], pairs: Sequence[tuple[str, str]]) -> list[st
     if given:
         if len(given) != len(pairs):
             raise UserFault(f"--label: expected {len(pairs)} names, one a column, found {len(given)}")
+        if not all(name.strip() for name in given):
+            raise UserFault("--label: expected a name for each column, found an empty one")
         if len(set(given)) < len(given):
             raise UserFault(f"--label: expected names that differ, found {', '.join(given)}")
         return list(given)
@@ -147,14 +149,14 @@ def run_transfer(options: argparse.Namespace, record_of: Read, stored: Read) -> 
     progress.close()
     fits = [] if is_type(options.fit) else [source]
     fits += [one.own for one in found if one.own is not None]
-    kind = None
+    kind, unpooled = None, ""
     if len(fits) > 2:
         try:
             kind = pooled(fits)
-        except TypeFault:  # the same turbine twice: nothing to pool
-            kind = None
+        except TypeFault as fault:
+            unpooled = f"\n\nno type of turbine was made: {fault}"
     return (
         write_transfer(found, options.out, kind),
         transfer_json(found, kind),
-        transfer_text(transfer_json(found, kind)),
+        transfer_text(transfer_json(found, kind)) + unpooled,
     )

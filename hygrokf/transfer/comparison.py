@@ -32,6 +32,15 @@ SAME = 1e-6
 CSV_HEAD = (
     "kind", "column", "against", "fit", "case", "quantity", "unit", "period", "regime", "n", "value", "lower", "upper",
 )  # fmt: skip
+UNSCORED = (
+    "nothing to score: no temperature or absolute humidity of the cabinet at a time when all inputs are known (a fit that "
+    "knows the power needs the power); see `hygrokf check`"
+)
+RULES = {
+    "no_dynamics": "heat release without heat storage",
+    "ambient": "c = c_amb",
+    "ambient_pressure_balance": "c = c_amb T_amb/T_conv,a",
+}
 UNITS = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m3"}
 
 
@@ -70,7 +79,7 @@ def column(fit: Fit, record: Record, label: str, own: bool = False) -> Column:
     ruled = guesses(made, record.until_s)
     for quantity in SCORED:
         pair = predicted.of(quantity)
-        if pair is None or not np.isfinite(known[quantity]).any():
+        if pair is None or not np.isfinite(known[quantity][made.scored]).any():
             continue
         errors[quantity] = np.where(made.scored, known[quantity] - pair[0], np.nan)
         rules[quantity] = {
@@ -81,6 +90,9 @@ def column(fit: Fit, record: Record, label: str, own: bool = False) -> Column:
     t = made.timeline
     masks = period_masks(made, record.until_s)
     masks["whole"] = np.ones(len(t), bool)
+    statements = unlike(fit, record)
+    if not errors:
+        statements.append(UNSCORED)
     synthetic = bool(fit.results.get("synthetic")) or "synthetic" in record.name.lower()
     return Column(
         label,
@@ -93,7 +105,7 @@ def column(fit: Fit, record: Record, label: str, own: bool = False) -> Column:
         errors,
         rules,
         masks,
-        tuple(unlike(fit, record)),
+        tuple(statements),
         synthetic,
     )
 
@@ -119,10 +131,7 @@ def compared(columns: Sequence[Column]) -> Comparison:
     if twice:
         raise ValueError(f"expected columns of different names, found several called {', '.join(twice)}")
     if not any(one.errors for one in columns):
-        raise ValueError(
-            "nothing to score in any column: no temperature or absolute humidity of the cabinet at a time when all inputs "
-            "are known; see `hygrokf check`"
-        )
+        raise ValueError(f"no column can be scored: {UNSCORED}")
     results = {
         "version": __version__,
         "created": datetime.now(UTC).isoformat(timespec="seconds"),
@@ -282,8 +291,11 @@ def _cells(scores: Mapping) -> list[tuple[str, str, str, Mapping]]:
 
 def comparison_text(found: Mapping) -> str:
     """Table III as fixed-width text, the rules below it, then the differences in total."""
-    widest = max(len(one["label"]) for one in found["columns"])
-    width = max(min(widest, 30), 12) + 2
+    labels = [one["label"] for one in found["columns"]]
+    widest = max(map(len, labels))
+    # names are cut only where they can still be told apart
+    cut = 30 if len({label[:30] for label in labels}) == len(labels) else widest
+    width = max(min(widest, cut), 12) + 2
     lines = []
     for one in found["columns"]:
         lines += [f"note: {one['label']}: {sentence}" for sentence in one["statements"]]
@@ -305,7 +317,7 @@ def comparison_text(found: Mapping) -> str:
                 total = row["total"]
                 lines.append(f"{label[: width - 2]:{width}}{cells}{_span(total):>17}{total['n']:>9}")
                 for rule, said in total["rules"].items():
-                    words = f"  against {rule}: skill {_plain(said['skill'])}"
+                    words = f"  against {RULES.get(rule, rule)}: skill {_plain(said['skill'])}"
                     lines.append(f"{words} {_span(said)}".rstrip())
             for one in found["differences"]:
                 row = one["scores"][period].get(quantity, {}).get("total")

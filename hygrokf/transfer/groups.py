@@ -29,7 +29,8 @@ HEAT = "heat release"
 HYGRIC = "hygric exchange"
 OFFSETS = "sensor offsets"
 DISTURBANCES = "disturbances"
-OF_THE_RECORD = (OFFSETS, DISTURBANCES)
+UNKNOWN = "not known to the type"
+OF_THE_RECORD = (OFFSETS, DISTURBANCES, UNKNOWN)
 """Groups that belong to a logger, a site and a season, not to a type of cabinet: every record has its own."""
 LEVEL = 0.05
 _BASE = {

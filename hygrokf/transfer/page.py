@@ -319,7 +319,7 @@ def _foot(found: Mapping) -> str:
         "Sensor offsets and disturbances belong to a logger, a site and a season: they are always estimated on the record.",
         "A model does not transfer where every group of the cabinet differs, where a re-estimated parameter ends at a bound, "
         "where even the record's own estimate errs by far more than the fit did at home, or where the re-estimated model "
-        "is worse than a rule without a model.",
+        "is worse than a rule without a model, or than the fit as it is.",
     )
     made = f"Judged by hygrokf {text_of(found['version'])}; page written by hygrokf {__version__}."
     return f"<footer><h2>Method</h2>{''.join(f'<p>{prose(line)}</p>' for line in (*lines, made))}</footer>"

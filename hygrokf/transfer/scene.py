@@ -13,10 +13,12 @@ from hygrokf.design import Design, read_as
 from hygrokf.drivers import Run, run
 from hygrokf.fit import Fit
 from hygrokf.fitting import Estimate, Objective
+from hygrokf.identification import expect_readings
 from hygrokf.likelihood import Likelihood
 from hygrokf.parameters import Coordinates
 from hygrokf.record import Record
-from hygrokf.transfer.groups import OF_THE_RECORD, Difference, group_of
+from hygrokf.simulation import measured
+from hygrokf.transfer.groups import OF_THE_RECORD, UNKNOWN, Difference, group_of
 from hygrokf.turbine_type import TurbineType
 
 EARLY_SHARE = 0.75
@@ -27,6 +29,7 @@ class Origin:
     """What is taken elsewhere: a design, its values, and how sure they are (covariance of `names`, in their units).
 
     `rmse` [K] and [g/m³]: the free run's errors where it comes from, by quantity, if known.  `kind` "fit" or "type".
+    `files`: hashes of the files that a fit was made from; `turbines`: names of those that a type was made of.
     """
 
     name: str
@@ -36,6 +39,8 @@ class Origin:
     names: tuple[str, ...]
     covariance: np.ndarray
     rmse: Mapping[str, float] = field(default_factory=dict)
+    files: frozenset[str] = frozenset()
+    turbines: tuple[str, ...] = ()
 
     @classmethod
     def of(cls, source: Fit | TurbineType) -> Origin:
@@ -45,12 +50,21 @@ class Origin:
             names = tuple(n for n in source.parameters if n in values)
             slopes = [values[n] if source.parameters[n].logarithmic else 1.0 for n in names]
             sd = [source.parameters[n].next_sd * slope for n, slope in zip(names, slopes, strict=True)]
-            return cls(source.name, "type", source.design, values, names, np.diag(np.square(sd)))
+            return cls(
+                source.name,
+                "type",
+                source.design,
+                values,
+                names,
+                np.diag(np.square(sd)),
+                turbines=source.turbines,
+            )
         names, matrix = source.covariance
         scored = source.results.get("rmse", {}).get("identification", {})
         known = {q: row["total"] for q, row in scored.items() if row.get("total")}
         values = {p.name: source.values[p.name] for p in source.design.model.parameters}
-        return cls(source.name, "fit", source.design, values, names, matrix, known)
+        files = frozenset(digest for _, digest in source.results.get("provenance", ()))
+        return cls(source.name, "fit", source.design, values, names, matrix, known, files)
 
 
 @dataclass(frozen=True)
@@ -86,10 +100,23 @@ def scene_of(origin: Origin, record: Record) -> tuple[Scene, list[str]]:
         statements.append(
             f"no `until` is stated: estimated on the first three quarters, up to {stamp(record.until_s)}"
         )
+    statements += _kinship(origin, record)
     base = replace(read_as(origin.design, record), priors={})
     groups = group_of(base.model)
     early = record.identification()
+    expect_readings(early)
     early_run = run(base, early)
+    if not any(np.isfinite(one[early_run.scored]).any() for one in measured(early_run).values()):
+        raise ValueError(
+            "nothing to judge by: no reading of the cabinet in the identification period at a time when all inputs are known "
+            "(a model that reads the power needs the power); check the case with `hygrokf check`"
+        )
+    unknown = [n for n, g in groups.items() if g not in OF_THE_RECORD and n not in origin.names]
+    if origin.kind == "type" and unknown:
+        groups |= dict.fromkeys(unknown, UNKNOWN)
+        statements.append(
+            f"the type does not know {', '.join(unknown)}: estimated on this record, not judged"
+        )
     coordinates = Coordinates(base.model.parameters)
     objective = Objective(Likelihood(base.model, early_run.timeline), coordinates)
     information = np.diag(objective.information(coordinates.start(origin.values))[2])
@@ -109,6 +136,19 @@ def scene_of(origin: Origin, record: Record) -> tuple[Scene, list[str]]:
             "in the fit's scale"
         )
     return Scene(origin, record, early, base, run(base, record), early_run, held, groups), statements
+
+
+def _kinship(origin: Origin, record: Record) -> list[str]:
+    """A remark where the record is, or seems to be, one that the model was made from."""
+    files = frozenset(digest for _, digest in record.provenance)
+    if files and files == origin.files:
+        return [
+            "the files of this record are those of the fit: if its columns are too, both estimates are of the same readings, "
+            "and nothing is tried by this"
+        ]
+    if record.name in origin.turbines:
+        return [f"the type was made of {record.name} among others: its own record says little about the type"]
+    return []
 
 
 _HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")

@@ -10,13 +10,15 @@ from typing import Any
 from hygrokf.record import Record
 from hygrokf.signals import difference_from_si, signal_named
 from hygrokf.stamps import modal_step
-from hygrokf.weather.alignment import UNKNOWN, Alignment, Bounded, Lag, align
+from hygrokf.weather.alignment import DAY_S, UNKNOWN, Alignment, Bounded, Lag, align
 
 MINUTE_S = 60.0
 TOLERANCE_S = 20.0 * MINUTE_S
 """[s] within which a lag is no clock error: slow housings, and fronts that meet a grid cell's middle before the site."""
 APART_S = 60.0 * MINUTE_S
 """[s] by which the lags by the weather and by the mean day may differ where both come from a clock."""
+NOT_COMPARED = ("wind_direction", "rain")
+"""A direction has no mean, and flags of rain differ between places."""
 JUDGES = ("ambient_temperature", "global_horizontal_irradiance")
 """Signals whose mean day the sun sets alike everywhere; that of wind differs between heights and places."""
 
@@ -71,8 +73,7 @@ def alignments(record: Record, seed: int = 0) -> tuple[Alignment, ...]:
     america = record.site is not None and record.site.in_north_america
     found = []
     for other in record.compared:
-        # a direction has no mean, and flags of rain differ between places
-        if other.signal not in record or other.signal in ("wind_direction", "rain"):
+        if other.signal not in record or other.signal in NOT_COMPARED:
             continue
         first, second = record[other.signal], other
         if modal_step(first.time)[0] > modal_step(second.time)[0]:
@@ -159,16 +160,22 @@ def _off(weather: Bounded, day: Bounded) -> bool:
     """Whether both witnesses say that the clock is off."""
     if not day.known:
         return _beyond(weather, 1.5 * TOLERANCE_S)
-    same_side = weather.value * day.value > 0 and (day.low > 0.0 or day.high < 0.0)
-    return _beyond(weather) and same_side and abs(weather.value - day.value) <= APART_S
+    # a day later is the same phase: a clock that is off by half a day shows either sign
+    turn = DAY_S * round((weather.value - day.value) / DAY_S)
+    value, low, high = (one + turn for one in (day.value, day.low, day.high))
+    same_side = weather.value * value > 0 and (low > 0.0 or high < 0.0)
+    return _beyond(weather) and same_side and abs(weather.value - value) <= APART_S
 
 
-def clock_sentences(errors: Sequence[ClockError]) -> list[str]:
-    """What is wrong with clocks, one sentence a pair of sources, with what to do; nothing for those that are right."""
-    return [_sentence(one) for one in errors if one.kind in ("constant", "seasonal")]
+def clock_sentences(errors: Sequence[ClockError], south: bool = False) -> list[str]:
+    """What is wrong with clocks, one sentence a pair of sources, with what to do; nothing for those that are right.
+
+    south: whether the site lies in the southern half of the Earth, where summer time is that of the other season.
+    """
+    return [_sentence(one, south) for one in errors if one.kind in ("constant", "seasonal")]
 
 
-def _sentence(error: ClockError) -> str:
+def _sentence(error: ClockError, south: bool) -> str:
     winter, summer = error.corrections_s
     if error.kind == "constant":
         return (
@@ -176,6 +183,8 @@ def _sentence(error: ClockError) -> str:
             f"{_late(error.winter)}; its stamps need {_signed(winter)}. If {error.other} is right, state "
             f'clock_correction = "{_signed(winter).replace(" ", "")}" in that source'
         )
+    if south:
+        return _southern(error, winter, summer)
     paces = f"{_pace(winter)} in winter and {_pace(summer)} in summer"
     remedy = ""
     if abs((summer - winter) - 3600.0) < 1.0:
@@ -192,6 +201,27 @@ def _sentence(error: ClockError) -> str:
         f"the clock of {error.one} runs {paces} against {error.other}: by their stamps the weather comes "
         f"{_late(error.winter)} in winter and {_late(error.summer)} in summer; its stamps need {_signed(winter)} in "
         f"winter and {_signed(summer)} in summer{remedy}"
+    )
+
+
+def _southern(error: ClockError, first_s: float, second_s: float) -> str:
+    """A clock that is off with summer time, where `winter` of the comparison is the warm season."""
+    remedy = ""
+    if abs((second_s - first_s) - 3600.0) < 1.0:
+        remedy = (
+            ": it seems to follow summer time although its stamps are read at a fixed offset. State its zone by name, such as "
+            'timezone = "Australia/Sydney"'
+        )
+    elif abs((second_s - first_s) + 3600.0) < 1.0:
+        remedy = (
+            ": it seems to have no summer time although its stamps are read with it. Read them at the clock's own fixed "
+            "offset, with ignore_offset = true where the stamps carry offsets"
+        )
+    early, late = "from November to March", "from April to October"
+    return (
+        f"the clock of {error.one} runs {_pace(first_s)} {early} and {_pace(second_s)} {late} against {error.other}: by "
+        f"their stamps the weather comes {_late(error.winter)} {early} and {_late(error.summer)} {late}; its stamps need "
+        f"{_signed(first_s)} {early} and {_signed(second_s)} {late}{remedy}"
     )
 
 

@@ -19,6 +19,7 @@ from hygrokf.readers import TableFault
 from hygrokf.record import Record, Series, Site
 from hygrokf.signals import from_si, signal_named, to_si
 from hygrokf.weather.archive import contents
+from hygrokf.weather.fields import saturation_doubt
 
 HOUR_S = 3600.0
 _HEADER = 8
@@ -96,7 +97,8 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
         row = int(np.argmax(np.diff(time) <= 0.0)) + 1
         raise TableFault([f"line {row + _HEADER + 1}: the hours must follow each other, this one does not"])
     value = dict(lines.value)
-    warnings += _dew_point_completed(value)
+    warnings += _dew_point_completed(value, faults)
+    warnings += saturation_doubt(value["ambient_temperature"], value["ambient_dew_point_temperature"])
     warnings.append("wind_speed is that at 10 m, not at hub height")
     source = f"{file.name}, column"
     series = []
@@ -183,6 +185,8 @@ def _lines(rows: list[list[str]], faults: list[str]) -> _Lines:
             for column in used:
                 if column < len(row) and row[column].strip():
                     table[place, column] = float(row[column])
+                    if math.isinf(table[place, column]):
+                        raise ValueError(f"cell {column + 1}: expected a number, found {row[column]}")
         except ValueError as reason:
             wrong.append(f"line {place + _HEADER + 1}: {reason}")
     if wrong:
@@ -265,10 +269,8 @@ def _local_seconds(stamps: np.ndarray) -> np.ndarray:
     return days * 86400.0 + stamps[:, 3] * HOUR_S
 
 
-def _dew_point_completed(value: dict[str, np.ndarray]) -> list[str]:
+def _dew_point_completed(value: dict[str, np.ndarray], faults: list[str]) -> list[str]:
     """Put dew points made from relative humidity where the file has none."""
-    if "ambient_relative_humidity" not in value:
-        return []
     own = value.get("ambient_dew_point_temperature", np.full(len(value["ambient_temperature"]), math.nan))
     kelvin = value["ambient_temperature"] + 273.15
     # a relative humidity of 0 has no dew point, and one above 100 % is a rounding of it
@@ -278,4 +280,9 @@ def _dew_point_completed(value: dict[str, np.ndarray]) -> list[str]:
     value["ambient_dew_point_temperature"] = np.where(lacking, made, own)
     if not lacking.any():
         return []
+    highest = float(np.nanmax(value["ambient_relative_humidity"]))
+    if highest <= 1.5:
+        faults.append(
+            f"column 9: relative humidity reaches {highest:.3g} only, expected per cent: its numbers look like fractions"
+        )
     return [f"{int(lacking.sum())} dew points are missing and made from relative humidity over water"]

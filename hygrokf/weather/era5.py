@@ -106,6 +106,8 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
                 f"{listed}: name another table as a plain source, with its columns"
             ]
         )
+    if not len(frame):
+        raise TableFault(["has a line of names and no hour below it; fetch it again"])
     time = _csv_time(frame[time_name], time_name)
     faults, fields = [], {}
     for name in used:

@@ -11,6 +11,7 @@ import numpy as np
 from hygrokf.readers import TableFault
 from hygrokf.record import Record, Series, Site
 from hygrokf.signals import from_si, signal_named
+from hygrokf.stamps import duration_text, modal_step
 
 HOUR_S = 3600.0
 GRAVITY = 9.80665
@@ -139,6 +140,8 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
                 "ask for it in the request"
             ]
         )
+    if not len(points.time):
+        raise TableFault(["has no hour in it: fetch it again"])
     order = np.argsort(points.time, kind="stable")
     time = points.time[order]
     fresh = np.append(True, np.diff(time) > 0.0)
@@ -149,9 +152,18 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
     for short, (name, one) in given.items():
         if short != "z":
             raw = np.asarray(one.value, dtype=float)[order][fresh]
-            value[short] = _converted(short, name, raw, one.unit, faults)
+            endless = np.isinf(raw)
+            if endless.any():
+                warnings.append(f"{name}: {int(endless.sum())} values are infinite, taken as missing")
+            value[short] = _converted(short, name, np.where(endless, np.nan, raw), one.unit, faults)
+            faults += _power_for_energy(short, name, one.unit, time, value[short])
     for short in _ACCUMULATED:
         if short in value and _since_midnight(time, value[short]):
+            if modal_step(time)[0] > HOUR_S:
+                faults.append(
+                    f"{given[short][0]}: sums since 00:00 UTC, every {duration_text(modal_step(time)[0])}; expected "
+                    "every hour, of which means can be made: ask for all 24 hours of the day"
+                )
             value[short] = _hourly_sums(time, value[short])
             warnings.append(f"{given[short][0]}: sums since 00:00 UTC, turned into those of each hour")
 
@@ -189,26 +201,30 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
         if short in value
     ]
     if "ssrd" in value:
-        sun = np.fmax(value["ssrd"], 0.0)
+        sun = np.maximum(value["ssrd"], 0.0)  # NaN stays NaN
         series.append(made("global_horizontal_irradiance", sun, "ssrd", HOUR_S))
         if "fdir" in value:
-            diffuse = np.fmax(sun - value["fdir"], 0.0)
+            diffuse = np.maximum(sun - value["fdir"], 0.0)
             series.append(made("diffuse_horizontal_irradiance", diffuse, "ssrd fdir", HOUR_S))
     elif "avg_sdswrf" in value:
-        sun = np.fmax(value["avg_sdswrf"], 0.0)
+        sun = np.maximum(value["avg_sdswrf"], 0.0)
         series.append(made("global_horizontal_irradiance", sun, "avg_sdswrf", HOUR_S))
     if "tp" in value:
-        series.append(made("rain", np.fmax(value["tp"], 0.0), "tp", HOUR_S))
+        series.append(made("rain", np.maximum(value["tp"], 0.0), "tp", HOUR_S))
     series += _wind(value, made, warnings)
     if faults:
         raise TableFault(faults)
     if temperature and "d2m" not in value:
         warnings.append(NO_HUMIDITY)
-    warnings += _saturation(value)
+    if {"t2m", "d2m"} <= set(value):
+        warnings += saturation_doubt(value["t2m"], value["d2m"])
     site = None
     if points.latitude_deg is not None and points.longitude_deg is not None:
         east = (points.longitude_deg + 180.0) % 360.0 - 180.0
-        site = Site(points.latitude_deg, east, points.altitude_m)
+        try:
+            site = Site(points.latitude_deg, east, points.altitude_m)
+        except ValueError as outside:
+            raise TableFault([f"the point of the file cannot be: {outside}"]) from None
     found = tuple(one for one in series if one is not None)
     return Record(points.file, found, site, warnings=tuple(warnings), provenance=((points.file, sha256),))
 
@@ -224,6 +240,29 @@ def _converted(short: str, name: str, raw: np.ndarray, unit: str | None, faults:
         return np.full(len(raw), np.nan)
     factor, offset = known[stated]
     return factor * raw + offset
+
+
+def _power_for_energy(
+    short: str, name: str, unit: str | None, time: np.ndarray, value: np.ndarray
+) -> list[str]:
+    """A fault where radiation in W/m² is taken for J/m², and so comes out 3600 times too small."""
+    factor, _ = _UNITS["radiation"].get((unit or _OWN_UNIT["radiation"]).strip(), (1.0, 0.0))
+    if (
+        short not in ("ssrd", "fdir", "avg_sdswrf")
+        or factor == 1.0
+        or (short == "avg_sdswrf" and unit is None)
+    ):
+        return []
+    known = value[np.isfinite(value)]
+    highest = float(known.max()) if len(known) else 0.0
+    # even under the clouds of a winter at 60 degrees some hour in three days has more than 1 W/m²
+    if not 1e-3 < highest < 1.0 or time[-1] - time[0] < 3.0 * 86400.0:
+        return []
+    said = f'the file states "{unit}"' if unit else "it has no unit, so J/m² of an hour was taken"
+    return [
+        f"{name}: the radiation would reach {highest:.2g} W/m² only; {said}, and its numbers look like W/m²: correct "
+        "the unit or multiply by 3600"
+    ]
 
 
 def _stated(given: Mapping[str, tuple[str, Field]], shorts: str) -> str:
@@ -258,9 +297,8 @@ def _since_midnight(time: np.ndarray, value: np.ndarray) -> bool:
 
     Sums of single hours fall within 24 hours wherever the sun sets or rain ends.
     """
-    inside = np.diff(time) <= HOUR_S
     # the sum at 00:00 is the last of the day before, that at 01:00 the first of the new one
-    inside &= np.round(np.mod(time[1:], 86400.0)) != HOUR_S
+    inside = np.diff(np.ceil(np.round(time) / 86400.0)) == 0.0
     steps = np.diff(value)
     inside &= np.isfinite(steps)
     top = float(np.nanmax(value)) if np.isfinite(value).any() else 0.0
@@ -275,14 +313,12 @@ def _hourly_sums(time: np.ndarray, value: np.ndarray) -> np.ndarray:
     first = np.round(np.mod(time, 86400.0)) == HOUR_S
     before = np.append(np.nan, value[:-1])
     before[np.append(True, np.round(np.diff(time)) != HOUR_S)] = np.nan
-    return np.where(first, value, np.fmax(value - before, 0.0))
+    return np.where(first, value, np.maximum(value - before, 0.0))
 
 
-def _saturation(value: Mapping[str, np.ndarray]) -> list[str]:
-    """A dew point above the temperature by more than packing explains."""
-    if not {"t2m", "d2m"} <= set(value):
-        return []
-    above = value["d2m"] - value["t2m"]
+def saturation_doubt(temperature: np.ndarray, dew_point: np.ndarray) -> list[str]:
+    """A dew point (T,) above the temperature (T,), both [K] or [degC], by more than packing explains, in words."""
+    above = dew_point - temperature
     share = float(np.mean(above[np.isfinite(above)] > 0.5)) if np.isfinite(above).any() else 0.0
     if share <= 0.01:
         return []

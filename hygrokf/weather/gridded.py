@@ -16,6 +16,7 @@ import numpy as np
 
 from hygrokf.readers import TableFault
 from hygrokf.record import Site
+from hygrokf.weather.archive import MOST_BYTES
 from hygrokf.weather.fields import Field, PointFields, altitude_of, short_name
 
 if TYPE_CHECKING:
@@ -47,7 +48,17 @@ def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
             # what a library will change one day concerns no user of a weather file
             python_warnings.simplefilter("ignore")
             with xarray.open_dataset(io.BytesIO(data), engine=engine, decode_timedelta=False) as opened:
+                # a file of a few kB may hold an array of any size that was never written
+                if opened.nbytes > MOST_BYTES * 2:
+                    raise TableFault(
+                        [
+                            f"holds {opened.nbytes / 2**30:.1f} GiB of fields, expected no more than "
+                            f"{MOST_BYTES * 2 / 2**30:g}: ask for a smaller area, or for one year a file"
+                        ]
+                    )
                 return opened.load()
+    except TableFault:
+        raise
     except ImportError:
         raise TableFault(
             ['reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"']
@@ -97,6 +108,8 @@ def point_fields(dataset: xarray.Dataset, file: str, site: Site | None = None) -
         raise TableFault([f"no field of weather that is known here; found {listed}"])
     dataset = dataset[list(used)]
     latitude, longitude = _axis_name(dataset, _LATITUDES), _axis_name(dataset, _LONGITUDES)
+    if time_name not in dataset.dims and dataset[time_name].ndim == 0:
+        dataset = dataset.expand_dims(time_name)
     dataset, preliminary = _merged_versions(dataset, time_name)
     dataset = _without_single_axes(dataset, {time_name, latitude, longitude})
     warnings = []
@@ -111,7 +124,7 @@ def point_fields(dataset: xarray.Dataset, file: str, site: Site | None = None) -
         place = place_text(*at, site)
         if site is not None and distance_km(*at, site) > FAR_KM:
             warnings.append(f"its point lies at {place}: is it the weather of this site?")
-    stamps = dataset[time_name].values.astype("datetime64[us]").astype(np.int64) / 1e6
+    stamps = _stamps(dataset, time_name)
     fields, altitude_m = {}, None
     for name, short in used.items():
         one = dataset[name]
@@ -120,9 +133,7 @@ def point_fields(dataset: xarray.Dataset, file: str, site: Site | None = None) -
             altitude_m = altitude_of(one.values, unit)
         elif one.dims == (time_name,):
             fields[name] = Field(one.values.astype(float), None if unit is None else str(unit))
-    return PointFields(
-        file, np.atleast_1d(stamps), fields, *(at or (None, None)), altitude_m, place, tuple(warnings)
-    )
+    return PointFields(file, stamps, fields, *(at or (None, None)), altitude_m, place, tuple(warnings))
 
 
 def _time_name(dataset: xarray.Dataset) -> str:
@@ -149,6 +160,18 @@ def _time_name(dataset: xarray.Dataset) -> str:
     )
 
 
+def _stamps(dataset: xarray.Dataset, time_name: str) -> np.ndarray:
+    """Times [s] (T,) at which the fields hold: those of a forecast's hour (`valid_time` = `time` + `step`) where given."""
+    at = dataset[time_name]
+    if "valid_time" in dataset.variables and dataset["valid_time"].dims == at.dims:
+        at = dataset["valid_time"]
+    values = np.atleast_1d(at.values).astype("datetime64[us]")
+    lost = int(np.isnat(values).sum())
+    if lost:
+        raise TableFault([f"{at.name}: {lost} of {len(values)} stamps are missing; fetch the file again"])
+    return values.astype(np.int64) / 1e6
+
+
 def _axis_name(dataset: xarray.Dataset, names: tuple[str, ...]) -> str | None:
     return next((name for name in names if name in dataset.variables), None)
 
@@ -160,10 +183,10 @@ def _merged_versions(dataset: xarray.Dataset, time_name: str) -> tuple[xarray.Da
     if "expver" not in dataset.dims:
         version = dataset["expver"]
         many = version.dims == (time_name,)
-        number = sum(str(one).strip() in _PRELIMINARY for one in np.atleast_1d(version.values)) if many else 0
+        number = sum(_label(one) in _PRELIMINARY for one in np.atleast_1d(version.values)) if many else 0
         return dataset.drop_vars("expver"), int(number)
     labels = (
-        [str(one).strip() for one in dataset["expver"].values]
+        [_label(one) for one in dataset["expver"].values]
         if "expver" in dataset.variables
         else [str(number) for number in range(dataset.sizes["expver"])]
     )
@@ -177,6 +200,11 @@ def _merged_versions(dataset: xarray.Dataset, time_name: str) -> tuple[xarray.Da
     filled = merged[name].notnull() & parts[0][name].isnull()
     others = [one for one in filled.dims if one != time_name]
     return merged, int(filled.any(others).sum())
+
+
+def _label(version: object) -> str:
+    """A version as text: "0005", also where the file has it as bytes."""
+    return (version.decode("ascii", "replace") if isinstance(version, bytes) else str(version)).strip()
 
 
 def _without_single_axes(dataset: xarray.Dataset, kept: set[str | None]) -> xarray.Dataset:

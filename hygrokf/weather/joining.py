@@ -14,13 +14,18 @@ from hygrokf.record import Record, Series, Site
 SAME_PLACE_DEG = 0.02
 """[deg] within which two files are of the same point: that of a reanalysis' cell is written with two digits."""
 
+PACKED = 5e-5
+"""Share of a field's range by which two files may differ that are packed in two bytes each with a scale of its own: three
+times 1/65536, rounded up."""
+
 
 def joined(records: Sequence[Record], name: str) -> Record:
     """One record of several of the same place.
 
     records: one at least; each with any signals over any time. name: of the result.
 
-    Readings of a signal are put in order of time; of equal ones one is kept, contradicting ones are masked and said.
+    Readings of a signal are put in order of time; of equal ones (to the rounding of packed files) one is kept, contradicting
+    ones are masked and said.
     Raises TableFault where the records are of different places, or have a signal with different holds.
     """
     if len(records) == 1:
@@ -43,14 +48,34 @@ def joined(records: Sequence[Record], name: str) -> Record:
     return Record(name, tuple(series), site, warnings=tuple(warnings), provenance=provenance)
 
 
+def follows(one: Record, other: Record) -> bool:
+    """Whether a record goes on where another of the same place ends, or the other way round, as files of single years do.
+
+    one, other: of weather. True where they have a signal in common, and the common time of every such signal is less than
+    half of the shorter one; False for two opinions on the same time, and for other places.
+    """
+    if one.site is not None and other.site is not None and _apart_deg(one.site, other.site) > SAME_PLACE_DEG:
+        return False
+    pairs = [(one[signal], other[signal]) for signal in one.signals if signal in other]
+    pairs = [(a, b) for a, b in pairs if len(a) and len(b)]
+    return bool(pairs) and all(_common_share(a, b) < 0.5 for a, b in pairs)
+
+
+def _common_share(one: Series, other: Series) -> float:
+    """Share of the shorter series' readings that lie within the span of the other [-]."""
+    short, long = sorted((one, other), key=len)
+    return float(np.mean((short.time >= long.time[0]) & (short.time <= long.time[-1])))
+
+
+def _apart_deg(one: Site, other: Site) -> float:
+    return max(abs(one.latitude_deg - other.latitude_deg), abs(one.longitude_deg - other.longitude_deg))
+
+
 def _one_place(records: Sequence[Record], faults: list[str]) -> Site | None:
     sites = [(one.name, one.site) for one in records if one.site is not None]
     for name, site in sites[1:]:
         first = sites[0][1]
-        apart = max(
-            abs(site.latitude_deg - first.latitude_deg), abs(site.longitude_deg - first.longitude_deg)
-        )
-        if apart > SAME_PLACE_DEG:
+        if _apart_deg(site, first) > SAME_PLACE_DEG:
             faults.append(
                 f"{sites[0][0]} and {name} are of different places ({first.latitude_deg:g}, {first.longitude_deg:g} "
                 f"and {site.latitude_deg:g}, {site.longitude_deg:g} deg); give files of one place"
@@ -64,12 +89,32 @@ def _one_series(parts: Sequence[Series]) -> tuple[Series, list[str]]:
     first = parts[0]
     if len(parts) == 1:
         return first, []
-    time, values, said = order_readings(
-        np.concatenate([part.time for part in parts]),
-        {first.signal: np.concatenate([part.value for part in parts])},
-    )
+    time, value = np.concatenate([part.time for part in parts]), [first.value]
+    for place, part in enumerate(parts[1:], 1):
+        value.append(_as_before(parts[:place], value, part))
+    time, values, said = order_readings(time, {first.signal: np.concatenate(value)})
     source = first.source
     if len({part.source for part in parts}) > 1:
         source = f"{first.source} and {len(parts) - 1} more"
-    made = dataclasses.replace(first, time=time, value=values[first.signal], source=source)
+    made = dataclasses.replace(
+        first,
+        time=time,
+        value=values[first.signal],
+        source=source,
+        clock_uncertainty_s=max(part.clock_uncertainty_s for part in parts),
+    )
     return made, [f"{first.signal}: {one}" for one in said if not one.startswith("unsorted")]
+
+
+def _as_before(before: Sequence[Series], values: Sequence[np.ndarray], part: Series) -> np.ndarray:
+    """Values of a part (T,); at stamps that came before, those from before where packing alone explains the difference."""
+    value = part.value.copy()
+    for earlier, known in zip(before, values, strict=True):
+        _, i, j = np.intersect1d(earlier.time, part.time, return_indices=True)
+        both = np.concatenate([known, part.value])
+        both = both[np.isfinite(both)]
+        if not len(i) or not len(both):
+            continue
+        near = np.abs(known[i] - value[j]) <= PACKED * float(np.ptp(both))
+        value[j[near]] = known[i[near]]
+    return value

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import dataclasses
 import os
+import zipfile
 from pathlib import Path
 
+from hygrokf.masks import mask_out_of_range
 from hygrokf.readers import TableFault
 from hygrokf.record import Record, Site
 from hygrokf.weather.altitude import LAPSE_RATE, SAID_FROM_M, at_altitude
@@ -28,7 +30,7 @@ def read_weather_file(
 ) -> Record:
     """Record of ambient signals of a site from one weather file, in SI units and UTC.
 
-    path: of ERA5 or EPW. form: "era5" or "epw"; None: by the name, .epw and .epw.gz are EPW.
+    path: of ERA5 or EPW. form: "era5" or "epw"; None: see `form_of`.
     site: of the cabinet; the nearest cell of a grid is taken, and a weather from afar is said.
     year: calendar year of a typical year. altitude_m: [m] that the weather is of, where the file does not say or is wrong.
     to_site_altitude: move temperature, dew point and pressure to the site's altitude, see `at_altitude`; without it a
@@ -44,6 +46,7 @@ def read_weather_file(
         record = _said_from_afar(read_epw(file, year), site)
     else:
         record = read_era5(file, site)
+    record = _within_range(record)
     if altitude_m is not None and record.site is not None:
         record = dataclasses.replace(record, site=dataclasses.replace(record.site, altitude_m=altitude_m))
     station_m = altitude_m if altitude_m is not None else (record.site and record.site.altitude_m)
@@ -73,8 +76,29 @@ def read_weather_file(
 
 
 def form_of(path: Path) -> str:
-    """ "epw" or "era5", by the name of a file."""
-    return "epw" if path.name.lower().endswith((".epw", ".epw.gz")) else "era5"
+    """ "epw" or "era5": by the name of a file, else by its first bytes or, in a ZIP archive, by the names of its members."""
+    if path.name.lower().endswith((".epw", ".epw.gz")):
+        return "epw"
+    try:
+        with open(path, "rb") as stream:
+            head = stream.read(12)
+        if head[:4] == b"PK\x03\x04":
+            with zipfile.ZipFile(path) as archive:
+                names = archive.namelist()
+            return "epw" if any(name.lower().endswith(".epw") for name in names) else "era5"
+    except (OSError, ValueError, zipfile.BadZipFile):  # what is wrong with it, the reader says
+        return "era5"
+    return "epw" if head.removeprefix(b"\xef\xbb\xbf").upper().startswith(b"LOCATION,") else "era5"
+
+
+def _within_range(record: Record) -> Record:
+    """The record without single readings that cannot be, such as codes for what is missing, and what was left out."""
+    series, warnings = [], list(record.warnings)
+    for one in record.series:
+        kept, said = mask_out_of_range(one)
+        series.append(kept)
+        warnings += said
+    return dataclasses.replace(record, series=tuple(series), warnings=tuple(warnings))
 
 
 def _said_from_afar(record: Record, site: Site | None) -> Record:
