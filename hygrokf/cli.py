@@ -13,12 +13,13 @@ from hygrokf.climate.command import climate_arguments
 from hygrokf.console import (
     Progress,
     UserFault,
-    expect_directory,
     expect_file,
     expect_other,
+    expect_own_directory,
     printable,
     system_words,
 )
+from hygrokf.files import DISCOVERY, FIT
 from hygrokf.fleet.command import fleet_arguments, tell_fleet
 from hygrokf.live.command import doctor_arguments, export_arguments, track_arguments
 from hygrokf.transfer.command import compare_arguments, transfer_arguments
@@ -279,7 +280,7 @@ def _demo(options: argparse.Namespace) -> int:
     from hygrokf.report import report_text
     from hygrokf.synthetic import synthetic_turbine, write_case
 
-    expect_directory(options.out)
+    expect_own_directory(options.out, FIT)
     there = options.out / "case.toml"
     if there.is_file() and b"synthetic" not in there.read_bytes():
         raise UserFault(
@@ -304,7 +305,7 @@ def _check(options: argparse.Namespace) -> int:
 def _fit(options: argparse.Namespace) -> int:
     from hygrokf.report import report_text
 
-    expect_directory(options.out)
+    expect_own_directory(options.out, FIT)
     record = _record(options.case)
     fit = _identify(record, options.case, options)
     page = _write(fit, options.out)
@@ -318,7 +319,7 @@ def _discover(options: argparse.Namespace) -> int:
     from hygrokf.discovery.page import write_discovery_report
     from hygrokf.discovery.words import discovery_text
 
-    expect_directory(options.out)
+    expect_own_directory(options.out, DISCOVERY)
     own = load_library(*options.library, installed=True)
     record = _record(options.case)
     progress = Progress(45)
@@ -349,7 +350,7 @@ def _simulate(options: argparse.Namespace) -> int:
     fit = _stored(options)
     record = _record(options.case, cabinet=False)
     sources = (options.case.parent / file for file, _ in record.provenance)
-    expect_other(options.out, options.fit, options.fit / "fit.json", options.case, *sources)
+    expect_other(options.out, options.fit, options.fit / FIT, options.case, *sources)
     try:
         text, summary = simulation_csv(fit, record), simulation_summary(fit, record)
     except ValueError as fault:

@@ -64,10 +64,19 @@ class Bounds:
 
 
 def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
-    """Observed information, Wald and sandwich covariance at an estimate."""
+    """Observed information, Wald and sandwich covariance at an estimate.
+
+    Raises ValueError where the likelihood has no curvature there because it is not finite.
+    """
     coordinates, z = estimate.coordinates, estimate.z
     inside = np.array([name not in estimate.at_bounds for name in coordinates.names])
     _, _, information = objective.information(z)
+    if not np.isfinite(information).all():
+        raise ValueError(
+            "expected a finite likelihood around the estimate, found none: the model runs away with "
+            + ", ".join(f"{name} = {estimate.values[name]:.3g}" for name in coordinates.names)
+            + "; leave out the mechanism that does, or mask the readings that it cannot follow"
+        )
     steps = STEP_OF_SE / np.sqrt(np.maximum(np.diag(information), 1e-12))
     steps = np.clip(steps, 1e-7, 0.05)
     hessian = np.empty((len(z), len(z)))

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 import sys
-from collections.abc import Iterable
 from pathlib import Path
+
+from hygrokf.files import DISCOVERY, FIT, RESULTS
 
 
 class UserFault(Exception):
@@ -71,13 +72,19 @@ def expect_directory(path: Path) -> None:
     )
 
 
-def expect_own_directory(out: Path, others: Iterable[str]) -> None:
-    """Refuse a directory that holds other results, told by the names of their files: its report.html would be theirs no longer."""
-    for name in others:
-        if (out / name).exists():
-            raise UserFault(
-                f"--out {out}: expected a directory of its own, found {name} in it; name another one"
-            )
+def expect_own_directory(out: Path, own: str) -> None:
+    """The same for results, told by the name of their file: a directory that holds others is refused as well.
+
+    Its report.html is made from them.  A discovery's directory holds the fit of its extended model too.
+    """
+    expect_directory(out)
+    others = [name for name in RESULTS if name != own and (out / name).exists()]
+    if own == DISCOVERY and (out / DISCOVERY).exists():
+        others = [name for name in others if name != FIT]
+    if others:
+        raise UserFault(
+            f"--out {out}: expected a directory of its own, found {others[-1]} in it; name another one"
+        )
 
 
 def expect_file(path: Path) -> None:

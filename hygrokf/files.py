@@ -13,6 +13,7 @@ REPORT = "report.html"
 """The page of a directory of results: that of the fit, or of the discovery that it belongs to."""
 BESIDE_DISCOVERY = "fit_report.html"
 """The fit's own page where report.html is a discovery's."""
+FIT = "fit.json"
 DISCOVERY = "discovery.json"
 DISCOVERY_SERIES = "discovery.npz"
 FLEET = "fleet.json"
@@ -22,13 +23,8 @@ COMPARISON_TABLE = "compare.csv"
 TRANSFER = "transfer.json"
 TRANSFER_SERIES = "transfer.npz"
 TYPE = "type.json"
-RESULTS = ("fit.json", DISCOVERY, FLEET, CLIMATE, COMPARISON, TRANSFER)
+RESULTS = (FIT, DISCOVERY, FLEET, CLIMATE, COMPARISON, TRANSFER)
 """Files of which a directory of results has one kind: its report.html is made from it."""
-
-
-def other_results(own: str) -> tuple[str, ...]:
-    """The files of `RESULTS` that a directory with its own kind must not have."""
-    return tuple(name for name in RESULTS if name != own)
 
 
 def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:

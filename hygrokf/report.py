@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hygrokf.files import BESIDE_DISCOVERY, DISCOVERY, REPORT, write_text_whole
+from hygrokf.files import BESIDE_DISCOVERY, DISCOVERY, FIT, REPORT, write_text_whole
 from hygrokf.lookup import entry, number, one_line
 from hygrokf.page import document, figure_html, moment, section, sentence, tables_html
 from hygrokf.plots import FIGURES, Picture
@@ -45,7 +45,6 @@ from hygrokf.report_words import (
 )
 from hygrokf.version import __version__
 
-RESULT = "fit.json"
 SERIES = "series.npz"
 NEEDED = ("name", "version", "parameters", "time_constants")
 """What every fit.json holds."""
@@ -63,7 +62,7 @@ def write_report(directory: str | os.PathLike[str]) -> Path:
     file, names no host, and prints on A4.  Raises ReportFault where a file is missing or is not a result.
     """
     folder = Path(directory)
-    if folder.name == RESULT and folder.is_file():
+    if folder.name == FIT and folder.is_file():
         folder = folder.parent
     fit, series = read_results(folder)
     path = folder / (BESIDE_DISCOVERY if (folder / DISCOVERY).exists() else REPORT)
@@ -80,19 +79,19 @@ def read_results(folder: Path) -> tuple[dict, dict[str, np.ndarray]]:
     series: dict[str, np.ndarray] = {}
     again = "run `hygrokf fit` with --out on this directory first"
     try:
-        fit = json.loads((folder / RESULT).read_text(encoding="utf-8"))
+        fit = json.loads((folder / FIT).read_text(encoding="utf-8"))
         if not isinstance(fit, dict):
             faults.append(
-                f"{folder / RESULT}: expected an object with the results of a fit, found {type(fit).__name__}"
+                f"{folder / FIT}: expected an object with the results of a fit, found {type(fit).__name__}"
             )
         elif missing := [name for name in NEEDED if name not in fit]:
             faults.append(
-                f"{folder / RESULT}: not a result of `hygrokf fit`: it lacks {', '.join(missing)}; {again}"
+                f"{folder / FIT}: not a result of `hygrokf fit`: it lacks {', '.join(missing)}; {again}"
             )
     except FileNotFoundError:
-        faults.append(f"{folder / RESULT}: no such file; {again}")
+        faults.append(f"{folder / FIT}: no such file; {again}")
     except (OSError, ValueError, RecursionError) as fault:
-        faults.append(f"{folder / RESULT}: expected JSON written by `hygrokf fit`, found: {fault}; {again}")
+        faults.append(f"{folder / FIT}: expected JSON written by `hygrokf fit`, found: {fault}; {again}")
     try:
         with open(folder / SERIES, "rb") as stream, np.load(stream, allow_pickle=False) as file:
             series = {name: np.asarray(file[name]) for name in file.files}

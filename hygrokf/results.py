@@ -19,6 +19,7 @@ from hygrokf.files import (
     BESIDE_DISCOVERY,
     DISCOVERY,
     DISCOVERY_SERIES,
+    FIT,
     REPORT,
     write_bytes_whole,
     write_text_whole,
@@ -48,7 +49,7 @@ def write_fit(fit: Fit, directory: str | os.PathLike[str]) -> Path:
     for name in (REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES):
         (directory / name).unlink(missing_ok=True)
     write_bytes_whole(directory / "series.npz", buffer.getvalue())
-    return write_text_whole(directory / "fit.json", text)
+    return write_text_whole(directory / FIT, text)
 
 
 def dump(data: Mapping) -> str:
@@ -76,7 +77,7 @@ def read_fit(path: str | os.PathLike[str]) -> Fit:
     A model with mechanisms of a user's needs them loaded before (`load_library`); else it is LibraryAbsent.
     """
     path = Path(path)
-    file = path / "fit.json" if path.is_dir() else path
+    file = path / FIT if path.is_dir() else path
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
     except FileNotFoundError:

@@ -22,6 +22,7 @@ import pytest
 
 from hygrokf.case import read_case
 from hygrokf.cli import main
+from hygrokf.files import RESULTS
 from hygrokf.results import read_fit
 from hygrokf.synthetic import synthetic_turbine, write_case
 from hygrokf.tables import evaluation, evaluation_text, simulated, simulation_summary
@@ -763,3 +764,31 @@ def test_warnings_do_not_stop_the_other_commands(folder, told):
             'warning: cabinet_temperature (cabinet.csv, column "T_cab_degC"): 1 reading'
         )
         assert "-273" not in said.out
+
+
+@pytest.mark.parametrize(
+    ("command", "own"),
+    [
+        (["fit", "case.toml"], "fit.json"),
+        (["discover", "case.toml"], "discovery.json"),
+        (["compare", "case.toml", "case.toml"], "compare.json"),
+        (["transfer", "fit", "case.toml"], "transfer.json"),
+        (["climate", "fit.json", "--weather", "w.epw", "--standstill"], "climate.json"),
+        (["fleet", "fleet.toml"], "fleet.json"),
+    ],
+)
+def test_results_are_not_written_over_results_of_another_kind(
+    command: list[str], own: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Told before anything is read; a directory with results of the same kind is taken, a discovery's with its fit too."""
+    for name in RESULTS:
+        out = tmp_path / name.partition(".")[0]
+        out.mkdir()
+        (out / name).write_text("{}")
+        assert main([*command, "--out", str(out)]) == 2
+        said = capsys.readouterr().err
+        assert ("a directory of its own" in said) == (name != own), said
+    if own == "discovery.json":
+        (tmp_path / "discovery" / "fit.json").write_text("{}")
+        assert main([*command, "--out", str(tmp_path / "discovery")]) == 2
+        assert "a directory of its own" not in capsys.readouterr().err

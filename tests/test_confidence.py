@@ -97,6 +97,12 @@ def short() -> Fitted:
     return plain(fitted(sample(INDEPENDENT[:40])))
 
 
+def test_an_estimate_at_which_the_model_runs_away_is_told(normal: Fitted) -> None:
+    nowhere = replace(normal.estimate, z=np.array([np.nan, 0.0]))
+    with pytest.raises(ValueError, match="the model runs away with mean = "):
+        uncertainty(normal.objective, nowhere)
+
+
 # -- long-run variance ---------------------------------------------------------------------------------------------
 @pytest.mark.parametrize("lags", [0, 1, 2, 5])
 def test_the_long_run_variance_is_statsmodels_on_block_sums(lags: int) -> None:

@@ -15,9 +15,9 @@ ROOT = Path(hygrokf.__file__).parent
 FACE = "hygrokf"
 FLOORS = (
     # what knows nothing of the package
-    "expression machine moments parameters signals psychrometrics files lookup version console discovery live weather live.schema live.reasons live.certificates climate climate.form climate.cycles climate.bounds climate.acceleration resampling transfer fleet",
+    "expression machine moments parameters signals psychrometrics files lookup version discovery live weather live.schema live.reasons live.certificates climate climate.form climate.cycles climate.bounds climate.acceleration resampling transfer fleet",
     # text of code, one step, what a record is
-    "emission discretisation record stamps live.database surface climate.chamber",
+    "console emission discretisation record stamps live.database surface climate.chamber",
     "running_sums case_keys live.table_reader live.sqlite live.postgres live.check",
     "loops masks weather_form readers synthetic ambient live.opcua_security live.opcua_samples",
     "features fleet_loop live.opcua_client case_form weather.archive weather.fields weather.altitude weather.joining weather.alignment climate.power",

@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 import json
 import math
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from hygrokf.expression import Graph, jacobian
 from hygrokf.likelihood import Likelihood
 from hygrokf.mechanisms import LIBRARY, linear_network
 from hygrokf.mechanisms.hygric import exchange_factor, hygric_time_constant
-from hygrokf.mechanisms.moisture import GAB_C, GAB_ENDS, GAB_K, GAB_SLOPE, SLAB, _gab
+from hygrokf.mechanisms.moisture import GAB_C, GAB_ENDS, GAB_K, GAB_SLOPE, SLAB, _gab, condensation
 from hygrokf.model import Mechanism, Model, compose, extend, without
 from hygrokf.parameters import Parameter
 from hygrokf.psychrometrics import relative_humidity
@@ -509,3 +510,24 @@ def test_the_isotherm_goes_on_straight_beyond_its_range() -> None:
     slopes = np.diff(outside) / 0.005
     assert slopes.min() > 2.0 and slopes.max() < 12.2
     assert slopes[[0, -1]] == pytest.approx(GAB_ENDS, rel=1e-3)
+
+
+def test_a_film_that_the_filter_makes_negative_comes_back() -> None:
+    """In dry air a film dries, ever slower as it becomes drops; a film below nothing grows back, whatever its size."""
+    film = condensation()
+    values = SimpleNamespace(
+        condensation_rate=2.0, surface_time=3.0, surface_share=0.05, surface_undercooling=1.0
+    )
+    inputs = SimpleNamespace(ambient_temperature=283.15)
+    shared = SimpleNamespace(cabinet_air_temperature=288.15)
+
+    def rate(amount: float) -> float:
+        state = SimpleNamespace(film=amount, surface_temperature=283.15, vapour=4.0)
+        return float(film.drift(values, state, inputs, shared, None)["film"])
+
+    for amount in (0.02, 0.1, 1.0, 30.0):
+        rates = rate(amount), rate(-amount)
+        assert rates[0] < 0.0 < rates[1]
+        # the published form, m/(m + 1 g/m³), but for the rounding of |m|
+        wet = amount / (1.0 + amount)
+        assert (rate(0.0) - rates[0]) / (rate(0.0) - rate(1e9)) == pytest.approx(wet, rel=0.02)

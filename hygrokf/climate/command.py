@@ -8,8 +8,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hygrokf.console import Progress, UserFault, expect_directory, expect_own_directory
-from hygrokf.files import CLIMATE, other_results
+from hygrokf.console import Progress, UserFault, expect_own_directory
+from hygrokf.files import CLIMATE
 
 if TYPE_CHECKING:
     from hygrokf.fit import Fit
@@ -87,8 +87,7 @@ def run_climate(options: argparse.Namespace, stored: Callable[[], Fit]) -> tuple
     from hygrokf.climate.study import climate_profile
     from hygrokf.climate.tables import climate_text
 
-    expect_directory(options.out)
-    expect_own_directory(options.out, other_results(CLIMATE))
+    expect_own_directory(options.out, CLIMATE)
     groups = _regions(options)
     fit = stored()
     stated = options.power or options.power_curve or options.standstill

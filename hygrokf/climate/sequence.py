@@ -26,6 +26,7 @@ NOT_REPRODUCED = (
     "temperatures and absolute humidity themselves: the test is warmer than the site",
     "the number of temperature cycles in service: the test has those of its own length, each wider by (T*/T)²",
     "the order of the seasons, and stretches longer than a day",
+    "rates of change: an hour's change of temperature is wider by (T*/T)² too, as far as the chamber's ramps allow",
     "condensation: the chamber's air is held below saturation, and no part in it is colder than the air",
     "what does not age by the stated law: vibration, voltage, salt, dust, drying between wet stretches",
 )
@@ -139,7 +140,8 @@ def closeness(
     site = shares(days.temperature_degC, days.relative_humidity_percent)
     site_ageing = shares(days.temperature_degC, days.relative_humidity_percent, all_rate)
     years = [
-        sequence.ageing_h / max(float(one), 1e-300) for one in (ageing.value, ageing.upper, ageing.lower)
+        sequence.ageing_h / max(float(one), 1e-300)
+        for one in (ageing.value, ageing.mean_upper, ageing.mean_lower)  # many years: their mean
     ]
     per_year = YEAR_H / len(celsius)
     before = cycles_from(celsius, CYCLE_RANGES_K)

@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hygrokf.console import Progress, UserFault, expect_directory, expect_own_directory
-from hygrokf.files import FLEET, other_results
+from hygrokf.console import Progress, UserFault, expect_own_directory
+from hygrokf.files import FLEET
 
 if TYPE_CHECKING:
     from hygrokf.fleet.job import Outcome
@@ -37,8 +37,7 @@ def tell_fleet(options: Namespace) -> tuple[Path, list[Mapping[str, object]], st
     from hygrokf.fleet.running import run_fleet
     from hygrokf.fleet.words import fleet_text, outcome_text
 
-    expect_directory(options.out)
-    expect_own_directory(options.out, other_results(FLEET))
+    expect_own_directory(options.out, FLEET)
     if options.dask and options.workers:
         raise UserFault("--workers is for this machine; a cluster has its own: leave it out beside --dask")
     plan = read_plan(options.fleet)

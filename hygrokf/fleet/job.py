@@ -14,6 +14,7 @@ from hygrokf.files import (
     CLIMATE,
     DISCOVERY,
     DISCOVERY_SERIES,
+    FIT,
     REPORT,
     TRANSFER,
     TRANSFER_SERIES,
@@ -27,7 +28,7 @@ ROW = "row.json"
 DONE, FAILED, LOST = "done", "failed", "lost"
 """How a job ended: with results; with a reason that its data give; because its process died."""
 WRITES = (
-    ROW, "fit.json", "series.npz", "evaluation.json", REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES, TRANSFER,
+    ROW, FIT, "series.npz", "evaluation.json", REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES, TRANSFER,
     TRANSFER_SERIES, CLIMATE, "climate.csv", "test_profile.csv", "test_profile.png",
 )  # fmt: skip
 
@@ -119,7 +120,7 @@ def content_key(job: Job, files: Sequence[Path] = ()) -> str:
     for name in _source_files(job.case):
         take(name, _digest(job.case.parent / name))
     for path in (*([job.fit] if job.fit else []), *files):
-        take(_digest(path / "fit.json" if path.is_dir() else path))
+        take(_digest(path / FIT if path.is_dir() else path))
     return digest.hexdigest()
 
 

@@ -26,6 +26,8 @@ BULK = {"sorbed_water": (1.0, 1.0)}
 SLAB = {"sorbed_water": (0.892, 1.2), "sorbed_skin": (0.108, 62.7)}
 """Where the water is: state -> (share of it, how many times faster than the time constant).  Those of a slab come within
 13 % (root mean square) of tanh(√s)/√s, the uptake that Fick's law has, from 0.3 to 100 times the slab's own frequency."""
+DROP = 0.01
+"""[g/m³] film over which the size of a film, m or -m, is rounded."""
 EDGE = 0.05
 """[g/m³] over which the change between condensing and drying is rounded."""
 
@@ -110,7 +112,7 @@ def condensation(sky: bool = False) -> Mechanism:
     """A film of water on a surface colder than the dew point, which evaporates later.
 
         dT_s/dt = (T_amb − δ s + κ (T_a − T_amb) − T_s)/θ_s,    x = c* − e_s(T_s)/(R_v T_amb),
-        dm/dt = β max(0, x) − β max(0, −x) · m/(m + 1 g/m³);    vapour release −dm/dt,
+        dm/dt = β max(0, x) − β max(0, −x) · m/(|m| + 1 g/m³);    vapour release −dm/dt,
     m ≥ 0 [g/m³] the film per volume of cabinet air, θ_s [h] the lag of the surface, δ [K] how far it cools below the air by
     radiation: always (s = 1), or with `sky` while the clear night sky draws heat (input `night_sky`).  The last gram stands
     in drops whose area shrinks with them.  The edges of max are rounded over 0.05 g/m³.
@@ -123,7 +125,9 @@ def condensation(sky: bool = False) -> Mechanism:
         excess = x.vapour - limit
         round_ = sqrt(excess * excess + EDGE * EDGE)
         onto, dry = 0.5 * (excess + round_), 0.5 * (round_ - excess)
-        return p.condensation_rate * (onto - dry * x.film / (x.film + 1.0))
+        # the filter's film may be a little less than nothing; what is wet of it then draws it back
+        wet = x.film / (1.0 + sqrt(x.film * x.film + DROP * DROP))
+        return p.condensation_rate * (onto - dry * wet)
 
     def surface(p, x, u, q):
         toward = u.ambient_temperature + p.surface_share * (q.cabinet_air_temperature - u.ambient_temperature)

@@ -7,7 +7,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hygrokf.console import Progress, UserFault, expect_directory
+from hygrokf.console import Progress, UserFault, expect_own_directory
+from hygrokf.files import COMPARISON, TRANSFER
 
 if TYPE_CHECKING:
     from hygrokf.fit import Fit
@@ -93,7 +94,7 @@ def run_compare(
     from hygrokf.transfer.comparison import column, compared, comparison_text
     from hygrokf.transfer.comparison_page import write_comparison
 
-    expect_directory(options.out)
+    expect_own_directory(options.out, COMPARISON)
     pairs = pairs_of(options.cases, options.fit)
     if len(pairs) < 2:
         raise UserFault("expected at least two columns to compare: several cases, or several fits; found one")
@@ -129,7 +130,7 @@ def run_transfer(options: argparse.Namespace, record_of: Read, stored: Read) -> 
     from hygrokf.transfer.transfer import transfer_fit, transfer_json
     from hygrokf.turbine_type import TypeFault, is_type, pooled, read_type
 
-    expect_directory(options.out)
+    expect_own_directory(options.out, TRANSFER)
     try:
         source = read_type(options.fit) if is_type(options.fit) else stored(options.fit)
     except TypeFault as fault:
