@@ -53,7 +53,9 @@ def _head(found: Mapping) -> str:
 
 
 def _verdicts(found: Mapping) -> str:
-    """Where the paper's number lies among those of the seeds."""
+    """Where the paper's number lies among those of the seeds; nothing where there is one seed alone."""
+    if len(found["seeds"]) == 1:
+        return ""
     items = []
     for quantity in SCORED:
         for run, period, words, path in SPREAD:
