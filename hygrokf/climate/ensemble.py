@@ -193,7 +193,7 @@ class _Walk:
     def through(self, places: range, jump: bool = True) -> None:
         """Step to each of the instants; a `jump` to the first of them takes no time."""
         for place in places:
-            now = {name: value[place] for name, value in self.inputs.items()}
+            now = {name: float(value[place]) for name, value in self.inputs.items()}
             if jump:
                 self.runs.begin(now)
                 jump = False
