@@ -20,20 +20,23 @@ def exchange_step(scene: Scene) -> list[Variant]:
         Probe(HYGRIC, ("stepped_exchange", {}), "exchange_change"),
         Probe(THERMAL, ("stepped_loss", {}), "conductance_change"),
     )
-    additions = additions_of(scene, thermal=(("stepped_loss", {}),), hygric=(("stepped_exchange", {}),))
     found = []
     for form, days in (("step", 0.0), ("ramp", RAMP_DAYS)):
         setting, tried = best_date(scene, "after_step", probes, days=(days,))
-        found.append(
-            Variant(
-                "exchange_step",
-                form,
-                additions,
-                {"after_step": setting},
-                settings=setting,
-                searched=2 * tried,
+        for flows in (False, True) if HYGRIC in scene.parts else (False,):
+            additions = additions_of(
+                scene, thermal=(("stepped_loss", {}),), hygric=(("stepped_exchange", {"flows": flows}),)
             )
-        )
+            found.append(
+                Variant(
+                    "exchange_step",
+                    f"{form}, vapour flows as before" if flows else form,
+                    additions,
+                    {"after_step": setting},
+                    settings=setting,
+                    searched=3 * tried if flows else 2 * tried,
+                )
+            )
     return found
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from hygrokf.expression import exp, sqrt
 from hygrokf.mechanisms.sensors import saturation_pressure
 from hygrokf.model import Mechanism
@@ -20,6 +22,7 @@ GAB_ENDS = (6.0, 12.134375)
 """[1] slopes of that isotherm at 0 and at 100 %, beyond which it goes on straight."""
 ROUNDED = 0.003
 """[1] relative humidity over which these two ends are rounded."""
+VAPOUR_DISTURBANCES = ("vapour_disturbance", "second_vapour_disturbance")
 PLATE = 4.85
 """[g/m³] vapour over water at the freezing point: what a cold-plate drier leaves."""
 BULK = {"sorbed_water": (1.0, 1.0)}
@@ -311,12 +314,25 @@ def wind_exchange(flag: str = "wind_tenth") -> Mechanism:
     )  # fmt: skip
 
 
-def stepped_exchange() -> Mechanism:
-    """Vapour exchange that changes at a date: 1 + b after it (input `after_step`)."""
-    return _exchange(
+def stepped_exchange(flows: bool = False) -> Mechanism:
+    """Vapour exchange that changes at a date: 1 + b after it (input `after_step`).
+
+    The base's coloured disturbance is an error of the air that is breathed, and counts less where less is breathed.  With
+    `flows` it is a flow of vapour into the cabinet, and stays: ambient_vapour −= w b/(1 + b).
+    """
+    made = _exchange(
         "stepped_exchange", "exchange_change", "after_step", 50.0, "from the date on",
-        "humidity that follows the ambient's faster or slower from a date on",
+        "humidity that follows the ambient's faster or slower from a date on", {"flows": flows},
     )  # fmt: skip
+    if not flows:
+        return made
+
+    def contributions(p, x, u, q):
+        change = p.exchange_change * u.after_step
+        flow = sum(getattr(x, name, 0.0) for name in VAPOUR_DISTURBANCES)
+        return {"exchange": change, "ambient_vapour": -flow * change / (1.0 + change)}
+
+    return replace(made, contributions=contributions)
 
 
 def open_exchange() -> Mechanism:
