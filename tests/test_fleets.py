@@ -574,13 +574,13 @@ def test_the_page_of_climates_shows_limits_and_numbers_that_are_zero() -> None:
     rows = []
     for place in range(7):
         row: dict = {"turbine": f"W{place}", "status": "done", "limits": "fail" if place == 2 else "pass"}
-        row |= {"wetness_class": "τ2", "statements": "one; the other" if place else "one"}
+        row |= {"wetness_class": "τ2", "statements": "one; more | the other" if place else "one; more"}
         row |= {"ageing_h": 12.0 + place, "ageing_h_lower": 11.0 + place, "ageing_h_upper": 13.0 + place}
         row |= {f"wetness_h{end}": v for end, v in (("", 43.5397), ("_lower", 0.0), ("_upper", 116.1))}
         rows.append(row)
     rows[6] |= {"wetness_h": 0.0, "wetness_h_upper": 0.0}
     text = fleet_page({"task": "climate", "rows": rows, "name": "one"})
-    assert "Limits: 1 fail, 6 pass." in text and "7 of 7: one<" in text and "6 of 7: the other<" in text
+    assert "Limits: 1 fail, 6 pass." in text and "7 of 7: one; more<" in text and "6 of 7: the other<" in text
     ranking = text.split("<h2>Ranking</h2>")[1]
     assert ranking.count("43.5 (0 … 116)") == 6 and "43.5397" not in text
     assert "above zero on both sides, so not compared: time of wetness of W0, W1" in text

@@ -11,7 +11,7 @@ from hygrokf.fleet.job import DONE
 from hygrokf.fleet.outliers import DRAWS, FEWEST, LEVEL, Spread, spreads
 from hygrokf.fleet.plots import figure_spreads
 from hygrokf.fleet.table import CSV
-from hygrokf.fleet.tasks import TASKS, Compared
+from hygrokf.fleet.tasks import BETWEEN, TASKS, Compared
 from hygrokf.lookup import entry, number
 from hygrokf.page import document, figure_html, moment, prose, section, sentence, tables_html
 from hygrokf.report_tables import Table
@@ -183,7 +183,7 @@ def _climates(done: Sequence[Mapping]) -> str:
     marked = tuple(i for i, row in enumerate(judged) if row.get("limits") == "fail")
     note = "Limits: the worst of a turbine's verdicts. Wetness: class of ISO 9223:1992. In brackets 95 % bounds for a single year."
     table = Table("Each turbine", head, rows, left=(0, 1, 2), marked=marked, note=note)
-    remarks = Counter(one for row in judged for one in text_of(row.get("statements")).split("; ") if one)
+    remarks = Counter(one for row in judged for one in text_of(row.get("statements")).split(BETWEEN) if one)
     told = "".join(
         f"<p class=note>{count} of {len(judged)}: {prose(one)}</p>"
         for one, count in remarks.most_common(REMARKS)

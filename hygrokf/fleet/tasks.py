@@ -22,6 +22,9 @@ if TYPE_CHECKING:
     from hygrokf.fit import Fit
     from hygrokf.record import Record
 
+BETWEEN = " | "
+"""Between the statements of a column: sentences have semicolons of their own."""
+
 
 @dataclass(frozen=True)
 class Option:
@@ -241,7 +244,7 @@ def _evaluate(job: Job) -> dict:
                 results, "rmse", period, quantity, regime
             )
         columns[f"{name}_coverage"] = number(results, "bands", "free_run", quantity, "coverage")
-    columns["statements"] = "; ".join(results["statements"])
+    columns["statements"] = BETWEEN.join(results["statements"])
     return columns
 
 
@@ -314,7 +317,7 @@ def _climate(job: Job) -> dict:
     verdicts = [one["verdict"] for one in region["limits"]]
     columns["limits"] = next((v for v in ("fail", "undecided", "pass") if v in verdicts), "")
     columns["wetness_class"] = region["wetness_class"] or ""
-    columns["statements"] = "; ".join(region["statements"])
+    columns["statements"] = BETWEEN.join(region["statements"])
     return columns
 
 
