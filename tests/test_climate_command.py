@@ -21,6 +21,7 @@ from hygrokf.climate.page import climate_page
 from hygrokf.climate.region import Region
 from hygrokf.climate.results import climate_csv, profile_files
 from hygrokf.climate.study import climate_profile
+from hygrokf.climate.tables import class_text, climate_text
 from hygrokf.record import Record, Series
 from hygrokf.results import dump
 from hygrokf.version import __version__
@@ -322,10 +323,14 @@ def test_what_a_verdict_and_bounds_do_not_say_is_told() -> None:
         Limit("never", "temperature_degC", "above", 90.0),
     ]
     region = climate_of(made_up_weather(40), limits=limits)
-    assert [one["verdict"] for one in region["limits"]] == ["pass", "pass"]
+    assert [one["verdict"] for one in region["limits"]] == ["undecided", "undecided"]
+    assert {one["why"] for one in region["limits"]} == {"of 40 days, not a year"}
     said = "\n".join(region["statements"])
-    assert 'limit "idle" passes for want of hours: these years have none in operation' in said
-    assert "never" not in said and "not shown to hold in a whole year" in said
+    assert 'limit "idle" has nothing beyond it for want of hours: these days have none in operation' in said
+    assert "never" not in said and "of the fullest 40 days: a limit that they keep to is undecided" in said
+    assert (
+        "40 days of weather: the bounds say nothing of the rest" in said and "one year of weather" not in said
+    )
     assert "hold a single year in 50 % of cases, not in 95 %" in said
     rare = made_up_weather(40)
     rare = replace(
@@ -333,9 +338,22 @@ def test_what_a_verdict_and_bounds_do_not_say_is_told() -> None:
     )
     assert any("comes every 6 h" in one for one in climate_of(rare)["statements"])
     study = climate_profile(known_fit(), [Region("here", rare)], members=3).to_json()
-    assert "2 asked, of 40 days of weather, not a year" in climate_page({**study, "regions": [region]})
+    page = climate_page({**study, "regions": [region]})
+    assert "2 asked, of 40 days of weather, not a year" in page and "scaled up from 40 days" in page
+    assert "UTC, 40 days, from" in page and "1 year" not in page
+    assert "undecided (of 40 days, not a year)" in climate_text({"regions": [region]})
+    broken = Limit("broken", "temperature_degC", "above", -60.0)
+    assert [one["verdict"] for one in climate_of(made_up_weather(40), limits=[broken])["limits"]] == ["fail"]
     enough = climate_profile(known_fit(), [Region("here", rare)], members=39).to_json()["regions"][0]
     assert not any("members are few" in one for one in enough["statements"])
+
+
+def test_the_class_of_wetness_has_those_of_its_bounds() -> None:
+    region = {"wetness_class": "τ1", "wetness_class_bounds": ["τ1", "τ2"]}
+    assert class_text(region) == "τ1 (bounds τ1 … τ2)"
+    assert class_text({"wetness_class": "τ3", "wetness_class_bounds": ["τ3", "τ3"]}) == "τ3"
+    assert class_text({"wetness_class": "τ3"}) == "τ3"  # a file of before
+    assert len(climate_of(made_up_weather(40))["wetness_class_bounds"]) == 2
 
 
 def test_what_the_model_lacks_and_what_its_noise_is_like_are_said() -> None:

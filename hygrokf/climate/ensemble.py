@@ -70,6 +70,13 @@ class Year:
         return float(self.known.sum()) * self.step_h
 
 
+def part_text(hours: float) -> str:
+    """What is known of a year [h] that is too little to stand for it, such as "80 days"; "" where it is enough."""
+    if hours >= WHOLE * YEAR_H:
+        return ""
+    return f"{hours / 24.0:.0f} days" if hours >= 48.0 else f"{hours:.0f} hours"
+
+
 def course(fit: Fit, record: Record) -> Run:
     """The instants of weather and power for a fit's model; raises ValueError where they do not suffice."""
     return run(read_as(fit.design, record), record)

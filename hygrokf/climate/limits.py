@@ -63,13 +63,17 @@ class Limit:
 
 @dataclass(frozen=True)
 class Exceedance:
-    """How a climate keeps to a limit: hours and number of exceedances a year, the longest [h], and the verdict."""
+    """How a climate keeps to a limit: hours and number of exceedances a year, the longest [h], and the verdict.
+
+    `why`: what stands in the way of a verdict, in words, or "".
+    """
 
     limit: Limit
     hours: Bounded
     number: Bounded
     longest_h: Bounded
     verdict: str
+    why: str = ""
 
     def to_json(self) -> dict:
         return {
@@ -78,6 +82,7 @@ class Exceedance:
             "number": self.number.to_json(),
             "longest_h": self.longest_h.to_json(),
             "verdict": self.verdict,
+            "why": self.why,
         }
 
 
@@ -166,16 +171,17 @@ def exceeded(year: Year, limit: Limit) -> np.ndarray | None:
     return np.column_stack([found.sum(axis=1) * per_year, number * per_year / year.step_h, longest])
 
 
-def judged(limit: Limit, years: Sequence[np.ndarray]) -> Exceedance:
+def judged(limit: Limit, years: Sequence[np.ndarray], part: str = "") -> Exceedance:
     """The verdict on a limit from the members' numbers (N, 3) in every year.
 
     "pass" where the upper bound of the hours in a year is within what is allowed, "fail" where the lower bound is
-    beyond it, "undecided" between them.
+    beyond it, "undecided" between them, and also where nothing more than a `part` of a year is known (in words, such as
+    "80 days") that keeps to the limit: the rest may not.
     """
     hours, number, longest = (bounded(np.array([year[:, i] for year in years])) for i in range(3))
-    verdict = "undecided"
+    verdict, why = "undecided", ""
     if hours.upper <= limit.hours_a_year:
-        verdict = "pass"
+        verdict, why = ("undecided", f"of {part}, not a year") if part else ("pass", "")
     elif hours.lower > limit.hours_a_year:
         verdict = "fail"
-    return Exceedance(limit, hours, number, longest, verdict)
+    return Exceedance(limit, hours, number, longest, verdict, why)

@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from html import escape
 from pathlib import Path
 
-from hygrokf.climate.ensemble import WHOLE, YEAR_H
 from hygrokf.climate.plots import figure_duration, figure_joint, figure_profile, figure_regions
 from hygrokf.climate.results import read_climate, write_climate
 from hygrokf.climate.study import Study
 from hygrokf.climate.tables import (
+    class_text,
     excursions_table,
     limits_table,
+    part_of_year,
     profile_table,
     rates_table,
     regimes_table,
@@ -111,10 +112,10 @@ def _region(region: Mapping, place: int, several: bool) -> list[str]:
     title = f"{text_of(region['name'])}: " if several else ""
     short = f"r{place}-"
     spans = region["years"]
-    meta = (
-        f"Weather of {moment(spans[0]['from'])} to {moment(spans[-1]['until'])} UTC, {len(spans)} "
-        f"{'year' if len(spans) == 1 else 'years'}, from {', '.join(map(text_of, region['files'])) or 'a record'}."
-    )
+    many = f"{len(spans)} {'year' if len(spans) == 1 else 'years'}"
+    if part := part_of_year(region):
+        many = part if len(spans) == 1 else f"parts of {many}, the fullest of {part}"
+    meta = f"Weather of {moment(spans[0]['from'])} to {moment(spans[-1]['until'])} UTC, {many}, from {', '.join(map(text_of, region['files'])) or 'a record'}."
     said = "".join(f"<p>{prose(sentence(one))}</p>" for one in region["statements"])
     return [
         f"<section class=cards>{''.join(_cards(region))}</section>" if not several else "",
@@ -157,6 +158,8 @@ def _heading(title: str, words: str) -> str:
 
 def _cards(region: Mapping) -> list[str]:
     year, cards = region["scopes"]["all"], []
+    part = part_of_year(region)
+    scaled = f", scaled up from {part}" if part else ""
     verdicts = [one["verdict"] for one in region["limits"]]
     if verdicts:
         worst = next(v for v in ("fail", "undecided", "pass") if v in verdicts)
@@ -168,12 +171,13 @@ def _cards(region: Mapping) -> list[str]:
             f"<span>{len(verdicts)} asked{escape(_of_a_part(region))}</span></p><p class='value words'>{escape(counted)}</p></div>"
         )
     for name, label, note in (
-        ("wetness_h", "Time of wetness", f"class {region['wetness_class']}, ISO 9223:1992"),
+        ("wetness_h", "Time of wetness", f"class {class_text(region)}, ISO 9223:1992"),
         ("condensation_h", "Condensation", "on the coldest surface"),
     ):
         if name in year:
             found = span_text(year[name])
             value, _, rest = found.partition(" (")
+            note += scaled
             bounds = f"95 % of single years: {rest.rstrip(')')}" if rest else "in every member and year"
             cards.append(
                 f"<div class=card><p class=label>{label} <span>{escape(note)}</span></p><p class=value>{escape(value)} h/a</p>"
@@ -184,8 +188,8 @@ def _cards(region: Mapping) -> list[str]:
 
 def _of_a_part(region: Mapping) -> str:
     """What a verdict rests on, where that is less than a year."""
-    known = max(number(one, "hours_known") for one in region["years"])
-    return f", of {known / 24.0:.0f} days of weather, not a year" if known < WHOLE * YEAR_H else ""
+    part = part_of_year(region)
+    return f", of {part} of weather, not a year" if part else ""
 
 
 def _profile(region: Mapping, short: str) -> list[str]:

@@ -12,7 +12,7 @@ from hygrokf.climate.acceleration import Acceleration
 from hygrokf.climate.bounds import LEVEL, Bounded, bounded, held
 from hygrokf.climate.chamber import ProfilePlan
 from hygrokf.climate.days import Days, days_of, joined, thinned
-from hygrokf.climate.ensemble import WHOLE, YEAR_H, Year, shots_of, simulate_years
+from hygrokf.climate.ensemble import WHOLE, YEAR_H, Year, part_text, shots_of, simulate_years
 from hygrokf.climate.form import as_list
 from hygrokf.climate.limits import Limit, exceeded, expect_names, judged
 from hygrokf.climate.members import draw_members
@@ -69,6 +69,11 @@ class _Gathered:
     outside: list[tuple[dict, Curves]] = field(default_factory=list)
     days: list[Days] = field(default_factory=list)
     spans: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+    @property
+    def part(self) -> str:
+        """What is known of the fullest year, in words, where it is too little to stand for a year; else ""."""
+        return part_text(max(span[2] for span in self.spans))
 
     def has(self, scope: str) -> bool:
         """Whether any hour of any year is of a scope."""
@@ -185,6 +190,9 @@ def _region(
             for a, b, hours, share in gathered.spans
         ],
         "wetness_class": None if wet is None else wetness_class(float(wet.value)),
+        "wetness_class_bounds": None
+        if wet is None
+        else [wetness_class(float(end)) for end in (wet.lower, wet.upper)],
         "scopes": {
             scope: {name: _plain(one) for name, one in rows.items()} for scope, rows in scopes.items()
         },
@@ -196,7 +204,9 @@ def _region(
         "rates": _curves_json(gathered, "rates"),
         "joint": _joint_json(gathered),
         "limits": [
-            judged(one, gathered.limits[one.name]).to_json() for one in limits if one.name in gathered.limits
+            judged(one, gathered.limits[one.name], gathered.part).to_json()
+            for one in limits
+            if one.name in gathered.limits
         ],
         "test_profile": profile,
     }
@@ -266,7 +276,8 @@ def _limit_words(limits: Sequence[Limit], gathered: _Gathered) -> list[str]:
             )
         elif not gathered.has(one.during):
             said.append(
-                f'limit "{one.name}" passes for want of hours: these years have none'
+                f'limit "{one.name}" {"has nothing beyond it" if gathered.part else "passes"} for want of hours: '
+                f"{'these days' if gathered.part else 'these years'} have none"
                 f"{' at' if one.during == 'standstill' else ' in'} {one.during}"
             )
     return said
@@ -281,13 +292,22 @@ def _weather_words(gathered: _Gathered, found: int) -> list[str]:
         said.append(
             f"{found - count} of {found} years left out: of them less than {100.0 * WHOLE:.0f} % of weather and power is known"
         )
-    if count == 1:
+    if gathered.part and count == 1:
+        said.append(
+            f"{gathered.part} of weather: the bounds say nothing of the rest of the year, nor of other years"
+        )
+    elif count == 1:
         said.append("one year of weather: the bounds say nothing of how much years differ")
     if length < 0.95 * YEAR_H * count:
         days = f"{length / 24.0:.0f} days" if length >= 48.0 else f"{length:.0f} hours"
         said.append(
             f"the weather covers {days}, not {'a year' if count == 1 else f'{count} years'}: hours a year are scaled up "
-            "from them, as if the rest were like them; a limit that passes here is not shown to hold in a whole year"
+            "from them, as if the rest were like them"
+        )
+    if gathered.part:
+        said.append(
+            f"of no year {100.0 * WHOLE:.0f} % is known, of the fullest {gathered.part}: a limit that they keep to is "
+            "undecided, as the rest of the year may not; one that they break fails"
         )
     if hours < 0.98 * length:
         said.append(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+from hygrokf.climate.ensemble import part_text
 from hygrokf.climate.limits import QUANTITIES
 from hygrokf.lookup import number
 from hygrokf.report_tables import Table
@@ -54,6 +55,24 @@ def span_text(one: Mapping | None) -> str:
     if plain_number(low) == plain_number(high) == plain_number(value):
         return plain_number(value)
     return f"{plain_number(value)} ({plain_number(low)} … {plain_number(high)})"
+
+
+def part_of_year(region: Mapping) -> str:
+    """What is known of a region's fullest year where it is too little to stand for a year, such as "80 days"; else ""."""
+    return part_text(max(number(one, "hours_known") for one in region["years"]))
+
+
+def class_text(region: Mapping) -> str:
+    """The class of wetness, with those of its bounds where they differ: "τ1 (bounds τ1 … τ2)"."""
+    found = region["wetness_class"]
+    low, high = region.get("wetness_class_bounds") or (found, found)
+    return NONE if found is None else found if low == high else f"{found} (bounds {low} … {high})"
+
+
+def verdict_text(limit: Mapping) -> str:
+    """A verdict, and why there is none."""
+    why = limit.get("why")
+    return f"{limit['verdict']} ({why})" if why else limit["verdict"]
 
 
 def year_table(region: Mapping) -> Table:
@@ -142,7 +161,7 @@ def limits_table(region: Mapping) -> Table | None:
                 span_text(one["hours"]),
                 span_text(one["number"]),
                 span_text(one["longest_h"]),
-                one["verdict"],
+                verdict_text(one),
             )
         )
     if not rows:
@@ -154,7 +173,7 @@ def limits_table(region: Mapping) -> Table | None:
         left=(0, 1, 6),
         marked=tuple(i for i, one in enumerate(region["limits"]) if one["verdict"] == "fail"),
         note="pass: the upper bound of the hours in a year is within what is allowed; fail: the lower bound is beyond it; "
-        "undecided: what is allowed lies between the bounds.",
+        "undecided: what is allowed lies between the bounds, or too little of a year is known to pass.",
     )
 
 
@@ -221,9 +240,9 @@ def regions_table(regions: Sequence[Mapping]) -> Table | None:
         if all(name in one["scopes"]["all"] for one in regions):
             words, unit = OF_SCOPES[name]
             rows.append((words, unit, *(span_text(one["scopes"]["all"][name]) for one in regions)))
-    rows.append(("class of wetness, ISO 9223:1992", "", *(one["wetness_class"] or NONE for one in regions)))
+    rows.append(("class of wetness, ISO 9223:1992", "", *map(class_text, regions)))
     for i, limit in enumerate(regions[0]["limits"]):
-        cells = [one["limits"][i]["verdict"] if i < len(one["limits"]) else NONE for one in regions]
+        cells = [verdict_text(one["limits"][i]) if i < len(one["limits"]) else NONE for one in regions]
         rows.append((f"limit: {limit['name']}", "", *cells))
     return Table(
         "Regions side by side",
