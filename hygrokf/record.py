@@ -28,6 +28,7 @@ class Series:
     accuracy: [SI unit] stated 95 % accuracy of the sensor; None: the signal table's default.
     clock_uncertainty_s: [s] stated standard uncertainty of the source's clock.
     source: file and column.
+    height_m: [m] above ground of what was read, for a wind whose file says so; None: not known.
 
     The arrays are copied and made read-only. Raises ValueError that lists everything wrong.
     """
@@ -41,6 +42,7 @@ class Series:
     accuracy: float | None = None
     clock_uncertainty_s: float = 0.0
     source: str = ""
+    height_m: float | None = None
 
     def __post_init__(self) -> None:
         faults = []
@@ -71,6 +73,8 @@ class Series:
                 faults.append(f"{name} must be a finite number ≥ 0, found {number}")
         if self.accuracy is not None and not (math.isfinite(self.accuracy) and self.accuracy >= 0):
             faults.append(f"accuracy must be a finite number ≥ 0 or None, found {self.accuracy}")
+        if self.height_m is not None and not (math.isfinite(self.height_m) and self.height_m > 0):
+            faults.append(f"height_m must be a finite number > 0 or None, found {self.height_m}")
         if faults:
             raise ValueError(f"series {self.signal}: " + "; ".join(faults))
         for name, array in (("time", time), ("value", value)):

@@ -155,6 +155,12 @@ def test_a_typical_year_of_an_epw_file(folder: Path) -> None:
     assert 8740.0 < year["hours_known"] < 8760.0  # what follows a gap is not counted before it has settled
     assert region["outside"]["mean_temperature_degC"] == pytest.approx(10.0, abs=0.02)
     assert any("at 10 m, brought to 80 m" in words for words in region["statements"])
+    assert "wind_speed is that at 10 m, not at hub height" in region["statements"]
+    share = 100.0 * year["operating_share"]
+    assert any(words.startswith(f"operates {share:.0f} % of the time") for words in region["statements"])
+    assert "a typical year, not the weather of 2001" in (folder / "typical" / "report.html").read_text(
+        "utf-8"
+    )
 
 
 def test_the_same_seed_gives_the_same_files(folder: Path) -> None:
@@ -354,6 +360,16 @@ def test_the_class_of_wetness_has_those_of_its_bounds() -> None:
     assert class_text({"wetness_class": "τ3", "wetness_class_bounds": ["τ3", "τ3"]}) == "τ3"
     assert class_text({"wetness_class": "τ3"}) == "τ3"  # a file of before
     assert len(climate_of(made_up_weather(40))["wetness_class_bounds"]) == 2
+
+
+def test_little_operation_is_doubted() -> None:
+    weather = made_up_weather(40)
+    time = weather["wind_speed"].time
+    for share, doubt in ((0.2, ": check unit and sign of the power"), (0.6, "")):
+        value = np.where(np.arange(len(time)) % 10 < 10 * share, 2e6, 0.0)
+        power = Record("p", (Series("active_power", time, value, "zero-order", 3600.0),), rated_power_W=2e6)
+        found = climate_profile(known_fit(), [Region("here", weather)], power, members=3).to_json()
+        assert f"operates {100 * share:.0f} % of the time{doubt}" in found["regions"][0]["statements"]
 
 
 def test_what_the_model_lacks_and_what_its_noise_is_like_are_said() -> None:

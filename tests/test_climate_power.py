@@ -64,6 +64,25 @@ def test_power_follows_the_wind_of_the_same_hour(tmp_path: Path) -> None:
         power_from_wind(curve, still)
 
 
+def test_a_curve_for_wind_at_another_height_is_refused(tmp_path: Path) -> None:
+    weather = made_up_weather()
+
+    def at(height_m: float | None) -> Record:
+        return replace(
+            weather, series=(*weather.series[:2], replace(weather["wind_speed"], height_m=height_m))
+        )
+
+    curve = read_power_curve(curve_file(tmp_path))
+    for same in (10.0, None):
+        assert power_from_wind(curve, at(same)) == power_from_wind(curve, weather)
+    with pytest.raises(PowerFault, match=r"at 100 m, .* wind_height_m = 10; write wind_height_m = 100 into"):
+        power_from_wind(curve, at(100.0))
+    with pytest.raises(ValueError, match="height_m must be"):
+        at(0.0)
+    with pytest.raises(FormFault, match=r"found 90; are they in km/h\? divide by 3.6"):
+        read_power_curve(curve_file(tmp_path, CURVE.replace("12, 25]", "43, 90]")))
+
+
 def test_a_curve_that_is_wrong_tells_all_faults(tmp_path: Path) -> None:
     text = "rated_power_kW = -1\nwind_speed_m_s = [3, 2]\npower_kW = [0]\nhub_height_m = 80\nspeed = 1\n"
     with pytest.raises(FormFault) as told:

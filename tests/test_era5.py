@@ -83,6 +83,7 @@ def test_the_streams_of_one_request_come_as_a_zip_named_nc(tmp_path: Path) -> No
     east, north = made.truth("u100"), made.truth("v100")
     np.testing.assert_allclose(record["wind_speed"].value, np.hypot(east, north), rtol=1e-5)
     towards = record["wind_direction"].value + np.pi
+    assert record["wind_speed"].height_m == (100.0 if "u100" in record["wind_speed"].source else 10.0)
     speed = record["wind_speed"].value
     np.testing.assert_allclose(np.sin(towards) * speed, east, atol=1e-4)
     np.testing.assert_allclose(np.cos(towards) * speed, north, atol=1e-4)

@@ -152,3 +152,12 @@ def test_heights(tmp_path: Path) -> None:
     assert given["ambient_temperature"].value == pytest.approx(made.truth("t2m") - 3.25, abs=1e-4)
     far = read_weather_file(path, site=Site(53.0, 8.0, 250.0))
     assert any("km from the site: is it the weather of this site?" in one for one in far.warnings)
+
+
+def test_winds_at_two_heights_are_not_put_together() -> None:
+    parts = [
+        Record(str(h), (Series("wind_speed", np.arange(3.0) + h, np.ones(3), height_m=h),)) for h in (10.0, 100.0)
+    ]
+    with pytest.raises(TableFault, match="wind_speed: at 10 m and 100 m in different files"):
+        joined(parts, "both")
+    assert joined(parts[:1] * 2, "one")["wind_speed"].height_m == 10.0

@@ -26,6 +26,10 @@ from hygrokf.record import Record, Series
 
 HOUR_S = 3600.0
 DAYS_A_YEAR = 365.25
+FASTEST_M_S = 60.0
+"""Wind speed of a curve above which it is in another unit."""
+SAME_HEIGHT = 0.05
+"""Share by which two heights of the wind may differ and be called the same."""
 WIND_BRIDGE_H = 6.0
 RATED = (0.5, 1.2)
 """Highest power of a curve over the rated power [1]."""
@@ -99,6 +103,10 @@ def read_power_curve(path: str | os.PathLike[str]) -> PowerCurve:
         )
     if not faults and not all(a < b for a, b in itertools.pairwise(speed)):
         faults.append("wind_speed_m_s: expected rising numbers")
+    if not faults and max(speed) > FASTEST_M_S:
+        faults.append(
+            f"wind_speed_m_s: expected speeds up to {FASTEST_M_S:g} m/s, found {max(speed):g}; are they in km/h? divide by 3.6"
+        )
     if not faults and not RATED[0] <= max(power) / numbers["rated_power_kW"] <= RATED[1]:
         faults.append(
             f"power_kW: expected a curve that reaches about rated_power_kW = {numbers['rated_power_kW']:g}, found "
@@ -135,13 +143,19 @@ def _shear(shear: object, heights: Mapping, faults: list[str]) -> tuple[str, flo
 
 
 def power_from_wind(curve: PowerCurve, record: Record) -> Series:
-    """Power [W], hour by hour, of the wind of a weather record; raises PowerFault where it has none."""
+    """Power [W], hour by hour, of the wind of a weather record; raises PowerFault where it has none, or at another height."""
     if "wind_speed" not in record:
         raise PowerFault(
             f"{record.name}: expected a wind speed for the power curve, found {', '.join(record.signals)}; "
             "add the weather's wind, or name --power or --standstill"
         )
     wind = record["wind_speed"]
+    height = wind.height_m
+    if height is not None and abs(curve.wind_height_m / height - 1.0) > SAME_HEIGHT:
+        raise PowerFault(
+            f"{record.name}: its wind is that at {height:g} m, the power curve has wind_height_m = {curve.wind_height_m:g}; "
+            f"write wind_height_m = {height:g} into the curve's file"
+        )
     middle = centred(wind)
     ends = _hours(record)
     value = at_times(middle, ends - 0.5 * HOUR_S, bridge_h(middle, WIND_BRIDGE_H))

@@ -45,6 +45,8 @@ DAYS_OF = 8
 """Members of whose days a test profile is chosen, of each year."""
 DRIPPING_H = 24.0
 """[h/a] above saturation from which it is said that the model lacks what would hold the air below it."""
+LEAST_OPERATION = 0.3
+"""Share of the time in operation below which power or wind are doubted."""
 STANDSTILL_YEAR = "standstill_all_year"
 Progress = Callable[[str], None]
 
@@ -154,6 +156,9 @@ def _region(
     gathered = whole if whole.spans else part
     if not gathered.spans:
         raise ValueError("neither weather nor power is known at any instant; check the files and their spans")
+    if power is not None and fit.design.power_scale_W is not None:
+        statements += _operating_words(gathered, isinstance(power, PowerCurve))
+    statements += region.weather.warnings
     statements += _interval_words(region.weather)
     statements += _weather_words(gathered, count)
     statements += _member_words(len(drawn), len(gathered.spans))
@@ -253,6 +258,17 @@ def _interval_words(weather: Record) -> list[str]:
         f"{name} comes every {step:g} h, with straight lines between: extremes, rates, cycles and short excursions "
         f"come out too small{more}"
     ]
+
+
+def _operating_words(gathered: _Gathered, by_curve: bool) -> list[str]:
+    """For how much of the time the turbine operates, with a doubt where that is little."""
+    share = float(
+        np.average([span[3] for span in gathered.spans], weights=[span[2] for span in gathered.spans])
+    )
+    said = f"operates {100.0 * share:.0f} % of the time"
+    if share >= LEAST_OPERATION:
+        return [said]
+    return [f"{said}: check {'units and height of the wind' if by_curve else 'unit and sign of the power'}"]
 
 
 def _member_words(members: int, years: int) -> list[str]:

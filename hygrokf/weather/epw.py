@@ -38,6 +38,8 @@ _COLUMNS = {
     "rain": (33, "mm", 999.0, "hour"),
 }
 _FEWEST_COLUMNS = 22
+_WIND_HEIGHT_M = 10.0
+"""[m] at which an EPW file's wind stands."""
 _NINES = (99.0, 99.9, 99.99, *(10.0**power - 1.0 for power in range(3, 10)), 999.9, 9999.9, 99999.9)
 
 
@@ -124,6 +126,7 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
                 "zero-order" if held else "linear",
                 HOUR_S if held else 0.0,
                 source=f"{source} {column + 1} at {place}",
+                height_m=_WIND_HEIGHT_M if signal.startswith("wind_") else None,
             )
         )
     if "ambient_temperature" not in {one.signal for one in series} and not faults:

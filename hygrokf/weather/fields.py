@@ -167,7 +167,13 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
             value[short] = _hourly_sums(time, value[short])
             warnings.append(f"{given[short][0]}: sums since 00:00 UTC, turned into those of each hour")
 
-    def made(signal: str, number: np.ndarray, shorts: str, interval_s: float = 0.0) -> Series | None:
+    def made(
+        signal: str,
+        number: np.ndarray,
+        shorts: str,
+        interval_s: float = 0.0,
+        height_m: float | None = None,
+    ) -> Series | None:
         row = signal_named(signal)
         names = " and ".join(given[short][0] for short in shorts.split())
         finite = number[np.isfinite(number)]
@@ -187,8 +193,9 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
         hold = "zero-order" if interval_s or row.dimension == "angle" else "linear"
         # a direction holds over the hour before its stamp: between two of them a straight line may lead the wrong way
         return Series(
-            signal, time, number, hold, interval_s or (HOUR_S if hold == "zero-order" else 0.0), source=source
-        )
+            signal, time, number, hold, interval_s or (HOUR_S if hold == "zero-order" else 0.0), source=source,
+            height_m=height_m,
+        )  # fmt: skip
 
     series = [
         made(signal, value[short], short)
@@ -289,7 +296,10 @@ def _wind(
     # where the wind comes from, clockwise from north
     direction = np.mod(np.arctan2(-value[east], -value[north]), 2.0 * math.pi)
     both = f"{east} {north}"
-    return [made("wind_speed", speed, both), made("wind_direction", direction, both)]
+    return [
+        made("wind_speed", speed, both, height_m=float(height)),
+        made("wind_direction", direction, both, height_m=float(height)),
+    ]
 
 
 def _since_midnight(time: np.ndarray, value: np.ndarray) -> bool:

@@ -39,6 +39,13 @@ def joined(records: Sequence[Record], name: str) -> Record:
         if len({(part.hold, part.interval_s) for part in parts}) > 1:
             faults.append(f"{signal}: means over different intervals in different files; convert them first")
             continue
+        heights = sorted({part.height_m for part in parts if part.height_m is not None})
+        if len(heights) > 1:
+            listed = " and ".join(f"{one:g} m" for one in heights)
+            faults.append(
+                f"{signal}: at {listed} in different files; ask for the same height in all of them, or leave it out of some"
+            )
+            continue
         made, said = _one_series(parts)
         series.append(made)
         warnings += said
