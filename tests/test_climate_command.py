@@ -18,7 +18,7 @@ from hygrokf.climate.chamber import Chamber, ProfilePlan
 from hygrokf.climate.ensemble import years_of
 from hygrokf.climate.limits import Limit
 from hygrokf.climate.page import climate_page
-from hygrokf.climate.region import Region
+from hygrokf.climate.region import Region, read_region
 from hygrokf.climate.results import climate_csv, profile_files
 from hygrokf.climate.study import climate_profile
 from hygrokf.climate.tables import class_text, climate_text
@@ -161,6 +161,26 @@ def test_a_typical_year_of_an_epw_file(folder: Path) -> None:
     assert "a typical year, not the weather of 2001" in (folder / "typical" / "report.html").read_text(
         "utf-8"
     )
+
+
+def test_a_typical_year_is_repeated_for_each_year_of_power(folder: Path) -> None:
+    """Two years of power, the first at standstill: each is a year of the climate."""
+    file = folder / "repeated.epw"
+    file.write_text(epw_text(years=tuple(range(2007, 2019))), encoding="latin-1")
+    begin = float(np.datetime64("2018-01-01T00:00:00", "s").astype(int))
+    hour = np.arange(1, 24 * 731)
+    value = np.where(hour <= 24 * 365, 0.0, 2e6)
+    power = Record(
+        "p", (Series("active_power", begin + 3600.0 * hour, value, "zero-order", 3600.0),), rated_power_W=2e6
+    )
+    region = read_region("typical", [file], power)
+    found = climate_profile(known_fit(), [region], power, members=3).to_json()["regions"][0]
+    assert sorted(round(year["operating_share"]) for year in found["years"]) == [0, 1]
+    hours = found["scopes"]["operation"]["hours"]
+    assert hours["value"] == pytest.approx(4383.0, abs=60.0) and hours["between_years"] > 6000.0
+    said = "\n".join(found["statements"])
+    assert "repeated 2 times, once for each year of power" in said and "all of it" in said
+    assert "one year of weather" not in said and len(read_region("one", [file]).weather["wind_speed"]) == 8760
 
 
 def test_the_same_seed_gives_the_same_files(folder: Path) -> None:

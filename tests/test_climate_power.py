@@ -133,6 +133,20 @@ def test_power_of_another_year_is_taken_by_day_and_hour_of_the_year() -> None:
         power_by_season(hourly_power("2018-01-01T00:00:00", 100), made_up_weather())
 
 
+def test_which_part_of_the_power_was_used_is_said() -> None:
+    """731 days of power for one year of weather: the arithmetic of whole years takes the second."""
+    _, words = power_by_season(hourly_power("2018-01-01T00:00:00", 731), made_up_weather())
+    assert (
+        "used is 2019-01-01 … 2020-01-01; the rest" in words
+        and "from 2018-01-01 to 2020-01-02, is not, and the choice matters" in words
+    )
+    _, words = power_by_season(hourly_power("2018-01-01T00:00:00", 365), made_up_weather())
+    assert "all of it" in words
+    # begun in summer: the first half of the weather's year has the power of one year, the second that of another
+    _, words = power_by_season(hourly_power("2017-07-01T00:00:00", 731), made_up_weather())
+    assert words.count(" … ") == 2 and "the choice matters" in words
+
+
 @pytest.mark.parametrize("year", [1981, 2001, 2018, 2041])
 def test_the_day_of_the_year_stays_however_far_the_power_is(year: int) -> None:
     """Its value is the day that it stands for; the calendar's leap days move it by one at most, and no hour is held."""

@@ -156,7 +156,8 @@ def test_heights(tmp_path: Path) -> None:
 
 def test_winds_at_two_heights_are_not_put_together() -> None:
     parts = [
-        Record(str(h), (Series("wind_speed", np.arange(3.0) + h, np.ones(3), height_m=h),)) for h in (10.0, 100.0)
+        Record(str(h), (Series("wind_speed", np.arange(3.0) + h, np.ones(3), height_m=h),))
+        for h in (10.0, 100.0)
     ]
     with pytest.raises(TableFault, match="wind_speed: at 10 m and 100 m in different files"):
         joined(parts, "both")

@@ -100,7 +100,7 @@ def run_climate(options: argparse.Namespace, stored: Callable[[], Fit]) -> tuple
         power = read_power_curve(options.power_curve)
     limits = read_limits(options.limits) if options.limits else ()
     plan = read_test_plan(options.test) if options.test else None
-    regions = [read_region(name, files) for name, files in groups]
+    regions = [read_region(name, files, power) for name, files in groups]
     for region in regions:
         for warning in region.weather.warnings:
             print(f"warning: {region.name}: {warning}", file=sys.stderr)

@@ -23,11 +23,14 @@ import numpy as np
 from hygrokf.ambient import at_times, bridge_h, centred
 from hygrokf.climate.form import FormFault, is_number, read_toml, unknown_keys
 from hygrokf.record import Record, Series
+from hygrokf.stamps import stamp_text
 
 HOUR_S = 3600.0
 DAYS_A_YEAR = 365.25
 FASTEST_M_S = 60.0
 """Wind speed of a curve above which it is in another unit."""
+UNUSED_S = 30.0 * 86400.0
+"""Length of a record's part from which it is said that it was not used."""
 SAME_HEIGHT = 0.05
 """Share by which two heights of the wind may differ and be called the same."""
 WIND_BRIDGE_H = 6.0
@@ -162,6 +165,12 @@ def power_from_wind(curve: PowerCurve, record: Record) -> Series:
     return _hourly_power(ends, curve.power(value), wind.source)
 
 
+def years_of_power(power: Series) -> int:
+    """Whole years that a record of power has, one at least."""
+    first, last = power.time[0] - power.interval_s, power.time[-1]
+    return max(1, int(np.floor((last - first) / (DAYS_A_YEAR * 86400.0) + 0.05)))
+
+
 def power_by_season(power: Series, record: Record) -> tuple[Series, str]:
     """Power [W] for a weather record from one of other years, hour by hour; and in words how it was taken.
 
@@ -179,17 +188,35 @@ def power_by_season(power: Series, record: Record) -> tuple[Series, str]:
             f"{(last - first) / 86400.0:.0f} days of other times; use --power-curve, or a longer record"
         )
     ends = _hours(record)
-    whole = max(1.0, np.floor((last - first) / year_s + 0.05))
+    whole = years_of_power(power)
     # whole days are moved, so that the hour of the day stays; leap days never add up to more than a part of a day
     back = 86400.0 * np.round(np.floor((ends - first) / (whole * year_s)) * whole * DAYS_A_YEAR)
     at = ends - back
     at += 86400.0 * (at <= first)
     at -= 86400.0 * ((at > last) & (at <= last + 86400.0))
     value = np.where(at > last, np.nan, at_times(power, at, 1.0))
-    span = "a year" if whole == 1 else f"{whole:.0f} years"
+    span = "a year" if whole == 1 else f"{whole} years"
     return _hourly_power(ends, value, power.source), (
         f"power of other times than the weather's, taken by the time of the year from a record of {span}: "
-        "it does not go with this weather's wind"
+        f"it does not go with this weather's wind; {_used_words(at[np.isfinite(value)], first, last)}"
+    )
+
+
+def _used_words(at: np.ndarray, first: float, last: float) -> str:
+    """Which part of a record of power from `first` to `last` [s] the hours [s] are that were taken, and what was not."""
+    hours = np.unique(at)
+    if not len(hours):
+        return "none of it is known"
+    turns = np.flatnonzero(np.diff(hours) > UNUSED_S)
+    begins, ends = hours[np.append(0, turns + 1)] - HOUR_S, hours[np.append(turns, len(hours) - 1)]
+    spans = list(zip(begins, ends, strict=True))
+    told = [span for span in spans if span[1] - span[0] > UNUSED_S] or spans
+    listed = " and ".join(f"{stamp_text(a)[:10]} … {stamp_text(b)[:10]}" for a, b in told)
+    if (last - first) - float(np.sum(ends - begins)) <= UNUSED_S:
+        return f"used is {listed}, all of it"
+    return (
+        f"used is {listed}; the rest of the record, which is from {stamp_text(first)[:10]} to {stamp_text(last)[:10]}, is not, "
+        "and the choice matters: another year has other hours of standstill"
     )
 
 

@@ -18,6 +18,7 @@ from hygrokf.climate.power import (
     power_by_season,
     power_from_wind,
     standstill,
+    years_of_power,
 )
 from hygrokf.fit import Fit
 from hygrokf.record import Record, Series
@@ -38,10 +39,13 @@ class Region:
     files: tuple[str, ...] = ()
 
 
-def read_region(name: str, files: Sequence[str | os.PathLike[str]]) -> Region:
+def read_region(
+    name: str, files: Sequence[str | os.PathLike[str]], power: Record | PowerCurve | None = None
+) -> Region:
     """The weather of one region: ERA5 or EPW files, put after each other, or one case file with ambient signals.
 
-    A typical year is told as `TYPICAL_YEAR`.  Raises PowerFault, CaseFault, TableFault.
+    A typical year is told as `TYPICAL_YEAR`; with a record of `power` it is repeated once for each year of that, so that all
+    of them are used.  Raises PowerFault, CaseFault, TableFault.
     """
     paths = [Path(one) for one in files]
     cases = [one.name for one in paths if one.suffix == ".toml"]
@@ -53,7 +57,14 @@ def read_region(name: str, files: Sequence[str | os.PathLike[str]]) -> Region:
         weather = read_case(paths[0], cabinet=False)
     else:
         typical = len(paths) == 1 and form_of(paths[0]) == "epw"
-        weather = read_weather(paths, year=TYPICAL_YEAR if typical else None)
+        years = years_of_power(power["active_power"]) if typical and isinstance(power, Record) else 1
+        weather = read_weather(paths, year=TYPICAL_YEAR if typical else None, years=years)
+        if years > 1:
+            said = (
+                f"the typical year is repeated {years} times, once for each year of power: between_years and the bounds are "
+                "of years that differ by their power, not by their weather"
+            )
+            weather = replace(weather, warnings=(*weather.warnings, said))
     return Region(name, weather, tuple(one.name for one in paths))
 
 
