@@ -28,6 +28,13 @@ from hygrokf.mechanisms.hygric import exchange_factor
 from hygrokf.record import Record, Series
 from hygrokf.timeline import Timeline, timeline
 
+IDENTIFIED_ON = {
+    "ambient_temperature": "ambient_temperature_K",
+    "ambient_absolute_humidity": "ambient_absolute_humidity_g_m3",
+    "power_1": "power_share",
+}
+"""Inputs whose range of the identification period a fit keeps, and the keys of its `identified_on`."""
+
 
 @dataclass(frozen=True)
 class Run:

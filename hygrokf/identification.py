@@ -12,7 +12,7 @@ import numpy as np
 
 from hygrokf.confidence import normal_quantile, standard_error, wald_bounds
 from hygrokf.design import CASCADE, JOINT, Design, design, merged
-from hygrokf.drivers import Run, run
+from hygrokf.drivers import IDENTIFIED_ON, Run, run
 from hygrokf.fit import Fit
 from hygrokf.likelihood import Likelihood
 from hygrokf.output_error import OutputError
@@ -247,6 +247,7 @@ def assembled(
     say("innovations")
     series = _series(whole, values, made, predicted, record)
     results["innovations"] = _diagnosis(made, series, record)
+    results["identified_on"] = _identified_on(whole, made, record)
     return Fit(record.name, whole, values, results, series)
 
 
@@ -422,6 +423,21 @@ def _series(base: Design, values: Mapping, whole: Run, predicted, record: Record
         "scored": whole.scored.astype(float),
         "until_s": np.array(math.nan if record.until_s is None else record.until_s),
         "start_s": np.array(record.start_s),
+    }
+
+
+def _identified_on(design: Design, whole: Run, record: Record) -> dict:
+    """0.1 and 99.9 % quantiles of the inputs over the instants that the model was identified on."""
+    t = whole.timeline
+    chosen = whole.scored.copy()
+    if record.until_s is not None:
+        chosen &= t.origin_s + t.time * 3600.0 <= record.until_s
+    if not chosen.any():
+        return {}
+    return {
+        key: np.quantile(t.input(name)[chosen], [0.001, 0.999]).tolist()
+        for name, key in IDENTIFIED_ON.items()
+        if name in design.model.inputs
     }
 
 

@@ -392,6 +392,30 @@ def test_little_operation_is_doubted() -> None:
         assert f"operates {100 * share:.0f} % of the time{doubt}" in found["regions"][0]["statements"]
 
 
+def test_hours_beyond_what_the_model_was_identified_on_are_told() -> None:
+    """Forty days of January on a fit of a summer, and a power of 5 MW on one of 2."""
+    weather, fit = made_up_weather(40), known_fit()
+    time = weather["wind_speed"].time
+    power = Record("p", (Series("active_power", time, np.full(len(time), 5e6), "zero-order", 3600.0),))
+
+    def said(**ranges: list) -> str:
+        made = replace(fit, results={**fit.results, "identified_on": ranges} if ranges else fit.results)
+        found = climate_profile(made, [Region("here", weather)], power, members=2).to_json()
+        return "\n".join(one for one in found["regions"][0]["statements"] if "extrapolated" in one)
+
+    assert said() == "" and said(ambient_temperature_K=[250.0, 300.0], power_share=[0.0, 2.4]) == ""
+    told = said(ambient_temperature_K=[285.15, 305.15], power_share=[0.0, 1.0])
+    assert (
+        "h/a are outside of the 12.0 … 32.0 °C of ambient air on which the model was identified (here "
+        in told
+    )
+    assert "8766 h/a are outside of the 0 … 2000 kW of power" in told and "(here 5000 … 5000 kW" in told
+    celsius = weather["ambient_temperature"].value - 273.15
+    hours = float(told.split(" h/a")[0])
+    assert hours == pytest.approx(8766.0 * np.mean(celsius < 10.0), rel=0.03)
+    assert "g/m³" in said(ambient_absolute_humidity_g_m3=[10.0, 20.0])
+
+
 def test_what_the_model_lacks_and_what_its_noise_is_like_are_said() -> None:
     """Hours above saturation that nothing holds back, and innovations with the tails of shots."""
     regions = [Region("here", made_up_weather(40))]

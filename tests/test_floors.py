@@ -41,7 +41,7 @@ FLOORS = (
     "fit discovery.scan discovery.cause live.operation",
     "climate.shots",
     "results tables identification discovery.residuals discovery.changes discovery.grids live.plan live.condition live.outlook climate.ensemble climate.members climate.region turbine_type",
-    "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties climate.statistics climate.days transfer.comparison transfer.groups",
+    "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties climate.statistics climate.days climate.range transfer.comparison transfer.groups",
     "discovery.library discovery.misfits discovery.repeats live.forecast live.inquiry climate.limits climate.sequence transfer.scene",
     "discovery.nesting discovery.trial live.store live.payload climate.study transfer.account",
     "discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.alarms live.tally climate.results transfer.transfer",

@@ -210,3 +210,15 @@ def test_damaged_fit_files_are_refused_in_one_line(fit, tmp_path):
     (tmp_path / "other.json").write_text('{"a": 1}')
     with pytest.raises(ResultFault, match="it lacks covariance, design, name"):
         read_fit(tmp_path / "other.json")
+
+
+def test_a_fit_keeps_the_range_of_what_it_was_identified_on(fit, record):
+    found = fit.results["identified_on"]
+    assert set(found) == {"ambient_temperature_K", "ambient_absolute_humidity_g_m3", "power_share"}
+    early = record["ambient_temperature"].window(record.start_s, record.until_s).known[1]
+    low, high = found["ambient_temperature_K"]
+    assert early.min() <= low < early.min() + 1.0 and early.max() - 1.0 < high <= early.max()
+    assert 0.0 <= found["power_share"][0] < 0.1 and 0.9 < found["power_share"][1] < 1.1
+    assert (
+        1.0 < found["ambient_absolute_humidity_g_m3"][0] < found["ambient_absolute_humidity_g_m3"][1] < 25.0
+    )

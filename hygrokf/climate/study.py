@@ -17,6 +17,7 @@ from hygrokf.climate.form import as_list
 from hygrokf.climate.limits import Limit, exceeded, expect_names, judged
 from hygrokf.climate.members import draw_members
 from hygrokf.climate.power import PowerCurve
+from hygrokf.climate.range import extrapolation_words
 from hygrokf.climate.region import Region, driven
 from hygrokf.climate.sequence import chamber_sequence, closeness
 from hygrokf.climate.shots import words as shot_words
@@ -158,6 +159,7 @@ def _region(
         raise ValueError("neither weather nor power is known at any instant; check the files and their spans")
     if power is not None and fit.design.power_scale_W is not None:
         statements += _operating_words(gathered, isinstance(power, PowerCurve))
+    statements += extrapolation_words(fit, record)
     statements += region.weather.warnings
     statements += _interval_words(region.weather)
     statements += _weather_words(gathered, count)

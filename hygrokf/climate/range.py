@@ -1,0 +1,51 @@
+"""Whether a climate lies within what a model was identified on: temperature and humidity outside, and power."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hygrokf.climate.acceleration import FREEZING_K
+from hygrokf.climate.ensemble import YEAR_H, course
+from hygrokf.drivers import IDENTIFIED_ON
+from hygrokf.fit import Fit
+from hygrokf.record import Record
+
+BEYOND_K = 2.0
+BEYOND_SHARE = 0.1
+"""How far beyond the ends a temperature [K], or a share of the range of another input, counts as outside."""
+SAID_FROM = 0.01
+"""Share of the time from which it is said."""
+
+
+def extrapolation_words(fit: Fit, record: Record) -> list[str]:
+    """Hours of weather and power that lie outside of what a fit was identified on; nothing for a fit that keeps no range."""
+    ranges = fit.results.get("identified_on")
+    if not isinstance(ranges, Mapping) or not ranges:
+        return []
+    made = course(fit, record)
+    said = []
+    for name, key in IDENTIFIED_ON.items():
+        if key not in ranges or name not in fit.design.model.inputs:
+            continue
+        low, high = ranges[key]
+        beyond = BEYOND_K if name == "ambient_temperature" else BEYOND_SHARE * (high - low)
+        value = made.timeline.input(name)[made.scored]
+        outside = (value < low - beyond) | (value > high + beyond)
+        share = float(outside.mean()) if len(value) else 0.0
+        if share > SAID_FROM:
+            said.append(
+                f"{share * YEAR_H:.0f} h/a are outside of the {_range_words(fit, name, low, high)} on which the model was "
+                f"identified (here {_range_words(fit, name, float(np.min(value)), float(np.max(value)))}): extrapolated"
+            )
+    return said
+
+
+def _range_words(fit: Fit, name: str, low: float, high: float) -> str:
+    if name == "ambient_temperature":
+        return f"{low - FREEZING_K:.1f} … {high - FREEZING_K:.1f} °C of ambient air"
+    if name == "ambient_absolute_humidity":
+        return f"{low:.1f} … {high:.1f} g/m³ of ambient air"
+    scale = (fit.design.power_scale_W or 0.0) / 1e3
+    return f"{low * scale:.0f} … {high * scale:.0f} kW of power"
