@@ -179,6 +179,31 @@ def test_what_drives_a_cabinet_is_said() -> None:
     assert "active_power" not in record and "knows no power" in said[0]
 
 
+def test_pre_heating_goes_with_its_power() -> None:
+    weather, fit = made_up_weather(), known_fit()
+    mechanisms = tuple(
+        (name, {**more, "preheating": True}) if name == "heat_release" else (name, more)
+        for name, more in fit.design.mechanisms
+    )
+    fit = replace(fit, design=replace(fit.design, mechanisms=mechanisms))
+    assert "preheating" in fit.design.model.inputs
+
+    def power(first: str, *, heated: bool = True) -> Record:
+        one = hourly_power(first, 400, np.full(24 * 400, 2e6))
+        duty = replace(one, signal="preheating", value=np.arange(24 * 400) % 24 < 2)
+        return Record("p", (one, duty) if heated else (one,), rated_power_W=2e6)
+
+    record, said = driven(fit, weather, power("2020-12-30T00:00:00"))
+    assert record["preheating"].value.sum() == 800 and any("pre-heating at its own hours" in s for s in said)
+    for other, words in (
+        (power("2016-12-30T00:00:00"), "pre-heating is not used"),
+        (power("2020-12-30T00:00:00", heated=False), "nothing says when"),
+        (None, "nothing says when"),
+    ):
+        record, said = driven(fit, weather, other)
+        assert "preheating" not in record and any(words in one for one in said)
+
+
 def test_weather_every_three_hours_becomes_hourly() -> None:
     weather = made_up_weather()
     coarse = replace(
@@ -230,6 +255,7 @@ def test_limits_are_read_and_all_faults_told(tmp_path: Path) -> None:
         ("[[limit]]\nquantity = { a = 1 }\nabove = 4\n", "quantity: expected one of"),
         (f'[[limit]]\nquantity = "temperature_degC"\nabove = 1{"0" * 400}\n', "above = 1000"),
         ('[[limit]]\nquantity = "temperature_degC"\nabove = inf\n', "found above = inf"),
+        ('[[limit]]\nquantity = "relative_humidity_percent"\nabove = 0.85\n', "write above = 85"),
         (f"x = {'9' * 5000}\n", "expected TOML text"),
         (f"x = {'[' * 20000}{']' * 20000}\n", "expected TOML text"),
         (

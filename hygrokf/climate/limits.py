@@ -126,6 +126,12 @@ def _limit(row: dict, where: str, faults: list[str]) -> Limit:
             f"{', '.join(f'{side} = {str(row[side])[:40]}' for side in sides) or 'neither'}"
         )
         sides, row = ["above"], {**row, "above": 0.0}
+    level = row[sides[0]]
+    if quantity == "relative_humidity_percent" and 0.0 < level <= 1.5:
+        faults.append(
+            f"{where}: {sides[0]} = {level:g}: expected per cent, its number looks like a fraction; "
+            f"write {sides[0]} = {100.0 * level:g}"
+        )
     if "rate" in quantity and sides[0] == "below":
         faults.append(f"{where}: a rate is limited from above; write above = …")
     allowed = row.get("hours_a_year", 0.0)

@@ -171,6 +171,12 @@ def years_of_power(power: Series) -> int:
     return max(1, int(np.floor((last - first) / (DAYS_A_YEAR * 86400.0) + 0.05)))
 
 
+def covers(series: Series, record: Record) -> bool:
+    """Whether a series is known over the time of a weather record, give or take two days."""
+    first, last = series.time[0] - series.interval_s, series.time[-1]
+    return first <= record.start_s + 2 * 86400.0 and last >= record.end_s - 2 * 86400.0
+
+
 def power_by_season(power: Series, record: Record) -> tuple[Series, str]:
     """Power [W] for a weather record from one of other years, hour by hour; and in words how it was taken.
 
@@ -179,7 +185,7 @@ def power_by_season(power: Series, record: Record) -> tuple[Series, str]:
     that the record does not have are unknown (NaN).
     """
     first, last = power.time[0] - power.interval_s, power.time[-1]
-    if first <= record.start_s + 2 * 86400.0 and last >= record.end_s - 2 * 86400.0:
+    if covers(power, record):
         return power, "power at the weather's own hours, as its record has it"
     year_s = DAYS_A_YEAR * 86400.0
     if last - first < 0.95 * year_s:

@@ -15,6 +15,7 @@ from hygrokf.case import read_case
 from hygrokf.climate.power import (
     PowerCurve,
     PowerFault,
+    covers,
     power_by_season,
     power_from_wind,
     standstill,
@@ -26,6 +27,7 @@ from hygrokf.weather.reading import form_of
 from hygrokf.weather.years import read_weather
 
 HOUR_S = 3600.0
+PREHEATING = "preheating"
 TYPICAL_YEAR = 2001
 """Calendar year that the months of a typical year, which are of several years, are put into; it has no 29 February."""
 
@@ -69,20 +71,25 @@ def read_region(
 
 
 def read_power(path: str | os.PathLike[str]) -> Record:
-    """The record of a case file that has active power; other signals are left out.  Raises CaseFault, PowerFault."""
+    """The record of a case file that has active power; of other signals pre-heating alone is kept.
+
+    Raises CaseFault, PowerFault.
+    """
     record = read_case(path, cabinet=False, ambient=False)
     if "active_power" not in record:
         raise PowerFault(
             f"{path}: expected a case file with signals.active_power, found {', '.join(record.signals)}"
         )
-    return replace(record, series=(record["active_power"],))
+    return replace(
+        record, series=tuple(record[name] for name in ("active_power", PREHEATING) if name in record)
+    )
 
 
 def driven(fit: Fit, weather: Record, power: Record | PowerCurve | None) -> tuple[Record, list[str]]:
     """Weather and power as a record for a fit's model, and in words how they were put together.
 
-    `power`: a record of it, a power curve, or None for standstill all year.  The weather's own power, cabinet and
-    pre-heating are left out.  Raises PowerFault where the power cannot be had.
+    `power`: a record of it, a power curve, or None for standstill all year.  The record's pre-heating goes with its power
+    where that is taken at its own hours.  The weather's own power, cabinet and pre-heating are left out.  Raises PowerFault where the power cannot be had.
     """
     said = []
     kept = [s for s in weather.series if not s.signal.startswith(("cabinet_", "active_power", "preheating"))]
@@ -98,9 +105,18 @@ def driven(fit: Fit, weather: Record, power: Record | PowerCurve | None) -> tupl
         series, words = power_by_season(power["active_power"], weather)
         said += _scale_words(fit, power.rated_power_W)
     said.insert(0, words)
-    if "preheating" in fit.design.model.inputs:
-        said.append("no pre-heating is simulated: nothing says when it would be on")
-    return replace(weather, series=(*map(_hourly, kept), series), until_s=None), said
+    heated: tuple[Series, ...] = ()
+    if PREHEATING in fit.design.model.inputs:
+        if not isinstance(power, Record) or PREHEATING not in power:
+            said.append("no pre-heating is simulated: nothing says when it would be on")
+        elif covers(power["active_power"], weather) and covers(power[PREHEATING], weather):
+            heated = (power[PREHEATING],)
+            said.append("pre-heating at its own hours, as the record of the power has it")
+        else:
+            said.append(
+                "the record's pre-heating is not used, and none is simulated: the record does not cover the weather's time"
+            )
+    return replace(weather, series=(*map(_hourly, kept), series, *heated), until_s=None), said
 
 
 def _scale_words(fit: Fit, rated_W: float | None) -> list[str]:
