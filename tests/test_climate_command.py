@@ -21,7 +21,7 @@ from hygrokf.climate.page import climate_page
 from hygrokf.climate.region import Region, read_region
 from hygrokf.climate.results import climate_csv, profile_files
 from hygrokf.climate.study import climate_profile
-from hygrokf.climate.tables import class_text, climate_text
+from hygrokf.climate.tables import class_text, climate_text, hours_text, span_text
 from hygrokf.record import Record, Series
 from hygrokf.results import dump
 from hygrokf.version import __version__
@@ -380,6 +380,12 @@ def test_the_class_of_wetness_has_those_of_its_bounds() -> None:
     assert class_text({"wetness_class": "τ3", "wetness_class_bounds": ["τ3", "τ3"]}) == "τ3"
     assert class_text({"wetness_class": "τ3"}) == "τ3"  # a file of before
     assert len(climate_of(made_up_weather(40))["wetness_class_bounds"]) == 2
+
+
+def test_less_than_an_hour_has_no_digits() -> None:
+    one = {"value": 0.114, "lower": 0.0, "upper": 2.5}
+    assert span_text(one, hours_text) == "< 1 (0 … 2.50)" and span_text(one) == "0.114 (0 … 2.50)"
+    assert span_text({"value": 0.0, "lower": 0.0, "upper": 0.0}, hours_text) == "0"
 
 
 def test_little_operation_is_doubted() -> None:

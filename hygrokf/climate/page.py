@@ -13,6 +13,7 @@ from hygrokf.climate.study import Study
 from hygrokf.climate.tables import (
     class_text,
     excursions_table,
+    hours_text,
     limits_table,
     part_of_year,
     profile_table,
@@ -175,7 +176,7 @@ def _cards(region: Mapping) -> list[str]:
         ("condensation_h", "Condensation", "on the coldest surface"),
     ):
         if name in year:
-            found = span_text(year[name])
+            found = span_text(year[name], hours_text)
             value, _, rest = found.partition(" (")
             note += scaled
             bounds = f"95 % of single years: {rest.rstrip(')')}" if rest else "in every member and year"

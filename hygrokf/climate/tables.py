@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from hygrokf.climate.ensemble import part_text
 from hygrokf.climate.limits import QUANTITIES
@@ -47,14 +47,24 @@ SIDE_BY_SIDE = (
 )  # fmt: skip
 
 
-def span_text(one: Mapping | None) -> str:
-    """A value with its bounds for a year."""
+def hours_text(value: float) -> str:
+    """Hours a year, counted in whole hours: of less than one no digits are told."""
+    return "< 1" if 0.0 < value < 1.0 else plain_number(value)
+
+
+def _text_of(name: str) -> Callable[[float], str]:
+    """How a number is written: the ageing is no count of hours."""
+    return hours_text if name.endswith("_h") and name != "ageing_h" else plain_number
+
+
+def span_text(one: Mapping | None, text: Callable[[float], str] = plain_number) -> str:
+    """A value with its bounds for a year, each as `text` writes it."""
     value, low, high = (number(one, key) for key in ("value", "lower", "upper"))
     if value != value:
         return NONE
-    if plain_number(low) == plain_number(high) == plain_number(value):
-        return plain_number(value)
-    return f"{plain_number(value)} ({plain_number(low)} … {plain_number(high)})"
+    if text(low) == text(high) == text(value):
+        return text(value)
+    return f"{text(value)} ({text(low)} … {text(high)})"
 
 
 def part_of_year(region: Mapping) -> str:
@@ -104,10 +114,11 @@ def _scopes(region: Mapping, heading: str, wanted: Sequence[str], weather: bool,
     rows = []
     for name, (words, unit) in OF_SCOPES.items():
         if any(name in region["scopes"][scope] for scope in scopes):
-            cells = [span_text(region["scopes"][scope].get(name)) for scope in scopes]
+            text = _text_of(name)
+            cells = [span_text(region["scopes"][scope].get(name), text) for scope in scopes]
             if weather:  # ageing counts for what stands in the cabinet, not outside
                 told = name not in ("hours", "ageing_h")
-                cells.append(plain_number(number(region["outside"], name)) if told else "")
+                cells.append(text(number(region["outside"], name)) if told else "")
             rows.append((words, unit, *cells))
     columns = ("", "unit", *(SCOPE_WORDS[scope] for scope in scopes), *(("outside",) if weather else ()))
     return Table(heading, columns, tuple(rows), left=(0, 1), note=note)
@@ -120,7 +131,8 @@ def excursions_table(region: Mapping) -> Table:
     for name, words in OF_COURSES.items():
         if f"{name}_number" in year:
             cells = [
-                span_text(year[f"{name}_{part}"]) for part in ("h", "number", "mean_length_h", "longest_h")
+                span_text(year[f"{name}_{part}"], hours_text if part == "h" else plain_number)
+                for part in ("h", "number", "mean_length_h", "longest_h")
             ]
             rows.append((words, *cells))
     return Table(
@@ -158,7 +170,7 @@ def limits_table(region: Mapping) -> Table | None:
                 one["name"],
                 f"{one['side']} {one['level']:g} {QUANTITIES[one['quantity']]}{when}",
                 plain_number(one["hours_a_year"]),
-                span_text(one["hours"]),
+                span_text(one["hours"], hours_text),
                 span_text(one["number"]),
                 span_text(one["longest_h"]),
                 verdict_text(one),
@@ -239,7 +251,9 @@ def regions_table(regions: Sequence[Mapping]) -> Table | None:
     for name in SIDE_BY_SIDE:
         if all(name in one["scopes"]["all"] for one in regions):
             words, unit = OF_SCOPES[name]
-            rows.append((words, unit, *(span_text(one["scopes"]["all"][name]) for one in regions)))
+            rows.append(
+                (words, unit, *(span_text(one["scopes"]["all"][name], _text_of(name)) for one in regions))
+            )
     rows.append(("class of wetness, ISO 9223:1992", "", *map(class_text, regions)))
     for i, limit in enumerate(regions[0]["limits"]):
         cells = [verdict_text(one["limits"][i]) if i < len(one["limits"]) else NONE for one in regions]

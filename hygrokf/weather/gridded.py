@@ -244,8 +244,8 @@ def _nearest(
     if len(rows) * len(columns) > 1 and site is None:
         raise TableFault(
             [
-                f"holds a grid of {len(rows)} × {len(columns)} cells and no site is given: state [site] latitude_deg "
-                "and longitude_deg in the case file, or pass site="
+                f"holds a grid of {len(rows)} × {len(columns)} cells and no site is given: name a case "
+                "file with [site] latitude_deg and longitude_deg and this file as its source"
             ]
         )
     row, column = 0, 0
