@@ -70,10 +70,14 @@ class Year:
         return float(self.known.sum()) * self.step_h
 
 
-def part_text(hours: float) -> str:
-    """What is known of a year [h] that is too little to stand for it, such as "80 days"; "" where it is enough."""
-    if hours >= WHOLE * YEAR_H:
+def part_text(known: float, covered: float | None = None) -> str:
+    """What there is of a year of which too little is known [h] to stand for it, such as "80 days"; "" where it is enough.
+
+    `covered`: the time [h] that the weather covers, gaps included; it is told where it is no year either.
+    """
+    if known >= WHOLE * YEAR_H:
         return ""
+    hours = covered if covered is not None and covered < WHOLE * YEAR_H else known
     return f"{hours / 24.0:.0f} days" if hours >= 48.0 else f"{hours:.0f} hours"
 
 

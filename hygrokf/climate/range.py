@@ -35,17 +35,20 @@ def extrapolation_words(fit: Fit, record: Record) -> list[str]:
         outside = (value < low - beyond) | (value > high + beyond)
         share = float(outside.mean()) if len(value) else 0.0
         if share > SAID_FROM:
+            words, factor, offset, digits = _units(fit)[name]
+            ends = (factor * one + offset for one in (low, high, float(np.min(value)), float(np.max(value))))
+            a, b, least, most = (f"{one:.{digits}f}" for one in ends)
             said.append(
-                f"{share * YEAR_H:.0f} h/a are outside of the {_range_words(fit, name, low, high)} on which the model was "
-                f"identified (here {_range_words(fit, name, float(np.min(value)), float(np.max(value)))}): extrapolated"
+                f"{share * YEAR_H:.0f} h/a are outside of the {a} … {b} {words} on which the model was identified "
+                f"(here {least} … {most}): extrapolated"
             )
     return said
 
 
-def _range_words(fit: Fit, name: str, low: float, high: float) -> str:
-    if name == "ambient_temperature":
-        return f"{low - FREEZING_K:.1f} … {high - FREEZING_K:.1f} °C of ambient air"
-    if name == "ambient_absolute_humidity":
-        return f"{low:.1f} … {high:.1f} g/m³ of ambient air"
-    scale = (fit.design.power_scale_W or 0.0) / 1e3
-    return f"{low * scale:.0f} … {high * scale:.0f} kW of power"
+def _units(fit: Fit) -> dict[str, tuple[str, float, float, int]]:
+    """How each input is told: unit and meaning, factor, offset, decimals."""
+    return {
+        "ambient_temperature": ("°C of ambient air", 1.0, -FREEZING_K, 1),
+        "ambient_absolute_humidity": ("g/m³ of ambient air", 1.0, 0.0, 1),
+        "power_1": ("kW of power", (fit.design.power_scale_W or 0.0) / 1e3, 0.0, 0),
+    }

@@ -76,7 +76,8 @@ class _Gathered:
     @property
     def part(self) -> str:
         """What is known of the fullest year, in words, where it is too little to stand for a year; else ""."""
-        return part_text(max(span[2] for span in self.spans))
+        begin, end, known, _ = max(self.spans, key=lambda span: span[2])
+        return part_text(known, (end - begin) / 3600.0 + 1.0)
 
     def has(self, scope: str) -> bool:
         """Whether any hour of any year is of a scope."""
@@ -192,6 +193,7 @@ def _region(
         "files": list(region.files),
         "synthetic": any("synthetic" in s.source for s in region.weather.series),
         "statements": statements,
+        "part_of_year": gathered.part,
         "years": [
             {"from": stamp_text(a), "until": stamp_text(b), "hours_known": hours, "operating_share": share}
             for a, b, hours, share in gathered.spans
@@ -324,8 +326,8 @@ def _weather_words(gathered: _Gathered, found: int) -> list[str]:
         )
     if gathered.part:
         said.append(
-            f"of no year {100.0 * WHOLE:.0f} % is known, of the fullest {gathered.part}: a limit that they keep to is "
-            "undecided, as the rest of the year may not; one that they break fails"
+            f"on {gathered.part} no limit passes, as the rest of the year may not keep to it: it is undecided; one that is "
+            "broken here fails"
         )
     if hours < 0.98 * length:
         said.append(

@@ -68,7 +68,9 @@ def span_text(one: Mapping | None, text: Callable[[float], str] = plain_number) 
 
 
 def part_of_year(region: Mapping) -> str:
-    """What is known of a region's fullest year where it is too little to stand for a year, such as "80 days"; else ""."""
+    """What there is of a region's fullest year where it is too little to stand for a year, such as "80 days"; else ""."""
+    if "part_of_year" in region:
+        return region["part_of_year"]
     return part_text(max(number(one, "hours_known") for one in region["years"]))
 
 
