@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.checks import all_doubts
 from hygrokf.confidence import normal_quantile, standard_error, wald_bounds
 from hygrokf.design import CASCADE, JOINT, Design, design, merged
 from hygrokf.drivers import Run, run
@@ -18,7 +19,7 @@ from hygrokf.likelihood import Likelihood
 from hygrokf.output_error import OutputError
 from hygrokf.parameters import Prior
 from hygrokf.record import Record
-from hygrokf.scoring import bands, baselines, scores, sensor_share
+from hygrokf.scoring import bands, baselines, readings_sd, scores, sensor_share
 from hygrokf.simulation import free_run, measured
 from hygrokf.stage import (
     LEVEL,
@@ -214,6 +215,7 @@ def assembled(
         "design": whole.to_json(),
         "statements": lines,
         "warnings": list(record.warnings),
+        "doubts": list(all_doubts(record)),
         "provenance": [list(p) for p in record.provenance],
         "parameters": _rows(
             stages,
@@ -240,6 +242,7 @@ def assembled(
         "trade_offs": [list(t) for stage in stages for t in stage.uncertainty.trade_offs],
         "rmse": table,
         "baselines": baselines(made, record.until_s),
+        "readings_sd": readings_sd(made, record.until_s),
         "sensor_share": sensor_share(record, made, table),
         "bands": bands(whole, values, made, predicted, record.until_s),
         "heat_release": regression.to_json(),
