@@ -183,12 +183,14 @@ def _scored_period(fit: Mapping, quantity: str) -> str:
     return "validation" if math.isfinite(late) else "identification"
 
 
-def _beyond(fit: Mapping, quantity: str) -> float:
-    """Standard deviation of the readings where the free run errs by more; NaN elsewhere."""
-    period = _scored_period(fit, quantity)
-    error = number(fit, "rmse", period, quantity, "total")
-    spread = number(fit, "readings_sd", period, quantity)
-    return spread if error > spread else math.nan
+def _beyond(fit: Mapping, quantity: str) -> tuple[str, float, float] | None:
+    """Period, error and standard deviation of the readings where the free run errs by more than they vary."""
+    for period in ("validation", "identification"):
+        error = number(fit, "rmse", period, quantity, "total")
+        spread = number(fit, "readings_sd", period, quantity)
+        if error > spread:
+            return period, error, spread
+    return None
 
 
 def _band_failed(fit: Mapping, quantity: str) -> bool:
@@ -232,7 +234,7 @@ def _time_constant(fit: Mapping, name: str) -> list[Judgement]:
     tight = half <= TIGHT
     tail = "." if tight else ": roughly."
     quantity = {"thermal": "temperature_K", "hygric": "absolute_humidity_g_m3"}[name]
-    failed = _band_failed(fit, quantity) or math.isfinite(_beyond(fit, quantity))
+    failed = _band_failed(fit, quantity) or _beyond(fit, quantity) is not None
     if failed:
         tail = f" only if the model holds, and its free run fails for the {QUANTITIES[quantity][0]}."
     made = [Judgement(GOOD if tight and not failed else CARE, f"The {name} time constant is {known}{tail}")]
@@ -262,12 +264,13 @@ def _errors(fit: Mapping, quantity: str) -> list[Judgement]:
     made = []
     period = _scored_period(fit, quantity)
     error = late if period == "validation" else early
-    spread = _beyond(fit, quantity)
-    if math.isfinite(spread):
+    beyond = _beyond(fit, quantity)
+    if beyond is not None:
+        where, above, spread = beyond
         made.append(
             Judgement(
                 CARE,
-                f"The free run's {name} error is {fixed(error)} {unit} in {period}, more than the standard deviation of the "
+                f"The free run's {name} error is {fixed(above)} {unit} in {where}, more than the standard deviation of the "
                 f"readings ({fixed(spread)} {unit}): their mean alone would do better, so nothing is said to carry over.",
             )
         )
@@ -362,6 +365,15 @@ def _innovations(fit: Mapping) -> list[Judgement]:
     if not rows:
         return []
     against = [row for row in rows if row.get("rejected") is True]
+    kinds = list(dict.fromkeys(text for row in against if (text := _test_in_words(row))))
+    named = f" ({', '.join(kinds)})" if kinds else ""
+    count = f"{len(against)} of {len(rows)} tests {'speaks' if len(against) == 1 else 'speak'}"
+    if kinds and set(kinds) <= set(NO_CORRELATION):
+        return [
+            Judgement(
+                CARE, f"{count} against white innovations{named}, none of them by a correlation (below)."
+            )
+        ]
     if not against:
         return [Judgement(GOOD, f"None of {len(rows)} tests speaks against white innovations.")]
     largest = 0.0
@@ -377,7 +389,17 @@ def _innovations(fit: Mapping) -> list[Judgement]:
             largest = max([largest, *sizes])
     small = largest < 0.1
     words = (
-        f"{len(against)} of {len(rows)} tests speak against white innovations, by correlations of at most "
+        f"{count} against white innovations{named}, by correlations of at most "
         f"{largest:.2f}: {'measurable, but small' if small else 'the one-step prediction still owes something'} (below)."
     )
     return [Judgement(GOOD if small else CARE, words)]
+
+
+NO_CORRELATION = ("mean", "variance", "normality")
+"""Kinds of tests that ask for the size and the shape of innovations, not for what they follow."""
+
+
+def _test_in_words(row: Mapping) -> str:
+    """The kind of a test: "mean", "autocorrelation", "correlation with inputs"."""
+    test = text_of(row.get("test")).split(" up to ")[0]
+    return "correlation with inputs" if test.startswith("correlation with ") else test

@@ -383,7 +383,7 @@ def test_judgements_follow_the_numbers() -> None:
     assert kind_of(lambda fit: fit["time_constants"]["thermal"].update(wide), "roughly") == "care"
     assert kind_of(lambda fit: None, "too narrow: 1 h ahead absolute humidity 87 %") == "care"
     assert kind_of(lambda fit: None, "hold about what they promise") == "good"
-    assert kind_of(lambda fit: None, "speak against white innovations") == "care"
+    assert kind_of(lambda fit: None, "against white innovations") == "care"
     share = {"temperature_K": 0.8}
     assert kind_of(lambda fit: fit["sensor_share"].update(validation=share), "alone explains 80 %") == "good"
 
@@ -439,6 +439,22 @@ def test_the_criteria_agree_only_where_the_free_run_says_something(bounds, words
     found = {one.sentence: one.kind for one in judgements(fit)}
     kind = next(kind for sentence, kind in found.items() if f"thermal time constant: {words}" in sentence)
     assert kind == ("good" if words == "the criteria agree" else "care")
+
+
+def test_tests_that_fail_are_named_by_kind() -> None:
+    fit, _ = report_case()
+    for row in fit["innovations"]["tests"]:
+        row["rejected"] = (row["output"], row["test"]) == ("temperature", "mean")
+    found = judgements(fit)[-1]
+    count = len(fit["innovations"]["tests"])
+    words = (
+        f"1 of {count} tests speaks against white innovations (mean), none of them by a correlation (below)."
+    )
+    assert (found.kind, found.sentence) == ("care", words)
+    for row in fit["innovations"]["tests"]:
+        row["rejected"] = row["test"] == "mean" or row["test"].startswith("correlation with power")
+    found = judgements(fit)[-1]
+    assert "tests speak against white innovations (mean, correlation with inputs), by corr" in found.sentence
 
 
 def test_numbers_in_words() -> None:
