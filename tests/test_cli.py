@@ -364,6 +364,37 @@ def test_simulate_needs_no_cabinet(folder, told):
     assert (folder / "simulated.csv").read_text().count("\n") > 2000
 
 
+def test_simulate_without_power_says_that_no_row_counts(folder, told):
+    leave_out("active_power")(folder)
+    said = told(SIMULATE)
+    assert said.status == 0
+    assert (
+        "note: no row has all inputs known (inputs_known is 0 throughout): the fit knows the power, "
+        in said.err
+    )
+    lines = (folder / "simulated.csv").read_text().splitlines()[1:]
+    assert {line[-1] for line in lines} == {"0"}
+
+
+def test_evaluate_notes_another_rated_power(folder, told):
+    assert "rated power" not in told(EVALUATE).out
+    case(("rated_power_kW = 2050", "rated_power_kW = 3075"))(folder)
+    assert (
+        "note: this turbine's rated power is 1.50 times that of the fit: another type?" in told(EVALUATE).out
+    )
+
+
+def test_fit_says_whose_fit_it_replaces(folder, told, monkeypatch):
+    monkeypatch.setattr("hygrokf.cli._identify", lambda *_: read_fit(folder / "result"))
+    monkeypatch.setattr("hygrokf.cli._write", lambda fit, out: out / "report.html")
+    assert "replaces" not in told("fit case.toml --out result").err
+    case(("synthetic-turbine-3", "uk-01"))(folder)
+    assert (
+        "note: --out result: replaces the fit of synthetic-turbine-3\n"
+        in told("fit case.toml --out result").err
+    )
+
+
 def test_evaluate_prints_the_scores(folder, told):
     fit, record = read_fit(folder / "result"), read_case(folder / "case.toml")
     found = evaluation(fit, record)
