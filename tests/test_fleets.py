@@ -10,8 +10,9 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ import pytest
 from hygrokf import identify, read_case, synthetic_turbine, write_case
 from hygrokf.cli import main
 from hygrokf.fleet import job as job_module
+from hygrokf.fleet import running
 from hygrokf.fleet.cluster import batches, on_cluster
 from hygrokf.fleet.job import FleetFault, Job, content_key, finished
 from hygrokf.fleet.outliers import FEWEST, REACH, spread, spreads
@@ -28,6 +30,7 @@ from hygrokf.fleet.processes import in_processes
 from hygrokf.fleet.running import run_fleet, write_fleet_report
 from hygrokf.fleet.table import columns_of, table_csv, table_parquet
 from hygrokf.fleet.tasks import TASKS, Compared, perform
+from hygrokf.fleet.words import fleet_text
 from hygrokf.results import dump, read_fit
 from hygrokf.turbine_type import pooled, read_type
 
@@ -669,6 +672,55 @@ def test_the_page_shows_failures_outliers_and_ranking() -> None:
     assert (
         "Outliers" not in fleet_page({"task": "fit", "rows": rows[-1:], "name": "one"}).split("<footer>")[0]
     )
+
+
+def departing_rows() -> list[dict]:
+    """Nine turbines of which the fifth has a time constant e times as long."""
+    random = np.random.default_rng(5)
+    rows = []
+    for place in range(9):
+        value = 1.5 * float(np.exp(0.05 * random.normal() + (1.0 if place == 4 else 0.0)))
+        bounds = {f"thermal_{k}_h": value * f for k, f in (("lower", 0.9), ("value", 1.0), ("upper", 1.1))}
+        rows.append({"turbine": f"W{place}", "status": "done", "task": "fit", **bounds})
+    return rows
+
+
+def test_the_terminal_says_who_departs() -> None:
+    rows = departing_rows()
+    text = fleet_text("fit", rows)
+    assert "departs: W4, thermal time constant 4.3" in text and text.count("departs:") == 1
+    assert "none departs from the others" in fleet_text("fit", rows[:4] + rows[5:])
+    assert "depart" not in fleet_text("fit", rows[:3])
+
+
+def test_a_turbine_that_departs_is_no_part_of_the_type(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The type is made of the others, and the page says of whom it is not."""
+    taken: list[str] = []
+
+    class Kind:
+        def to_json(self) -> dict:
+            return {"turbines": list(taken), "type_parameters": {}}
+
+    monkeypatch.setattr(running, "read_fit", lambda folder: SimpleFit(folder.name))
+    monkeypatch.setattr(running, "pooled", lambda fits, name: taken.extend(f.name for f in fits) or Kind())
+    monkeypatch.setattr(running, "write_type", lambda kind, file: file)
+    rows = departing_rows()
+
+    class Park:
+        task, name = "fit", "park"
+
+        def jobs(self, out: Path) -> list:
+            return [SimpleNamespace(turbine=row["turbine"], folder=out / row["turbine"]) for row in rows]
+
+    found = running._type_of(Park(), tmp_path, rows)
+    assert found["type_without"] == ["W4"] and taken == [f"W{i}" for i in range(9) if i != 4]
+
+
+@dataclass(frozen=True)
+class SimpleFit:
+    name: str
 
 
 # -- the command --------------------------------------------------------------------------------------------------------

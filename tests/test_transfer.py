@@ -245,6 +245,23 @@ def test_the_free_run_of_all_sets_is_in_the_series(other: Transfer) -> None:
     np.testing.assert_allclose(again, s["temperature_K_re_estimated"], rtol=1e-9)
 
 
+def test_what_is_too_short_to_judge_is_not_called_a_transfer(origin: Fit) -> None:
+    """Two days, of which nothing is held out, on which a rule without a model does better: no verdict."""
+    made = pair(3, differ=(), days=30.0)
+    begin = made.second.start_s
+    short = replace(made.second.window(begin, begin + 2 * 86400.0), until_s=None)
+    found = transfer_fit(origin, short, fits=False).results
+    for rows in found["gains"].values():
+        over = rows["re_estimated"]["over_rule"]
+        assert over["upper"] is None
+    found["gains"]["temperature_K"]["re_estimated"]["over_rule"] |= {"gain": -0.5}
+    verdict, reasons = judged(found, [])
+    assert verdict == "cannot be judged" and "take a longer record" in reasons[0]
+    found["gains"]["temperature_K"]["re_estimated"]["over_rule"] |= {"gain": 0.5}
+    better = {q: rows["re_estimated"]["over_rule"]["gain"] > 0 for q, rows in found["gains"].items()}
+    assert (judged(found, [])[0] == "transfers") == all(better.values())
+
+
 @pytest.mark.slow
 def test_right_verdicts_on_many_pairs() -> None:
     """At least nine of ten, on seeds of their own; docs/transfer.md has more."""

@@ -40,7 +40,7 @@ def fleet_page(fleet: Mapping) -> str:
         _transfers(done),
         _climates(done),
         _spreads_section(found),
-        type_section(fleet.get("type")),
+        type_section(fleet.get("type"), [text_of(one) for one in entry(fleet, "type_without") or ()]),
         _outliers(found),
         _ranking(task.ranking, task.compared, done, found),
         _method(fleet, found),
@@ -88,6 +88,8 @@ def _cards(rows: Sequence[Mapping], done: Sequence[Mapping], found: Sequence[Spr
                 if one.between > 0.005
                 else "the bounds explain all of the spread between turbines"
             )
+            if one.outliers:
+                between += f", but for {', '.join(one.turbines[i] for i in one.outliers[:4])}"
             if len(one.turbines) < 3:
                 between = "too few turbines for a spread"
             cards.append(

@@ -12,6 +12,7 @@ from pathlib import Path
 from hygrokf.files import FLEET, REPORT, TYPE, write_bytes_whole, write_text_whole
 from hygrokf.fleet.cluster import on_cluster
 from hygrokf.fleet.job import DONE, FleetFault, Job, Outcome, finished, keep
+from hygrokf.fleet.outliers import spreads
 from hygrokf.fleet.page import fleet_page
 from hygrokf.fleet.plan import Plan
 from hygrokf.fleet.processes import cores, in_processes
@@ -109,27 +110,34 @@ def _written(plan: Plan, out: Path, outcomes: Sequence[Outcome]) -> Path:
         "task": plan.task,
         "options": dict(plan.options),
         "rows": rows,
-        "type": _type_of(plan, out, rows),
+        **_type_of(plan, out, rows),
         "cpu_s": {one.turbine: round(one.seconds, 3) for one in outcomes},
     }
     write_text_whole(out / FLEET, dump(fleet))
     return write_fleet_report(out)
 
 
-def _type_of(plan: Plan, out: Path, rows: Sequence[Mapping]) -> dict | None:
-    """The pooled type of a fleet's fits, also as `type.json`; None where the fits make none."""
+def _type_of(plan: Plan, out: Path, rows: Sequence[Mapping]) -> dict:
+    """The pooled type of a fleet's fits, also as `type.json`, and the turbines that it is without.
+
+    A turbine whose time constants depart from the others' is none of their type; the type is None where the fits make none.
+    """
     file = out / TYPE
     file.unlink(missing_ok=True)  # one of an earlier run would be of other fits
-    names = [str(row["turbine"]) for row in rows if row["status"] == DONE]
+    done = [row for row in rows if row["status"] == DONE]
+    names = [str(row["turbine"]) for row in done]
     if plan.task != "fit" or len(names) < FEWEST_OF_A_TYPE:
-        return None
+        return {"type": None}
+    constants = [one for one in spreads(done, TASKS[plan.task].compared) if one.compared.lower]
+    odd = sorted({one.turbines[i] for one in constants for i in one.outliers})
     folders = {job.turbine: job.folder for job in plan.jobs(out)}
     try:
-        kind = pooled([replace(read_fit(folders[name]), name=name) for name in names], plan.name)
+        fits = [replace(read_fit(folders[name]), name=name) for name in names if name not in odd]
+        kind = pooled(fits, plan.name)
     except (TypeFault, ResultFault):  # fits that have nothing in common, or that someone has removed
-        return None
+        return {"type": None}
     write_type(kind, file)
-    return kind.to_json()
+    return {"type": kind.to_json(), "type_without": odd}
 
 
 def write_fleet_report(out: Path) -> Path:

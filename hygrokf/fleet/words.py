@@ -6,7 +6,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from hygrokf.fleet.job import DONE, Outcome
-from hygrokf.fleet.tasks import TASKS
+from hygrokf.fleet.outliers import FEWEST, spreads
+from hygrokf.fleet.tasks import TASKS, Compared
 from hygrokf.lookup import number
 from hygrokf.report_words import text_of
 
@@ -46,14 +47,30 @@ def fleet_text(task: str, rows: Sequence[Mapping[str, object]]) -> str:
             lines.append(name + "".join(f"{_cell(row, one):>22}" for one in compared))
     if len(rows) > SHOWN:
         lines.append(f"… {len(rows) - SHOWN} more in fleet.csv")
-    return "\n".join(lines)
+    return "\n".join([*lines, *_departing(rows, compared)])
+
+
+def _departing(rows: Sequence[Mapping[str, object]], compared: Sequence[Compared]) -> list[str]:
+    """Who departs from the others, a line each; nothing where there are too few to tell."""
+    found = [
+        one
+        for one in spreads([row for row in rows if row["status"] == DONE], compared)
+        if len(one.turbines) >= FEWEST
+    ]
+    said = [
+        f"departs: {one.turbines[i]}, {one.compared.title} {math.exp(one.x[i]):.3g} {one.compared.unit} "
+        f"(median {math.exp(one.center):.3g}), chance {one.p[i]:.2g}"
+        for one in found
+        for i in one.outliers
+    ]
+    return ["", *(said or ["none departs from the others by more than chance explains"])] if found else []
 
 
 _HEADS = {
     "thermal_value_h": "thermal [h]",
     "hygric_value_h": "hygric [h]",
-    "temperature_rmse_K": "temperature [K]",
-    "humidity_rmse_g_m3": "humidity [g/m³]",
+    "temperature_rmse_K": "RMSE T [K]",
+    "humidity_rmse_g_m3": "RMSE c [g/m³]",
 }
 
 

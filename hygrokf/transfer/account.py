@@ -24,6 +24,7 @@ simulated readings the paper's loggers' accuracy (0.3 K; 2 % relative humidity, 
 STRUCTURE = 1.5
 """Free-run error of the record's own model over that of the fit on its own record, beyond which the form is doubted."""
 TRANSFERS, PARTLY, NOT = "transfers", "transfers after re-estimating", "does not transfer"
+OPEN = "cannot be judged"
 
 
 def matters(group: str, apart: Difference, effect: Mapping[str, float]) -> bool:
@@ -194,7 +195,7 @@ def ratios_of(
 
 def judged(found: Mapping, differing: Sequence[str]) -> tuple[str, list[str]]:
     """Verdict and reasons from what was found."""
-    against, reasons = [], []
+    against, reasons, doubts = [], [], []
     tried = [row["group"] for row in found["groups"] if row["outcome"] in ("travels", "differs")]
     unit = {"temperature_K": ("temperature", "K"), "absolute_humidity_g_m3": ("absolute humidity", "g/m³")}
     if len(tried) > 1 and set(tried) == set(differing):
@@ -213,8 +214,13 @@ def judged(found: Mapping, differing: Sequence[str]) -> tuple[str, list[str]]:
             )
     for quantity, rows in found["gains"].items():
         over = rows.get("re_estimated", {}).get("over_rule")
+        name, u = unit[quantity]
+        if over and over["upper"] is None and over["gain"] < 0.0:
+            doubts.append(
+                f"the simulated {name} errs by {-over['gain']:.2f} {u} more than `{over['against']}`, a rule without a model, "
+                f"and {found['n_readings']} readings are too few for bounds: take a longer record"
+            )
         if over and over["upper"] is not None and over["upper"] < 0.0:
-            name, u = unit[quantity]
             against.append(
                 f"no gain over the sceptic's rule: the simulated {name} errs by {-over['gain']:.2f} {u} more than "
                 f"`{over['against']}` does"
@@ -234,7 +240,9 @@ def judged(found: Mapping, differing: Sequence[str]) -> tuple[str, list[str]]:
             bounds = (
                 ""
                 if gain["lower"] is None
-                else f", fall {gain['lower']:.2f} … {gain['upper']:.2f}, 95 %".replace("-", "−")
+                else f", a gain of {gain['gain']:.2f} {u} ({gain['lower']:.2f} … {gain['upper']:.2f}, 95 %)".replace(
+                    "-", "−"
+                )
             )
             where = "held-out error" if found["period"] == "validation" else "error"
             what = "own offsets" if not differing else "re-estimating"
@@ -243,6 +251,8 @@ def judged(found: Mapping, differing: Sequence[str]) -> tuple[str, list[str]]:
             )
     if against:
         return NOT, against + reasons
+    if doubts:
+        return OPEN, doubts + reasons
     return (PARTLY if differing else TRANSFERS), reasons
 
 

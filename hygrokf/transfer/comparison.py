@@ -41,6 +41,7 @@ RULES = {
     "ambient": "c = c_amb",
     "ambient_pressure_balance": "c = c_amb T_amb/T_conv,a",
 }
+NONE = "–"
 UNITS = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m3"}
 
 
@@ -317,20 +318,25 @@ def comparison_text(found: Mapping) -> str:
                 total = row["total"]
                 lines.append(f"{label[: width - 2]:{width}}{cells}{_span(total):>17}{total['n']:>9}")
                 for rule, said in total["rules"].items():
-                    words = f"  against {RULES.get(rule, rule)}: skill {_plain(said['skill'])}"
-                    lines.append(f"{words} {_span(said)}".rstrip())
+                    skill = NONE if said["skill"] is None else f"{100 * said['skill']:.0f} %"
+                    ends = (f"{100 * said[end]:.0f}" for end in ("lower", "upper"))
+                    bounds = "" if said["lower"] is None else f" ({' … '.join(ends)})"
+                    lines.append(f"  against {RULES.get(rule, rule)}: skill {skill}{bounds}")
             for one in found["differences"]:
                 row = one["scores"][period].get(quantity, {}).get("total")
                 if row and row["value"] is not None:
                     words = f"{one['of']} − {one['less']}"
                     words += "" if one["same_readings"][quantity] else " (other readings)"
-                    lines.append(f"  {words}: {row['value']:+.2f} {_span(row)} (n {row['n']})")
+                    bounds = "too few blocks for bounds"
+                    if row["lower"] is not None:
+                        bounds = f"95 % {row['lower']:+.3f} … {row['upper']:+.3f}"
+                    lines.append(f"  {words}: {row['value']:+.3f} ({bounds}; n {row['n']})")
             lines.append("")
     return "\n".join(lines).rstrip()
 
 
 def _plain(value: float | None) -> str:
-    return "–" if value is None else f"{value:.2f}"
+    return NONE if value is None else f"{value:.2f}"
 
 
 def _span(row: Mapping) -> str:

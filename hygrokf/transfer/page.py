@@ -270,14 +270,23 @@ def ratios_table(one: Mapping) -> Table | None:
     )
 
 
-def type_section(data: object) -> str:
-    """A pooled type as a section, from its plain data; nothing where there is none."""
+_ALIKE = (
+    "A spread of 0 says that these turbines differ by no more than their own uncertainty explains, not that the next one is "
+    "like them: of few turbines the spread is hardly known, and the prediction is then too narrow."
+)
+
+
+def type_section(data: object, left_out: Sequence[str] = ()) -> str:
+    """A pooled type as a section, from its plain data; nothing where there is none.  `left_out`: turbines that it is without."""
     if not isinstance(data, Mapping):
         return ""
-    rows = []
+    rows, none = [], False
     for name, row in data["type_parameters"].items():
         ends = row["in_unit"]
+        alike = row["spread"] < 0.01 * row["se"]
+        none = none or alike
         spread = f"{100 * row['spread']:.0f} %" if row["logarithmic"] else plain_number(row["spread"])
+        spread = "0" if alike else spread
         rows.append(
             (
                 name, plain_number(ends["value"]), f"{plain_number(ends['lower'])} … {plain_number(ends['upper'])}", spread,
@@ -289,11 +298,18 @@ def type_section(data: object) -> str:
         ("parameter", "type", "95 %", "spread", "next turbine, 95 %", "unit", "n"),
         tuple(rows),
         left=(0, 5),
-        note="Spread: standard deviation from turbine to turbine beyond the estimates' own uncertainty (REML).",
+        note="Spread: standard deviation from turbine to turbine beyond the estimates' own uncertainty (REML)."
+        + (f" {_ALIKE}" if none else ""),
+    )
+    without = (
+        f"<p class=note>Left out, for they depart from the others by more than chance: {escape(', '.join(left_out))}.</p>"
+        if left_out
+        else ""
     )
     return section(
         "The type of turbine",
         tables_html((table, "")),
+        without,
         figure_html("type", "Type and next turbine", "", lambda: figure_type(data)),
     )
 

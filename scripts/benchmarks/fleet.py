@@ -143,7 +143,9 @@ def dask(quick: bool) -> Iterator[Figure]:
             (job.folder / "row.json").write_text(text.replace(old, new), encoding="utf-8")
             jobs.append(job)
         here = wall(map(perform, jobs))
-        with LocalCluster(n_workers=1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0") as made:
+        with LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0"
+        ) as made:
             wall(on_cluster(jobs[:2], made.scheduler_address))  # imports
             begin = wall(
                 on_cluster(jobs[:1], made.scheduler_address)

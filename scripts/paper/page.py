@@ -61,19 +61,21 @@ def _verdicts(found: Mapping) -> str:
         for run, period, words, path in SPREAD:
             stated = published_total(found, path, quantity)
             said = "; ".join(
-                f"{WORDS[c]} {_place(stated, totals(found, run, period, quantity, c))}" for c in CRITERIA
+                f"{_place(stated, totals(found, run, period, quantity, c))} with the {WORDS[c]}"
+                for c in CRITERIA
             )
             items.append(
-                f"<li>{escape(f'{words}: the paper’s {fixed(stated)} {UNITS[quantity]} lies: {said}.')}</li>"
+                f"<li>{escape(f'{words}: the paper’s {fixed(stated)} {UNITS[quantity]} is {said}.')}</li>"
             )
     return f"<ul>{''.join(items)}</ul>"
 
 
 def _place(stated: float, values: Sequence[float]) -> str:
     low, high = min(values), max(values)
+    span = f"({fixed(low)} … {fixed(high)})"
     if round(low, 2) <= stated <= round(high, 2):
-        return f"within {fixed(low)} … {fixed(high)}"
-    return f"{'below' if stated < low else 'above'} {fixed(low)} … {fixed(high)}"
+        return f"among the {len(values)} seeds {span}"
+    return f"{'below' if stated < low else 'above'} all {len(values)} seeds {span}"
 
 
 ORIGINS = (
