@@ -233,10 +233,14 @@ def _time_constant(fit: Mapping, name: str) -> list[Judgement]:
         ]
     tight = half <= TIGHT
     tail = "." if tight else ": roughly."
-    quantity = {"thermal": "temperature_K", "hygric": "absolute_humidity_g_m3"}[name]
-    failed = _band_failed(fit, quantity) or _beyond(fit, quantity) is not None
+    # the exchange of vapour is read at the cabinet's temperature: both must hold for the hygric one
+    failed = [
+        QUANTITIES[quantity][0]
+        for quantity in (SCORED[:1] if name == "thermal" else SCORED)
+        if _band_failed(fit, quantity) or _beyond(fit, quantity) is not None
+    ]
     if failed:
-        tail = f" only if the model holds, and its free run fails for the {QUANTITIES[quantity][0]}."
+        tail = f" only if the model holds, and its free run fails for the {' and the '.join(failed)}."
     made = [Judgement(GOOD if tight and not failed else CARE, f"The {name} time constant is {known}{tail}")]
     other = simulated(constant.found)
     if other:
