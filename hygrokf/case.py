@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import math
 import os
 import re
@@ -167,11 +168,34 @@ def _case_text(file: Path) -> tuple[str, dict[str, Any]]:
     except OSError as refused:
         raise CaseFault(str(file), [f"cannot be read: {refused.strerror or refused}"]) from None
     except UnicodeDecodeError:
+        if file.suffix.lower() in _TABLES:
+            raise CaseFault(str(file), [f"is a table, {_EXPECTED}"]) from None
         raise CaseFault(str(file), ["expected TOML text in UTF-8, found other bytes"]) from None
     try:
         return text, tomllib.loads(text.replace("\r\n", "\n"))
     except tomllib.TOMLDecodeError as wrong:
+        other = _other_than_case(file, text)
+        if other:
+            raise CaseFault(str(file), [other]) from None
         raise CaseFault(str(file), [_syntax_fault(str(wrong), text)]) from None
+
+
+_EXPECTED = "expected a case file that names it (docs/case_file.md)"
+_TABLES = (".csv", ".tsv", ".txt", ".dat", ".parquet", ".nc", ".xlsx")
+
+
+def _other_than_case(file: Path, text: str) -> str:
+    """What a file is that is no TOML, where it can be told: a result, or a table."""
+    if text.lstrip().startswith("{"):
+        try:
+            held = json.loads(text)
+        except (ValueError, RecursionError):
+            held = None
+        if isinstance(held, dict):
+            if {"design", "parameters"} <= set(held):
+                return "is a result of `hygrokf fit`, expected a case file (docs/case_file.md)"
+            return "is JSON, expected a case file (docs/case_file.md)"
+    return f"is a table, {_EXPECTED}" if file.suffix.lower() in _TABLES else ""
 
 
 def _syntax_fault(reason: str, text: str) -> str:

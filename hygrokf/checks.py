@@ -30,6 +30,7 @@ _GAP_STEPS = 3.0
 _SHORT_RECORD_D = 14.0
 _SHORT_VALIDATION_D = 7.0
 _SOLAR_LAG_MIN = 20.0
+_FEWEST_IN_COMMON = 20
 
 
 def mask(record: Record) -> Record:
@@ -66,7 +67,6 @@ def describe(record: Record) -> dict[str, Any]:
     """
     site = record.site
     clocks = clock_errors(alignments(record))
-    south = site is not None and site.latitude_deg < 0.0
     return {
         "name": record.name,
         **_span(record.start_s, record.end_s),
@@ -83,9 +83,20 @@ def describe(record: Record) -> dict[str, Any]:
         "signals": [_describe_series(series) for series in record.series],
         "comparisons": described(clocks),
         "warnings": list(record.warnings),
-        "doubts": [*clock_sentences(clocks, south), *_uncompared(record, clocks), *doubts(record)],
+        "doubts": list(all_doubts(record, clocks)),
         "files": [{"file": file, "sha256": digest} for file, digest in record.provenance],
     }
+
+
+def all_doubts(record: Record, clocks: Sequence[ClockError] | None = None) -> tuple[str, ...]:
+    """The `doubts` about a record, and before them those of the sources that are compared.
+
+    record: any. clocks: errors of clocks, where they are known already.
+    """
+    if clocks is None:
+        clocks = clock_errors(alignments(record))
+    south = record.site is not None and record.site.latitude_deg < 0.0
+    return (*clock_sentences(clocks, south), *_uncompared(record, clocks), *doubts(record))
 
 
 def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
@@ -280,6 +291,14 @@ def _doubts_of_climate(record: Record) -> list[str]:
                     f"the cabinet is {colder:.1f} K colder than outside on average: are the "
                     "columns exchanged?"
                 )
+    for kind in ("temperature", *_HUMIDITIES):
+        if f"cabinet_{kind}" in record and f"ambient_{kind}" in record:
+            inside, outside = record[f"cabinet_{kind}"], record[f"ambient_{kind}"]
+            if _same_readings(inside, outside):
+                said.append(
+                    f"{inside.signal} and {outside.signal} are the same readings ({inside.source}; {outside.source}): "
+                    "one of the two columns is wrong"
+                )
     pair = _pair(_vapour_density(record, "cabinet"), _vapour_density(record, "ambient"))
     if pair is not None and len(pair[0]):
         factor = float(np.mean(pair[0]) / np.mean(pair[1]))
@@ -289,6 +308,16 @@ def _doubts_of_climate(record: Record) -> list[str]:
                 "a source or sink of vapour, a sensor error, or the wrong column"
             )
     return said
+
+
+def _same_readings(one: Series, other: Series) -> bool:
+    """Whether two series that vary agree to rounding at nearly every time which both have."""
+    _, i, j = np.intersect1d(one.time, other.time, return_indices=True)
+    there = ~(one.missing[i] | other.missing[j])
+    first, second = one.value[i][there], other.value[j][there]
+    if len(first) < _FEWEST_IN_COMMON or not np.ptp(first) > 0.0:
+        return False
+    return bool(np.mean(np.isclose(first, second, rtol=1e-9, atol=0.0)) > 0.99)
 
 
 _HUMIDITIES = ("relative_humidity", "absolute_humidity", "dew_point_temperature")

@@ -306,10 +306,32 @@ def _fit(options: argparse.Namespace) -> int:
     from hygrokf.report import report_text
 
     expect_own_directory(options.out, FIT)
+    there = _fit_there(options.out)
     record = _record(options.case)
     fit = _identify(record, options.case, options)
+    if there and there != record.name:
+        print(f"note: --out {options.out}: replaces the fit of {printable(there)}", file=sys.stderr)
     page = _write(fit, options.out)
     return _reported(page, fit.to_json(), report_text(fit.to_json()), options)
+
+
+def _fit_there(out: Path) -> str:
+    """The name of the record whose fit a directory holds already; a fit.json of another program's is refused."""
+    import json
+
+    file = out / FIT
+    if not file.exists():
+        return ""
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError):
+        data = None
+    if not isinstance(data, dict) or not {"name", "version", "parameters", "time_constants"} <= set(data):
+        raise UserFault(
+            f"--out {out}: expected a new directory or one with an earlier fit, found a {FIT} in it that is no result "
+            "of `hygrokf fit`; name another one, or take that file away"
+        )
+    return str(data["name"])
 
 
 def _discover(options: argparse.Namespace) -> int:

@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.checks import all_doubts
 from hygrokf.confidence import normal_quantile, standard_error, wald_bounds
 from hygrokf.design import CASCADE, JOINT, Design, design, merged
 from hygrokf.drivers import IDENTIFIED_ON, Run, run
 from hygrokf.fit import Fit
 from hygrokf.likelihood import Likelihood
 from hygrokf.output_error import OutputError
-from hygrokf.parameters import Prior
+from hygrokf.parameters import Parameter, Prior
 from hygrokf.record import Record
-from hygrokf.scoring import bands, baselines, scores, sensor_share
+from hygrokf.scoring import bands, baselines, readings_sd, scores, sensor_share
 from hygrokf.simulation import free_run, measured
 from hygrokf.stage import (
     LEVEL,
@@ -40,6 +41,8 @@ DEFAULT_KIND = CASCADE
 """Decided by trial: docs/decisions/0002-joint-or-cascade.md."""
 FEWEST = 50
 """Readings below which nothing is identified."""
+WELL_KNOWN = 0.1
+"""[1] standard error over value below which a parameter is well known, whatever it is correlated with."""
 CRITERIA = ("likelihood", "simulation")
 
 
@@ -214,6 +217,7 @@ def assembled(
         "design": whole.to_json(),
         "statements": lines,
         "warnings": list(record.warnings),
+        "doubts": list(all_doubts(record)),
         "provenance": [list(p) for p in record.provenance],
         "parameters": _rows(
             stages,
@@ -240,6 +244,7 @@ def assembled(
         "trade_offs": [list(t) for stage in stages for t in stage.uncertainty.trade_offs],
         "rmse": table,
         "baselines": baselines(made, record.until_s),
+        "readings_sd": readings_sd(made, record.until_s),
         "sensor_share": sensor_share(record, made, table),
         "bands": bands(whole, values, made, predicted, record.until_s),
         "heat_release": regression.to_json(),
@@ -264,6 +269,28 @@ def _period(record: Record, stage: Stage) -> dict:
     }
 
 
+def shared_error(
+    pair: Sequence[Parameter], values: Sequence[float], errors: Sequence[float], correlation: float
+) -> str:
+    """What a high correlation of two estimates means: `errors` are their standard errors, in the values' units.
+
+    Where both are well known it takes nothing away; else only a combination is identified.  A difference (a ratio of
+    positive parameters) is better known than either where their errors are of like size.
+    """
+    a, b = (p.name for p in pair)
+    if not all(se < WELL_KNOWN * abs(value) for se, value in zip(errors, values, strict=True)):
+        return f"{a} and {b} trade off against each other (correlation {correlation:.2f}): only a combination is identified"
+    # positive parameters are estimated by their logarithms, and correlated so
+    sizes = [se / value if p.positive else se for p, se, value in zip(pair, errors, values, strict=True)]
+    better = "a combination"
+    if pair[0].positive == pair[1].positive and max(sizes) < 2.0 * abs(correlation) * min(sizes):
+        ratio, sum_ = ("ratio", "product") if pair[0].positive else ("difference", "sum")
+        better = f"their {ratio if correlation > 0 else sum_}"
+    return (
+        f"{a} and {b} share one error (correlation {correlation:.2f}): {better} is known better than either"
+    )
+
+
 def _remarks(stage: Stage) -> list[str]:
     """Directions that the data do not pin down, in words."""
     lines = []
@@ -286,9 +313,9 @@ def _remarks(stage: Stage) -> list[str]:
     if found.flat:
         lines.append(f"not pinned down by this record: {', '.join(found.flat)}")
     for a, b, r in found.trade_offs:
-        lines.append(
-            f"{a} and {b} trade off against each other (correlation {r:.2f}): only a combination is identified"
-        )
+        pair = [p for name in (a, b) for p in stage.base.model.parameters if p.name == name]
+        errors = [standard_error(estimate, found, p.name) for p in pair]
+        lines.append(shared_error(pair, [estimate.values[p.name] for p in pair], errors, r))
     if not estimate.converged:
         lines.append(estimate.message)
     return lines

@@ -35,6 +35,7 @@ from hygrokf.report_words import (
     CARE,
     GOOD,
     Judgement,
+    doubted,
     fixed,
     judgements,
     plain_number,
@@ -231,7 +232,7 @@ def _believe(fit: Mapping) -> str:
     named = " ".join(one.sentence for one in found)
     more = [Judgement(CARE, sentence(line)) for line in texts(entry(fit, "statements")) if line not in named]
     order = {BAD: 0, GOOD: 1, CARE: 2}
-    rows = sorted([*found, *more], key=lambda one: order[one.kind])
+    rows = [*doubted(fit), *sorted([*found, *more], key=lambda one: order[one.kind])]
     if not rows:
         return "<p class=left-out>The fit holds nothing to judge it by.</p>"
     marks = {GOOD: ("✓", "to be believed"), CARE: ("!", "with caution"), BAD: ("✕", "not to be relied on")}
@@ -357,7 +358,7 @@ def report_text(fit: Mapping) -> str:
     signs = {GOOD: "+", CARE: "!", BAD: "x"}
     found = judgements(fit)
     named = " ".join(one.sentence for one in found)
-    remarks = [f"{signs[one.kind]} {one.sentence}" for one in found]
+    remarks = [f"{signs[one.kind]} {one.sentence}" for one in [*doubted(fit), *found]]
     remarks += [f"! {sentence(line)}" for line in texts(entry(fit, "statements")) if line not in named]
     if remarks:
         title = "What to believe (+), what with caution (!), what not (x)"

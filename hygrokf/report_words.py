@@ -34,6 +34,10 @@ MATERIAL = 0.1
 """[1] share by which an error must fall below a baseline's to be called better."""
 COVERAGE = (0.90, 0.985)
 """[1] shares within a 95 % band between which it is called right."""
+FAILED = 0.5
+"""[1] share within the free run's 95 % band below which the free run is not to be relied on."""
+SAYING = 3.0
+"""[1] upper over lower bound of the free run's time constant below which it says something."""
 
 
 def plain_number(value: float, digits: int = 3) -> str:
@@ -166,6 +170,34 @@ def judgements(fit: Mapping) -> list[Judgement]:
     return [*found, *_bands(fit), *_innovations(fit)]
 
 
+def doubted(fit: Mapping) -> list[Judgement]:
+    """What a sceptic would ask about the record itself; to be shown before everything else."""
+    return [
+        Judgement(CARE, f"Doubt about the record: {line}{'' if line[-1] in '.?!' else '.'}")
+        for line in texts(entry(fit, "doubts"))
+    ]
+
+
+def _scored_period(fit: Mapping, quantity: str) -> str:
+    late = number(fit, "rmse", "validation", quantity, "total")
+    return "validation" if math.isfinite(late) else "identification"
+
+
+def _beyond(fit: Mapping, quantity: str) -> tuple[str, float, float] | None:
+    """Period, error and standard deviation of the readings where the free run errs by more than they vary."""
+    for period in ("validation", "identification"):
+        error = number(fit, "rmse", period, quantity, "total")
+        spread = number(fit, "readings_sd", period, quantity)
+        if error > spread:
+            return period, error, spread
+    return None
+
+
+def _band_failed(fit: Mapping, quantity: str) -> bool:
+    share, n = (number(fit, "bands", "free_run", quantity, part) for part in ("coverage", "n"))
+    return share < FAILED and n >= 20
+
+
 def _convergence(fit: Mapping) -> list[Judgement]:
     if entry(fit, "converged") is True:
         return []
@@ -200,16 +232,27 @@ def _time_constant(fit: Mapping, name: str) -> list[Judgement]:
             )
         ]
     tight = half <= TIGHT
-    made = [
-        Judgement(
-            GOOD if tight else CARE, f"The {name} time constant is {known}{'.' if tight else ': roughly.'}"
-        )
+    tail = "." if tight else ": roughly."
+    # the exchange of vapour is read at the cabinet's temperature: both must hold for the hygric one
+    failed = [
+        QUANTITIES[quantity][0]
+        for quantity in (SCORED[:1] if name == "thermal" else SCORED)
+        if _band_failed(fit, quantity) or _beyond(fit, quantity) is not None
     ]
+    if failed:
+        tail = f" only if the model holds, and its free run fails for the {' and the '.join(failed)}."
+    made = [Judgement(GOOD if tight and not failed else CARE, f"The {name} time constant is {known}{tail}")]
     other = simulated(constant.found)
     if other:
+        low, high = (number(constant.found, "simulation", part) for part in ("lower_h", "upper_h"))
+        says = low > 0 and math.isfinite(high) and high < SAYING * low
+        words = "the criteria agree" if says else "so wide that it hardly says anything"
+        if not (math.isfinite(low) and math.isfinite(high)):
+            words = "without bounds, so it hardly says anything"
         made.append(
             Judgement(
-                GOOD, f"The free run alone gives {other} for the {name} time constant: the criteria agree."
+                GOOD if says else CARE,
+                f"The free run alone gives {other} for the {name} time constant: {words}.",
             )
         )
     return made
@@ -223,8 +266,19 @@ def _errors(fit: Mapping, quantity: str) -> list[Judgement]:
     if not (math.isfinite(early) or math.isfinite(late)):
         return []
     made = []
-    period, error = ("validation", late) if math.isfinite(late) else ("identification", early)
-    if not math.isfinite(late):
+    period = _scored_period(fit, quantity)
+    error = late if period == "validation" else early
+    beyond = _beyond(fit, quantity)
+    if beyond is not None:
+        where, above, spread = beyond
+        made.append(
+            Judgement(
+                CARE,
+                f"The free run's {name} error is {fixed(above)} {unit} in {where}, more than the standard deviation of the "
+                f"readings ({fixed(spread)} {unit}): their mean alone would do better, so nothing is said to carry over.",
+            )
+        )
+    elif not math.isfinite(late):
         made.append(
             Judgement(
                 CARE,
@@ -280,7 +334,16 @@ def _bands(fit: Mapping) -> list[Judgement]:
             if math.isfinite(share) and n >= 20:
                 words = f"{lead_words(lead)} {QUANTITIES[quantity][0]} {percent(share)}"
                 (narrow if share < COVERAGE[0] else wide if share > COVERAGE[1] else right).append(words)
-    made = []
+    made = [
+        Judgement(
+            BAD,
+            f"The free run's 95 % band of the {QUANTITIES[quantity][0]} holds only "
+            f"{percent(number(found, 'free_run', quantity, 'coverage'))} of the readings in "
+            f"{_scored_period(fit, quantity)}: do not rely on the free run.",
+        )
+        for quantity in SCORED
+        if _band_failed(fit, quantity)
+    ]
     if right:
         made.append(Judgement(GOOD, f"95 % bands that hold about what they promise: {', '.join(right)}."))
     if narrow:
@@ -306,6 +369,15 @@ def _innovations(fit: Mapping) -> list[Judgement]:
     if not rows:
         return []
     against = [row for row in rows if row.get("rejected") is True]
+    kinds = list(dict.fromkeys(text for row in against if (text := _test_in_words(row))))
+    named = f" ({', '.join(kinds)})" if kinds else ""
+    count = f"{len(against)} of {len(rows)} tests {'speaks' if len(against) == 1 else 'speak'}"
+    if kinds and set(kinds) <= set(NO_CORRELATION):
+        return [
+            Judgement(
+                CARE, f"{count} against white innovations{named}, none of them by a correlation (below)."
+            )
+        ]
     if not against:
         return [Judgement(GOOD, f"None of {len(rows)} tests speaks against white innovations.")]
     largest = 0.0
@@ -321,7 +393,17 @@ def _innovations(fit: Mapping) -> list[Judgement]:
             largest = max([largest, *sizes])
     small = largest < 0.1
     words = (
-        f"{len(against)} of {len(rows)} tests speak against white innovations, by correlations of at most "
+        f"{count} against white innovations{named}, by correlations of at most "
         f"{largest:.2f}: {'measurable, but small' if small else 'the one-step prediction still owes something'} (below)."
     )
     return [Judgement(GOOD if small else CARE, words)]
+
+
+NO_CORRELATION = ("mean", "variance", "normality")
+"""Kinds of tests that ask for the size and the shape of innovations, not for what they follow."""
+
+
+def _test_in_words(row: Mapping) -> str:
+    """The kind of a test: "mean", "autocorrelation", "correlation with inputs"."""
+    test = text_of(row.get("test")).split(" up to ")[0]
+    return "correlation with inputs" if test.startswith("correlation with ") else test

@@ -7,6 +7,7 @@ import json
 import math
 import os
 import re
+import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -85,6 +86,11 @@ def read_fit(path: str | os.PathLike[str]) -> Fit:
             f"{file}: expected a result of `hygrokf fit`, found no such file; run `hygrokf fit` first"
         ) from None
     except (OSError, ValueError, RecursionError) as fault:
+        if _is_case(file):
+            raise ResultFault(
+                f"{file} is a case file, expected a result of `hygrokf fit`; the fit comes first, as in "
+                "`hygrokf evaluate FIT CASE`"
+            ) from None
         reason = getattr(fault, "strerror", None) or fault
         raise ResultFault(
             f"{file}: expected JSON written by `hygrokf fit`, found {reason}; run `hygrokf fit` again"
@@ -115,6 +121,16 @@ def read_fit(path: str | os.PathLike[str]) -> Fit:
             f"{'; '.join(faults)}; run `hygrokf fit` again"
         )
     return fit
+
+
+def _is_case(file: Path) -> bool:
+    """Whether a file is TOML that names sources, as a case file does."""
+    try:
+        return not {"source", "weather", "identification"}.isdisjoint(
+            tomllib.loads(file.read_text("utf-8-sig"))
+        )
+    except (OSError, ValueError, RecursionError):
+        return False
 
 
 def _release(version: object) -> tuple[int, ...]:

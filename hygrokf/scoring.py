@@ -51,6 +51,21 @@ def scores(run: Run, predicted: Prediction, until_s: float | None) -> dict:
     return result
 
 
+def readings_sd(run: Run, until_s: float | None) -> dict:
+    """Standard deviation of the scored readings by period and quantity [K, g/m³]; None without readings.
+
+    A free run that errs by more is worse than the readings' own mean.
+    """
+    known = measured(run)
+    result: dict = {}
+    for period, chosen in period_masks(run, until_s).items():
+        result[period] = {}
+        for quantity in SCORED:
+            part = known[quantity][chosen & run.scored & np.isfinite(known[quantity])]
+            result[period][quantity] = float(np.std(part)) if len(part) else None
+    return result
+
+
 def guesses(run: Run, until_s: float | None) -> dict[str, dict[str, np.ndarray]]:
     """What a sceptic would put in the place of a model: readings (T,) by rule and quantity.
 

@@ -78,8 +78,22 @@ def simulation_summary(fit: Fit, record: Record) -> dict:
         "n": len(t),
         "share_with_known_inputs": float(made.scored.mean()),
         "means": means,
-        "statements": unlike(fit, record),
+        "statements": [*unlike(fit, record), *_unknown_throughout(fit, record, made)],
     }
+
+
+def _unknown_throughout(fit: Fit, record: Record, made: Run) -> list[str]:
+    """A sentence where no instant has all inputs known, with the input that lacks."""
+    if made.scored.any():
+        return []
+    inputs = fit.design.model.inputs
+    powered = "operating" in inputs or any(name.startswith("power_") for name in inputs)
+    lacking = "an input is unknown, or was until shortly before, all along; see the gaps in `hygrokf check`"
+    if powered and "active_power" not in record:
+        lacking = (
+            "the fit knows the power, the record brings no active_power: it is taken as standstill throughout"
+        )
+    return [f"no row has all inputs known (inputs_known is 0 throughout): {lacking}"]
 
 
 def evaluation(fit: Fit, record: Record) -> dict:
@@ -100,6 +114,12 @@ def evaluation(fit: Fit, record: Record) -> dict:
 def unlike(fit: Fit, record: Record) -> list[str]:
     """What the fitted model knows and the record does not, and the other way round, in sentences."""
     found = []
+    scale = fit.design.power_scale_W
+    if record.rated_power_W and scale and abs(record.rated_power_W / scale - 1.0) > 0.02:
+        found.append(
+            f"this turbine's rated power is {record.rated_power_W / scale:.2f} times that of the fit: another type? "
+            "The heat release counts power in the fit's scale"
+        )
     inputs, outputs = fit.design.model.inputs, fit.design.model.outputs
     if "preheating" in inputs and "preheating" not in record:
         found.append("the fit knows pre-heating, the record brings none: it is taken as off throughout")

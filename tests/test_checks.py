@@ -106,6 +106,14 @@ def test_a_good_record_raises_neither_warning_nor_doubt():
             ["5.0 K colder than outside", "exchanged"],
         ),
         (
+            changed(good(), "cabinet_temperature", good()["ambient_temperature"].value),
+            ["cabinet_temperature and ambient_temperature are the same readings"],
+        ),
+        (
+            changed(good(), "ambient_relative_humidity", good()["cabinet_relative_humidity"].value),
+            ["cabinet_relative_humidity and ambient_relative_humidity are the same readings"],
+        ),
+        (
             changed(good(), "cabinet_relative_humidity", np.full(8640, 0.95)),
             ["absolute humidity in the cabinet is"],
         ),

@@ -297,6 +297,9 @@ def test_fit_json_has_the_keys_that_others_rely_on(fitted):
         penalty = (found[key] + 2 * found["loglik"]) / (2.0 if key == "aic" else math.log(found["n_obs"]))
         assert penalty == pytest.approx(round(penalty))
         assert count <= round(penalty) <= len(found["parameters"])
+    assert found["doubts"] == ["short validation period: 3.0 days"]
+    for period in ("identification", "validation"):
+        assert found["readings_sd"][period]["temperature_K"] > found["rmse"][period]["temperature_K"]["total"]
     assert found["n_obs"] > 2500
     assert found["converged"] is True
     assert found["message"]
@@ -359,6 +362,37 @@ def test_simulate_needs_no_cabinet(folder, told):
     case(("cabinet_temperature", "nacelle_temperature"), ("cabinet_relative", "nacelle_relative"))(folder)
     assert told(SIMULATE).status == 0
     assert (folder / "simulated.csv").read_text().count("\n") > 2000
+
+
+def test_simulate_without_power_says_that_no_row_counts(folder, told):
+    leave_out("active_power")(folder)
+    said = told(SIMULATE)
+    assert said.status == 0
+    assert (
+        "note: no row has all inputs known (inputs_known is 0 throughout): the fit knows the power, "
+        in said.err
+    )
+    lines = (folder / "simulated.csv").read_text().splitlines()[1:]
+    assert {line[-1] for line in lines} == {"0"}
+
+
+def test_evaluate_notes_another_rated_power(folder, told):
+    assert "rated power" not in told(EVALUATE).out
+    case(("rated_power_kW = 2050", "rated_power_kW = 3075"))(folder)
+    assert (
+        "note: this turbine's rated power is 1.50 times that of the fit: another type?" in told(EVALUATE).out
+    )
+
+
+def test_fit_says_whose_fit_it_replaces(folder, told, monkeypatch):
+    monkeypatch.setattr("hygrokf.cli._identify", lambda *_: read_fit(folder / "result"))
+    monkeypatch.setattr("hygrokf.cli._write", lambda fit, out: out / "report.html")
+    assert "replaces" not in told("fit case.toml --out result").err
+    case(("synthetic-turbine-3", "uk-01"))(folder)
+    assert (
+        "note: --out result: replaces the fit of synthetic-turbine-3\n"
+        in told("fit case.toml --out result").err
+    )
 
 
 def test_evaluate_prints_the_scores(folder, told):
@@ -517,6 +551,15 @@ WRONG: dict[str, tuple] = {
         DAMAGED, "averaged.cabinet_temperature: expected 1 number above 0, found 0"),
     "noise of the ambient": (SIMULATE, put("design", "ambient_noise", value={"ambient_temperature": [1.0]}),
         DAMAGED, "ambient_noise.ambient_temperature: expected 2 numbers above 0, found (1.0,)"),
+    "a case as fit": ("evaluate case.toml result/fit.json", nothing,
+        "hygrokf: case.toml is a case file, expected a result", "the fit comes first, as in `hygrokf evaluate FIT CASE`"),
+    "a case as fit to simulate": ("simulate case.toml result --out a.csv", nothing, "case.toml is a case file"),
+    "a fit as case": ("fit result/fit.json --out made", nothing,
+        "hygrokf: result/fit.json: 1 fault\n  1. is a result of `hygrokf fit`, expected a case file (docs/case_file.md)"),
+    "a table as case": ("fit cabinet.csv --out made", nothing,
+        "hygrokf: cabinet.csv: 1 fault\n  1. is a table, expected a case file that names it (docs/case_file.md)"),
+    "out with another program's fit.json": ("fit case.toml --out result", holds("result/fit.json", b'{"a": 1}'),
+        "hygrokf: --out result: expected a new directory or one with an earlier fit, found a fit.json in it that is no"),
     # the case for a fit
     "simulate without ambient": (SIMULATE, leave_out("ambient_temperature"),
         ONE + "case.toml: no source names signals.ambient_temperature, the input that no model goes without"),

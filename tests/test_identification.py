@@ -13,8 +13,9 @@ from plants.as_record import to_record
 
 from hygrokf.design import Design
 from hygrokf.fit import Fit
-from hygrokf.identification import identify
+from hygrokf.identification import identify, shared_error
 from hygrokf.likelihood import Likelihood
+from hygrokf.parameters import Parameter
 from hygrokf.record import Record
 from hygrokf.results import ResultFault, dump, read_fit, write_fit
 
@@ -222,3 +223,38 @@ def test_a_fit_keeps_the_range_of_what_it_was_identified_on(fit, record):
     assert (
         1.0 < found["ambient_absolute_humidity_g_m3"][0] < found["ambient_absolute_humidity_g_m3"][1] < 25.0
     )
+
+
+@pytest.mark.parametrize(
+    ("positive", "values", "errors", "correlation", "words"),
+    [
+        (
+            False,
+            (8.0, -9.0),
+            (0.2, 0.25),
+            0.97,
+            "share one error (correlation 0.97): their difference is known better",
+        ),
+        (
+            False,
+            (8.0, 9.0),
+            (0.2, 0.25),
+            -0.97,
+            "share one error (correlation -0.97): their sum is known better",
+        ),
+        (True, (8.0, 1.0), (0.2, 0.03), 0.97, "their ratio is known better than either"),
+        (False, (8.0, 90.0), (0.2, 2.5), 0.97, "a combination is known better than either"),
+        (
+            False,
+            (8.0, 9.0),
+            (0.2, 0.95),
+            0.97,
+            "a and b trade off against each other (correlation 0.97): only a",
+        ),
+        (True, (8.0, 9.0), (0.2, math.nan), 0.97, "only a combination is identified"),
+    ],
+)
+def test_two_well_known_parameters_do_not_trade_off(positive, values, errors, correlation, words):
+    ends = (1e-3, 1e3) if positive else (-1e3, 1e3)
+    pair = [Parameter(name, "K", 1.0, *ends, positive) for name in "ab"]
+    assert words in shared_error(pair, values, errors, correlation)

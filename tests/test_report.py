@@ -383,9 +383,78 @@ def test_judgements_follow_the_numbers() -> None:
     assert kind_of(lambda fit: fit["time_constants"]["thermal"].update(wide), "roughly") == "care"
     assert kind_of(lambda fit: None, "too narrow: 1 h ahead absolute humidity 87 %") == "care"
     assert kind_of(lambda fit: None, "hold about what they promise") == "good"
-    assert kind_of(lambda fit: None, "speak against white innovations") == "care"
+    assert kind_of(lambda fit: None, "against white innovations") == "care"
     share = {"temperature_K": 0.8}
     assert kind_of(lambda fit: fit["sensor_share"].update(validation=share), "alone explains 80 %") == "good"
+
+
+def test_doubts_come_first_and_old_results_have_none(quick) -> None:
+    fit, _ = report_case()
+    assert "Doubt about the record" not in report_text(fit) + report_page(fit, {})
+    fit["doubts"] = ["absolute humidity is 5.15 times that outside: or the wrong <column>", "right unit?"]
+    text, page = report_text(fit), report_page(fit, {})
+    first = text.partition("what not (x)\n")[2].splitlines()[0]
+    assert first.startswith("! Doubt about the record: absolute humidity is 5.15 times")
+    assert "! Doubt about the record: right unit?\n" in text
+    assert page.partition("<ul class=judgements>")[2].startswith(
+        "<li class=care><span title='with caution'>!</span>Doubt about the record: absolute humidity is 5.15 times"
+    )
+    assert "wrong &lt;column&gt;.</li>" in page
+
+
+def test_a_free_run_that_fails_gets_no_good_mark() -> None:
+    fit, _ = report_case()
+    fit["readings_sd"] = {"validation": {"temperature_K": 4.0, "absolute_humidity_g_m3": 2.0}}
+    kept = judgements(fit)
+    fit["readings_sd"]["validation"]["temperature_K"] = 0.1
+    fit["bands"]["free_run"] = {"absolute_humidity_g_m3": {"coverage": 0.31, "n": 250}}
+    found = {one.sentence: one.kind for one in judgements(fit)}
+
+    def kind_of(words: str) -> str:
+        return next(kind for sentence, kind in found.items() if words in sentence)
+
+    assert sum("the model carries over" in one.sentence for one in kept) == 2
+    assert kind_of("more than the standard deviation of the readings (0.10 K)") == "care"
+    assert sum("carries over" in sentence for sentence in found) == 1
+    assert kind_of("band of the absolute humidity holds only 31 % of the readings in validation") == "bad"
+    for words in ("fails for the temperature.", "fails for the temperature and the absolute humidity."):
+        assert kind_of(words) == "care"
+    del fit["readings_sd"]
+    assert sum("the model carries over" in one.sentence for one in judgements(fit)) == 2
+
+
+@pytest.mark.parametrize(
+    ("bounds", "words"),
+    [
+        ((0.6, 1.7), "the criteria agree"),
+        ((0.0, 7.0), "so wide that it hardly says anything"),
+        ((0.5, 1.6), "so wide that it hardly says anything"),
+        ((0.5, None), "without bounds, so it hardly says anything"),
+    ],
+)
+def test_the_criteria_agree_only_where_the_free_run_says_something(bounds, words) -> None:
+    fit, _ = report_case()
+    row = {"value_h": 1.0, "lower_h": bounds[0], "upper_h": bounds[1]}
+    fit["time_constants"]["thermal"]["simulation"] = row
+    found = {one.sentence: one.kind for one in judgements(fit)}
+    kind = next(kind for sentence, kind in found.items() if f"thermal time constant: {words}" in sentence)
+    assert kind == ("good" if words == "the criteria agree" else "care")
+
+
+def test_tests_that_fail_are_named_by_kind() -> None:
+    fit, _ = report_case()
+    for row in fit["innovations"]["tests"]:
+        row["rejected"] = (row["output"], row["test"]) == ("temperature", "mean")
+    found = judgements(fit)[-1]
+    count = len(fit["innovations"]["tests"])
+    words = (
+        f"1 of {count} tests speaks against white innovations (mean), none of them by a correlation (below)."
+    )
+    assert (found.kind, found.sentence) == ("care", words)
+    for row in fit["innovations"]["tests"]:
+        row["rejected"] = row["test"] == "mean" or row["test"].startswith("correlation with power")
+    found = judgements(fit)[-1]
+    assert "tests speak against white innovations (mean, correlation with inputs), by corr" in found.sentence
 
 
 def test_numbers_in_words() -> None:
