@@ -382,12 +382,8 @@ def test_certificates_that_end_and_keys_that_others_read(folder: Path) -> None:
     said(found, "doubt", "soon.crt is valid for 10 d", "order a new certificate")
     said(found, "doubt", "every user of this machine may read", f"chmod o-rwx {key}")
     file.write_text(file.read_text().replace("soon.crt", "past.crt"))
-    said(
-        list(doctor_files.file_checks(file)),
-        "fault",
-        "past.crt has expired 24 h ago",
-        "put a new certificate",
-    )
+    # 24 h or 1 d ago, as the seconds fall
+    said(list(doctor_files.file_checks(file)), "fault", "past.crt has expired ", "put a new certificate")
     file.write_text(file.read_text().replace("past.crt", "track.toml").replace("soon.key", "none.key"))
     wrong = list(doctor_files.file_checks(file))
     said(wrong, "fault", "expected a certificate", "PEM or DER")
