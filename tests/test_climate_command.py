@@ -445,3 +445,17 @@ def test_weather_that_does_not_suffice_is_named(folder: Path, capsys: pytest.Cap
     assert main(words) == 2
     assert "site (single.toml): the ambient series have no stretch" in capsys.readouterr().err
     assert not (folder / "refused").exists()
+
+
+@pytest.mark.parametrize(("share", "advice"), [(0.5, "a hotter chamber"), (2.0, "a colder chamber")])
+def test_years_out_of_reach_leave_the_page_whole(share: float, advice: str) -> None:
+    """What the test ages too little or too much is told, and the picture of every region keeps an id of its own."""
+    found = climate_profile(known_fit(), [Region("here", made_up_weather(40))], members=3).to_json()
+    found = json.loads(dump(found))
+    profile = found["regions"][0]["test_profile"]
+    ageing = profile["closeness"]["ageing"]
+    whole = climate_page(found)
+    profile["reached"], ageing["test_h"] = False, share * ageing["service_h"]
+    page = climate_page(found)
+    assert advice in page and advice not in whole
+    assert page.count("r1-profile") == whole.count("r1-profile") > 0

@@ -122,8 +122,9 @@ def simulate_years(
 ) -> Iterator[Year]:
     """Years of weather and power (a record), one after the other, through every member's model.
 
-    `rare`: noise that comes as shots (`shots_of`); what is not named there is Gaussian.  Without `process` the disturbances stay at what is expected of them: parameters alone.  Raises ValueError where the
-    record lacks what the model reads.
+    `rare`: noise that comes as shots (`shots_of`); what is not named there is Gaussian.  Without `process` the disturbances
+    stay at what is expected of them: parameters alone.  Raises ValueError where the record lacks what the model reads, and
+    where a member's model runs away.
     """
     made = course(fit, record)
     design = read_as(fit.design, record)

@@ -206,10 +206,10 @@ def _profile(region: Mapping, short: str) -> list[str]:
         f"{percent(profile['share_at_chamber_limit'])} of the hours stand at a limit of the chamber's temperature."
     )
     if not profile["reached"]:
-        short = close["ageing"]["test_h"] < close["ageing"]["service_h"]
+        too_little = close["ageing"]["test_h"] < close["ageing"]["service_h"]
         words += (
             " The stated years of service are out of reach within these limits and this length: state "
-            f"{'a longer test, fewer years, or a hotter chamber' if short else 'a shorter test, more years, or a colder chamber'}."
+            f"{'a longer test, fewer years, or a hotter chamber' if too_little else 'a shorter test, more years, or a colder chamber'}."
         )
     return [
         f"<p>{prose(words)}</p>",

@@ -89,7 +89,8 @@ def driven(fit: Fit, weather: Record, power: Record | PowerCurve | None) -> tupl
     """Weather and power as a record for a fit's model, and in words how they were put together.
 
     `power`: a record of it, a power curve, or None for standstill all year.  The record's pre-heating goes with its power
-    where that is taken at its own hours.  The weather's own power, cabinet and pre-heating are left out.  Raises PowerFault where the power cannot be had.
+    where that is taken at its own hours.  The weather's own power, cabinet and pre-heating are left out.  Raises PowerFault
+    where the power cannot be had.
     """
     said = []
     kept = [s for s in weather.series if not s.signal.startswith(("cabinet_", "active_power", "preheating"))]
