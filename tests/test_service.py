@@ -203,8 +203,14 @@ def test_told_to_end_while_the_store_is_away_it_ends(
     def refusing(url: str):
         raise StoreFault("not reached")
 
+    def failing(batch):  # in the thread that owns the connection: every write fails from here on
+        store.database.connection.execute("PRAGMA query_only = on")
+        real_commit(batch)
+
+    store = service.store
+    real_commit = store.commit
     monkeypatch.setattr(module, "open_store", refusing)
-    service.store.database.connection.execute("PRAGMA query_only = on")  # every write fails from here on
+    store.commit = failing
     first.go_on()
     until(lambda: service.health.failures)
     service.stop()
