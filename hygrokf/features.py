@@ -15,6 +15,7 @@ import numpy as np
 from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h, centred
 from hygrokf.loops import LINEAR, ZERO_ORDER
 from hygrokf.record import Record, Series, Site
+from hygrokf.switches import SWITCHES, Switch
 
 DAY_S = 86400.0
 SOLAR_CONSTANT = 1361.0
@@ -144,25 +145,18 @@ def standstill(record: Record, time: np.ndarray) -> np.ndarray:
 
 
 def cooling(record: Record, time: np.ndarray, on_K: float, off_K: float) -> np.ndarray:
-    """A cooling stage that starts above `on_K` and stops below `off_K` of the cabinet temperature."""
-    return two_point(_reading(record, "cabinet_temperature", time), on_K, off_K, np.ones(len(time), bool))
+    """A cooling stage by the cabinet's readings; see `switches`."""
+    return _switched(record, time, SWITCHES["cooling"](on_K, off_K))
 
 
 def heating(record: Record, time: np.ndarray, reads: str, on: float, off: float) -> np.ndarray:
-    """A heater at standstill: a thermostat on the cabinet temperature [K] or a humidistat on its relative humidity [1].
-
-    `reads` the signal; a thermostat starts below `on` and stops above `off`, a humidistat the other way round.
-    """
-    value = _reading(record, reads, time)
-    idle = ~operating(record, time)
-    if reads == "cabinet_temperature":
-        return two_point(-value, -on, -off, idle)
-    return two_point(value, on, off, idle)
+    """A heater at standstill by the cabinet's readings; see `switches`.  `reads` the signal."""
+    return _switched(record, time, SWITCHES["heating"](reads, on, off))
 
 
 def drying(record: Record, time: np.ndarray, on: float, off: float) -> np.ndarray:
-    """A drier that starts above `on` and stops below `off` of the cabinet's relative humidity [1]."""
-    return two_point(_reading(record, "cabinet_relative_humidity", time), on, off, np.ones(len(time), bool))
+    """A drier by the cabinet's readings; see `switches`."""
+    return _switched(record, time, SWITCHES["drying"](on, off))
 
 
 FEATURES: Mapping[str, tuple[Callable, str]] = {
@@ -207,16 +201,6 @@ def feature_faults(features: Mapping[str, Mapping]) -> list[str]:
         if not isinstance(settings, Mapping) or not needed <= set(settings) <= set(known):
             faults.append(f"{name}: expected the settings {', '.join(known) or 'none'}, found {settings!r}")
     return faults
-
-
-def two_point(value: np.ndarray, on_above: float, off_below: float, allowed: np.ndarray) -> np.ndarray:
-    """State (T,) of a two-point switch: 1 from the first value above `on_above` to the first below `off_below`.
-
-    value: (T,), a missing one changes nothing. allowed: (T,) bool, off elsewhere.
-    """
-    event = np.where(~allowed | (value < off_below), -1, np.where(value > on_above, 1, 0))
-    last = np.maximum.accumulate(np.where(event != 0, np.arange(len(value)), -1))
-    return ((last >= 0) & (event[np.maximum(last, 0)] > 0)).astype(float)
 
 
 def operating(record: Record, time: np.ndarray) -> np.ndarray:
@@ -277,7 +261,16 @@ def _signal(record: Record, name: str, time: np.ndarray) -> np.ndarray:
     return np.where(np.isnan(value), np.nanmean(series.value), value)
 
 
-def _reading(record: Record, name: str, time: np.ndarray) -> np.ndarray:
-    if name not in record:
-        raise ValueError(f"the model switches by {name}, which the record does not have; add the signal")
-    return at_times(centred(record[name]), time, READING_BRIDGE_H)
+def _switched(record: Record, time: np.ndarray, switch: Switch) -> np.ndarray:
+    """State (T,) of a switch by the record's readings; a run without any reading of the cabinet has it off.
+
+    That run can only be simulated, and a simulation drives its switches itself (`switching`).
+    """
+    if not any(signal.startswith("cabinet_") for signal in record.signals):
+        return np.zeros(len(time))
+    if switch.reads not in record:
+        raise ValueError(
+            f"the model switches by {switch.reads}, which the record does not have; add the signal"
+        )
+    value = at_times(centred(record[switch.reads]), time, READING_BRIDGE_H)
+    return switch.course(value, ~operating(record, time))

@@ -12,6 +12,10 @@ from hygrokf.stamps import duration_text, modal_step, period_text, stamp_text
 
 SATURATED = 0.995
 """[-] relative humidity from which a reading is censored: the sensor cannot show more."""
+PILED = 5
+"""Times as many readings at the ceiling as below it."""
+PILE_WIDTHS = (0.0, 0.005, 0.01, 0.015)
+"""[-] ranges in which noise spreads the readings of saturated air."""
 
 FROZEN_MINIMUM = 6
 """Identical readings in a row below which no sensor is called frozen."""
@@ -167,14 +171,22 @@ def mask_saturated(series: Series) -> tuple[Series, tuple[str, ...]]:
 
 
 def _ceiling(humidity: np.ndarray) -> float:
-    """Highest reading if readings pile up on it, else infinity [-]."""
+    """Lowest of the readings that pile up at the top, else infinity [-].
+
+    They pile up on one value, or, where the sensor has noise, in a narrow range: at least `PILED` times as many as in a
+    range of the same width, and of 1 % at least, below.
+    """
     finite = humidity[np.isfinite(humidity)]
     if not len(finite) or finite.max() < 0.95:
         return np.inf
-    top = finite.max()
-    at_top = np.sum(finite >= top - 1e-9)
-    below = np.sum((finite >= top - 0.01 - 1e-9) & (finite < top - 1e-9))
-    return float(top) if at_top >= 20 and at_top > 5 * below else np.inf
+    top = float(finite.max())
+    for width in PILE_WIDTHS:
+        edge = top - width - 1e-9
+        at_top = np.sum(finite >= edge)
+        below = np.sum((finite >= edge - max(width, 0.01)) & (finite < edge))
+        if at_top >= 20 and at_top > PILED * below:
+            return top - width
+    return np.inf
 
 
 def mask_frozen(series: Series) -> tuple[Series, tuple[str, ...]]:

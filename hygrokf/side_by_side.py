@@ -53,7 +53,7 @@ class SideBySide:
         self._theta, self._state = self._in_blocks(parameters), self._in_blocks(moments)
         blocks = len(self._state)
         runs = blocks * RUNS
-        self._keys = np.zeros((1 + len(self.regimes), runs))
+        self._keys = np.full((1 + len(self.regimes), runs), np.nan)
         self._parts = np.ones(runs)
         self._known = np.empty((blocks, max(1, len(kept_nodes(recursion))), RUNS))
         self._before, self._now = (np.zeros((max(1, len(self.varying)), runs)) for _ in range(2))
@@ -120,7 +120,7 @@ class SideBySide:
         self._fill(self._keys[0], hours / parts)
         for place, name in enumerate(self.regimes):
             self._fill(self._keys[1 + place], inputs[name])
-        # the keys are zero before the first step, which no step is
+        # before the first step the keys are no numbers, which equal none, and what is kept is computed at it
         changed = np.any(self._keys != keys, axis=0)
         self._code(
             "fleet", len(self._state), self._theta, self._keys, self._parts, _of_blocks(self._parts), _of_blocks(changed),

@@ -14,6 +14,7 @@ from hygrokf.design import Design
 from hygrokf.drivers import Run
 from hygrokf.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
+from hygrokf.switching import self_switched
 
 QUANTITIES = ("temperature_K", "relative_humidity", "absolute_humidity_g_m3")
 
@@ -186,8 +187,10 @@ def free_run(
 ) -> Prediction:
     """The model driven by its inputs alone, from the start of the run to its end, with the predictive spread.
 
+    Switches follow what the simulation itself would show (`switching`), and the spread takes their course as given.
     `covariance` (names, (r, r) in the parameters' units) adds the parameters' uncertainty to first order.
     """
+    run = self_switched(design, values, [run])[0]
     blind = run.timeline.with_readings(np.full_like(run.timeline.y, np.nan))
     likelihood = Likelihood(design.model, blind)
     made = predicted_readings(design, values, run, likelihood.trace(values))
@@ -258,15 +261,18 @@ def forecasts(
         return {}
     starts = there[np.unique(np.linspace(0, len(there) - 1, min(count, len(there))).astype(int))]
     step = float(np.median(np.diff(t.time[there])))
-    for start in starts:
-        last = int(np.searchsorted(t.time, t.time[start] + max(leads_h) + step, side="right"))
-        if last - start < 3:
-            continue
+    ends = np.searchsorted(t.time, t.time[starts] + max(leads_h) + step, side="right")
+    starts, ends = starts[ends - starts >= 3], ends[ends - starts >= 3]
+    states = [Gaussian(trace.mean[start], trace.covariance[start]) for start in starts]
+    pieces = []
+    for start, last in zip(starts, ends, strict=True):
         part = t.window(start + 1, last)
         part = part.with_readings(np.full_like(part.y, np.nan))
-        state = Gaussian(trace.mean[start], trace.covariance[start])
+        pieces.append(Run(part, run.operating[start + 1 : last], run.scored[start + 1 : last]))
+    pieces = self_switched(design, values, pieces, states)
+    for start, last, piece, state in zip(starts, ends, pieces, states, strict=True):
+        part = piece.timeline
         ahead = Likelihood(design.model, part).trace(values, start=state)
-        piece = Run(part, run.operating[start + 1 : last], run.scored[start + 1 : last])
         made = predicted_readings(design, values, piece, ahead)
         for lead in leads_h:
             for quantity in QUANTITIES:

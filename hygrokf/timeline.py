@@ -69,6 +69,14 @@ class Timeline:
             raise ValueError(f"expected readings of shape {self.y.shape}, found {y.shape}")
         return replace(self, y=np.ascontiguousarray(y, dtype=float))
 
+    def with_inputs(self, inputs: Mapping[str, np.ndarray]) -> Timeline:
+        """The same run with other values (T,) of inputs that vary within steps; its range is that of both."""
+        u = self.u.copy()
+        for name, value in inputs.items():
+            u[1:, self.varying.index(name)] = value
+        made = replace(self, u=u)
+        return replace(made, whole={n: np.append(value, made.input(n)) for n, value in self.whole.items()})
+
     def window(self, first: int, last: int) -> Timeline:
         """Instants first … last−1; the step to the first one is kept, to be taken from an earlier state."""
         part = slice(first, last)

@@ -11,7 +11,7 @@ from plants.as_record import to_record
 
 from hygrokf.design import Design, design, extended
 from hygrokf.drivers import run
-from hygrokf.features import FEATURES, clear_sky, feature, feature_faults, two_point
+from hygrokf.features import FEATURES, clear_sky, feature, feature_faults
 from hygrokf.record import Record, Series, Site
 
 HOUR = 3600.0
@@ -25,13 +25,6 @@ def series(name: str, value: np.ndarray, step: float = 600.0, **more: object) ->
 @pytest.fixture(scope="module")
 def record() -> Record:
     return to_record(plant(77, days=12.0))
-
-
-def test_a_two_point_switch_has_hysteresis() -> None:
-    value = np.array([0.0, 2.0, 1.0, 1.5, -1.0, 1.0, 3.0, np.nan, 1.0, 3.0])
-    allowed = np.array([True] * 9 + [False])
-    found = two_point(value, 1.8, 0.5, allowed)
-    assert found.tolist() == [0, 1, 1, 1, 0, 0, 1, 1, 1, 0]
 
 
 def test_dates_windows_and_the_calendar() -> None:

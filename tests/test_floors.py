@@ -15,7 +15,7 @@ ROOT = Path(hygrokf.__file__).parent
 FACE = "hygrokf"
 FLOORS = (
     # what knows nothing of the package
-    "expression machine moments parameters signals psychrometrics files lookup version discovery live weather live.schema live.reasons live.certificates climate climate.form climate.cycles climate.bounds climate.acceleration resampling transfer fleet",
+    "expression machine moments parameters signals psychrometrics files lookup version discovery live weather live.schema live.reasons live.certificates climate climate.form climate.cycles climate.bounds climate.acceleration resampling transfer fleet switches",
     # text of code, one step, what a record is
     "console emission discretisation record stamps live.database surface climate.chamber",
     "running_sums case_keys live.table_reader live.sqlite live.postgres live.check",
@@ -33,7 +33,8 @@ FLOORS = (
     # the estimation
     "likelihood design",
     "fitting kalman drivers thermal side_by_side",
-    "confidence periods simulation",
+    "switching confidence periods",
+    "simulation",
     # judgement
     "output_error scoring stationary diagnosis discovery.significance",
     "stage",

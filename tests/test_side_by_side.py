@@ -149,3 +149,18 @@ def test_runs_differ_in_everything(count: int) -> None:
         assert runs.mean == pytest.approx(np.array([t.mean[k] for t in traces]), rel=1e-9, abs=1e-9)
         expected = np.array([t.covariance[k] for t in traces])
         assert runs.covariance == pytest.approx(expected, rel=1e-9, abs=1e-9)
+
+
+def test_a_first_step_that_takes_no_time_changes_nothing() -> None:
+    """What is kept between steps is computed at it, too: it is not what the memory held before."""
+    model = host(drying_above(7.2))
+    t, values = some_run(model, 3), some_values(model)
+    own = Likelihood(model, t)
+    begin = own.first_gaussian(values)
+    for _ in range(20):  # fresh memory is zero at times
+        np.full(5000, 1e6)
+        runs = SideBySide(model, [values], [begin], [own.rate(values)])
+        inputs = {n: t.input(n)[:1] for n in model.inputs}
+        runs.begin(inputs)
+        runs.step(0.0, inputs)
+        assert runs.mean[0] == pytest.approx(begin.mean, rel=1e-12)

@@ -14,6 +14,7 @@ from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scene import Scene
 from hygrokf.discovery.trial import MATERIAL, Trial, attempt, polished, refined, started
 from hygrokf.stage import Progress
+from hygrokf.switches import SWITCHES
 
 EVIDENCE = 10.0
 """Gain in 2 ln L beyond the price of parameters and grid (BIC) that counts as strong."""
@@ -21,10 +22,8 @@ WORSE = -0.02
 """A cause that makes the free run of a part worse by more than this share is no cause."""
 WORSE_SWITCHED = -0.15
 """The same for switches: triggers on sampled readings miss the short cycles, and the cycles' phase is soon lost."""
-SWITCHES = {"heating", "cooling", "drying"}
-"""Features that are switches."""
-SMALLEST_SHIFT_S = 240.0
-"""[s] below this a clock error is ordinary."""
+SATURATION = 0.97
+"""[1] relative humidity from which a ceiling is no fault of a sensor: saturated air, read with a sensor's accuracy."""
 CLOSE = 10.0
 """Difference in evidence below which two acceptable causes are not told apart."""
 HALF = 0.5
@@ -37,11 +36,19 @@ SHARE = 0.15
 """Share of an accepted cause's evidence that a further cause of the same part must have, and all of it where the free run
 does not gain: the true form is never known, and what it differs in is left behind."""
 LEAD = 0.3
-"""Share of its evidence by which a further cause must be ahead of all others where the free run does not speak for it."""
+"""Share of its evidence by which a further cause must be ahead of all others where the free run does not speak for it, and
+the first one ahead of those that are not worth having."""
+CLEAR = 2.0 * MATERIAL
+"""Lasting gain from which the free run speaks for a cause by itself; below it no cause that is not worth having has more
+evidence."""
+INSIDE = 0.2
+"""Share of the squared free-run error within its windows that an event must take away: bursts of a disturbance draw windows
+upon themselves too, and no exchange explains what goes on in them."""
 EXPLAINED = "what it explains is explained by the accepted causes"
 NOT_AHEAD = (
     "beside the accepted causes it does not simulate better, and other causes have nearly as much evidence"
 )
+OVERSHADOWED = "causes that are not worth having have more evidence: the record departs from the model in ways that look like it"
 RETRY = 8.0
 """2 Δ ln L below which a cause is not tried again beside an accepted one."""
 
@@ -75,8 +82,13 @@ def verdict_on(trial: Trial, cause: Cause) -> str:
     worse = WORSE_SWITCHED if switches(trial) else WORSE
     if min(trial.gain.values(), default=0.0) < worse and trial.best_lasting < 4.0 * -WORSE:
         return "it makes the free run worse"
-    if cause.name == "clock_shift" and abs(float(trial.variant.settings["shift_s"])) < SMALLEST_SHIFT_S:
+    stated = trial.variant.settings
+    if cause.name == "clock_shift" and abs(float(stated["shift_s"])) < float(stated["ordinary_s"]):
         return "a clock error of this size is ordinary"
+    if trial.value("humidity_ceiling", 0.0) > SATURATION:
+        return "a ceiling as near to saturation as that is one of the air, not of the sensor"
+    if trial.inside is not None and trial.inside < INSIDE:
+        return "the free run gains too little in the windows in which it is said to have happened"
     if trial.best_lasting < MATERIAL and trial.bic_gain < cause.alone:
         return "significant, but the free run gains too little, or on a few days alone"
     return ""
@@ -92,7 +104,7 @@ def _settled(scene: Scene, trial: Trial) -> Trial:
 
 def switches(trial: Trial) -> bool:
     """Whether what was tried is a switch."""
-    return bool(SWITCHES & set(trial.variant.features))
+    return bool(SWITCHES.keys() & set(trial.variant.features))
 
 
 def worth(trial: Trial) -> float:
@@ -112,9 +124,12 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
         say(cause.name.replace("_", " "))
         trials += [_settled(scene, attempt(scene, variant)) for variant in cause.variants(scene)]
     tried = len(trials)
+    firsts = list(trials)
     first = {t.variant.cause: t for t in sorted(trials, key=worth)}  # the best of each cause comes last
     while True:
-        good = [t for t in trials if t.variant.cause not in behind and not _reason(t, accepted, library)]
+        good = [
+            t for t in trials if t.variant.cause not in behind and not _reason(t, trials, accepted, library)
+        ]
         good.sort(key=worth, reverse=True)
         if not good:
             break
@@ -145,11 +160,38 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
     # what was accepted beside a cause is no longer another name for it
     apart = tuple(tuple(t for t in one if t.variant.cause not in names) for one in rivals)
     rejected = tuple(
-        (t, verdict_on(t, named(name, library)) or (NOT_AHEAD if name in behind else EXPLAINED))
+        (
+            t,
+            verdict_on(t, named(name, library))
+            or (NOT_AHEAD if name in behind else "" if accepted else overshadowed(t, firsts, library))
+            or EXPLAINED,
+        )
         for name, t in first.items()
         if name not in names
     )
     return Choice(tuple(accepted), apart, tuple(margins), tried, rejected, scene)
+
+
+def overshadowed(trial: Trial, trials: Sequence[Trial], library: Sequence[Cause]) -> str:
+    """Why other trials take a trial's evidence its weight; empty where they do not.
+
+    A cabinet is no network of two resistances, and likelihood notices: many causes then gain hundreds in 2 ln L and simulate
+    nothing better.  What gains no more than they do is one of them, unless the free run speaks for it clearly.  A small
+    error of a clock counts as none of them: every record has one.
+    """
+    if trial.best_lasting >= CLEAR:
+        return ""
+    idle = [
+        worth(other)
+        for other in trials
+        if other.variant.cause != trial.variant.cause
+        and other.variant.shift is None
+        and other.best_lasting < MATERIAL
+        and set(other.parts) & set(trial.parts)
+        and verdict_on(other, named(other.variant.cause, library))
+    ]
+    least = max(idle, default=0.0) / (1.0 if trial.best_lasting >= MATERIAL else 1.0 - LEAD)
+    return OVERSHADOWED if worth(trial) < least else ""
 
 
 def _ahead(best: Trial, class_: Sequence[Trial], trials: Sequence[Trial]) -> float:
@@ -170,9 +212,11 @@ def _preferred(good: Sequence[Trial]) -> Trial:
     return max(better, key=lambda t: t.best_lasting, default=best)
 
 
-def _reason(trial: Trial, accepted: Sequence[Trial], library: Sequence[Cause]) -> str:
+def _reason(
+    trial: Trial, trials: Sequence[Trial], accepted: Sequence[Trial], library: Sequence[Cause]
+) -> str:
     """Why a trial is not acceptable beside the accepted ones."""
-    reason = verdict_on(trial, named(trial.variant.cause, library))
+    reason = verdict_on(trial, named(trial.variant.cause, library)) or overshadowed(trial, trials, library)
     if reason:
         return reason
     share = SHARE if trial.best_lasting >= MATERIAL else 1.0

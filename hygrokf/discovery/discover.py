@@ -13,7 +13,7 @@ from hygrokf.discovery.evidence import cause_entry, evidence
 from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.misfits import misfits
 from hygrokf.discovery.own_causes import adopt, origins_of
-from hygrokf.discovery.remainder import structure, unlogged
+from hygrokf.discovery.remainder import remaining
 from hygrokf.discovery.repeats import REPEATED, repeated_text, without_repeats
 from hygrokf.discovery.residuals import Residuals, residuals
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, part_of, simulating
@@ -92,7 +92,8 @@ def discover(
     before = residuals(base, record)
     after = before if extended is None else residuals(extended, moved)
     fits = ((base, simulator), (extended, after_all)) if extended is not None else ((base, simulator),) * 2
-    results = _results(scene, (before, after), fits, choice, stages, library, repeated)
+    left = remaining((after, residuals(fits[1][1], moved)))
+    results = _results(scene, before, left, fits, choice, stages, library, repeated)
     return Discovery(base, extended, results, before, after if extended is not None else None)
 
 
@@ -119,22 +120,23 @@ def _stages(basis: Basis, choice: Choice, say: Progress) -> tuple[Stage, ...]:
     return tuple(found)
 
 
-def verdict(accepted: Sequence[Trial], remaining: Mapping | None, foreign: bool, repeated: bool) -> str:
+def verdict(accepted: Sequence[Trial], rest: Mapping | None, foreign: bool, repeated: bool) -> str:
     """`none`, `named` or `unexplained`.
 
-    remaining: structure that is left; foreign: whether unrest goes with one side; repeated: whether readings were set
+    rest: structure that is left; foreign: whether unrest goes with one side; repeated: whether readings were set
     aside.  Both overrule what was accepted, the first but for switches: simulated ones lose their phase, and what their
     cycles leave goes to one side too.
     """
     overruled = repeated or (foreign and not any(switches(trial) for trial in accepted))
     if accepted and not overruled:
         return "named"
-    return "none" if remaining is None else "unexplained"
+    return "none" if rest is None else "unexplained"
 
 
 def _results(
     scene: Scene,
-    errors: tuple[Residuals, Residuals],
+    before: Residuals,
+    left: tuple[dict | None, bool],
     fits: tuple[tuple[Fit, Fit], tuple[Fit, Fit]],
     choice: Choice,
     stages: Sequence[Stage],
@@ -142,11 +144,10 @@ def _results(
     repeated: Mapping[str, list],
 ) -> dict:
     (base, _), (extended, _) = fits
-    shown = misfits(errors[0])
-    foreign = unlogged(errors[1])
-    remaining = foreign or structure(errors[1])
+    shown = misfits(before)
+    rest, foreign = left
     if repeated:
-        remaining = {
+        rest = {
             "quantity": "readings", "kind": REPEATED, "when": "", "driver": None, "lag_h": None,
             "correlation": 0.0, "p": 0.0, "statement": repeated_text(repeated),
         }  # fmt: skip
@@ -160,7 +161,7 @@ def _results(
         "name": base.results["name"],
         "version": __version__,
         "synthetic": base.results["synthetic"],
-        "verdict": verdict(choice.accepted, remaining, foreign is not None, bool(repeated)),
+        "verdict": verdict(choice.accepted, rest, foreign, bool(repeated)),
         "baseline": _scores(base),
         "extended": None if extended is base else _scores(extended),
         "misfits": [one.to_json() for one in shown],
@@ -174,7 +175,7 @@ def _results(
             }
             for t, reason in choice.rejected
         ],
-        "unexplained": remaining,
+        "unexplained": rest,
         "own_causes": {
             cause.name: origins_of(cause) for cause in library if cause.mechanisms or cause.features
         },

@@ -51,6 +51,7 @@ SEEN = 0.5
 LASTING = 0.25
 """[1] share of a step between two readings that the means before and after must show; twice that where a kick of the
 cabinet, soon forgotten, would explain the readings as well."""
+LASTING_KINDS = ("step", "drift", "season")
 NAMES = {"temperature": "temperature", "humidity": "absolute humidity"}
 
 
@@ -84,6 +85,11 @@ class Misfit:
     kind: str
     curve: Mapping[str, object] = field(default_factory=dict)
     spans: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def once(self) -> bool:
+        """Whether there was a single occasion for it: nothing says that it would come again."""
+        return self.n_possible == 1 and self.kind not in LASTING_KINDS
 
     @property
     def unit(self) -> str:

@@ -39,13 +39,14 @@ def structure(
     """The strongest structure left in the errors, or None: quantity, when, what it goes with, p.
 
     level: [1] chance of an answer where there is none.  found: `misfits(residuals)` if at hand.  Looked for are misfits
-    under any condition, and excursions to one side under no condition that was logged.  `driver`, `lag_h` and
+    under any condition that came more than once, and excursions to one side under no condition that was logged.  `driver`, `lag_h` and
     `correlation` name the driver that the error follows best.
     """
     found = misfits(residuals, level) if found is None else found
+    recurring = [one for one in found if not one.once]
     hours = hourly(residuals)
-    if found:
-        one = found[0]
+    if recurring:
+        one = recurring[0]
         when = ", ".join(part for part in (one.when, one.where) if part)
         return _left(hours, one.quantity, "condition", when, one.statement, one.q, one.driver)
     for quantity in QUANTITIES:
@@ -67,6 +68,18 @@ def structure(
         )
         return _left(hours, quantity, "one-sided excursions", when, words, p)
     return None
+
+
+def remaining(pair: tuple[Residuals, Residuals]) -> tuple[dict | None, bool]:
+    """(structure that is left or None, whether it is unrest to one side) in the errors of a model's two versions.
+
+    pair: as estimated by innovations, and moved toward its least free-run error.  What the second one does not show is a
+    poor simulator's, and no effect: a model that is wrong in its form is estimated to foretell the next reading.
+    """
+    first, second = (unlogged(one) for one in pair)
+    if first and second and first["quantity"] == second["quantity"]:
+        return second, True
+    return (structure(pair[1]) if structure(pair[0]) else None), False
 
 
 def unlogged(residuals: Residuals) -> dict | None:

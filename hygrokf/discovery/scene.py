@@ -22,6 +22,7 @@ from hygrokf.psychrometrics import absolute_humidity
 from hygrokf.record import Record
 from hygrokf.stage import Estimated, Progress, estimated, smoothed_temperature
 from hygrokf.stationary import heat_release_regression
+from hygrokf.switching import self_switched, switches_of
 from hygrokf.timeline import Timeline
 
 THERMAL = "thermal"
@@ -187,15 +188,27 @@ def free_run_error(base: Design, made: Run, values: Mapping[str, float]) -> np.n
 
 
 def simulating(part: Part, steps: int = 3) -> dict[str, float]:
-    """Values of a part's parameters after steps toward the least free-run error, sensors within their accuracy."""
-    values, least = dict(part.values), math.inf
-    for _ in range(steps + 1):
-        there, error, _, stepped = _toward_free_run(part.base, part.run, values)
-        square = float(np.nansum(error[there] ** 2))
-        if not square < least:
-            break
-        least, best, values = square, values, stepped
-    return best
+    """Values of a part's parameters after steps toward the least free-run error, sensors within their accuracy.
+
+    Switches drive themselves in it.  A step of first order knows nothing of when they would switch then, so it is begun
+    from the estimate, and from where steps with the switches' course by readings lead.
+    """
+
+    def descended(values: Mapping[str, float], own: bool) -> tuple[float, dict[str, float]]:
+        values, least = dict(values), math.inf
+        for _ in range(steps + 1):
+            made = self_switched(part.base, values, [part.run])[0] if own else part.run
+            there, error, _, stepped = _toward_free_run(part.base, made, values)
+            square = float(np.nansum(error[there] ** 2))
+            if not square < least:
+                break
+            least, best, values = square, values, stepped
+        return least, best
+
+    _, values = descended(part.values, own=False)
+    if not switches_of(part.base):
+        return values
+    return min((descended(start, own=True) for start in (part.values, values)), key=lambda one: one[0])[1]
 
 
 def _toward_free_run(

@@ -14,6 +14,7 @@ from hygrokf.discovery.clocks import HOUR_S, Shift, shifted, sources
 from hygrokf.discovery.scene import Part, Scene, climbed, days, refitted, searching
 from hygrokf.drivers import run
 from hygrokf.likelihood import Trace
+from hygrokf.record import Record
 from hygrokf.timeline import Timeline
 
 MATERIAL = 0.05
@@ -26,6 +27,10 @@ CLOCK_REACH_S = (480.0, 160.0, 50.0)
 """[s] how far around a shift the next one is looked for, all parameters estimated again before each."""
 CLOCK_S = 15.0
 """[s] by which a shift is moved at least."""
+SMALLEST_SHIFT_S = 240.0
+"""[s] below this a clock error is ordinary."""
+OF_INTERVAL = 0.6
+"""The same as a share of the interval over which a source takes means."""
 SENSOR_ERRORS = ("humidity_drift_total", "humidity_scale_error", "temperature_offset")
 """Parameters whose bounds are what a sensor can be off by."""
 AT_BOUND = 1e-4
@@ -43,7 +48,8 @@ class Trial:
 
     `parts` the parts that it changed; `lr` 2 Δ ln L of them together, `parameters` their new ones, `bic_gain` lr less
     the price of parameters and grid; `gain` part → share of the squared free-run error that is gone, `lasting` the
-    same without the three days that gained most, `episodes` in how many episodes it was gained.
+    same without the three days that gained most, `episodes` in how many episodes it was gained.  `inside` the share that
+    is gone within the windows of an event, in the part that gains most there; None for what has none.
     """
 
     variant: Variant
@@ -54,6 +60,11 @@ class Trial:
     gain: Mapping[str, float]
     lasting: Mapping[str, float]
     episodes: Mapping[str, int]
+    inside: float | None = None
+
+    def value(self, parameter: str, otherwise: float) -> float:
+        """A parameter's estimate in the parts that it changed; `otherwise` where none has it."""
+        return next((p.values[parameter] for p in self.parts.values() if parameter in p.values), otherwise)
 
     @property
     def best_lasting(self) -> float:
@@ -167,7 +178,25 @@ def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
         n += before.n
         gain[name], lasting[name] = shares(before, part)
     count = max(count, 1)
-    return Trial(variant, dict(parts), lr, count, lr - penalty(variant, count, n), gain, lasting, often)
+    spans = variant.settings.get("spans", ())
+    windows = [share_inside(scene.parts[name], part, spans) for name, part in parts.items()] if spans else []
+    price = penalty(variant, count, n)
+    return Trial(
+        variant, dict(parts), lr, count, lr - price, gain, lasting, often, max(windows) if windows else None
+    )
+
+
+def share_inside(before: Part, after: Part, spans: Sequence[Sequence[float]]) -> float:
+    """Share of the squared free-run error within windows (start, end) [s] that is gone."""
+
+    def square(part: Part) -> float:
+        there = np.zeros(len(part.time_s), bool)
+        for start, end in spans:
+            there |= (part.time_s > start) & (part.time_s <= end)
+        return float(np.nansum(part.error[there] ** 2))
+
+    old = square(before)
+    return 1.0 - square(after) / old if old > 0.0 else 0.0
 
 
 def daily_squares(before: Part, after: Part) -> tuple[np.ndarray, np.ndarray]:
@@ -286,11 +315,22 @@ def _shifted(scene: Scene, variant: Variant) -> Trial:
         "source": source,
         "shift_s": seconds,
         "summer_time": shift.summer,
+        "ordinary_s": ordinary_shift(scene.record, source),
     }
     variant = replace(variant, shift=shift, settings=settings)
     if seconds == 0.0:
         return Trial(variant, {}, 0.0, 1, -penalty(variant, 1, 1), {}, {}, {})
     return judged(scene, variant, parts)
+
+
+def ordinary_shift(record: Record, source: str) -> float:
+    """Largest error [s] of a source's clock that is ordinary, or no clock's.
+
+    Of interval means a little over half the interval is what the place of the stamp in it, and heat that takes some minutes
+    to the sensor, look like.
+    """
+    intervals = [record[name].interval_s for name in sources(record).get(source, ())]
+    return max([SMALLEST_SHIFT_S, *(OF_INTERVAL * one for one in intervals)])
 
 
 def _moved(

@@ -1,0 +1,75 @@
+"""Two-point switches that no signal reports: a heater at standstill, a cooling stage, a drier."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+TEMPERATURE = "cabinet_temperature"
+HUMIDITY = "cabinet_relative_humidity"
+
+
+@dataclass(frozen=True)
+class Switch:
+    """A two-point switch that follows a reading of the cabinet, `reads` [K] or [1].
+
+    It starts beyond `on` and stops beyond `off`, on the other side: `rising` for one that starts above and stops below.
+    `idle`: it runs at standstill alone.
+    """
+
+    reads: str
+    on: float
+    off: float
+    rising: bool = True
+    idle: bool = False
+
+    def course(self, value: np.ndarray, idle: np.ndarray) -> np.ndarray:
+        """State (T,) along readings (T,), of which a missing one changes nothing; `idle` (T,) the standstills."""
+        allowed = idle if self.idle else np.ones(len(value), bool)
+        sign = 1.0 if self.rising else -1.0
+        return two_point(sign * value, sign * self.on, sign * self.off, allowed)
+
+    def after(
+        self, before: np.ndarray | float, value: np.ndarray | float, idle: np.ndarray | bool
+    ) -> np.ndarray | float:
+        """State of one such switch, or of N of them (N,), after one reading each."""
+        started = value > self.on if self.rising else value < self.on
+        stopped = value < self.off if self.rising else value > self.off
+        if self.idle:
+            stopped = stopped | np.logical_not(idle)
+        return np.where(stopped, 0.0, np.where(started, 1.0, before))[()]
+
+
+def two_point(value: np.ndarray, on_above: float, off_below: float, allowed: np.ndarray) -> np.ndarray:
+    """State (T,) of a two-point switch: 1 from the first value above `on_above` to the first below `off_below`.
+
+    value: (T,), a missing one changes nothing. allowed: (T,) bool, off elsewhere.
+    """
+    event = np.where(~allowed | (value < off_below), -1, np.where(value > on_above, 1, 0))
+    last = np.maximum.accumulate(np.where(event != 0, np.arange(len(value)), -1))
+    return ((last >= 0) & (event[np.maximum(last, 0)] > 0)).astype(float)
+
+
+def cooling_stage(on_K: float, off_K: float) -> Switch:
+    """A cooling stage that starts above `on_K` and stops below `off_K` of the cabinet temperature."""
+    return Switch(TEMPERATURE, on_K, off_K)
+
+
+def standstill_heater(reads: str, on: float, off: float) -> Switch:
+    """A heater at standstill: a thermostat starts below `on` [K] and stops above `off`, a humidistat [1] the other way round."""
+    return Switch(reads, on, off, rising=reads != TEMPERATURE, idle=True)
+
+
+def drier(on: float, off: float) -> Switch:
+    """A drier that starts above `on` and stops below `off` of the cabinet's relative humidity [1]."""
+    return Switch(HUMIDITY, on, off)
+
+
+SWITCHES: Mapping[str, Callable[..., Switch]] = {
+    "cooling": cooling_stage,
+    "heating": standstill_heater,
+    "drying": drier,
+}
+"""Switches by the name of the feature (and input) that they give."""

@@ -1,0 +1,223 @@
+"""Two-point switches, by readings and in simulations that drive their own."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plants.as_record import to_record
+from plants.plant import plant
+
+from hygrokf.design import Design, design, extended, merged
+from hygrokf.drivers import Run, run
+from hygrokf.likelihood import Gaussian, Likelihood
+from hygrokf.record import Record, Series
+from hygrokf.simulation import forecasts, free_run
+from hygrokf.switches import Switch, cooling_stage, drier, standstill_heater, two_point
+from hygrokf.switching import DECIDE_H, self_switched, switches_of
+
+HOUR = 3600.0
+START = 1.6e9
+HEAT = {"heating": {"reads": "cabinet_temperature", "on": 285.15, "off": 288.15}}
+
+
+def test_a_two_point_switch_has_hysteresis() -> None:
+    value = np.array([0.0, 2.0, 1.0, 1.5, -1.0, 1.0, 3.0, np.nan, 1.0, 3.0])
+    allowed = np.array([True] * 9 + [False])
+    found = two_point(value, 1.8, 0.5, allowed)
+    assert found.tolist() == [0, 1, 1, 1, 0, 0, 1, 1, 1, 0]
+
+
+@pytest.mark.parametrize(
+    "switch",
+    [
+        cooling_stage(300.0, 298.0),
+        standstill_heater("cabinet_temperature", 298.0, 300.0),
+        standstill_heater("cabinet_relative_humidity", 300.0, 298.0),
+        drier(300.0, 298.0),
+    ],
+)
+def test_one_reading_after_the_other_gives_the_course(switch: Switch) -> None:
+    """Two programs of one rule: along a series at once, and step by step for many switches."""
+    random = np.random.default_rng(3)
+    value = 299.0 + 2.0 * random.standard_normal((200, 5))
+    idle = random.random(200) > 0.2
+    state = np.zeros(5)
+    for row in range(200):
+        state = switch.after(state, value[row], idle[row])
+        whole = [switch.course(value[: row + 1, i], idle[: row + 1])[-1] for i in range(5)]
+        assert state.tolist() == whole
+
+
+def weather(days: float = 12.0, cabinet: bool = True, step: float = 600.0) -> Record:
+    """A cold spell at standstill, with readings of an empty cabinet that say nothing."""
+    count = int(days * 86400.0 / step)
+    time = START + step * np.arange(count + 1.0)
+    hours = (time - START) / HOUR
+    series = [
+        Series("ambient_temperature", time, 275.0 + 6.0 * np.sin(hours * 2.0 * np.pi / 24.0)),
+        Series("active_power", time, np.where(hours < 100.0, 0.0, 1.0e6), interval_s=step, hold="zero-order"),
+    ]
+    if cabinet:
+        series.append(Series("cabinet_temperature", time, np.full(len(time), 285.15 + 10.0)))
+    return Record("cold", tuple(series), rated_power_W=2e6)
+
+
+def heated(record: Record) -> tuple[Design, dict[str, float]]:
+    base = extended(
+        design(weather(), kind="thermal", power_order=1), (("unreported_heater", {}),), features=HEAT
+    )
+    values = {p.name: p.start for p in base.model.parameters}
+    values |= {
+        "heater_heat": 25.0, "thermal_time_constant": 3.0, "resistance_ratio": 0.9,
+        "heat_release_operation": 4.0, "heat_release_power_1": 8.0, "heat_release_standstill": 2.0,
+    }  # fmt: skip
+    return base, values
+
+
+def by_hand(
+    record: Record, values: dict[str, float], base: Design, every_h: float = 1.0 / 60.0
+) -> np.ndarray:
+    """The thermostat's cabinet by plain Euler steps of a minute, at the record's instants [K]."""
+    series = record["ambient_temperature"]
+    p, share = values, []
+    converter, on = None, False
+    for k in range(len(series.time)):
+        stop = series.time[k]
+        now = stop if k == 0 else series.time[k - 1]
+        idle = (record["active_power"].value[k]) <= 0.0
+        relative = record["active_power"].value[k] / 2e6
+        while True:
+            ambient = float(np.interp(now, series.time, series.value))
+            if converter is None:
+                mean, _ = base.model.initial(values, {"ambient_temperature": ambient})
+                converter = mean[0]
+            cabinet = p["resistance_ratio"] * converter + (1.0 - p["resistance_ratio"]) * ambient
+            if now >= stop:
+                break
+            on = bool(idle and (cabinet < 285.15 or (on and cabinet <= 288.15)))
+            warm = ambient - 283.15
+            heat = (
+                p["heat_release_operation"] + p["heat_release_power_1"] * relative + p["heat_release_operation_ambient"] * warm
+                if not idle else p["heat_release_standstill"] + p["heat_release_standstill_ambient"] * warm
+            ) + p["heater_heat"] * on  # fmt: skip
+            rate = (ambient - converter + heat / p["resistance_ratio"]) / p["thermal_time_constant"]
+            converter += rate * every_h
+            now += every_h * HOUR
+        share.append(cabinet)
+    return np.array(share)
+
+
+def test_a_simulation_drives_its_own_thermostat() -> None:
+    """Against Euler steps of a minute by hand: within a fifth of a kelvin on the mean, cycles of three kelvin included.
+
+    The readings of the record stand at 295 K, where the thermostat would never start: they must not count.
+    """
+    record = weather()
+    base, values = heated(record)
+    made = run(base, record)
+    assert made.timeline.input("heating").max() == 0.0
+    found = free_run(base, values, made).temperature[0]
+    own = self_switched(base, values, [made])[0]
+    duty = own.timeline.input("heating")
+    idle = ~made.operating
+    assert 0.05 < duty[idle].mean() < 0.95 and duty[~idle].max() == 0.0
+    assert ((duty >= 0.0) & (duty <= 1.0)).all()
+    seconds = made.timeline.origin_s + HOUR * made.timeline.time
+    expected = np.interp(seconds, record["ambient_temperature"].time, by_hand(record, values, base))
+    late = idle & (made.timeline.time > 12.0)
+    assert abs(np.mean(found[late] - expected[late])) < 0.2
+    assert 285.15 - 1.0 < found[late].min() and found[late].min() < 285.4
+    # what is fed back is the course, and the simulation with it has the thermostat's temperatures at the steps
+    again = self_switched(base, values, [own])[0]
+    np.testing.assert_array_equal(again.timeline.input("heating"), duty)
+    without = free_run(base, {**values, "heater_heat": 0.0}, made).temperature[0]
+    assert without[late].min() < 281.0
+
+
+def test_readings_of_the_cabinet_change_nothing_in_a_simulation() -> None:
+    """A record without the cabinet gives the same course, and so do readings that would have switched otherwise."""
+    record, blind = weather(), weather(cabinet=False)
+    base, values = heated(record)
+    with_readings = free_run(base, values, run(base, record)).temperature[0]
+    without = free_run(base, values, run(base, blind)).temperature[0]
+    np.testing.assert_allclose(with_readings, without, atol=1e-9)
+    cold = record.replace_series(
+        replace(record["cabinet_temperature"], value=np.full(len(record["cabinet_temperature"].time), 270.0))
+    )
+    np.testing.assert_allclose(free_run(base, values, run(base, cold)).temperature[0], without, atol=1e-9)
+
+
+def test_a_record_that_lacks_the_reading_alone_is_told() -> None:
+    record = weather()
+    base, _ = heated(record)
+    moist = replace(
+        weather(cabinet=False),
+        series=(*weather(cabinet=False).series, replace(record["cabinet_temperature"], signal="cabinet_relative_humidity", value=np.full(len(record["cabinet_temperature"].time), 0.5))),
+    )  # fmt: skip
+    with pytest.raises(ValueError, match="switches by cabinet_temperature, which the record does not have"):
+        run(base, moist)
+
+
+def test_runs_side_by_side_are_each_their_own() -> None:
+    """Windows of different lengths, begun from states of their own, as one by one."""
+    record = weather()
+    base, values = heated(record)
+    made = run(base, record)
+    t = made.timeline
+    trace = Likelihood(base.model, t).trace(values)
+    pieces, states = [], []
+    for first, last in ((50, 90), (200, 260), (580, 700)):
+        part = t.window(first + 1, last)
+        pieces.append(Run(part, made.operating[first + 1 : last], made.scored[first + 1 : last]))
+        states.append(Gaussian(trace.mean[first], trace.covariance[first]))
+    together = self_switched(base, values, pieces, states)
+    for one, state, found in zip(pieces, states, together, strict=True):
+        alone = self_switched(base, values, [one], [state])[0]
+        np.testing.assert_allclose(
+            found.timeline.input("heating"), alone.timeline.input("heating"), atol=1e-12
+        )
+        assert len(found.timeline) == len(one.timeline)
+
+
+def test_forecasts_do_not_know_the_readings_that_come() -> None:
+    """Readings after the start of a forecast change what it is compared with, and not the forecast."""
+    record = weather()
+    base, values = heated(record)
+    made = run(base, record)
+    middle = len(made.timeline) // 3
+    late = made.timeline.time > made.timeline.time[middle] + 1e-6
+    hot = made.timeline.u.copy()
+    hot[1:, made.timeline.varying.index("heating")][late] = 1.0
+    other = replace(made, timeline=replace(made.timeline, u=hot))
+    plain, told = (forecasts(base, values, one, middle, (1.0,), count=1) for one in (made, other))
+    assert plain[1.0]["temperature_K"][1] == pytest.approx(told[1.0]["temperature_K"][1], abs=1e-12)
+
+
+def test_a_model_without_switches_is_left_alone() -> None:
+    record = to_record(plant(77, days=8.0))
+    base = design(record, kind="thermal")
+    made = run(base, record)
+    assert self_switched(base, {}, [made]) == [made] and not switches_of(base)
+
+
+def test_a_switch_whose_reading_the_model_does_not_foretell_stays_with_the_readings() -> None:
+    """The thermal part of a cascade knows no humidity: a humidistat follows the readings there, the joint model's its own."""
+    record = to_record(plant(77, days=8.0))
+    features = {"heating": {"reads": "cabinet_relative_humidity", "on": 0.7, "off": 0.6}}
+    thermal = extended(design(record, kind="thermal"), (("unreported_heater", {}),), features=features)
+    assert not switches_of(thermal)
+    joint = merged((thermal, design(record, kind="cascade")))
+    assert list(switches_of(joint)) == ["heating"]
+
+
+def test_steps_between_decisions_are_bounded() -> None:
+    record = weather(step=3600.0)
+    base, values = heated(record)
+    coarse = free_run(base, values, run(base, record)).temperature[0]
+    fine = free_run(base, values, run(base, weather())).temperature[0][::6]
+    n = min(len(coarse), len(fine))
+    idle = np.arange(n) < 95
+    assert abs(np.mean((coarse[:n] - fine[:n])[idle])) < 0.3
+    assert DECIDE_H <= 0.1
