@@ -11,9 +11,11 @@ from climate_case import FREE, HOUR_S, known_fit, made_up_weather
 from hygrokf.climate.ensemble import _drawn, course, kept_instants, simulate_years, years_of
 from hygrokf.climate.members import draw_members
 from hygrokf.climate.region import driven
+from hygrokf.design import extended
 from hygrokf.fit import Fit
 from hygrokf.likelihood import Likelihood
 from hygrokf.record import Record
+from hygrokf.simulation import free_run
 from hygrokf.surface import Surface, condenses
 
 
@@ -108,6 +110,39 @@ def test_the_disturbance_keeps_its_memory_from_hour_to_hour() -> None:
             sd**2 * theta * (theta * np.exp(-lag / theta) - tau * np.exp(-lag / tau)) / (theta**2 - tau**2)
         )
         assert found == pytest.approx(expected, rel=0.08)
+
+
+@pytest.mark.parametrize("reads", ["cabinet_temperature", "cabinet_relative_humidity"])
+def test_every_member_drives_its_own_switch(reads: str) -> None:
+    """Without disturbances all members are the free run of the model; with them a thermostat holds each above its set-point."""
+    on, off = (285.15, 288.15) if reads == "cabinet_temperature" else (0.75, 0.6)
+    plain = known_fit()
+    features = {"heating": {"reads": reads, "on": on, "off": off}}
+    heated = extended(plain.design, (("unreported_heater", {}),), features=features)
+    fit = Fit("heated", heated, dict(plain.values) | {"heater_heat": 20.0}, plain.results)
+    record, _ = driven(fit, short(20), None)
+    calm = record.replace_series(
+        replace(record["active_power"], value=np.zeros(len(record["active_power"])))
+    )
+    (year,) = simulate_years(fit, calm, [dict(fit.values)] * 3, 1, Surface(), process=False)
+    made = course(fit, calm)
+    expected = free_run(fit.design, fit.values, made).temperature[0][kept_instants(made.timeline.time)]
+    late = slice(48, None)
+    assert np.ptp(year.temperature_K, axis=0).max() < 1e-9
+    apart = (year.temperature_K[0] - expected)[late]
+    assert abs(apart.mean()) < 0.05 and apart.std() < 1.0  # the first month is run twice here: cycles lose their phase
+    (bare,) = simulate_years(plain, calm, [dict(plain.values)] * 3, 1, Surface(), process=False)
+    assert bare.temperature_K[0][late].min() < 280.0 and (
+        year.temperature_K[0] - bare.temperature_K[0]
+    ).max() > 2.0
+    (noisy,) = simulate_years(fit, calm, [dict(fit.values)] * 8, 1, Surface())
+    assert np.ptp(noisy.temperature_K, axis=0)[late].min() > 0.0
+    if reads == "cabinet_temperature":
+        assert noisy.temperature_K[:, late].min() > on - 1.5
+    else:
+        (damp,) = simulate_years(plain, calm, [dict(plain.values)] * 8, 1, Surface())
+        hours = [np.mean(one.relative_humidity[:, late] > 0.8) for one in (noisy, damp)]
+        assert hours[0] < 0.5 * hours[1]
 
 
 def test_seeds_decide_and_process_can_be_left_out() -> None:

@@ -3,7 +3,7 @@
 From one instant to the next every member takes one step of the model's own moments, begun from a known state: the mean
 and covariance that it gives are the distribution of the next state (exactly where the model is linear over a step), and
 the next state is drawn from it, Gaussian or with the shots that the fit's innovations show (`climate.shots`).  All
-members step side by side in compiled code.
+members step side by side in compiled code.  Where the model has switches every member drives its own.
 
 Shapes: N members, T instants that are kept, n states.
 """
@@ -20,6 +20,7 @@ from hygrokf.design import read_as
 from hygrokf.drivers import Run, run
 from hygrokf.fit import Fit
 from hygrokf.likelihood import Gaussian, Likelihood
+from hygrokf.loops import LINEAR
 from hygrokf.model import Model
 from hygrokf.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
@@ -29,6 +30,7 @@ from hygrokf.psychrometrics import (
 from hygrokf.record import Record
 from hygrokf.side_by_side import SideBySide
 from hygrokf.surface import Surface, condenses
+from hygrokf.switching import Switchboard, parts_of, switches_of
 
 STEP_H = 1.0
 """[h] distance of the instants that are kept; what happens between them is simulated, not kept."""
@@ -144,7 +146,11 @@ def simulate_years(
         starts.append(Gaussian(np.where(model.amounts, np.maximum(begin, 0.0), begin), np.zeros((n, n))))
         fastest.append(likelihood.rate(values))
     runs = SideBySide(model, members, starts, np.array(fastest))
-    walk = _Walk(runs, inputs, t.time, random if process else None, rare)
+    switches = switches_of(design)
+    values = {p.name: np.array([one[p.name] for one in members]) for p in model.parameters}
+    off = {name: np.zeros(len(members)) for name in switches}
+    board = Switchboard(model, values, switches, off) if switches else None
+    walk = _Walk(runs, inputs, t.time, random if process else None, rare, board, ~made.operating)
     again = int(np.searchsorted(t.time, t.time[0] + SPIN_UP_H, side="right"))
     walk.through(range(min(again, len(t.time))))
     at = 0
@@ -194,8 +200,11 @@ class _Walk:
         time_h: np.ndarray,
         random: np.random.Generator | None,
         rare: Sequence[Shots] = (),
+        board: Switchboard | None = None,
+        idle: np.ndarray | None = None,
     ) -> None:
         self.runs, self.inputs, self.time_h, self.random = runs, inputs, time_h, random
+        self.board, self.idle = board, idle
         self.rare = [one for one in rare if one.every_h > 0.0 and one.states.any()]
         self.state = runs.mean
         self._amounts = np.array(runs.model.amounts)
@@ -207,17 +216,41 @@ class _Walk:
         for place in places:
             now = {name: float(value[place]) for name, value in self.inputs.items()}
             if jump:
-                self.runs.begin(now)
+                self.runs.begin(now | self._flags)
                 jump = False
                 continue
             step_h = self.time_h[place] - self.time_h[place - 1]
-            self.runs.step(step_h, now)
-            mean = self.runs.mean
-            if self.random is not None:
-                mean = mean + _drawn(self.runs.covariance, self._kick(step_h))
-                mean[:, self._amounts] = np.maximum(mean[:, self._amounts], 0.0)
-            self.runs.settle(mean)
-            self.state = mean
+            if self.board is None:
+                self._step(step_h, now)
+                continue
+            before = {name: float(value[place - 1]) for name, value in self.inputs.items()}
+            parts = parts_of(step_h)
+            for part in range(1, parts + 1):
+                self.board.decide(self.state, self._between(before, now, (part - 1) / parts), self.idle[place])
+                self._step(step_h / parts, self._between(before, now, part / parts) | self._flags)
+
+    @property
+    def _flags(self) -> dict[str, np.ndarray]:
+        return {} if self.board is None else self.board.flags
+
+    def _between(
+        self, before: Mapping[str, float], now: Mapping[str, float], share: float
+    ) -> dict[str, float]:
+        """Inputs within a step: linear ones part of the way, others as they are over it."""
+        holds = self.runs.model.holds
+        return {
+            name: before[name] + share * (value - before[name]) if holds[name] == LINEAR else value
+            for name, value in now.items()
+        }
+
+    def _step(self, step_h: float, inputs: Mapping[str, np.ndarray | float]) -> None:
+        self.runs.step(step_h, inputs)
+        mean = self.runs.mean
+        if self.random is not None:
+            mean = mean + _drawn(self.runs.covariance, self._kick(step_h))
+            mean[:, self._amounts] = np.maximum(mean[:, self._amounts], 0.0)
+        self.runs.settle(mean)
+        self.state = mean
 
     def _kick(self, step_h: float) -> np.ndarray:
         if self._at == len(self._kicks):

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.drivers import run
+from hygrokf.drivers import Run, run
 from hygrokf.likelihood import Likelihood
 from hygrokf.live.condition import (
     Condition,
@@ -26,6 +26,7 @@ from hygrokf.live.outlook import Outlook
 from hygrokf.live.plan import Plan
 from hygrokf.live.tracker import SAME_S, Point
 from hygrokf.record import Record, Series
+from hygrokf.switching import self_switched
 from hygrokf.timeline import Timeline
 
 LIMIT = 0.8
@@ -152,12 +153,15 @@ def _under(
         plan.rated_power_W,
     )
     try:
-        made = run(plan.design, record).timeline
+        whole = run(plan.design, record)
     except (ValueError, KeyError) as fault:
         raise NoForecast(f"the model needs what is not known ahead of time: {fault}") from fault
+    made = whole.timeline
     seconds = made.origin_s + 3600.0 * made.time
     first = int(np.searchsorted(seconds, state.time + 1e-3, side="right"))
-    part = _unread(made.window(first, len(made)))
+    later = Run(_unread(made.window(first, len(made))), whole.operating[first:], whole.scored[first:])
+    # a switch begins as it would stand by the state alone: within its hysteresis, off
+    part = self_switched(plan.design, plan.values, [later], [state.state])[0].timeline
     trace = Likelihood(plan.model, part, fastest=plan.fastest).trace(plan.values, start=state.state)
     mean = np.concatenate([state.state.mean[None], trace.mean])
     covariance = np.concatenate([state.state.covariance[None], trace.covariance])
