@@ -64,6 +64,18 @@ def test_evidence_and_a_better_free_run_are_both_needed() -> None:
     assert "no evidence" in verdict(trial("moisture_sorption", 5.0, 0.2, converged=False))
 
 
+def test_overwhelming_evidence_needs_half_of_the_gain_without_the_best_days() -> None:
+    """Of two plants at half strength, 4.97 % and 3.9 % were left after their best days, with 2 ln L of hundreds and 1,042."""
+    one = replace(trial("heat_release_drift", 400.0, 0.04, THERMAL), gain={THERMAL: 0.06})
+    assert verdict(one) == ""
+    assert "gains too little" in verdict(replace(one, bic_gain=90.0))
+    assert "gains too little" in verdict(replace(one, gain={THERMAL: 0.045}))
+    assert "gains too little" in verdict(replace(one, lasting={THERMAL: 0.02}))
+    idle = trial("wall_thermal_mass", 300.0, 0.0, THERMAL)
+    assert _reason(one, [one, idle], [], LIBRARY) == OVERSHADOWED
+    assert _reason(replace(one, bic_gain=450.0), [one, idle], [], LIBRARY) == ""
+
+
 @pytest.mark.parametrize(
     ("mechanism", "values", "beyond"),
     [

@@ -121,20 +121,21 @@ def test_every_member_drives_its_own_switch(reads: str) -> None:
     heated = extended(plain.design, (("unreported_heater", {}),), features=features)
     fit = Fit("heated", heated, dict(plain.values) | {"heater_heat": 20.0}, plain.results)
     record, _ = driven(fit, short(20), None)
-    calm = record.replace_series(
-        replace(record["active_power"], value=np.zeros(len(record["active_power"])))
-    )
+    calm = record.replace_series(replace(record["active_power"], value=np.zeros(len(record["active_power"]))))
     (year,) = simulate_years(fit, calm, [dict(fit.values)] * 3, 1, Surface(), process=False)
     made = course(fit, calm)
     expected = free_run(fit.design, fit.values, made).temperature[0][kept_instants(made.timeline.time)]
     late = slice(48, None)
     assert np.ptp(year.temperature_K, axis=0).max() < 1e-9
     apart = (year.temperature_K[0] - expected)[late]
-    assert abs(apart.mean()) < 0.05 and apart.std() < 1.0  # the first month is run twice here: cycles lose their phase
+    assert (
+        abs(apart.mean()) < 0.05 and apart.std() < 1.0
+    )  # the first month is run twice here: cycles lose their phase
     (bare,) = simulate_years(plain, calm, [dict(plain.values)] * 3, 1, Surface(), process=False)
-    assert bare.temperature_K[0][late].min() < 280.0 and (
-        year.temperature_K[0] - bare.temperature_K[0]
-    ).max() > 2.0
+    assert (
+        bare.temperature_K[0][late].min() < 280.0
+        and (year.temperature_K[0] - bare.temperature_K[0]).max() > 2.0
+    )
     (noisy,) = simulate_years(fit, calm, [dict(fit.values)] * 8, 1, Surface())
     assert np.ptp(noisy.temperature_K, axis=0)[late].min() > 0.0
     if reads == "cabinet_temperature":

@@ -226,7 +226,9 @@ class _Walk:
             before = {name: float(value[place - 1]) for name, value in self.inputs.items()}
             parts = parts_of(step_h)
             for part in range(1, parts + 1):
-                self.board.decide(self.state, self._between(before, now, (part - 1) / parts), self.idle[place])
+                self.board.decide(
+                    self.state, self._between(before, now, (part - 1) / parts), self.idle[place]
+                )
                 self._step(step_h / parts, self._between(before, now, part / parts) | self._flags)
 
     @property

@@ -12,6 +12,8 @@ from hygrokf.discovery.scan import abrupt
 from hygrokf.discovery.scene import HYGRIC, Scene
 
 FADING_DAYS = (8.0, 20.0, 50.0)
+USUAL_EXCHANGE_H = 3.0
+"""[h] time constant of the vapour's exchange beyond which a film is looked for at lower rates."""
 
 
 def sorption(scene: Scene) -> list[Variant]:
@@ -37,11 +39,14 @@ def condensation(scene: Scene) -> list[Variant]:
     if HYGRIC not in scene.parts:
         return []
 
+    # what matters in a tight cabinet is slow: a film that takes up vapour faster than the air exchanges it hides the air
+    pace = min(1.0, USUAL_EXCHANGE_H / scene.parts[HYGRIC].values["hygric_k"])
+
     def starts(*undercooling: float) -> tuple[dict, ...]:
         # a film is there or not: the likelihood has many maxima
         return tuple(
             {
-                "condensation_rate": rate,
+                "condensation_rate": rate * pace,
                 "surface_time": time,
                 "surface_share": 0.03,
                 "surface_undercooling": below,

@@ -34,13 +34,15 @@ SAME = 0.25
 MOST_CAUSES = 3
 SHARE = 0.15
 """Share of an accepted cause's evidence that a further cause of the same part must have, and all of it where the free run
-does not gain: the true form is never known, and what it differs in is left behind."""
+does not gain clearly: the true form is never known, and what it differs in is left behind."""
 LEAD = 0.3
 """Share of its evidence by which a further cause must be ahead of all others where the free run does not speak for it, and
 the first one ahead of those that are not worth having."""
 CLEAR = 2.0 * MATERIAL
 """Lasting gain from which the free run speaks for a cause by itself; below it no cause that is not worth having has more
 evidence."""
+OVERWHELMING = 100.0
+"""Gain in evidence (BIC) with which half a material share without the best days is enough, the whole with them."""
 INSIDE = 0.2
 """Share of the squared free-run error within its windows that an event must take away: bursts of a disturbance draw windows
 upon themselves too, and no exchange explains what goes on in them."""
@@ -89,9 +91,17 @@ def verdict_on(trial: Trial, cause: Cause) -> str:
         return "a ceiling as near to saturation as that is one of the air, not of the sensor"
     if trial.inside is not None and trial.inside < INSIDE:
         return "the free run gains too little in the windows in which it is said to have happened"
-    if trial.best_lasting < MATERIAL and trial.bic_gain < cause.alone:
+    if not worth_having(trial) and trial.bic_gain < cause.alone:
         return "significant, but the free run gains too little, or on a few days alone"
     return ""
+
+
+def worth_having(trial: Trial) -> bool:
+    """Whether the free run gains a material share without its best days, or, with overwhelming evidence, half of it."""
+    if trial.best_lasting >= MATERIAL:
+        return True
+    half = trial.best_lasting >= 0.5 * MATERIAL and trial.gain[trial.part] >= MATERIAL
+    return half and trial.bic_gain >= OVERWHELMING
 
 
 def _settled(scene: Scene, trial: Trial) -> Trial:
@@ -186,7 +196,7 @@ def overshadowed(trial: Trial, trials: Sequence[Trial], library: Sequence[Cause]
         for other in trials
         if other.variant.cause != trial.variant.cause
         and other.variant.shift is None
-        and other.best_lasting < MATERIAL
+        and not worth_having(other)
         and set(other.parts) & set(trial.parts)
         and verdict_on(other, named(other.variant.cause, library))
     ]
@@ -219,7 +229,7 @@ def _reason(
     reason = verdict_on(trial, named(trial.variant.cause, library)) or overshadowed(trial, trials, library)
     if reason:
         return reason
-    share = SHARE if trial.best_lasting >= MATERIAL else 1.0
+    share = SHARE if trial.best_lasting >= CLEAR else 1.0
     for other in accepted:
         if set(other.parts) & set(trial.parts) and worth(trial) < share * worth(other):
             return "no more than what a stronger cause of another form than assumed leaves behind"
