@@ -13,7 +13,7 @@ from hygrokf.discovery.scene import HYGRIC, Scene
 
 FADING_DAYS = (8.0, 20.0, 50.0)
 USUAL_EXCHANGE_H = 3.0
-"""[h] time constant of the vapour's exchange beyond which a film is looked for at lower rates."""
+"""[h] time constant of the vapour's exchange beyond which films and driers are looked for at lower rates."""
 
 
 def sorption(scene: Scene) -> list[Variant]:
@@ -35,12 +35,16 @@ def sorption(scene: Scene) -> list[Variant]:
     return found
 
 
+def _pace(scene: Scene) -> float:
+    """Factor of rates that are looked for: what matters in a tight cabinet is slow, as its own exchange is."""
+    return min(1.0, USUAL_EXCHANGE_H / scene.parts[HYGRIC].values["hygric_k"])
+
+
 def condensation(scene: Scene) -> list[Variant]:
     if HYGRIC not in scene.parts:
         return []
 
-    # what matters in a tight cabinet is slow: a film that takes up vapour faster than the air exchanges it hides the air
-    pace = min(1.0, USUAL_EXCHANGE_H / scene.parts[HYGRIC].values["hygric_k"])
+    pace = _pace(scene)
 
     def starts(*undercooling: float) -> tuple[dict, ...]:
         # a film is there or not: the likelihood has many maxima
@@ -116,7 +120,9 @@ def drier(scene: Scene) -> list[Variant]:
     if HYGRIC not in scene.parts or "cabinet_relative_humidity" not in scene.record:
         return []
     levels = np.quantile(inside(scene, "cabinet_relative_humidity"), np.linspace(0.3, 0.95, 9))
-    starts = tuple({"dehumidifier_rate": 1.0, "dehumidifier_setpoint": float(a)} for a in levels[[1, 4, 7]])
+    starts = tuple(
+        {"dehumidifier_rate": _pace(scene), "dehumidifier_setpoint": float(a)} for a in levels[[1, 4, 7]]
+    )
     found = [Variant("dehumidifier", "proportional", {HYGRIC: (("dehumidifier", {}),)}, starts=starts)]
     grid = [{"on": float(a), "off": float(a - width)} for a in levels for width in (0.03, 0.08)]
     # the rate is positive and estimated as a logarithm: its slope at a small value stands for that at zero
