@@ -20,8 +20,6 @@ EVIDENCE = 10.0
 """Gain in 2 ln L beyond the price of parameters and grid (BIC) that counts as strong."""
 WORSE = -0.02
 """A cause that makes the free run of a part worse by more than this share is no cause."""
-WORSE_SWITCHED = -0.15
-"""The same for switches: triggers on sampled readings miss the short cycles, and the cycles' phase is soon lost."""
 SATURATION = 0.97
 """[1] relative humidity from which a ceiling is no fault of a sensor: saturated air, read with a sensor's accuracy."""
 CLOSE = 10.0
@@ -81,8 +79,7 @@ def verdict_on(trial: Trial, cause: Cause) -> str:
         return "its gain in likelihood does not pay for its parameters and the settings searched"
     if trial.beyond:
         return f"{trial.beyond.replace('_', ' ')} would have to be larger than is physically possible"
-    worse = WORSE_SWITCHED if switches(trial) else WORSE
-    if min(trial.gain.values(), default=0.0) < worse and trial.best_lasting < 4.0 * -WORSE:
+    if min(trial.gain.values(), default=0.0) < WORSE and trial.best_lasting < 4.0 * -WORSE:
         return "it makes the free run worse"
     stated = trial.variant.settings
     if cause.name == "clock_shift" and abs(float(stated["shift_s"])) < float(stated["ordinary_s"]):

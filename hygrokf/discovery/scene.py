@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -193,22 +193,46 @@ def simulating(part: Part, steps: int = 3) -> dict[str, float]:
     Switches drive themselves in it.  A step of first order knows nothing of when they would switch then, so it is begun
     from the estimate, and from where steps with the switches' course by readings lead.
     """
-
-    def descended(values: Mapping[str, float], own: bool) -> tuple[float, dict[str, float]]:
-        values, least = dict(values), math.inf
-        for _ in range(steps + 1):
-            made = self_switched(part.base, values, [part.run])[0] if own else part.run
-            there, error, _, stepped = _toward_free_run(part.base, made, values)
-            square = float(np.nansum(error[there] ** 2))
-            if not square < least:
-                break
-            least, best, values = square, values, stepped
-        return least, best
-
-    _, values = descended(part.values, own=False)
+    readings = _descended(part, part.values, steps, own=False)
     if not switches_of(part.base):
-        return values
-    return min((descended(start, own=True) for start in (part.values, values)), key=lambda one: one[0])[1]
+        return readings.values
+    starts = (part.values, readings.values)
+    return min((_descended(part, one, steps, own=True) for one in starts), key=lambda one: one.square).values
+
+
+def self_driven(part: Part) -> Part:
+    """The part with the free-run error (T,) of a simulation that drives its own switches; as it is where it has none."""
+    if not switches_of(part.base):
+        return part
+    starts = (part.values, _descended(part, part.values, 1, own=False).values)
+    best = min((_descended(part, one, 0, own=True) for one in starts), key=lambda one: one.square)
+    further = _descended(part, best.stepped, 0, own=True)
+    return replace(part, error=min((best, further), key=lambda one: one.square).error)
+
+
+@dataclass(frozen=True)
+class _Descent:
+    """Where steps toward the least free-run error led: squared error, values, error (T,), and what comes next."""
+
+    square: float
+    values: dict[str, float]
+    error: np.ndarray
+    stepped: dict[str, float]
+
+
+def _descended(part: Part, values: Mapping[str, float], steps: int, own: bool) -> _Descent:
+    """The best of some steps; `own`: switches drive themselves."""
+    values, best = dict(values), None
+    for _ in range(steps + 1):
+        made = self_switched(part.base, values, [part.run])[0] if own else part.run
+        there, error, _, stepped = _toward_free_run(part.base, made, values)
+        square = float(np.nansum(error[there] ** 2))
+        if best is not None and not square < best.square:
+            break
+        best = _Descent(square, values, np.where(there, error, np.nan), stepped)
+        values = stepped
+    assert best is not None
+    return best
 
 
 def _toward_free_run(

@@ -11,10 +11,11 @@ from hygrokf.design import Design, extended
 from hygrokf.discovery.cause import Variant, penalty
 from hygrokf.discovery.causes_readings import SHIFTS_MIN
 from hygrokf.discovery.clocks import HOUR_S, Shift, shifted, sources
-from hygrokf.discovery.scene import Part, Scene, climbed, days, refitted, searching
+from hygrokf.discovery.scene import Part, Scene, climbed, days, refitted, searching, self_driven
 from hygrokf.drivers import run
 from hygrokf.likelihood import Trace
 from hygrokf.record import Record
+from hygrokf.switches import SWITCHES
 from hygrokf.timeline import Timeline
 
 MATERIAL = 0.05
@@ -31,6 +32,8 @@ SMALLEST_SHIFT_S = 240.0
 """[s] below this a clock error is ordinary."""
 OF_INTERVAL = 0.6
 """The same as a share of the interval over which a source takes means."""
+SHOWN = 40.0
+"""2 ln L from which a switch is worth being simulated by itself, which takes seconds."""
 SENSOR_ERRORS = ("humidity_drift_total", "humidity_scale_error", "temperature_offset")
 """Parameters whose bounds are what a sensor can be off by."""
 AT_BOUND = 1e-4
@@ -167,16 +170,17 @@ def polished(scene: Scene, trial: Trial) -> Trial:
 
 
 def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
-    """What changed parts gained over those of the scene."""
-    lr, count, n = 0.0, 0, 0
+    """What changed parts gained over those of the scene; a switch with evidence is simulated by itself for that."""
+    lr = sum(2.0 * (part.objective - scene.parts[name].objective) for name, part in parts.items())
+    count, n = 0, 0
     gain, lasting, often = {}, {}, {}
+    own = lr > SHOWN and bool(SWITCHES.keys() & set(variant.features))
     for name, part in parts.items():
-        before = scene.parts[name]
-        often[name] = episodes(*daily_squares(before, part))
-        lr += 2.0 * (part.objective - before.objective)
+        before, after = scene.parts[name], self_driven(part) if own else part
+        often[name] = episodes(*daily_squares(before, after))
         count += part.parameters - before.parameters
         n += before.n
-        gain[name], lasting[name] = shares(before, part)
+        gain[name], lasting[name] = shares(before, after)
     count = max(count, 1)
     spans = variant.settings.get("spans", ())
     windows = [share_inside(scene.parts[name], part, spans) for name, part in parts.items()] if spans else []
