@@ -486,7 +486,7 @@ def test_the_full_list_has_every_cell() -> None:
     beyond = {(case.causes[0][0], case.strength) for case in every if case.group == "outside"}
     assert beyond == {(effect, strength) for effect in OUT_OF_LIBRARY for strength in (1.0, 0.5)}
     seeds = {group: {case.seed for case in every if case.group == group} for group in count}
-    for group in ("hidden", "none", "pair", "outside", "paper"):
+    for group in ("hidden", "none", "convection", "pair", "outside", "paper"):
         assert len(seeds[group]) == count[group], "a plant twice"
         assert min(seeds[group]) >= cases.FIRST_SEED
         assert all(not seeds[group] & seeds[other] for other in seeds if other != group)
@@ -501,6 +501,40 @@ def test_more_rounds_leave_the_first_ones_as_they_are() -> None:
     assert {case.days for case in cases.full(7000, 1, 30.0) if case.group == "paper"} == {
         cases.PAPER_LEAST_DAYS
     }
+
+
+def test_cabinets_of_another_make_hide_nothing_and_differ_from_the_model() -> None:
+    """The same weather, power and loggers; another cabinet, whose air is never above saturation and reaches it."""
+    from plants.convection import convecting_plant
+
+    wet = 0.0
+    for seed in range(40, 46):
+        made = convecting_plant(seed, days=30.0)
+        again = convecting_plant(seed, days=30.0)
+        assert np.array_equal(made.trajectory.cabinet_K, again.trajectory.cabinet_K) and not made.truth.hidden
+        apart = made.trajectory.cabinet_K - made.drivers.ambient_K
+        assert np.isfinite(apart).all() and 0.5 < apart.mean() < 12.0 and apart.max() < 40.0
+        celsius = made.trajectory.cabinet_K - 273.15
+        saturated = (
+            610.94 * np.exp(17.625 * celsius / (243.04 + celsius)) / (461.5 * made.trajectory.cabinet_K)
+        )
+        humidity = made.trajectory.cabinet_kg_m3 / saturated
+        assert humidity.max() <= 1.0 + 1e-9 and humidity.min() > 0.05
+        wet += float(np.mean(humidity > 0.999))
+        plain = hidden_plant(seed, "none", days=30.0)
+        assert np.array_equal(plain.drivers.power_W, made.drivers.power_W)
+        assert np.std(made.trajectory.cabinet_K - plain.trajectory.cabinet_K) > 0.3
+    assert wet > 0.0
+
+
+def test_a_battery_runs_them() -> None:
+    trial, cases = part("trial"), part("cases")
+    record, truth = trial.make(cases.Case("convection", 125_000, days=20.0))
+    assert truth == [] and "cabinet_relative_humidity" in record and record.until_s is not None
+    tables = part("tables")
+    some = [line("convection", key="a"), line("convection", (), cause("clock_shift"), key="b")]
+    assert rows(tables.other_make(some))["a cause named"]["share"] == part("rates").Rate(1, 2)
+    assert tables.false_alarms(some).rows == ()
 
 
 def test_pairs_act_on_different_parts() -> None:

@@ -15,9 +15,11 @@ FIRST_SEED = 5000
 ROUNDS = 5
 DAYS = 180.0
 STRENGTHS = (1.0, 0.5)
-GROUPS = ("hidden", "none", "pair", "outside", "paper", "measured", "injected")
+GROUPS = ("hidden", "none", "convection", "pair", "outside", "paper", "measured", "injected")
 NULLS = 40
 """Plants a round that hide nothing: 200 in five rounds."""
+CONVECTING = 20
+"""Plants a round that hide nothing in a cabinet of another make, which no network of resistances describes."""
 OUTSIDE = 2
 """Plants a round, effect and strength that hide what no library holds."""
 PAPER = 2
@@ -92,6 +94,8 @@ def _round(first: int, number: int, days: float) -> Iterator[Case]:
         yield Case("hidden", first + number * len(cells) + place, ((cause, form),), strength, days)
     for place in range(NULLS):
         yield Case("none", first + APART + number * NULLS + place, days=days)
+    for place in range(CONVECTING):
+        yield Case("convection", first + 6 * APART + number * CONVECTING + place, days=days)
     two = pairs(number)
     for place, causes in enumerate(two):
         yield Case("pair", first + 2 * APART + number * len(two) + place, causes, days=days)

@@ -49,6 +49,8 @@ def requirements(lines: Sequence[Line]) -> list[Requirement]:
         these = [line for line in hidden if strength_class(line) == strength]
         add(f"named first or in its class, {strength} strength", rate(first_right(o) for o in these), wanted)
     add("false alarms", rate(bool(names(line)) for line in of(lines, "none")), 0.05, True)
+    other = of(lines, "convection")
+    add("false alarms, cabinets of another make", rate(bool(names(line)) for line in other), 0.05, True)
     add("both of two causes", rate(both_named(line) for line in of(lines, "pair")), 0.8)
     add(
         "outside the library: unexplained",

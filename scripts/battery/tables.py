@@ -156,16 +156,24 @@ def detection(lines: Sequence[Line]) -> Table:
 
 def false_alarms(lines: Sequence[Line]) -> Table:
     """What is said of plants that hide nothing."""
-    some = of(lines, "none")
+    return _alarms(of(lines, "none"), "false_alarms", "Plants that hide nothing")
+
+
+def other_make(lines: Sequence[Line]) -> Table:
+    """What is said of cabinets that hide nothing and that no network of resistances describes."""
+    return _alarms(of(lines, "convection"), "other_make", "Cabinets of another make that hide nothing")
+
+
+def _alarms(some: Sequence[Line], name: str, title: str) -> Table:
     rows: list[tuple] = []
     if some:
         rows.append(("a cause named", rate(bool(names(line)) for line in some)))
         rows.append(("unexplained", rate(answer(line) == "unexplained" for line in some)))
         rows.append(("nothing (right)", rate(answer(line) == "none" for line in some)))
         rows.append(("failure", rate(answer(line) == FAILURE for line in some)))
-        for name, count in Counter(answer(line) for line in some if names(line)).most_common():
-            rows.append((f"– {name}", Rate(count, len(some))))
-    return Table("false_alarms", "Plants that hide nothing", ("verdict", "share"), tuple(rows))
+        for word, count in Counter(answer(line) for line in some if names(line)).most_common():
+            rows.append((f"– {word}", Rate(count, len(some))))
+    return Table(name, title, ("verdict", "share"), tuple(rows))
 
 
 def pairs(lines: Sequence[Line]) -> Table:
@@ -545,6 +553,7 @@ TABLES: tuple[Callable[[Sequence[Line]], Table], ...] = (
     lambda lines: confusion(lines, HALF),
     detection,
     false_alarms,
+    other_make,
     pairs,
     outside,
     gains,

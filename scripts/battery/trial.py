@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from plants.as_record import to_record
+from plants.convection import convecting_plant
 from plants.hidden import hidden_plant
 from plants.paper import paper_case
 from plants.plant import Hidden, Plant, undisturbed
@@ -96,6 +97,8 @@ def make(case: Case) -> tuple[Record, list[dict]]:
         return record, [account]
     if case.group == "paper":
         made = paper_case(case.seed, decoy=case.decoy or None, form=case.causes[0][1], days=case.days)
+    elif case.group == "convection":
+        made = convecting_plant(case.seed, days=case.days)
     else:
         first, form = case.causes[0] if case.causes else ("none", 0)
         made = hidden_plant(
