@@ -26,6 +26,8 @@ CONVECTIVE = (0.1, 0.9)
 """Share of the conductance, and of the exchange of air, that natural convection makes."""
 WARMTH = (0.3, 1.0)
 """Heat release as a share of the cabinet's parameters: cool cabinets reach saturation."""
+MOST = 3.5
+"""Standard deviations that a disturbance does not pass: no flow of heat or vapour is without bounds."""
 
 
 @njit(cache=True)
@@ -94,11 +96,13 @@ def convection(drivers: Drivers, forcing: Forcing, fixed: tuple[float, ...]) -> 
 
 
 def _flaring(random: np.random.Generator, disturbance: np.ndarray) -> np.ndarray:
-    """The disturbance with a size that wanders by the day, of the same mean square."""
+    """The disturbance with a size that wanders by the day, of the same mean square and within bounds."""
     step_h = MINUTE_S / 3600.0
     wandering = ornstein_uhlenbeck(random, len(disturbance), step_h, float(random.uniform(12.0, 48.0)))
-    flared = disturbance * np.exp(random.uniform(0.0, 0.8) * wandering)
-    return flared * np.sqrt(np.mean(disturbance**2) / np.mean(flared**2))
+    size = float(np.sqrt(np.mean(disturbance**2)))
+    flared = disturbance * np.exp(random.uniform(0.0, 0.7) * wandering)
+    flared = MOST * np.tanh(flared / np.sqrt(np.mean(flared**2)) / MOST)
+    return flared * size / float(np.sqrt(np.mean(flared**2)))
 
 
 def _build(
