@@ -152,6 +152,17 @@ class TestSaturated:
         np.testing.assert_array_equal(masked.missing, humidity == 98.0)
         assert "98 %" in said
 
+    def test_saturated_air_read_with_offset_and_noise_is_masked(self):
+        random = np.random.default_rng(4)
+        damp = random.uniform(40.0, 100.0, 1500)
+        wet = 98.6 + 0.35 * random.standard_normal(300)
+        humidity = np.round(2.0 * np.concatenate([damp[damp < 98.0], wet])) / 2.0
+        masked, (said,) = mask_saturated(series("cabinet_relative_humidity", humidity))
+        limit = humidity[masked.missing].min()
+        assert 97.5 <= limit <= 98.5 and "saturated humidity" in said
+        assert np.mean(masked.missing[-300:]) > 0.9
+        assert np.mean(masked.missing[:-300]) < 0.03
+
     def test_a_merely_humid_cabinet_is_left_alone(self):
         humidity = np.round(np.clip(np.random.default_rng(1).normal(90, 3, 3000), 0, 98.5), 1)
         one = series("cabinet_relative_humidity", np.minimum(humidity, 98.0 + humidity % 0.5))

@@ -18,7 +18,7 @@ from hygrokf.discovery.conditions import conditions
 from hygrokf.discovery.misfits import MATERIAL, Misfit, misfits
 from hygrokf.discovery.plots_misfits import figure_episodes
 from hygrokf.discovery.plots_residuals import figure_day_hour, figure_drivers, figure_innovations
-from hygrokf.discovery.remainder import RESTLESS, UNSTEADY, one_sided, structure, unlogged, unrest
+from hygrokf.discovery.remainder import RESTLESS, UNSTEADY, one_sided, remaining, structure, unlogged, unrest
 from hygrokf.discovery.residuals import Residuals, closed, duration_h, hourly, residuals, run_lengths
 from hygrokf.drawing import NothingToShow, inline_svg, png
 from hygrokf.fit import Fit
@@ -299,6 +299,36 @@ def test_excursions_to_one_side_under_no_logged_condition() -> None:
     found = structure(with_effect(base, "temperature", plume), found=[])
     assert found["kind"] == "one-sided excursions"
     assert "too low" in found["statement"]
+
+
+def test_what_came_once_is_told_and_leaves_no_structure() -> None:
+    """A single pre-heating says nothing of the next one; steps and drifts come once by their nature."""
+    base = made(4)
+    starts = np.flatnonzero(np.diff(base.preheating.astype(int)) == 1)
+    alone = np.arange(len(base.preheating)) < starts[1]
+    once = replace(
+        base,
+        preheating=base.preheating & alone,
+        drivers={**base.drivers, "preheating": base.drivers["preheating"] * alone},
+    )
+    found = misfits(with_effect(once, "humidity", 3.0 * once.preheating))
+    told = [one for one in found if "pre-heating" in one.statement]
+    assert told and all(one.n_possible == 1 and one.once for one in told)
+    assert structure(once, found=told) == structure(once, found=[])
+    assert structure(once, found=[replace(told[0], n_possible=3)])["kind"] == "condition"
+    assert not replace(told[0], kind="step").once
+
+
+def test_what_a_better_simulator_does_not_show_is_no_structure() -> None:
+    clear = next(seed for seed in range(40, 60) if unlogged(restless(seed, 2.0)))
+    plume, calm = restless(clear, 2.0), restless(40, 0.0)
+    assert remaining((plume, plume)) == (unlogged(plume), True)
+    assert remaining((plume, calm)) == (structure(calm) if structure(plume) else None, False)
+    wind = made(4).drivers["wind_speed"]
+    blown = with_effect(made(4), "temperature", 0.4 * (wind - wind.mean()))
+    left, foreign = remaining((blown, blown))
+    assert left["driver"] == "wind_speed" and not foreign
+    assert remaining((blown, made(4)))[0] is None and remaining((made(4), blown))[0] is None
 
 
 def restless(seed: int, size: float, shots: bool = False) -> Residuals:
