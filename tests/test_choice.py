@@ -257,6 +257,29 @@ def test_a_later_cause_without_a_better_free_run_must_be_far_ahead(
     assert len(names) == 2 or {reasons["clock_shift"], reasons["door_opening"]} == {NOT_AHEAD}
 
 
+def test_a_cause_is_judged_at_its_maximum(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What gained 5 % on the way and 4 % at the maximum of the likelihood is not worth having, and the next one has its turn."""
+    given = {
+        one.variant.cause: one
+        for one in (trial("condensation", 60.0, 0.06), trial("ambient_bias", 40.0, 0.3))
+    }
+    monkeypatch.setattr(choice, "attempt", lambda scene, variant: given[variant.cause])
+    slipped = replace(given["condensation"], lasting={HYGRIC: 0.04}, gain={HYGRIC: 0.04})
+    monkeypatch.setattr(
+        choice, "polished", lambda scene, one: slipped if one is given["condensation"] else one
+    )
+    monkeypatch.setattr(choice, "refined", lambda base, scene, one, alone: (one, scene))
+    library = tuple(
+        replace(named(name), variants=lambda scene, one=one: [one.variant]) for name, one in given.items()
+    )
+    alone = choose(Scene(None, {HYGRIC: SimpleNamespace()}), library[:1])  # type: ignore[arg-type]
+    assert not alone.accepted and "gains too little" in alone.rejected[0][1]
+    monkeypatch.setattr(choice, "alike", lambda scene, best, other: False)
+    monkeypatch.setattr(choice, "MOST_CAUSES", 1)
+    both = choose(Scene(None, {HYGRIC: SimpleNamespace()}), library)  # type: ignore[arg-type]
+    assert [one.variant.cause for one in both.accepted] == ["ambient_bias"]
+
+
 def test_a_switch_is_refined_without_losing_its_hysteresis(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[dict] = []
 

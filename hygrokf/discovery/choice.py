@@ -126,7 +126,7 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
     rivals: list[tuple[Trial, ...]] = []
     margins: list[float] = []
     trials: list[Trial] = []
-    behind: set[str] = set()
+    behind: dict[str, str] = {}
     for cause in library:
         say(cause.name.replace("_", " "))
         trials += [_settled(scene, attempt(scene, variant)) for variant in cause.variants(scene)]
@@ -144,10 +144,11 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
         others = {t.variant.cause: t for t in reversed(good) if t.variant.cause != best.variant.cause}
         class_ = tuple(t for t in others.values() if alike(scene, best, t))
         ahead = _ahead(best, class_, trials)
-        if accepted and best.best_lasting < MATERIAL and ahead < LEAD:
-            behind.add(best.variant.cause)
+        slipped = _reason(best, trials, accepted, library)  # at its maximum it may gain less than on the way
+        if slipped or (accepted and best.best_lasting < MATERIAL and ahead < LEAD):
+            behind[best.variant.cause] = slipped or NOT_AHEAD
             continue
-        behind = set()
+        behind = {}
         rivals.append(class_)
         margins.append(ahead)
         accepted.append(best)
@@ -166,17 +167,14 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
     names = {t.variant.cause for t in accepted}
     # what was accepted beside a cause is no longer another name for it
     apart = tuple(tuple(t for t in one if t.variant.cause not in names) for one in rivals)
-    rejected = tuple(
-        (
-            t,
-            verdict_on(t, named(name, library))
-            or (NOT_AHEAD if name in behind else "" if accepted else overshadowed(t, firsts, library))
-            or EXPLAINED,
-        )
-        for name, t in first.items()
-        if name not in names
-    )
-    return Choice(tuple(accepted), apart, tuple(margins), tried, rejected, scene)
+    rejected = []
+    for name, trial in first.items():
+        if name not in names:
+            reason = verdict_on(trial, named(name, library)) or behind.get(name, "")
+            if not reason and not accepted:
+                reason = overshadowed(trial, firsts, library)
+            rejected.append((trial, reason or EXPLAINED))
+    return Choice(tuple(accepted), apart, tuple(margins), tried, tuple(rejected), scene)
 
 
 def overshadowed(trial: Trial, trials: Sequence[Trial], library: Sequence[Cause]) -> str:
