@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -43,6 +44,16 @@ def _moved(series: Series, record: Record, shift: Shift) -> Series:
     time = series.time + shift.seconds * summer_time(local, in_america(record))
     new = np.concatenate([[True], time[1:] > np.maximum.accumulate(time)[:-1]])
     return replace(series, time=time[new], value=series.value[new])
+
+
+def cabinet_moved(record: Record, shifts: Sequence[Shift]) -> float:
+    """Time [s] by which corrections that hold all year move the cabinet's readings."""
+    known = sources(record)
+    return sum(
+        one.seconds
+        for one in shifts
+        if not one.summer and any(name.startswith("cabinet_") for name in known.get(one.source, ()))
+    )
 
 
 def in_america(record: Record) -> bool:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from hygrokf.design import CASCADE
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.choice import Choice, choose, switches
-from hygrokf.discovery.clocks import shifted
+from hygrokf.discovery.clocks import cabinet_moved, shifted
 from hygrokf.discovery.evidence import cause_entry, evidence
 from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.misfits import misfits
@@ -145,6 +145,8 @@ def _results(
 ) -> dict:
     (base, _), (extended, _) = fits
     shown = misfits(before)
+    shifts = [trial.variant.shift for trial in choice.accepted if trial.variant.shift is not None]
+    moved_s = cabinet_moved(scene.record, shifts)
     rest, foreign = left
     if repeated:
         rest = {
@@ -152,7 +154,7 @@ def _results(
             "correlation": 0.0, "p": 0.0, "statement": repeated_text(repeated),
         }  # fmt: skip
     causes = [
-        cause_entry(scene, trial, rivals, margin, place > 0, fits, stages, library, choice.tried)
+        cause_entry(scene, trial, rivals, margin, place > 0, fits, moved_s, stages, library, choice.tried)
         for place, (trial, rivals, margin) in enumerate(
             zip(choice.accepted, choice.rivals, choice.margins, strict=True)
         )

@@ -55,14 +55,17 @@ def cause_entry(
     margin: float,
     later: bool,
     fits: tuple[tuple[Fit, Fit], tuple[Fit, Fit]],
+    moved_s: float,
     stages: Sequence[Stage],
     library: Sequence[Cause],
     tried: int,
 ) -> dict:
-    """One entry of `causes`.  `fits`: base and extended, each by innovations and by the free run; `margin`: see `confidence`."""
+    """One entry of `causes`.  `fits`: base and extended, each by innovations and by the free run, the extended
+    ones on cabinet readings that are moved by `moved_s` [s]; `margin`: see `confidence`.
+    """
     cause = named(trial.variant.cause, library)
     statement = f"{cause.meaning} ({trial.variant.form}){_clock(trial)}"
-    gain = _gain(QUANTITY.get(trial.part, QUANTITY[THERMAL]), *fits)
+    gain = _gain(QUANTITY.get(trial.part, QUANTITY[THERMAL]), *fits, moved_s)
     once = seen_once(trial)
     sure = confidence(trial, margin, later)
     if cause.event or once:
@@ -148,7 +151,7 @@ def _parameters(trial: Trial, stages: Sequence[Stage]) -> dict:
     return found
 
 
-def _gain(quantity: str, bases: tuple[Fit, Fit], extended: tuple[Fit, Fit]) -> dict:
+def _gain(quantity: str, bases: tuple[Fit, Fit], extended: tuple[Fit, Fit], moved_s: float = 0.0) -> dict:
     """Free-run error before and after on the validation period (the identification period where there is none).
 
     Base and extended model as they were estimated by innovations or, where that simulates the identification period
@@ -164,7 +167,7 @@ def _gain(quantity: str, bases: tuple[Fit, Fit], extended: tuple[Fit, Fit]) -> d
 
     before, after = better(bases), better(extended)
     period = "identification" if total(before, "validation") is None else "validation"
-    low, high = _bootstrap(quantity, period, before, after)
+    low, high = _bootstrap(quantity, period, before, after, moved_s)
     per = (extended[0].results["loglik"] - bases[0].results["loglik"]) / max(bases[0].results["n_obs"], 1)
     return {
         "quantity": quantity,
@@ -182,16 +185,21 @@ def _lost(gain: Mapping) -> bool:
     return gain["period"] == "validation" and gain["upper"] is not None and gain["upper"] < 0.0
 
 
-def _bootstrap(quantity: str, period: str, before: Fit, after: Fit) -> tuple[float | None, float | None]:
-    """95 % bounds of RMSE before − RMSE after."""
+def _bootstrap(
+    quantity: str, period: str, before: Fit, after: Fit, moved_s: float
+) -> tuple[float | None, float | None]:
+    """95 % bounds of RMSE before − RMSE after, over the readings that both have; `after`'s stamps are later by `moved_s`."""
     columns = []
-    for fit in (before, after):
+    for fit, later_s in ((before, 0.0), (after, moved_s)):
         s = fit.series
         stem = quantity.removesuffix("_K").removesuffix("_g_m3")
         error = s[f"{stem}_measured"] - s[f"{stem}_simulated"]
         late = s["time_s"] > float(s["until_s"]) if math.isfinite(float(s["until_s"])) else s["time_s"] < 0
         there = np.isfinite(error) & (s["scored"] > 0) & (late if period == "validation" else ~late)
-        columns.append(dict(zip(s["time_s"][there], error[there], strict=True)))
+        time = np.round(
+            s["time_s"][there] - later_s
+        )  # whole seconds: no two readings are nearer, and rounding is no other one
+        columns.append(dict(zip(time.tolist(), error[there].tolist(), strict=True)))
     # an extended model may have instants of its own: those of both are compared
     time = np.array(sorted(set(columns[0]) & set(columns[1])))
     errors = np.array([[column[at] for column in columns] for at in time]).reshape(-1, 2)
