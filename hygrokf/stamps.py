@@ -353,11 +353,16 @@ def modal_step(time: np.ndarray) -> tuple[float, float]:
     return step, float(np.mean(np.abs(steps - step) <= 0.01 * step))
 
 
+BY_CHANCE = 0.1
+"""Number of single hours that are lost on dates of change by chance, as often as on other days, from which one says nothing."""
+
+
 def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
     """Warnings about an hour that is missing or doubled on a date of summer-time change.
 
     time: [s] (T,) stamps in UTC, sorted, duplicates still in.
-    The dates are those of Europe and of North America.
+    The dates are those of Europe and of North America.  A record that loses single hours on other days as often says
+    nothing by losing one on such a date.
     """
     step, _ = modal_step(time)
     if not step <= _HOUR:
@@ -365,10 +370,16 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
     steps = np.diff(time)
     gaps = np.flatnonzero(np.abs(steps - (_HOUR + step)) < 0.01 * step)
     gap_days: dict[str, list[date]] = {"spring": [], "autumn": []}
+    other = 0
     for index in gaps:
         day, season = _change_date(time[index] + step)
         if season:
             gap_days[season].append(day)
+        else:
+            other += 1
+    dates = np.arange(time[0], time[-1], 86400.0)
+    if other * sum(bool(_change_date(at)[1]) for at in dates) > BY_CHANCE * len(dates):
+        gap_days = {"spring": [], "autumn": []}
     double_days: dict[str, list[date]] = {"spring": [], "autumn": []}
     doubles = time[1:][steps == 0.0]
     for number in np.unique(np.floor(doubles / 86400.0)):

@@ -258,6 +258,15 @@ def test_a_record_without_change_of_clocks_is_quiet():
     assert summer_time_holes(np.delete(time, slice(1000, 1006))) == ()
 
 
+def test_a_record_that_loses_single_hours_says_nothing_by_losing_one_on_a_date_of_change():
+    time = regular("2020-02-01T00:00", 120, 3600.0)
+    march = np.searchsorted(time, datetime(2020, 3, 29, 2, tzinfo=UTC).timestamp())
+    (warning,) = summer_time_holes(np.delete(time, march))
+    assert "missing on 2020-03-29" in warning
+    often = np.random.default_rng(3).choice(len(time) - 2, 30, replace=False) + 1
+    assert summer_time_holes(np.delete(time, [*often, march])) == ()
+
+
 @pytest.mark.parametrize("step", [600.0, 3600.0])
 def test_local_stamps_read_at_a_fixed_offset_show(step):
     count = round(300 * 86400 / step)
