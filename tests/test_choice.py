@@ -289,11 +289,34 @@ def test_a_switch_is_refined_without_losing_its_hysteresis(monkeypatch: pytest.M
         return SimpleNamespace(root=1.0 / np.abs(width), effective=1.0)
 
     monkeypatch.setattr(grids, "scan", narrowest)
+    monkeypatch.setattr(grids, "starts", lambda part, name, settings: 99)
     first = [{"on": a, "off": a - width} for a in (0.6644, 0.8572) for width in (0.03, 0.08)]
     chosen, searched = grids.best_switch(None, "drier", "rate", "drying", first, {"": 0.02})  # type: ignore[arg-type]
     # steps of 0.01 and 0.02 bring on and off together but for rounding: such a pair is no switch
     assert chosen["on"] - chosen["off"] > 1e-3 and searched == 3.0
     assert min(one["on"] - one["off"] for one in seen) > 1e-3
+
+
+def test_what_turns_with_the_seasons_is_no_switch(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A roof that is above a threshold from April on had been taken for a fan that somebody leaves running."""
+    time = 1.6e9 + 3600.0 * np.arange(24.0 * 120)
+    days = (time - time[0]) / 86400.0
+    warm = 285.0 + 15.0 * days / 120.0
+    daily = 3.0 * np.sin(2.0 * np.pi * days)
+    part = SimpleNamespace(
+        time_s=time, record=Record("roof", (Series("cabinet_temperature", time, warm + daily),))
+    )
+    assert grids.starts(part, "cooling", {"on_K": 292.0, "off_K": 291.0}) > 20
+    assert grids.starts(part, "cooling", {"on_K": 296.0, "off_K": 288.5}) == 1
+    monkeypatch.setattr(
+        grids, "scan", lambda *args: SimpleNamespace(root=np.ones(len(args[4])), effective=1.0)
+    )
+    names = ("cooling_loss", "cooling_conductance", "cooling")
+    assert grids.best_switch(part, *names, [{"on_K": 296.0, "off_K": 288.5}], {"": 0.5}) is None
+    setting, _ = grids.best_switch(
+        part, *names, [{"on_K": 296.0, "off_K": 288.5}, {"on_K": 292.0, "off_K": 291.0}], {"": 0.1}
+    )
+    assert setting["on_K"] < 295.0
 
 
 @pytest.mark.parametrize(

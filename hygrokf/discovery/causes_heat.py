@@ -45,9 +45,12 @@ def cooling(scene: Scene) -> list[Variant]:
         return []
     levels = np.quantile(inside(scene, "cabinet_temperature"), np.linspace(0.4, 0.97, 10))
     grid = [{"on_K": float(a), "off_K": float(a - width)} for a in levels for width in (1.0, 3.0, 6.0)]
-    chosen, tried = best_switch(
+    found = best_switch(
         scene.parts[THERMAL], "cooling_loss", "cooling_conductance", "cooling", grid, {"": 1.5}
     )
+    if found is None:
+        return []
+    chosen, tried = found
     closed = additions_of(scene, thermal=(("cooling_loss", {}),))
     blown = additions_of(scene, thermal=(("cooling_loss", {}),), hygric=(("cooled_exchange", {}),))
     forms = [("closed", closed)] + ([("filter fan", blown)] if HYGRIC in scene.parts else [])
@@ -82,9 +85,10 @@ def heater(scene: Scene) -> list[Variant]:
             for width in (0.03, 0.08, 0.15)
         ]
     steps = {"cabinet_temperature": 1.5, "cabinet_relative_humidity": 0.05}
-    chosen, tried = best_switch(
-        scene.parts[THERMAL], "unreported_heater", "heater_heat", "heating", grid, steps
-    )
+    found = best_switch(scene.parts[THERMAL], "unreported_heater", "heater_heat", "heating", grid, steps)
+    if found is None:
+        return []
+    chosen, tried = found
     return [
         Variant(
             "standstill_heater", str(chosen["reads"]), {THERMAL: (("unreported_heater", {}),)},

@@ -126,7 +126,7 @@ def drier(scene: Scene) -> list[Variant]:
     found = [Variant("dehumidifier", "proportional", {HYGRIC: (("dehumidifier", {}),)}, starts=starts)]
     grid = [{"on": float(a), "off": float(a - width)} for a in levels for width in (0.03, 0.08)]
     # the rate is positive and estimated as a logarithm: its slope at a small value stands for that at zero
-    chosen, tried = best_switch(
+    switched = best_switch(
         scene.parts[HYGRIC],
         "switched_drying",
         "drying_rate",
@@ -135,6 +135,9 @@ def drier(scene: Scene) -> list[Variant]:
         {"": 0.02},
         {"drying_rate": 1e-4},
     )
+    if switched is None:
+        return found
+    chosen, tried = switched
     for form, plate in (("two-point, cold plate", True), ("two-point, desiccant", False)):
         found.append(
             Variant(

@@ -12,6 +12,7 @@ import numpy as np
 
 from hygrokf.discovery.scan import Scanned, scan, slow_scan
 from hygrokf.discovery.scene import Part, Scene
+from hygrokf.features import feature
 from hygrokf.record import Record
 
 DAY_S = 86400.0
@@ -19,6 +20,8 @@ PACES = (0.6, 0.8, 1.0, 1.25, 1.6)
 """Factors by which the days that a change takes are refined."""
 SUDDEN = (0.2, 0.03)
 """Widths, in days of the grid, to which the date of a jump is narrowed down: to 45 min, then to 7 min."""
+FEWEST_STARTS = 6
+"""Times that a switch must have started by the readings: one that turns with the seasons is none."""
 NARROWEST = 0.05
 """Share of its hysteresis that a switch keeps at least when its set-points are refined."""
 Look = Callable[..., Scanned]
@@ -95,10 +98,16 @@ def best_switch(
     grid: list[dict],
     steps: Mapping[str, float],
     nulls: Mapping[str, float] | None = None,
-) -> tuple[dict, float]:
-    """(two-point setting that the score statistic asks for most, effective number searched); refined twice by `steps`."""
+) -> tuple[dict, float] | None:
+    """(two-point setting that the score statistic asks for most, effective number searched); refined twice by `steps`.
+
+    None where no setting lets the switch start often enough.
+    """
     searched, best, chosen = 0.0, -math.inf, grid[0]
     for factor in (1.0, 0.4, 0.0):
+        grid = [one for one in grid if starts(part, feature, one) >= FEWEST_STARTS]
+        if not grid:
+            break
         scanned = scan(part, (mechanism, {}), parameter, feature, grid, nulls)
         searched += scanned.effective
         if scanned.root.max() > best:
@@ -112,7 +121,13 @@ def best_switch(
             for j in (-1.0, -0.5, 0.0, 0.5, 1.0)
             if (width + (i - j) * step) / width > NARROWEST
         ]
-    return chosen, searched
+    return (chosen, searched) if best > -math.inf else None
+
+
+def starts(part: Part, name: str, settings: Mapping) -> int:
+    """How often a switch starts by the readings of the part's run."""
+    course = feature(part.record, name, settings, part.time_s)
+    return int(np.sum(np.diff(course) > 0.0))
 
 
 def span(scene: Scene) -> dict[str, float]:
