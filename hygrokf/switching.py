@@ -23,6 +23,7 @@ from hygrokf.loops import LINEAR
 from hygrokf.model import Model
 from hygrokf.side_by_side import SideBySide
 from hygrokf.switches import SWITCHES, Switch
+from hygrokf.timeline import Timeline
 
 DECIDE_H = 1.0 / 12.0
 """[h] after which a simulated switch looks at its reading again at the latest."""
@@ -35,6 +36,11 @@ def switches_of(design: Design) -> dict[str, Switch]:
         for name, settings in design.features.items()
         if name in SWITCHES and (switch := SWITCHES[name](**settings)).reads in design.model.outputs
     }
+
+
+def all_on(t: Timeline, switches: Mapping[str, Switch]) -> Timeline:
+    """The run with its switches on throughout: its range, by which sub-steps are chosen, has them off and on."""
+    return t.with_inputs({name: np.ones(len(t)) for name in switches})
 
 
 def parts_of(hours: float) -> int:
@@ -85,11 +91,11 @@ def self_switched(
         return list(runs)
     model = design.model
     lines = [one.timeline for one in runs]
-    likelihoods = [Likelihood(model, t) for t in lines]
-    starts = starts or [one.first_gaussian(values) for one in likelihoods]
+    starts = starts or [Likelihood(model, t).first_gaussian(values) for t in lines]
+    rates = [Likelihood(model, all_on(t, switches)).rate(values) for t in lines]
     begun = {name: [float(t.u[0, t.varying.index(name)] > 0.5) for t in lines] for name in switches}
     board = Switchboard(model, values, switches, dict(zip(begun, _rows(list(begun.values())), strict=True)))
-    side = SideBySide(model, [values] * len(runs), starts, [one.rate(values) for one in likelihoods])
+    side = SideBySide(model, [values] * len(runs), starts, rates)
     pieces = [_pieces(model, one) for one in runs]
     longest = max(len(one.hours) for one in pieces)
     hours = _rows(_side_by_side([one.hours for one in pieces], longest, filled=False))

@@ -30,7 +30,7 @@ from hygrokf.psychrometrics import (
 from hygrokf.record import Record
 from hygrokf.side_by_side import SideBySide
 from hygrokf.surface import Surface, condenses
-from hygrokf.switching import Switchboard, parts_of, switches_of
+from hygrokf.switching import Switchboard, all_on, parts_of, switches_of
 
 STEP_H = 1.0
 """[h] distance of the instants that are kept; what happens between them is simulated, not kept."""
@@ -133,7 +133,8 @@ def simulate_years(
     model, t = design.model, made.timeline
     kept = kept_instants(t.time)
     groups = years_of(t.time[kept])
-    likelihood = Likelihood(model, t)
+    switches = switches_of(design)
+    likelihood = Likelihood(model, all_on(t, switches) if switches else t)
     starts, fastest = [], []
     random = np.random.default_rng([seed, 2])
     inputs = {name: t.input(name) for name in model.inputs}
@@ -146,7 +147,6 @@ def simulate_years(
         starts.append(Gaussian(np.where(model.amounts, np.maximum(begin, 0.0), begin), np.zeros((n, n))))
         fastest.append(likelihood.rate(values))
     runs = SideBySide(model, members, starts, np.array(fastest))
-    switches = switches_of(design)
     values = {p.name: np.array([one[p.name] for one in members]) for p in model.parameters}
     off = {name: np.zeros(len(members)) for name in switches}
     board = Switchboard(model, values, switches, off) if switches else None
