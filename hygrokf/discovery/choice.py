@@ -44,8 +44,6 @@ OVERWHELMING = 100.0
 INSIDE = 0.2
 """Share of the squared free-run error within its windows that an event must take away: bursts of a disturbance draw windows
 upon themselves too, and no exchange explains what goes on in them."""
-CLEARLY_INSIDE = 0.4
-"""Share of it from which the windows speak for an event by themselves."""
 EXPLAINED = "what it explains is explained by the accepted causes"
 NOT_AHEAD = (
     "beside the accepted causes it does not simulate better, and other causes have nearly as much evidence"
@@ -183,11 +181,10 @@ def overshadowed(trial: Trial, trials: Sequence[Trial], library: Sequence[Cause]
     """Why other trials take a trial's evidence its weight; empty where they do not.
 
     A cabinet is no network of two resistances, and likelihood notices: many causes then gain hundreds in 2 ln L and simulate
-    nothing better.  What gains no more than they do is one of them, unless the free run speaks for it clearly: everywhere, or
-    in the windows of an event.  A small
+    nothing better.  What gains no more than they do is one of them, unless the free run speaks for it clearly.  A small
     error of a clock counts as none of them: every record has one.
     """
-    if trial.best_lasting >= CLEAR or (trial.inside is not None and trial.inside >= CLEARLY_INSIDE):
+    if trial.best_lasting >= CLEAR:
         return ""
     idle = [
         worth(other)
