@@ -107,6 +107,15 @@ def test_some_causes_hardly_show_in_the_free_run(cause: str, bic: float, enough:
     assert (verdict(trial(cause, bic, 0.0)) == "") == enough
 
 
+def test_a_switch_that_follows_readings_may_be_a_little_worse() -> None:
+    """A humidistat in the thermal part, which foretells no humidity: its cycles come at the wrong times."""
+    one = trial("standstill_heater", 900.0, -0.1, THERMAL)
+    assert "worse" in verdict(one)
+    assert verdict(replace(one, by_readings=frozenset({THERMAL}))) == ""
+    assert "worse" in verdict(replace(one, by_readings=frozenset({HYGRIC})))
+    assert "worse" in verdict(replace(one, gain={THERMAL: -0.2}, by_readings=frozenset({THERMAL})))
+
+
 @pytest.mark.parametrize(
     ("cause", "form", "strength", "seed", "part"),
     [("standstill_heater", 0, 0.5, 9521, THERMAL), ("cooling_switching", 1, 1.0, 9026, THERMAL)],
@@ -120,6 +129,7 @@ def test_a_switch_that_drives_itself_simulates_better(
     trials = [attempt(shared, variant) for variant in named(cause).variants(shared)]
     best = max(trials, key=lambda one: one.lr)
     assert best.lr > 100.0 and best.lasting[part] > 0.05 and verdict(best) == ""
+    assert part not in best.by_readings
     # the trial's parts keep the errors by readings, which later trials beside it are held against
     by_readings = 1.0 - np.nansum(best.parts[part].error ** 2) / np.nansum(shared.parts[part].error ** 2)
     assert best.gain[part] > by_readings + 0.05

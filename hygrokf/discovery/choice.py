@@ -20,6 +20,8 @@ EVIDENCE = 10.0
 """Gain in 2 ln L beyond the price of parameters and grid (BIC) that counts as strong."""
 WORSE = -0.02
 """A cause that makes the free run of a part worse by more than this share is no cause."""
+WORSE_BY_READINGS = -0.15
+"""The same for a part in which a switch follows readings: sampled triggers put its cycles at wrong times."""
 SATURATION = 0.97
 """[1] relative humidity from which a ceiling is no fault of a sensor: saturated air, read with a sensor's accuracy."""
 CLOSE = 10.0
@@ -79,7 +81,11 @@ def verdict_on(trial: Trial, cause: Cause) -> str:
         return "its gain in likelihood does not pay for its parameters and the settings searched"
     if trial.beyond:
         return f"{trial.beyond.replace('_', ' ')} would have to be larger than is physically possible"
-    if min(trial.gain.values(), default=0.0) < WORSE and trial.best_lasting < 4.0 * -WORSE:
+    worse = any(
+        share < (WORSE_BY_READINGS if name in trial.by_readings else WORSE)
+        for name, share in trial.gain.items()
+    )
+    if worse and trial.best_lasting < 4.0 * -WORSE:
         return "it makes the free run worse"
     stated = trial.variant.settings
     if cause.name == "clock_shift" and abs(float(stated["shift_s"])) < float(stated["ordinary_s"]):

@@ -16,6 +16,7 @@ from hygrokf.drivers import run
 from hygrokf.likelihood import Trace
 from hygrokf.record import Record
 from hygrokf.switches import SWITCHES
+from hygrokf.switching import switches_of
 from hygrokf.timeline import Timeline
 
 MATERIAL = 0.05
@@ -52,7 +53,8 @@ class Trial:
     `parts` the parts that it changed; `lr` 2 Δ ln L of them together, `parameters` their new ones, `bic_gain` lr less
     the price of parameters and grid; `gain` part → share of the squared free-run error that is gone, `lasting` the
     same without the three days that gained most, `episodes` in how many episodes it was gained.  `inside` the share that
-    is gone within the windows of an event, in the part that gains most there; None for what has none.
+    is gone within the windows of an event, in the part that gains most there; None for what has none.  `by_readings` the
+    parts in which a switch follows readings that the part does not foretell, such as a humidistat in the thermal one.
     """
 
     variant: Variant
@@ -64,6 +66,7 @@ class Trial:
     lasting: Mapping[str, float]
     episodes: Mapping[str, int]
     inside: float | None = None
+    by_readings: frozenset[str] = frozenset()
 
     def value(self, parameter: str, otherwise: float) -> float:
         """A parameter's estimate in the parts that it changed; `otherwise` where none has it."""
@@ -174,7 +177,13 @@ def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
     lr = sum(2.0 * (part.objective - scene.parts[name].objective) for name, part in parts.items())
     count, n = 0, 0
     gain, lasting, often = {}, {}, {}
-    own = lr > SHOWN and bool(SWITCHES.keys() & set(variant.features))
+    switched = set(SWITCHES) & set(variant.features)
+    own = lr > SHOWN and bool(switched)
+    led = {
+        name
+        for name, part in parts.items()
+        if switched & set(part.base.features) - set(switches_of(part.base))
+    }
     for name, part in parts.items():
         before, after = scene.parts[name], self_driven(part) if own else part
         often[name] = episodes(*daily_squares(before, after))
@@ -186,8 +195,9 @@ def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
     windows = [share_inside(scene.parts[name], part, spans) for name, part in parts.items()] if spans else []
     price = penalty(variant, count, n)
     return Trial(
-        variant, dict(parts), lr, count, lr - price, gain, lasting, often, max(windows) if windows else None
-    )
+        variant, dict(parts), lr, count, lr - price, gain, lasting, often,
+        max(windows) if windows else None, frozenset(led),
+    )  # fmt: skip
 
 
 def share_inside(before: Part, after: Part, spans: Sequence[Sequence[float]]) -> float:
