@@ -206,6 +206,14 @@ def test_what_gains_no_more_than_idle_causes_is_one_of_them() -> None:
         and reason(trial("exchange_step", 580.0, 0.0)) == ""
     )
     assert reason(trial("ambient_bias", 420.0, 0.06)) == reason(trial("ambient_bias", 90.0, 0.12)) == ""
+    offset = replace(
+        trial("temperature_sensor_offset", 200.0, 0.06),
+        parts={HYGRIC: part_of(), THERMAL: part_of()},
+        lasting={HYGRIC: 0.06, THERMAL: 0.06},
+    )
+    assert (
+        reason(offset) == "" and reason(replace(offset, lasting={HYGRIC: 0.06, THERMAL: 0.0})) == OVERSHADOWED
+    )
     # another part, a cause worth having, and a clock do not count
     assert reason(trial("exchange_step", 120.0, 0.0), trial("wall_thermal_mass", 400.0, 0.01, THERMAL)) == ""
     assert reason(trial("exchange_step", 120.0, 0.0), trial("wall_thermal_mass", 400.0, 0.2)) == ""

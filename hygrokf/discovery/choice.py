@@ -187,10 +187,11 @@ def overshadowed(trial: Trial, trials: Sequence[Trial], library: Sequence[Cause]
     """Why other trials take a trial's evidence its weight; empty where they do not.
 
     A cabinet is no network of two resistances, and likelihood notices: many causes then gain hundreds in 2 ln L and simulate
-    nothing better.  What gains no more than they do is one of them, unless the free run speaks for it clearly.  A small
-    error of a clock counts as none of them: every record has one.
+    nothing better.  What gains no more than they do is one of them, unless the free run speaks for it clearly, or in
+    both parts.  A small error of a clock counts as none of them: every record has one.
     """
-    if trial.best_lasting >= CLEAR:
+    both = len(trial.lasting) > 1 and min(trial.lasting.values()) >= MATERIAL
+    if trial.best_lasting >= CLEAR or both:
         return ""
     idle = [
         worth(other)
