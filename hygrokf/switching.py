@@ -10,7 +10,6 @@ Shapes: T instants, N runs or members side by side, n states.
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -43,9 +42,9 @@ def all_on(t: Timeline, switches: Mapping[str, Switch]) -> Timeline:
     return t.with_inputs({name: np.ones(len(t)) for name in switches})
 
 
-def parts_of(hours: float) -> int:
-    """Sub-steps of a step [h] in which switches decide."""
-    return max(math.ceil(hours / DECIDE_H - 1e-9), 1)
+def parts_of(hours: np.ndarray | float) -> np.ndarray:
+    """Number of sub-steps of steps [h] in which switches decide, one at least."""
+    return np.maximum(np.ceil(np.asarray(hours) / DECIDE_H - 1e-9), 1.0).astype(int)
 
 
 @dataclass
@@ -157,7 +156,7 @@ class _Pieces:
 def _pieces(model: Model, one: Run) -> _Pieces:
     t = one.timeline
     length = t.steps[t.key, 0]
-    parts = np.maximum(np.ceil(length / DECIDE_H - 1e-9), 1.0).astype(int)
+    parts = parts_of(length)
     owner = np.repeat(np.arange(len(t)), parts)
     share = (np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts) + 1.0) / parts[owner]
     inputs = {}

@@ -224,7 +224,7 @@ class _Walk:
                 self._step(step_h, now)
                 continue
             before = {name: float(value[place - 1]) for name, value in self.inputs.items()}
-            parts = parts_of(step_h)
+            parts = int(parts_of(step_h))
             for part in range(1, parts + 1):
                 self.board.decide(
                     self.state, self._between(before, now, (part - 1) / parts), self.idle[place]

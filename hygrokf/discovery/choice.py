@@ -137,7 +137,6 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
         say(cause.name.replace("_", " "))
         trials += [_settled(scene, attempt(scene, variant)) for variant in cause.variants(scene)]
     tried = len(trials)
-    firsts = list(trials)
     first = {t.variant.cause: t for t in sorted(trials, key=worth)}  # the best of each cause comes last
     while True:
         good = [
@@ -173,12 +172,13 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
     names = {t.variant.cause for t in accepted}
     # what was accepted beside a cause is no longer another name for it
     apart = tuple(tuple(t for t in one if t.variant.cause not in names) for one in rivals)
+    last = {t.variant.cause: _reason(t, trials, accepted, library) for t in sorted(trials, key=worth)}
     rejected = []
     for name, trial in first.items():
         if name not in names:
             reason = verdict_on(trial, named(name, library)) or behind.get(name, "")
-            if not reason and not accepted:
-                reason = overshadowed(trial, firsts, library)
+            if not reason and last.get(name) == OVERSHADOWED:
+                reason = OVERSHADOWED
             rejected.append((trial, reason or EXPLAINED))
     return Choice(tuple(accepted), apart, tuple(margins), tried, tuple(rejected), scene)
 
