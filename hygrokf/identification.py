@@ -124,7 +124,10 @@ def identified(
         driven = early
         if part == CASCADE:
             say("smoothed cabinet temperature")
-            driven = early.replace_series(smoothed_temperature(stages[0], early, base.humidity))
+            known = stages[0]
+            driven = early.replace_series(
+                smoothed_temperature(known.base, known.run, known.estimate.values, early, base.humidity)
+            )
         stages.append(identify_stage(driven, base, starts, profiles, say))
         records.append(driven)
     return Basis(kind, tuple(stages), tuple(records), regression)

@@ -209,16 +209,19 @@ def _sampling(
     return {"step_h": reading_step_h(thinned[0]) / 2.0, **shifts}
 
 
-def smoothed_temperature(stage: Stage | Estimated, early: Record, humidity: str) -> Series:
+def smoothed_temperature(
+    base: Design, made: Run, values: Mapping[str, float], early: Record, humidity: str
+) -> Series:
     """The cabinet air temperature given all its readings [K], at its own times and those of the humidity.
+
+    `base` a thermal design with its run on `early` and its parameters; `humidity` the signal of the cabinet's humidity.
 
     The hygric model divides by e_s(T): with raw readings their noise would weaken that dependence, as errors in a
     regressor do, and end up in the humidity sensor's bias; the smoothed temperature is free of it.
     """
-    t, base = stage.run.timeline, stage.base
-    values = stage.estimate.values
-    mean, _ = smooth(stage.likelihood, values, covariance=False)
-    air, _ = project(base, values, stage.run, mean, None, air_temperature)
+    t = made.timeline
+    mean, _ = smooth(Likelihood(base.model, t), values, covariance=False)
+    air, _ = project(base, values, made, mean, None, air_temperature)
     seconds = t.origin_s + 3600.0 * t.time
     raw = early["cabinet_temperature"]
     moist = early[humidity]

@@ -41,7 +41,7 @@ def trial(
     return Trial(
         Variant(cause, "by hand", features=features or {}, settings={"shift_s": 900.0, "ordinary_s": 240.0}),
         {part: part_of(converged=converged)},
-        bic + 20.0,
+        {part: bic + 20.0},
         2,
         bic,
         {part: lasting},
@@ -351,9 +351,9 @@ def test_what_turns_with_the_seasons_is_no_switch(monkeypatch: pytest.MonkeyPatc
 def test_a_clock_is_told_with_its_error(seconds: float, settings: dict, said: str) -> None:
     shift = Shift("logger", seconds)
     variant = Variant("clock_shift", "logger", shift=shift, settings=settings)
-    assert evidence._clock(Trial(variant, {}, 90.0, 1, 80.0, {}, {}, {})) == said
+    assert evidence._clock(Trial(variant, {}, {THERMAL: 90.0}, 1, 80.0, {}, {}, {})) == said
     assert "clock_correction" in evidence._remedy(
-        named("clock_shift"), Trial(variant, {}, 9.0, 1, 8.0, {}, {}, {})
+        named("clock_shift"), Trial(variant, {}, {THERMAL: 9.0}, 1, 8.0, {}, {}, {})
     )
 
 
@@ -403,7 +403,9 @@ def test_what_is_left_overrules_a_name_only_where_it_is_another_one(
     features: dict | None, left: bool, foreign: bool, repeated: bool, said: str
 ) -> None:
     accepted = (
-        [] if features is None else [Trial(Variant("a", "b", features=features), {}, 9.0, 1, 8.0, {}, {}, {})]
+        []
+        if features is None
+        else [Trial(Variant("a", "b", features=features), {}, {THERMAL: 9.0}, 1, 8.0, {}, {}, {})]
     )
     assert verdict_of(accepted, {} if left else None, foreign, repeated) == said
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import LIBRARY, named
-from hygrokf.discovery.scene import Scene
+from hygrokf.discovery.scene import THERMAL, Scene, redriven
 from hygrokf.discovery.trial import MATERIAL, Trial, attempt, polished, refined, started
 from hygrokf.stage import Progress
 from hygrokf.switches import SWITCHES
@@ -35,12 +35,15 @@ MOST_CAUSES = 3
 SHARE = 0.15
 """Share of an accepted cause's evidence that a further cause of the same part must have, and all of it where the free run
 does not gain clearly: the true form is never known, and what it differs in is left behind."""
-LEAD = 0.3
-"""Share of its evidence by which a further cause must be ahead of all others where the free run does not speak for it, and
-the first one ahead of those that are not worth having."""
 CLEAR = 2.0 * MATERIAL
 """Lasting gain from which the free run speaks for a cause by itself; below it no cause that is not worth having has more
 evidence."""
+STRIKING = 2.0 * CLEAR
+"""Lasting gain from which a further cause needs no share of the first one's evidence: what a strong cause of another form
+leaves behind is seen by the likelihood, and not by the free run."""
+LEAD = 0.3
+"""Share of its evidence by which a further cause must be ahead of all others where the free run does not speak for it, and
+the first one ahead of those that are not worth having."""
 OVERWHELMING = 100.0
 """Gain in evidence (BIC) with which half a material share without the best days is enough, the whole with them."""
 INSIDE = 0.2
@@ -51,6 +54,8 @@ NOT_AHEAD = (
     "beside the accepted causes it does not simulate better, and other causes have nearly as much evidence"
 )
 OVERSHADOWED = "causes that are not worth having have more evidence: the record departs from the model in ways that look like it"
+READINGS = ("temperature_sensor_offset",)
+"""Causes that change what is read of the cabinet's temperature and not the air."""
 RETRY = 8.0
 """2 Δ ln L below which a cause is not tried again beside an accepted one."""
 
@@ -146,18 +151,18 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
         if not good:
             break
         best = polished(scene, _preferred(good))
-        others = {t.variant.cause: t for t in reversed(good) if t.variant.cause != best.variant.cause}
-        class_ = tuple(t for t in others.values() if alike(scene, best, t))
+        class_ = _class(scene, best, good, trials)
         ahead = _ahead(best, class_, trials)
         slipped = _reason(best, trials, accepted, library)  # at its maximum it may gain less than on the way
         if slipped or (accepted and best.best_lasting < MATERIAL and ahead < LEAD):
             behind[best.variant.cause] = slipped or NOT_AHEAD
             continue
-        behind = {}
+        behind, before = {}, scene
         rivals.append(class_)
         margins.append(ahead)
         accepted.append(best)
-        scene, changed = replace(scene, parts={**scene.parts, **best.parts}), set(best.parts)
+        scene = _with(scene, best)
+        changed = {name for name, part in scene.parts.items() if part is not before.parts[name]}
         if len(accepted) > 1:
             keep, scene = _needed(base, accepted, scene, say)
             if len(keep) < len(accepted):
@@ -167,8 +172,12 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
             break
         trials = _again(scene, trials, accepted, changed, say)
     for place, trial in enumerate(accepted):
-        beside = {name for other in accepted if other is not trial for name in other.parts}
-        accepted[place], scene = refined(base, scene, trial, alone=not beside & set(trial.parts))
+        others = [other for other in accepted if other is not trial]
+        beside = {name for other in others for name in other.parts}
+        ground = base
+        if any(drives(other) for other in others):
+            ground = redriven(replace(base, parts={**base.parts, THERMAL: scene.parts[THERMAL]}))
+        accepted[place], scene = refined(ground, scene, trial, alone=not beside & set(trial.parts))
     names = {t.variant.cause for t in accepted}
     # what was accepted beside a cause is no longer another name for it
     apart = tuple(tuple(t for t in one if t.variant.cause not in names) for one in rivals)
@@ -177,10 +186,21 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
     for name, trial in first.items():
         if name not in names:
             reason = verdict_on(trial, named(name, library)) or behind.get(name, "")
-            if not reason and last.get(name) == OVERSHADOWED:
-                reason = OVERSHADOWED
-            rejected.append((trial, reason or EXPLAINED))
+            rejected.append((trial, reason or last.get(name) or EXPLAINED))
     return Choice(tuple(accepted), apart, tuple(margins), tried, tuple(rejected), scene)
+
+
+def _with(scene: Scene, trial: Trial) -> Scene:
+    """The scene with what a trial changed, the humidity on the temperature that is known by it."""
+    wider = replace(scene, parts={**scene.parts, **trial.parts})
+    return redriven(wider) if drives(trial) else wider
+
+
+def drives(trial: Trial) -> bool:
+    """Whether the air temperature is better known by a trial: by all that changes its model but errors of its readings,
+    which the hygric part is told by itself.
+    """
+    return THERMAL in trial.parts and trial.variant.cause not in READINGS
 
 
 def overshadowed(trial: Trial, trials: Sequence[Trial], library: Sequence[Cause]) -> str:
@@ -204,6 +224,23 @@ def overshadowed(trial: Trial, trials: Sequence[Trial], library: Sequence[Cause]
     ]
     least = max(idle, default=0.0) / (1.0 if trial.best_lasting >= MATERIAL else 1.0 - LEAD)
     return OVERSHADOWED if worth(trial) < least else ""
+
+
+def _class(scene: Scene, best: Trial, good: Sequence[Trial], trials: Sequence[Trial]) -> tuple[Trial, ...]:
+    """The best trial of every other cause that is not told apart from the chosen one.
+
+    Acceptable ones are compared by evidence and free run; of others that are worth having those that simulate the same:
+    a source that always runs and an offset of the ambient differ by how the exchange depends on the temperature alone,
+    and no cabinet keeps that law as the library writes it.
+    """
+    others = {t.variant.cause: t for t in reversed(good)}
+    for t in sorted(trials, key=worth, reverse=True):
+        close = t.lr > 0.0 and worth_having(t) and not t.beyond
+        if close and t.variant.cause not in others and difference(scene, best, t) < SAME:
+            others[t.variant.cause] = t
+    others.pop(best.variant.cause, None)
+    acceptable = {t.variant.cause for t in good}
+    return tuple(t for cause, t in others.items() if cause not in acceptable or alike(scene, best, t))
 
 
 def _ahead(best: Trial, class_: Sequence[Trial], trials: Sequence[Trial]) -> float:
@@ -231,9 +268,12 @@ def _reason(
     reason = verdict_on(trial, named(trial.variant.cause, library)) or overshadowed(trial, trials, library)
     if reason:
         return reason
+    if trial.best_lasting >= STRIKING:
+        return ""
     share = SHARE if trial.best_lasting >= CLEAR else 1.0
     for other in accepted:
-        if set(other.parts) & set(trial.parts) and worth(trial) < share * worth(other):
+        common = set(other.parts) & set(trial.parts)
+        if common and trial.bic_in(common) < share * other.bic_in(common):
             return "no more than what a stronger cause of another form than assumed leaves behind"
     return ""
 
@@ -271,7 +311,7 @@ def _needed(base: Scene, accepted: Sequence[Trial], scene: Scene, say: Progress)
         without = base
         for i in others:
             again = attempt(without, started(without, accepted[i]))
-            without = replace(without, parts={**without.parts, **again.parts})
+            without = _with(without, again)
         lost = sum(
             2.0 * (scene.parts[name].objective - without.parts[name].objective) for name in scene.parts
         )

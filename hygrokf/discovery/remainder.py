@@ -12,7 +12,9 @@ from hygrokf.discovery.conditions import LAGS_H
 from hygrokf.discovery.misfits import LEVEL, NAMES, Misfit, digits, misfits
 from hygrokf.discovery.residuals import (
     FEWEST_HOURS,
+    HUMIDITY,
     QUANTITIES,
+    TEMPERATURE,
     UNITS,
     Hours,
     Residuals,
@@ -22,11 +24,14 @@ from hygrokf.discovery.residuals import (
 )
 from hygrokf.resampling import block_h
 
-BLOCK_H = 6.0
-APART = 12
+BLOCK_H = 3.0
+WANDERS_H = 24.0
+"""Standard deviation of the bell by which the error's slow course is taken out: what comes and goes lasts for hours."""
+APART = 24
 """Blocks, three days, by which two series are moved apart at least to see what chance makes of them."""
-RESTLESS = 2.8
-"""Standard errors beyond which unrest goes with one side of the error."""
+RESTLESS = {(TEMPERATURE, 1): 2.4, (TEMPERATURE, -1): 3.6, (HUMIDITY, 1): 3.0, (HUMIDITY, -1): 3.0}
+"""(quantity, side) -> standard errors beyond which unrest goes with that side of the error.  A cabinet is warmer than the
+air around it, so that an ordinary exchange that is restless goes with errors to the cold side."""
 UNSTEADY = 1.3
 """Variance of the innovations' size below which there is no unrest to speak of."""
 SKEWED = 0.5
@@ -86,7 +91,7 @@ def unlogged(residuals: Residuals) -> dict | None:
     """Unrest to one side, as `structure` gives it, or None: something that nobody logs acts, whatever else was found."""
     for quantity in QUANTITIES:
         z, unsteady = unrest(residuals, quantity)
-        if abs(z) > RESTLESS and unsteady > UNSTEADY:
+        if abs(z) > RESTLESS[quantity, int(math.copysign(1, z))] and unsteady > UNSTEADY:
             words = (
                 f"something under no condition that is logged comes and goes: the {NAMES[quantity]} is more restless while "
                 f"it is simulated too {'low' if z > 0 else 'high'} (rank correlation {z:.1f} standard errors; none is "
@@ -98,10 +103,11 @@ def unlogged(residuals: Residuals) -> dict | None:
 
 
 def unrest(residuals: Residuals, quantity: str) -> tuple[float, float]:
-    """(z, u) of a quantity's innovations in blocks of six hours: does their size go with the side of the error?
+    """(z, u) of a quantity's innovations in blocks of three hours: does their size go with the side of the error?
 
-    z: rank correlation of the mean squared innovation and the mean error of blocks, in standard errors, the mean course
-    over the day taken out; the error of it is that of the same series moved against each other by days.  Ordinary disturbances, also those that come in shots or with the hour, know no side: |z| is
+    z: rank correlation of the mean squared innovation and the mean error of blocks, in standard errors; the error's slow
+    course and the mean course over the day are taken out.  The error of z is that of the same series moved against each
+    other by days.  Ordinary disturbances, also those that come in shots or with the hour, know no side: |z| is
     that of a standard normal variate.  What acts now and then, and then to one side, makes it large.
     u: variance of the mean squared innovations over that of a Gaussian's, 1 for a steady one.
     """
@@ -122,7 +128,7 @@ def unrest(residuals: Residuals, quantity: str) -> tuple[float, float]:
     unsteady = float(np.var(square / square.mean()) * np.median(count[full]) / 2.0)
     rank = np.argsort(np.argsort(square)).astype(float)
     parts = np.zeros((2, len(hour)))
-    for row, one in enumerate((rank, mean)):
+    for row, one in enumerate((rank, mean - _slow(mean, full))):
         parts[row, full] = _without_course(one, hour[full])
     # both have a memory: how far chance takes their product is seen where one is moved against the other by days
     spectrum = np.fft.rfft(parts)
@@ -130,6 +136,18 @@ def unrest(residuals: Residuals, quantity: str) -> tuple[float, float]:
     apart = products[APART : len(hour) - APART]
     spread = float(np.sqrt(np.mean(apart**2))) if len(apart) else 0.0
     return (float(products[0]) / spread if spread > 0 else 0.0), unsteady
+
+
+def _slow(mean: np.ndarray, full: np.ndarray) -> np.ndarray:
+    """Slow course of block means (n,) that belong to the blocks flagged by `full` (N,): their mean under a bell."""
+    sd = round(WANDERS_H / BLOCK_H)
+    bell = np.exp(-0.5 * (np.arange(-3 * sd, 3 * sd + 1) / sd) ** 2)
+    spread = np.zeros(len(full))
+    spread[full] = mean
+    sums, weight = (
+        np.convolve(one, bell)[3 * sd : 3 * sd + len(full)] for one in (spread, full.astype(float))
+    )
+    return sums[full] / weight[full]
 
 
 def _without_course(value: np.ndarray, hour: np.ndarray) -> np.ndarray:

@@ -93,9 +93,31 @@ def scene(record: Record, starts: int = 2, say: Progress = lambda text: None) ->
     base = design(early, kind=CASCADE)
     if base.humidity is not None:
         say("smoothed cabinet temperature")
-        driven = early.replace_series(smoothed_temperature(thermal, early, base.humidity))
+        driven = _driven(parts[THERMAL], early, base.humidity)
         parts[HYGRIC] = part_of(HYGRIC, driven, estimated(driven, base, starts, say))
     return Scene(early, parts)
+
+
+def redriven(scene: Scene) -> Scene:
+    """The scene with its hygric part on the temperature that its thermal part smooths now, estimated again.
+
+    Whoever simulates the temperature better knows it better between the readings too: a heater's cycles that the base
+    smoothed away are errors of the humidity's saturation.  As it is where that does not gain.
+    """
+    if HYGRIC not in scene.parts:
+        return scene
+    part = scene.parts[HYGRIC]
+    record = _driven(scene.parts[THERMAL], part.record, part.base.humidity)
+    part = climbed(replace(part, record=record, run=run(part.base, record)))
+    if part.objective <= scene.parts[HYGRIC].objective:
+        return scene
+    return replace(scene, parts={**scene.parts, HYGRIC: part})
+
+
+def _driven(thermal: Part, record: Record, humidity: str) -> Record:
+    """A record with the cabinet temperature that a thermal part smooths from its own readings."""
+    smoothed = smoothed_temperature(thermal.base, thermal.run, thermal.values, thermal.record, humidity)
+    return record.replace_series(smoothed)
 
 
 def part_of(name: str, record: Record, found: Estimated) -> Part:
@@ -130,7 +152,10 @@ def refitted(
         first = first[:SCOUTED]
     if len(first) > 1:
         # the mechanisms' own parameters alone, a few passes: what is far behind then is not followed
-        reached, best_start = max((_scouted(likelihood, part, at) for at in first), key=lambda pair: pair[0])
+        own = frozenset().union(*starts)
+        reached, best_start = max(
+            (_scouted(likelihood, part, at, own) for at in first), key=lambda pair: pair[0]
+        )
         first = [best_start]
         hopeful = reached > part.objective + HOPE
     best = climb(objective, coordinates.start(first[0]), passes=10 if hopeful else 2, tolerance=0.5)
@@ -147,14 +172,17 @@ def climbed(part: Part) -> Part:
     return _part(part.name, part.record, part.base, part.run, values, best.objective, best.converged)
 
 
-def _scouted(likelihood: Likelihood, part: Part, at: Mapping[str, float]) -> tuple[float, dict[str, float]]:
-    """(objective, values) after a few passes over the parameters that the part does not have, and the sensors' offsets.
+def _scouted(
+    likelihood: Likelihood, part: Part, at: Mapping[str, float], own: frozenset[str]
+) -> tuple[float, dict[str, float]]:
+    """(objective, values) after a few passes over the parameters that the part does not have, those that starts give
+    (`own`), and the sensors' offsets.
 
     Offsets start from where the sensors' accuracy has them: the base may have stretched them to stand for what it lacks.
     """
     parameters = likelihood.model.parameters
     offsets = {p.name: p.prior.mean for p in parameters if p.prior is not None}
-    held = {name: value for name, value in at.items() if name in part.values and name not in offsets}
+    held = {name: value for name, value in at.items() if name in part.values and name not in {*offsets, *own}}
     coordinates = Coordinates(parameters, held if len(held) < len(parameters) else {})
     found = climb(
         Objective(likelihood, coordinates), coordinates.start({**at, **offsets}), passes=5, tolerance=1.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -50,7 +50,7 @@ BEST_DAYS = 3
 class Trial:
     """A variant estimated in a scene.
 
-    `parts` the parts that it changed; `lr` 2 Δ ln L of them together, `parameters` their new ones, `bic_gain` lr less
+    `parts` the parts that it changed; `lrs` 2 Δ ln L of each, `lr` of them together, `parameters` their new ones, `bic_gain` lr less
     the price of parameters and grid; `gain` part → share of the squared free-run error that is gone, `lasting` the
     same without the three days that gained most, `episodes` in how many episodes it was gained.  `inside` the share that
     is gone within the windows of an event, in the part that gains most there; None for what has none.  `by_readings` the
@@ -59,7 +59,7 @@ class Trial:
 
     variant: Variant
     parts: Mapping[str, Part]
-    lr: float
+    lrs: Mapping[str, float]
     parameters: int
     bic_gain: float
     gain: Mapping[str, float]
@@ -67,6 +67,14 @@ class Trial:
     episodes: Mapping[str, int]
     inside: float | None = None
     by_readings: frozenset[str] = frozenset()
+
+    @property
+    def lr(self) -> float:
+        return sum(self.lrs.values())
+
+    def bic_in(self, parts: Iterable[str]) -> float:
+        """Its `bic_gain`, as far as it was gained in some of its parts."""
+        return self.bic_gain * sum(self.lrs[name] for name in parts) / self.lr if self.lr > 0.0 else 0.0
 
     def value(self, parameter: str, otherwise: float) -> float:
         """A parameter's estimate in the parts that it changed; `otherwise` where none has it."""
@@ -130,7 +138,7 @@ def refined(base: Scene, scene: Scene, trial: Trial, alone: bool) -> tuple[Trial
     finer = trial.variant.finer
     if finer is None:
         return trial, scene
-    before, after = 0.0, {}
+    after = {}
     for name, additions in finer.additions.items():
         part = scene.parts[name]
         start = {
@@ -139,16 +147,15 @@ def refined(base: Scene, scene: Scene, trial: Trial, alone: bool) -> tuple[Trial
         }
         altered = replace(part, base=_altered(part.base, dict(additions)))
         after[name] = refitted(altered, (), {}, (start,))
-        before += part.objective
-    gained = 2.0 * (_objective(after) - before)
-    if gained <= FINER:
+    if sum(_gained(scene, after).values()) <= FINER:
         return trial, scene
     after = {name: climbed(part) for name, part in after.items()}
-    gained = 2.0 * (_objective(after) - before)
     if alone:
         found = judged(base, finer, {**trial.parts, **after})
     else:
-        found = replace(trial, variant=finer, lr=trial.lr + gained, bic_gain=trial.bic_gain + gained)
+        gained = _gained(scene, after)
+        lrs = {name: one + gained.get(name, 0.0) for name, one in trial.lrs.items()}
+        found = replace(trial, variant=finer, lrs=lrs, bic_gain=trial.bic_gain + sum(gained.values()))
     return found, replace(scene, parts={**scene.parts, **after})
 
 
@@ -158,11 +165,12 @@ def started(scene: Scene, trial: Trial) -> Variant:
         return trial.variant
     known = {name for part in scene.parts.values() for name in part.values}
     altered = {name for changed in trial.variant.altered.values() for name in changed}
+    own = {name for start in trial.variant.starts for name in start}
     start = {
         name: value
         for part in trial.parts.values()
         for name, value in part.values.items()
-        if name not in known or altered
+        if name not in known or name in own or altered
     }
     return replace(trial.variant, starts=(start,))
 
@@ -174,7 +182,8 @@ def polished(scene: Scene, trial: Trial) -> Trial:
 
 def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
     """What changed parts gained over those of the scene; a switch with evidence is simulated by itself for that."""
-    lr = sum(2.0 * (part.objective - scene.parts[name].objective) for name, part in parts.items())
+    lrs = _gained(scene, parts)
+    lr = sum(lrs.values())
     count, n = 0, 0
     gain, lasting, often = {}, {}, {}
     switched = set(SWITCHES) & set(variant.features)
@@ -195,9 +204,14 @@ def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
     windows = [share_inside(scene.parts[name], part, spans) for name, part in parts.items()] if spans else []
     price = penalty(variant, count, n)
     return Trial(
-        variant, dict(parts), lr, count, lr - price, gain, lasting, often,
+        variant, dict(parts), lrs, count, lr - price, gain, lasting, often,
         max(windows) if windows else None, frozenset(led),
     )  # fmt: skip
+
+
+def _gained(scene: Scene, parts: Mapping[str, Part]) -> dict[str, float]:
+    """2 Δ ln L of changed parts over those of the scene."""
+    return {name: 2.0 * (part.objective - scene.parts[name].objective) for name, part in parts.items()}
 
 
 def share_inside(before: Part, after: Part, spans: Sequence[Sequence[float]]) -> float:
@@ -333,7 +347,7 @@ def _shifted(scene: Scene, variant: Variant) -> Trial:
     }
     variant = replace(variant, shift=shift, settings=settings)
     if seconds == 0.0:
-        return Trial(variant, {}, 0.0, 1, -penalty(variant, 1, 1), {}, {}, {})
+        return Trial(variant, {}, {}, 1, -penalty(variant, 1, 1), {}, {}, {})
     return judged(scene, variant, parts)
 
 
