@@ -12,12 +12,12 @@ from plants.hidden import hidden_plant
 
 from hygrokf.discovery import choice, evidence, grids
 from hygrokf.discovery.cause import Variant
-from hygrokf.discovery.choice import NOT_AHEAD, OVERSHADOWED, _preferred, _reason, choose, verdict_on
+from hygrokf.discovery.choice import NOT_AHEAD, OVERSHADOWED, _preferred, _reason, _with, choose, verdict_on
 from hygrokf.discovery.clocks import Shift
 from hygrokf.discovery.discover import verdict as verdict_of
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, scene
-from hygrokf.discovery.trial import Trial, attempt, ordinary_shift, refined, share_inside
+from hygrokf.discovery.trial import Trial, attempt, ordinary_shift, refined, share_inside, started
 from hygrokf.mechanisms import condensation, humidity_ceiling, humidity_drift, temperature_step
 from hygrokf.model import Mechanism
 from hygrokf.record import Record, Series
@@ -245,6 +245,40 @@ def test_what_a_form_leaves_behind_is_no_further_cause() -> None:
     assert _reason(trial("moisture_sorption", 20.0, 0.1, HYGRIC), [], [first], LIBRARY) == ""
 
 
+def test_a_strikingly_better_free_run_needs_no_share_of_the_first_evidence() -> None:
+    """A thermometer 1.7 K off beside a drier: 2.5 % of its evidence, and a free run that is better by a quarter."""
+    first = trial("dehumidifier", 2699.0, 0.3)
+    assert _reason(trial("temperature_sensor_offset", 69.0, 0.26), [], [first], LIBRARY) == ""
+    assert "leaves behind" in _reason(trial("temperature_sensor_offset", 69.0, 0.18), [], [first], LIBRARY)
+
+
+def test_evidence_is_compared_in_the_part_that_causes_share() -> None:
+    """Rain beside a fan: what the fan explains of the temperature is no reason against a cause of the vapour."""
+    fan = replace(
+        trial("cooling_switching", 930.0, 0.3, THERMAL),
+        parts={THERMAL: part_of(), HYGRIC: part_of()},
+        lrs={THERMAL: 750.0, HYGRIC: 200.0},
+    )
+    assert fan.lr == 950.0 and fan.bic_in([HYGRIC]) == pytest.approx(930.0 * 200.0 / 950.0)
+    assert _reason(trial("rain_ingress", 136.0, 0.14), [], [fan], LIBRARY) == ""
+    alone = replace(fan, parts={HYGRIC: part_of()}, lrs={HYGRIC: 950.0})
+    assert "leaves behind" in _reason(trial("rain_ingress", 136.0, 0.14), [], [alone], LIBRARY)
+    assert trial("rain_ingress", -30.0, 0.0).bic_in([HYGRIC]) == 0.0
+
+
+def test_what_simulates_the_same_is_another_name_though_the_likelihood_prefers_one(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    best, source = trial("ambient_bias", 40.0, 0.39), trial("internal_moisture_source", 2.0, 0.41)
+    idle, apart = trial("condensation", 5.0, 0.01), trial("rain_ingress", 3.0, 0.3)
+    apart_from = {"internal_moisture_source": 0.1, "rain_ingress": 0.9}
+    monkeypatch.setattr(choice, "difference", lambda scene, best, other: apart_from[other.variant.cause])
+    found = choice._class(None, best, [best], [best, source, idle, apart])  # type: ignore[arg-type]
+    assert [one.variant.cause for one in found] == ["internal_moisture_source"]
+    refuted = replace(source, lrs={HYGRIC: -1.0})
+    assert choice._class(None, best, [best], [best, refuted]) == ()  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(
     ("beside", "names"), [(450.0, ["moisture_sorption"]), (100.0, ["moisture_sorption", "clock_shift"])]
 )
@@ -419,3 +453,37 @@ def test_a_source_that_begins_is_dated_to_the_reading() -> None:
     late = next(v for v in named("internal_moisture_source").variants(found) if "date" in v.form)
     assert late.settings["date_s"] == pytest.approx(begins, abs=1200.0)
     assert attempt(found, late).lr > 30.0
+
+
+def test_humidity_is_driven_by_the_temperature_that_a_cause_makes_known() -> None:
+    """A heater's cycles that the base smoothed away are errors of the saturation, and had looked like a drier that runs with
+    it.
+    """
+    base = scene(to_record(hidden_plant(930, "standstill_heater", form=1, days=40.0)), starts=1)
+    found = max(
+        (attempt(base, one) for one in named("standstill_heater").variants(base)), key=lambda t: t.bic_gain
+    )
+    driven = _with(base, found)
+    assert driven.parts[THERMAL] is found.parts[THERMAL]
+    assert driven.parts[HYGRIC].objective > base.parts[HYGRIC].objective + 50.0
+    before, after = (
+        max(attempt(one, variant).lr for variant in named("dehumidifier").variants(one))
+        for one in (base, driven)
+    )
+    assert before > 12.0 > after + 5.0
+    # an error of the thermometer is none of the air's, and the hygric part is told of it by itself
+    offset = replace(found, variant=replace(found.variant, cause="temperature_sensor_offset"))
+    assert _with(base, offset).parts[HYGRIC] is base.parts[HYGRIC]
+
+
+def test_a_source_is_found_behind_a_disturbance_that_stands_for_it() -> None:
+    """At the base model's maximum the disturbance has a memory of days and the size of what the source brings."""
+    plant = hidden_plant(
+        49608, "standstill_heater", form=1, days=120.0, second=("internal_moisture_source", 0)
+    )
+    made = scene(to_record(plant))
+    always = named("internal_moisture_source").variants(made)[0]
+    from_there = replace(always, starts=always.starts[:2])
+    assert attempt(made, from_there).lr < 5.0 < 12.0 < attempt(made, always).lr
+    again = attempt(made, started(made, attempt(made, always)))
+    assert again.lr > 12.0
