@@ -73,8 +73,6 @@ def condensation(scene: Scene) -> list[Variant]:
 
 
 HEAVY_MM_H = 1.0
-STEADY = (0.5, 2.0)
-"""[g/m³] by how much a source that always runs makes the cabinet's air damper than the ambient's, to begin with."""
 
 
 def rain(scene: Scene) -> list[Variant]:
@@ -98,14 +96,7 @@ def rain(scene: Scene) -> list[Variant]:
 def source(scene: Scene) -> list[Variant]:
     if HYGRIC not in scene.parts:
         return []
-    part = scene.parts[HYGRIC]
-    # a disturbance that wanders for days has taken the place of a source that always runs: starts with an ordinary one too
-    calm = {p.name: p.start for p in part.base.model.parameters if p.noise and p.name.startswith("vapour_")}
-    start = (
-        {"moisture_source": 0.02},
-        {"moisture_source": 0.3},
-        *({"moisture_source": more / part.values["hygric_k"], **calm} for more in STEADY),
-    )
+    start = ({"moisture_source": 0.02}, {"moisture_source": 0.3}, {"moisture_source": 2.0})
 
     def variant(form: str, when: str, features: dict, searched: int) -> Variant:
         additions = {HYGRIC: (("internal_moisture_source", {"when": when}),)}

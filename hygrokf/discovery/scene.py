@@ -36,6 +36,8 @@ REACH = 1.5
 """Bound of one step toward the least free-run error, in a parameter's coordinate."""
 SCOUTED = 4
 """Starts that are followed for a few passes: of more, those with the largest likelihood as they stand."""
+WANDERS_H = 24.0
+"""[h] memory from which a disturbance may stand for what lasts."""
 HOPE = 0.3
 """ln L that a mechanism's own parameters must gain by themselves for all parameters to be estimated with it."""
 
@@ -150,12 +152,13 @@ def refitted(
         offsets = {p.name: p.prior.mean for p in wider.model.parameters if p.prior is not None}
         first.sort(key=lambda at: -objective.value(coordinates.start({**at, **offsets})))
         first = first[:SCOUTED]
+    ordinary = disturbances(wider.model)
+    if any(part.values.get(name, 0.0) > WANDERS_H for name in ordinary if name.endswith("_time")):
+        # what wanders for days may have taken the place of what is tried: one start has ordinary disturbances
+        first.append({**first[0], **ordinary})
     if len(first) > 1:
         # the mechanisms' own parameters alone, a few passes: what is far behind then is not followed
-        own = frozenset().union(*starts)
-        reached, best_start = max(
-            (_scouted(likelihood, part, at, own) for at in first), key=lambda pair: pair[0]
-        )
+        reached, best_start = max((_scouted(likelihood, part, at) for at in first), key=lambda pair: pair[0])
         first = [best_start]
         hopeful = reached > part.objective + HOPE
     best = climb(objective, coordinates.start(first[0]), passes=10 if hopeful else 2, tolerance=0.5)
@@ -172,17 +175,21 @@ def climbed(part: Part) -> Part:
     return _part(part.name, part.record, part.base, part.run, values, best.objective, best.converged)
 
 
-def _scouted(
-    likelihood: Likelihood, part: Part, at: Mapping[str, float], own: frozenset[str]
-) -> tuple[float, dict[str, float]]:
-    """(objective, values) after a few passes over the parameters that the part does not have, those that starts give
-    (`own`), and the sensors' offsets.
+def disturbances(model: Model) -> dict[str, float]:
+    """Sizes and memories of a model's disturbances as they are before anything was estimated."""
+    return {p.name: p.start for p in model.parameters if p.noise and "_disturbance_" in p.name}
+
+
+def _scouted(likelihood: Likelihood, part: Part, at: Mapping[str, float]) -> tuple[float, dict[str, float]]:
+    """(objective, values) after a few passes over the parameters that the part does not have, the disturbances' and the
+    sensors' offsets.
 
     Offsets start from where the sensors' accuracy has them: the base may have stretched them to stand for what it lacks.
     """
     parameters = likelihood.model.parameters
     offsets = {p.name: p.prior.mean for p in parameters if p.prior is not None}
-    held = {name: value for name, value in at.items() if name in part.values and name not in {*offsets, *own}}
+    free = {*offsets, *disturbances(likelihood.model)}
+    held = {name: value for name, value in at.items() if name in part.values and name not in free}
     coordinates = Coordinates(parameters, held if len(held) < len(parameters) else {})
     found = climb(
         Objective(likelihood, coordinates), coordinates.start({**at, **offsets}), passes=5, tolerance=1.0

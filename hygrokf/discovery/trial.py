@@ -165,12 +165,11 @@ def started(scene: Scene, trial: Trial) -> Variant:
         return trial.variant
     known = {name for part in scene.parts.values() for name in part.values}
     altered = {name for changed in trial.variant.altered.values() for name in changed}
-    own = {name for start in trial.variant.starts for name in start}
     start = {
         name: value
         for part in trial.parts.values()
         for name, value in part.values.items()
-        if name not in known or name in own or altered
+        if name not in known or altered
     }
     return replace(trial.variant, starts=(start,))
 
