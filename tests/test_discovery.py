@@ -189,13 +189,13 @@ def test_an_amplitude_at_its_boundary_has_half_a_chance(quiet: Scene) -> None:
     """p of a sorption that gains 3.84: half of χ² with two and half with one degree of freedom."""
     sun = Variant("moisture_sorption", "x", {HYGRIC: (("moisture_sorption", {}),)})
     part = refitted(quiet.parts[HYGRIC], sun.additions[HYGRIC], {}, ({},))
-    trial = replace(judged(quiet, sun, {HYGRIC: part}), lr=3.84)
+    trial = replace(judged(quiet, sun, {HYGRIC: part}), lrs={HYGRIC: 3.84})
     assert trial.parameters == 2
     assert probability(trial) == pytest.approx(0.5 * (0.05004 + 0.14661), abs=1e-4)
     drift = Variant("humidity_sensor_drift", "x", {HYGRIC: (("humidity_drift", {}),)})
     span = {"elapsed": {"start_s": quiet.record.start_s, "end_s": quiet.record.end_s}}
     part = refitted(quiet.parts[HYGRIC], drift.additions[HYGRIC], span, ({},))
-    trial = replace(judged(quiet, drift, {HYGRIC: part}), lr=3.84)
+    trial = replace(judged(quiet, drift, {HYGRIC: part}), lrs={HYGRIC: 3.84})
     assert probability(trial) == pytest.approx(0.05004, abs=1e-4)
 
 

@@ -40,7 +40,8 @@ CLEAR = 2.0 * MATERIAL
 evidence."""
 STRIKING = 2.0 * CLEAR
 """Lasting gain from which a further cause needs no share of the first one's evidence: what a strong cause of another form
-leaves behind is seen by the likelihood, and not by the free run."""
+leaves behind is seen by the likelihood, and not by the free run.  A switch does need it: what the cycles of another one leave
+behind is seen by both."""
 LEAD = 0.3
 """Share of its evidence by which a further cause must be ahead of all others where the free run does not speak for it, and
 the first one ahead of those that are not worth having."""
@@ -268,7 +269,7 @@ def _reason(
     reason = verdict_on(trial, named(trial.variant.cause, library)) or overshadowed(trial, trials, library)
     if reason:
         return reason
-    if trial.best_lasting >= STRIKING:
+    if trial.best_lasting >= STRIKING and not switches(trial):
         return ""
     share = SHARE if trial.best_lasting >= CLEAR else 1.0
     for other in accepted:
