@@ -474,7 +474,8 @@ def test_humidity_is_driven_by_the_temperature_that_a_cause_makes_known() -> Non
     )
     assert before > 12.0 > after + 5.0
     # an error of the thermometer is none of the air's, and the hygric part is told of it by itself
-    offset = replace(found, variant=replace(found.variant, cause="temperature_sensor_offset"))
+    told = {HYGRIC: {"measured_air": {"step": True}}}
+    offset = replace(found, variant=replace(found.variant, altered=told))
     assert _with(base, offset).parts[HYGRIC] is base.parts[HYGRIC]
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import LIBRARY, named
-from hygrokf.discovery.scene import THERMAL, Scene, redriven
+from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, redriven
 from hygrokf.discovery.trial import MATERIAL, Trial, attempt, polished, refined, started
 from hygrokf.stage import Progress
 from hygrokf.switches import SWITCHES
@@ -55,8 +55,6 @@ NOT_AHEAD = (
     "beside the accepted causes it does not simulate better, and other causes have nearly as much evidence"
 )
 OVERSHADOWED = "causes that are not worth having have more evidence: the record departs from the model in ways that look like it"
-READINGS = ("temperature_sensor_offset",)
-"""Causes that change what is read of the cabinet's temperature and not the air."""
 RETRY = 8.0
 """2 Δ ln L below which a cause is not tried again beside an accepted one."""
 
@@ -198,10 +196,10 @@ def _with(scene: Scene, trial: Trial) -> Scene:
 
 
 def drives(trial: Trial) -> bool:
-    """Whether the air temperature is better known by a trial: by all that changes its model but errors of its readings,
-    which the hygric part is told by itself.
+    """Whether the air temperature is better known by a trial: by all that changes its model, but for errors of its readings
+    that the hygric part is told by itself.
     """
-    return THERMAL in trial.parts and trial.variant.cause not in READINGS
+    return THERMAL in trial.parts and HYGRIC not in trial.variant.altered
 
 
 def overshadowed(trial: Trial, trials: Sequence[Trial], library: Sequence[Cause]) -> str:
