@@ -27,8 +27,8 @@ def temperature_offset(scene: Scene) -> list[Variant]:
     if HYGRIC in scene.parts:
         found.append(
             Variant(
-                "temperature_sensor_offset", "constant", altered={HYGRIC: {"measured_air": {"accuracy": 8.0}}},
-                starts=({}, {"cabinet_temperature_offset": 1.0}, {"cabinet_temperature_offset": -1.0}),
+                "temperature_sensor_offset", "constant", {HYGRIC: (("thermometer_offset", {}),)},
+                starts=({}, {"thermometer_offset": 1.0}, {"thermometer_offset": -1.0}),
             )
         )  # fmt: skip
     return found

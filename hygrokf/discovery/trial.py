@@ -35,7 +35,7 @@ OF_INTERVAL = 0.6
 """The same as a share of the interval over which a source takes means."""
 SHOWN = 40.0
 """2 ln L from which a switch is worth being simulated by itself, which takes seconds."""
-SENSOR_ERRORS = ("humidity_drift_total", "humidity_scale_error", "temperature_offset")
+SENSOR_ERRORS = ("humidity_drift_total", "humidity_scale_error", "temperature_offset", "thermometer_offset")
 """Parameters whose bounds are what a sensor can be off by."""
 AT_BOUND = 1e-4
 """Share of the largest error within which an estimate stands at that bound."""

@@ -35,7 +35,13 @@ from hygrokf.mechanisms.moisture import (
     wind_exchange,
 )
 from hygrokf.mechanisms.network import linear_network
-from hygrokf.mechanisms.readings import humidity_ceiling, humidity_drift, humidity_scale, temperature_step
+from hygrokf.mechanisms.readings import (
+    humidity_ceiling,
+    humidity_drift,
+    humidity_scale,
+    temperature_step,
+    thermometer_offset,
+)
 from hygrokf.mechanisms.sensors import absolute_humidity_sensor, humidity_sensor, temperature_sensor
 from hygrokf.mechanisms.thermal import (
     heat_disturbance,
@@ -99,6 +105,7 @@ FURTHER = (
     humidity_scale,
     humidity_ceiling,
     temperature_step,
+    thermometer_offset,
 )
 """What else may act on a cabinet; each of them is nested: at its null values it is not there."""
 WANDERING = (

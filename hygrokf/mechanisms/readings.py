@@ -103,3 +103,34 @@ def temperature_step() -> Mechanism:
         "temperature_step", "temperature_offset", "K", 30.0, "after_step", "cabinet_temperature_reading",
         "offset of the temperature reading from the date on",
     )  # fmt: skip
+
+
+def thermometer_offset() -> Mechanism:
+    """Thermometer that is off by d [K] throughout, as it shows in the humidity: h = p_v (1/e_s(T − d) − 1/e_s(T)) more.
+
+    T is the air's temperature as it is read, or simulated by a thermal part that was identified on such readings: there
+    the heat release takes d up.  The humidity sensor has the air's own temperature, T − d.
+    """
+
+    def contributions(p, x, u, q):
+        pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
+        own = saturation_pressure(q.cabinet_air_temperature - p.thermometer_offset)
+        return {
+            "cabinet_relative_humidity_reading": pressure / own
+            - pressure / saturation_pressure(q.cabinet_air_temperature)
+        }
+
+    return Mechanism(
+        name="thermometer_offset",
+        parameters=(
+            Parameter(
+                "thermometer_offset", "K", 0.0, -10.0, 10.0, null=0.0,
+                meaning="constant offset of the cabinet's thermometer",
+            ),
+        ),
+        inputs=("ambient_temperature",),
+        contributions=contributions,
+        meaning="thermometer that is off by a constant",
+        leaves="humidity that is off by 6 to 7 % of itself for each kelvin",
+        source="the sensor's own error",
+    )  # fmt: skip
