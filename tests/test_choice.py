@@ -10,6 +10,7 @@ import pytest
 from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
+from hygrokf.design import Design, extended, merged
 from hygrokf.discovery import choice, evidence, grids
 from hygrokf.discovery.cause import Variant
 from hygrokf.discovery.choice import NOT_AHEAD, OVERSHADOWED, _preferred, _reason, _with, choose, verdict_on
@@ -18,9 +19,12 @@ from hygrokf.discovery.discover import verdict as verdict_of
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, scene
 from hygrokf.discovery.trial import Trial, attempt, ordinary_shift, refined, share_inside, started
+from hygrokf.drivers import run
 from hygrokf.mechanisms import condensation, humidity_ceiling, humidity_drift, temperature_step
 from hygrokf.model import Mechanism
+from hygrokf.psychrometrics import saturation_pressure_water
 from hygrokf.record import Record, Series
+from hygrokf.simulation import free_run
 
 
 def part_of(*mechanisms: Mechanism, converged: bool = True, **values: float) -> SimpleNamespace:
@@ -491,3 +495,27 @@ def test_a_source_is_found_behind_a_disturbance_that_stands_for_it(monkeypatch: 
     assert attempt(made, started(made, found)).lr > 12.0
     monkeypatch.setattr("hygrokf.discovery.scene.disturbances", lambda model: {})
     assert attempt(made, replace(always, starts=always.starts[:2])).lr < 5.0
+
+
+def test_a_thermometer_off_by_a_constant_is_simulated_as_it_is_read() -> None:
+    """The reading 1.5 K too warm is told; so is the joint simulation, whose thermal part has the readings' temperature."""
+    made = scene(to_record(hidden_plant(941, "none", days=40.0)), starts=1)
+    part, kelvin = made.parts[HYGRIC], 1.5
+    wider = extended(part.base, [("thermometer_offset", {})])
+    values = {**part.values, "thermometer_offset": kelvin}
+
+    def humidity(base: Design, at: dict, record: Record) -> np.ndarray:
+        return free_run(base, at, run(base, record)).relative_humidity[0]
+
+    told = humidity(wider, values, part.record)
+    air = part.record["cabinet_temperature"]
+    cooler = part.record.replace_series(replace(air, value=air.value - kelvin))
+    # the exchange goes with T, half a per cent of it
+    assert told == pytest.approx(humidity(part.base, dict(part.values), cooler), rel=0.01)
+    thermal = made.parts[THERMAL]
+    both = {**thermal.values, **values}
+    joint, plain = merged([thermal.base, wider]), merged([thermal.base, part.base])
+    ratio = humidity(joint, both, made.record) / humidity(plain, both, made.record)
+    simulated = free_run(joint, both, run(joint, made.record)).temperature[0]
+    expected = saturation_pressure_water(simulated) / saturation_pressure_water(simulated - kelvin)
+    assert np.median(ratio) == pytest.approx(np.median(expected), rel=0.005)
