@@ -519,3 +519,21 @@ def test_a_thermometer_off_by_a_constant_is_simulated_as_it_is_read() -> None:
     simulated = free_run(joint, both, run(joint, made.record)).temperature[0]
     expected = saturation_pressure_water(simulated) / saturation_pressure_water(simulated - kelvin)
     assert np.median(ratio) == pytest.approx(np.median(expected), rel=0.005)
+
+
+@pytest.mark.parametrize(
+    ("rows", "said"),
+    [
+        ([(-0.245, 0.0, 0.462)], True),
+        ([(0.1, 0.0, 0.462)], False),
+        ([(-0.2, 0.0, 0.5), (1.0, None, 2.0)], True),
+        ([(-0.2, 0.0, 0.5), (-0.9, 0.0, -0.1)], False),
+        ([(None, 0.0, 0.5)], False),
+        ([(1.0, None, 2.0)], False),
+        ([], False),
+    ],
+)
+def test_a_cause_is_vague_where_no_amplitude_leaves_nothing_out(rows: list[tuple], said: bool) -> None:
+    """The house: a scale that goes off by 0.11, bounds −0.25 to 0.46, and 2 ln L that pays for it."""
+    table = {str(i): {"lower": a, "null": b, "upper": c} for i, (a, b, c) in enumerate(rows)}
+    assert evidence.vague(table) is said

@@ -19,7 +19,8 @@ from hygrokf.stage import Stage
 BLOCK_DAYS = 3
 QUANTITY = {THERMAL: "temperature_K", HYGRIC: "absolute_humidity_g_m3"}
 ONCE_AT_MOST = 0.6
-"""Confidence of a cause that was seen in one episode only, or makes the held-out simulation worse beyond doubt."""
+"""Confidence of a cause that was seen in one episode only, makes the held-out simulation worse beyond doubt, or has no
+amplitude whose bounds leave its null value out."""
 LOST = (
     "on the held-out period it makes the simulation worse: the name is doubtful, do not extrapolate with it"
 )
@@ -27,6 +28,7 @@ ONCE = "seen in one episode only: what it would gain at another time cannot be s
 EVENT = (
     "an event that nobody logged is no prediction: it gains nothing outside the stretch in which it was found"
 )
+VAGUE = "the bounds of all that it brings reach over nothing: its evidence may be one of the base's form"
 WEIGHTS = {"level": 0.8, "margin": 4.0, "lasting": 4.7, "unsupported": -4.0}
 """Logistic weights of what `confidence` reads, from the accepted causes of simulated plants (docs/discover.md)."""
 
@@ -74,13 +76,17 @@ def cause_entry(
     elif _lost(gain):
         sure = min(sure, ONCE_AT_MOST)
         statement = f"{statement}; {LOST}"
+    parameters = _parameters(trial, stages)
+    if vague(parameters):
+        sure = min(sure, ONCE_AT_MOST)
+        statement = f"{statement}; {VAGUE}"
     return {
         "cause": cause.name,
         "form": trial.variant.form,
         "confidence": sure,
         "margin": margin,
         "statement": statement,
-        "parameters": _parameters(trial, stages),
+        "parameters": parameters,
         "settings": dict(trial.variant.settings),
         "evidence": evidence(scene, trial, tried),
         "gain": gain,
@@ -88,6 +94,19 @@ def cause_entry(
         "separate_by": cause.separate_by,
         "remedy": _remedy(cause, trial),
     }
+
+
+def vague(parameters: Mapping[str, Mapping]) -> bool:
+    """Whether a cause's amplitudes all have bounds that reach over their null value.
+
+    Bounds hold where the model is wrong in its form too, as a gain in likelihood does not.
+    """
+    amplitudes = [
+        (one["lower"], one["null"], one["upper"])
+        for one in parameters.values()
+        if None not in (one["lower"], one["null"], one["upper"])
+    ]
+    return bool(amplitudes) and all(lower <= null <= upper for lower, null, upper in amplitudes)
 
 
 def _clock(trial: Trial) -> str:
@@ -146,6 +165,7 @@ def _parameters(trial: Trial, stages: Sequence[Stage]) -> dict:
                     "lower": b.lower if math.isfinite(b.lower) else None,
                     "upper": b.upper if math.isfinite(b.upper) else None,
                     "se": se if math.isfinite(se) else None,
+                    "null": p.null,
                     "meaning": p.meaning,
                 }
     return found
