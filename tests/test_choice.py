@@ -18,7 +18,15 @@ from hygrokf.discovery.clocks import Shift
 from hygrokf.discovery.discover import verdict as verdict_of
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, scene
-from hygrokf.discovery.trial import Trial, attempt, ordinary_shift, refined, share_inside, started
+from hygrokf.discovery.trial import (
+    Trial,
+    attempt,
+    ordinary_shift,
+    refined,
+    score_statistic,
+    share_inside,
+    started,
+)
 from hygrokf.drivers import run
 from hygrokf.mechanisms import condensation, humidity_ceiling, humidity_drift, temperature_step
 from hygrokf.model import Mechanism
@@ -537,3 +545,12 @@ def test_a_cause_is_vague_where_no_amplitude_leaves_nothing_out(rows: list[tuple
     """The house: a scale that goes off by 0.11, bounds −0.25 to 0.46, and 2 ln L that pays for it."""
     table = {str(i): {"lower": a, "null": b, "upper": c} for i, (a, b, c) in enumerate(rows)}
     assert evidence.vague(table) is said
+
+
+def test_the_score_statistic_knows_what_priors_know() -> None:
+    """An ordinary offset that the base has anyway would take up all of a larger one: 2 ln L 118 were promised as 10⁸."""
+    made = scene(to_record(hidden_plant(942, "temperature_sensor_offset", form=0, days=40.0)), starts=1)
+    constant = named("temperature_sensor_offset").variants(made)[1]
+    found = attempt(made, constant)
+    assert constant.form == "constant" and found.lr > 15.0
+    assert score_statistic(made, constant) == pytest.approx(found.lr, rel=0.5)

@@ -307,11 +307,15 @@ def score_statistic(scene: Scene, variant: Variant) -> float | None:
         for column, i in enumerate((*new, *old)):
             directions[i, column] = parameters[i].slope(at[parameters[i].name])
         found = likelihood.sensitivities(at, directions)
-        scale = 1.0 / np.sqrt(np.maximum(np.diag(found.information), 1e-300))
-        information, score = (
-            found.information * scale[:, None] * scale,
-            found.score[: len(new)] * scale[: len(new)],
-        )
+        # what priors know keeps a sensor's ordinary offset from taking up one beyond its accuracy
+        known = [
+            p.prior.information(at[p.name]) * p.slope(at[p.name]) ** 2 if p.prior is not None else 0.0
+            for p in (parameters[i] for i in (*new, *old))
+        ]
+        information = found.information + np.diag(known)
+        scale = 1.0 / np.sqrt(np.maximum(np.diag(information), 1e-300))
+        information = information * scale[:, None] * scale
+        score = found.score[: len(new)] * scale[: len(new)]
         k = len(new)
         rest = information[:k, k:] @ np.linalg.pinv(information[k:, k:], rcond=1e-10) @ information[k:, :k]
         total = (total or 0.0) + float(score @ np.linalg.pinv(information[:k, :k] - rest, rcond=1e-8) @ score)
