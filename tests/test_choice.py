@@ -554,3 +554,23 @@ def test_the_score_statistic_knows_what_priors_know() -> None:
     found = attempt(made, constant)
     assert constant.form == "constant" and found.lr > 15.0
     assert score_statistic(made, constant) == pytest.approx(found.lr, rel=0.5)
+
+
+@pytest.mark.parametrize(
+    ("event", "once", "upper", "low", "said"),
+    [
+        (False, False, 0.1, 0.2, ()),
+        (False, False, -0.1, 0.2, ("LOST",)),
+        (False, False, -0.1, -0.2, ("LOST", "VAGUE")),
+        (False, False, None, -0.2, ("VAGUE",)),
+        (True, False, -0.1, 0.2, ("EVENT",)),
+        (True, True, 0.1, -0.2, ("ONCE", "VAGUE")),
+    ],
+)
+def test_what_is_said_against_a_cause(
+    event: bool, once: bool, upper: float | None, low: float, said: tuple[str, ...]
+) -> None:
+    gain = {"period": "validation", "lower": -0.5, "upper": upper}
+    parameters = {"size": {"lower": low, "null": 0.0, "upper": 0.5}}
+    found = evidence.reservations(event, once, gain, parameters)
+    assert found == tuple(getattr(evidence, name) for name in said)

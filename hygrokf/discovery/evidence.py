@@ -28,7 +28,10 @@ ONCE = "seen in one episode only: what it would gain at another time cannot be s
 EVENT = (
     "an event that nobody logged is no prediction: it gains nothing outside the stretch in which it was found"
 )
-VAGUE = "the bounds of all that it brings reach over nothing: its evidence may be one of the base's form"
+VAGUE = (
+    "the bounds of its size include no effect at all: the name is doubtful, its evidence may come from what the base "
+    "model lacks in form"
+)
 WEIGHTS = {"level": 0.8, "margin": 4.0, "lasting": 4.7, "unsupported": -4.0}
 """Logistic weights of what `confidence` reads, from the accepted causes of simulated plants (docs/discover.md)."""
 
@@ -68,18 +71,14 @@ def cause_entry(
     cause = named(trial.variant.cause, library)
     statement = f"{cause.meaning} ({trial.variant.form}){_clock(trial)}"
     gain = _gain(QUANTITY.get(trial.part, QUANTITY[THERMAL]), *fits, moved_s)
-    once = seen_once(trial)
-    sure = confidence(trial, margin, later)
-    if cause.event or once:
-        gain = None
-        statement = f"{statement}; {ONCE if once else EVENT}"
-    elif _lost(gain):
-        sure = min(sure, ONCE_AT_MOST)
-        statement = f"{statement}; {LOST}"
     parameters = _parameters(trial, stages)
-    if vague(parameters):
+    notes = reservations(cause.event, seen_once(trial), gain, parameters)
+    sure = confidence(trial, margin, later)
+    if {LOST, VAGUE} & set(notes):
         sure = min(sure, ONCE_AT_MOST)
-        statement = f"{statement}; {VAGUE}"
+    if {ONCE, EVENT} & set(notes):
+        gain = None
+    statement = "; ".join((statement, *notes))
     return {
         "cause": cause.name,
         "form": trial.variant.form,
@@ -94,6 +93,20 @@ def cause_entry(
         "separate_by": cause.separate_by,
         "remedy": _remedy(cause, trial),
     }
+
+
+def reservations(
+    event: bool, once: bool, gain: Mapping, parameters: Mapping[str, Mapping]
+) -> tuple[str, ...]:
+    """What is said against a cause in its statement."""
+    found = []
+    if once or event:
+        found.append(ONCE if once else EVENT)
+    elif _lost(gain):
+        found.append(LOST)
+    if vague(parameters):
+        found.append(VAGUE)
+    return tuple(found)
 
 
 def vague(parameters: Mapping[str, Mapping]) -> bool:
