@@ -6,9 +6,9 @@ The mean of the true course given all readings has no such effect; it is compute
 
     x(t+Δ) = x(t) + N(0, q Δ),    reading = x + N(0, r),
 
-between whose smoothed values the course is linear (the mean of a Brownian bridge).  r and q come from the
-autocovariances γ of the readings' increments: noise makes γ₁ − γ₂ = −r where the weather's own increments are equally
-correlated at both lags, and γ₀ = q Δ + 2 r.
+between whose smoothed values the course is linear (`paths`).  r and q come from the autocovariances γ of the readings'
+increments.  Where the weather's own increments are equally correlated at lags 1 and 2, instants have γ₁ − γ₂ = −r and
+γ₀ = q Δ + 2 r; means over intervals Δ have γ₀ − γ₂ = ⅔ q Δ + 2 r and γ₁ − γ₂ = ⅙ q Δ − r.
 """
 
 from __future__ import annotations
@@ -17,6 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hygrokf.paths import centred, without_response
 from hygrokf.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 from hygrokf.record import Record, Series
 
@@ -29,11 +30,12 @@ FEWEST = 200
 def reading_noise(series: Series) -> tuple[float, float] | None:
     """(q, r): variance of the level's increments per second and of a reading's noise; None where it cannot be told.
 
-    Raises nothing: irregular, short or averaged series give None and are used as they are.
+    Raises nothing: irregular and short series, and means whose intervals do not adjoin, give None and are used as they
+    are.
     """
     there = ~series.missing
     time, value = series.time[there], series.value[there]
-    if series.hold != "linear" or len(time) < FEWEST:
+    if len(time) < FEWEST:
         return None
     step = np.diff(time)
     usual = float(np.median(step))
@@ -50,8 +52,14 @@ def reading_noise(series: Series) -> tuple[float, float] | None:
     if min(np.isfinite(product).sum() for product in products) < FEWEST // 2:
         return None
     gamma = [float(np.nanmean(product)) for product in products]
-    noise = gamma[2] - gamma[1]
-    level = gamma[0] - 2.0 * noise
+    if series.interval_s > 0:
+        if abs(series.interval_s - usual) > 0.01 * usual:
+            return None
+        level = gamma[0] + 2.0 * gamma[1] - 3.0 * gamma[2]
+        noise = level / 6.0 - (gamma[1] - gamma[2])
+    else:
+        noise = gamma[2] - gamma[1]
+        level = gamma[0] - 2.0 * noise
     # both autocovariances are uncertain by γ₀/√T: what is below three times that is no finding
     if noise <= 3.0 * np.sqrt(2.0 / np.isfinite(increment).sum()) * gamma[0] or level <= 0:
         return None
@@ -83,14 +91,14 @@ def smoothed(series: Series, noise: tuple[float, float] | None) -> Series:
 def ambient_absolute_humidity(record: Record) -> Series | None:
     """Vapour concentration of the ambient air [kg/m³] at the times of its humidity readings; None without any."""
     if "ambient_absolute_humidity" in record:
-        return record["ambient_absolute_humidity"]
+        return without_response(record["ambient_absolute_humidity"])
     for name, convert in (
         ("ambient_relative_humidity", absolute_humidity),
         ("ambient_dew_point_temperature", absolute_humidity_from_dew_point),
     ):
         if name in record:
-            series = record[name]
-            outside = centred(record["ambient_temperature"])
+            series = without_response(record[name])
+            outside = centred(without_response(record["ambient_temperature"]))
             temperature = at_times(outside, centred(series).time, bridge_h(outside, AMBIENT_BRIDGE_H))
             return Series(
                 signal="ambient_absolute_humidity",
@@ -102,17 +110,6 @@ def ambient_absolute_humidity(record: Record) -> Series | None:
                 source=series.source,
             )
     return None
-
-
-def centred(series: Series) -> Series:
-    """A course to be joined by straight lines: interval means stand in the middle of their interval.
-
-    Left at its end, a mean would reach the cabinet half an interval late: 30 min for hourly means, as long as the
-    hygric time constant.
-    """
-    if series.hold == "linear":
-        return series
-    return replace(series, time=series.time - 0.5 * series.interval_s, hold="linear", interval_s=0.0)
 
 
 def bridge_h(series: Series, limit_h: float) -> float:

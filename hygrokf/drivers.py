@@ -11,7 +11,6 @@ from hygrokf.ambient import (
     ambient_absolute_humidity,
     at_times,
     bridge_h,
-    centred,
     smoothed,
 )
 from hygrokf.design import (
@@ -25,6 +24,7 @@ from hygrokf.design import (
 from hygrokf.features import feature
 from hygrokf.loops import LINEAR
 from hygrokf.mechanisms.hygric import exchange_factor
+from hygrokf.paths import input_path, without_response
 from hygrokf.record import Record, Series
 from hygrokf.timeline import Timeline, timeline
 
@@ -65,9 +65,8 @@ def longest_gap_h(signal: str) -> float:
 def run(design: Design, record: Record) -> Run:
     """The instants of a record for a design.
 
-    The run spans the cabinet's readings as far as ambient series exist.  Interval means of the ambient stand in the
-    middle of their interval and are joined by straight lines; of interval means of the cabinet that overlap, the later
-    ones are left out.  Raises ValueError where nothing is left, and where the record averages otherwise than the
+    The run spans the cabinet's readings as far as ambient series exist.  Interval means of the ambient give the path that
+    keeps them (`paths`); of interval means of the cabinet that overlap, the later ones are left out.  Raises ValueError where nothing is left, and where the record averages otherwise than the
     design (`read_as` makes one that fits).
     """
     model = design.model
@@ -75,14 +74,16 @@ def run(design: Design, record: Record) -> Run:
     _same_intervals(design, record, outputs)
     inputs_of = set(model.inputs)
     vapour = ambient_absolute_humidity(record) if "ambient_absolute_humidity" in inputs_of else None
-    ambient = {"ambient_temperature": record["ambient_temperature"]}
+    ambient = {"ambient_temperature": without_response(record["ambient_temperature"])}
     if vapour is not None:
         ambient["ambient_absolute_humidity"] = vapour
     ambient = {
-        name: centred(smoothed(series, design.ambient_noise.get(name))) for name, series in ambient.items()
+        name: input_path(smoothed(series, noise), noise)
+        for name, series in ambient.items()
+        for noise in [design.ambient_noise.get(name)]
     }
     if TEMPERATURE in inputs_of:
-        ambient[TEMPERATURE] = centred(record[TEMPERATURE])
+        ambient[TEMPERATURE] = input_path(without_response(record[TEMPERATURE]))
     observed = [record[name] for name in (TEMPERATURE, *HUMIDITIES) if name in record]
     spans = observed or list(ambient.values())
     known = [s.known[0] for s in ambient.values()]
@@ -263,7 +264,8 @@ def _further(record: Record, name: str, time: np.ndarray, hold: str) -> np.ndarr
         )
     series = record[name]
     longest = bridge_h(series, AMBIENT_BRIDGE_H)
-    value = at_times(centred(series), time, longest) if hold == LINEAR else _over_steps(series, time, longest)
+    path = input_path(without_response(series))
+    value = at_times(path, time, longest) if hold == LINEAR else _over_steps(series, time, longest)
     return np.where(np.isnan(value), np.nanmean(series.value), value)
 
 

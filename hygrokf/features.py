@@ -12,8 +12,9 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h, centred
+from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
 from hygrokf.loops import LINEAR, ZERO_ORDER
+from hygrokf.paths import input_path
 from hygrokf.record import Record, Series, Site
 from hygrokf.switches import SWITCHES, Switch
 
@@ -135,7 +136,7 @@ def rate(series: Series, time: np.ndarray) -> np.ndarray:
     """
     step = RATE_WINDOW_S / 10.0
     lag = step * np.arange(-5, 6)
-    value = at_times(centred(series), time[:, None] + lag[None, :], bridge_h(series, AMBIENT_BRIDGE_H))
+    value = at_times(input_path(series), time[:, None] + lag[None, :], bridge_h(series, AMBIENT_BRIDGE_H))
     return np.nan_to_num(value @ (lag / float(lag @ lag)) * 3600.0)
 
 
@@ -257,7 +258,7 @@ def _signal(record: Record, name: str, time: np.ndarray) -> np.ndarray:
     if name not in record:
         raise ValueError(f"the model reads {name}, which the record does not have; add the signal")
     series = record[name]
-    value = at_times(centred(series), time, bridge_h(series, AMBIENT_BRIDGE_H))
+    value = at_times(input_path(series), time, bridge_h(series, AMBIENT_BRIDGE_H))
     return np.where(np.isnan(value), np.nanmean(series.value), value)
 
 
@@ -272,5 +273,5 @@ def _switched(record: Record, time: np.ndarray, switch: Switch) -> np.ndarray:
         raise ValueError(
             f"the model switches by {switch.reads}, which the record does not have; add the signal"
         )
-    value = at_times(centred(record[switch.reads]), time, READING_BRIDGE_H)
+    value = at_times(input_path(record[switch.reads]), time, READING_BRIDGE_H)
     return switch.course(value, ~operating(record, time))

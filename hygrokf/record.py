@@ -26,9 +26,10 @@ class Series:
     interval_s: [s] averaging interval; 0 for instants.
     resolution: [SI unit] spacing of the readings' grid; 0 = none found.
     accuracy: [SI unit] stated 95 % accuracy of the sensor; None: the signal table's default.
-    clock_uncertainty_s: [s] stated standard uncertainty of the source's clock.
+    clock_uncertainty_s: [s] stated standard uncertainty of the source's clock; None: not stated.
     source: file and column.
     height_m: [m] above ground of what was read, for a wind whose file says so; None: not known.
+    response_time_s: [s] stated time in which the sensor follows a step by all but 1/e; None: not stated.
 
     The arrays are copied and made read-only. Raises ValueError that lists everything wrong.
     """
@@ -40,9 +41,10 @@ class Series:
     interval_s: float = 0.0
     resolution: float = 0.0
     accuracy: float | None = None
-    clock_uncertainty_s: float = 0.0
+    clock_uncertainty_s: float | None = None
     source: str = ""
     height_m: float | None = None
+    response_time_s: float | None = None
 
     def __post_init__(self) -> None:
         faults = []
@@ -67,12 +69,14 @@ class Series:
             faults.append("value must be finite, or NaN where a reading is missing")
         if self.hold not in HOLDS:
             faults.append(f'hold must be one of {", ".join(HOLDS)}, found "{self.hold}"')
-        for name in ("interval_s", "resolution", "clock_uncertainty_s"):
+        for name in ("interval_s", "resolution"):
             number = getattr(self, name)
             if not (math.isfinite(number) and number >= 0.0):
                 faults.append(f"{name} must be a finite number ≥ 0, found {number}")
-        if self.accuracy is not None and not (math.isfinite(self.accuracy) and self.accuracy >= 0):
-            faults.append(f"accuracy must be a finite number ≥ 0 or None, found {self.accuracy}")
+        for name in ("accuracy", "clock_uncertainty_s", "response_time_s"):
+            number = getattr(self, name)
+            if number is not None and not (math.isfinite(number) and number >= 0.0):
+                faults.append(f"{name} must be a finite number ≥ 0 or None, found {number}")
         if self.height_m is not None and not (math.isfinite(self.height_m) and self.height_m > 0):
             faults.append(f"height_m must be a finite number > 0 or None, found {self.height_m}")
         if faults:

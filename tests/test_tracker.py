@@ -121,6 +121,17 @@ def of_means(record: Record) -> Record:
     return record.replace_series(*(mean(s) for s in record.series))
 
 
+def lagging(record: Record) -> Record:
+    """Ambient means read by sensors with a stated response."""
+    return of_means(record).replace_series(
+        *(
+            replace(s, response_time_s=600.0)
+            for s in of_means(record).series
+            if s.signal.startswith("ambient")
+        )
+    )
+
+
 def dry(record: Record) -> Record:
     """No humidity sensor in the cabinet."""
     return replace(record, series=tuple(s for s in record.series if s.signal != "cabinet_relative_humidity"))
@@ -138,7 +149,7 @@ def powerless(record: Record) -> Record:
 
 
 @pytest.mark.parametrize(
-    "shape", [without_gaps, gapped, switches_unknown, rarely_told, of_means, dry, blind, powerless]
+    "shape", [without_gaps, gapped, switches_unknown, rarely_told, of_means, lagging, dry, blind, powerless]
 )
 @pytest.mark.parametrize(
     ("seed", "late_s", "batch"), [(0, 0.0, 9), (1, 0.95 * LATENESS_S, 7), (2, 0.95 * LATENESS_S, 400)]
@@ -147,10 +158,12 @@ def test_what_is_final_is_the_offline_filter_bit_for_bit(
     record: Record, shape: Callable, seed: int, late_s: float, batch: int
 ) -> None:
     shaped = shape(record)
-    model = planned(of_means(record) if shape is of_means else record)
-    model = replace(
-        model, forms={s.signal: Form(s.hold, s.interval_s, s.resolution, s.accuracy) for s in shaped.series}
-    )
+    model = planned(of_means(record) if shape in (of_means, lagging) else record)
+    forms = {
+        s.signal: Form(s.hold, s.interval_s, s.resolution, s.accuracy, s.response_time_s)
+        for s in shaped.series
+    }
+    model = replace(model, forms=forms)
     tracker, course = followed(model, arriving(readings_of(shaped), seed, late_s), batch)
     offline = whole(model, shaped)
     assert tracker.counts["late"] == tracker.counts["contradicting"] == 0

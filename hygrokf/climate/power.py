@@ -20,8 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.ambient import at_times, bridge_h, centred
+from hygrokf.ambient import at_times, bridge_h
 from hygrokf.climate.form import FormFault, is_number, read_toml, unknown_keys
+from hygrokf.paths import centred
 from hygrokf.record import Record, Series
 from hygrokf.stamps import stamp_text
 

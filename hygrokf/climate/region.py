@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hygrokf.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h, centred
+from hygrokf.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
 from hygrokf.case import read_case
 from hygrokf.climate.power import (
     PowerCurve,
@@ -22,6 +22,7 @@ from hygrokf.climate.power import (
     years_of_power,
 )
 from hygrokf.fit import Fit
+from hygrokf.paths import input_path
 from hygrokf.record import Record, Series
 from hygrokf.weather.reading import form_of
 from hygrokf.weather.years import read_weather
@@ -133,7 +134,7 @@ def _scale_words(fit: Fit, rated_W: float | None) -> list[str]:
 
 def _hourly(series: Series) -> Series:
     """Weather that comes less often than every hour, with straight lines between, so that statistics are hourly."""
-    middle = centred(series)
+    middle = input_path(series)
     steps = series.steps_s
     if not len(steps) or steps[len(steps) // 2] <= 1.01 * HOUR_S:
         return series

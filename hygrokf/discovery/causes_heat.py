@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from hygrokf.ambient import at_times, centred
+from hygrokf.ambient import at_times
 from hygrokf.discovery.cause import Variant, additions_of
 from hygrokf.discovery.grids import Probe, best_date, best_switch, inside, span
 from hygrokf.discovery.scan import local_scan, scan
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
 from hygrokf.features import operating
+from hygrokf.paths import input_path
 
 RAMP_DAYS = 8.0
 SETTLING_DAYS = (8.0, 20.0, 50.0)
@@ -77,7 +78,7 @@ def heater(scene: Scene) -> list[Variant]:
         for width in (1.0, 3.0, 6.0)
     ]
     if "cabinet_relative_humidity" in scene.record:
-        damp = at_times(centred(scene.record["cabinet_relative_humidity"]), series.time[idle], 2.0)
+        damp = at_times(input_path(scene.record["cabinet_relative_humidity"]), series.time[idle], 2.0)
         levels = np.nanquantile(damp, np.linspace(0.3, 0.95, 8))
         grid += [
             {"reads": "cabinet_relative_humidity", "on": float(a), "off": float(a - width)}

@@ -11,9 +11,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h, centred
+from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
 from hygrokf.design import accuracy_of
 from hygrokf.fit import Fit
+from hygrokf.paths import input_path
 from hygrokf.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
 from hygrokf.record import Record
 from hygrokf.signals import SIGNALS
@@ -153,7 +154,7 @@ def _drivers(s: Mapping[str, np.ndarray], record: Record, time: np.ndarray) -> d
     if not np.isfinite(found["ambient_absolute_humidity"]).any():
         vapour = ambient_absolute_humidity(record)
         if vapour is not None:
-            found["ambient_absolute_humidity"] = 1e3 * at_times(centred(vapour), time, AMBIENT_BRIDGE_H)
+            found["ambient_absolute_humidity"] = 1e3 * at_times(input_path(vapour), time, AMBIENT_BRIDGE_H)
     for one in record.series:
         name = one.signal
         if name in found or name in SAME_AIR or name == "active_power" or name.startswith(RESPONSES):

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, centred
+from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times
 from hygrokf.live.operation import (
     DAY_S,
     DAYS,
@@ -24,6 +24,7 @@ from hygrokf.live.operation import (
     values_at,
     values_held,
 )
+from hygrokf.paths import input_path
 from hygrokf.psychrometrics import absolute_humidity
 from hygrokf.record import Record, Series
 
@@ -114,7 +115,7 @@ def weather_forecast(
         raise NoOutlook(f"the weather forecast has no {' and no '.join(absent)}")
     base, spread = {}, {}
     for name, series in _ambient(history).items():
-        joined, newest = _continued(series, centred(coming[name]), now_s, log=name == "vapour")
+        joined, newest = _continued(series, input_path(coming[name]), now_s, log=name == "vapour")
         base[name] = at_times(joined, time, AMBIENT_BRIDGE_H)
         spread[name] = np.sqrt(1.0 - np.exp(-2.0 * np.maximum(time - newest, 0.0) / (3600.0 * ERROR_H)))
     now = int(np.searchsorted(time, now_s))
@@ -173,7 +174,7 @@ def _ambient(history: Record) -> dict[str, Series]:
     vapour = ambient_absolute_humidity(history) if "ambient_temperature" in history else None
     if vapour is None:
         raise NoOutlook("no readings of the ambient's temperature and humidity")
-    return {"temperature": centred(history["ambient_temperature"]), "vapour": centred(vapour)}
+    return {"temperature": input_path(history["ambient_temperature"]), "vapour": input_path(vapour)}
 
 
 def _days(

@@ -9,11 +9,13 @@ from functools import cached_property
 import numpy as np
 
 from hygrokf.ambient import AMBIENT_BRIDGE_H
-from hygrokf.design import SETTLING_H, Design, extended
+from hygrokf.design import HOLDS, SETTLING_H, Design, extended
 from hygrokf.fit import Fit
 from hygrokf.likelihood import Likelihood
+from hygrokf.loops import ZERO_ORDER
 from hygrokf.mechanisms.hygric import exchange_factor
 from hygrokf.model import Model
+from hygrokf.paths import readings_ahead
 from hygrokf.psychrometrics import absolute_humidity
 from hygrokf.record import Site
 from hygrokf.signals import SIGNALS
@@ -46,12 +48,14 @@ MARGIN = 1.5
 
 @dataclass(frozen=True)
 class Form:
-    """How a source gives a signal: `hold`, averaging `interval_s` [s], `resolution` and `accuracy` in SI units."""
+    """How a source gives a signal: `hold`, averaging `interval_s` [s], `resolution` and `accuracy` in SI units,
+    `response_time_s` [s] of the sensor where it is stated."""
 
     hold: str = "linear"
     interval_s: float = 0.0
     resolution: float = 0.0
     accuracy: float | None = None
+    response_time_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,13 @@ class Plan:
     def form(self, signal: str) -> Form:
         """How a signal is given; instants where nothing is stated."""
         return self.forms.get(signal, Form())
+
+    def readings_ahead(self, signal: str) -> int:
+        """How many later readings the path of an input depends on, beside the next one; what holds over steps has none."""
+        form = self.form(signal)
+        if HOLDS[signal] == ZERO_ORDER:
+            return 0
+        return readings_ahead(form.interval_s, form.response_time_s or 0.0)
 
     @property
     def context_s(self) -> float:

@@ -224,13 +224,15 @@ class Tracker:
     def _final(self) -> float:
         """Time [s] up to which no reading that may still come changes anything.
 
-        Between two readings a driver follows both, and whether a gap is bridged is known when it ends or is too long.
+        Between two readings a driver follows both, and a path through means or one freed of a sensor's response the next
+        ones too; whether a gap is bridged is known when it ends or is too long.
         """
         final = self._limit
         for signal, times in self._times.items():
             place = bisect.bisect_right(times, self._limit)
             if place and not signal.startswith("cabinet_") and not self._stale(signal):
-                final = min(final, times[place - 1] - self.plan.form(signal).interval_s)
+                last = place - 1 - self.plan.readings_ahead(signal)
+                final = min(final, times[last] - self.plan.form(signal).interval_s) if last >= 0 else -math.inf
         # a reading of the cabinet acts at its own time, and a mean where its interval begins
         return min(final, self._limit - self.plan.longest_mean_s)
 
@@ -293,6 +295,7 @@ def record_of(
                 interval_s=form.interval_s,
                 resolution=form.resolution,
                 accuracy=form.accuracy,
+                response_time_s=form.response_time_s,
             )
         )
     return Record(plan.name, tuple(series), plan.site, plan.rated_power_W)

@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.ambient import at_times, bridge_h, centred
+from hygrokf.ambient import at_times, bridge_h
+from hygrokf.paths import centred
 from hygrokf.record import Series
 from hygrokf.stamps import summer_time
 
