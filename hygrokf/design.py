@@ -220,9 +220,7 @@ def design(
             chosen.append(("vapour_disturbance", _correlation_bounds(series, record)))
         chosen.append(("hygric_diffusion", {}))
         relative = humidity == "cabinet_relative_humidity"
-        settings = _sensor(series)
-        if not relative:
-            settings = {name: value * 1e3 for name, value in settings.items()}
+        settings = _sensor(series, 1.0 if relative else 1e3)
         chosen.append(("humidity_sensor" if relative else "absolute_humidity_sensor", settings))
         if series.interval_s > 0:
             averaged[humidity] = series.interval_s / 3600.0
@@ -249,8 +247,12 @@ def ambient_noise(record: Record) -> dict[str, tuple[float, float]]:
     return {name: pair for name, pair in found.items() if pair is not None}
 
 
-def _sensor(series: Series) -> dict[str, float]:
-    return {"accuracy": accuracy_of(series), "resolution": float(series.resolution)}
+def _sensor(series: Series, scale: float = 1.0) -> dict[str, float]:
+    """Settings of a sensor's mechanism; `scale` from SI to the output's unit."""
+    settings = {"accuracy": scale * accuracy_of(series), "resolution": scale * float(series.resolution)}
+    if series.response_time_s:
+        settings["response_h"] = series.response_time_s / 3600.0
+    return settings
 
 
 def _correlation_bounds(series: Series, record: Record) -> dict[str, float]:

@@ -15,7 +15,6 @@ from hygrokf.ambient import (
     ambient_absolute_humidity,
     at_times,
     bridge_h,
-
     reading_noise,
     smoothed,
 )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from hygrokf.expression import Given, exp, log
 from hygrokf.model import Mechanism
 from hygrokf.parameters import Parameter, Prior
@@ -40,70 +42,138 @@ def _noise(name: str, unit: str, start: float, lower: float, upper: float) -> Pa
     )
 
 
-def temperature_sensor(accuracy: float = 0.3, resolution: float = 0.0) -> Mechanism:
-    """The temperature reading [K]: T_conv,a + bias + noise; rounding to `resolution` adds resolution²/12."""
-    floor = Given(resolution**2 / 12.0)
-    bias = _bias("cabinet_temperature", "K", accuracy)
+SHORTEST_RESPONSE_H = 1.0 / 60.0
+"""[h] a response time to be estimated is at least this long: below it readings minutes apart show nothing of it."""
+
+
+def _sensor(
+    mechanism: str,
+    name: str,
+    quantity: Callable,
+    noise: Parameter,
+    bias: tuple[Parameter, ...],
+    spread: tuple[float, float],
+    response_h: float,
+    longest_response_h: float | None,
+    settings: dict,
+    meaning: str,
+    inputs: tuple[str, ...] = (),
+) -> Mechanism:
+    """A sensor, its output `name`, that shows `quantity(x, u, q)` with what else acts on the reading, a bias and noise.
+
+    With a response time θ it follows first: dy/dt = (quantity − y)/θ, θ = `response_h` [h] or, where
+    `longest_response_h` is given, a parameter up to that.  `spread` mean and variance of y at first.
+    """
+    resolution = Given(settings["resolution"] ** 2 / 12.0)
+    estimated = longest_response_h is not None
+    state, response = f"{name}_sensor", f"{name}_response"
+    responds = estimated or response_h > 0
+    stated = Given(1.0 / response_h) if response_h > 0 else 0.0
 
     def output(p, x, u, q, s):
-        value = q.cabinet_air_temperature + s.cabinet_temperature_reading
+        value = getattr(x, state) if responds else quantity(x, u, q)
+        value = value + getattr(s, f"{name}_reading")
         if bias:
-            value = value + p.cabinet_temperature_bias
-        return value, p.cabinet_temperature_noise * p.cabinet_temperature_noise + floor
+            value = value + getattr(p, bias[0].name)
+        own = getattr(p, noise.name)
+        return value, own * own + resolution
 
+    def drift(p, x, u, q, s):
+        rate = 1.0 / getattr(p, response) if estimated else stated
+        return {state: (quantity(x, u, q) - getattr(x, state)) * rate}
+
+    time = (
+        Parameter(
+            response, "h", 0.1, SHORTEST_RESPONSE_H, longest_response_h, positive=True,
+            meaning="time in which the sensor follows a step by all but 1/e",
+        ),
+    ) if estimated else ()  # fmt: skip
     return Mechanism(
-        name="temperature_sensor",
-        parameters=(*bias, _noise("cabinet_temperature", "K", 0.1, 2e-3, 10.0)),
-        outputs={"cabinet_temperature": output},
-        settings={"accuracy": accuracy, "resolution": resolution},
-        meaning="the logger's temperature sensor",
+        name=mechanism,
+        parameters=(*bias, noise, *time),
+        states=(state,) if responds else (),
+        inputs=inputs,
+        drift=drift if responds else None,
+        initial=(lambda p, u: {state: spread}) if responds else None,
+        outputs={name: output},
+        settings={**settings, "response_h": response_h, "longest_response_h": longest_response_h},
+        meaning=meaning,
     )
 
 
-def humidity_sensor(accuracy: float = 0.02, resolution: float = 0.0) -> Mechanism:
+def temperature_sensor(
+    accuracy: float = 0.3,
+    resolution: float = 0.0,
+    response_h: float = 0.0,
+    longest_response_h: float | None = None,
+) -> Mechanism:
+    """The temperature reading [K]: T_conv,a + bias + noise; rounding to `resolution` adds resolution²/12.
+
+    `response_h` [h] of the sensor, or its longest where it is estimated: the reading then follows T_conv,a with that
+    time constant.
+    """
+    return _sensor(
+        "temperature_sensor",
+        "cabinet_temperature",
+        lambda x, u, q: q.cabinet_air_temperature,
+        _noise("cabinet_temperature", "K", 0.1, 2e-3, 10.0),
+        _bias("cabinet_temperature", "K", accuracy),
+        (288.15, 225.0),
+        response_h,
+        longest_response_h,
+        {"accuracy": accuracy, "resolution": resolution},
+        "the logger's temperature sensor",
+    )
+
+
+def _relative_humidity(x, u, q):
+    pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
+    return pressure / saturation_pressure(q.cabinet_air_temperature)
+
+
+def humidity_sensor(
+    accuracy: float = 0.02,
+    resolution: float = 0.0,
+    response_h: float = 0.0,
+    longest_response_h: float | None = None,
+) -> Mechanism:
     """The relative-humidity reading [1]: h = c* R_v T_amb / e_s(T_conv,a) + bias + noise, over water at any T.
 
-    The reading belongs to the air at the sensor, c_conv,a R_v T_conv,a = c* R_v T_amb by equation (5).
+    The reading belongs to the air at the sensor, c_conv,a R_v T_conv,a = c* R_v T_amb by equation (5).  `response_h` as
+    for the temperature: polymer sensors behind a filter follow within 5 to 15 min.
     """
-    floor = Given(resolution**2 / 12.0)
-    bias = _bias("cabinet_relative_humidity", "1", accuracy)
-
-    def output(p, x, u, q, s):
-        pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
-        value = (
-            pressure / saturation_pressure(q.cabinet_air_temperature) + s.cabinet_relative_humidity_reading
-        )
-        if bias:
-            value = value + p.cabinet_relative_humidity_bias
-        return value, p.cabinet_relative_humidity_noise * p.cabinet_relative_humidity_noise + floor
-
-    return Mechanism(
-        name="humidity_sensor",
-        parameters=(*bias, _noise("cabinet_relative_humidity", "1", 0.005, 1e-4, 0.5)),
-        inputs=("ambient_temperature",),
-        outputs={"cabinet_relative_humidity": output},
-        settings={"accuracy": accuracy, "resolution": resolution},
-        meaning="the logger's relative-humidity sensor",
+    return _sensor(
+        "humidity_sensor",
+        "cabinet_relative_humidity",
+        _relative_humidity,
+        _noise("cabinet_relative_humidity", "1", 0.005, 1e-4, 0.5),
+        _bias("cabinet_relative_humidity", "1", accuracy),
+        (0.5, 0.09),
+        response_h,
+        longest_response_h,
+        {"accuracy": accuracy, "resolution": resolution},
+        "the logger's relative-humidity sensor",
+        ("ambient_temperature",),
     )
 
 
-def absolute_humidity_sensor(accuracy: float = 0.0, resolution: float = 0.0) -> Mechanism:
-    """The absolute-humidity reading [g/m³]: c_conv,a = c* T_amb/T_conv,a, equation (5)."""
-    floor = Given(resolution**2 / 12.0)
-    bias = _bias("cabinet_absolute_humidity", "g/m3", accuracy)
-
-    def output(p, x, u, q, s):
-        value = x.vapour * u.ambient_temperature / q.cabinet_air_temperature
-        value = value + s.cabinet_absolute_humidity_reading
-        if bias:
-            value = value + p.cabinet_absolute_humidity_bias
-        return value, p.cabinet_absolute_humidity_noise * p.cabinet_absolute_humidity_noise + floor
-
-    return Mechanism(
-        name="absolute_humidity_sensor",
-        parameters=(*bias, _noise("cabinet_absolute_humidity", "g/m3", 0.1, 1e-3, 10.0)),
-        inputs=("ambient_temperature",),
-        outputs={"cabinet_absolute_humidity": output},
-        settings={"accuracy": accuracy, "resolution": resolution},
-        meaning="a sensor or converter that gives absolute humidity",
+def absolute_humidity_sensor(
+    accuracy: float = 0.0,
+    resolution: float = 0.0,
+    response_h: float = 0.0,
+    longest_response_h: float | None = None,
+) -> Mechanism:
+    """The absolute-humidity reading [g/m³]: c_conv,a = c* T_amb/T_conv,a, equation (5); `response_h` as above."""
+    return _sensor(
+        "absolute_humidity_sensor",
+        "cabinet_absolute_humidity",
+        lambda x, u, q: x.vapour * u.ambient_temperature / q.cabinet_air_temperature,
+        _noise("cabinet_absolute_humidity", "g/m3", 0.1, 1e-3, 10.0),
+        _bias("cabinet_absolute_humidity", "g/m3", accuracy),
+        (8.0, 50.0),
+        response_h,
+        longest_response_h,
+        {"accuracy": accuracy, "resolution": resolution},
+        "a sensor or converter that gives absolute humidity",
+        ("ambient_temperature",),
     )

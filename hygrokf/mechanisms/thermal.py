@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
-from hygrokf.expression import Given
+from hygrokf.expression import Given, exp, log
 from hygrokf.model import Mechanism
 from hygrokf.parameters import Parameter, Prior
 
@@ -326,3 +327,46 @@ def wall_thermal_mass() -> Mechanism:
         source=f"{PAPER}, section on the thermal model (tried there and left out)",
         leaves="a slow tail after every change of the heat release or the ambient; two poles instead of one",
     )  # fmt: skip
+
+
+STILL_K = 0.5
+"""[K] temperature difference below which natural convection goes on as with this one: the air is never quite at rest."""
+
+
+def natural_convection(difference_K: float = 8.0) -> Mechanism:
+    """Conductance to the ambient that grows with the temperature difference: G = (ΔT/ΔT₀)ⁿ/R_AT, ΔT = T_conv,a − T_amb.
+
+        f −= ((ΔT/ΔT₀)ⁿ − 1) ΔT  [K],    ΔT₀ = `difference_K` [K],
+    n = 0 the network of the paper.  Laminar natural convection has n = 0.25, turbulent one 0.33.  R·C is then that at ΔT₀;
+    a small change at ΔT decays with R·C (ΔT₀/ΔT)ⁿ/(1+n), which is what the dynamics show (`small_signal`).
+    """
+    reference = Given(2.0 * math.log(difference_K))
+
+    def contributions(p, x, u, q):
+        apart = q.cabinet_air_temperature - u.ambient_temperature
+        size = log(apart * apart + STILL_K**2) - reference
+        return {"heat_release": (1.0 - exp(0.5 * p.convection_exponent * size)) * apart}
+
+    return Mechanism(
+        name="natural_convection",
+        parameters=(
+            Parameter(
+                "convection_exponent", "1", 0.1, 0.0, 0.5, null=0.0,
+                meaning="growth of the conductance with the temperature difference",
+            ),
+        ),
+        inputs=("ambient_temperature",),
+        contributions=contributions,
+        settings={"difference_K": difference_K},
+        meaning="natural convection around the cabinet",
+        leaves="a cabinet that is too warm in the simulation at high heat release and decays faster there",
+        source="Nusselt number of natural convection, Nu ∝ Ra^0.25 (laminar) to Ra^0.33 (turbulent)",
+    )  # fmt: skip
+
+
+def small_signal(time_constant: float, exponent: float, difference_K: float, at_K):
+    """Time constant [h] with which a small change decays at temperature differences `at_K` [K]; see `natural_convection`.
+
+    `time_constant` [h] R·C at `difference_K` [K], `exponent` n.
+    """
+    return time_constant * (difference_K / at_K) ** exponent / (1.0 + exponent)
