@@ -8,13 +8,13 @@ from hygrokf.record import Record, Series, Site
 from other_make.loggers import Channel
 from other_make.plant import Plant
 
-_SERIES_FIELDS = {one.name for one in dataclasses.fields(Series)}
-
 
 def to_series(channel: Channel) -> Series:
     """One channel; its stated response time is passed on where a series can hold it."""
     stated = {}
-    if channel.response_time_s is not None and "response_time_s" in _SERIES_FIELDS:
+    if channel.response_time_s is not None and "response_time_s" in {
+        one.name for one in dataclasses.fields(Series)
+    }:
         stated["response_time_s"] = channel.response_time_s
     return Series(
         signal=channel.signal,

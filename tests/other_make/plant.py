@@ -31,7 +31,8 @@ class Scenario:
     for the cabinet's. humidity_lag_s, temperature_lag_s, ambient_humidity_lag_s: [s] response of these sensors;
     lag_stated: whether the record says so. clock_s: [s] by which one system's stamps are off, early or late;
     clock_system: which, None: any. exponent: [-] n of natural convection; convective: see `Cabinet`.
-    second_mass: share of C; second_h: [h] its resistance times its capacity; second_place: see `Cabinet`.
+    second_mass: share of C; second_h: [h] its resistance times its capacity, not used for a wall; second_place: see
+    `Cabinet`.
     resolution: cabinet readings' grid ([K], [-]). degrees, outliers: see `Sensor`, for the cabinet's.
     flare: [-] how much disturbances flare up, see `flaring`. solar: share of the heat disturbance's variance that
     follows the sun. free_run_K [K], free_run_kg_m3 [kg/m³]: how far disturbances carry the cabinet from its
