@@ -311,7 +311,7 @@ def test_a_seed_gives_one_plant_and_rows_change_what_they_name(plants: dict) -> 
         np.testing.assert_array_equal(plant.power_W, right.power_W)
         assert plant.truth.hygric_k_h == right.truth.hygric_k_h
         same_course = np.array_equal(plant.trajectory.cabinet_K, right.trajectory.cabinet_K)
-        assert same_course == (row.split("_")[0] not in ("convection", "second", "flare", "solar"))
+        assert same_course == (row.split("_")[0] not in ("convection", "second", "flare", "solar", "two"))
     for row in ("means10", "means60"):
         for signal in ("cabinet_temperature", "cabinet_relative_humidity"):
             np.testing.assert_array_equal(plants[row][signal].value, right[signal].value)

@@ -35,7 +35,7 @@ class Scenario:
     `Cabinet`.
     resolution: cabinet readings' grid ([K], [-]). degrees, outliers: see `Sensor`, for the cabinet's.
     flare: [-] how much disturbances flare up, see `flaring`. solar: share of the heat disturbance's variance that
-    follows the sun. free_run_K [K], free_run_kg_m3 [kg/m³]: how far disturbances carry the cabinet from its
+    follows the sun. fast: share of the disturbances' variance that comes and goes within two hours. free_run_K [K], free_run_kg_m3 [kg/m³]: how far disturbances carry the cabinet from its
     undisturbed course (root mean square).
     """
 
@@ -58,6 +58,7 @@ class Scenario:
     outliers: float = 0.0
     flare: float = 0.0
     solar: float = 0.0
+    fast: Range = (0.02, 0.08)
     free_run_K: Range = (1.0, 1.5)
     free_run_kg_m3: Range = (2.8e-4, 4.0e-4)
 
@@ -210,7 +211,7 @@ def _forced(
         weather,
         (6.0, 16.0),
         (0.7, 2.0),
-        random.uniform(0.10, 0.30),
+        random.uniform(*scenario.fast),
         cabinet.resistance_capacity_h(),
         scenario,
     )
@@ -219,7 +220,7 @@ def _forced(
         sunny = (lagged - lagged.mean()) / lagged.std()
         heat_K = np.sqrt(1.0 - scenario.solar) * heat_K + np.sqrt(scenario.solar) * kelvin * sunny
     vapour = random.uniform(*scenario.free_run_kg_m3) * _two_scales(
-        random, weather, (4.0, 12.0), (0.4, 1.0), random.uniform(0.10, 0.25), 0.3, scenario
+        random, weather, (4.0, 12.0), (0.4, 1.0), random.uniform(*scenario.fast), 0.3, scenario
     )
     outside = np.maximum(weather.ambient_kg_m3 + vapour, LEAST_KG_M3)
     return calm_W + heat_K / cabinet.outer_resistance, outside, calm_W

@@ -29,5 +29,6 @@ ROWS: dict[str, Scenario] = {
     "noise": Scenario(degrees=3.0, outliers=0.001),
     "flare": Scenario(flare=0.8),
     "solar": Scenario(solar=0.3),
+    "two_scales": Scenario(fast=(0.1, 0.3)),
 }
 """Row -> scenario: the right form, and what each row changes in it."""
