@@ -35,8 +35,9 @@ class Scenario:
     `Cabinet`.
     resolution: cabinet readings' grid ([K], [-]). degrees, outliers: see `Sensor`, for the cabinet's.
     flare: [-] how much disturbances flare up, see `flaring`. solar: share of the heat disturbance's variance that
-    follows the sun. fast: share of the disturbances' variance that comes and goes within two hours. free_run_K [K], free_run_kg_m3 [kg/m³]: how far disturbances carry the cabinet from its
-    undisturbed course (root mean square).
+    follows the sun. fast: share of the disturbances' variance that comes and goes within two hours.
+    free_run_K [K], free_run_kg_m3 [kg/m³]: how far disturbances carry the cabinet from its undisturbed course (root
+    mean square).
     """
 
     ambient_step_s: float = 600.0
