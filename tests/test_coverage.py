@@ -105,7 +105,7 @@ def test_truths_are_those_of_the_fits_own_references() -> None:
     beside = compared(found["thermal R·C"], plain)
     assert beside["truth"] == truth.thermal_h and not beside["own"]
     stated = entry(
-        1.0, 0.9, 1.1, reference={"temperature_difference_K": 5.0}, verdict="caution",
+        1.0, 0.9, 1.1, difference_K=[3.0, 5.0, 8.0], verdict="caution",
         resistance_capacity=entry(1.3, 1.2, 1.4),
     )  # fmt: skip
     assert compared(found["thermal"], stated)["truth"] == cabinet.small_signal_h(5.0)

@@ -64,15 +64,14 @@ def other_make_quantities(scenario: Scenario, truth: Truth) -> dict[str, Quantit
     if scenario.exponent is not None:
         found["thermal R·C"] = Quantity("thermal", resistance_capacity, "resistance_capacity")
     if scenario.second_mass is not None:
-        found["thermal longest"] = Quantity("thermal", lambda entry: truth.dominant_h, "longest")
+        found["thermal longest"] = Quantity("thermal", lambda entry: truth.dominant_h)
     return found
 
 
 def _difference_K(entry: Entry, truth: Truth) -> float:
-    """The difference [K] at which the fit reports its thermal constant; the plant's median where it does not say."""
-    reference = entry.get("reference")
-    stated = reference.get("temperature_difference_K") if isinstance(reference, Mapping) else None
-    return truth.differences_K[1] if stated is None else stated
+    """The median difference [K] at which the fit reports its thermal constant; the plant's where it does not say."""
+    stated = entry.get("difference_K")
+    return stated[1] if stated else truth.differences_K[1]
 
 
 def _hygric(truth: Truth, entry: Entry) -> float:
