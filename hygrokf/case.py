@@ -287,6 +287,7 @@ def _source_series(
                 None if one.accuracy is None else difference_to_si(one.accuracy, one.unit, one.signal),
                 source.clock_uncertainty_s,
                 f'{source.file}, column "{one.column}"',
+                response_time_s=one.response_time_s,
             )
         )
     if source.interval_s is not None and source.interval_s > 1.5 * step:

@@ -36,7 +36,7 @@ _SOURCE_KEYS = (
     "compare",
     "signals",
 )
-_COLUMN_KEYS = ("column", "unit", "accuracy", "resolution")
+_COLUMN_KEYS = ("column", "unit", "accuracy", "resolution", "response_time")
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class StatedColumn:
     """One signal of a source, as the case file states it.
 
     signal: its row of the signal table. column: its name in the file. unit: of the column.
-    accuracy, resolution: [unit] or None.
+    accuracy, resolution: [unit] or None. response_time_s: [s] of the sensor, or None.
     """
 
     signal: Signal
@@ -52,6 +52,7 @@ class StatedColumn:
     unit: str
     accuracy: float | None
     resolution: float | None
+    response_time_s: float | None = None
 
 
 @dataclass(frozen=True)
@@ -71,7 +72,7 @@ class StatedSource:
     stamp: str
     interval_s: float | None
     hold: str | None
-    clock_uncertainty_s: float
+    clock_uncertainty_s: float | None
     clock_correction_s: float
     reading: dict[str, Any]
     compare: bool = False
@@ -254,8 +255,18 @@ def _columns(table: Any, lines: CaseLines, block: int, faults: list[str]) -> tup
                 faults.append(
                     f"{where}: {key} must be a number ≥ 0 in the unit of the column, found {entry[key]!r}"
                 )
+        response = None
+        if "response_time" in entry:
+            try:
+                response = duration(entry["response_time"])
+            except ValueError as wrong:
+                faults.append(f"{where}: response_time: {wrong}")
         if len(faults) == before:
-            columns.append(StatedColumn(SIGNALS[name], entry["column"], entry["unit"], **sizes))
+            columns.append(
+                StatedColumn(
+                    SIGNALS[name], entry["column"], entry["unit"], **sizes, response_time_s=response
+                )
+            )
     return tuple(columns)
 
 
@@ -345,7 +356,7 @@ def _source(
         stamp=stamp,
         interval_s=lengths["interval"],
         hold=choices["hold"],
-        clock_uncertainty_s=lengths["clock_uncertainty"] or 0.0,
+        clock_uncertainty_s=lengths["clock_uncertainty"],
         clock_correction_s=lengths["clock_correction"] or 0.0,
         reading={
             "timezone": words["timezone"],

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -32,7 +32,8 @@ class Uncertainty:
     """Second-order picture of an estimate: `names` of the coordinates that are inside their bounds.
 
     `hessian` (f, f) observed information; `wald`, `sandwich` (f, f) covariances of the coordinates; `factor` (f,) the
-    ratios of their diagonals, at least 1; `flat` names of directions that the data hardly pin down.
+    ratios of their diagonals, at least 1; `flat` names of directions that the data hardly pin down; `parts` (4, f) by how
+    much each quarter of the readings alone would move the coordinates, to first order.
     """
 
     names: tuple[str, ...]
@@ -42,6 +43,7 @@ class Uncertainty:
     factor: np.ndarray
     flat: tuple[str, ...]
     trade_offs: tuple[tuple[str, str, float], ...]
+    parts: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
 
     def place(self, name: str) -> int | None:
         return self.names.index(name) if name in self.names else None
@@ -90,7 +92,7 @@ def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
     wald = positive_inverse(hessian)
     prior = coordinates.log_prior(z)[2][inside]
     scores = objective.scores(z)[:, inside]
-    variance = long_run_variance(scores, objective.likelihood.timeline.time, _block_h(estimate.values))
+    variance = long_run_variance(scores, objective.likelihood.timeline.time, block_h(estimate.values))
     sandwich = wald @ (variance + np.diag(prior)) @ wald
     factor = np.maximum(1.0, np.diag(sandwich) / np.diag(wald))
     return Uncertainty(
@@ -101,10 +103,38 @@ def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
         factor,
         _flat(coordinates, names, wald),
         _trade_offs(names, wald),
+        part_shifts(scores, objective.likelihood.timeline.y, wald),
     )
 
 
-def _block_h(values: Mapping[str, float]) -> float:
+PARTS = 4
+"""Parts of a record, with equally many readings, that are held against each other."""
+
+
+def part_shifts(scores: np.ndarray, readings: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Coordinates (PARTS, d) that each part of the readings alone would give, less the common ones, to first order.
+
+    `scores` (T, d) of the instants at the common maximum, `readings` (T, k), `covariance` (d, d) of the whole: a part with
+    the share w of the readings has the information w/V, so its own maximum is V s/w away.  With the right model the
+    parts' variance is V/w.
+    """
+    count = np.cumsum(np.isfinite(readings).sum(axis=1))
+    part = np.minimum((count * PARTS) // max(int(count[-1]) + 1, 1), PARTS - 1)
+    sums = np.zeros((PARTS, scores.shape[1]))
+    np.add.at(sums, part, scores)
+    return PARTS * (sums - sums.mean(axis=0)) @ covariance
+
+
+def parts_scale(found: Uncertainty, name: str) -> float:
+    """Square of Birge's ratio [1]: scatter of the parts' estimates over what their bounds say; about 1 where those hold."""
+    place = found.place(name)
+    if place is None or not len(found.parts):
+        return 1.0
+    expected = PARTS * found.wald[place, place] * found.factor[place]
+    return float(np.sum(found.parts[:, place] ** 2) / ((PARTS - 1) * expected))
+
+
+def block_h(values: Mapping[str, float]) -> float:
     """Blocks of the long-run variance: a day, or four correlation times of the slowest disturbance."""
     times = [v for name, v in values.items() if name.endswith("_disturbance_time")]
     return min(max([24.0, *(4.0 * t for t in times)]), 240.0)

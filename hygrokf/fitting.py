@@ -79,17 +79,23 @@ class Objective:
 
     def information(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """l, its gradient (d,) and the expected information (d, d), the prior's included."""
+        return self._sensitivities(z, each=False)[:3]
+
+    def _sensitivities(self, z: np.ndarray, each: bool) -> tuple:
         directions = np.zeros((self._count, len(z)))
         directions[self._place, np.arange(len(z))] = self.coordinates.slopes(z)
-        found = self.likelihood.sensitivities(self.coordinates.values(z), directions)
+        found = self.likelihood.sensitivities(self.coordinates.values(z), directions, each=each)
         prior, slope, curvature = self.coordinates.log_prior(z)
-        return found.loglik + prior, found.score + slope, found.information + np.diag(curvature)
+        information = found.information + np.diag(curvature)
+        return found.loglik + prior, found.score + slope, information, found.scores
 
     def scores(self, z: np.ndarray) -> np.ndarray:
         """Each instant's share (T, d) of the score, without the prior."""
-        directions = np.zeros((self._count, len(z)))
-        directions[self._place, np.arange(len(z))] = self.coordinates.slopes(z)
-        return self.likelihood.sensitivities(self.coordinates.values(z), directions, each=True).scores
+        return self.information_and_scores(z)[3]
+
+    def information_and_scores(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        """`information`, and each instant's share (T, d) of the score, without the prior."""
+        return self._sensitivities(z, each=True)
 
 
 def climb(
@@ -282,7 +288,7 @@ def maximise(
         done = climb(objective, o.z)
         if all(_far(done, kept) for kept in optima):
             optima.append(done)
-    return _estimate(likelihood, coordinates, optima)
+    return estimate_of(likelihood, coordinates, optima)
 
 
 def climbed_on(
@@ -294,10 +300,10 @@ def climbed_on(
     """
     coordinates = Coordinates(likelihood.model.parameters)
     found = climb(Objective(likelihood, coordinates), coordinates.start(values), passes)
-    return _estimate(likelihood, coordinates, [found])
+    return estimate_of(likelihood, coordinates, [found])
 
 
-def _estimate(likelihood: Likelihood, coordinates: Coordinates, optima: list[Optimum]) -> Estimate:
+def estimate_of(likelihood: Likelihood, coordinates: Coordinates, optima: list[Optimum]) -> Estimate:
     """The best of some optima, the others beside it."""
     optima = sorted(optima, key=lambda o: -o.objective)
     best = optima[0]

@@ -71,6 +71,17 @@ def centred(series: Series) -> Series:
     return replace(series, time=series.time - 0.5 * series.interval_s, hold="linear", interval_s=0.0)
 
 
+def thinned(series: Series) -> Series:
+    """The series read half as often: every second instant, or means over two adjacent intervals."""
+    if series.interval_s <= 0:
+        return replace(series, time=series.time[::2], value=series.value[::2])
+    count = len(series) // 2
+    first, second = series.time[: 2 * count : 2], series.time[1 : 2 * count : 2]
+    joined = np.abs(second - first - series.interval_s) <= JOINED_S
+    mean = 0.5 * (series.value[: 2 * count : 2] + series.value[1 : 2 * count : 2])
+    return replace(series, time=second[joined], value=mean[joined], interval_s=2.0 * series.interval_s)
+
+
 def readings_ahead(interval_s: float, response_time_s: float) -> int:
     """How many readings after a time its path depends on, beside the next one."""
     return (AROUND if interval_s > 0 else 0) + (1 if response_time_s > 0 else 0)

@@ -11,14 +11,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.clock_offsets import NO_OFFSETS, ClockOffsets, clock_offsets
 from hygrokf.confidence import Bounds, Uncertainty, profile, uncertainty, wald_bounds
 from hygrokf.design import CASCADE, Design, design, extended, reading_step_h
 from hygrokf.drivers import Run, run
 from hygrokf.fitting import Estimate, Objective, climb, maximise
+from hygrokf.forms import ADOPTED, Form, weighed
 from hygrokf.kalman import smooth
 from hygrokf.likelihood import Likelihood
 from hygrokf.output_error import OutputError, fit_output_error
 from hygrokf.parameters import Coordinates
+from hygrokf.paths import thinned
 from hygrokf.record import Record, Series
 from hygrokf.simulation import air_temperature, project
 
@@ -29,17 +32,6 @@ SEARCH_DAYS = 30.0
 SECOND = ("second_heat_disturbance", "second_vapour_disturbance")
 SCREEN_GAIN = 3.0
 """Log-likelihood that a second disturbance must gain on the shorter stretch to be tried on the whole."""
-CLOCKED = (
-    "ambient_temperature",
-    "ambient_relative_humidity",
-    "ambient_absolute_humidity",
-    "ambient_dew_point_temperature",
-    "active_power",
-    "cabinet_temperature",
-    "cabinet_relative_humidity",
-    "cabinet_absolute_humidity",
-)
-"""Signals whose clock matters to a time constant."""
 Progress = Callable[[str], None]
 
 
@@ -47,8 +39,9 @@ Progress = Callable[[str], None]
 class Stage:
     """One identified likelihood.
 
-    `bounds` of its time constants; `clock` the time constants with each source's clock moved by its uncertainty both
-    ways; `sampling` their change (ln) when every second ambient reading is left out.
+    `bounds` of its time constants, by the profile likelihood; `clock` what the clocks of other sources do to them;
+    `sampling` their change (ln) with half as many ambient readings; `forms` that competed, the chosen one among them;
+    `response_stated` whether the response time of the humidity's sensor is stated.
     """
 
     base: Design
@@ -56,8 +49,10 @@ class Stage:
     estimate: Estimate
     uncertainty: Uncertainty
     bounds: Mapping[str, Bounds]
-    clock: Mapping[str, dict]
-    sampling: Mapping[str, float] | None
+    clock: ClockOffsets = NO_OFFSETS
+    sampling: Mapping[str, float] | None = None
+    forms: tuple[Form, ...] = ()
+    response_stated: bool = False
 
     @property
     def likelihood(self) -> Likelihood:
@@ -82,8 +77,25 @@ class Estimated:
 
 
 def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say: Progress) -> Stage:
-    """Estimate one likelihood on the identification period `early`, and say how sure it is."""
-    return judged(early, estimated(early, base, starts, say), profiles, say)
+    """Estimate one likelihood on the identification period `early` in the form that it calls for; say how sure it is."""
+    found, forms = formed(early, estimated(early, base, starts, say), say)
+    return judged(early, found, profiles, say, forms)
+
+
+def formed(early: Record, found: Estimated, say: Progress) -> tuple[Estimated, tuple[Form, ...]]:
+    """The form that the evidence of a record chooses, and all forms with their weights.
+
+    A form with `ADOPTED` of the evidence becomes the base, and the others are held against it.
+    """
+    say("forms of the model")
+    scout = _search(found.likelihood)
+    forms = weighed(early, found.base, found.run, found.estimate, TIME_CONSTANTS, scout)
+    chosen = next((form for form in forms if form.adoptable and form.weight > ADOPTED), None)
+    if chosen is None:
+        return found, forms
+    made = run(chosen.design, early)
+    estimate = maximise(Likelihood(chosen.design.model, made.timeline), chosen.estimate.values, count=1)
+    return Estimated(chosen.design, made, estimate), forms
 
 
 def estimated(early: Record, base: Design, starts: int, say: Progress) -> Estimated:
@@ -98,7 +110,9 @@ def estimated(early: Record, base: Design, starts: int, say: Progress) -> Estima
     return Estimated(base, made, estimate)
 
 
-def judged(early: Record, found: Estimated, profiles: bool, say: Progress) -> Stage:
+def judged(
+    early: Record, found: Estimated, profiles: bool, say: Progress, forms: tuple[Form, ...] = ()
+) -> Stage:
     """Uncertainty, bounds of the time constants, and their sensitivity to clocks and sampling."""
     base, estimate = found.base, found.estimate
     objective = Objective(found.likelihood, estimate.coordinates)
@@ -117,8 +131,10 @@ def judged(early: Record, found: Estimated, profiles: bool, say: Progress) -> St
         estimate,
         spread,
         bounds,
-        _clock(early, found, tuple(bounds), say),
+        clock_offsets(early, found.base, found.run, estimate, spread, found.rate_step),
         _sampling(early, found, tuple(bounds), say),
+        forms,
+        base.humidity in early and early[base.humidity].response_time_s is not None,
     )
 
 
@@ -172,41 +188,20 @@ def _moved(early: Record, old: Estimated, passes: int) -> dict[str, float]:
     return estimate.coordinates.values(found.z)
 
 
-def _clock(early: Record, old: Estimated, names: tuple[str, ...], say: Progress) -> dict[str, dict]:
-    """Every time constant with a source's clock one standard uncertainty early and late."""
-    shifts: dict[str, dict] = {}
-    for series in early.series:
-        source, delta = series.source.split(",")[0], series.clock_uncertainty_s
-        if delta <= 0 or series.signal not in CLOCKED or source in shifts:
-            continue
-        say(f"clock of {source}")
-        same = [s for s in early.series if s.source.split(",")[0] == source]
-        ends = [
-            _moved(early.replace_series(*(replace(s, time=s.time + sign * delta) for s in same)), old, 6)
-            for sign in (-1.0, 1.0)
-        ]
-        shifts[source] = {"clock_uncertainty_s": delta, **{name: [e[name] for e in ends] for name in names}}
-    return shifts
-
-
 def _sampling(
     early: Record, old: Estimated, names: tuple[str, ...], say: Progress
 ) -> dict[str, float] | None:
-    """Change of the log time constants when every second ambient reading is left out.
+    """Change of the log time constants with ambient readings half as often.
 
-    What the ambient does between its readings is interpolated; this says how much that could matter.
+    What the ambient does between its readings is reconstructed; this says how much that could matter.
     """
-    thinned = [
-        replace(s, time=s.time[::2], value=s.value[::2])
-        for s in early.series
-        if s.signal.startswith("ambient_") and s.hold == "linear"
-    ]
-    if not thinned:
+    sparse = [thinned(s) for s in early.series if s.signal.startswith("ambient_")]
+    if not sparse or not all(len(s) > 2 for s in sparse):
         return None
     say("ambient sampling")
-    values = _moved(early.replace_series(*thinned), old, 8)
+    values = _moved(early.replace_series(*sparse), old, 8)
     shifts = {name: math.log(values[name] / old.estimate.values[name]) for name in names}
-    return {"step_h": reading_step_h(thinned[0]) / 2.0, **shifts}
+    return {"step_h": reading_step_h(sparse[0]) / 2.0, **shifts}
 
 
 def smoothed_temperature(
@@ -245,13 +240,27 @@ def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> d
         likelihood = Likelihood(thermal.model, run(thermal, early).timeline)
         found["thermal_time_constant"] = fit_output_error(likelihood, plain(thermal))
     if base.humidity is not None and "cabinet_temperature" in early:
-        cascade = design(early, kind=CASCADE, coloured=False)
+        cascade = _with_sensors_of(base, design(early, kind=CASCADE, coloured=False))
         likelihood = Likelihood(cascade.model, run(cascade, early).timeline)
         found["hygric_k"] = fit_output_error(likelihood, plain(cascade))
     return found
 
 
-_THERMAL_PLAIN = ("thermal_network", "heat_release", "thermal_diffusion", "temperature_sensor")
+_THERMAL_PLAIN = (
+    "thermal_network",
+    "heat_release",
+    "natural_convection",
+    "thermal_diffusion",
+    "temperature_sensor",
+)
+
+
+def _with_sensors_of(base: Design, other: Design) -> Design:
+    """The other design with the sensors that the base has, their response included."""
+    sensors = {name: settings for name, settings in base.mechanisms if name.endswith("humidity_sensor")}
+    return replace(
+        other, mechanisms=tuple((name, sensors.get(name, settings)) for name, settings in other.mechanisms)
+    )
 
 
 def _plain(base: Design, values: Mapping[str, float]) -> Callable[[Design], dict[str, float]]:

@@ -14,7 +14,7 @@ from hygrokf.model import Mechanism, Model, compose
 if TYPE_CHECKING:
     import control
 
-NETWORK = ("thermal_network",)
+NETWORK = ("thermal_network", "natural_convection")
 """Mechanisms that make up the thermal network itself; heat releases and disturbances drive it."""
 INPUTS = ("ambient_temperature", "heat_release")
 
@@ -35,22 +35,29 @@ def _network(design: Design) -> Model:
     return compose([*parts, drive], dict.fromkeys(INPUTS, ZERO_ORDER))
 
 
+AT_K = 283.15
+"""[K] ambient temperature at which a network with natural convection is linearised; only differences matter."""
+
+
 def state_space(
     design: Design, values: Mapping[str, float]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """A (n, n) [1/h], B (n, 2), C (1, n), D (1, 2) of the network; inputs `INPUTS`, output T_conv,a.
 
-    The network is linear: each column is its answer to a unit state or input.
+    Derivatives by complex steps, exact to rounding.  The paper's network is linear; with natural convection they are those
+    of small changes at the difference to the ambient that its exponent refers to.
     """
     model = _network(design)
     n = len(model.states)
+    settings = dict(design.mechanisms).get("natural_convection", {})
+    difference = settings.get("difference_K", 0.0)
+    point = np.array([AT_K + difference / values["resistance_ratio"]] * n + [AT_K, difference], dtype=complex)
 
-    def answer(x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        equations = model.evaluate(list(x), dict(zip(INPUTS, u, strict=True)), values)
-        return np.array([*equations.rates, equations.quantities["cabinet_air_temperature"]], dtype=float)
+    def answer(z: np.ndarray) -> np.ndarray:
+        equations = model.evaluate(list(z[:n]), dict(zip(INPUTS, z[n:], strict=True)), values)
+        return np.array([*equations.rates, equations.quantities["cabinet_air_temperature"]], dtype=complex)
 
-    columns = [answer(row, np.zeros(2)) for row in np.eye(n)]
-    columns += [answer(np.zeros(n), row) for row in np.eye(2)]
+    columns = [answer(point + 1e-30j * row).imag * 1e30 for row in np.eye(n + len(INPUTS))]
     matrix = np.array(columns).T
     return matrix[:n, :n], matrix[:n, n:], matrix[n:, :n], matrix[n:, n:]
 

@@ -42,7 +42,7 @@ class StatedWeather:
     to_site_altitude: bool
     lapse_rate: float
     clock_correction_s: float
-    clock_uncertainty_s: float
+    clock_uncertainty_s: float | None
     compare: bool
     block: int
 
@@ -92,7 +92,7 @@ def stated_weather(
         faults.append(
             f"{lines.at(block, 'lapse_rate_K_per_km')}: lapse_rate_K_per_km is used with to_site_altitude = true only"
         )
-    lengths = {"clock_correction": 0.0, "clock_uncertainty": 0.0}
+    lengths: dict[str, float | None] = {"clock_correction": 0.0, "clock_uncertainty": None}
     for key in lengths:
         if key in table:
             try:

@@ -42,7 +42,7 @@ def _noise(name: str, unit: str, start: float, lower: float, upper: float) -> Pa
     )
 
 
-SHORTEST_RESPONSE_H = 1.0 / 60.0
+SHORTEST_RESPONSE_H = 1.0 / 30.0
 """[h] a response time to be estimated is at least this long: below it readings minutes apart show nothing of it."""
 
 

@@ -337,15 +337,19 @@ def natural_convection(difference_K: float = 8.0) -> Mechanism:
     """Conductance to the ambient that grows with the temperature difference: G = (ΔT/ΔT₀)ⁿ/R_AT, ΔT = T_conv,a − T_amb.
 
         f −= ((ΔT/ΔT₀)ⁿ − 1) ΔT  [K],    ΔT₀ = `difference_K` [K],
-    n = 0 the network of the paper.  Laminar natural convection has n = 0.25, turbulent one 0.33.  R·C is then that at ΔT₀;
-    a small change at ΔT decays with R·C (ΔT₀/ΔT)ⁿ/(1+n), which is what the dynamics show (`small_signal`).
+    n = 0 the network of the paper.  Laminar natural convection has n = 0.25, turbulent one 0.33.  The thermal time
+    constant τ of the network is then that of small changes at ΔT₀: R·C = (1+n) τ there, and at other differences small
+    changes decay with τ (ΔT₀/ΔT)ⁿ (`small_signal`).
     """
     reference = Given(2.0 * math.log(difference_K))
 
     def contributions(p, x, u, q):
         apart = q.cabinet_air_temperature - u.ambient_temperature
         size = log(apart * apart + STILL_K**2) - reference
-        return {"heat_release": (1.0 - exp(0.5 * p.convection_exponent * size)) * apart}
+        return {
+            "heat_release": (1.0 - exp(0.5 * p.convection_exponent * size)) * apart,
+            "thermal_pace": 1.0 / (1.0 + p.convection_exponent) - 1.0,
+        }
 
     return Mechanism(
         name="natural_convection",
@@ -367,6 +371,6 @@ def natural_convection(difference_K: float = 8.0) -> Mechanism:
 def small_signal(time_constant: float, exponent: float, difference_K: float, at_K):
     """Time constant [h] with which a small change decays at temperature differences `at_K` [K]; see `natural_convection`.
 
-    `time_constant` [h] R·C at `difference_K` [K], `exponent` n.
+    `time_constant` [h] that at `difference_K` [K], `exponent` n.
     """
-    return time_constant * (difference_K / at_K) ** exponent / (1.0 + exponent)
+    return time_constant * (difference_K / at_K) ** exponent

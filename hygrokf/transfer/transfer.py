@@ -276,7 +276,7 @@ def _fit(scene: Scene, estimate: Estimate, spread: Uncertainty) -> Fit:
         ends = (value * math.exp(-min(reach, 50.0)), value * math.exp(min(reach, 50.0)))
         said = "taken over" if name in kept else "wald"
         bounds[name] = Bounds(value, *ends, 0.95, said, "", np.empty((0, 2)))
-    stage = Stage(scene.base, scene.early_run, estimate, wider, bounds, {}, None)
+    stage = Stage(scene.base, scene.early_run, estimate, wider, bounds)
     basis = Basis(JOINT, (stage,), (scene.early,), heat_release_regression(scene.early))
     made = assembled(scene.record, basis, {})
     made.results["statements"].insert(

@@ -108,7 +108,9 @@ def _one_series(parts: Sequence[Series]) -> tuple[Series, list[str]]:
         time=time,
         value=values[first.signal],
         source=source,
-        clock_uncertainty_s=max(part.clock_uncertainty_s for part in parts),
+        clock_uncertainty_s=max(
+            (part.clock_uncertainty_s for part in parts if part.clock_uncertainty_s is not None), default=None
+        ),
     )
     return made, [f"{first.signal}: {one}" for one in said if not one.startswith("unsorted")]
 
