@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
+from dataclasses import asdict
 
 import numpy as np
 
@@ -66,9 +68,10 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
         "upper_h": None if math.isinf(upper) else upper * scale,
         "level": b.level,
         "method": b.method + (" with clock uncertainty" if clock else ""),
-        "statement": b.statement.replace(" h", " h at 273 K")
-        if name == "hygric_k" and b.statement
+        "statement": re.sub(r"^([≤≥] \S+ h)\b", r"\1 at 273 K", b.statement)
+        if name == "hygric_k"
         else b.statement,
+        "limited_by": [asdict(limit) for limit in b.limited_by],
         "factor": factor,
         "threshold": factor * normal_quantile(b.level) ** 2,
         "curve": [[float(x) * scale, float(y)] for x, y in b.curve],
