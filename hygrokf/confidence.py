@@ -8,23 +8,34 @@ Shapes: d free coordinates z (see `parameters`), T instants.
   than the slowest disturbance, with Bartlett weights over neighbouring blocks (Newey & West 1987), plus the prior's
   information, which is no sum over instants.
 - Profile: bounds of one parameter where twice the drop of the profile log-likelihood reaches c χ²₁, with the factor
-  c = max(1, V_S/V_H) of that parameter (misspecification; Kent 1982, doi:10.1093/biomet/69.1.19).
+  c = max(1, V_S/V_H) of that parameter (misspecification; Kent 1982, doi:10.1093/biomet/69.1.19).  Other parameters that
+  reach a limit of their search on the way pass it where it is a guard, and stay where it is physical.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from hygrokf.fitting import Estimate, Objective
+from hygrokf.fitting import Estimate, Objective, bounded_step
+from hygrokf.parameters import Parameter
 
 STEP_OF_SE = 0.02
 """Central differences of the score move a coordinate by this share of its standard error."""
 FLAT_SE = 3.0
 """[ln] a positive parameter with a larger standard error of its logarithm is called not identifiable."""
+AT_LIMIT = 1e-9
+"""A coordinate so near to a limit is at it."""
+WALK_STEPS = 40
+WALK_TOLERANCE = 2e-3
+"""Re-estimation along a profile ends when the next step promises less than this much log-likelihood."""
+BETTER = 0.1
+"""Log-likelihood by which a point of a profile shows that the estimate is no maximum; climbs converge far below it."""
+MATERIAL = 0.05
+"""[1] of a profile's threshold: a limit at whose passing the score promises less does not hold the profile back."""
 
 
 @dataclass(frozen=True)
@@ -32,8 +43,9 @@ class Uncertainty:
     """Second-order picture of an estimate: `names` of the coordinates that are inside their bounds.
 
     `hessian` (f, f) observed information; `wald`, `sandwich` (f, f) covariances of the coordinates; `factor` (f,) the
-    ratios of their diagonals, at least 1; `flat` names of directions that the data hardly pin down; `parts` (4, f) by how
-    much each quarter of the readings alone would move the coordinates, to first order.
+    ratios of their diagonals, at least 1; `flat` names of directions that the data hardly pin down.  `curvature` (d, d)
+    the observed information of all coordinates, those at a bound included.  `parts` (PARTS, f) by how much each part of
+    the readings alone would move the coordinates, to first order.
     """
 
     names: tuple[str, ...]
@@ -43,6 +55,7 @@ class Uncertainty:
     factor: np.ndarray
     flat: tuple[str, ...]
     trade_offs: tuple[tuple[str, str, float], ...]
+    curvature: np.ndarray
     parts: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
 
     def place(self, name: str) -> int | None:
@@ -50,10 +63,29 @@ class Uncertainty:
 
 
 @dataclass(frozen=True)
+class Limit:
+    """Another parameter that reached a limit of its search at one end of a profile.
+
+    `end` "lower" or "upper"; `parameter` and its `unit`; its `value` at that end and the `limit` of its search.
+    `effect`: "held" the limit is physical, and the parameter stays there; "lifted" it is a guard, and was passed; "open"
+    the parameter passed its guard as far as the walk goes before the profile closed: the end is open.
+    """
+
+    end: str
+    parameter: str
+    unit: str
+    value: float
+    limit: float
+    effect: str
+
+
+@dataclass(frozen=True)
 class Bounds:
     """Confidence bounds of one value in its unit; infinite or zero where the data do not bound it.
 
-    `curve` (P, 2): values and twice the drop of the profile log-likelihood; `method` profile, wald or none.
+    `curve` (P, 2): values and twice the drop of the profile log-likelihood; `method` profile, wald or none; `limited_by`
+    the limits of other parameters that its ends met; `better` all parameters' values at the most likely point of the
+    profile where that is more likely than the estimate (by `BETTER`): the estimate is no maximum, climb again from there.
     """
 
     value: float
@@ -63,6 +95,8 @@ class Bounds:
     method: str
     statement: str
     curve: np.ndarray
+    limited_by: tuple[Limit, ...] = ()
+    better: Mapping[str, float] | None = None
 
 
 def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
@@ -81,13 +115,14 @@ def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
         )
     steps = STEP_OF_SE / np.sqrt(np.maximum(np.diag(information), 1e-12))
     steps = np.clip(steps, 1e-7, 0.05)
-    hessian = np.empty((len(z), len(z)))
+    curvature = np.empty((len(z), len(z)))
     for i, h in enumerate(steps):
         up, down = z.copy(), z.copy()
         up[i] += h
         down[i] -= h
-        hessian[i] = -(objective.score(up)[1] - objective.score(down)[1]) / (2.0 * h)
-    hessian = 0.5 * (hessian + hessian.T)[np.ix_(inside, inside)]
+        curvature[i] = -(objective.score(up)[1] - objective.score(down)[1]) / (2.0 * h)
+    curvature = 0.5 * (curvature + curvature.T)
+    hessian = curvature[np.ix_(inside, inside)]
     names = tuple(n for n, there in zip(coordinates.names, inside, strict=True) if there)
     wald = positive_inverse(hessian)
     prior = coordinates.log_prior(z)[2][inside]
@@ -103,6 +138,7 @@ def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
         factor,
         _flat(coordinates, names, wald),
         _trade_offs(names, wald),
+        curvature,
         part_shifts(scores, objective.likelihood.timeline.y, wald),
     )
 
@@ -142,11 +178,22 @@ def block_h(values: Mapping[str, float]) -> float:
 
 def positive_inverse(matrix: np.ndarray) -> np.ndarray:
     """Inverse of a symmetric matrix; directions without positive curvature get a huge variance, not a negative one."""
+    scale, values, vectors = _scaled(matrix)
+    return (vectors / values) @ vectors.T / scale[:, None] / scale[None, :]
+
+
+def positive(matrix: np.ndarray) -> np.ndarray:
+    """A symmetric matrix made positive: directions without positive curvature get hardly any."""
+    scale, values, vectors = _scaled(matrix)
+    return (vectors * values) @ vectors.T * scale[:, None] * scale[None, :]
+
+
+def _scaled(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Roots (d,) of a symmetric matrix' diagonal, and eigenvalues, at least 1e-10, and vectors of the matrix divided by them."""
     size = np.abs(np.diag(matrix))
-    scale = 1.0 / np.sqrt(np.where(size > 1e-150, size, 1.0))
-    values, vectors = np.linalg.eigh(matrix * scale[:, None] * scale[None, :])
-    inverse = np.where(values > 1e-10, 1.0 / np.maximum(values, 1e-10), 1e10)
-    return (vectors * inverse) @ vectors.T * scale[:, None] * scale[None, :]
+    scale = np.sqrt(np.where(size > 1e-150, size, 1.0))
+    values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale[None, :])
+    return scale, np.maximum(values, 1e-10), vectors
 
 
 def long_run_variance(scores: np.ndarray, time: np.ndarray, block_h: float, lags: int = 2) -> np.ndarray:
@@ -226,10 +273,18 @@ def profile(
     level: float = 0.95,
     progress: Callable[[str], None] | None = None,
 ) -> Bounds:
-    """Profile-likelihood bounds of one free parameter, all others re-estimated along the way.
+    """Profile-likelihood bounds of one free parameter [its unit], all others re-estimated along the way.
 
+    `objective` the penalised likelihood whose maximum `estimate` is, `found` its `uncertainty`.  The bounds are the values
+    at which
+        2 (l(θ̂) − max over the others of l) = c χ²₁,    c = max(1, V_S/V_H) of the parameter, at the confidence `level`.
     An end that the data do not close is returned as 0 or infinity (positive parameters: "≤ x", "≥ x" or not
     identifiable; others: the parameter's own bound).
+
+    Another parameter that reaches a limit of its search on the way would turn the profile into a cliff.  A physical limit
+    (`Parameter.physical`) holds: beyond it there is no model.  A guard is lifted (`Parameter.beyond_guards`); where the
+    parameter passes it as far as that goes before the profile closes, the end is open.  `limited_by` says which did.
+    What is at a limit in the estimate already stays there unless it wants back.
     """
     coordinates = estimate.coordinates
     p = next(q for q in coordinates.free if q.name == name)
@@ -240,79 +295,147 @@ def profile(
     se = math.sqrt(found.wald[place, place]) if place is not None else 0.3
     walk = _Walk(objective, estimate, found, index)
     points = [(p.from_coordinate(estimate.z[index]), 0.0)]
-    ends = []
-    for direction in (-1.0, 1.0):
+    ends: list[float | None] = []
+    limits: list[Limit] = []
+    for side, direction in (("lower", -1.0), ("upper", 1.0)):
         if progress is not None:
-            progress(f"profile of {name}, {'lower' if direction < 0 else 'upper'} end")
+            progress(f"profile of {name}, {side} end")
         first = min(max(se, 1e-4), 1.5) * math.sqrt(threshold)
         end, more = _end(walk, p, index, direction, threshold, first)
-        ends.append(end)
         points.extend(more)
+        if end is not None:
+            reached = walk.limits(side, end - estimate.z[index], threshold)
+            limits.extend(reached)
+            end = None if any(limit.effect == "open" for limit in reached) else end
+        ends.append(end)
     curve = np.array(sorted(points))
     lower = (0.0 if p.positive else p.lower) if ends[0] is None else p.from_coordinate(ends[0])
     upper = (math.inf if p.positive else p.upper) if ends[1] is None else p.from_coordinate(ends[1])
-    value = estimate.values[name]
-    return Bounds(value, lower, upper, level, "profile", describe(p.unit, lower, upper, ends), curve)
+    said = describe(p.unit, lower, upper, ends, limits)
+    return Bounds(
+        estimate.values[name], lower, upper, level, "profile", said, curve, tuple(limits), walk.better()
+    )
 
 
-def describe(unit: str, lower: float, upper: float, ends: list) -> str:
-    """What the bounds say, where they do not close on both sides."""
+def describe(unit: str, lower: float, upper: float, ends: list, limits: Sequence[Limit] = ()) -> str:
+    """What the bounds say where they do not close on both sides, and which parameter's limit left them open."""
+    open_ = [limit for limit in limits if limit.effect == "open"]
+    because = "".join(
+        f"; the {limit.end} end stays open: there {limit.parameter} is {_of_unit(limit.value, limit.unit)}, "
+        f"far beyond its limit {_of_unit(limit.limit, limit.unit)}"
+        for limit in open_
+    )
     if ends[0] is None and ends[1] is None:
-        return "not identifiable from this record"
-    unit = "" if unit == "1" else f" {unit}"
+        return "not identifiable from this record" + because
     if ends[0] is None:
-        return f"≤ {upper:.3g}{unit}"
-    return f"≥ {lower:.3g}{unit}" if ends[1] is None else ""
+        return f"≤ {_of_unit(upper, unit)}{because}"
+    return f"≥ {_of_unit(lower, unit)}{because}" if ends[1] is None else ""
+
+
+def limit_remarks(name: str, bounds: Bounds) -> list[str]:
+    """Which limits of other parameters a profile's closed ends met, one sentence each; `name` the profiled parameter."""
+    said = {
+        "lifted": "beyond the limit {limit} of its search",
+        "held": "its physical limit",
+    }
+    return [
+        f"the {limit.end} bound of {name} has {limit.parameter} = {_of_unit(limit.value, limit.unit)}, "
+        + said[limit.effect].format(limit=_of_unit(limit.limit, limit.unit))
+        for limit in bounds.limited_by
+        if limit.effect in said
+    ]
+
+
+def _of_unit(value: float, unit: str) -> str:
+    return f"{value:.3g}" + ("" if unit == "1" else f" {unit}")
 
 
 class _Walk:
-    """Re-estimation of the other coordinates with one held: quasi-Newton steps by the known observed information."""
+    """Re-estimation of the other coordinates with one held: quasi-Newton steps that begin with the observed information.
+
+    The steps stay within the limits, guards lifted: what the score pushes against a limit is held there, and the others
+    are solved without it.
+    """
 
     def __init__(self, objective: Objective, estimate: Estimate, found: Uncertainty, index: int) -> None:
         self.objective, self.estimate, self.index = objective, estimate, index
-        names = estimate.coordinates.names
-        self.others = [i for i, n in enumerate(names) if i != index and n in found.names]
-        at = {n: i for i, n in enumerate(found.names)}
-        rows = [at[names[i]] for i in self.others]
-        self.inverse = positive_inverse(found.hessian[np.ix_(rows, rows)]) if rows else np.zeros((0, 0))
-        self.path = np.zeros(len(self.others))
-        if found.place(names[index]) is not None and rows:
-            self.path = -self.inverse @ found.hessian[rows, at[names[index]]]
-        self.last = {0.0: estimate.z}
+        self.free = estimate.coordinates.free
+        self.others = np.arange(len(self.free)) != index
+        bounds = np.array([p.beyond_guards() for p in self.free])
+        own = estimate.coordinates
+        self.lower = np.where(estimate.z <= own.lower + AT_LIMIT, own.lower, bounds[:, 0])
+        self.upper = np.where(estimate.z >= own.upper - AT_LIMIT, own.upper, bounds[:, 1])
+        self.curvature = positive(found.curvature)
+        self.path = np.zeros(len(self.free))
+        inside = np.array([p.name in found.names and i != index for i, p in enumerate(self.free)])
+        if found.place(own.names[index]) is not None and inside.any():
+            block = positive_inverse(found.curvature[np.ix_(inside, inside)])
+            self.path[inside] = -block @ found.curvature[inside, index]
+        self.last = {0.0: (estimate.z, np.zeros_like(estimate.z))}
+        self.best = (-BETTER, estimate.z)
 
     def drop(self, offset: float) -> float:
         """Twice the drop of the profile log-likelihood at this offset of the coordinate."""
         near = min(self.last, key=lambda known: abs(known - offset))
-        z = self.last[near].copy()
+        z = self.last[near][0] + self.path * (offset - near)
+        z = np.clip(z, self.lower, self.upper)
         z[self.index] = self.estimate.z[self.index] + offset
-        z[self.others] += self.path * (offset - near)
-        z = np.clip(z, self.objective.coordinates.lower, self.objective.coordinates.upper)
-        inverse = self.inverse.copy()
+        curvature, informed = self.curvature, False
         value, gradient = self._score(z)
-        for _ in range(25):
-            g = gradient[self.others]
-            step = inverse @ g
-            if 0.5 * float(g @ step) < 2e-3:
+        for _ in range(WALK_STEPS):
+            outwards = ((z <= self.lower) & (gradient <= 0)) | ((z >= self.upper) & (gradient >= 0))
+            step, promised = bounded_step(
+                curvature, gradient, self.others & ~outwards, z, self.lower, self.upper, 1e-9
+            )
+            if promised < WALK_TOLERANCE:
                 break
-            step = step / max(1.0, float(np.max(np.abs(step))))
-            moved = False
             for _ in range(8):
-                trial = z.copy()
-                trial[self.others] += step
-                trial = np.clip(trial, self.objective.coordinates.lower, self.objective.coordinates.upper)
+                trial = z + step
                 new, new_gradient = self._score(trial)
                 if new > value:
-                    moved = True
                     break
                 step = 0.3 * step
-            if not moved:
-                break
-            s = trial[self.others] - z[self.others]
-            y = -(new_gradient[self.others] - g)
-            inverse = _bfgs(inverse, s, y)
+            else:
+                if informed:
+                    break
+                # the curvature of the estimate misleads here: the expected information of this place replaces it
+                curvature, informed = self.objective.information(z)[2], True
+                continue
+            curvature = _bfgs(curvature, step, gradient - new_gradient)
             z, value, gradient = trial, new, new_gradient
-        self.last[offset] = z
+        self.last[offset] = z, gradient
+        self.best = min(self.best, (self.estimate.objective - value, z), key=lambda pair: pair[0])
         return 2.0 * (self.estimate.objective - value)
+
+    def better(self) -> dict[str, float] | None:
+        """Values that are more likely than the estimate, if the walk met any."""
+        drop, z = self.best
+        return None if drop >= -BETTER else self.objective.coordinates.values(z)
+
+    def limits(self, end: str, offset: float, threshold: float) -> list[Limit]:
+        """Limits of other coordinates that matter at this offset, those of the estimate left out."""
+        z, gradient = self.last[min(self.last, key=lambda known: abs(known - offset))]
+        own = self.estimate.coordinates
+        found = []
+        for i, p in enumerate(self.free):
+            above = z[i] > own.upper[i] - AT_LIMIT
+            at, lifted = (own.upper[i], self.upper[i]) if above else (own.lower[i], self.lower[i])
+            same = abs(self.estimate.z[i] - at) <= AT_LIMIT
+            if i == self.index or same or not (above or z[i] < own.lower[i] + AT_LIMIT):
+                continue
+            unit = 1.0 if p.positive else p.upper - p.lower
+            pushed = 2.0 * (gradient[i] if above else -gradient[i]) * unit > MATERIAL * threshold
+            at_the_end = abs(z[i] - lifted) <= AT_LIMIT and pushed
+            physical = abs(p.from_coordinate(lifted) - p.physical[int(above)]) <= AT_LIMIT
+            if at_the_end:
+                effect = "held" if physical else "open"
+            elif abs(z[i] - at) > AT_LIMIT:
+                effect = "lifted"
+            else:
+                continue
+            value, limit = p.from_coordinate(float(z[i])), p.upper if above else p.lower
+            found.append(Limit(end, p.name, p.unit, value, limit, effect))
+        return found
 
     def _score(self, z: np.ndarray) -> tuple[float, np.ndarray]:
         try:
@@ -322,16 +445,16 @@ class _Walk:
         return (value, gradient) if math.isfinite(value) else (-math.inf, np.zeros_like(z))
 
 
-def _bfgs(inverse: np.ndarray, s: np.ndarray, y: np.ndarray) -> np.ndarray:
-    curvature = float(s @ y)
-    if curvature <= 1e-12:
-        return inverse
-    left = np.eye(len(s)) - np.outer(s, y) / curvature
-    return left @ inverse @ left.T + np.outer(s, s) / curvature
+def _bfgs(curvature: np.ndarray, s: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The curvature (d, d) that after a step s changes the score by −y (Broyden, Fletcher, Goldfarb, Shanno)."""
+    along = curvature @ s
+    if float(s @ y) <= 1e-12 or float(s @ along) <= 0.0:
+        return curvature
+    return curvature - np.outer(along, along) / float(s @ along) + np.outer(y, y) / float(s @ y)
 
 
 def _end(
-    walk: _Walk, p, index: int, direction: float, threshold: float, first: float
+    walk: _Walk, p: Parameter, index: int, direction: float, threshold: float, first: float
 ) -> tuple[float | None, list[tuple[float, float]]]:
     """The coordinate where the profile crosses the threshold on one side; None where it does not before the bound."""
     z = walk.estimate.z[index]

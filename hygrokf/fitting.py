@@ -150,10 +150,10 @@ def _scoring(objective: Objective, start: np.ndarray, passes: int, tolerance: fl
         free = ~(((z <= lower) & (gradient <= 0)) | ((z >= upper) & (gradient >= 0)))
         if not free.any():
             return Optimum(z, value, True, "converged: every free parameter is at a bound", done)
-        if _promise(information, gradient, free, z, lower, upper, 1e-9)[1] < tolerance:
+        if bounded_step(information, gradient, free, z, lower, upper, 1e-9)[1] < tolerance:
             return Optimum(z, value, True, "converged", done)
         for _ in range(25):
-            step, promised = _promise(information, gradient, free, z, lower, upper, damping)
+            step, promised = bounded_step(information, gradient, free, z, lower, upper, damping)
             if promised > 0:
                 trial = objective.value(z + step)
                 if trial - value > 0.05 * promised:
@@ -172,7 +172,7 @@ def _scoring(objective: Objective, start: np.ndarray, passes: int, tolerance: fl
     return Optimum(z, value, False, f"stopped after {passes} passes", passes)
 
 
-def _promise(
+def bounded_step(
     information: np.ndarray,
     gradient: np.ndarray,
     free: np.ndarray,

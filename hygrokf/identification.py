@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.checks import all_doubts
-from hygrokf.confidence import normal_quantile, standard_error, wald_bounds
+from hygrokf.confidence import limit_remarks, normal_quantile, standard_error, wald_bounds
 from hygrokf.design import CASCADE, JOINT, Design, design, merged
 from hygrokf.drivers import IDENTIFIED_ON, Run, run
 from hygrokf.fit import Fit
@@ -313,6 +313,8 @@ def _remarks(stage: Stage) -> list[str]:
     others = [name for name in estimate.at_bounds if name != "resistance_ratio"]
     if others:
         lines.append(f"at a bound, so without standard error: {', '.join(others)}")
+    for name, bounds in stage.bounds.items():
+        lines += limit_remarks(name, bounds)
     if found.flat:
         lines.append(f"not pinned down by this record: {', '.join(found.flat)}")
     for a, b, r in found.trade_offs:

@@ -12,6 +12,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+LIFT = 20.0
+"""How far a lifted guard reaches: by this factor, of a parameter that need not be positive from the middle of its range."""
+
 
 @dataclass(frozen=True)
 class Prior:
@@ -54,6 +57,8 @@ class Parameter:
     `positive` parameters are estimated as logarithms; their lower bound must be above zero.
     `noise` marks parameters of disturbances and sensors: estimation starts several times over these.
     `null` is the value at which the parameter's mechanism has no effect (None: it has none).
+    `physical` is the range that the quantity can have at all.  A limit of the search, `lower` or `upper`, that lies within
+    it is a guard against senseless numbers: the profile of another parameter may pass it (see `confidence.profile`).
     """
 
     name: str
@@ -66,6 +71,7 @@ class Parameter:
     null: float | None = None
     noise: bool = False
     meaning: str = ""
+    physical: tuple[float, float] = (-math.inf, math.inf)
 
     def __post_init__(self) -> None:
         if not self.lower < self.upper:
@@ -73,6 +79,11 @@ class Parameter:
         if not self.lower <= self.start <= self.upper:
             raise ValueError(
                 f"{self.name}: expected a start within {self.lower} … {self.upper}, found {self.start}"
+            )
+        if not self.physical[0] <= self.lower or not self.upper <= self.physical[1]:
+            raise ValueError(
+                f"{self.name}: expected a search within what is physical, {self.physical[0]} … {self.physical[1]}, "
+                f"found {self.lower} … {self.upper}"
             )
         if self.prior is not None and self.prior.logarithmic and not self.positive:
             raise ValueError(f"{self.name}: a prior of its logarithm needs a positive parameter")
@@ -90,6 +101,16 @@ class Parameter:
     def slope(self, value: float) -> float:
         """dθ/dz at the value."""
         return value if self.positive else 1.0
+
+    def beyond_guards(self) -> tuple[float, float]:
+        """Limits of the coordinate with its guards lifted (`LIFT`); a physical limit stays."""
+        low, high = self.to_coordinate(self.lower), self.to_coordinate(self.upper)
+        reach = math.log(LIFT) if self.positive else 0.5 * (LIFT - 1.0) * (high - low)
+        least, most = self.physical
+        if self.positive:
+            least = math.log(least) if least > 0 else -math.inf
+            most = math.log(most)
+        return max(low - reach, least), min(high + reach, most)
 
 
 class Coordinates:

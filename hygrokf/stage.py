@@ -15,7 +15,7 @@ from hygrokf.clock_offsets import NO_OFFSETS, ClockOffsets, clock_offsets
 from hygrokf.confidence import Bounds, Uncertainty, profile, uncertainty, wald_bounds
 from hygrokf.design import CASCADE, Design, design, extended, reading_step_h
 from hygrokf.drivers import Run, run
-from hygrokf.fitting import Estimate, Objective, climb, maximise
+from hygrokf.fitting import Estimate, Objective, climb, climbed_on, maximise
 from hygrokf.forms import ADOPTED, Form, weighed
 from hygrokf.kalman import smooth
 from hygrokf.likelihood import Likelihood
@@ -113,29 +113,43 @@ def estimated(early: Record, base: Design, starts: int, say: Progress) -> Estima
 def judged(
     early: Record, found: Estimated, profiles: bool, say: Progress, forms: tuple[Form, ...] = ()
 ) -> Stage:
-    """Uncertainty, bounds of the time constants, and their sensitivity to clocks and sampling."""
-    base, estimate = found.base, found.estimate
+    """Uncertainty, bounds of the time constants, and their sensitivity to clocks and sampling.
+
+    Where a profile meets a higher likelihood than the estimate's, the estimate is climbed on from there first.
+    """
+    spread, bounds = _bounded(found, profiles, say)
+    better = next((b.better for b in bounds.values() if b.better is not None), None)
+    if better is not None:
+        say("climb from a better point of the profile")
+        found = replace(found, estimate=climbed_on(found.likelihood, better))
+        spread, bounds = _bounded(found, profiles, say)
+    base = found.base
+    return Stage(
+        base,
+        found.run,
+        found.estimate,
+        spread,
+        bounds,
+        clock_offsets(early, base, found.run, found.estimate, spread, found.rate_step),
+        _sampling(early, found, tuple(bounds), say),
+        forms,
+        base.humidity in early and early[base.humidity].response_time_s is not None,
+    )
+
+
+def _bounded(found: Estimated, profiles: bool, say: Progress) -> tuple[Uncertainty, dict[str, Bounds]]:
+    """Uncertainty of an estimate, and bounds of its time constants."""
+    estimate = found.estimate
     objective = Objective(found.likelihood, estimate.coordinates)
     say("observed information")
     spread = uncertainty(objective, estimate)
-    bounds = {
+    return spread, {
         name: profile(objective, estimate, spread, name, LEVEL, say)
         if profiles
         else wald_bounds(estimate, spread, name, LEVEL)
         for name in TIME_CONSTANTS
         if name in estimate.coordinates.names
     }
-    return Stage(
-        base,
-        found.run,
-        estimate,
-        spread,
-        bounds,
-        clock_offsets(early, found.base, found.run, estimate, spread, found.rate_step),
-        _sampling(early, found, tuple(bounds), say),
-        forms,
-        base.humidity in early and early[base.humidity].response_time_s is not None,
-    )
 
 
 def _search(likelihood: Likelihood) -> Likelihood | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from dataclasses import asdict
 
@@ -156,8 +157,8 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
     place = stage.uncertainty.place(name)
     factor = float(stage.uncertainty.factor[place]) if place is not None else 1.0
     statement = b.statement
-    if name == HYGRIC and statement:
-        statement = statement.replace(" h", " h at 273 K")
+    if name == HYGRIC:
+        statement = re.sub(r"^([≤≥] \S+ h)\b", r"\1 at 273 K", statement)
     free = _by_free_run(simulated.get(name), name)
     whole = composed(b.value, b.lower, b.upper, b.level, _sources(stage, name, free))
     entry = {
@@ -180,6 +181,7 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
         ],
         "forms": [_form(form, name, scale, b.level) for form in stage.forms],
         "parts": _parts(stage, name, scale),
+        "limited_by": [asdict(limit) for limit in b.limited_by],
         "factor": factor,
         "threshold": factor * normal_quantile(b.level) ** 2,
         "curve": [[float(x) * scale, float(y)] for x, y in b.curve],

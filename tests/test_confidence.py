@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,9 +15,11 @@ from scipy.optimize import brentq
 from scipy.stats import norm
 from statsmodels.stats.sandwich_covariance import S_hac_simple
 
+from hygrokf.case import read_case
 from hygrokf.confidence import (
     Bounds,
     Uncertainty,
+    limit_remarks,
     long_run_variance,
     normal_quantile,
     positive_inverse,
@@ -28,6 +31,7 @@ from hygrokf.confidence import (
 from hygrokf.design import design
 from hygrokf.drivers import run
 from hygrokf.fitting import Estimate, Objective, maximise
+from hygrokf.identification import identified
 from hygrokf.likelihood import Likelihood
 from hygrokf.mechanisms import linear_network
 from hygrokf.model import compose
@@ -273,6 +277,151 @@ def test_a_positive_parameter_at_its_lower_bound_is_at_most_x() -> None:
 def test_quantiles_are_normal() -> None:
     for level in (0.5, 0.9, 0.95, 0.999):
         assert normal_quantile(level) == pytest.approx(norm.ppf(0.5 + level / 2), rel=1e-12)
+
+
+# -- limits of other parameters --------------------------------------------------------------------------------------
+UNSURE = Prior(0.0, 1.0)
+
+
+def summed(
+    limit: float, physical: tuple[float, float] = (-math.inf, math.inf), prior: Prior | None = UNSURE
+) -> Fitted:
+    """Forty readings of mean + bias with known noise: all that tells the two apart is the prior of the bias."""
+    constant = linear_network(
+        "constant",
+        [
+            Parameter("mean", "K", 3.0, -50.0, 50.0),
+            Parameter("bias", "K", 0.0, -limit, limit, prior=prior, physical=physical),
+        ],
+        ["x"],
+        [],
+        lambda p, x, u: {"x": 0.0 * x.x},
+        {"y": lambda p, x, u: (x.x + p.bias, 0.49)},
+        lambda p: {"x": 0.0},
+        lambda p, u: {"x": (p.mean, 0.0)},
+    )
+    model = compose([constant])
+    return plain(fitted(Likelihood(model, timeline(model, np.arange(40.0), {}, {"y": INDEPENDENT[:40]}))))
+
+
+def test_a_guard_of_another_parameter_is_lifted_not_a_cliff() -> None:
+    """The mean is known to √(σ²/n + 1): 1.97 K to either side, although the search stops the bias at 0.5 K."""
+    bounds, centre = summed(0.5).profile("mean"), INDEPENDENT[:40].mean()
+    half = math.sqrt(CHI_SQUARED * (0.49 / 40 + 1.0))
+    assert bounds.lower == pytest.approx(centre - half, abs=0.01 * half)
+    assert bounds.upper == pytest.approx(centre + half, abs=0.01 * half)
+    assert bounds.statement == "" and bounds.better is None
+    reached = {limit.end: limit for limit in bounds.limited_by}
+    share = half / (
+        1.0 + 0.49 / 40
+    )  # of the departure that the bias takes, prior and readings being what they are
+    for end, sign in (("lower", 1.0), ("upper", -1.0)):
+        assert reached[end].parameter == "bias" and reached[end].effect == "lifted"
+        assert reached[end].limit == sign * 0.5
+        assert reached[end].value == pytest.approx(sign * share, rel=0.02)
+    assert limit_remarks("mean", bounds)[0] == (
+        f"the lower bound of mean has bias = {reached['lower'].value:.3g} K, beyond the limit 0.5 K of its search"
+    )
+    far = summed(5.0).profile("mean")
+    assert far.limited_by == ()
+    assert (far.lower, far.upper) == pytest.approx((bounds.lower, bounds.upper), abs=0.01 * half)
+
+
+def test_a_physical_limit_of_another_parameter_holds() -> None:
+    """A bias that cannot exceed 0.5 K leaves n (μ − ȳ − 0.5)²/σ² + 0.5² = χ² for the mean."""
+    bounds, centre = summed(0.5, physical=(-0.5, 0.5)).profile("mean"), INDEPENDENT[:40].mean()
+    half = 0.5 + math.sqrt((CHI_SQUARED - 0.5**2) * 0.49 / 40)
+    assert bounds.lower == pytest.approx(centre - half, abs=0.005)
+    assert bounds.upper == pytest.approx(centre + half, abs=0.005)
+    assert {(limit.end, limit.parameter, limit.effect) for limit in bounds.limited_by} == {
+        ("lower", "bias", "held"),
+        ("upper", "bias", "held"),
+    }
+    assert bounds.statement == ""
+    assert limit_remarks("mean", bounds)[1] == "the upper bound of mean has bias = -0.5 K, its physical limit"
+
+
+def test_a_profile_that_outruns_a_lifted_guard_is_open_and_names_it() -> None:
+    """Nothing tells mean and bias apart: the profile is flat until the bias is as far as a walk lets it go."""
+    bounds = summed(0.5, prior=None).profile("mean")
+    assert (bounds.lower, bounds.upper) == (-50.0, 50.0)
+    assert bounds.statement == (
+        "not identifiable from this record; the lower end stays open: there bias is 10 K, far beyond its limit 0.5 K"
+        "; the upper end stays open: there bias is -10 K, far beyond its limit -0.5 K"
+    )
+    assert {limit.effect for limit in bounds.limited_by} == {"open"}
+    assert limit_remarks("mean", bounds) == []
+
+
+def test_what_wants_back_from_its_limit_is_let_go() -> None:
+    """The bias ends on its limit, 0 K; where the mean is too high it turns negative, and the profile with it."""
+    one = summed(2.0)
+    at_zero = Parameter("bias", "K", 0.0, -2.0, 0.0, prior=Prior(1.0, 1.0))
+    model = one.objective.likelihood.model
+    constant = replace(model.mechanisms[0], parameters=(model.parameters[0], at_zero))
+    likelihood = Likelihood(compose([constant]), one.objective.likelihood.timeline)
+    edge = plain(fitted(likelihood))
+    assert edge.estimate.at_bounds == ("bias",) and edge.estimate.converged
+    bounds, centre = edge.profile("mean"), INDEPENDENT[:40].mean()
+
+    def drop(mean: float) -> float:
+        bias = min(((centre - mean) * 40 / 0.49 + 1.0) / (40 / 0.49 + 1.0), 0.0)
+        return 40 / 0.49 * (centre - mean - bias) ** 2 + (bias - 1.0) ** 2 - 1.0 - CHI_SQUARED
+
+    assert bounds.upper == pytest.approx(brentq(drop, centre, centre + 5.0), abs=0.01)
+    assert bounds.lower == pytest.approx(brentq(drop, centre - 5.0, centre), abs=0.01)
+    assert bounds.upper - centre > 2.0 * (centre - bounds.lower)
+
+
+def test_a_profile_tells_of_a_point_above_the_estimate(normal: Fitted) -> None:
+    off = normal.estimate.z + np.array([0.02, 0.0])  # two standard errors
+    objective = normal.objective.value(off)
+    values = normal.objective.coordinates.values(off)
+    wrong = replace(
+        normal, estimate=replace(normal.estimate, z=off, objective=objective, values=values)
+    ).profile("mean")
+    assert wrong.better is not None
+    gain = normal.objective.likelihood.value(wrong.better) - objective
+    assert gain > 1.0
+    assert normal.profile("mean").better is None
+
+
+ROOM_9 = """\
+name = "house"
+[[source]]
+file = "{file}"
+time = "date"
+time_format = "%Y/%m/%d %H:%M"
+timezone = "+01:00"
+signals.cabinet_temperature = {{ column = "T9", unit = "degC" }}
+signals.cabinet_relative_humidity = {{ column = "RH_9", unit = "%", accuracy = 0.05 }}
+signals.ambient_temperature = {{ column = "T_out", unit = "degC" }}
+signals.ambient_relative_humidity = {{ column = "RH_out", unit = "%" }}
+"""
+
+
+def test_a_measured_house_ends_on_no_cliff(tmp_path: Path) -> None:
+    """Room 9, the first three months: along the profile of k the disturbance grows with k and passes its limit, 20 g/m³.
+
+    Stopped there, the drop goes from 1.4 at 97 h to 10 at 99 h, and 98 h is called an upper bound.
+    """
+    file = Path(__file__).resolve().parents[1] / "../shared/data/house_uci_energy_10min.csv.gz"
+    if not file.is_file():
+        pytest.skip(f"../shared/data/{file.name} is not there")
+    case = tmp_path / "case.toml"
+    case.write_text(ROOM_9.format(file=file.resolve()), encoding="utf-8")
+    record = read_case(case)
+    record = replace(record, until_s=record.start_s + 2.0 / 3.0 * (record.end_s - record.start_s))
+    stage = identified(record.identification(), "cascade", 4, True, lambda text: None).stages[1]
+    bounds = stage.bounds["hygric_k"]
+    assert stage.estimate.converged and 10.0 < stage.estimate.values["vapour_disturbance_sd"] < 20.0
+    (limit,) = [limit for limit in bounds.limited_by if limit.parameter == "vapour_disturbance_sd"]
+    assert (limit.end, limit.effect, limit.limit) == ("upper", "lifted", 20.0) and limit.value > 25.0
+    assert bounds.upper > 1.3 * bounds.value * 20.0 / stage.estimate.values["vapour_disturbance_sd"]
+    # without a cliff the root of the drop is nearly a straight line: no step is steeper than thrice the mean slope
+    root = np.sqrt(np.maximum(bounds.curve[:, 1], 0.0)) * np.sign(bounds.curve[:, 0] - bounds.value)
+    slope = np.diff(root) / np.diff(np.log(bounds.curve[:, 0]))
+    assert np.all(slope < 3.0 * (root[-1] - root[0]) / np.log(bounds.curve[-1, 0] / bounds.curve[0, 0]))
 
 
 # -- plants whose records do not tell everything -------------------------------------------------------------------

@@ -10,7 +10,7 @@ import pytest
 
 from hygrokf import fitting
 from hygrokf.confidence import uncertainty
-from hygrokf.fitting import Objective, Optimum, _promise, climb, maximise, starts
+from hygrokf.fitting import Objective, Optimum, bounded_step, climb, maximise, starts
 from hygrokf.likelihood import Likelihood
 from hygrokf.mechanisms import linear_network
 from hygrokf.model import compose
@@ -217,7 +217,7 @@ def test_a_flat_direction_does_not_feign_convergence() -> None:
     information = np.diag([100.0, 1e-13])
     gradient = np.array([50.0, -1e-7])
     z, lower, upper = np.zeros(2), np.full(2, -20.0), np.full(2, 20.0)
-    step, promised = _promise(information, gradient, np.ones(2, bool), z, lower, upper, 1e-9)
+    step, promised = bounded_step(information, gradient, np.ones(2, bool), z, lower, upper, 1e-9)
     assert step[0] == pytest.approx(0.5, rel=1e-6)
     assert promised == pytest.approx(12.5, rel=1e-6)
 
@@ -228,7 +228,7 @@ def test_a_promise_is_kept_within_the_box_and_never_negative(seed: int) -> None:
     root = random.normal(size=(4, 4)) * 10.0 ** random.uniform(-4, 2, 4)
     information, gradient = root @ root.T, random.normal(size=4) * 10.0 ** random.uniform(-6, 3)
     z = random.uniform(-3.0, 3.0, 4)
-    step, promised = _promise(information, gradient, np.ones(4, bool), z, z - 2.0, z + 0.5, 1e-9)
+    step, promised = bounded_step(information, gradient, np.ones(4, bool), z, z - 2.0, z + 0.5, 1e-9)
     assert np.all(step >= -2.0 - 1e-12) and np.all(step <= 0.5 + 1e-12)
     assert promised == pytest.approx(gradient @ step - 0.5 * step @ information @ step, rel=1e-9, abs=1e-12)
     assert promised >= 0.0

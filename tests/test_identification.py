@@ -11,13 +11,17 @@ import pytest
 from plants import plant
 from plants.as_record import to_record
 
-from hygrokf.design import Design
+from hygrokf.confidence import BETTER, Limit, describe
+from hygrokf.design import Design, design
 from hygrokf.fit import Fit
+from hygrokf.fitting import Objective
 from hygrokf.identification import identify, shared_error
 from hygrokf.likelihood import Likelihood
 from hygrokf.parameters import Parameter
 from hygrokf.record import Record
 from hygrokf.results import ResultFault, dump, read_fit, write_fit
+from hygrokf.stage import estimated, identify_stage, judged
+from hygrokf.time_constants import hygric_entry
 
 DAYS = 45
 
@@ -82,6 +86,43 @@ def test_validation_readings_touch_nothing(record, fit):
     assert other.results["rmse"]["validation"]["temperature_K"]["total"] > before + 1.0
 
 
+def test_an_estimate_below_its_own_profile_is_climbed_on(record):
+    """Stopped four hundredths of τ short, the estimate is passed by its profile; the maximum is then found from there."""
+    early = record.identification()
+    base = design(early, kind="thermal")
+    whole = estimated(early, base, 1, print)
+    coordinates = whole.estimate.coordinates
+    off = {
+        **whole.estimate.values,
+        "thermal_time_constant": 0.96 * whole.estimate.values["thermal_time_constant"],
+    }
+    z = coordinates.start(off)
+    objective = Objective(whole.likelihood, coordinates).value(z)
+    assert objective < whole.estimate.objective - BETTER
+    short = replace(whole, estimate=replace(whole.estimate, z=z, values=off, objective=objective))
+    stage = judged(early, short, True, print)
+    assert stage.estimate.objective == pytest.approx(whole.estimate.objective, abs=1e-3)
+    assert stage.bounds["thermal_time_constant"].better is None
+    assert stage.bounds["thermal_time_constant"].value == stage.estimate.values["thermal_time_constant"]
+
+
+def test_an_open_end_names_the_parameter_that_left_it_open(record):
+    """The statement of k, and the limits that were met, reach the entry of `fit.json`."""
+    stage = identify_stage(
+        record.identification(), design(record.identification(), kind="cascade"), 1, True, print
+    )
+    limit = Limit("upper", "vapour_disturbance_sd", "g/m3", 400.0, 20.0, "open")
+    bounds = stage.bounds["hygric_k"]
+    said = describe("h", bounds.lower, math.inf, [0.0, None], [limit])
+    open_ = replace(bounds, upper=math.inf, statement=said, limited_by=(limit,))
+    entry = hygric_entry(replace(stage, bounds={"hygric_k": open_}), {})
+    assert entry["upper_h"] is None and entry["limited_by"][0]["parameter"] == "vapour_disturbance_sd"
+    assert entry["statement"] == (
+        f"≥ {bounds.lower:.3g} h at 273 K; the upper end stays open: there vapour_disturbance_sd is 400 g/m3, "
+        "far beyond its limit 20 g/m3"
+    )
+
+
 def test_joint_and_cascade_agree(record, fit):
     joint = identify(record, kind="joint", starts=1)
     for part in ("thermal", "hygric"):
@@ -91,7 +132,6 @@ def test_joint_and_cascade_agree(record, fit):
 
 def test_white_noise_alone_is_wrong_and_proud(record, made):
     """The warning that everything rests on: without coloured disturbances τ comes out far too long."""
-    from hygrokf.design import design
     from hygrokf.drivers import run
     from hygrokf.fitting import maximise
 

@@ -86,12 +86,24 @@ def test_the_prior_of_a_positive_parameter_is_differentiated_in_its_coordinate()
         ({"lower": 5.0, "upper": 1.0}, "lower < upper"),
         ({"start": 11.0}, "start within"),
         ({"lower": 0.0, "positive": True}, "above 0"),
+        ({"physical": (0.6, 12.0)}, "within what is physical, 0.6 … 12.0, found 0.5"),
+        ({"physical": (0.0, 9.0)}, "within what is physical"),
     ],
 )
 def test_impossible_parameters_are_refused(change: dict, message: str) -> None:
     given_ = {"name": "p", "unit": "1", "start": 1.0, "lower": 0.5, "upper": 10.0} | change
     with pytest.raises(ValueError, match=rf"^p: .*{message}"):
         Parameter(**given_)
+
+
+def test_guards_are_lifted_and_physics_is_not() -> None:
+    """Positive ones by a factor of 20; others to 20 half widths from the middle; never past what is physical."""
+    assert TIME.beyond_guards() == pytest.approx((math.log(1e-3), math.log(4000.0)))
+    assert SLOPE.beyond_guards() == pytest.approx((-40.0, 40.0))
+    ratio = Parameter("ratio", "1", 0.9, 0.2, 1.0, physical=(0.0, 1.0))
+    assert ratio.beyond_guards() == (0.0, 1.0)
+    share = Parameter("share", "1", 0.5, 0.01, 1.0, positive=True, physical=(0.0, 1.0))
+    assert share.beyond_guards() == pytest.approx((math.log(5e-4), 0.0))
 
 
 def test_one_name_stands_for_one_thing() -> None:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from hygrokf.model import Mechanism
 from hygrokf.parameters import Parameter
 
@@ -47,7 +49,10 @@ def _switched_heat(name: str, parameter: str, flag: str, lower: float, text: str
     return Mechanism(
         name=name,
         parameters=(
-            Parameter(parameter, "K", 0.0, lower, 80.0, null=0.0, meaning=f"heat release {text}"),
+            Parameter(
+                parameter, "K", 0.0, lower, 80.0, null=0.0, physical=(0.0 if lower == 0 else -math.inf, math.inf),
+                meaning=f"heat release {text}",
+            ),
         ),
         inputs=(flag,),
         contributions=lambda p, x, u, q: {"heat_release": getattr(p, parameter) * getattr(u, flag)},
@@ -86,7 +91,8 @@ def release_drift(order: int = 0, operation: bool = False, flag: str = "elapsed"
         name="release_drift",
         parameters=(
             Parameter(
-                "heat_drift", "1", 0.0, -0.95, 10.0, null=0.0, meaning="relative change of the heat release in the end"
+                "heat_drift", "1", 0.0, -0.95, 10.0, null=0.0, physical=(-1.0, math.inf),
+                meaning="relative change of the heat release in the end",
             ),
         ),
         inputs=(flag, *(("operating", *powers) if operation else ())),
@@ -111,7 +117,7 @@ def _loss(
         name=name,
         parameters=(
             Parameter(
-                parameter, "1", 0.0, lower, 50.0, null=0.0,
+                parameter, "1", 0.0, lower, 50.0, null=0.0, physical=(0.0 if lower == 0 else -1.0, math.inf),
                 meaning=f"conductance to the ambient beside 1/R_AT, {text}",
             ),
         ),

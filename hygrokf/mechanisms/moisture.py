@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from hygrokf.expression import exp, sqrt
@@ -146,11 +147,11 @@ def condensation(sky: bool = False) -> Mechanism:
             ),
             Parameter("surface_time", "h", 3.0, 0.3, 72.0, positive=True, meaning="lag of the cold surface"),
             Parameter(
-                "surface_share", "1", 0.05, 0.0, 0.9,
+                "surface_share", "1", 0.05, 0.0, 0.9, physical=(0.0, 1.0),
                 meaning="how far the cold surface follows the cabinet air instead of the ambient",
             ),
             Parameter(
-                "surface_undercooling", "K", 1.0, 0.0, 12.0,
+                "surface_undercooling", "K", 1.0, 0.0, 12.0, physical=(0.0, math.inf),
                 meaning="how far the surface cools below its surroundings by radiation",
             ),
         ),
@@ -245,7 +246,7 @@ def dehumidifier() -> Mechanism:
                 meaning="air dried each hour, per volume of cabinet and unit of relative humidity above the set-point",
             ),
             Parameter(
-                "dehumidifier_setpoint", "1", 0.6, 0.2, 0.98,
+                "dehumidifier_setpoint", "1", 0.6, 0.2, 0.98, physical=(0.0, 1.0),
                 meaning="relative humidity above which it dries",
             ),
         ),
@@ -294,7 +295,8 @@ def _exchange(
         name=name,
         parameters=(
             Parameter(
-                parameter, "1", 0.0, -0.95, upper, null=0.0, meaning=f"relative change of the vapour exchange, {text}"
+                parameter, "1", 0.0, -0.95, upper, null=0.0, physical=(-1.0, math.inf),
+                meaning=f"relative change of the vapour exchange, {text}",
             ),
         ),
         inputs=(flag,),

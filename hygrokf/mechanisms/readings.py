@@ -80,11 +80,11 @@ def humidity_ceiling(lowest: float = 0.2) -> Mechanism:
         name="humidity_ceiling",
         parameters=(
             Parameter(
-                "humidity_lost", "1", 0.5, 0.0, 1.0, null=0.0,
+                "humidity_lost", "1", 0.5, 0.0, 1.0, null=0.0, physical=(0.0, 1.0),
                 meaning="share of what exceeds the ceiling that the reading does not show",
             ),
             Parameter(
-                "humidity_ceiling", "1", max(0.7, lowest), lowest, 1.0,
+                "humidity_ceiling", "1", max(0.7, lowest), lowest, 1.0, physical=(0.0, 1.0),
                 meaning="relative humidity above which the sensor sticks",
             ),
         ),

@@ -38,7 +38,7 @@ def thermal_network() -> Mechanism:
                 meaning="(R_AT+R_IC) C",
             ),
             Parameter(
-                "resistance_ratio", "1", 0.9, 0.2, 1.0,
+                "resistance_ratio", "1", 0.9, 0.2, 1.0, physical=(0.0, 1.0),
                 meaning="R_AT/(R_AT+R_IC); 1 where the air follows the converter mass alone",
             ),
         ),
@@ -310,7 +310,7 @@ def wall_thermal_mass() -> Mechanism:
                 meaning="R_w C_w of the second mass",
             ),
             Parameter(
-                "wall_position", "1", 0.5, 0.0, 1.0,
+                "wall_position", "1", 0.5, 0.0, 1.0, physical=(0.0, 1.0),
                 meaning="where the second mass stands between the ambient (0) and the cabinet air (1)",
             ),
         ),

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -259,14 +259,13 @@ def _fit(scene: Scene, estimate: Estimate, spread: Uncertainty) -> Fit:
     parameters = {p.name: p for p in scene.base.model.parameters}
     slopes = np.array([parameters[n].slope(scene.origin.values[n]) for n in kept])
     old = scene.origin.covariance[np.ix_(place, place)] / np.outer(slopes, slopes)
-    wider = Uncertainty(
-        (*spread.names, *kept),
-        _blocks(spread.hessian, np.linalg.pinv(old)),
-        _blocks(spread.wald, old),
-        _blocks(spread.sandwich, old),
-        np.concatenate([spread.factor, np.ones(len(kept))]),
-        spread.flat,
-        spread.trade_offs,
+    wider = replace(
+        spread,
+        names=(*spread.names, *kept),
+        hessian=_blocks(spread.hessian, np.linalg.pinv(old)),
+        wald=_blocks(spread.wald, old),
+        sandwich=_blocks(spread.sandwich, old),
+        factor=np.concatenate([spread.factor, np.ones(len(kept))]),
     )
     bounds = {}
     for name in (n for n in TIME_CONSTANTS if n in parameters and wider.place(n) is not None):
