@@ -15,7 +15,7 @@ ROOT = Path(hygrokf.__file__).parent
 FACE = "hygrokf"
 FLOORS = (
     # what knows nothing of the package
-    "expression machine moments parameters signals psychrometrics files lookup version discovery live weather live.schema live.reasons live.certificates climate climate.form climate.cycles climate.bounds climate.acceleration resampling transfer fleet switches",
+    "expression machine moments parallel parameters signals psychrometrics files lookup version discovery live weather live.schema live.reasons live.certificates climate climate.form climate.cycles climate.bounds climate.acceleration resampling transfer fleet switches",
     # text of code, one step, what a record is
     "console emission discretisation record stamps live.database surface climate.chamber",
     "running_sums case_keys paths live.table_reader live.sqlite live.postgres live.check",
@@ -34,7 +34,7 @@ FLOORS = (
     "likelihood design",
     "fitting kalman drivers thermal side_by_side",
     "switching confidence periods",
-    "simulation",
+    "simulation forms clock_offsets composition",
     # judgement
     "output_error scoring stationary diagnosis discovery.significance",
     "stage",
