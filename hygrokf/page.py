@@ -97,12 +97,6 @@ def moment(value: object) -> str:
     return text[:16].replace("T", " ") if len(text) >= 16 else text
 
 
-def sentence(text: str) -> str:
-    """A text with a capital and a full stop; a name with underscores in front stays as it is."""
-    text = text[:1].upper() + text[1:] if not text.split(" ")[0].count("_") else text
-    return text if text.endswith((".", "!", "?")) else text + "."
-
-
 def tables_html(*tables: tuple[Table | None, str]) -> str:
     """Tables, or why there is none."""
     return "".join(

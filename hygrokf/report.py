@@ -23,7 +23,6 @@ from hygrokf.page import (
     moment,
     prose,
     section,
-    sentence,
     tables_html,
     verdict_html,
 )
@@ -44,7 +43,7 @@ from hygrokf.report_tables import (
 from hygrokf.report_words import Judgement, doubted, judgements, simulated, time_constant
 from hygrokf.verdict import BELIEVE, CAUTION, MARKS, PARTS, PLAIN_MARKS, REJECT
 from hygrokf.version import __version__
-from hygrokf.wording import UNBOUNDED, fixed, plain_number, text_of, texts
+from hygrokf.wording import UNBOUNDED, fixed, plain_number, sentence, text_of, texts
 
 SERIES = "series.npz"
 NEEDED = ("name", "version", "parameters", "time_constants")

@@ -28,9 +28,9 @@ from hygrokf.verdict import (
     best_rule,
     beyond_readings,
     free_run_says,
-    half_width,
     largest_correlation,
     line,
+    spread_words,
     verdicts,
 )
 from hygrokf.wording import (
@@ -41,6 +41,7 @@ from hygrokf.wording import (
     interval,
     percent,
     plain_number,
+    sentence,
     text_of,
     texts,
 )
@@ -143,10 +144,11 @@ def _time_constant(fit: Mapping, name: str) -> list[Judgement]:
     if constant.found is None:
         said = f"There is no {name} time constant: nothing in the record determines one."
         return [Judgement(CAUTION, said, name)]
-    half = half_width(*(number(constant.found, part) for part in ("value_h", "lower_h", "upper_h")))
     known = constant.value
-    if constant.closed and math.isfinite(half):
-        known += f", ±{percent(half, 1 if half < 0.095 else 0)}"
+    if constant.closed:
+        known += (
+            f", {spread_words(*(number(constant.found, part) for part in ('value_h', 'lower_h', 'upper_h')))}"
+        )
     verdict = constant.verdict
     head = {
         BELIEVE: f"The {name} time constant, {known}, is to be believed.",
@@ -155,7 +157,7 @@ def _time_constant(fit: Mapping, name: str) -> list[Judgement]:
     }[verdict.verdict]
     made = [Judgement(verdict.verdict, head, name)]
     made += [
-        Judgement(one.verdict, _sentence(one.text), name, reason=True)
+        Judgement(one.verdict, sentence(one.text), name, reason=True)
         for one in verdict.reasons
         if one.code != "record_doubted" or one.text.partition(": ")[2] not in texts(entry(fit, "doubts"))
     ]
@@ -164,11 +166,6 @@ def _time_constant(fit: Mapping, name: str) -> list[Judgement]:
         said = f"The free run alone gives {other} for it: the criteria agree."
         made.append(Judgement(BELIEVE, said, name, reason=True))
     return made
-
-
-def _sentence(text: str) -> str:
-    text = text[:1].upper() + text[1:]
-    return text if text.endswith((".", "!", "?")) else text + "."
 
 
 def _errors(fit: Mapping, part: str) -> list[Judgement]:

@@ -43,6 +43,8 @@ PERIODS = ("validation", "identification")
 
 TIGHT = 0.25
 """[1] half-width of the interval, relative to the value, up to which a time constant counts as pinned down."""
+WIDE = 4.0
+"""[1] upper over lower bound from which an interval is told as a factor."""
 CONTRADICTION = 2.0
 """[1] distance of the two criteria, in units of what both uncertainties explain, from which they contradict each other."""
 SAYING = 3.0
@@ -69,6 +71,8 @@ CONSTANTS = 20.0
 """[1] length of the identification period in time constants below which it determines none."""
 FORGOTTEN = 2.0
 """[1] step between readings in time constants from which they hardly show how the cabinet forgets: 14 % of it is left."""
+PARTS_SCATTER = 2.0
+"""[1] scatter of the estimates from quarters of the record over what their bounds explain; above 1.6 by chance in 5 %."""
 CREDIBLE = 0.1
 """[1] weight from which another form of the model is to be reckoned with."""
 
@@ -267,12 +271,25 @@ def _interval(fit: Mapping, part: str) -> Iterator[Reason]:
             {"lower_h": low},
         )
     elif not (half := half_width(value, low, high)) <= TIGHT:
-        yield Reason("imprecise", CAUTION, f"it is known to ±{percent(half)} only", {"half_width": half})
+        yield Reason(
+            "imprecise",
+            CAUTION,
+            f"it is known to {spread_words(value, low, high)} only",
+            {"half_width": half},
+        )
 
 
 def half_width(value: float, low: float, high: float) -> float:
     """Half the width of an interval relative to the value."""
     return 0.5 * (high - low) / value if value > 0 else math.inf
+
+
+def spread_words(value: float, low: float, high: float) -> str:
+    """How far an interval reaches: "±3.5 %", of a wide one "a factor of 4.2"."""
+    if high > WIDE * low:
+        return f"a factor of {plain_number(math.sqrt(high / low), 2)}"
+    half = half_width(value, low, high)
+    return f"±{percent(half, 1 if half < 0.095 else 0)}"
 
 
 def _guards(fit: Mapping, part: str) -> Iterator[Reason]:
@@ -552,7 +569,7 @@ def _hours(start: object, end: object) -> float:
 
 
 def _other_estimates(fit: Mapping, part: str) -> Iterator[Reason]:
-    """Other forms of the model, and parts of the record, whose estimates the interval does not hold."""
+    """Other forms of the model outside the interval, and parts of the record that differ."""
     data = entry(fit, "time_constants", part)
     low, high = (number(data, key) for key in ("lower_h", "upper_h"))
     for one in _list(entry(data, "forms")):
@@ -565,15 +582,14 @@ def _other_estimates(fit: Mapping, part: str) -> Iterator[Reason]:
                 f"{plain_number(value)} h, outside the interval",
                 {"other_h": value, "weight": weight},
             )
-    apart = [
-        one
-        for one in _list(entry(data, "parts"))
-        if number(one, "lower_h") > high or number(one, "upper_h") < low
-    ]
-    if apart:
-        values = " and ".join(f"{plain_number(number(one, 'value_h'))} h" for one in apart)
+    scatter = number(data, "parts", "scale")
+    if scatter > PARTS_SCATTER:
         yield Reason(
-            "parts_differ", CAUTION, f"parts of the record alone give {values}, outside the interval"
+            "parts_differ",
+            CAUTION,
+            f"parts of the record scatter {plain_number(scatter, 2)} times as much as their own bounds explain: the number is "
+            "not the same throughout, or the model lacks something",
+            {"scatter": scatter},
         )
 
 

@@ -85,3 +85,9 @@ def texts(value: object) -> list[str]:
     """A list of strings, null and empty ones left out."""
     items = value if isinstance(value, (list, tuple)) else []
     return [text for one in items if (text := text_of(one).strip())]
+
+
+def sentence(text: str) -> str:
+    """A text with a capital and a full stop; a name with underscores in front stays as it is."""
+    text = text[:1].upper() + text[1:] if not text.split(" ")[0].count("_") else text
+    return text if text.endswith((".", "!", "?")) else text + "."

@@ -163,7 +163,7 @@ CASES = {
         _put(f"{THERMAL}/forms", [{"form": "two masses", "weight": 0.3, "value_h": 2.0}]), CAUTION, "two masses, weight 30 %",
     ),
     "parts_differ": (
-        _put(f"{THERMAL}/parts", [{"value_h": 2.0, "lower_h": 1.9, "upper_h": 2.1}]), CAUTION, "alone give 2.00 h",
+        _put(f"{THERMAL}/parts", {"value_h": [1.2, 1.4, 1.5, 1.9], "scale": 2.6}), CAUTION, "scatter 2.6 times as much",
     ),
 }  # fmt: skip
 
