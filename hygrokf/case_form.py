@@ -263,9 +263,7 @@ def _columns(table: Any, lines: CaseLines, block: int, faults: list[str]) -> tup
                 faults.append(f"{where}: response_time: {wrong}")
         if len(faults) == before:
             columns.append(
-                StatedColumn(
-                    SIGNALS[name], entry["column"], entry["unit"], **sizes, response_time_s=response
-                )
+                StatedColumn(SIGNALS[name], entry["column"], entry["unit"], **sizes, response_time_s=response)
             )
     return tuple(columns)
 

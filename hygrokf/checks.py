@@ -14,6 +14,7 @@ from hygrokf.psychrometrics import absolute_humidity, absolute_humidity_from_dew
 from hygrokf.record import Record, Series
 from hygrokf.signals import difference_from_si, from_si, signal_named
 from hygrokf.stamps import duration_text, modal_step, stamp_text
+from hygrokf.verdict import PARTS
 from hygrokf.weather.alignment import FEWEST_D
 from hygrokf.weather.clocks import (
     NOT_COMPARED,
@@ -88,6 +89,24 @@ def describe(record: Record) -> dict[str, Any]:
     }
 
 
+class Doubt(str):
+    """A sentence of doubt about a record, and the time constants ("thermal", "hygric") that it puts in question."""
+
+    touches: tuple[str, ...]
+
+    def __new__(cls, text: str, *touches: str) -> Doubt:
+        made = super().__new__(cls, text)
+        made.touches = touches
+        return made
+
+
+def doubted(said: Sequence[str]) -> dict[str, list[str]]:
+    """Of doubts those that put each time constant in question."""
+    return {
+        part: [str(one) for one in said if isinstance(one, Doubt) and part in one.touches] for part in PARTS
+    }
+
+
 def all_doubts(record: Record, clocks: Sequence[ClockError] | None = None) -> tuple[str, ...]:
     """The `doubts` about a record, and before them those of the sources that are compared.
 
@@ -96,7 +115,8 @@ def all_doubts(record: Record, clocks: Sequence[ClockError] | None = None) -> tu
     if clocks is None:
         clocks = clock_errors(alignments(record))
     south = record.site is not None and record.site.latitude_deg < 0.0
-    return (*clock_sentences(clocks, south), *_uncompared(record, clocks), *doubts(record))
+    off = (Doubt(one, *PARTS) for one in clock_sentences(clocks, south))
+    return (*off, *_uncompared(record, clocks), *doubts(record))
 
 
 def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
@@ -228,8 +248,11 @@ def _doubts_of_power(record: Record) -> list[str]:
     standstill = float(np.mean(there <= 0.0))
     if np.median(there) < 0.0 and -there.min() > 2.0 * max(there.max(), 0.0):
         said.append(
-            f"active power is negative for {100 * standstill:.0f} % of its readings and hardly "
-            "ever positive: is the sign turned round (feeding in is positive)?"
+            Doubt(
+                f"active power is negative for {100 * standstill:.0f} % of its readings and hardly "
+                "ever positive: is the sign turned round (feeding in is positive)?",
+                "thermal",
+            )
         )
     elif standstill < 0.01:
         said.append(
@@ -288,24 +311,33 @@ def _doubts_of_climate(record: Record) -> list[str]:
             if pair is not None and np.mean(pair[0] - pair[1]) < -2.0:
                 colder = np.mean(pair[1] - pair[0])
                 said.append(
-                    f"the cabinet is {colder:.1f} K colder than outside on average: are the "
-                    "columns exchanged?"
+                    Doubt(
+                        f"the cabinet is {colder:.1f} K colder than outside on average: are the "
+                        "columns exchanged?",
+                        *PARTS,
+                    )
                 )
     for kind in ("temperature", *_HUMIDITIES):
         if f"cabinet_{kind}" in record and f"ambient_{kind}" in record:
             inside, outside = record[f"cabinet_{kind}"], record[f"ambient_{kind}"]
             if _same_readings(inside, outside):
                 said.append(
-                    f"{inside.signal} and {outside.signal} are the same readings ({inside.source}; {outside.source}): "
-                    "one of the two columns is wrong"
+                    Doubt(
+                        f"{inside.signal} and {outside.signal} are the same readings ({inside.source}; {outside.source}): "
+                        "one of the two columns is wrong",
+                        *(PARTS if kind == "temperature" else PARTS[1:]),
+                    )
                 )
     pair = _pair(_vapour_density(record, "cabinet"), _vapour_density(record, "ambient"))
     if pair is not None and len(pair[0]):
         factor = float(np.mean(pair[0]) / np.mean(pair[1]))
         if not 0.7 <= factor <= 1.3:
             said.append(
-                f"absolute humidity in the cabinet is {factor:.2f} times that outside on average: "
-                "a source or sink of vapour, a sensor error, or the wrong column"
+                Doubt(
+                    f"absolute humidity in the cabinet is {factor:.2f} times that outside on average: "
+                    "a source or sink of vapour, a sensor error, or the wrong column",
+                    "hygric",
+                )
             )
     return said
 
@@ -378,8 +410,11 @@ def _doubts_of_clocks(record: Record) -> list[str]:
         if lag is not None and abs(lag) > _SOLAR_LAG_MIN * 60.0:
             direction = "after" if lag > 0 else "before"
             said.append(
-                f"the sun's radiation is centred {abs(lag) / 60:.0f} min {direction} solar noon at "
-                "the site: wrong zone, wrong stamp (start, middle, end) or wrong longitude?"
+                Doubt(
+                    f"the sun's radiation is centred {abs(lag) / 60:.0f} min {direction} solar noon at "
+                    "the site: wrong zone, wrong stamp (start, middle, end) or wrong longitude?",
+                    *PARTS,
+                )
             )
     return said
 

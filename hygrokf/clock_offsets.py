@@ -154,9 +154,7 @@ def _solved(
     flat = moved.reshape(-1, len(names))
     weighted = flat * weights.reshape(-1, 1)
     cross = slopes.reshape(-1, slopes.shape[-1]).T @ weighted
-    information = np.block(
-        [[found.hessian, cross], [cross.T, flat.T @ weighted + np.diag(1.0 / prior**2)]]
-    )
+    information = np.block([[found.hessian, cross], [cross.T, flat.T @ weighted + np.diag(1.0 / prior**2)]])
     covariance = positive_inverse(information)
     score = -(errors.reshape(-1) @ weighted)
     step = covariance[:, len(found.names) :] @ score

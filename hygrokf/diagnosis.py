@@ -15,6 +15,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hygrokf.verdict import SMALL
+
 FEWEST = 30
 """Readings below which there is no diagnosis."""
 POINTS = 400
@@ -23,8 +25,6 @@ SPECTRUM_POINTS = 120
 """Bands of the periodogram, evenly spread over the logarithm of the frequency."""
 LARGEST_ORDER = 48
 """Largest order of the autoregression that whitens an input."""
-SMALL = 0.1
-"""[1] correlations below this explain less than 1 % of the variance and are called small."""
 BEYOND = 3.0
 NOTE = (
     "standardised innovations e/√S of the identification period; lags count readings, a gap counts as one step, hours "

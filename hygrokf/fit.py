@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from hygrokf.design import Design
+from hygrokf.verdict import with_verdicts
 
 
 @dataclass(frozen=True)
@@ -35,6 +36,6 @@ class Fit:
 
     @classmethod
     def from_json(cls, data: Mapping) -> Fit:
-        """A fit from what `to_json` gave."""
+        """A fit from what `to_json` gave; one that states no verdicts on its numbers is judged by its own data."""
         values = {name: row["value"] for name, row in data["parameters"].items()}
-        return cls(data["name"], Design.from_json(data["design"]), values, dict(data))
+        return cls(data["name"], Design.from_json(data["design"]), values, with_verdicts(data))

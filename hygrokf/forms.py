@@ -185,9 +185,7 @@ def weighed(
     return tuple(replace(form, weight=weight) for form, weight in zip(forms, weights, strict=True))
 
 
-def _fitted(
-    one: Candidate, whole: Likelihood, base: Estimate, scout: Likelihood | None
-) -> Estimate | None:
+def _fitted(one: Candidate, whole: Likelihood, base: Estimate, scout: Likelihood | None) -> Estimate | None:
     """A form's maximum from its starts; None where the shorter stretch speaks against it."""
     coordinates = Coordinates(one.design.model.parameters)
     starts = [coordinates.start({**base.values, **start}) for start in one.starts]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.checks import all_doubts
+from hygrokf.checks import all_doubts, doubted
 from hygrokf.confidence import limit_remarks, normal_quantile, standard_error, wald_bounds
 from hygrokf.design import CASCADE, JOINT, Design, design, merged
 from hygrokf.drivers import IDENTIFIED_ON, Run, run
@@ -31,6 +31,7 @@ from hygrokf.stage import (
     smoothed_temperature,
 )
 from hygrokf.time_constants import by_simulation, hygric_entry, thermal_entry
+from hygrokf.verdict import PARTS, with_verdicts
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:
@@ -207,6 +208,7 @@ def assembled(
     d = sum(len(stage.estimate.z) for stage in stages)
     loglik = sum(stage.estimate.loglik for stage in stages)
     first = stages[0]
+    doubts = all_doubts(record)
     results: dict = {
         "name": record.name,
         "version": __version__,
@@ -220,7 +222,8 @@ def assembled(
         "design": whole.to_json(),
         "statements": lines,
         "warnings": list(record.warnings),
-        "doubts": list(all_doubts(record)),
+        "doubts": list(doubts),
+        "doubted": doubted(doubts),
         "provenance": [list(p) for p in record.provenance],
         "parameters": _rows(
             stages,
@@ -256,7 +259,7 @@ def assembled(
     series = _series(whole, values, made, predicted, record)
     results["innovations"] = _diagnosis(made, series, record)
     results["identified_on"] = _identified_on(whole, made, record)
-    return Fit(record.name, whole, values, results, series)
+    return Fit(record.name, whole, values, with_verdicts(results), series)
 
 
 def _period(record: Record, stage: Stage) -> dict:
@@ -303,13 +306,6 @@ def _remarks(stage: Stage) -> list[str]:
             "resistance_ratio is at its bound 1: the readings show no fast feed-through of the ambient temperature, "
             "R_IC cannot be told from 0"
         )
-    for name, label in (("thermal_time_constant", "thermal"), ("hygric_k", "hygric")):
-        shift = (stage.sampling or {}).get(name, 0.0)
-        if name in stage.bounds and abs(shift) > 0.1:
-            lines.append(
-                f"every second ambient reading left out, the {label} time constant changes by {100 * math.expm1(shift):+.0f} %: "
-                f"readings every {60 * stage.sampling['step_h']:.0f} min hardly resolve it"
-            )
     others = [name for name in estimate.at_bounds if name != "resistance_ratio"]
     if others:
         lines.append(f"at a bound, so without standard error: {', '.join(others)}")
@@ -396,6 +392,7 @@ def _rows(
 
 def _parameters(stage: Stage, values: Mapping[str, float], errors: Mapping[str, float]) -> dict:
     rows = {}
+    parts = [part for part, name in zip(PARTS, TIME_CONSTANTS, strict=True) if name in stage.bounds]
     for p in stage.base.model.parameters:
         b = stage.bounds.get(p.name) or wald_bounds(stage.estimate, stage.uncertainty, p.name)
         se = errors.get(p.name, math.nan)
@@ -409,6 +406,8 @@ def _parameters(stage: Stage, values: Mapping[str, float], errors: Mapping[str, 
             "prior": None if p.prior is None else dict(zip(("mean", "sd"), p.prior.in_unit(), strict=True)),
             "fixed": p.name in stage.estimate.coordinates.fixed,
             "at_bound": p.name in stage.estimate.at_bounds,
+            "at_guard": p.name in stage.estimate.at_bounds and p.guarded(values[p.name]),
+            "parts": parts,
         }
     return rows
 

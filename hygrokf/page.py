@@ -8,9 +8,10 @@ from html import escape
 from typing import TYPE_CHECKING
 
 from hygrokf.drawing import FONTS, NothingToShow, inline_svg
-from hygrokf.lookup import one_line
+from hygrokf.lookup import number, one_line
 from hygrokf.report_tables import Table
-from hygrokf.report_words import text_of
+from hygrokf.verdict import BELIEVE, MARKS, REJECT, VERDICTS, WORDS, Verdict, handed_on
+from hygrokf.wording import interval, text_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -35,6 +36,43 @@ def prose(text: str) -> str:
     return re.sub(r"(?<=\d) (?=(?:%|K|h|g/m³|°C)(?![\w/]))", "&nbsp;", escape(one_line(text)))
 
 
+def mark_html(kind: str) -> str:
+    """The mark of a verdict, with its words for those who do not see it."""
+    return f"<span class={kind} title='{WORDS[kind]}'>{MARKS[kind]}</span>"
+
+
+def verdict_html(found: Verdict) -> str:
+    """A verdict as it stands under its number: mark, words, first reason."""
+    why = f": {prose(found.why)}" if found.why else ""
+    return f"<p class='verdict {found.verdict}'>{mark_html(found.verdict)} <b>{found.words}</b>{why}</p>"
+
+
+def numbers_html(inherited: object, whose: str = "") -> str:
+    """The numbers that a page rests on, with the verdicts that they came with; nothing where there are none.
+
+    A number that is not to be believed is struck through.
+    """
+    items = ""
+    for part, data, found in handed_on(inherited):
+        value, bounds, _ = interval(*(number(data, key) for key in ("value_h", "lower_h", "upper_h")))
+        span = prose(f"{value} ({bounds})" if bounds else value)
+        span = (
+            f"<s>{span}</s>"
+            if found.verdict == REJECT
+            else f"<b>{span}</b>"
+            if found.verdict == BELIEVE
+            else span
+        )
+        why = f": {prose(found.why)}" if found.why else ""
+        items += f"<li class={found.verdict}>{mark_html(found.verdict)}{part} time constant {span}, {found.words}{why}</li>"
+    label = f"<p class=key>{prose(whose)}</p>" if whose and items else ""
+    return f"<div class=numbers>{label}<ul class=judgements>{items}</ul></div>" if items else ""
+
+
+KEY = "".join(f" {mark_html(kind)} {WORDS[kind]}" for kind in VERDICTS).strip()
+"""What the marks mean."""
+
+
 def figure_html(name: str, heading: str, caption: str, draw: Callable[[], Figure]) -> str:
     """A figure with heading and caption; one sentence where there is nothing to show.
 
@@ -57,12 +95,6 @@ def moment(value: object) -> str:
     """An instant of a result, "2024-05-01T12:00:00+00:00", as date and time to the minute."""
     text = text_of(value)
     return text[:16].replace("T", " ") if len(text) >= 16 else text
-
-
-def sentence(text: str) -> str:
-    """A text with a capital and a full stop; a name with underscores in front stays as it is."""
-    text = text[:1].upper() + text[1:] if not text.split(" ")[0].count("_") else text
-    return text if text.endswith((".", "!", "?")) else text + "."
 
 
 def tables_html(*tables: tuple[Table | None, str]) -> str:
@@ -128,11 +160,15 @@ p { margin: 4px 0; overflow-wrap: anywhere; }
 .failed { background: #fbe3e1; border-color: #b3140f; color: #8c0f0b; }
 .cards { display: grid; grid-template-columns: 1fr 1fr; gap: 14px; margin-top: 20px; }
 .card { border: 1px solid #d5dae0; border-top: 4px solid #1b5fa8; padding: 10px 14px 12px; break-inside: avoid; }
-.card.open { border-top-color: #c98a00; }
+.card.open, .card.caution { border-top-color: #c98a00; } .card.reject { border-top-color: #b3140f; }
 .card .label { font-weight: 600; } .card .label span { font-weight: 400; color: #6b7480; }
 .card .value { font-size: 34px; line-height: 1.15; font-weight: 650; margin: 2px 0; }
 .card .bounds { font-size: 15px; font-weight: 600; }
-.card p { font-size: 13px; } .apart { color: #b3140f; font-weight: 600; }
+.card p { font-size: 13px; }
+.verdict { margin: 5px 0 6px; } .card .verdict.reject { font-size: 13.5px; color: #8c0f0b; }
+.card.reject .value { font-size: 23px; color: #8c0f0b; } .card.reject .bounds { font-weight: 400; font-size: 13px; color: #6b7480; }
+.card.caution .value { font-weight: 500; }
+.numbers { margin: 14px 0 0; } .numbers ul { margin: 0; } .numbers li { font-size: 13px; color: #22272e; font-weight: 400; }
 .card.wide { grid-column: 1 / -1; } .card .value.words { font-size: 27px; line-height: 1.25; }
 .check { margin-top: 8px; padding-top: 7px; border-top: 1px solid #edf0f3; }
 .found + .found { margin-top: 26px; } h3.cause { font-size: 16px; } h3.cause span { font-weight: 400; color: #6b7480; }
@@ -143,9 +179,10 @@ dt { font-weight: 600; color: #4a525c; } dd { margin: 0; overflow-wrap: anywhere
 .judgements { list-style: none; padding: 0; margin: 6px 0; }
 .judgements li { position: relative; padding: 4px 0 4px 26px; border-bottom: 1px solid #edf0f3; break-inside: avoid; overflow-wrap: anywhere; }
 .judgements li > span { position: absolute; left: 3px; font-weight: 700; }
-.good > span, span.good { color: #1d7a3a; } .care > span, span.care { color: #a86a00; }
-.bad > span, span.bad { color: #b3140f; } li.bad { color: #8c0f0b; font-weight: 600; }
-span.good, span.care, span.bad { font-weight: 700; }
+.judgements li.reason { margin-left: 26px; } .judgements li.head { font-weight: 600; }
+span.believe { color: #1d7a3a; } span.caution { color: #a86a00; } span.reject { color: #b3140f; }
+.judgements li.reject:not(.reason) { color: #8c0f0b; } s { color: #6b7480; }
+span.believe, span.caution, span.reject { font-weight: 700; }
 .table { overflow-x: auto; } .table.short { break-inside: avoid; }
 table { border-collapse: collapse; width: 100%; font-size: 12.5px; font-variant-numeric: tabular-nums; }
 th, td { padding: 3px 8px 3px 4px; text-align: right; vertical-align: top; }

@@ -98,6 +98,16 @@ class Parameter:
     def from_coordinate(self, z: float) -> float:
         return math.exp(z) if self.positive else z
 
+    def guarded(self, value: float) -> bool:
+        """Whether a value at a limit of its search was stopped by a guard.
+
+        A physical limit is none, nor is the null value, nor the lower limit of a noise: there is no less of it.
+        """
+        meant = [*self.physical, *(() if self.null is None else (self.null,))]
+        if self.noise and self.positive:
+            meant.append(self.lower)
+        return all(abs(value - one) > 1e-6 * (self.upper - self.lower) for one in meant)
+
     def slope(self, value: float) -> float:
         """dθ/dz at the value."""
         return value if self.positive else 1.0

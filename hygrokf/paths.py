@@ -143,9 +143,7 @@ def _through_means(series: Series, noise: tuple[float, float] | None) -> Series:
     return replace(series, time=joined[kept], value=course[kept], hold="linear", interval_s=0.0)
 
 
-def _stretch(
-    time: np.ndarray, mean: np.ndarray, width: float, share: float
-) -> tuple[np.ndarray, np.ndarray]:
+def _stretch(time: np.ndarray, mean: np.ndarray, width: float, share: float) -> tuple[np.ndarray, np.ndarray]:
     """Nodes (2n+1,) edge, middle, edge, … of n adjacent means, their times [s] and values."""
     count = len(mean)
     if count == 1:

@@ -7,7 +7,7 @@ import math
 import os
 import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
@@ -15,7 +15,17 @@ import numpy as np
 
 from hygrokf.files import BESIDE_DISCOVERY, DISCOVERY, FIT, REPORT, write_text_whole
 from hygrokf.lookup import entry, number, one_line
-from hygrokf.page import document, figure_html, moment, section, sentence, tables_html
+from hygrokf.page import (
+    KEY,
+    document,
+    figure_html,
+    mark_html,
+    moment,
+    prose,
+    section,
+    tables_html,
+    verdict_html,
+)
 from hygrokf.plots import FIGURES, Picture
 from hygrokf.report_tables import (
     PERIODS,
@@ -30,21 +40,10 @@ from hygrokf.report_tables import (
     time_constants_table,
     wrapped,
 )
-from hygrokf.report_words import (
-    BAD,
-    CARE,
-    GOOD,
-    Judgement,
-    doubted,
-    fixed,
-    judgements,
-    plain_number,
-    simulated,
-    text_of,
-    texts,
-    time_constant,
-)
+from hygrokf.report_words import Judgement, doubted, judgements, simulated, time_constant
+from hygrokf.verdict import BELIEVE, CAUTION, MARKS, PARTS, PLAIN_MARKS, REJECT
 from hygrokf.version import __version__
+from hygrokf.wording import UNBOUNDED, fixed, plain_number, sentence, text_of, texts
 
 SERIES = "series.npz"
 NEEDED = ("name", "version", "parameters", "time_constants")
@@ -187,7 +186,16 @@ def _headline(fit: Mapping) -> str:
         ("hygric", "R<sub>D</sub>*·V*"),
     ):
         constant = time_constant(fit, name)
-        lines = [f"<p class=bounds>{escape(constant.bounds)}</p>"] if constant.bounds else []
+        rejected = constant.verdict.verdict == REJECT
+        value = f"<p class=value>{escape(constant.value)}</p>"
+        lines = [f"<p class=bounds>{prose(constant.bounds)}</p>"] if constant.bounds else []
+        if rejected:  # the number is told, and is no headline
+            words = UNBOUNDED if constant.value == UNBOUNDED else constant.verdict.words
+            value = f"<p class=value>{MARKS[REJECT]} {words}</p>"
+            lines = [f"<p class=verdict>{prose(sentence(constant.verdict.why))}</p>"]
+            lines.append(f"<p class=bounds><s>{prose(constant.span)}</s></p>")
+        elif constant.found is not None:
+            lines.append(verdict_html(constant.verdict))
         said = text_of(entry(constant.found, "statement"))
         if said and not constant.closed:
             lines.append(f"<p>{escape(said)}</p>")
@@ -196,9 +204,6 @@ def _headline(fit: Mapping) -> str:
         other = simulated(constant.found)
         if other:
             lines.append(f"<p>by simulation {escape(other)}</p>")
-        apart = text_of(entry(constant.found, "disagreement"))
-        if apart:
-            lines.append("<p class=apart>the two criteria disagree, see below</p>")
         span = entry(constant.found, "range_h")
         if isinstance(span, (list, tuple)) and len(span) == 2:
             low, high = (number({"": v}, "") for v in span)
@@ -206,10 +211,10 @@ def _headline(fit: Mapping) -> str:
                 lines.append(
                     f"<p>{plain_number(low)} … {plain_number(high)} h over the record's temperatures</p>"
                 )
-        open_ = "" if constant.closed else " open"
+        kind = "open" if constant.found is None else constant.verdict.verdict
         cards.append(
-            f"<div class='card{open_}'><p class=label>{name} time constant <span>{product}</span></p>"
-            f"<p class=value>{escape(constant.value)}</p>{''.join(lines)}</div>"
+            f"<div class='card {kind}'><p class=label>{name} time constant <span>{product}</span></p>"
+            f"{value}{''.join(lines)}</div>"
         )
     return f"<section class=cards>{''.join(cards)}</section>"
 
@@ -229,22 +234,27 @@ def _why_missing(fit: Mapping, name: str) -> str:
 
 def _believe(fit: Mapping) -> str:
     found = judgements(fit)
-    named = " ".join(one.sentence for one in found)
-    more = [Judgement(CARE, sentence(line)) for line in texts(entry(fit, "statements")) if line not in named]
-    order = {BAD: 0, GOOD: 1, CARE: 2}
-    rows = [*doubted(fit), *sorted([*found, *more], key=lambda one: order[one.kind])]
+    rows = [*doubted(fit), *(one for one in found if one.about in PARTS)]
+    more = [one for one in found if one.about not in PARTS]
+    more += [Judgement(CAUTION, sentence(line), "record") for line in _untold(fit, found)]
+    order = {REJECT: 0, BELIEVE: 1, CAUTION: 2}
+    rows += sorted(more, key=lambda one: order[one.kind])
     if not rows:
         return "<p class=left-out>The fit holds nothing to judge it by.</p>"
-    marks = {GOOD: ("✓", "to be believed"), CARE: ("!", "with caution"), BAD: ("✕", "not to be relied on")}
-    items = "".join(
-        f"<li class={one.kind}><span title='{marks[one.kind][1]}'>{marks[one.kind][0]}</span>{escape(one.sentence)}</li>"
-        for one in rows
-    )
+    items = ""
+    for one in rows:
+        place = " reason" if one.reason else " head" if one.about in PARTS else ""
+        items += f"<li class='{one.kind}{place}'>{mark_html(one.kind)}{escape(one.sentence)}</li>"
     return (
         "<section><h2>What to believe, and what not</h2>"
-        "<p class=key><span class=good>✓</span> to be believed <span class=care>!</span> with caution "
-        f"<span class=bad>✕</span> not to be relied on</p><ul class=judgements>{items}</ul></section>"
+        f"<p class=key>{KEY}</p><ul class=judgements>{items}</ul></section>"
     )
+
+
+def _untold(fit: Mapping, found: Sequence[Judgement]) -> list[str]:
+    """Statements of the fit that no judgement repeats; a judgement begins with a capital."""
+    named = " ".join(one.sentence for one in found)
+    return [line for line in texts(entry(fit, "statements")) if line[1:] not in named]
 
 
 def _accuracy(fit: Mapping) -> str:
@@ -355,18 +365,23 @@ def report_text(fit: Mapping) -> str:
     innovations = innovations_table(fit)
     if innovations is not None:
         blocks.append(table_text(innovations))
-    signs = {GOOD: "+", CARE: "!", BAD: "x"}
     found = judgements(fit)
-    named = " ".join(one.sentence for one in found)
-    remarks = [f"{signs[one.kind]} {one.sentence}" for one in [*doubted(fit), *found]]
-    remarks += [f"! {sentence(line)}" for line in texts(entry(fit, "statements")) if line not in named]
+    remarks = [*doubted(fit), *found]
+    remarks += [Judgement(CAUTION, sentence(line), "record") for line in _untold(fit, found)]
     if remarks:
         title = "What to believe (+), what with caution (!), what not (x)"
-        blocks.append("\n".join([title, *(_wrapped(line, "  ") for line in remarks)]))
+        blocks.append("\n".join([title, *(_item(one) for one in remarks)]))
     return "\n\n".join(blocks)
 
 
-def _wrapped(text: str, indent: str = "") -> str:
-    """Lines of at most 100 columns that do not part a number from its unit."""
+def _item(one: Judgement) -> str:
+    """A judgement as an item of a list; a reason stands further in than what it is a reason for."""
+    edge = "  " if one.reason else ""
+    lines = _wrapped(f"{PLAIN_MARKS[one.kind]} {one.sentence}", "  ", TEXT_WIDTH - len(edge)).splitlines()
+    return "\n".join(edge + line for line in lines)
+
+
+def _wrapped(text: str, indent: str = "", width: int = TEXT_WIDTH) -> str:
+    """Lines of at most so many columns that do not part a number from its unit."""
     kept = re.sub(r"(?<=\d) (?=(?:%|K|h|g/m³)(?![\w/]))", "\xa0", one_line(text))
-    return "\n".join(wrapped(kept, TEXT_WIDTH, indent)).replace("\xa0", " ")
+    return "\n".join(wrapped(kept, width, indent)).replace("\xa0", " ")

@@ -8,21 +8,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from hygrokf.lookup import entry, number, numbers, one_line
-from hygrokf.report_words import (
+from hygrokf.report_words import lead_words, method, simulated, time_constant
+from hygrokf.wording import (
     BASELINES,
     NONE,
     QUANTITIES,
     SCORED,
     decimals_for,
     fixed,
-    lead_words,
-    method,
     percent,
     plain_number,
-    simulated,
     text_of,
     texts,
-    time_constant,
 )
 
 TEXT_WIDTH = 100
@@ -65,11 +62,13 @@ def time_constants_table(fit: Mapping) -> Table | None:
         how = (
             f"{method(constant.found)}, {percent(level)}" if math.isfinite(level) else method(constant.found)
         )
-        rows.append((f"{name} {_PRODUCT[name]}", constant.value, bounds, how))
+        rows.append((f"{name} {_PRODUCT[name]}", constant.value, bounds, how, constant.verdict.words))
         other = simulated(constant.found)
         if other:
             value, _, span = other.partition(" (")
-            rows.append(("  by simulation (output error)", value, span.rstrip(")") or NONE, "sandwich, 95 %"))
+            rows.append(
+                ("  by simulation (output error)", value, span.rstrip(")") or NONE, "sandwich, 95 %", "")
+            )
         span = entry(constant.found, "range_h")
         if isinstance(span, (list, tuple)) and len(span) == 2:
             low, high = number({"": span[0]}, ""), number({"": span[1]}, "")
@@ -80,6 +79,7 @@ def time_constants_table(fit: Mapping) -> Table | None:
                         "  over the record's temperatures",
                         f"{low:.{decimals}f} … {high:.{decimals}f} h",
                         NONE,
+                        "",
                         "",
                     )
                 )
@@ -98,9 +98,9 @@ def time_constants_table(fit: Mapping) -> Table | None:
         return None
     return Table(
         "Time constants",
-        ("", "value", "bounds [h]", "method"),
+        ("", "value", "bounds [h]", "method", "verdict"),
         tuple(rows),
-        left=(0, 3),
+        left=(0, 3, 4),
         note=" ".join(notes),
     )
 

@@ -1,89 +1,52 @@
 """Numbers and judgements in words: what the report says about a fit before it shows a figure.
 
-Everything here reads the plain data of `fit.json` and expects nothing to be there.
+Everything here reads the plain data of `fit.json` and expects nothing to be there.  Whether a time constant can be
+believed is not decided here: that is its `verdict`.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
-from hygrokf.lookup import entry, number, one_line
+from hygrokf.lookup import entry, number
+from hygrokf.verdict import (
+    BELIEVE,
+    CARRIES_OVER,
+    CAUTION,
+    COVERAGE,
+    FEWEST_IN_BAND,
+    MATERIAL,
+    PARTS,
+    PERIODS,
+    QUANTITY_OF,
+    REJECT,
+    SMALL,
+    Verdict,
+    band_failed,
+    best_rule,
+    beyond_readings,
+    free_run_says,
+    largest_correlation,
+    line,
+    spread_words,
+    verdicts,
+)
+from hygrokf.wording import (
+    QUANTITIES,
+    SCORED,
+    decimals_for,
+    fixed,
+    interval,
+    percent,
+    plain_number,
+    sentence,
+    text_of,
+    texts,
+)
 
-NONE = "–"
-QUANTITIES = {
-    "temperature_K": ("temperature", "K"),
-    "absolute_humidity_g_m3": ("absolute humidity", "g/m³"),
-    "relative_humidity": ("relative humidity", "1"),
-}
-SCORED = ("temperature_K", "absolute_humidity_g_m3")
-BASELINES = {
-    "temperature_K": {"no_dynamics": "heat release without heat storage"},
-    "absolute_humidity_g_m3": {
-        "ambient": "c = c_amb",
-        "ambient_pressure_balance": "c = c_amb T_amb/T_conv,a",
-    },
-}
 METHODS = {"profile": "profile likelihood", "wald": "Wald", "sandwich": "sandwich", "none": "no bounds"}
-TIGHT = 0.25
-"""[1] half-width of the bounds, relative to the value, up to which a time constant counts as pinned down."""
-CARRIES_OVER = 1.25
-"""[1] error in validation over error in identification up to which a model carries over."""
-MATERIAL = 0.1
-"""[1] share by which an error must fall below a baseline's to be called better."""
-COVERAGE = (0.90, 0.985)
-"""[1] shares within a 95 % band between which it is called right."""
-FAILED = 0.5
-"""[1] share within the free run's 95 % band below which the free run is not to be relied on."""
-SAYING = 3.0
-"""[1] upper over lower bound of the free run's time constant below which it says something."""
-
-
-def plain_number(value: float, digits: int = 3) -> str:
-    """A number with so many significant digits, without an exponent where that reads better."""
-    if not math.isfinite(value):
-        return NONE
-    if value == 0:
-        return "0"
-    if 1e-5 <= abs(value) < 1e6:
-        decimals = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
-        return minus(f"{value:.{min(decimals, 8)}f}")
-    return minus(f"{value:.{digits - 1}e}")
-
-
-def fixed(value: float, decimals: int = 2) -> str:
-    """A number with so many decimals."""
-    return minus(f"{value:.{decimals}f}") if math.isfinite(value) else NONE
-
-
-def minus(text: str) -> str:
-    return text.replace("-", "−", 1) if text.startswith("-") else text
-
-
-def percent(share: float, decimals: int = 0) -> str:
-    """A share [1] in per cent."""
-    return f"{100.0 * share:.{decimals}f} %" if math.isfinite(share) else NONE
-
-
-def decimals_for(spread: float) -> int:
-    """Decimals that show a spread with one digit, with two where the first is 1 or 2."""
-    return (
-        2
-        if not (math.isfinite(spread) and spread > 0)
-        else min(max(math.ceil(0.4 - math.log10(spread)), 0), 8)
-    )
-
-
-def text_of(value: object) -> str:
-    """A string on one line, without control characters; anything else that is not null as text."""
-    return "" if value is None else one_line(value if isinstance(value, str) else str(value))
-
-
-def texts(value: object) -> list[str]:
-    """A list of strings, null and empty ones left out."""
-    items = value if isinstance(value, (list, tuple)) else []
-    return [text for one in items if (text := text_of(one).strip())]
 
 
 # --- time constants --------------------------------------------------------------------------
@@ -91,17 +54,27 @@ def texts(value: object) -> list[str]:
 
 @dataclass(frozen=True)
 class TimeConstant:
-    """A time constant in words: `value` ("1.49 h", "≤ 0.4 h", "not identifiable"), `bounds`, `closed` on both sides."""
+    """A time constant in words: `value` ("1.49 h", "≤ 0.4 h", "not identifiable"), `bounds`, `closed` on both sides.
+
+    `verdict`: whether it can be believed.
+    """
 
     name: str
     value: str
     bounds: str
     closed: bool
     found: Mapping | None
+    verdict: Verdict = field(default_factory=Verdict)
+
+    @property
+    def span(self) -> str:
+        """Value and bounds."""
+        return f"{self.value} ({self.bounds})" if self.bounds else self.value
 
     @property
     def sentence(self) -> str:
-        return f"{self.name} {self.value}" + (f" ({self.bounds})" if self.bounds else "")
+        """The number with its verdict; one that is not to be believed stands behind it."""
+        return f"{self.name} {self.span}" if self.found is None else line(self.name, self.span, self.verdict)
 
 
 def time_constant(fit: Mapping, name: str) -> TimeConstant:
@@ -109,24 +82,11 @@ def time_constant(fit: Mapping, name: str) -> TimeConstant:
     found = entry(fit, "time_constants", name)
     if not isinstance(found, Mapping):
         return TimeConstant(name, "not identified", "", False, None)
-    value, low, high = (number(found, part) for part in ("value_h", "lower_h", "upper_h"))
-    low = low if low > 0 else math.nan
+    value, bounds, closed = interval(*(number(found, part) for part in ("value_h", "lower_h", "upper_h")))
     level = number(found, "level")
-    how = ", ".join(part for part in (percent(level) if math.isfinite(level) else "", method(found)) if part)
-    closed = math.isfinite(value) and math.isfinite(low) and math.isfinite(high)
-    if closed:
-        decimals = decimals_for(0.5 * (high - low))
-        bounds = f"{low:.{decimals}f} … {high:.{decimals}f}"
-        return TimeConstant(
-            name, f"{value:.{decimals}f} h", f"{bounds}, {how}" if how else bounds, True, found
-        )
-    best = f"best {plain_number(value)} h" if math.isfinite(value) else ""
-    tail = ", ".join(part for part in (best, how) if part)
-    if math.isfinite(high):
-        return TimeConstant(name, f"≤ {plain_number(high)} h", tail, False, found)
-    if math.isfinite(low):
-        return TimeConstant(name, f"≥ {plain_number(low)} h", tail, False, found)
-    return TimeConstant(name, "not identifiable", tail, False, found)
+    how = (percent(level) if math.isfinite(level) else "", method(found))
+    tail = ", ".join(part for part in (bounds, *how) if part)
+    return TimeConstant(name, value, tail, closed, found, verdicts(fit)[name])
 
 
 def method(found: Mapping) -> str:
@@ -149,180 +109,114 @@ def simulated(found: Mapping | None) -> str:
 
 # --- judgements ------------------------------------------------------------------------------
 
-GOOD, CARE, BAD = "good", "care", "bad"
-
 
 @dataclass(frozen=True)
 class Judgement:
-    """One sentence and what to make of it: "good" (to be believed), "care" (with caution), "bad" (not)."""
+    """One sentence, what to make of it ("believe", "caution", "reject"), and what it is about.
+
+    `about`: a time constant ("thermal", "hygric"), a scored quantity, "bands", "innovations" or "record".  Of one subject
+    nothing is believed and rejected at once.  `reason`: whether it belongs to the judgement before it.
+    """
 
     kind: str
     sentence: str
+    about: str
+    reason: bool = False
 
 
 def judgements(fit: Mapping) -> list[Judgement]:
-    """What to believe and what not, from the numbers of the fit."""
-    found = [*_convergence(fit)]
-    for name in ("thermal", "hygric"):
-        found += _time_constant(fit, name)
-    for quantity in SCORED:
-        found += _errors(fit, quantity)
+    """What to believe and what not: the time constants with the reasons of their verdicts, then what the model does."""
+    found = [one for name in PARTS for one in _time_constant(fit, name)]
+    found += [one for name in PARTS for one in _errors(fit, name)]
     return [*found, *_bands(fit), *_innovations(fit)]
 
 
 def doubted(fit: Mapping) -> list[Judgement]:
     """What a sceptic would ask about the record itself; to be shown before everything else."""
     return [
-        Judgement(CARE, f"Doubt about the record: {line}{'' if line[-1] in '.?!' else '.'}")
+        Judgement(CAUTION, f"Doubt about the record: {line}{'' if line[-1] in '.?!' else '.'}", "record")
         for line in texts(entry(fit, "doubts"))
     ]
-
-
-def _scored_period(fit: Mapping, quantity: str) -> str:
-    late = number(fit, "rmse", "validation", quantity, "total")
-    return "validation" if math.isfinite(late) else "identification"
-
-
-def _beyond(fit: Mapping, quantity: str) -> tuple[str, float, float] | None:
-    """Period, error and standard deviation of the readings where the free run errs by more than they vary."""
-    for period in ("validation", "identification"):
-        error = number(fit, "rmse", period, quantity, "total")
-        spread = number(fit, "readings_sd", period, quantity)
-        if error > spread:
-            return period, error, spread
-    return None
-
-
-def _band_failed(fit: Mapping, quantity: str) -> bool:
-    share, n = (number(fit, "bands", "free_run", quantity, part) for part in ("coverage", "n"))
-    return share < FAILED and n >= 20
-
-
-def _convergence(fit: Mapping) -> list[Judgement]:
-    if entry(fit, "converged") is True:
-        return []
-    said = text_of(entry(fit, "message"))
-    words = (
-        "The estimation did not converge"
-        if entry(fit, "converged") is False
-        else "Whether the estimation converged is not known"
-    )
-    return [Judgement(BAD, f"{words}{f': {said}' if said else ''}. No number below is final.")]
 
 
 def _time_constant(fit: Mapping, name: str) -> list[Judgement]:
     constant = time_constant(fit, name)
     if constant.found is None:
-        return [Judgement(CARE, f"There is no {name} time constant: nothing in the record determines one.")]
-    value, low, high = (number(constant.found, part) for part in ("value_h", "lower_h", "upper_h"))
-    if not constant.closed:
-        return [
-            Judgement(
-                CARE, f"The record bounds the {name} time constant on one side at most: {constant.value}."
-            )
-        ]
-    half = 0.5 * (high - low) / value if value > 0 else math.inf
-    known = f"known to ±{percent(half, 1 if half < 0.095 else 0)}"
-    apart = text_of(entry(constant.found, "disagreement"))
-    if apart:
-        return [
-            Judgement(
-                BAD,
-                f"The {name} time constant depends on the criterion, though the likelihood alone calls it {known}: {apart}.",
-            )
-        ]
-    tight = half <= TIGHT
-    tail = "." if tight else ": roughly."
-    # the exchange of vapour is read at the cabinet's temperature: both must hold for the hygric one
-    failed = [
-        QUANTITIES[quantity][0]
-        for quantity in (SCORED[:1] if name == "thermal" else SCORED)
-        if _band_failed(fit, quantity) or _beyond(fit, quantity) is not None
-    ]
-    if failed:
-        tail = f" only if the model holds, and its free run fails for the {' and the '.join(failed)}."
-    made = [Judgement(GOOD if tight and not failed else CARE, f"The {name} time constant is {known}{tail}")]
-    other = simulated(constant.found)
-    if other:
-        low, high = (number(constant.found, "simulation", part) for part in ("lower_h", "upper_h"))
-        says = low > 0 and math.isfinite(high) and high < SAYING * low
-        words = "the criteria agree" if says else "so wide that it hardly says anything"
-        if not (math.isfinite(low) and math.isfinite(high)):
-            words = "without bounds, so it hardly says anything"
-        made.append(
-            Judgement(
-                GOOD if says else CARE,
-                f"The free run alone gives {other} for the {name} time constant: {words}.",
-            )
+        said = f"There is no {name} time constant: nothing in the record determines one."
+        return [Judgement(CAUTION, said, name)]
+    known = constant.value
+    if constant.closed:
+        known += (
+            f", {spread_words(*(number(constant.found, part) for part in ('value_h', 'lower_h', 'upper_h')))}"
         )
+    verdict = constant.verdict
+    head = {
+        BELIEVE: f"The {name} time constant, {known}, is to be believed.",
+        CAUTION: f"The {name} time constant, {known}, is to be taken with caution:",
+        REJECT: f"The {name} time constant ({known}) is not to be believed:",
+    }[verdict.verdict]
+    made = [Judgement(verdict.verdict, head, name)]
+    made += [
+        Judgement(one.verdict, sentence(one.text), name, reason=True)
+        for one in verdict.reasons
+        if one.code != "record_doubted" or one.text.partition(": ")[2] not in texts(entry(fit, "doubts"))
+    ]
+    other = simulated(constant.found)
+    if verdict.verdict == BELIEVE and other and free_run_says(constant.found):
+        said = f"The free run alone gives {other} for it: the criteria agree."
+        made.append(Judgement(BELIEVE, said, name, reason=True))
     return made
 
 
-def _errors(fit: Mapping, quantity: str) -> list[Judgement]:
+def _errors(fit: Mapping, part: str) -> list[Judgement]:
+    """The free run's error in the validation period (else the identification period), beside the best rule, in one."""
+    quantity = QUANTITY_OF[part]
     name, unit = QUANTITIES[quantity]
     early, late = (
         number(fit, "rmse", period, quantity, "total") for period in ("identification", "validation")
     )
     if not (math.isfinite(early) or math.isfinite(late)):
         return []
-    made = []
-    period = _scored_period(fit, quantity)
-    error = late if period == "validation" else early
-    beyond = _beyond(fit, quantity)
-    if beyond is not None:
-        where, above, spread = beyond
-        made.append(
-            Judgement(
-                CARE,
-                f"The free run's {name} error is {fixed(above)} {unit} in {where}, more than the standard deviation of the "
-                f"readings ({fixed(spread)} {unit}): their mean alone would do better, so nothing is said to carry over.",
+    validated = math.isfinite(late)
+    period = "validation" if validated else "identification"
+    for one in PERIODS:
+        beyond = beyond_readings(fit, quantity, one)
+        if beyond is not None:
+            said = (
+                f"The free run's {name} error is {fixed(beyond[0])} {unit} in {one}, more than the standard deviation of "
+                f"the readings ({fixed(beyond[1])} {unit}): their mean alone would do better."
             )
-        )
-    elif not math.isfinite(late):
-        made.append(
-            Judgement(
-                CARE,
-                f"The {name} could not be validated: its error of {fixed(early)} {unit} is that on data which the fit has seen.",
-            )
-        )
-    elif math.isfinite(early) and early > 0:
-        good = late <= CARRIES_OVER * early
-        verdict = "the model carries over" if good else "the model does not carry over well"
-        made.append(
-            Judgement(
-                GOOD if good else CARE,
-                f"The free run's {name} error is {fixed(late)} {unit} in validation after {fixed(early)} {unit} in "
-                f"identification: {verdict}.",
-            )
-        )
-    rivals = {
-        words: number(fit, "baselines", period, key, quantity, "total")
-        for key, words in BASELINES[quantity].items()
-    }
-    rivals = {words: value for words, value in rivals.items() if math.isfinite(value) and value > 0}
-    if rivals:
-        words = min(rivals, key=lambda one: rivals[one])
-        gain = 1.0 - error / rivals[words]
-        against = f"“{words}” ({fixed(rivals[words])} {unit} in {period})"
-        if gain >= MATERIAL:
-            made.append(
-                Judgement(GOOD, f"The {name} error is {percent(gain)} below that of the rule {against}.")
-            )
+            return [Judgement(REJECT, said, quantity)]
+    kind, ends = BELIEVE, ""
+    if not validated:
+        kind = CAUTION
+        begins = f"The free run's {name} error is {fixed(early)} {unit}, on data which the fit has seen: nothing validates it"
+    else:
+        begins = f"The free run's {name} error is {fixed(late)} {unit} in validation"
+        if math.isfinite(early) and early > 0:
+            begins += f" after {fixed(early)} {unit} in identification"
+            if late > CARRIES_OVER * early:
+                kind, ends = CAUTION, "the model does not carry over well"
+            else:
+                ends = "the model carries over"
+    rule = best_rule(fit, quantity, period)
+    if rule is not None:
+        against = f"the rule “{rule.words}” ({fixed(rule.rule)} {unit} in {period})"
+        if rule.gain >= MATERIAL:
+            ends += f"{', and ' if ends else ''}it is {percent(rule.gain)} below that of {against}"
         else:
-            verb = "hardly better than" if gain > -0.02 else "worse than"
-            made.append(
-                Judgement(
-                    CARE,
-                    f"For predicting the {name}, the model is {verb} the rule {against}: believe the time constant "
-                    "for what it says about the cabinet, not for a gain in accuracy.",
-                )
-            )
+            worse = rule.gain < -MATERIAL
+            beside = "worse" if worse else "hardly better" if rule.gain >= 0.0 else "no better"
+            # an error as large as before is no success where a rule without a model errs as little
+            lost = ends if kind == CAUTION else ""
+            kind = REJECT if worse else CAUTION
+            ends = f"{f'{lost}, and ' if lost else ''}it is {beside} than {against}"
+            verdict = verdicts(fit).get(part)
+            if verdict is not None and verdict.verdict != REJECT:
+                ends += "; the time constant says something about the cabinet, not about accuracy"
     share = number(fit, "sensor_share", period, quantity)
-    if share >= 0.5:
-        made.append(
-            Judgement(GOOD, f"The sensors' accuracy alone explains {percent(share)} of the {name} error.")
-        )
-    return made
+    tail = f" The sensors' accuracy alone explains {percent(share)} of it." if share >= 0.5 else ""
+    return [Judgement(kind, f"{begins}{': ' if ends else ''}{ends}.{tail}", quantity)]
 
 
 def _bands(fit: Mapping) -> list[Judgement]:
@@ -331,25 +225,30 @@ def _bands(fit: Mapping) -> list[Judgement]:
     for lead, by_quantity in found.items() if isinstance(found, Mapping) else ():
         for quantity in SCORED:
             share, n = number(by_quantity, quantity, "coverage"), number(by_quantity, quantity, "n")
-            if math.isfinite(share) and n >= 20:
+            if math.isfinite(share) and n >= FEWEST_IN_BAND:
                 words = f"{lead_words(lead)} {QUANTITIES[quantity][0]} {percent(share)}"
                 (narrow if share < COVERAGE[0] else wide if share > COVERAGE[1] else right).append(words)
-    made = [
-        Judgement(
-            BAD,
-            f"The free run's 95 % band of the {QUANTITIES[quantity][0]} holds only "
-            f"{percent(number(found, 'free_run', quantity, 'coverage'))} of the readings in "
-            f"{_scored_period(fit, quantity)}: do not rely on the free run.",
-        )
-        for quantity in SCORED
-        if _band_failed(fit, quantity)
-    ]
+    made = []
+    for quantity in SCORED:
+        if band_failed(fit, quantity):
+            late = math.isfinite(number(fit, "rmse", "validation", quantity, "total"))
+            said = (
+                f"The free run's 95 % band of the {QUANTITIES[quantity][0]} holds only "
+                f"{percent(number(found, 'free_run', quantity, 'coverage'))} of the readings in "
+                f"{'validation' if late else 'identification'}: do not rely on the free run."
+            )
+            made.append(Judgement(REJECT, said, f"band of {quantity}"))
     if right:
-        made.append(Judgement(GOOD, f"95 % bands that hold about what they promise: {', '.join(right)}."))
+        said = f"95 % bands that hold about what they promise: {', '.join(right)}."
+        made.append(Judgement(BELIEVE, said, "bands that hold"))
     if narrow:
-        made.append(Judgement(CARE, f"95 % bands that are too narrow: {', '.join(narrow)}."))
+        made.append(
+            Judgement(CAUTION, f"95 % bands that are too narrow: {', '.join(narrow)}.", "narrow bands")
+        )
     if wide:
-        made.append(Judgement(CARE, f"95 % bands that are wider than needed: {', '.join(wide)}."))
+        made.append(
+            Judgement(CAUTION, f"95 % bands that are wider than needed: {', '.join(wide)}.", "wide bands")
+        )
     return made
 
 
@@ -372,31 +271,22 @@ def _innovations(fit: Mapping) -> list[Judgement]:
     kinds = list(dict.fromkeys(text for row in against if (text := _test_in_words(row))))
     named = f" ({', '.join(kinds)})" if kinds else ""
     count = f"{len(against)} of {len(rows)} tests {'speaks' if len(against) == 1 else 'speak'}"
-    if kinds and set(kinds) <= set(NO_CORRELATION):
-        return [
-            Judgement(
-                CARE, f"{count} against white innovations{named}, none of them by a correlation (below)."
-            )
-        ]
     if not against:
-        return [Judgement(GOOD, f"None of {len(rows)} tests speaks against white innovations.")]
-    largest = 0.0
+        said = f"None of {len(rows)} tests speaks against white innovations."
+        return [Judgement(BELIEVE, said, "innovations")]
+    if kinds and set(kinds) <= set(NO_CORRELATION):
+        said = f"{count} against white innovations{named}, none of them by a correlation (below)."
+        return [Judgement(CAUTION, said, "innovations")]
     outputs = entry(fit, "innovations", "outputs")
-    for one in outputs.values() if isinstance(outputs, Mapping) else ():
-        crossed = entry(one, "cross_correlation")
-        parts = [entry(one, "autocorrelation"), *(crossed.values() if isinstance(crossed, Mapping) else ())]
-        for part in parts:
-            values = entry(part, "value")
-            sizes = (
-                [abs(v) for v in values if isinstance(v, (int, float))] if isinstance(values, list) else []
-            )
-            largest = max([largest, *sizes])
-    small = largest < 0.1
+    names = [text_of(name) for name in outputs] if isinstance(outputs, Mapping) else []
+    largest = max((largest_correlation(fit, name)[0] for name in names), default=0.0)
+    small = largest < SMALL
+    size = f", by correlations of at most {fixed(largest)}" if largest > 0 else ""
     words = (
-        f"{count} against white innovations{named}, by correlations of at most "
-        f"{largest:.2f}: {'measurable, but small' if small else 'the one-step prediction still owes something'} (below)."
+        f"{count} against white innovations{named}{size}: "
+        f"{'measurable, but small' if small else 'the one-step predictions are still correlated'} (below)."
     )
-    return [Judgement(GOOD if small else CARE, words)]
+    return [Judgement(BELIEVE if small else CAUTION, words, "innovations")]
 
 
 NO_CORRELATION = ("mean", "variance", "normality")

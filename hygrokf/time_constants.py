@@ -224,7 +224,8 @@ def _sources(stage: Stage, name: str, free: Alternative | None) -> list[Source]:
     if stage.clock.sources:
         factor = float(stage.uncertainty.factor[stage.uncertainty.place(name)])
         said = ", ".join(
-            f"{one.source or 'its source'} {one.offset_s:+.0f} ± {one.sd_s:.0f} s late" for one in stage.clock.sources
+            f"{one.source or 'its source'} {one.offset_s:+.0f} ± {one.sd_s:.0f} s late"
+            for one in stage.clock.sources
         )
         found.append(from_clocks(factor * stage.clock.variance[name], stage.clock.shift[name], said))
     if stage.sampling is not None:

@@ -140,7 +140,9 @@ def test_the_response_of_a_sensor_is_taken_out():
 
 @pytest.mark.parametrize("response", [None, 0.0])
 def test_a_sensor_without_stated_response_is_left_alone(response):
-    series = Series("ambient_temperature", START_S + np.arange(5.0), np.ones(5) * 280, response_time_s=response)
+    series = Series(
+        "ambient_temperature", START_S + np.arange(5.0), np.ones(5) * 280, response_time_s=response
+    )
     assert without_response(series) is series
 
 

@@ -16,7 +16,8 @@ from report_case import report_case, write_case
 from hygrokf import report
 from hygrokf.report import ReportFault, read_results, report_page, report_text, write_report
 from hygrokf.report_tables import cells, rmse_table, shortened
-from hygrokf.report_words import decimals_for, judgements, percent, plain_number, time_constant
+from hygrokf.report_words import judgements, time_constant
+from hygrokf.wording import decimals_for, percent, plain_number
 
 
 @pytest.fixture
@@ -93,18 +94,20 @@ def test_a_fit_that_did_not_converge_is_red_on_top(quick) -> None:
     text = report_page(fit, series)
     assert "class='banner failed'><b>NOT CONVERGED</b> no further progress" in text
     assert "NOT CONVERGED: no further progress" in report_text(fit)
-    assert judgements(fit)[0].kind == "bad"
+    first, why = judgements(fit)[:2]
+    assert (first.kind, why.kind) == ("reject", "reject") and "did not converge" in why.sentence
 
 
-def test_a_disagreement_of_the_criteria_is_red(quick) -> None:
+def test_a_disagreement_of_the_criteria_stands_under_its_number(quick) -> None:
     fit, series = report_case()
     said = "innovations say 0.3 h, the free run says 0.9 h (0.8 … 1.0)"
     fit["time_constants"]["hygric"]["disagreement"] = said
     fit["statements"].append(said)
     text = report_page(fit, series)
-    assert "the two criteria disagree" in text
-    assert text.count(said) == 1  # told once, as a judgement
-    assert any(one.kind == "bad" and said in one.sentence for one in judgements(fit))
+    text = text.replace("&nbsp;", " ")
+    assert said in text.partition("<h2>")[0]  # under its number
+    assert text.count(said[1:]) == 2  # and once more as a reason, not as a further remark
+    assert any(one.kind == "caution" and said[1:] in one.sentence for one in judgements(fit))
 
 
 # --- escaping ----------------------------------------------------------------------------------
@@ -259,7 +262,7 @@ def test_without_validation_that_is_said(quick) -> None:
     fit["period"]["until"] = None
     text = _page(fit, series).text
     assert "There is no validation period with readings" in text
-    assert "could not be validated" in text and "identified on the part until" not in text
+    assert "nothing validates it" in text and "identified on the part until" not in text
     assert rmse_table(fit, "validation") is None
 
 
@@ -358,8 +361,8 @@ def test_objects_in_the_series_are_refused(tmp_path) -> None:
     ],
 )
 def test_time_constants_in_words(found: dict, sentence: str) -> None:
-    fit = {"time_constants": {"thermal": {"level": 0.95, "method": "profile", **found}}}
-    assert time_constant(fit, "thermal").sentence == sentence
+    fit = {"time_constants": {"thermal": {"level": 0.95, "method": "profile", **found}}, "converged": True}
+    assert f"thermal {time_constant(fit, 'thermal').span}" == sentence
     assert sentence in report_text(fit)
 
 
@@ -375,17 +378,19 @@ def test_judgements_follow_the_numbers() -> None:
     def error(value: float):
         return lambda fit: fit["rmse"]["validation"]["temperature_K"].update(total=value)
 
-    assert kind_of(error(1.5), "carries over") == "good"
-    assert kind_of(error(9.9), "does not carry over well") == "care"
-    assert kind_of(error(9.9), "worse than the rule") == "care"
-    assert kind_of(error(0.5), "below that of the rule") == "good"
+    assert kind_of(error(1.5), "the model carries over, and it is") == "believe"
+    assert kind_of(error(2.9), "does not carry over well, and it is hardly better than the rule") == "caution"
+    assert kind_of(error(3.1), "it is no better than the rule") == "caution"
+    assert kind_of(error(9.9), "does not carry over well, and it is worse than the rule") == "reject"
+    assert kind_of(error(0.5), "below that of the rule") == "believe"
     wide = {"lower_h": 0.5, "upper_h": 4.0}
-    assert kind_of(lambda fit: fit["time_constants"]["thermal"].update(wide), "roughly") == "care"
-    assert kind_of(lambda fit: None, "too narrow: 1 h ahead absolute humidity 87 %") == "care"
-    assert kind_of(lambda fit: None, "hold about what they promise") == "good"
-    assert kind_of(lambda fit: None, "against white innovations") == "care"
+    assert kind_of(lambda fit: fit["time_constants"]["thermal"].update(wide), "to ±121 % only") == "caution"
+    assert kind_of(lambda fit: None, "too narrow: 1 h ahead absolute humidity 87 %") == "caution"
+    assert kind_of(lambda fit: None, "hold about what they promise") == "believe"
+    assert kind_of(lambda fit: None, "against white innovations") == "caution"
     share = {"temperature_K": 0.8}
-    assert kind_of(lambda fit: fit["sensor_share"].update(validation=share), "alone explains 80 %") == "good"
+    words = "alone explains 80 %"
+    assert kind_of(lambda fit: fit["sensor_share"].update(validation=share), words) == "believe"
 
 
 def test_doubts_come_first_and_old_results_have_none(quick) -> None:
@@ -397,7 +402,7 @@ def test_doubts_come_first_and_old_results_have_none(quick) -> None:
     assert first.startswith("! Doubt about the record: absolute humidity is 5.15 times")
     assert "! Doubt about the record: right unit?\n" in text
     assert page.partition("<ul class=judgements>")[2].startswith(
-        "<li class=care><span title='with caution'>!</span>Doubt about the record: absolute humidity is 5.15 times"
+        "<li class='caution'><span class=caution title='with caution'>!</span>Doubt about the record: absolute humidity is 5.15 times"
     )
     assert "wrong &lt;column&gt;.</li>" in page
 
@@ -413,32 +418,32 @@ def test_a_free_run_that_fails_gets_no_good_mark() -> None:
     def kind_of(words: str) -> str:
         return next(kind for sentence, kind in found.items() if words in sentence)
 
-    assert sum("the model carries over" in one.sentence for one in kept) == 2
-    assert kind_of("more than the standard deviation of the readings (0.10 K)") == "care"
-    assert sum("carries over" in sentence for sentence in found) == 1
-    assert kind_of("band of the absolute humidity holds only 31 % of the readings in validation") == "bad"
-    for words in ("fails for the temperature.", "fails for the temperature and the absolute humidity."):
-        assert kind_of(words) == "care"
+    assert sum("the model carries over" in one.sentence for one in kept) == 1
+    assert kind_of("more than the standard deviation of the readings (0.10 K)") == "reject"
+    assert sum("carries over" in sentence for sentence in found) == 0
+    assert kind_of("band of the absolute humidity holds only 31 % of the readings in validation") == "reject"
+    for words in ("more than the readings vary (0.10 K)", "95 % band holds only 31 % of the readings of the"):
+        assert kind_of(words) in ("caution", "reject")
     del fit["readings_sd"]
-    assert sum("the model carries over" in one.sentence for one in judgements(fit)) == 2
+    assert sum("the model carries over" in one.sentence for one in judgements(fit)) == 1
 
 
 @pytest.mark.parametrize(
     ("bounds", "words"),
     [
-        ((0.6, 1.7), "the criteria agree"),
-        ((0.0, 7.0), "so wide that it hardly says anything"),
-        ((0.5, 1.6), "so wide that it hardly says anything"),
-        ((0.5, None), "without bounds, so it hardly says anything"),
+        ((0.6, 1.7), "it: the criteria agree"),
+        ((0.0, 7.0), "hardly says anything about it (1.00 h, without bounds)"),
+        ((0.5, 1.6), "hardly says anything about it (1.00 h, 0.500 … 1.60 h)"),
+        ((0.5, None), "hardly says anything about it (1.00 h, without bounds)"),
     ],
 )
 def test_the_criteria_agree_only_where_the_free_run_says_something(bounds, words) -> None:
     fit, _ = report_case()
     row = {"value_h": 1.0, "lower_h": bounds[0], "upper_h": bounds[1]}
     fit["time_constants"]["thermal"]["simulation"] = row
-    found = {one.sentence: one.kind for one in judgements(fit)}
-    kind = next(kind for sentence, kind in found.items() if f"thermal time constant: {words}" in sentence)
-    assert kind == ("good" if words == "the criteria agree" else "care")
+    found = {one.sentence: one.kind for one in judgements(fit) if one.about == "thermal"}
+    kind = next(kind for sentence, kind in found.items() if words in sentence)
+    assert kind == ("believe" if "agree" in words else "caution")
 
 
 def test_tests_that_fail_are_named_by_kind() -> None:
@@ -450,7 +455,7 @@ def test_tests_that_fail_are_named_by_kind() -> None:
     words = (
         f"1 of {count} tests speaks against white innovations (mean), none of them by a correlation (below)."
     )
-    assert (found.kind, found.sentence) == ("care", words)
+    assert (found.kind, found.sentence) == ("caution", words)
     for row in fit["innovations"]["tests"]:
         row["rejected"] = row["test"] == "mean" or row["test"].startswith("correlation with power")
     found = judgements(fit)[-1]

@@ -26,9 +26,9 @@ from hygrokf.climate.tables import (
 from hygrokf.drawing import png
 from hygrokf.files import CLIMATE, REPORT, write_bytes_whole, write_text_whole
 from hygrokf.lookup import entry, number
-from hygrokf.page import document, figure_html, moment, prose, section, sentence, tables_html
-from hygrokf.report_words import percent, plain_number, text_of
+from hygrokf.page import document, figure_html, moment, prose, section, tables_html
 from hygrokf.results import ResultFault
+from hygrokf.wording import percent, plain_number, sentence, text_of
 
 PICTURE = "test_profile.png"
 JOINT_CAPTION = (

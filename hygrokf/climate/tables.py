@@ -8,7 +8,7 @@ from hygrokf.climate.ensemble import part_text
 from hygrokf.climate.limits import QUANTITIES
 from hygrokf.lookup import number
 from hygrokf.report_tables import Table
-from hygrokf.report_words import NONE, fixed, percent, plain_number
+from hygrokf.wording import NONE, fixed, percent, plain_number
 
 SCOPE_WORDS = {
     "all": "all of the year",

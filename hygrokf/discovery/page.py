@@ -52,10 +52,10 @@ from hygrokf.discovery.words import (
 )
 from hygrokf.files import BESIDE_DISCOVERY, REPORT, write_text_whole
 from hygrokf.lookup import entry, number, numbers
-from hygrokf.page import document, figure_html, moment, prose, section, sentence, tables_html
+from hygrokf.page import document, figure_html, moment, prose, section, tables_html
 from hygrokf.report import write_report
-from hygrokf.report_words import BASELINES, SCORED, fixed, percent, text_of
 from hygrokf.version import __version__
+from hygrokf.wording import BASELINES, SCORED, fixed, percent, sentence, text_of
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

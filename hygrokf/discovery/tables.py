@@ -17,16 +17,8 @@ from hygrokf.discovery.words import (
 )
 from hygrokf.lookup import entry, number
 from hygrokf.report_tables import REGIMES, Table, rmse_table
-from hygrokf.report_words import (
-    NONE,
-    SCORED,
-    fixed,
-    percent,
-    plain_number,
-    simulated,
-    text_of,
-    time_constant,
-)
+from hygrokf.report_words import simulated, time_constant
+from hygrokf.wording import NONE, SCORED, fixed, percent, plain_number, text_of
 
 WHICH = ("baseline", "extended")
 

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from hygrokf.discovery.repeats import REPEATED
 from hygrokf.lookup import entry, number
 from hygrokf.report_tables import TEXT_WIDTH, unit, wrapped
-from hygrokf.report_words import (
+from hygrokf.wording import (
     NONE,
     QUANTITIES,
     SCORED,

@@ -13,11 +13,11 @@ from hygrokf.fleet.plots import figure_spreads
 from hygrokf.fleet.table import CSV
 from hygrokf.fleet.tasks import BETWEEN, TASKS, Compared
 from hygrokf.lookup import entry, number
-from hygrokf.page import document, figure_html, moment, prose, section, sentence, tables_html
+from hygrokf.page import document, figure_html, moment, prose, section, tables_html
 from hygrokf.report_tables import Table
-from hygrokf.report_words import NONE, decimals_for, fixed, plain_number, text_of
 from hygrokf.transfer.page import type_section
 from hygrokf.version import __version__
+from hygrokf.wording import NONE, decimals_for, fixed, plain_number, sentence, text_of
 
 RANKED = 50
 """Rows of the ranking on the page; the table of all is fleet.csv."""

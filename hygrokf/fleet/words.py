@@ -9,7 +9,7 @@ from hygrokf.fleet.job import DONE, Outcome
 from hygrokf.fleet.outliers import FEWEST, spreads
 from hygrokf.fleet.tasks import TASKS, Compared
 from hygrokf.lookup import number
-from hygrokf.report_words import text_of
+from hygrokf.wording import text_of
 
 SHOWN = 60
 """Turbines of the table at the terminal; the file has all."""

@@ -15,9 +15,7 @@ from hygrokf.fleet.job import Job
 from hygrokf.fleet.tasks import perform
 from hygrokf.parallel import THREADS
 
-ENVIRONMENT = {
-    name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", THREADS)
-}
+ENVIRONMENT = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", THREADS)}
 """One thread for linear algebra: the matrices are tiny, and as many processes as cores are at work."""
 
 

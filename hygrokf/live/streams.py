@@ -283,9 +283,7 @@ def record_mapping(record: Record, turbine: str) -> Mapping:
 
 
 def form_of(series: Series) -> Form:
-    return Form(
-        series.hold, series.interval_s, series.resolution, series.accuracy, series.response_time_s
-    )
+    return Form(series.hold, series.interval_s, series.resolution, series.accuracy, series.response_time_s)
 
 
 def record_messages(record: Record, turbine: str) -> list[tuple[float, dict]]:

@@ -232,7 +232,9 @@ class Tracker:
             place = bisect.bisect_right(times, self._limit)
             if place and not signal.startswith("cabinet_") and not self._stale(signal):
                 last = place - 1 - self.plan.readings_ahead(signal)
-                final = min(final, times[last] - self.plan.form(signal).interval_s) if last >= 0 else -math.inf
+                final = (
+                    min(final, times[last] - self.plan.form(signal).interval_s) if last >= 0 else -math.inf
+                )
         # a reading of the cabinet acts at its own time, and a mean where its interval begins
         return min(final, self._limit - self.plan.longest_mean_s)
 

@@ -11,13 +11,13 @@ from pathlib import Path
 import numpy as np
 
 from hygrokf.files import COMPARISON, COMPARISON_TABLE, REPORT, write_text_whole
-from hygrokf.page import document, figure_html, prose, section, sentence, tables_html
+from hygrokf.page import document, figure_html, prose, section, tables_html
 from hygrokf.report_tables import Table
-from hygrokf.report_words import BASELINES, NONE, fixed, minus, percent, text_of
 from hygrokf.results import ResultFault, dump
 from hygrokf.transfer.comparison import ALL_PERIODS, REGIMES, Comparison, comparison_csv
 from hygrokf.transfer.plots import QUANTITIES, figure_errors, figure_weeks
 from hygrokf.version import __version__
+from hygrokf.wording import BASELINES, NONE, fixed, minus, percent, sentence, text_of
 
 PERIODS = {
     "whole": "whole record (as the paper's Table III)",

@@ -15,10 +15,9 @@ import numpy as np
 
 from hygrokf.files import REPORT, TRANSFER, TRANSFER_SERIES, TYPE, write_bytes_whole, write_text_whole
 from hygrokf.lookup import number
-from hygrokf.page import document, figure_html, prose, section, sentence, tables_html
+from hygrokf.page import document, figure_html, prose, section, tables_html
 from hygrokf.report import write_report
 from hygrokf.report_tables import Table
-from hygrokf.report_words import NONE, fixed, plain_number, text_of
 from hygrokf.results import ResultFault, dump, write_fit
 from hygrokf.transfer.account import NOT
 from hygrokf.transfer.plots import (
@@ -32,6 +31,7 @@ from hygrokf.transfer.plots import (
 from hygrokf.transfer.transfer import Transfer, transfer_json
 from hygrokf.turbine_type import TurbineType, write_type
 from hygrokf.version import __version__
+from hygrokf.wording import NONE, fixed, plain_number, sentence, text_of
 
 
 def write_transfer(

@@ -11,7 +11,7 @@ import numpy as np
 
 from hygrokf.drawing import INK, MEASURED, QUIET, RULE, SIMULATED, new_figure, styled
 from hygrokf.plots import figure_excerpts, figure_humidity, figure_temperature
-from hygrokf.report_words import SCORED
+from hygrokf.wording import SCORED
 from paper.experiments import Outcome
 from paper.models import CRITERIA, FREE_RUN, LIKELIHOOD
 from paper.tables import SPREAD, UNITS, WORDS, published_total, totals

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from html import escape
 
 from hygrokf.page import document, figure_html, section, tables_html
-from hygrokf.report_words import SCORED, fixed
 from hygrokf.version import __version__
+from hygrokf.wording import SCORED, fixed
 from paper.figures import Drawn
 from paper.models import CRITERIA
 from paper.tables import SIMULATED_NOTE, SPREAD, UNITS, WORDS, all_tables, published_total, totals

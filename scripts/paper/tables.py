@@ -8,7 +8,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from hygrokf.report_tables import REGIMES, Table
-from hygrokf.report_words import NONE, SCORED, fixed, percent, plain_number
+from hygrokf.wording import NONE, SCORED, fixed, percent, plain_number
 from paper.models import CRITERIA, FREE_RUN, LIKELIHOOD
 
 SIMULATED_NOTE = (
