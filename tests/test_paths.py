@@ -70,13 +70,25 @@ def test_the_path_is_near_the_one_that_all_means_give():
     assert np.std(at_middles[3:-3] - wanted[FINE // 2 :: FINE][3:-3]) < 0.25
 
 
-def test_the_path_keeps_every_mean():
+@pytest.mark.parametrize("width", [300.0, 600.0, 1800.0, 3600.0, 10800.0])
+def test_the_path_keeps_every_mean(width):
     value = np.random.default_rng(5).normal(283.0, 4.0, 60)
-    path = input_path(means(value))
-    areas = 0.25 * (path.value[:-2:2] + 2.0 * path.value[1::2] + path.value[2::2])
-    assert_allclose(areas, value, rtol=1e-14)
+    path = input_path(means(value, width))
+    cumulated = np.append(0.0, np.cumsum(0.5 * np.diff(path.time) * (path.value[1:] + path.value[:-1])))
+    edges = np.searchsorted(path.time, START_S + width * np.arange(61))
+    assert_allclose(np.diff(cumulated[edges]) / width, value, rtol=1e-12)
+    assert np.diff(path.time).max() <= 900.0
     assert path.hold == "linear" and path.interval_s == 0.0
-    assert path.time[0] == START_S and path.time[-1] == START_S + 600.0 * 60
+    assert path.time[0] == START_S and path.time[-1] == START_S + width * 60
+
+
+def test_hourly_means_are_drawn_as_the_quadratic_that_they_give():
+    """At the quarters of an hour the path is the conditional mean, but for the 1/16 that keeps the area."""
+    value = 283.0 + np.cumsum(np.random.default_rng(12).normal(size=9))
+    path = input_path(means(value, 3600.0))
+    e, m = path.value[16:21:4], value[4]
+    half = 0.5 * (e[0] + e[1])
+    assert path.value[18] == pytest.approx(half + 1.5 * (m - half) * 16.0 / 15.0, abs=1e-9)
 
 
 def test_a_quadratic_course_is_found_at_the_edges():
