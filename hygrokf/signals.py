@@ -293,9 +293,9 @@ def near_names(name: str, candidates: Iterable[str], count: int = 3) -> list[str
     return [lower[match] for match in found]
 
 
-def suggestion(name: str, candidates: Iterable[str]) -> str:
-    """Half a sentence that names the nearest candidates, or nothing if none is near."""
-    near = near_names(name, candidates)
+def suggestion(name: str, candidates: Iterable[str], count: int = 3) -> str:
+    """Half a sentence that names the nearest candidates, `count` at most, or nothing if none is near."""
+    near = near_names(name, candidates, count)
     quoted = " or ".join(f'"{one}"' for one in near)
     return f"; did you mean {quoted}?" if near else ""
 
