@@ -16,8 +16,9 @@ import numpy as np
 
 from hygrokf.case_form import StatedCase, StatedColumn, StatedSource, stated_case
 from hygrokf.checks import mask
+from hygrokf.columns import Table, TableFault
 from hygrokf.masks import detect_resolution, order_readings
-from hygrokf.readers import Table, TableFault, read_table
+from hygrokf.readers import read_table
 from hygrokf.record import Record, Series
 from hygrokf.signals import (
     Signal,

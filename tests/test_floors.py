@@ -18,7 +18,7 @@ FLOORS = (
     "expression machine moments parameters signals psychrometrics files lookup version discovery live weather live.schema live.reasons live.certificates climate climate.form climate.cycles climate.bounds climate.acceleration resampling transfer fleet switches",
     # text of code, one step, what a record is
     "console emission discretisation record stamps live.database surface climate.chamber",
-    "running_sums case_keys paths live.table_reader live.sqlite live.postgres live.check",
+    "running_sums case_keys columns paths live.table_reader live.sqlite live.postgres live.check",
     "loops masks weather_form readers synthetic ambient live.opcua_security live.opcua_samples",
     "features fleet_loop live.opcua_client case_form weather.archive weather.fields weather.altitude weather.joining weather.alignment climate.power",
     "recursion weather.gridded weather.epw weather.clocks",
