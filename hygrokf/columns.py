@@ -234,7 +234,9 @@ def _where(rows: np.ndarray, column: pandas.Series, places: Places) -> str:
 def numbered(label: str, numbers: Sequence[int], total: int) -> str:
     """The first few of `total` rows by number, such as: lines 7, 9, 12, 15, 16 …"""
     listed = ", ".join(str(number) for number in numbers[:_SHOWN])
-    return f"{label}{'s' if total > 1 and label == 'line' else ''} {listed}" + (" …" if total > _SHOWN else "")
+    return f"{label}{'s' if total > 1 and label == 'line' else ''} {listed}" + (
+        " …" if total > _SHOWN else ""
+    )
 
 
 def _stamp_remedy(column: pandas.Series, unreadable: np.ndarray, here: str) -> str:

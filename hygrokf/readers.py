@@ -346,5 +346,3 @@ def _parquet_frame(
     except pyarrow.ArrowException as broken:
         reason = str(broken).splitlines()[0]
         raise TableFault([f"cannot be read as Parquet: {reason}"]) from None
-
-
