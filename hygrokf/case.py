@@ -16,7 +16,7 @@ import numpy as np
 
 from hygrokf.case_form import StatedCase, StatedColumn, StatedSource, stated_case
 from hygrokf.case_keys import CaseLines
-from hygrokf.checks import mask
+from hygrokf.checks import IDENTIFIABLE, mask, no_overlap
 from hygrokf.columns import Table, TableFault
 from hygrokf.masks import detect_resolution, order_readings
 from hygrokf.readers import read_table
@@ -37,13 +37,6 @@ from hygrokf.stamps import (
 from hygrokf.weather.joining import follows, joined
 from hygrokf.weather.reading import read_weather_file
 from hygrokf.weather_form import StatedWeather
-
-_IDENTIFIABLE = (
-    "cabinet_temperature",
-    "cabinet_relative_humidity",
-    "cabinet_absolute_humidity",
-    "cabinet_dew_point_temperature",
-)
 
 
 class CaseFault(Exception):
@@ -77,23 +70,24 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     def weather(stated: StatedWeather) -> Record:
         return _weather(stated, file.parent, case)
 
-    return record_of(case, faults, table, weather, str(path), cabinet=cabinet, ambient=ambient)
+    return record_of(case, faults, table, str(path), weather=weather, cabinet=cabinet, ambient=ambient)
 
 
 def record_of(
     case: StatedCase,
     faults: Sequence[str],
     table: Callable[[StatedSource], Table],
-    weather: Callable[[StatedWeather], Record],
     head: str,
     *,
+    weather: Callable[[StatedWeather], Record] | None = None,
     cabinet: bool,
     ambient: bool,
 ) -> Record:
     """Record of what a case states, wherever its tables are: units in SI, clocks in UTC, doubtful readings masked.
 
-    case: as stated. faults: of its form. table: the readings of a source; raises TableFault. weather: of a weather file;
-    raises TableFault. head: what the message of a CaseFault begins with. cabinet, ambient: as for `read_case`.
+    case: as stated. faults: of its form. table: the readings of a source; raises TableFault. head: what the message of a
+    CaseFault begins with. weather: what a weather file brings, where the case names any; raises TableFault.
+    cabinet, ambient: as for `read_case`.
 
     Raises CaseFault with all faults.
     """
@@ -117,10 +111,12 @@ def record_of(
         faults += [f"{source.file}: {one}" for one in wrong]
         (compared if source.compare else series).extend(found)
         whole = whole and not wrong
-    reads, said, wrong = _weathers(case, weather)
-    warnings += said
-    faults += wrong
-    whole = whole and not wrong
+    reads: list[tuple[StatedWeather, Record]] = []
+    if weather is not None:
+        reads, said, wrong = _weathers(case, weather)
+        warnings += said
+        faults += wrong
+        whole = whole and not wrong
     for stated, read in reads:
         provenance.update(read.provenance)
         used = set(case.declared) | {one.signal for one in series}
@@ -128,7 +124,7 @@ def record_of(
         compared += [one for one in read.series if stated.compare or one.signal in used]
     unique = {one.signal: one for one in series}
     second = {one.signal: one for one in reversed(compared)}
-    faults += _overlap_faults(tuple(unique.values()))
+    faults += no_overlap(tuple(unique.values()))
     record = Record(
         case.name,
         tuple(unique.values()),
@@ -160,10 +156,10 @@ def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
         faults.append(
             f"{name}: no source names {signal('ambient_temperature')}, the input that no model goes without"
         )
-    if cabinet and not any(one in case.declared for one in _IDENTIFIABLE):
+    if cabinet and not any(one in case.declared for one in IDENTIFIABLE):
         faults.append(
             f"{name}: nothing in the cabinet to identify; expected one of "
-            f"{', '.join(signal(one) for one in _IDENTIFIABLE)}"
+            f"{', '.join(signal(one) for one in IDENTIFIABLE)}"
         )
     return faults
 
@@ -319,18 +315,21 @@ def _source_series(
         settings = dict(one.settings)
         if "resolution" not in settings:
             settings["resolution"] = difference_to_si(detect_resolution(raw), one.unit, one.signal)
-        found.append(
-            Series(
-                one.signal.name,
-                moved,
-                to_si(raw, one.unit, one.signal),
-                hold,
-                length,
-                clock_uncertainty_s=source.clock_uncertainty_s,
-                source=f'{source.file}, column "{one.column}"',
-                **settings,
+        try:
+            found.append(
+                Series(
+                    one.signal.name,
+                    moved,
+                    to_si(raw, one.unit, one.signal),
+                    hold,
+                    length,
+                    clock_uncertainty_s=source.clock_uncertainty_s,
+                    source=f'{source.file}, column "{one.column}"',
+                    **settings,
+                )
             )
-        )
+        except ValueError as impossible:
+            faults.append(f'column "{one.column}": {impossible}')
     if source.interval_s is not None and source.interval_s > 1.5 * step:
         warnings.append(
             f"interval = {duration_text(source.interval_s)} is longer than the step of "
@@ -375,30 +374,6 @@ def _power_mistaken(one: StatedColumn, raw: np.ndarray, rated_W: float) -> tuple
     return None, None
 
 
-def _overlap_faults(series: tuple[Series, ...]) -> list[str]:
-    """Sources that share no time with the cabinet's readings."""
-    spans = {one.signal: (one.time[0] - one.interval_s, one.time[-1]) for one in series if len(one)}
-    cabinet = {signal: span for signal, span in spans.items() if signal in _IDENTIFIABLE}
-    if not cabinet:
-        return []
-    first = min(span[0] for span in cabinet.values())
-    last = max(span[1] for span in cabinet.values())
-    apart: dict[str, list[str]] = {}
-    for one in series:
-        if one.signal in cabinet or one.signal not in spans:
-            continue
-        start, end = spans[one.signal]
-        if start > last or end < first:
-            file = one.source.split(", column")[0]
-            apart.setdefault(f"{file} ({period_text(start, end)})", []).append(one.signal)
-    return [
-        f"no overlap: {', '.join(signals)} in {where} and the cabinet's readings "
-        f"({period_text(first, last)}) share no time; check the files, and zone and offset of "
-        "their stamps"
-        for where, signals in apart.items()
-    ]
-
-
 def _period_faults(record: Record, case: StatedCase) -> list[str]:
     faults = []
     for key, value in (("start", case.start_s), ("until", case.until_s)):
@@ -415,7 +390,7 @@ def _emptied(record: Record, cabinet: bool, ambient: bool) -> list[str]:
     faults = []
     needed = [("ambient_temperature",)] if ambient else []
     if cabinet:
-        needed.append(tuple(signal for signal in _IDENTIFIABLE if signal in record))
+        needed.append(tuple(signal for signal in IDENTIFIABLE if signal in record))
     for signals in needed:
         there = [signal for signal in signals if signal in record]
         if not any(np.isfinite(record[signal].value).any() for signal in there):

@@ -16,8 +16,8 @@ STAMPS = ("instant", "start", "middle", "end")
 """What a stamp marks: an instant, or a place in the interval that was averaged over."""
 
 _CASE_KEYS = ("name", "rated_power_kW", "site", "source", "identification")
-_SITE_KEYS = ("latitude_deg", "longitude_deg", "altitude_m")
-_IDENTIFICATION_KEYS = ("until", "start")
+SITE_KEYS = ("latitude_deg", "longitude_deg", "altitude_m")
+IDENTIFICATION_KEYS = ("until", "start")
 SOURCE_KEYS = (
     "file",
     "time",
@@ -166,12 +166,12 @@ def _site(table: Any, lines: Statement, faults: list[str]) -> Site | None:
         faults.append(f"{lines.at(None, 'site')}: expected a table {lines.table('site')}, found {table!r}")
         return None
     before = len(faults)
-    expect_known_keys(table, _SITE_KEYS, f" in {lines.table('site')}", lines, None, faults)
-    for key in _SITE_KEYS[:2]:
+    expect_known_keys(table, SITE_KEYS, f" in {lines.table('site')}", lines, None, faults)
+    for key in SITE_KEYS[:2]:
         if key not in table:
             faults.append(f"{lines.at(None, 'site')}: {lines.table('site')} needs {key}")
     numbers = {"latitude_deg": 0.0, "longitude_deg": 0.0, "altitude_m": None}
-    for key in _SITE_KEYS:
+    for key in SITE_KEYS:
         if key in table:
             number = stated_number(table[key])
             if number is None:
@@ -192,9 +192,7 @@ def _periods(table: Any, lines: Statement, faults: list[str]) -> tuple[float | N
     if not isinstance(table, dict):
         faults.append(f"{lines.name}: expected a table {lines.table('identification')}, found {table!r}")
         return None, None
-    expect_known_keys(
-        table, _IDENTIFICATION_KEYS, f" in {lines.table('identification')}", lines, None, faults
-    )
+    expect_known_keys(table, IDENTIFICATION_KEYS, f" in {lines.table('identification')}", lines, None, faults)
     moments: dict[str, float | None] = {"start": None, "until": None}
     for key in moments:
         if key in table:

@@ -6,10 +6,13 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC
+from decimal import Decimal
+from numbers import Real
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.record import EARLIEST_S, LATEST_S
 from hygrokf.signals import suggestion
 from hygrokf.stamps import read_stamps, zone_named
 
@@ -141,6 +144,13 @@ def table_of(
         elif zone is not None and not ignore_offset and _all_aware(stamps):
             warnings.append(f'timezone = "{timezone}" is not used: the stamps carry offsets')
         warnings += read.warnings
+        beyond = np.isfinite(time) & ~((time > EARLIEST_S) & (time < LATEST_S))
+        if beyond.any():
+            where = _where(np.flatnonzero(beyond), stamps, places)
+            faults.append(
+                f"{stamps_named}: expected stamps of our time, found {int(beyond.sum())} before 1850 or after 2200: "
+                f"{where}; correct or remove these rows"
+            )
         given = stamps.notna().to_numpy()
         lost = ~given & np.any([np.isfinite(one) for one in values.values()] or [~given], axis=0)
         if lost.any():
@@ -162,9 +172,9 @@ def table_of(
 
 
 def column_fault(name: str, found: Sequence[str], holder: str) -> str:
-    """A missing column, with the columns there are."""
+    """A missing column, with the columns there are; holder: what has them, such as "the file has"."""
     shown = ", ".join(f'"{one}"' for one in found[:40]) + (" …" if len(found) > 40 else "")
-    return f'no column "{name}" ({holder} has {shown}){suggestion(name, found)}'
+    return f'no column "{name}" ({holder} {shown}){suggestion(name, found)}'
 
 
 def _numbers(column: pandas.Series, decimal: str, missing: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
@@ -178,17 +188,27 @@ def _numbers(column: pandas.Series, decimal: str, missing: tuple[str, ...]) -> t
         return np.where(np.isinf(numbers), np.nan, numbers), nothing
     if pd.api.types.is_datetime64_any_dtype(column.dtype) or pd.api.types.is_timedelta64_dtype(column.dtype):
         return np.full(len(column), np.nan), column.notna().to_numpy()
-    text = column.astype(object)
-    flags = text.map({"true": 1.0, "false": 0.0, "True": 1.0, "False": 0.0, True: 1.0, False: 0.0})
-    plain = text.map(lambda one: one.strip() if isinstance(one, str) else one)
+    plain = column.astype(object).map(_cell)
+    flags = plain.map({"true": 1.0, "false": 0.0, "True": 1.0, "False": 0.0, True: 1.0, False: 0.0})
     if decimal != ".":
         plain = plain.map(lambda one: one.replace(decimal, ".") if isinstance(one, str) else one)
-    absent = text.isna() | plain.isin([*MISSING, *missing])
+    absent = plain.isna() | plain.isin([*MISSING, *missing])
     numbers = pd.to_numeric(plain.where(~absent, None), errors="coerce").astype(float)
     numbers = numbers.where(numbers.notna(), flags.astype(float))
     wrong = numbers.isna() & ~absent
     values = numbers.to_numpy()
     return np.where(np.isinf(values), np.nan, values), wrong.to_numpy()
+
+
+def _cell(one: object) -> object:
+    """A cell: a number, None where there is none, else text without blanks around it."""
+    import pandas as pd
+
+    if isinstance(one, str):
+        return one.strip()
+    if one is None or isinstance(one, Real | Decimal):
+        return one
+    return None if pd.api.types.is_scalar(one) and pd.isna(one) else str(one)
 
 
 def _text_fault(
@@ -200,11 +220,14 @@ def _text_fault(
 ) -> str:
     """Text in a column of numbers: where, what, and the likely remedy."""
     rows = np.flatnonzero(texts)
+    found = {"M": "dates", "m": "durations"}.get(column.dtype.kind, "text")
     words = [str(one).strip() for one in column[texts].iloc[:1000]]
     if any(re.fullmatch(r"-?\d+,\d+", word) for word in words) and decimal == ".":
         remedy = f'state decimal = ","{places.here}'
     elif any(re.fullmatch(r"-?\d{1,3}(,\d{3})+(\.\d+)?", word) for word in words):
         remedy = "export without thousands separators"
+    elif found != "text":
+        remedy = "name another column"
     elif name in words:
         remedy = "the header is repeated among the rows: remove these lines"
     elif list(rows) == [0]:
@@ -216,7 +239,7 @@ def _text_fault(
             f"missing = [{listed}]{places.here}"
         )
     return (
-        f'column "{name}": expected numbers, found text in {len(rows)} of {len(column)} rows: '
+        f'column "{name}": expected numbers, found {found} in {len(rows)} of {len(column)} rows: '
         f"{_where(rows, column, places)}; {remedy}"
     )
 

@@ -186,7 +186,7 @@ class _CsvSource:
                 "in this source"
             )
             return None
-        holder = f"line {first.header_line}"
+        holder = f"line {first.header_line} has"
         faults.append(column_fault(time_column, first.names, holder))
         return first
 
@@ -217,7 +217,7 @@ class _CsvSource:
             elif count > 1:
                 faults.append(f'line {layout.header_line}: column "{name}" occurs {count} times')
             elif name != time_column:
-                holder = f"line {layout.header_line}"
+                holder = f"line {layout.header_line} has"
                 faults.append(column_fault(name, layout.names, holder))
         if not positions:
             return pd.DataFrame()
@@ -339,7 +339,7 @@ def _parquet_frame(
         there = [name for name in dict.fromkeys([time_column, *wanted]) if name in found]
         for name in dict.fromkeys([time_column, *wanted]):
             if name not in found:
-                faults.append(column_fault(name, found, "the file"))
+                faults.append(column_fault(name, found, "the file has"))
         if not there:
             return pd.DataFrame()
         return file.read(columns=there).to_pandas(ignore_metadata=True)

@@ -55,10 +55,10 @@ def test_bad_times_are_refused(time, value):
 
 
 def test_equality_looks_at_the_readings():
-    one = series(value=[1.0, np.nan, 3.0])
-    assert one == series(value=[1.0, np.nan, 3.0])
-    assert one != series(value=[1.0, np.nan, 4.0])
-    assert one != series(value=[1.0, np.nan, 3.0], hold="zero-order")
+    one = series(value=[281.0, np.nan, 283.0])
+    assert one == series(value=[281.0, np.nan, 283.0])
+    assert one != series(value=[281.0, np.nan, 284.0])
+    assert one != series(value=[281.0, np.nan, 283.0], hold="zero-order")
 
 
 def test_a_record_finds_its_signals():
@@ -145,7 +145,7 @@ def test_window_keeps_until_only_inside():
 
 def test_replace_series_exchanges_one_and_adds_warnings():
     record = Record("x", (series(), series("rain")), warnings=("a",))
-    other = series(value=[1.0, 2.0, 3.0])
+    other = series(value=[281.0, 282.0, 283.0])
     changed = record.replace_series(other, warnings=("b",))
     assert changed.signals == record.signals
     assert changed["cabinet_temperature"] == other
