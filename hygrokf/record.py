@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Real
@@ -156,21 +156,26 @@ def _numbers(name: str, given: object, expected: str, faults: list[str]) -> np.n
     """
     if isinstance(given, np.ma.MaskedArray):
         given = np.ma.filled(given.astype(float), np.nan)
-    raw = np.asarray(given)
-    if raw.dtype.kind not in "mM":
-        try:
+    try:
+        raw = np.asarray(given)
+        if raw.dtype.kind not in "mM":
             return raw.astype(float)
-        except (TypeError, ValueError):
-            pass
-    found = raw.dtype.name if raw.dtype.kind in "mMU" else type(raw.flat[0]).__name__
-    remedy = (
-        '; convert them, such as (index - pandas.Timestamp("1970-01-01", tz="UTC")).total_seconds(), or hand the '
-        "frame over to Record.from_frames"
-        if name == "time"
-        else ""
-    )
-    faults.append(f"{name}: expected {expected}, found {found}{remedy}")
+        found = raw.dtype.name
+    except (TypeError, ValueError):
+        others = (
+            (one for one in given if not isinstance(one, Real)) if isinstance(given, Iterable) else (given,)
+        )
+        found = type(next(iter(others), given)).__name__
+    remedy = _REMEDIES[name]
+    faults.append(f"{name}: expected {expected}, found {found}; convert, such as {remedy}, or hand a frame over to "
+                  "Record.from_frames")  # fmt: skip
     return None
+
+
+_REMEDIES = {
+    "time": '(index - pandas.Timestamp("1970-01-01", tz="UTC")).total_seconds()',
+    "value": "column.to_numpy(float, na_value=numpy.nan)",
+}
 
 
 def _no_seconds(time: np.ndarray) -> str:
@@ -282,7 +287,9 @@ class Record:
         twice = sorted({name for names in (self.signals, second) for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"record {self.name}: more than one series of {', '.join(twice)}")
-        if self.until_s is not None and not (isinstance(self.until_s, Real) and math.isfinite(self.until_s)):
+        if self.until_s is not None and not (
+            isinstance(self.until_s, Real) and EARLIEST_S < self.until_s < LATEST_S
+        ):
             raise ValueError(
                 f"record {self.name}: until_s must be a number of seconds since 1970-01-01T00:00Z, "
                 f"found {self.until_s!r}"
