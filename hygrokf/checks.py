@@ -499,8 +499,8 @@ def describe_text(description: dict[str, Any]) -> str:
     lines += ["", *_table(rows, right=(1, 2, 3, 4, 5, 7))]
     rows = [("signal", "from", "to", "clock", "source")]
     for one in description["signals"]:
-        clock = f"±{duration_text(one['clock_uncertainty_s'])}"
-        clock = clock if one["clock_uncertainty_s"] else "-"
+        stated = one["clock_uncertainty_s"]
+        clock = f"±{duration_text(stated)}" if stated else "-"
         rows.append(
             (
                 one["signal"],

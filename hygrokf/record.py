@@ -323,7 +323,7 @@ class Record:
         name, rated_power_kW, site, identification: as in a case file, the last two as mappings, such as
             identification={"until": "2020-12-01T00:00Z"}.
         cabinet, ambient: whether there must be a cabinet signal, an ambient temperature; as for `read_case`.
-        settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0}, resolution.
+        settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0}, resolution, response_time.
             Those of a source are one value for all frames or a mapping from their names: timezone, stamp, interval, hold,
             clock_uncertainty, clock_correction, decimal, missing, time_format, ignore_offset, compare, and time, the
             column that holds the times where the index does not.

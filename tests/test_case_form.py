@@ -58,7 +58,7 @@ def test_the_form_is_read():
     assert case.declared == {"cabinet_temperature": 0, "active_power": 1}
     cabinet, scada = case.sources
     assert (cabinet.file, cabinet.time, cabinet.stamp) == ("cabinet.csv", "time", "instant")
-    assert (cabinet.hold, cabinet.interval_s, cabinet.clock_uncertainty_s) == (None, None, 0.0)
+    assert (cabinet.hold, cabinet.interval_s, cabinet.clock_uncertainty_s) == (None, None, None)
     (column,) = cabinet.columns
     assert (column.column, column.unit) == ("T", "degC")
     assert column.settings == {"accuracy": 0.5, "resolution": 0.1}
@@ -95,6 +95,7 @@ def test_the_name_defaults_to_that_of_the_file():
         ('"degC"', '"kW"', 9, ['unit "kW" is one of power', "K, degC, degF"]),
         ("column =", "colum =", 9, ['unknown key "colum"', '"column"?']),
         ("accuracy = 0.5", "accuracy = -0.5", 9, ["accuracy: expected a number ≥ 0"]),
+        ("resolution = 0.1", "response_time = 10", 9, ["response_time: expected a duration"]),
         ("resolution = 0.1", 'resolution = "x"', 9, ["resolution: expected a number ≥ 0"]),
         ('stamp = "start"', 'stamp = "begin"', 14, ["instant, start, middle, end"]),
         ('stamp = "start"', "", 15, ["where in it the stamp is"]),

@@ -92,7 +92,7 @@ file = "cabinet.csv"
 time = "time"
 missing = ["sensor lost"]
 clock_uncertainty = "2min"
-signals.cabinet_temperature = { column = "T", unit = "degC", accuracy = 0.5 }
+signals.cabinet_temperature = { column = "T", unit = "degC", accuracy = 0.5, response_time = "90s" }
 signals.cabinet_relative_humidity = { column = "RH", unit = "%", accuracy = 2.0, resolution = 0.5 }
 signals.ambient_temperature = { column = "ambient_temperature", unit = "degC" }
 [[source]]
@@ -123,6 +123,7 @@ MESSY_OPTIONS = {
     "units": {**UNITS, "outside": "degC", "dew": "degC"},
     "accuracy": {"T": 0.5, "RH": 2.0},
     "resolution": {"RH": np.float64(0.5)},
+    "response_time": {"T": "90s"},
     "missing": {"cabinet.csv": ("sensor lost",)},
     "clock_uncertainty": {"cabinet.csv": "2min"},
     "timezone": {"scada.csv": "Europe/Berlin"},
@@ -153,6 +154,7 @@ def test_frames_give_the_record_that_files_give(tmp_path: Path) -> None:
     for word in ("masked", "frozen sensor", "saturated", "duplicate stamps", "unsorted", "doubled hour"):
         assert word in said, word
     assert held["cabinet_temperature"].resolution == pytest.approx(0.1)
+    assert held["cabinet_temperature"].response_time_s == 90.0
     assert held["cabinet_relative_humidity"].resolution == pytest.approx(0.005)
     assert held.compared[0].signal == "ambient_temperature" and held["active_power"].interval_s == 600.0
 
@@ -335,6 +337,7 @@ WRONG = [
     (None, {"separator": ";"}, 'unknown option "separator"', "for files"),
     (None, {"stamp": {"scada": "begin"}}, "scada: stamp must be one of instant, start, middle, end", '"begin"'),
     (None, {"interval": "10"}, 'expected a duration such as "30s"', "'10'"),
+    (None, {"response_time": {"RH": 600}}, 'cabinet, column "RH": response_time: expected a duration such as', "600"),
     (None, {"accuracy": {"RH": -1.0}}, 'cabinet, column "RH": accuracy: expected a number ≥ 0', "-1.0"),
     (None, {"identification": {"until": "2020-10-20"}}, 'until: stamp "2020-10-20" has no offset', "add Z"),
     (None, {"identification": {"until": "2021-10-20T00:00Z"}}, "until = 2021-10-20T00:00Z is outside of the record", "2020-10-05"),
