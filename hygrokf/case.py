@@ -8,24 +8,24 @@ import math
 import os
 import re
 import tomllib
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hygrokf.case_form import StatedCase, StatedColumn, StatedSource, stated_case
-from hygrokf.checks import mask
+from hygrokf.case_keys import CaseLines
+from hygrokf.checks import IDENTIFIABLE, mask, no_overlap
+from hygrokf.columns import Table, TableFault
 from hygrokf.masks import detect_resolution, order_readings
-from hygrokf.readers import Table, TableFault, read_table
+from hygrokf.readers import read_table
 from hygrokf.record import Record, Series
 from hygrokf.signals import (
-    Signal,
     difference_to_si,
-    fitting_units,
-    in_words,
     suggestion,
     to_si,
+    unit_mistaken,
 )
 from hygrokf.stamps import (
     duration_text,
@@ -37,13 +37,6 @@ from hygrokf.stamps import (
 from hygrokf.weather.joining import follows, joined
 from hygrokf.weather.reading import read_weather_file
 from hygrokf.weather_form import StatedWeather
-
-_IDENTIFIABLE = (
-    "cabinet_temperature",
-    "cabinet_relative_humidity",
-    "cabinet_absolute_humidity",
-    "cabinet_dew_point_temperature",
-)
 
 
 class CaseFault(Exception):
@@ -68,17 +61,37 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     """
     file = Path(path)
     text, content = _case_text(file)
-    case, faults = stated_case(content, file, text)
-    unheard = "ambient_temperature" not in case.declared and all(one.compare for one in case.weather)
-    if ambient and unheard:
-        faults.append(
-            f"{file.name}: no source names signals.ambient_temperature, the input that no model goes without"
-        )
-    if cabinet and not any(signal in case.declared for signal in _IDENTIFIABLE):
-        faults.append(
-            f"{file.name}: nothing in the cabinet to identify; expected one of signals."
-            f"{', signals.'.join(_IDENTIFIABLE)}"
-        )
+    case, faults = stated_case(content, CaseLines(file.name, text), file.stem)
+
+    def table(source: StatedSource) -> Table:
+        columns = [one.column for one in source.columns]
+        return read_table(file.parent / source.file, columns, source.time, **source.reading)
+
+    def weather(stated: StatedWeather) -> Record:
+        return _weather(stated, file.parent, case)
+
+    return record_of(case, faults, table, str(path), weather=weather, cabinet=cabinet, ambient=ambient)
+
+
+def record_of(
+    case: StatedCase,
+    faults: Sequence[str],
+    table: Callable[[StatedSource], Table],
+    head: str,
+    *,
+    weather: Callable[[StatedWeather], Record] | None = None,
+    cabinet: bool,
+    ambient: bool,
+) -> Record:
+    """Record of what a case states, wherever its tables are: units in SI, clocks in UTC, doubtful readings masked.
+
+    case: as stated. faults: of its form. table: the readings of a source; raises TableFault. head: what the message of a
+    CaseFault begins with. weather: what a weather file brings, where the case names any; raises TableFault.
+    cabinet, ambient: as for `read_case`.
+
+    Raises CaseFault with all faults.
+    """
+    faults = [*faults, *_undeclared(case, cabinet, ambient)]
     series: list[Series] = []
     compared: list[Series] = []
     warnings: list[str] = []
@@ -86,56 +99,32 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     whole = True
     for source in case.sources:
         try:
-            table = read_table(
-                file.parent / source.file,
-                [one.column for one in source.columns],
-                source.time,
-                **source.reading,
-            )
+            read = table(source)
         except TableFault as broken:
             faults += [f"{source.file}: {fault}" for fault in broken.faults]
             whole = False
             continue
-        provenance[source.file] = table.sha256
-        found, said, wrong = _source_series(source, table, case.rated_power_W)
+        if read.sha256:
+            provenance[source.file] = read.sha256
+        found, said, wrong = _source_series(source, read, case.rated_power_W)
         warnings += [f"{source.file}: {one}" for one in said]
         faults += [f"{source.file}: {one}" for one in wrong]
         (compared if source.compare else series).extend(found)
         whole = whole and not wrong
     reads: list[tuple[StatedWeather, Record]] = []
-    for weather in case.weather:
-        try:
-            read = _weather(weather, file.parent, case)
-        except TableFault as broken:
-            faults += [f"{weather.file}: {fault}" for fault in broken.faults]
-            whole = False
-            continue
+    if weather is not None:
+        reads, said, wrong = _weathers(case, weather)
+        warnings += said
+        faults += wrong
+        whole = whole and not wrong
+    for stated, read in reads:
         provenance.update(read.provenance)
-        warnings += [f"{weather.file}: {one}" for one in read.warnings]
-        read = dataclasses.replace(read, warnings=())
-        for place, (before, earlier) in enumerate(reads):
-            # one file a year, say: the second goes on where the first ends
-            if (before.format, before.compare) == (weather.format, weather.compare) and follows(
-                earlier, read
-            ):
-                try:
-                    made = joined((earlier, read), earlier.name)
-                except TableFault as broken:
-                    faults += [f"{before.file} and {weather.file}: {fault}" for fault in broken.faults]
-                    whole = False
-                    break
-                warnings += [f"{before.file} and {weather.file}: {one}" for one in made.warnings]
-                reads[place] = (before, dataclasses.replace(made, warnings=()))
-                break
-        else:
-            reads.append((weather, read))
-    for weather, read in reads:
         used = set(case.declared) | {one.signal for one in series}
-        series += [one for one in read.series if not weather.compare and one.signal not in used]
-        compared += [one for one in read.series if weather.compare or one.signal in used]
+        series += [one for one in read.series if not stated.compare and one.signal not in used]
+        compared += [one for one in read.series if stated.compare or one.signal in used]
     unique = {one.signal: one for one in series}
     second = {one.signal: one for one in reversed(compared)}
-    faults += _overlap_faults(tuple(unique.values()))
+    faults += no_overlap(tuple(unique.values()))
     record = Record(
         case.name,
         tuple(unique.values()),
@@ -147,15 +136,63 @@ def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bo
     if whole and series:
         faults += _period_faults(record, case)
     if faults:
-        raise CaseFault(str(path), faults)
+        raise CaseFault(head, faults)
     record = dataclasses.replace(record, until_s=case.until_s, provenance=tuple(provenance.items()))
     if case.start_s is not None:
         record = record.window(case.start_s, math.inf)
     record = mask(record)
     faults = _emptied(record, cabinet, ambient)
     if faults:
-        raise CaseFault(str(path), faults)
+        raise CaseFault(head, faults)
     return record
+
+
+def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
+    """Faults of a case that does not name the signals that a model needs."""
+    name, signal = case.lines.name, case.lines.signal
+    faults = []
+    unheard = "ambient_temperature" not in case.declared and all(one.compare for one in case.weather)
+    if ambient and unheard:
+        faults.append(
+            f"{name}: no source names {signal('ambient_temperature')}, the input that no model goes without"
+        )
+    if cabinet and not any(one in case.declared for one in IDENTIFIABLE):
+        faults.append(
+            f"{name}: nothing in the cabinet to identify; expected one of "
+            f"{', '.join(signal(one) for one in IDENTIFIABLE)}"
+        )
+    return faults
+
+
+def _weathers(
+    case: StatedCase, weather: Callable[[StatedWeather], Record]
+) -> tuple[list[tuple[StatedWeather, Record]], list[str], list[str]]:
+    """What the weather files bring, those that follow each other joined; warnings, faults."""
+    reads: list[tuple[StatedWeather, Record]] = []
+    warnings: list[str] = []
+    faults: list[str] = []
+    for stated in case.weather:
+        try:
+            read = weather(stated)
+        except TableFault as broken:
+            faults += [f"{stated.file}: {fault}" for fault in broken.faults]
+            continue
+        warnings += [f"{stated.file}: {one}" for one in read.warnings]
+        read = dataclasses.replace(read, warnings=())
+        for place, (before, earlier) in enumerate(reads):
+            # one file a year, say: the second goes on where the first ends
+            if (before.format, before.compare) == (stated.format, stated.compare) and follows(earlier, read):
+                try:
+                    made = joined((earlier, read), earlier.name)
+                except TableFault as broken:
+                    faults += [f"{before.file} and {stated.file}: {fault}" for fault in broken.faults]
+                    break
+                warnings += [f"{before.file} and {stated.file}: {one}" for one in made.warnings]
+                reads[place] = (before, dataclasses.replace(made, warnings=()))
+                break
+        else:
+            reads.append((stated, read))
+    return reads, warnings, faults
 
 
 def _case_text(file: Path) -> tuple[str, dict[str, Any]]:
@@ -256,7 +293,7 @@ def _source_series(
     found = []
     for one in source.columns:
         raw = values[one.column]
-        wrong = _unit_mistaken(one, raw)
+        wrong = unit_mistaken(raw, one.unit, one.signal)
         if wrong is None and one.signal.name == "active_power" and rated_W is not None:
             wrong, hint = _power_mistaken(one, raw, rated_W)
             warnings += [hint] if hint else []
@@ -275,21 +312,24 @@ def _source_series(
                 break
             length = step
         moved, length = _end_of_interval(time + source.clock_correction_s, length or 0.0, source.stamp, hold)
-        resolution = detect_resolution(raw) if one.resolution is None else one.resolution
-        found.append(
-            Series(
-                one.signal.name,
-                moved,
-                to_si(raw, one.unit, one.signal),
-                hold,
-                length,
-                difference_to_si(resolution, one.unit, one.signal),
-                None if one.accuracy is None else difference_to_si(one.accuracy, one.unit, one.signal),
-                source.clock_uncertainty_s,
-                f'{source.file}, column "{one.column}"',
-                response_time_s=one.response_time_s,
+        settings = dict(one.settings)
+        if "resolution" not in settings:
+            settings["resolution"] = difference_to_si(detect_resolution(raw), one.unit, one.signal)
+        try:
+            found.append(
+                Series(
+                    one.signal.name,
+                    moved,
+                    to_si(raw, one.unit, one.signal),
+                    hold,
+                    length,
+                    clock_uncertainty_s=source.clock_uncertainty_s,
+                    source=f'{source.file}, column "{one.column}"',
+                    **settings,
+                )
             )
-        )
+        except ValueError as impossible:
+            faults.append(f'column "{one.column}": {impossible}')
     if source.interval_s is not None and source.interval_s > 1.5 * step:
         warnings.append(
             f"interval = {duration_text(source.interval_s)} is longer than the step of "
@@ -317,50 +357,6 @@ def _end_of_interval(time: np.ndarray, length: float, stamp: str, hold: str) -> 
     return time + shift, length
 
 
-def _unit_mistaken(one: StatedColumn, raw: np.ndarray) -> str | None:
-    """Why the readings cannot be in the unit stated, or None."""
-    finite = raw[np.isfinite(raw)]
-    if not len(finite):
-        return None
-    row, unit = one.signal, one.unit
-    if row.dimension == "fraction" and not row.also:
-        plausible = finite[(finite >= 0.0) & (finite <= 110.0)]
-        high = float(np.quantile(plausible, 0.995)) if len(plausible) else math.nan
-        if unit == "%" and 0.0 < high <= 1.5:
-            return (
-                f"{row.name} is called %, but its readings reach only {high:.3g}: they look like "
-                'fractions; state unit = "1"'
-            )
-        if unit == "1" and high > 1.5:
-            return (
-                f"{row.name} is called a fraction (unit 1), but its readings reach {high:.3g}: "
-                'they look like per cent; state unit = "%"'
-            )
-    fits = _share_in_range(finite, unit, row)
-    better = [
-        other for other in fitting_units(row) if other != unit and _share_in_range(finite, other, row) > 0.5
-    ]
-    middle = float(np.median(finite))
-    if row.name == "ambient_temperature" and unit == "degC" and fits > 0.5 and middle > 45.0:
-        return (
-            f"ambient_temperature is called degC, but half of its readings exceed {middle:.4g}, "
-            "hotter than any climate; they would fit as degF: correct the unit or the column"
-        )
-    if fits >= 0.5 or (fits > 0.0 and not better):
-        return None
-    limits = f"{in_words(row.low, row)} … {in_words(row.high, row)}"
-    hint = f"; they would fit as {' or '.join(better)}" if better else ""
-    return (
-        f"{row.name} is called {unit}, but its readings (median {middle:.4g}) do not lie within "
-        f"{limits}{hint}: correct the unit or the column"
-    )
-
-
-def _share_in_range(values: np.ndarray, unit: str, signal: Signal) -> float:
-    converted = to_si(values, unit, signal)
-    return float(np.mean((converted >= signal.low) & (converted <= signal.high)))
-
-
 def _power_mistaken(one: StatedColumn, raw: np.ndarray, rated_W: float) -> tuple[str | None, str | None]:
     """Power that does not go with the rated power: a fault if impossible, a warning if doubtful."""
     finite = to_si(raw[np.isfinite(raw)], one.unit, one.signal)
@@ -376,30 +372,6 @@ def _power_mistaken(one: StatedColumn, raw: np.ndarray, rated_W: float) -> tuple
     if high > 1.3 * rated_W or 1e-4 < high / rated_W < 2e-3:
         return None, f"{text}: are its unit and rated_power_kW right?"
     return None, None
-
-
-def _overlap_faults(series: tuple[Series, ...]) -> list[str]:
-    """Sources that share no time with the cabinet's readings."""
-    spans = {one.signal: (one.time[0] - one.interval_s, one.time[-1]) for one in series if len(one)}
-    cabinet = {signal: span for signal, span in spans.items() if signal in _IDENTIFIABLE}
-    if not cabinet:
-        return []
-    first = min(span[0] for span in cabinet.values())
-    last = max(span[1] for span in cabinet.values())
-    apart: dict[str, list[str]] = {}
-    for one in series:
-        if one.signal in cabinet or one.signal not in spans:
-            continue
-        start, end = spans[one.signal]
-        if start > last or end < first:
-            file = one.source.split(", column")[0]
-            apart.setdefault(f"{file} ({period_text(start, end)})", []).append(one.signal)
-    return [
-        f"no overlap: {', '.join(signals)} in {where} and the cabinet's readings "
-        f"({period_text(first, last)}) share no time; check the files, and zone and offset of "
-        "their stamps"
-        for where, signals in apart.items()
-    ]
 
 
 def _period_faults(record: Record, case: StatedCase) -> list[str]:
@@ -418,7 +390,7 @@ def _emptied(record: Record, cabinet: bool, ambient: bool) -> list[str]:
     faults = []
     needed = [("ambient_temperature",)] if ambient else []
     if cabinet:
-        needed.append(tuple(signal for signal in _IDENTIFIABLE if signal in record))
+        needed.append(tuple(signal for signal in IDENTIFIABLE if signal in record))
     for signals in needed:
         there = [signal for signal in signals if signal in record]
         if not any(np.isfinite(record[signal].value).any() for signal in there):

@@ -1,14 +1,14 @@
-"""The form of a case file: its keys, their types, and the line on which each stands."""
+"""The form of a case, in a file or in the arguments of a call: its keys, their types, and where each is stated."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-from hygrokf.case_keys import CaseLines, expect_known_keys, stated_number, stated_positive, stated_text
+from hygrokf.case_keys import Statement, expect_known_keys, stated_number, stated_positive, stated_text
 from hygrokf.record import HOLDS, Site
-from hygrokf.signals import SIGNALS, Signal, suggestion, unit_fault
+from hygrokf.signals import SIGNALS, Signal, difference_to_si, fitting_units, suggestion, unit_fault
 from hygrokf.stamps import duration, moment, signed_duration, stamp_text
 from hygrokf.weather_form import StatedWeather, stated_weather
 
@@ -16,9 +16,9 @@ STAMPS = ("instant", "start", "middle", "end")
 """What a stamp marks: an instant, or a place in the interval that was averaged over."""
 
 _CASE_KEYS = ("name", "rated_power_kW", "site", "source", "identification")
-_SITE_KEYS = ("latitude_deg", "longitude_deg", "altitude_m")
-_IDENTIFICATION_KEYS = ("until", "start")
-_SOURCE_KEYS = (
+SITE_KEYS = ("latitude_deg", "longitude_deg", "altitude_m")
+IDENTIFICATION_KEYS = ("until", "start")
+SOURCE_KEYS = (
     "file",
     "time",
     "timezone",
@@ -36,33 +36,65 @@ _SOURCE_KEYS = (
     "compare",
     "signals",
 )
-_COLUMN_KEYS = ("column", "unit", "accuracy", "resolution", "response_time")
+
+
+@dataclass(frozen=True)
+class ColumnSetting:
+    """What may be stated of one signal beside its column and unit: all that it takes for one more is its row below.
+
+    key: as stated. field: of `Series`, which takes the number. read: the number from what is stated; raises ValueError.
+    to_si: (number, unit of the column, signal) -> number as the field has it.
+    """
+
+    key: str
+    field: str
+    read: Callable[[Any], float]
+    to_si: Callable[[float, str, Signal], float]
+
+
+def _size(value: Any) -> float:
+    """A difference that is stated in the unit of the column."""
+    size = stated_number(value)
+    if size is None or size < 0.0:
+        raise ValueError(f"expected a number ≥ 0 in the unit of the column, found {value!r}")
+    return size
+
+
+def _as_stated(number: float, unit: str, signal: Signal) -> float:
+    """A number that has nothing to do with the unit of the column."""
+    return number
+
+
+COLUMN_SETTINGS = (
+    ColumnSetting("accuracy", "accuracy", _size, difference_to_si),
+    ColumnSetting("resolution", "resolution", _size, difference_to_si),
+    ColumnSetting("response_time", "response_time_s", duration, _as_stated),
+)
+_COLUMN_KEYS = ("column", "unit", *(one.key for one in COLUMN_SETTINGS))
 
 
 @dataclass(frozen=True)
 class StatedColumn:
-    """One signal of a source, as the case file states it.
+    """One signal of a source, as the case states it.
 
-    signal: its row of the signal table. column: its name in the file. unit: of the column.
-    accuracy, resolution: [unit] or None. response_time_s: [s] of the sensor, or None.
+    signal: its row of the signal table. column: its name in the table. unit: of the column.
+    settings: [SI] further arguments of its `Series`, of those in `COLUMN_SETTINGS`.
     """
 
     signal: Signal
     column: str
     unit: str
-    accuracy: float | None
-    resolution: float | None
-    response_time_s: float | None = None
+    settings: Mapping[str, float]
 
 
 @dataclass(frozen=True)
 class StatedSource:
-    """One [[source]] of the case file.
+    """One [[source]] of the case file, or one frame.
 
-    file: relative to the case file. time: column of the stamps. columns: one for each signal.
+    file: relative to the case file, or the name of the frame. time: column of the stamps. columns: one for each signal.
     stamp: one of `STAMPS`. interval_s: [s] averaged over, or None: the step.
     hold: "linear", "zero-order" or None: as the stamp has it.
-    clock_uncertainty_s: [s]. clock_correction_s: [s] added to the stamps. reading: further arguments of `read_table`.
+    clock_uncertainty_s: [s]. clock_correction_s: [s] added to the stamps. reading: further arguments of `hygrokf.readers.read_table`.
     compare: whether it is only held against the other sources.
     """
 
@@ -80,13 +112,13 @@ class StatedSource:
 
 @dataclass(frozen=True)
 class StatedCase:
-    """What a case file states, as far as it is sound.
+    """What a case states, as far as it is sound.
 
     name: of the enclosure. site: or None. rated_power_W: [W] or None.
     start_s, until_s: [s] limits of the identification period since 1970-01-01T00:00Z, or None.
     sources: that can be read. weather: sources that are weather files.
     declared: every signal named by a source that is used, with the number of its source.
-    lines: finds the line of a key.
+    lines: where a key is stated.
     """
 
     name: str
@@ -96,19 +128,19 @@ class StatedCase:
     until_s: float | None
     sources: tuple[StatedSource, ...]
     declared: dict[str, int]
-    lines: CaseLines
+    lines: Statement
     weather: tuple[StatedWeather, ...] = ()
 
 
-def stated_case(content: dict[str, Any], file: Path, text: str) -> tuple[StatedCase, list[str]]:
-    """What a case file states, and every fault of its form.
+def stated_case(content: dict[str, Any], lines: Statement, name: str) -> tuple[StatedCase, list[str]]:
+    """What a case states, and every fault of its form.
 
-    content: the parsed TOML. file: its path. text: what it was parsed from.
+    content: the parsed TOML, or the same made of arguments. lines: where its keys are stated. name: of the enclosure,
+        where none is stated.
     """
     faults: list[str] = []
-    lines = CaseLines(file.name, text)
     expect_known_keys(content, _CASE_KEYS, "", lines, None, faults)
-    name = stated_text(content, "name", lines, None, faults) or file.stem
+    name = stated_text(content, "name", lines, None, faults) or name
     site = _site(content.get("site"), lines, faults)
     rated = stated_positive(content, "rated_power_kW", lines, None, faults)
     start_s, until_s = _periods(content.get("identification"), lines, faults)
@@ -127,19 +159,19 @@ def stated_case(content: dict[str, Any], file: Path, text: str) -> tuple[StatedC
     return case, faults
 
 
-def _site(table: Any, lines: CaseLines, faults: list[str]) -> Site | None:
+def _site(table: Any, lines: Statement, faults: list[str]) -> Site | None:
     if table is None:
         return None
     if not isinstance(table, dict):
-        faults.append(f"{lines.at(None, 'site')}: expected a table [site], found {table!r}")
+        faults.append(f"{lines.at(None, 'site')}: expected a table {lines.table('site')}, found {table!r}")
         return None
     before = len(faults)
-    expect_known_keys(table, _SITE_KEYS, " in [site]", lines, None, faults)
-    for key in _SITE_KEYS[:2]:
+    expect_known_keys(table, SITE_KEYS, f" in {lines.table('site')}", lines, None, faults)
+    for key in SITE_KEYS[:2]:
         if key not in table:
-            faults.append(f"{lines.at(None, 'site')}: [site] needs {key}")
+            faults.append(f"{lines.at(None, 'site')}: {lines.table('site')} needs {key}")
     numbers = {"latitude_deg": 0.0, "longitude_deg": 0.0, "altitude_m": None}
-    for key in _SITE_KEYS:
+    for key in SITE_KEYS:
         if key in table:
             number = stated_number(table[key])
             if number is None:
@@ -153,14 +185,14 @@ def _site(table: Any, lines: CaseLines, faults: list[str]) -> Site | None:
     return site if len(faults) == before else None
 
 
-def _periods(table: Any, lines: CaseLines, faults: list[str]) -> tuple[float | None, float | None]:
+def _periods(table: Any, lines: Statement, faults: list[str]) -> tuple[float | None, float | None]:
     """Start and end of the identification period [s]."""
     if table is None:
         return None, None
     if not isinstance(table, dict):
-        faults.append(f"{lines.name}: expected a table [identification], found {table!r}")
+        faults.append(f"{lines.name}: expected a table {lines.table('identification')}, found {table!r}")
         return None, None
-    expect_known_keys(table, _IDENTIFICATION_KEYS, " in [identification]", lines, None, faults)
+    expect_known_keys(table, IDENTIFICATION_KEYS, f" in {lines.table('identification')}", lines, None, faults)
     moments: dict[str, float | None] = {"start": None, "until": None}
     for key in moments:
         if key in table:
@@ -179,7 +211,7 @@ def _periods(table: Any, lines: CaseLines, faults: list[str]) -> tuple[float | N
 
 
 def _sources(
-    tables: Any, site: Site | None, lines: CaseLines, faults: list[str]
+    tables: Any, site: Site | None, lines: Statement, faults: list[str]
 ) -> tuple[list[StatedSource], list[StatedWeather], dict[str, int]]:
     """The sources that can be read, weather files apart, and every signal named with the number of its source."""
     declared: dict[str, int] = {}
@@ -202,7 +234,7 @@ def _sources(
             if name in before and name in SIGNALS:
                 other = lines.at(before[name], name).split(", ")[-1]
                 faults.append(
-                    f"{lines.at(block, name)}: signals.{name} is named a second time (first: "
+                    f"{lines.at(block, name)}: {lines.signal(name)} is named a second time (first: "
                     f"{other}); a record has one series of a signal"
                     + (
                         ": to compare the two, state compare = true in one of the sources"
@@ -216,7 +248,7 @@ def _sources(
     return sources, weather, declared
 
 
-def _columns(table: Any, lines: CaseLines, block: int, faults: list[str]) -> tuple[StatedColumn, ...]:
+def _columns(table: Any, lines: Statement, block: int, faults: list[str]) -> tuple[StatedColumn, ...]:
     if not isinstance(table, dict) or not table:
         faults.append(
             f"{lines.at(block)}: this source names no signal; expected such as "
@@ -240,42 +272,37 @@ def _columns(table: Any, lines: CaseLines, block: int, faults: list[str]) -> tup
         for key in ("column", "unit"):
             value = entry.get(key)
             if not isinstance(value, str) or (key == "column" and not value):
-                faults.append(
-                    f"{where}: signals.{name} needs {key}"
-                    + ("" if value is None else f" as text, found {value!r}")
-                )
+                needed = f"{where}: {lines.signal(name)} needs {key}"
+                needed += "" if value is None else f" as text, found {value!r}"
+                if key == "unit":
+                    needed += f"; units that fit: {', '.join(fitting_units(name))}"
+                faults.append(needed)
         if isinstance(entry.get("unit"), str):
             wrong = unit_fault(entry["unit"], name)
             if wrong is not None:
                 faults.append(f"{where}: {wrong}")
-        sizes = {}
-        for key in ("accuracy", "resolution"):
-            sizes[key] = stated_number(entry.get(key))
-            if key in entry and (sizes[key] is None or sizes[key] < 0.0):
-                faults.append(
-                    f"{where}: {key} must be a number ≥ 0 in the unit of the column, found {entry[key]!r}"
-                )
-        response = None
-        if "response_time" in entry:
-            try:
-                response = duration(entry["response_time"])
-            except ValueError as wrong:
-                faults.append(f"{where}: response_time: {wrong}")
+        settings = {}
+        for one in COLUMN_SETTINGS:
+            if one.key in entry:
+                try:
+                    settings[one] = one.read(entry[one.key])
+                except ValueError as wrong:
+                    faults.append(f"{where}: {one.key}: {wrong}")
         if len(faults) == before:
-            columns.append(
-                StatedColumn(SIGNALS[name], entry["column"], entry["unit"], **sizes, response_time_s=response)
-            )
+            row, unit = SIGNALS[name], entry["unit"]
+            in_si = {one.field: one.to_si(number, unit, row) for one, number in settings.items()}
+            columns.append(StatedColumn(row, entry["column"], unit, in_si))
     return tuple(columns)
 
 
 def _source(
     table: dict[str, Any],
     columns: tuple[StatedColumn, ...],
-    lines: CaseLines,
+    lines: Statement,
     block: int,
     faults: list[str],
 ) -> StatedSource | None:
-    expect_known_keys(table, _SOURCE_KEYS, " in [[source]]", lines, block, faults)
+    expect_known_keys(table, SOURCE_KEYS, " in [[source]]", lines, block, faults)
     words = {
         key: stated_text(table, key, lines, block, faults)
         for key in (

@@ -1,12 +1,31 @@
-"""Keys of a case file: their values checked, every fault with the line on which it stands."""
+"""Keys of a case: their values checked, every fault with the place where it is stated."""
 
 from __future__ import annotations
 
 import math
+import numbers
 import re
-from typing import Any
+from typing import Any, Protocol
 
 from hygrokf.signals import suggestion
+
+
+class Statement(Protocol):
+    """Where a case is stated, for messages: a file with its lines, or the arguments of a call.
+
+    name: of the whole.
+    """
+
+    name: str
+
+    def at(self, block: int | None, *keys: str) -> str:
+        """Where a key is stated: in the source of that number, or outside of the sources."""
+
+    def table(self, name: str) -> str:
+        """What a table of keys, such as `site`, is called."""
+
+    def signal(self, name: str) -> str:
+        """What the entry of a signal is called."""
 
 
 class CaseLines:
@@ -30,6 +49,14 @@ class CaseLines:
             for head in heads
         ]
         self.blocks = list(zip(heads, ends, strict=True))
+
+    def table(self, name: str) -> str:
+        """The head of a table."""
+        return f"[{name}]"
+
+    def signal(self, name: str) -> str:
+        """The key of a signal."""
+        return f"signals.{name}"
 
     def at(self, block: int | None, *keys: str) -> str:
         """ "case.toml, line 7", or the file's name alone where the line is not found.
@@ -58,7 +85,7 @@ def expect_known_keys(
     table: dict[str, Any],
     known: tuple[str, ...],
     of: str,
-    lines: CaseLines,
+    lines: Statement,
     block: int | None,
     faults: list[str],
 ) -> None:
@@ -75,7 +102,7 @@ def expect_known_keys(
 
 
 def stated_text(
-    table: dict[str, Any], key: str, lines: CaseLines, block: int | None, faults: list[str]
+    table: dict[str, Any], key: str, lines: Statement, block: int | None, faults: list[str]
 ) -> str | None:
     """A text that may be absent."""
     value = table.get(key)
@@ -89,13 +116,13 @@ def stated_text(
 
 def stated_number(value: Any) -> float | None:
     """A finite number, or None for anything else."""
-    if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
+    if isinstance(value, bool) or not isinstance(value, numbers.Real) or not math.isfinite(value):
         return None
     return float(value)
 
 
 def stated_positive(
-    table: dict[str, Any], key: str, lines: CaseLines, block: int | None, faults: list[str]
+    table: dict[str, Any], key: str, lines: Statement, block: int | None, faults: list[str]
 ) -> float | None:
     """A number above 0 that may be absent."""
     if key not in table:

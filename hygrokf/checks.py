@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from hygrokf.masks import mask_frozen, mask_out_of_range, mask_saturated
+from hygrokf.masks import mask_frozen, mask_out_of_range, mask_saturated, out_of_range, range_sentence
 from hygrokf.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 from hygrokf.record import Record, Series
-from hygrokf.signals import difference_from_si, from_si, signal_named
-from hygrokf.stamps import duration_text, modal_step, stamp_text
+from hygrokf.signals import difference_from_si, from_si, signal_named, unit_mistaken
+from hygrokf.stamps import duration_text, modal_step, period_text, stamp_text
 from hygrokf.verdict import PARTS
 from hygrokf.weather.alignment import FEWEST_D
 from hygrokf.weather.clocks import (
@@ -32,6 +32,15 @@ _SHORT_RECORD_D = 14.0
 _SHORT_VALIDATION_D = 7.0
 _SOLAR_LAG_MIN = 20.0
 _FEWEST_IN_COMMON = 20
+_OLDEST_S = 10 * 365.25 * _DAY
+"""[s] before which, in the seventies, no turbine was logged."""
+IDENTIFIABLE = (
+    "cabinet_temperature",
+    "cabinet_relative_humidity",
+    "cabinet_absolute_humidity",
+    "cabinet_dew_point_temperature",
+)
+"""Signals of the cabinet that a model can be identified from."""
 
 
 def mask(record: Record) -> Record:
@@ -206,11 +215,58 @@ def doubts(record: Record) -> tuple[str, ...]:
     record: any.
     """
     return (
+        *_doubts_of_readings(record),
         *_doubts_of_periods(record),
         *_doubts_of_power(record),
         *_doubts_of_climate(record),
         *_doubts_of_clocks(record),
     )
+
+
+def _doubts_of_readings(record: Record) -> list[str]:
+    """What a record that was made of series may still hold; `read_case` and `Record.from_frames` refuse or mask it."""
+    said = []
+    for series in (*record.series, *record.compared):
+        row = signal_named(series.signal)
+        mistaken = unit_mistaken(series.value, row.unit, row)
+        outside = out_of_range(series)
+        if mistaken is not None:
+            said.append(mistaken)
+        elif outside.any():
+            said.append(
+                f"{range_sentence(series, outside)}; Record.from_frames and read_case mask such readings"
+            )
+    if record.start_s < _OLDEST_S:
+        said.append(
+            f"the readings begin on {stamp_text(record.start_s)}: are the times seconds since 1970-01-01T00:00Z, or since "
+            "the start of the record?"
+        )
+    return said + no_overlap(record.series)
+
+
+def no_overlap(series: Sequence[Series]) -> list[str]:
+    """Sources that share no time with the cabinet's readings, one sentence each."""
+    spans = {one.signal: (one.time[0] - one.interval_s, one.time[-1]) for one in series if len(one)}
+    cabinet = {signal: span for signal, span in spans.items() if signal in IDENTIFIABLE}
+    if not cabinet:
+        return []
+    first = min(span[0] for span in cabinet.values())
+    last = max(span[1] for span in cabinet.values())
+    apart: dict[str, list[str]] = {}
+    for one in series:
+        if one.signal in cabinet or one.signal not in spans:
+            continue
+        start, end = spans[one.signal]
+        if start > last or end < first:
+            source = one.source.split(", column")[0]
+            where = f" in {source}" * bool(source)
+            apart.setdefault(f"{where} ({period_text(start, end)})", []).append(one.signal)
+    return [
+        f"no overlap: {', '.join(signals)}{where} and the cabinet's readings "
+        f"({period_text(first, last)}) share no time; check the sources, and zone and offset of "
+        "their stamps"
+        for where, signals in apart.items()
+    ]
 
 
 def _doubts_of_periods(record: Record) -> list[str]:
@@ -225,6 +281,11 @@ def _doubts_of_periods(record: Record) -> list[str]:
         said.append(
             "no validation period: every score will be one on the data that were fitted; state "
             "[identification] until"
+        )
+    elif not record.start_s < record.until_s < record.end_s:
+        said.append(
+            f"until = {stamp_text(record.until_s)} is outside of the record "
+            f"({period_text(record.start_s, record.end_s)})"
         )
     else:
         for name, part in (
@@ -263,6 +324,9 @@ def _doubts_of_power(record: Record) -> list[str]:
         said.append(f"hardly any operation: {100 * standstill:.0f} % of the power readings are ≤ 0")
     if record.rated_power_W is None:
         said.append("no rated power: stationary periods cannot be found; state rated_power_kW")
+    elif there.max() > 10.0 * record.rated_power_W:
+        times = there.max() / record.rated_power_W
+        said.append(f"active power reaches {times:.3g} times the rated power: right unit?")
     elif there.max() < 0.3 * record.rated_power_W:
         share = 100.0 * there.max() / record.rated_power_W
         said.append(f"active power never exceeds {share:.0f} % of the rated power: right unit?")
@@ -470,8 +534,8 @@ def describe_text(description: dict[str, Any]) -> str:
     lines += ["", *_table(rows, right=(1, 2, 3, 4, 5, 7))]
     rows = [("signal", "from", "to", "clock", "source")]
     for one in description["signals"]:
-        clock = f"±{duration_text(one['clock_uncertainty_s'])}"
-        clock = clock if one["clock_uncertainty_s"] else "-"
+        stated = one["clock_uncertainty_s"]
+        clock = f"±{duration_text(stated)}" if stated else "-"
         rows.append(
             (
                 one["signal"],

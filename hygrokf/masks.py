@@ -115,24 +115,34 @@ _SPACINGS = tuple(
 )
 
 
+def out_of_range(series: Series) -> np.ndarray:
+    """(T,) True where a reading lies outside of the signal's physical range."""
+    row = signal_named(series.signal)
+    slack = 1e-9 * (row.high - row.low)
+    return (series.value < row.low - slack) | (series.value > row.high + slack)
+
+
 def mask_out_of_range(series: Series) -> tuple[Series, tuple[str, ...]]:
     """Series without readings outside of the signal's physical range, and a warning.
 
     series: any. Catches -273 degC, -99, 9999, a relative humidity of 150 %.
     """
-    row = signal_named(series.signal)
-    slack = 1e-9 * (row.high - row.low)
-    outside = (series.value < row.low - slack) | (series.value > row.high + slack)
+    outside = out_of_range(series)
     if not outside.any():
         return series, ()
+    return _masked(series, outside), (range_sentence(series, outside, " masked"),)
+
+
+def range_sentence(series: Series, outside: np.ndarray, done: str = "") -> str:
+    """That readings lie outside of the physical range; outside: (T,) which, some. done: to them, as a phrase."""
+    row = signal_named(series.signal)
     found = np.unique(series.value[outside])
     shown = [found[0], found[-1]] if len(found) > 1 else [found[0]]
-    sentence = (
+    return (
         f"{_label(series)}: {_readings(outside)} outside of {in_words(row.low, row)} … "
-        f"{in_words(row.high, row)} masked, such as "
+        f"{in_words(row.high, row)}{done}, such as "
         f"{' and '.join(in_words(one, row) for one in shown)} ({_period(series, outside)})"
     )
-    return _masked(series, outside), (sentence,)
 
 
 def mask_saturated(series: Series) -> tuple[Series, tuple[str, ...]]:

@@ -8,8 +8,9 @@ mechanisms does not matter:
 2. `contributions(p, x, u, q)` -> terms added to named sums, such as the heat release;
 3. `drift(p, x, u, q, s)`     -> the rates of the mechanism's own states [unit/h], with the sums in `s`.
 
-`p` parameters, `x` states, `u` inputs, `q` quantities and `s` sums are read as attributes.  `diffusion(p)` gives white
-noise intensities [unit²/h] of the mechanism's own states, `initial(p, u)` their (mean, variance) at the first instant,
+`p` parameters, `x` states, `u` inputs, `q` quantities and `s` sums are read as attributes.  A sum that is
+neither in `SUMS` nor read by any mechanism is misspelt: the first trace raises an error.  `diffusion(p)` gives white noise
+intensities [unit²/h] of the mechanism's own states, `initial(p, u)` their (mean, variance) at the first instant,
 `outputs(p, x, u, q, s)` what a sensor is expected to show and the variance of its noise.
 All functions are pure; they are called with expressions when a model is traced and with numbers everywhere else.
 
@@ -20,13 +21,14 @@ difference in K that it would hold up across R_AT.
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import SimpleNamespace
 
 from hygrokf.parameters import Parameter, unique
 from hygrokf.recursion import Recursion, System
+from hygrokf.signals import suggestion
 
 SUMS = {
     "heat_release": "heat released into the cabinet, as Q R_AT [K]",
@@ -38,7 +40,7 @@ SUMS = {
     "cabinet_relative_humidity_reading": "error of the humidity reading [1]",
     "cabinet_absolute_humidity_reading": "error of the absolute humidity reading [g/m³]",
 }
-"""Sums that mechanisms may contribute to; a mechanism that owns a further network may name sums of its own."""
+"""Sums that mechanisms may contribute to; a mechanism that owns a further network may read sums of its own."""
 
 
 @dataclass(frozen=True)
@@ -127,16 +129,42 @@ class Model:
 
         Works with numbers, arrays (broadcast), complex numbers and traced expressions.
         """
-        state = dict(zip(self.states, x, strict=True))
-        spaces = [SimpleNamespace(**p), SimpleNamespace(**state), SimpleNamespace(**u)]
+        return self._equations(x, u, p, lambda sums: SimpleNamespace(**sums))
+
+    def _traced(self, x: Sequence, u: Mapping[str, object], p: Mapping[str, object]) -> Equations:
+        """`evaluate`, which also makes sure that every sum that is added to exists; raises ValueError where one does not."""
+        read: set[str] = set()
+        found = self._equations(x, u, p, lambda sums: _Sums(sums, read))
+        known = (*SUMS, *sorted(read - set(SUMS)))
+        unknown = [name for name in found.sums if name not in known]
+        if unknown:
+            added = self._contributions(*self._spaces(x, u, p), SimpleNamespace(**found.quantities))
+            raise ValueError(
+                "; ".join(
+                    f'mechanism "{mechanism}" adds to the sum "{name}", which no mechanism reads{suggestion(name, known, 1)}'
+                    for mechanism, name, _ in added
+                    if name in unknown
+                )
+                + f" (the sums of this model: {', '.join(known)})"
+            )
+        return found
+
+    def _equations(
+        self,
+        x: Sequence,
+        u: Mapping[str, object],
+        p: Mapping[str, object],
+        as_read: Callable[[Mapping[str, object]], object],
+    ) -> Equations:
+        """The values of `evaluate`; `as_read` makes of all sums the object that mechanisms read them from."""
+        spaces = self._spaces(x, u, p)
+        state = vars(spaces[1])
         quantities = self._quantities(spaces)
         q = SimpleNamespace(**quantities)
         sums: dict[str, object] = defaultdict(float, dict.fromkeys(SUMS, 0.0))
-        for m in self.mechanisms:
-            if m.contributions is not None:
-                for name, value in m.contributions(*spaces, q).items():
-                    sums[name] = sums[name] + value
-        s = SimpleNamespace(**sums)
+        for _, name, value in self._contributions(*spaces, q):
+            sums[name] = sums[name] + value
+        s = as_read(sums)
         outputs = {
             name: function(*spaces, q, s) for m in self.mechanisms for name, function in m.outputs.items()
         }
@@ -156,8 +184,23 @@ class Model:
 
     def quantities(self, x: Sequence, u: Mapping[str, object], p: Mapping[str, object]) -> dict[str, object]:
         """Shared quantities alone, as `evaluate` has them."""
+        return self._quantities(self._spaces(x, u, p))
+
+    def _spaces(
+        self, x: Sequence, u: Mapping[str, object], p: Mapping[str, object]
+    ) -> tuple[SimpleNamespace, SimpleNamespace, SimpleNamespace]:
+        """Parameters, states and inputs as mechanisms read them."""
         state = dict(zip(self.states, x, strict=True))
-        return self._quantities([SimpleNamespace(**p), SimpleNamespace(**state), SimpleNamespace(**u)])
+        return SimpleNamespace(**p), SimpleNamespace(**state), SimpleNamespace(**u)
+
+    def _contributions(
+        self, p: SimpleNamespace, x: SimpleNamespace, u: SimpleNamespace, q: SimpleNamespace
+    ) -> Iterator[tuple[str, str, object]]:
+        """Every term of every sum: the mechanism that adds it, the sum, the value."""
+        for m in self.mechanisms:
+            if m.contributions is not None:
+                for name, value in m.contributions(p, x, u, q).items():
+                    yield m.name, name, value
 
     def _quantities(self, spaces: Sequence[SimpleNamespace]) -> dict[str, object]:
         found: dict[str, object] = {}
@@ -197,10 +240,10 @@ class Model:
             parameters=tuple(p.name for p in self.parameters),
             states=self.states,
             inputs={name: self.holds[name] for name in self.inputs},
-            drift=lambda x, u, p: self.evaluate(x, u, p).rates,
+            drift=lambda x, u, p: self._traced(x, u, p).rates,
             noise=self.noise,
             outputs=tuple(
-                (name, lambda x, u, p, name=name: self.evaluate(x, u, p).outputs[name])
+                (name, lambda x, u, p, name=name: self._traced(x, u, p).outputs[name])
                 for name in self.outputs
             ),
             resets=tuple(self.states.index(f"mean_{name}") for name in self.averaged),
@@ -215,6 +258,23 @@ class Model:
     def diffuse_recursion(self) -> Recursion:
         """The compiled filter that also carries an infinite part of the covariance."""
         return Recursion(self.system, diffuse=True)
+
+
+class _Sums:
+    """The sums of a model as a mechanism reads them, which remembers the names that were read."""
+
+    def __init__(self, sums: Mapping[str, object], read: set[str]) -> None:
+        self._sums = sums
+        self._read = read
+
+    def __getattr__(self, name: str) -> object:
+        self._read.add(name)
+        if name in self._sums:
+            return self._sums[name]
+        raise AttributeError(
+            f'a mechanism reads the sum "{name}", to which none adds{suggestion(name, self._sums, 1)} '
+            f"(the sums of this model: {', '.join(self._sums)})"
+        )
 
 
 @dataclass(frozen=True)

@@ -12,62 +12,19 @@ import warnings as python_warnings
 import zlib
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from datetime import UTC
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.columns import MISSING, Places, Table, TableFault, column_fault, numbered, table_of
 from hygrokf.signals import suggestion
-from hygrokf.stamps import read_stamps, zone_named
 
 if TYPE_CHECKING:
     import pandas
 
-MISSING = (
-    "",
-    "NaN",
-    "nan",
-    "NAN",
-    "NA",
-    "na",
-    "N/A",
-    "n/a",
-    "#N/A",
-    "null",
-    "NULL",
-    "Null",
-)
-MISSING += ("None", "none", "<NA>", "-", "--", "---")
-"""What counts as a missing reading, besides what the case file lists."""
-
 SUFFIXES = (".csv", ".csv.gz", ".parquet")
 _HEADER_WITHIN = 200
-_SHOWN = 5
-
-
-class TableFault(Exception):
-    """A table that cannot be read; `faults` lists every reason."""
-
-    def __init__(self, faults: Sequence[str]) -> None:
-        self.faults = tuple(faults)
-        super().__init__("\n".join(self.faults))
-
-
-@dataclass(frozen=True)
-class Table:
-    """Columns of a file, in the order of the file.
-
-    time: [s] (N,) since 1970-01-01T00:00Z; finite, neither sorted nor unique yet.
-    values: column name -> (N,) as in the file; NaN = missing.
-    warnings: rows that were left out, and why.
-    sha256: of the file.
-    """
-
-    time: np.ndarray
-    values: dict[str, np.ndarray]
-    warnings: tuple[str, ...]
-    sha256: str
 
 
 @dataclass(frozen=True)
@@ -107,81 +64,30 @@ def read_table(
     """
     file = Path(path)
     faults: list[str] = []
-    zone = None
-    if timezone is not None:
-        try:
-            zone = zone_named(timezone)
-        except ValueError as unknown:
-            faults.append(str(unknown))
-            # Any zone will do to look for further faults.
-            zone = UTC
     content = _content(file)
-    digest = hashlib.sha256(content).hexdigest()
     wanted = list(dict.fromkeys(columns))
     if file.name.lower().endswith(".parquet"):
         frame = _parquet_frame(content, wanted, time_column, faults)
-        source = None
+        places = Places("row", lambda rows: [int(row) + 1 for row in rows])
     else:
         source = _CsvSource(content, file.name, separator, decimal, comment, tuple(missing))
         frame = source.frame(wanted, time_column, faults)
+        places = Places("line", source.line_numbers)
     if len(frame) == 0 and not faults:
         raise TableFault(["expected readings, found no row below the header"])
-
-    values = {}
-    for name in wanted:
-        if name not in frame:
-            continue
-        numbers, texts = _numbers(frame[name], decimal, tuple(missing))
-        values[name] = numbers
-        if texts.any():
-            faults.append(_text_fault(name, frame[name], texts, source, decimal))
-    warnings: list[str] = []
-    time = np.full(len(frame), np.nan)
-    if time_column in frame:
-        stamps = read_stamps(
-            frame[time_column],
-            zone,
-            time_format=time_format,
-            ignore_offset=ignore_offset,
-        )
-        time = stamps.time
-        column = f'column "{time_column}"'
-        if stamps.unreadable.any():
-            where = _where(np.flatnonzero(stamps.unreadable), frame[time_column], source)
-            faults.append(
-                f"{column}: expected ISO 8601 stamps"
-                + (f' or "{time_format}"' if time_format else "")
-                + f", found {int(stamps.unreadable.sum())} of {len(frame)} rows otherwise: {where}"
-                + _stamp_remedy(frame[time_column], stamps.unreadable, time_column)
-            )
-        if stamps.naive.any():
-            rows = np.flatnonzero(stamps.naive)
-            faults.append(
-                f"{column}: {len(rows)} of {len(frame)} stamps have no offset "
-                f"({_where(rows[:1], frame[time_column], source)}); state their zone in this "
-                'source: timezone = "UTC", a fixed offset such as "+01:00", or a name such as '
-                '"Europe/Berlin"'
-            )
-        elif zone is not None and not ignore_offset and _all_aware(frame[time_column]):
-            warnings.append(f'timezone = "{timezone}" is not used: the stamps carry offsets')
-        warnings += stamps.warnings
-        given = frame[time_column].notna().to_numpy()
-        lost = ~given & np.any([np.isfinite(one) for one in values.values()] or [~given], axis=0)
-        if lost.any():
-            where = _lines(np.flatnonzero(lost), source)
-            count = int(lost.sum())
-            rows = "1 row" if count == 1 else f"{count} rows"
-            warnings.append(f"{rows} without a stamp left out: {where}")
-    if faults:
-        raise TableFault(faults)
-    keep = np.isfinite(time)
-    if not keep.any():
-        raise TableFault(["expected readings, found no row with a stamp that can be used"])
-    return Table(
-        time[keep],
-        {name: array[keep] for name, array in values.items()},
-        tuple(warnings),
-        digest,
+    return table_of(
+        frame,
+        wanted,
+        frame[time_column] if time_column in frame else None,
+        f'column "{time_column}"',
+        places,
+        timezone=timezone,
+        decimal=decimal,
+        missing=missing,
+        time_format=time_format,
+        ignore_offset=ignore_offset,
+        faults=faults,
+        sha256=hashlib.sha256(content).hexdigest(),
     )
 
 
@@ -204,12 +110,6 @@ def _content(file: Path) -> bytes:
     if not content:
         raise TableFault(["the file is empty"])
     return content
-
-
-def _column_fault(name: str, found: Sequence[str], holder: str) -> str:
-    """A missing column, with the columns there are."""
-    shown = ", ".join(f'"{one}"' for one in found[:40]) + (" …" if len(found) > 40 else "")
-    return f'no column "{name}" ({holder} has {shown}){suggestion(name, found)}'
 
 
 class _CsvSource:
@@ -286,8 +186,8 @@ class _CsvSource:
                 "in this source"
             )
             return None
-        holder = f"line {first.header_line}"
-        faults.append(_column_fault(time_column, first.names, holder))
+        holder = f"line {first.header_line} has"
+        faults.append(column_fault(time_column, first.names, holder))
         return first
 
     def _other_separator(self, time_column: str) -> str | None:
@@ -317,8 +217,8 @@ class _CsvSource:
             elif count > 1:
                 faults.append(f'line {layout.header_line}: column "{name}" occurs {count} times')
             elif name != time_column:
-                holder = f"line {layout.header_line}"
-                faults.append(_column_fault(name, layout.names, holder))
+                holder = f"line {layout.header_line} has"
+                faults.append(column_fault(name, layout.names, holder))
         if not positions:
             return pd.DataFrame()
         faults += self._width_faults(len(layout.names))
@@ -376,7 +276,7 @@ class _CsvSource:
         if self.separator == "," and re.search(r"\d,\d+(,|$)", example):
             remedy = "; numbers with a decimal comma need another separator or quotes: export again"
         header = f"expected {width} cells as in the header (line {self.layout.header_line})"
-        return [f'{_numbered(wide)}: {header}, found more: "{example[:80]}"{remedy}']
+        return [f'{numbered("line", wide, len(wide))}: {header}, found more: "{example[:80]}"{remedy}']
 
     def line_numbers(self, rows: np.ndarray) -> list[int]:
         """Line numbers of rows of the frame."""
@@ -439,124 +339,10 @@ def _parquet_frame(
         there = [name for name in dict.fromkeys([time_column, *wanted]) if name in found]
         for name in dict.fromkeys([time_column, *wanted]):
             if name not in found:
-                faults.append(_column_fault(name, found, "the file"))
+                faults.append(column_fault(name, found, "the file has"))
         if not there:
             return pd.DataFrame()
         return file.read(columns=there).to_pandas(ignore_metadata=True)
     except pyarrow.ArrowException as broken:
         reason = str(broken).splitlines()[0]
         raise TableFault([f"cannot be read as Parquet: {reason}"]) from None
-
-
-def _numbers(column: pandas.Series, decimal: str, missing: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of a column and where it holds text instead."""
-    import pandas as pd
-
-    nothing = np.zeros(len(column), dtype=bool)
-    if pd.api.types.is_numeric_dtype(column.dtype):
-        numbers = column.to_numpy(dtype=float, na_value=np.nan)
-        # An infinite reading is no reading.
-        return np.where(np.isinf(numbers), np.nan, numbers), nothing
-    if pd.api.types.is_datetime64_any_dtype(column.dtype):
-        return np.full(len(column), np.nan), column.notna().to_numpy()
-    text = column.astype(object)
-    flags = text.map({"true": 1.0, "false": 0.0, "True": 1.0, "False": 0.0, True: 1.0, False: 0.0})
-    plain = text.map(lambda one: one.strip() if isinstance(one, str) else one)
-    if decimal != ".":
-        plain = plain.map(lambda one: one.replace(decimal, ".") if isinstance(one, str) else one)
-    absent = text.isna() | plain.isin([*MISSING, *missing])
-    numbers = pd.to_numeric(plain.where(~absent, None), errors="coerce").astype(float)
-    numbers = numbers.where(numbers.notna(), flags.astype(float))
-    wrong = numbers.isna() & ~absent
-    values = numbers.to_numpy()
-    return np.where(np.isinf(values), np.nan, values), wrong.to_numpy()
-
-
-def _text_fault(
-    name: str,
-    column: pandas.Series,
-    texts: np.ndarray,
-    source: _CsvSource | None,
-    decimal: str,
-) -> str:
-    """Text in a column of numbers: where, what, and the likely remedy."""
-    rows = np.flatnonzero(texts)
-    words = [str(one).strip() for one in column[texts].iloc[:1000]]
-    if any(re.fullmatch(r"-?\d+,\d+", word) for word in words) and decimal == ".":
-        remedy = 'state decimal = "," in this source'
-    elif any(re.fullmatch(r"-?\d{1,3}(,\d{3})+(\.\d+)?", word) for word in words):
-        remedy = "export without thousands separators"
-    elif name in words:
-        remedy = "the header is repeated among the rows: remove these lines"
-    elif list(rows) == [0]:
-        remedy = "if the line under the header holds units, remove it"
-    else:
-        listed = ", ".join(f'"{word}"' for word in dict.fromkeys(words[:_SHOWN]))
-        remedy = (
-            "correct the file or, if this means that there is no reading, state "
-            f"missing = [{listed}] in this source"
-        )
-    return (
-        f'column "{name}": expected numbers, found text in {len(rows)} of {len(column)} rows: '
-        f"{_where(rows, column, source)}; {remedy}"
-    )
-
-
-def _where(rows: np.ndarray, column: pandas.Series, source: _CsvSource | None) -> str:
-    """The first few rows with what they hold, such as: line 7 "error", line 9 "error", …"""
-    shown = rows[:_SHOWN]
-    numbers = source.line_numbers(shown) if source is not None else [row + 1 for row in shown]
-    label = "line" if source is not None else "row"
-    parts = [
-        f'{label} {number} "{str(column.iloc[row]).strip()[:40]}"'
-        for number, row in zip(numbers, shown, strict=False)
-    ]
-    return ", ".join(parts) + (", …" if len(rows) > _SHOWN else "")
-
-
-def _lines(rows: np.ndarray, source: _CsvSource | None) -> str:
-    shown = rows[:_SHOWN]
-    if source is None:
-        return "row " + ", ".join(str(row + 1) for row in shown)
-    return _numbered(source.line_numbers(shown), len(rows))
-
-
-def _numbered(lines: Sequence[int], total: int | None = None) -> str:
-    count = len(lines) if total is None else total
-    listed = ", ".join(str(line) for line in lines[:_SHOWN])
-    return f"line{'s' if count > 1 else ''} {listed}" + (" …" if count > _SHOWN else "")
-
-
-def _stamp_remedy(column: pandas.Series, unreadable: np.ndarray, time_column: str) -> str:
-    words = [str(one).strip() for one in column[unreadable].iloc[:200]]
-    if time_column in words:
-        return "; the header is repeated among the rows: remove these lines"
-    if all(re.fullmatch(r"\d+(\.\d*)?", word) for word in words):
-        return "; bare numbers are no stamps: export the time as text such as 2020-12-01T00:00Z"
-    for pattern, form in (
-        (r"\d{1,2}\.\d{1,2}\.\d{4} \d{1,2}:\d{2}:\d{2}", "%d.%m.%Y %H:%M:%S"),
-        (r"\d{1,2}\.\d{1,2}\.\d{4} \d{1,2}:\d{2}", "%d.%m.%Y %H:%M"),
-        (r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d{2}:\d{2}", "%d/%m/%Y %H:%M:%S"),
-        (r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d{2}", "%d/%m/%Y %H:%M"),
-    ):
-        if all(re.fullmatch(pattern, word) for word in words):
-            ask = " (or month first: %m/%d)" if "/" in form else ""
-            return f'; state time_format = "{form}"{ask} in this source'
-    if all(word.startswith("#") for word in words):
-        return '; if these are comments, state comment = "#" in this source'
-    if unreadable.sum() < len(column) / 2:
-        return "; correct or remove these lines"
-    return '; state the form of the stamps, such as time_format = "%d.%m.%Y %H:%M", in this source'
-
-
-def _all_aware(column: pandas.Series) -> bool:
-    """True where stamps are no local ones; only asked after read_stamps found none naive."""
-    import pandas as pd
-
-    if pd.api.types.is_datetime64_any_dtype(column.dtype):
-        return column.dt.tz is not None
-    first = column.dropna()
-    return (
-        len(first) > 0
-        and re.search(r"([zZ]|UTC|GMT|[+-]\d{2}(:?\d{2})?)\s*$", str(first.iloc[0])) is not None
-    )

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from numbers import Real
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.signals import signal_named
+from hygrokf.signals import SIGNALS, Signal, better_units, suggestion
+
+if TYPE_CHECKING:
+    import pandas
 
 HOLDS = ("linear", "zero-order")
 
@@ -47,26 +53,14 @@ class Series:
     response_time_s: float | None = None
 
     def __post_init__(self) -> None:
-        faults = []
-        try:
-            signal_named(self.signal)
-        except KeyError as unknown:
-            faults.append(str(unknown.args[0]))
-        time = np.array(self.time, dtype=float)
-        value = np.array(self.value, dtype=float)
-        if time.ndim != 1 or time.shape != value.shape:
-            faults.append(
-                f"time and value must be arrays of one dimension and one length, "
-                f"found shapes {time.shape} and {value.shape}"
-            )
-        elif not _increases(time):
-            if not np.isfinite(time).all():
-                faults.append("every time must be a finite number of seconds")
-            else:
-                first = int(np.argmax(time[1:] <= time[:-1])) + 1
-                faults.append(f"time must increase strictly; reading {first} does not")
-        if np.isinf(value).any():
-            faults.append("value must be finite, or NaN where a reading is missing")
+        faults: list[str] = []
+        row = SIGNALS.get(self.signal)
+        if row is None:
+            faults.append(f'unknown signal "{self.signal}"{suggestion(self.signal, SIGNALS)}')
+        time = _numbers("time", self.time, _SECONDS, faults)
+        value = _numbers("value", self.value, "numbers" if row is None else f"numbers in {row.unit}", faults)
+        if time is not None and value is not None:
+            faults += _reading_faults(time, value, row)
         if self.hold not in HOLDS:
             faults.append(f'hold must be one of {", ".join(HOLDS)}, found "{self.hold}"')
         for name in ("interval_s", "resolution"):
@@ -125,6 +119,97 @@ class Series:
         """Distances [s] between readings that are not missing, from the smallest to the largest."""
         time, _ = self.known
         return np.sort(time[1:] - time[:-1])
+
+
+_SECONDS = "seconds since 1970-01-01T00:00Z as numbers"
+EARLIEST_S, LATEST_S = -3786912000.0, 7258118400.0
+"""[s] 1850 and 2200: no reading is older or younger."""
+
+
+def _reading_faults(time: np.ndarray, value: np.ndarray, row: Signal | None) -> list[str]:
+    """What is wrong with the times [s] and the readings of a signal."""
+    faults = []
+    if time.ndim != 1 or time.shape != value.shape:
+        faults.append(
+            f"time and value must be arrays of one dimension and one length, "
+            f"found shapes {time.shape} and {value.shape}"
+        )
+    elif not _increases(time):
+        if not np.isfinite(time).all():
+            faults.append("every time must be a finite number of seconds")
+        else:
+            first = int(np.argmax(time[1:] <= time[:-1])) + 1
+            faults.append(f"time must increase strictly; reading {first} does not")
+    elif len(time) and not (EARLIEST_S < time[0] and time[-1] < LATEST_S):
+        faults.append(_no_seconds(time))
+    if np.isinf(value).any():
+        faults.append("value must be finite, or NaN where a reading is missing")
+    elif row is not None and (other := _other_unit(value, row)):
+        faults.append(other)
+    return faults
+
+
+def _numbers(name: str, given: object, expected: str, faults: list[str]) -> np.ndarray | None:
+    """A copy as floating-point numbers, or None and a fault.
+
+    Dates are none: as plain numbers they would count nanoseconds or microseconds, in no zone.
+    """
+    if isinstance(given, np.ma.MaskedArray):
+        given = np.ma.filled(given.astype(float), np.nan)
+    try:
+        raw = np.asarray(given)
+        if raw.dtype.kind not in "mM":
+            return raw.astype(float)
+        found = raw.dtype.name
+    except (TypeError, ValueError):
+        others = (
+            (one for one in given if not isinstance(one, Real)) if isinstance(given, Iterable) else (given,)
+        )
+        found = type(next(iter(others), given)).__name__
+    remedy = _REMEDIES[name]
+    faults.append(f"{name}: expected {expected}, found {found}; convert, such as {remedy}, or hand a frame over to "
+                  "Record.from_frames")  # fmt: skip
+    return None
+
+
+_REMEDIES = {
+    "time": '(index - pandas.Timestamp("1970-01-01", tz="UTC")).total_seconds()',
+    "value": "column.to_numpy(float, na_value=numpy.nan)",
+}
+
+
+def _no_seconds(time: np.ndarray) -> str:
+    """That times (T,) lie beyond all dates, and what they would be counted in."""
+    for factor, unit in ((1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")):
+        if 0.0 < time[0] / factor and time[-1] / factor < LATEST_S:
+            remedy = f"they would fit as {unit}: divide them by {factor:g}"
+            break
+    else:
+        remedy = "correct them"
+    return f"time: expected seconds since 1970-01-01T00:00Z, found {time[0]:.6g} … {time[-1]:.6g}; {remedy}"
+
+
+def _other_unit(value: np.ndarray, row: Signal) -> str | None:
+    """That readings are in another unit than the signal's, where it is certain, or None.
+
+    value: [SI unit] (T,).  Most lie outside of the physical range, and within it in that unit.  Where all are the same
+    they may as well be what a dead sensor shows.
+    """
+    inside = (value >= row.low) & (value <= row.high)
+    if not len(value) or 2 * np.count_nonzero(inside) >= len(value):
+        return None
+    finite = value[np.isfinite(value)]
+    if not len(finite) or 2 * np.count_nonzero(inside) >= len(finite) or np.ptp(finite) == 0.0:
+        return None
+    better = better_units(finite, row.unit, row)
+    if not better:
+        return None
+    unit = "fractions (unit 1)" if row.unit == "1" else row.unit
+    return (
+        f"value: expected {unit}, found readings of about {np.median(finite):.4g}, which would fit as "
+        f'{" or ".join(better)}; convert them, such as hygrokf.signals.to_si(value, "{better[0]}", "{row.name}"), or state '
+        "the unit to Record.from_frames"
+    )
 
 
 def _increases(time: np.ndarray) -> bool:
@@ -202,10 +287,66 @@ class Record:
         twice = sorted({name for names in (self.signals, second) for name in names if names.count(name) > 1})
         if twice:
             raise ValueError(f"record {self.name}: more than one series of {', '.join(twice)}")
+        if self.until_s is not None and not (
+            isinstance(self.until_s, Real) and EARLIEST_S < self.until_s < LATEST_S
+        ):
+            raise ValueError(
+                f"record {self.name}: until_s must be a number of seconds since 1970-01-01T00:00Z, "
+                f"found {self.until_s!r}"
+            )
         if self.rated_power_W is not None and not 0.0 < self.rated_power_W < math.inf:
             raise ValueError(
                 f"record {self.name}: rated_power_W must be a number above 0, found {self.rated_power_W}"
             )
+
+    @classmethod
+    def from_frames(
+        cls,
+        frames: pandas.DataFrame | Mapping[str, pandas.DataFrame] | Sequence[pandas.DataFrame],
+        *,
+        signals: Mapping | None = None,
+        units: Mapping | None = None,
+        name: str = "record",
+        site: Site | Mapping[str, float] | None = None,
+        rated_power_kW: float | None = None,
+        identification: Mapping | None = None,
+        cabinet: bool = True,
+        ambient: bool = True,
+        **settings: object,
+    ) -> Record:
+        """Record of pandas frames, read, checked and masked as `read_case` does with files.
+
+        frames: one DataFrame, or several by name or in a list.  Each is a source with its own clock: its index holds the
+            times (a DatetimeIndex, text in ISO 8601, or a PeriodIndex, whose readings are means of the periods).
+        signals: {column: signal} where a column is not called by its signal.
+        units: {column: unit}, needed for every column that is a signal; docs/signals.md lists both.
+        name, rated_power_kW, site, identification: as in a case file, the last two as mappings, such as
+            identification={"until": "2020-12-01T00:00Z"}.
+        cabinet, ambient: whether there must be a cabinet signal, an ambient temperature; as for `read_case`.
+        settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0}, resolution, response_time.
+            Those of a source are one value for all frames or a mapping from their names: timezone, stamp, interval, hold,
+            clock_uncertainty, clock_correction, decimal, missing, time_format, ignore_offset, compare, and time, the
+            column that holds the times where the index does not.
+
+        Where several frames have columns of the same name, mappings from columns stand in mappings from frames:
+        units={"cabinet": {"T": "degC"}, "mast": {"T": "K"}}.
+
+        What was masked or repaired is in the record's `warnings`.  Raises hygrokf.CaseFault with all faults.
+        """
+        from hygrokf.frames import record_from_frames
+
+        return record_from_frames(
+            frames,
+            name=name,
+            signals=signals,
+            units=units,
+            site=site,
+            rated_power_kW=rated_power_kW,
+            identification=identification,
+            cabinet=cabinet,
+            ambient=ambient,
+            settings=settings,
+        )
 
     @cached_property
     def signals(self) -> tuple[str, ...]:

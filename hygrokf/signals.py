@@ -293,9 +293,9 @@ def near_names(name: str, candidates: Iterable[str], count: int = 3) -> list[str
     return [lower[match] for match in found]
 
 
-def suggestion(name: str, candidates: Iterable[str]) -> str:
-    """Half a sentence that names the nearest candidates, or nothing if none is near."""
-    near = near_names(name, candidates)
+def suggestion(name: str, candidates: Iterable[str], count: int = 3) -> str:
+    """Half a sentence that names the nearest candidates, `count` at most, or nothing if none is near."""
+    near = near_names(name, candidates, count)
     quoted = " or ".join(f'"{one}"' for one in near)
     return f"; did you mean {quoted}?" if near else ""
 
@@ -378,6 +378,71 @@ def difference_to_si(difference: float, unit: str, signal: str | Signal) -> floa
 def difference_from_si(difference: float, unit: str, signal: str | Signal) -> float:
     """Difference in a unit, from the SI unit of the signal: the inverse of `difference_to_si`."""
     return float(difference) / _fitting(unit, signal).factor
+
+
+def share_in_range(values: np.ndarray, unit: str, signal: str | Signal) -> float:
+    """Share of readings that lie in the signal's physical range if they are in that unit [-].
+
+    values: [unit] (N,) finite, N > 0. unit, signal: as for `to_si`, and the same errors.
+    """
+    row = signal if isinstance(signal, Signal) else signal_named(signal)
+    converted = to_si(values, unit, row)
+    return float(np.mean((converted >= row.low) & (converted <= row.high)))
+
+
+def better_units(values: np.ndarray, unit: str, signal: str | Signal) -> list[str]:
+    """Other units in which more than half of the readings would lie in the signal's physical range.
+
+    values: [unit] (N,) finite, N > 0. unit, signal: as for `to_si`, and the same errors.
+    """
+    row = signal if isinstance(signal, Signal) else signal_named(signal)
+    others = [other for other in fitting_units(row) if other != unit]
+    return [other for other in others if share_in_range(values, other, row) > 0.5]
+
+
+def unit_mistaken(values: np.ndarray, unit: str, signal: str | Signal) -> str | None:
+    """Why readings cannot be in the unit stated, as one sentence, or None where they can.
+
+    values: [unit] (N,); NaN = missing. unit, signal: as for `to_si`, and the same errors.
+
+    Fractions called per cent and the reverse show in how far the readings reach; otherwise most readings must lie in the
+    signal's physical range.
+    """
+    row = signal if isinstance(signal, Signal) else signal_named(signal)
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return None
+    if row.dimension == "fraction" and not row.also:
+        plausible = finite[(finite >= 0.0) & (finite <= 110.0)]
+        high = float(np.quantile(plausible, 0.995)) if len(plausible) else math.nan
+        if unit == "%" and 0.0 < high <= 1.5:
+            return (
+                f"{row.name} is called %, but its readings reach only {high:.3g}: they look like "
+                'fractions; state unit = "1"'
+            )
+        if unit == "1" and high > 1.5:
+            return (
+                f"{row.name} is called a fraction (unit 1), but its readings reach {high:.3g}: "
+                'they look like per cent; state unit = "%"'
+            )
+    fits = share_in_range(finite, unit, row)
+    middle = float(np.median(finite))
+    if row.name == "ambient_temperature" and unit == "degC" and fits > 0.5 and middle > 45.0:
+        return (
+            f"ambient_temperature is called degC, but half of its readings exceed {middle:.4g}, "
+            "hotter than any climate; they would fit as degF: correct the unit or the column"
+        )
+    if fits >= 0.5:
+        return None
+    better = better_units(finite, unit, row)
+    if fits > 0.0 and not better:
+        return None
+    limits = f"{in_words(row.low, row)} … {in_words(row.high, row)}"
+    hint = f"; they would fit as {' or '.join(better)}" if better else ""
+    return (
+        f"{row.name} is called {unit}, but its readings (median {middle:.4g}) do not lie within "
+        f"{limits}{hint}: correct the unit or the column"
+    )
 
 
 def in_words(value: float, signal: str | Signal) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from hygrokf.case_keys import CaseLines, expect_known_keys, stated_number, stated_text
+from hygrokf.case_keys import Statement, expect_known_keys, stated_number, stated_text
 from hygrokf.record import Site
 from hygrokf.signals import suggestion
 from hygrokf.stamps import duration, signed_duration
@@ -48,7 +48,7 @@ class StatedWeather:
 
 
 def stated_weather(
-    table: dict[str, Any], site: Site | None, lines: CaseLines, block: int, faults: list[str]
+    table: dict[str, Any], site: Site | None, lines: Statement, block: int, faults: list[str]
 ) -> StatedWeather | None:
     """The weather file that a [[source]] states, or None; every fault of its form goes to `faults`.
 
@@ -116,7 +116,7 @@ def stated_weather(
 
 
 def _within(
-    table: dict[str, Any], key: str, low: float, high: float, lines: CaseLines, block: int, faults: list[str]
+    table: dict[str, Any], key: str, low: float, high: float, lines: Statement, block: int, faults: list[str]
 ) -> float | None:
     """A number within limits that may be absent."""
     if key not in table:

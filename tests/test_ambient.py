@@ -252,7 +252,7 @@ def by_definition(series: Series, when: float, bridge: float) -> float:
 def test_every_value_is_the_one_by_definition(seed, hold, missing, bridge):
     random = np.random.default_rng(seed)
     time = START_S + np.cumsum(random.choice([600.0, 1200.0, 5400.0, 20_000.0], 40))
-    value = random.normal(size=40)
+    value = 283.15 + random.normal(size=40)
     value[random.random(40) < missing] = np.nan
     series = Series("ambient_temperature", time, value, hold, 600.0 if hold == "zero-order" else 0.0)
     asked = np.sort(np.concatenate([time, time - 600.0, random.uniform(time[0] - 9e3, time[-1] + 9e3, 60)]))

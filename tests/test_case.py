@@ -162,7 +162,7 @@ def test_stated_accuracy_resolution_and_clock(folder):
     assert one.accuracy == pytest.approx(0.5)
     assert one.resolution == pytest.approx(0.1)
     assert one.clock_uncertainty_s == 120.0
-    assert record["ambient_temperature"].clock_uncertainty_s == 0.0
+    assert record["ambient_temperature"].clock_uncertainty_s is None
 
 
 def test_a_clock_that_is_known_to_be_off_is_corrected(folder):

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import tomllib
-from pathlib import Path
 
 import pytest
 
 from hygrokf.case_form import stated_case
+from hygrokf.case_keys import CaseLines
 
 GOOD = """name = "uk-01"
 rated_power_kW = 2050.0
@@ -36,7 +36,7 @@ until = 2020-12-01T00:00:00Z
 
 
 def state(text: str):
-    return stated_case(tomllib.loads(text), Path("case.toml"), text)
+    return stated_case(tomllib.loads(text), CaseLines("case.toml", text), "case")
 
 
 def faults(*changes: tuple[str, str]) -> list[str]:
@@ -58,10 +58,10 @@ def test_the_form_is_read():
     assert case.declared == {"cabinet_temperature": 0, "active_power": 1}
     cabinet, scada = case.sources
     assert (cabinet.file, cabinet.time, cabinet.stamp) == ("cabinet.csv", "time", "instant")
-    assert (cabinet.hold, cabinet.interval_s, cabinet.clock_uncertainty_s) == (None, None, 0.0)
+    assert (cabinet.hold, cabinet.interval_s, cabinet.clock_uncertainty_s) == (None, None, None)
     (column,) = cabinet.columns
     assert (column.column, column.unit) == ("T", "degC")
-    assert (column.accuracy, column.resolution) == (0.5, 0.1)
+    assert column.settings == {"accuracy": 0.5, "resolution": 0.1}
     assert (scada.stamp, scada.interval_s, scada.clock_uncertainty_s) == ("start", 600.0, 120.0)
     assert scada.reading == {
         "timezone": "+01:00",
@@ -94,8 +94,9 @@ def test_the_name_defaults_to_that_of_the_file():
         ('"degC"', '"celsius"', 9, ["unknown unit", '"degC"?']),
         ('"degC"', '"kW"', 9, ['unit "kW" is one of power', "K, degC, degF"]),
         ("column =", "colum =", 9, ['unknown key "colum"', '"column"?']),
-        ("accuracy = 0.5", "accuracy = -0.5", 9, ["accuracy must be a number ≥ 0"]),
-        ("resolution = 0.1", 'resolution = "x"', 9, ["resolution must be a number ≥ 0"]),
+        ("accuracy = 0.5", "accuracy = -0.5", 9, ["accuracy: expected a number ≥ 0"]),
+        ("resolution = 0.1", "response_time = 10", 9, ["response_time: expected a duration"]),
+        ("resolution = 0.1", 'resolution = "x"', 9, ["resolution: expected a number ≥ 0"]),
         ('stamp = "start"', 'stamp = "begin"', 14, ["instant, start, middle, end"]),
         ('stamp = "start"', "", 15, ["where in it the stamp is"]),
         ('"10min"', "10", 15, ["interval", "10min"]),
@@ -160,7 +161,10 @@ def test_signals_may_be_tables():
         ("site = 3", "[site]"),
         ("identification = 3", "[identification]"),
         ('[[source]]\nfile = "a"\ntime = "t"\nsignals.rain = "r"', "column = "),
-        ('[[source]]\nfile = "a"\ntime = "t"\nsignals.rain = { column = "r" }', "needs unit"),
+        (
+            '[[source]]\nfile = "a"\ntime = "t"\nsignals.rain = { column = "r" }',
+            "needs unit; units that fit: 1, %, mm",
+        ),
         ("[[source]]\nignore_offset = true", "needs the timezone"),
         ("[[source]]\nignore_offset = 1", "true or false"),
     ],

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -54,6 +55,12 @@ def without(record: Record, *signals: str, **more) -> Record:
 def changed(record: Record, signal: str, value) -> Record:
     one = record[signal]
     return record.replace_series(Series(signal, one.time, np.asarray(value, float), one.hold, one.interval_s))
+
+
+def from_zero(record: Record) -> Record:
+    """The record with times that count from its start."""
+    moved = tuple(replace(one, time=one.time - START) for one in record.series)
+    return replace(record, series=moved, until_s=45.0 * DAY)
 
 
 def test_mask_treats_every_series_and_says_so():
@@ -124,6 +131,33 @@ def test_a_good_record_raises_neither_warning_nor_doubt():
                 np.where(np.arange(8640) % 2, np.nan, good()["ambient_temperature"].value),
             ),
             ["ambient_temperature: 50 % of its readings are missing"],
+        ),
+        (
+            changed(good(), "active_power", good()["active_power"].value * 11.0),
+            ["active power reaches 11 times the rated power"],
+        ),
+        (
+            without(good(), until_s=2.0 * START),
+            ["until = ", "is outside of the record (2020-01-01T00:00Z to"],
+        ),
+        (
+            changed(good(), "cabinet_temperature", np.full(8640, 20.0)),
+            ["cabinet_temperature is called K, but its readings (median 20)", "they would fit as degC"],
+        ),
+        (
+            changed(good(), "cabinet_temperature", np.where(np.arange(8640) % 90, 293.15, 20.0)),
+            [
+                "cabinet_temperature: 96 readings outside of -60 degC … 120 degC, such as -253.1 degC",
+                "from_frames",
+            ],
+        ),
+        (
+            from_zero(good()),
+            ["begin on 1970-01-01T00:00Z: are the times seconds since 1970-01-01T00:00Z, or since"],
+        ),
+        (
+            good().replace_series(series("active_power", np.full(8640, 1e6), start=START + 400 * DAY)),
+            ["no overlap: active_power (2021-02-04T00:10Z to 2021-04-05T00:00Z) and the cabinet's readings"],
         ),
     ],
 )

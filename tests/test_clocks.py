@@ -53,7 +53,7 @@ def test_stamps_in_summer_time_are_set_right() -> None:
 def test_a_shift_that_would_turn_time_back_drops_what_comes_twice() -> None:
     time = datetime(2020, 3, 28, tzinfo=UTC).timestamp() + 600.0 * np.arange(6 * 48)
     record = Record(
-        "cabinet", (Series("cabinet_temperature", time, np.arange(len(time), dtype=float), source="a"),)
+        "cabinet", (Series("cabinet_temperature", time, 273.15 + 0.1 * np.arange(len(time)), source="a"),)
     )
     late = shifted(record, Shift("a", -HOUR_S, summer=True))["cabinet_temperature"]
     assert (np.diff(late.time) > 0).all() and len(late.time) < len(time)

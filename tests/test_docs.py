@@ -190,7 +190,7 @@ def test_every_table_of_the_pictures_script_is_filled() -> None:
 
 
 def test_the_floor_plan_is_the_house() -> None:
-    """Every module stands once in the picture, and what it imports stands below it."""
+    """Every module stands once in the picture, and what it imports stands below it, but for the one way up that the page names."""
     text = (DOCS / "house.md").read_text(encoding="utf-8")
     plan = re.search(r"^```text\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
     assert plan is not None
@@ -209,7 +209,7 @@ def test_the_floor_plan_is_the_house() -> None:
         for name in sorted(imported(file)):
             if name != own and floor[name] >= floor[own]:
                 faults.append(f"{own} imports {name}")
-    assert faults == []
+    assert faults == ["record imports frames"] and "One import points up: `Record.from_frames`" in text
 
 
 def imported(file: Path) -> set[str]:

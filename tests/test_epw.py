@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import weather_case as made
 
+from hygrokf.columns import TableFault
 from hygrokf.psychrometrics import relative_humidity_from_dew_point
-from hygrokf.readers import TableFault
 from hygrokf.record import Site
 from hygrokf.weather.epw import read_epw
 from hygrokf.weather.reading import form_of

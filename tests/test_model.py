@@ -11,6 +11,7 @@ from hygrokf.likelihood import Likelihood
 from hygrokf.mechanisms import LIBRARY, linear_network
 from hygrokf.model import SUMS, Mechanism, Model, compose, extend, without
 from hygrokf.parameters import Parameter
+from hygrokf.recursion import Recursion
 from hygrokf.timeline import timeline
 
 
@@ -123,6 +124,41 @@ def test_what_does_not_fit_is_named() -> None:
         faulty().initial({}, {})
     with pytest.raises(ValueError, match=r"holds of the inputs \['outside'\]"):
         _ = compose([store(), READ, SHIFT]).system
+
+
+def traced(*mechanisms: Mechanism) -> Recursion:
+    return compose([store(), READ, SHIFT, *mechanisms], {"outside": "linear"}).recursion
+
+
+def test_a_misspelt_sum_is_an_error_that_names_the_sums() -> None:
+    with pytest.raises(ValueError, match="no mechanism reads") as caught:
+        traced(
+            source("sun", 1.0), source("fan", 1.0, of="heat_relese"), source("pump", 2.0, of="vapor_release")
+        )
+    said = str(caught.value)
+    assert (
+        'mechanism "fan" adds to the sum "heat_relese", which no mechanism reads; did you mean "heat_release"?'
+        in said
+    )
+    assert 'mechanism "pump" adds to the sum "vapor_release"' in said and '"vapour_release"' in said
+    assert '"sun"' not in said and all(name in said for name in SUMS)
+
+
+def test_a_misspelt_sum_is_found_in_an_extended_model_too(joint: object) -> None:
+    case = joint.first(60)
+    fan = source("fan", 0.0, of="exchnge")
+    with pytest.raises(ValueError, match=r'"fan" adds to the sum "exchnge".*did you mean "exchange"'):
+        Likelihood(extend(case.model, fan), case.timeline).value(case.values)
+
+
+def test_a_sum_that_is_read_and_never_added_to_is_named() -> None:
+    reads = Mechanism(name="deep", states=("deep",), drift=lambda p, x, u, q, s: {"deep": s.deep_heat - x.deep},
+                      initial=lambda p, u: {"deep": (0.0, 1.0)})  # fmt: skip
+    with pytest.raises(AttributeError, match=r'reads the sum "deep_heat", to which none adds.*heat_release'):
+        traced(reads)
+    # with a term the sum is the model's own, beside those that every model has, read or not
+    made = traced(reads, source("rock", 2.0, of="deep_heat"), source("rain", 1.0, of="vapour_release"))
+    assert made.system.states == ("heat", "deep")
 
 
 def test_a_model_with_regimes_only_and_one_without_inputs_run() -> None:

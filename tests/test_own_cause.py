@@ -230,11 +230,11 @@ CAUSE = "C = hygrokf.cause_of('stove', thermal=made({effect}), **WORDS)\n"
         ),
         (
             "C = hygrokf.cause_of('stove', thermal=made(lambda p, x, u, q: {'heat_relase': p.stove_heat}), **WORDS)",
-            "it changes nothing in the free run, whatever its parameters; contribute to one of heat_release",
+            'mechanism "stove" adds to the sum "heat_relase", which no mechanism reads; did you mean "heat_release"?',
         ),
         (
             "C = hygrokf.cause_of('stove', hygric=made(stove), **WORDS)",
-            "hygric part: it changes nothing in the free run",
+            "hygric part: it changes nothing in the free run, whatever its parameters; contribute to one of heat_release",
         ),
         (
             "C = hygrokf.cause_of('stove', thermal=made(stove, (parameter('stove_heat', None),)), **WORDS)",

@@ -6,6 +6,7 @@ import dataclasses
 import math
 
 import numpy as np
+import pandas as pd
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -54,11 +55,72 @@ def test_bad_times_are_refused(time, value):
         Series("wind_speed", np.array(time), np.array(value))
 
 
+CELSIUS = 20.0 + np.arange(50.0) / 10.0
+SECONDS = 1.6e9 + 600.0 * np.arange(50)
+INDEX = pd.date_range("2020-09-13", periods=50, freq="10min")
+
+
+@pytest.mark.parametrize(
+    ("signal", "time", "value", "words"),
+    [
+        ("cabinet_temperature", INDEX, CELSIUS + 273.15, ["expected seconds since 1970", "found datetime64", "Record.from_frames"]),
+        ("cabinet_temperature", INDEX.tz_localize("UTC"), CELSIUS + 273.15, ["expected seconds", "found Timestamp"]),
+        ("cabinet_temperature", INDEX.to_period("10min"), CELSIUS + 273.15, ["expected seconds", "found Period"]),
+        ("cabinet_temperature", INDEX - INDEX[0], CELSIUS + 273.15, ["expected seconds", "found timedelta64"]),
+        ("cabinet_temperature", list(INDEX.strftime("%Y-%m-%d %H:%M")), CELSIUS + 273.15, ["expected seconds", "found str"]),
+        ("cabinet_temperature", 1e3 * SECONDS, CELSIUS + 273.15, ["found 1.6e+12", "milliseconds: divide them by 1000"]),
+        ("cabinet_temperature", INDEX.as_unit("us").asi8, CELSIUS + 273.15, ["microseconds: divide them by 1e+06"]),
+        ("cabinet_temperature", INDEX.as_unit("ns").asi8, CELSIUS + 273.15, ["nanoseconds: divide them by 1e+09"]),
+        ("cabinet_temperature", -1e10 + SECONDS, CELSIUS + 273.15, ["expected seconds since 1970", "correct them"]),
+        ("cabinet_temperature", SECONDS, CELSIUS, ["expected K, found readings of about 22.45", 'to_si(value, "degC", "cabinet_temp']),
+        ("cabinet_temperature", SECONDS, [f"{one:.1f} C" for one in CELSIUS], ["value: expected numbers in K, found str"]),
+        ("cabinet_temperature", SECONDS, [pd.NA, *range(273, 322)], ["found NAType", "na_value=numpy.nan"]),
+        ("cabinet_temperature", SECONDS, [*CELSIUS[1:], [1.0, 2.0]], ["value: expected numbers in K, found list"]),
+        ("ambient_temperature", SECONDS, CELSIUS - 40.0, ["expected K", "degC"]),
+        ("cabinet_relative_humidity", SECONDS, 2.0 * CELSIUS, ["expected fractions (unit 1), found", 'to_si(value, "%"']),
+        ("ambient_pressure", SECONDS, 990.0 + CELSIUS, ["expected Pa", "hPa"]),
+        ("cabinet_absolute_humidity", SECONDS, 0.4 * CELSIUS, ["expected kg/m3", "g/m3"]),
+        ("wind_direction", SECONDS, 7.0 * CELSIUS, ["expected rad", "deg"]),
+        ("cabinet_temprature", INDEX, CELSIUS, ['unknown signal "cabinet_temprature"; did you mean', "expected seconds"]),
+    ],
+)  # fmt: skip
+def test_readings_that_cannot_be_in_si_are_refused(signal, time, value, words):
+    with pytest.raises(ValueError, match=f"series {signal}: ") as caught:
+        Series(signal, time, value)
+    assert all(word in str(caught.value) for word in words), caught.value
+
+
+@pytest.mark.parametrize(
+    ("signal", "value"),
+    [
+        ("cabinet_temperature", np.full(50, -99.0 + 273.15)),  # a dead sensor, to be masked
+        ("cabinet_relative_humidity", np.full(50, 99.99)),  # a sentinel, 9999 %
+        ("cabinet_relative_humidity", np.where(np.arange(50) % 3, 0.7, 1.5)),  # a third out of range
+        ("cabinet_temperature", np.where(np.arange(50) % 2, 20.0, 293.0)),  # half of them, nobody knows
+        ("rotor_speed", CELSIUS / 10.0),
+        ("cabinet_temperature", np.full(50, np.nan)),
+    ],
+)
+def test_readings_that_may_be_wrong_are_kept_to_be_masked_or_doubted(signal, value):
+    assert Series(signal, SECONDS, value).missing.sum() == np.isnan(value).sum()
+
+
+def test_masked_arrays_are_missing_where_they_are_masked():
+    value = np.ma.masked_array(CELSIUS + 273.15, mask=np.arange(50) < 3)
+    assert Series("cabinet_temperature", SECONDS, value).missing.sum() == 3
+
+
+def test_until_is_a_number_of_seconds():
+    for until in (INDEX[9], "2020-09-13T00:00Z", 1.6e12, math.nan):
+        with pytest.raises(ValueError, match="until_s must be a number of seconds since 1970"):
+            Record("x", (), until_s=until)
+
+
 def test_equality_looks_at_the_readings():
-    one = series(value=[1.0, np.nan, 3.0])
-    assert one == series(value=[1.0, np.nan, 3.0])
-    assert one != series(value=[1.0, np.nan, 4.0])
-    assert one != series(value=[1.0, np.nan, 3.0], hold="zero-order")
+    one = series(value=[281.0, np.nan, 283.0])
+    assert one == series(value=[281.0, np.nan, 283.0])
+    assert one != series(value=[281.0, np.nan, 284.0])
+    assert one != series(value=[281.0, np.nan, 283.0], hold="zero-order")
 
 
 def test_a_record_finds_its_signals():
@@ -145,7 +207,7 @@ def test_window_keeps_until_only_inside():
 
 def test_replace_series_exchanges_one_and_adds_warnings():
     record = Record("x", (series(), series("rain")), warnings=("a",))
-    other = series(value=[1.0, 2.0, 3.0])
+    other = series(value=[281.0, 282.0, 283.0])
     changed = record.replace_series(other, warnings=("b",))
     assert changed.signals == record.signals
     assert changed["cabinet_temperature"] == other

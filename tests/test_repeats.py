@@ -70,7 +70,10 @@ def test_repeated_readings_of_the_cabinet_are_set_aside() -> None:
 def test_a_logger_repeats_all_that_it_logs() -> None:
     shown = replace(repeated(wandering(7), 20 * DAY, 40), source="logger.csv, column a")
     beside = replace(wandering(8), signal="cabinet_relative_humidity", source="logger.csv, column b")
-    other = replace(wandering(9), signal="cabinet_absolute_humidity", source="other.csv, column c")
+    other = wandering(9)
+    other = replace(
+        other, signal="cabinet_absolute_humidity", value=3e-5 * other.value, source="other.csv, column c"
+    )
     record, _ = without_repeats(Record("cabinet", (shown, beside, other)))
     gone = np.isnan(record["cabinet_temperature"].value)
     assert (np.isnan(record["cabinet_relative_humidity"].value) == gone).all() and gone.sum() > 35

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import weather_case as made
 
-from hygrokf.readers import TableFault
+from hygrokf.columns import TableFault
 from hygrokf.record import Record, Series, Site
 from hygrokf.weather.joining import joined
 from hygrokf.weather.reading import read_weather_file

@@ -6,6 +6,7 @@ of a mechanism the free run of the extended model must be that of the base, away
 
 from __future__ import annotations
 
+import functools
 import math
 import re
 import traceback
@@ -274,11 +275,17 @@ def _away(start: float, lower: float, upper: float, positive: bool) -> float:
 
 
 _PACKAGE = str(Path(__file__).parents[1])
+_FUNCTOOLS = functools.__file__
+"""Stands between the package and a user's code where a property of the package is computed once."""
 
 
 def told(fault: BaseException, file: str | None = None) -> str:
     """An exception in a user's code as a phrase: its kind, its text, and the line where it was last in that code."""
     frames = traceback.extract_tb(fault.__traceback__)
-    inside = [f for f in frames if (f.filename == file if file else not f.filename.startswith(_PACKAGE))]
+    inside = [
+        f
+        for f in frames
+        if (f.filename == file if file else not f.filename.startswith((_PACKAGE, _FUNCTOOLS)))
+    ]
     where = f" (line {inside[-1].lineno} of {Path(inside[-1].filename).name})" if inside else ""
     return f"{type(fault).__name__}: {fault}{where}"

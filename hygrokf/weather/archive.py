@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from hygrokf.readers import TableFault
+from hygrokf.columns import TableFault
 from hygrokf.signals import suggestion
 
 MOST_BYTES = 2**31

@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from hygrokf.columns import TableFault
 from hygrokf.psychrometrics import dew_point, vapour_pressure
-from hygrokf.readers import TableFault
 from hygrokf.record import Record, Series, Site
 from hygrokf.signals import from_si, signal_named, to_si
 from hygrokf.weather.archive import contents

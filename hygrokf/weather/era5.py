@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.readers import TableFault
+from hygrokf.columns import TableFault
 from hygrokf.record import Record, Site
 from hygrokf.weather.archive import Content, contents
 from hygrokf.weather.fields import NO_HUMIDITY, Field, PointFields, point_record, short_name

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hygrokf.readers import TableFault
+from hygrokf.columns import TableFault
 from hygrokf.record import Record, Series, Site
 from hygrokf.signals import from_si, signal_named
 from hygrokf.stamps import duration_text, modal_step

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.readers import TableFault
+from hygrokf.columns import TableFault
 from hygrokf.record import Site
 from hygrokf.weather.archive import MOST_BYTES
 from hygrokf.weather.fields import Field, PointFields, altitude_of, short_name

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hygrokf.columns import TableFault
 from hygrokf.masks import order_readings
-from hygrokf.readers import TableFault
 from hygrokf.record import Record, Series, Site
 
 SAME_PLACE_DEG = 0.02

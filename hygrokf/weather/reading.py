@@ -7,8 +7,8 @@ import os
 import zipfile
 from pathlib import Path
 
+from hygrokf.columns import TableFault
 from hygrokf.masks import mask_out_of_range
-from hygrokf.readers import TableFault
 from hygrokf.record import Record, Site
 from hygrokf.weather.altitude import LAPSE_RATE, SAID_FROM_M, at_altitude
 from hygrokf.weather.epw import read_epw

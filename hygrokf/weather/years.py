@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hygrokf.readers import TableFault
+from hygrokf.columns import TableFault
 from hygrokf.record import Record, Series, Site
 from hygrokf.stamps import duration_text, modal_step, stamp_text
 from hygrokf.weather.altitude import LAPSE_RATE
