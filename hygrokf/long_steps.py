@@ -91,7 +91,7 @@ class LongStep:
         share = np.where(np.eye(n, dtype=bool), 1.0, 0.5)  # of a packed entry's adjoint, which stands for two
         back = [
             pack(transition.T @ (unpack(part, n) * share) @ transition / share)
-            for part in np.split(bar[n:], width // (n * (n + 1) // 2))
+            for part in np.split(bar[n:], 2 * (width - n) // (n * (n + 1)))
         ]
         return np.concatenate([found[:n], *back]), found[n:]
 
@@ -106,7 +106,7 @@ class LongStep:
             np.full(count, self.hours),
             np.full(count, self.tail_h),
             packed[:, :n],
-            [unpack(part, n) for part in np.split(packed[:, n:], width // (n * (n + 1) // 2), axis=1)],
+            [unpack(part, n) for part in np.split(packed[:, n:], 2 * (width - n) // (n * (n + 1)), axis=1)],
         )
         return np.concatenate([found.mean, *map(pack, found.covariances)], axis=1), found.transition
 
