@@ -11,20 +11,29 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 
 from hygrokf.discretisation import CONSTANT_RATES, VARYING_RATES
 from hygrokf.emission import LANES
 from hygrokf.expression import is_zero
+from hygrokf.long_steps import MOST, TAIL, LongStep, inputs_between
 from hygrokf.model import Model
 from hygrokf.moments import pack, trace_width, unpack
 from hygrokf.recursion import Recursion
+from hygrokf.stamps import duration_text, stamp_text
 from hygrokf.timeline import Timeline
 
 CHUNK = 4096
 """Instants for which sensitivities are held in memory at a time."""
 INITIAL = ("prior", "stationary", "diffuse")
+GAPS = 1_000
+"""Steps of one run that may be long ones: more are no gaps, but a rate far above what the readings resolve."""
+
+
+class RatesFault(FloatingPointError, ValueError):
+    """Parameters whose rates no step can carry; the message names the state, or the steps, and the remedy."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +80,25 @@ class Trace:
 
 
 @dataclass(frozen=True)
+class _Steps:
+    """How the steps are taken with some parameter values.
+
+    `keys` (distinct steps, 1 + regimes) with the length of a sub-step [h], `parts` their number; `long` the instants whose
+    step is a long one, of which the loops take the last `tail_h` [h].
+    """
+
+    keys: np.ndarray
+    parts: np.ndarray
+    long: tuple[int, ...] = ()
+    tail_h: float = 0.0
+
+    def pieces(self, part: slice) -> list[slice]:
+        """Stretches of instants that the loops take in one go: a long step begins a new one."""
+        cuts = [part.start, *(k for k in self.long if part.start < k < part.stop), part.stop]
+        return [slice(a, b) for a, b in pairwise(cuts)]
+
+
+@dataclass(frozen=True)
 class Likelihood:
     """The likelihood of one model on one timeline.
 
@@ -113,6 +141,10 @@ class Likelihood:
         """Bound on the model's fastest rate [1/h] over the record, or over these inputs; or the stated one."""
         if self.fastest is not None:
             return self.fastest
+        return max((0.0, *self._bounds(values, inputs)))
+
+    def _bounds(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None) -> list[float]:
+        """Bound on the rate of each state [1/h] (n,)."""
         r = self.recursion
         known = {f"p:{name}": v for name, v in values.items()}
         if self._rate_moves:
@@ -123,13 +155,13 @@ class Likelihood:
         places, pairs = self._rate_entries
         found = r.graph.evaluate([r.jacobian[i][j] for i, j in places], known)
         entry = dict(zip(places, found, strict=True))
-        bound = 0.0
+        bounds = []
         for i in range(r.n):
             total = abs(entry.get((i, i), 0.0))
             for a, b in pairs[i]:
                 total = total + np.sqrt(np.abs(entry[a] * entry[b]))
-            bound = max(bound, float(np.max(total)))
-        return bound
+            bounds.append(float(np.max(total)))
+        return bounds
 
     @cached_property
     def _rate_moves(self) -> bool:
@@ -152,21 +184,53 @@ class Likelihood:
         places |= {place for row in pairs for pair in row for place in pair}
         return sorted(places), pairs
 
-    def _keys(self, values: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
-        """Key table (sub-step length and regimes) and the number of sub-steps of every key."""
+    def _steps(self, values: Mapping[str, float]) -> _Steps:
+        """Sub-steps of every step; raises RatesFault where the rates are not finite, or too fast for the readings."""
         steps = self.timeline.steps
         limit = self.rate_step or (CONSTANT_RATES if self.recursion.exact else VARYING_RATES).rate_step
         rate = self.rate(values)
-        if not self._longest * rate <= 100_000 * limit:
-            raise FloatingPointError(
-                "the model's rates are not finite, or far above what the steps can carry"
-            )
+        if not math.isfinite(rate):
+            raise RatesFault(self._not_finite(values))
         if self._longest * rate <= limit:
-            return steps, self._single
+            return _Steps(steps, self._single)
         keys = steps.copy()
         parts = np.maximum(np.ceil(steps[:, 0] * (rate / limit) - 1e-9), self._single)
+        far = parts > MOST
+        long: tuple[int, ...] = ()
+        tail_h = TAIL * limit / rate
+        if far.any():
+            long = tuple(np.flatnonzero(far[self.timeline.key]).tolist())
+            if len(long) > GAPS:
+                raise RatesFault(self._too_fast(rate, long))
+            keys[far, 0], parts[far] = tail_h, TAIL
         keys[:, 0] /= np.maximum(parts, 1)
-        return keys, parts.astype(np.int32)
+        return _Steps(keys, parts.astype(np.int32), long, tail_h)
+
+    def _not_finite(self, values: Mapping[str, float]) -> str:
+        """The states without a finite rate, and the parameters that their rates depend on."""
+        if self.fastest is not None:
+            return f"fastest: expected a finite rate [1/h], found {self.fastest}"
+        r = self.recursion
+        lost = [i for i, bound in enumerate(self._bounds(values, None)) if not math.isfinite(bound)]
+        rows = [r.graph.lift(r.jacobian[a][b]) for a, b in self._rate_entries[0] if a in lost or b in lost]
+        symbols = [r.graph.nodes[k][1] for k in r.graph.needed(rows) if r.graph.nodes[k][0] == "symbol"]
+        own = ", ".join(f"{n[2:]} = {values[n[2:]]:.3g}" for n in symbols if n.startswith("p:"))
+        return (
+            f"expected finite rates, found others of {', '.join(self.model.states[i] for i in lost)}"
+            f"{' with ' + own if own else ''}: narrow the bounds of these parameters, or correct the inputs that the "
+            "states follow"
+        )
+
+    def _too_fast(self, rate: float, long: tuple[int, ...]) -> str:
+        t = self.timeline
+        hours = np.sort(t.steps[t.key[list(long)], 0])
+        return (
+            f"expected at most {GAPS} gaps that the model's fastest time constant, {duration_text(3600.0 / rate)}, divides "
+            f"into more than {MOST} parts, found {len(long)} (of {duration_text(3600.0 * hours[0])} to "
+            f"{duration_text(3600.0 * hours[-1])}, the first until "
+            f"{stamp_text(t.origin_s + 3600.0 * t.time[long[0]])}): the readings do not resolve so fast a model; narrow the "
+            "bounds of its parameters, or leave out the part that is so fast"
+        )
 
     @cached_property
     def _longest(self) -> float:
@@ -247,27 +311,52 @@ class Likelihood:
             result[i] = np.imag(self.first_state(moved)) * 1e30
         return result
 
-    def _common(self, values: Mapping[str, float], state: np.ndarray, part: slice = slice(None)) -> tuple:
+    def _common(self, values: Mapping[str, float], steps: _Steps, state: np.ndarray, part: slice) -> tuple:
         t = self.timeline
-        keys, parts = self._keys(values)
-        # a view, not a copy: the compiled loop also reads the row in front of the first instant
-        u = t.u[1:][part]
         key, y, reset = t.key[part], t.y[part], t.reset[part]
-        table = np.empty(max(1, len(keys) * len(self.recursion.key_nodes)))
+        table = np.empty(max(1, len(steps.keys) * len(self.recursion.key_nodes)))
         return (
             len(key),
-            len(keys),
+            len(steps.keys),
             self.theta(values),
-            keys,
-            parts,
+            steps.keys,
+            steps.parts,
             table,
             key,
-            u,
+            self._inputs(steps, part),
             y,
             reset,
             state,
             state.copy(),
         )
+
+    def _inputs(self, steps: _Steps, part: slice) -> np.ndarray:
+        """Inputs of these instants; the compiled loop also reads the row in front of the first: views, no copies.
+
+        Where the first step is a long one, the row in front is that at the beginning of its tail.
+        """
+        t = self.timeline
+        if part.start not in steps.long:
+            return t.u[1:][part]
+        rows = t.u[part.start : part.stop + 1].copy()
+        tail = self._long(steps, part.start).tail
+        rows[0] = [tail[name] for name in t.varying]
+        return rows[1:]
+
+    @property
+    def _whole(self) -> slice:
+        return slice(0, len(self.timeline))
+
+    def _long(self, steps: _Steps, k: int) -> LongStep:
+        """The long step to instant k."""
+        t = self.timeline
+        hours, *held = t.steps[t.key[k]].tolist()
+        before, after = (
+            dict(zip((*t.regimes, *t.varying), (*held, *t.u[row].tolist()), strict=True))
+            for row in (k, k + 1)
+        )
+        tail = inputs_between(self.model.holds, before, after, 1.0 - steps.tail_h / hours)
+        return LongStep(self.recursion, before, tail, hours - steps.tail_h, steps.tail_h)
 
     @cached_property
     def _store(self) -> np.ndarray:
@@ -282,25 +371,59 @@ class Likelihood:
     # -- verbs -----------------------------------------------------------------------------------------------
     def value(self, values: Mapping[str, float]) -> float:
         """ln L; −inf where the filter breaks down (a variance that is not positive)."""
-        out = np.zeros(3)
         state = np.ascontiguousarray(self.first_state(values), dtype=float)
-        self.recursion.code("value")("value", *self._common(values, state), out)
-        value = self._loglik(out)
+        steps = self._steps(values)
+        value = sum(self._run(values, steps, part, state) for part in steps.pieces(self._whole))
         return value if math.isfinite(value) else -math.inf
+
+    def _run(self, values: Mapping[str, float], steps: _Steps, part: slice, state: np.ndarray) -> float:
+        """ln L of a piece; `state` is taken through it."""
+        if part.start in steps.long:
+            self._long(steps, part.start).take(values, state)
+        out = np.zeros(3)
+        self.recursion.code("value")("value", *self._common(values, steps, state, part), out)
+        return self._loglik(out)
 
     def score(self, values: Mapping[str, float]) -> tuple[float, np.ndarray]:
         """ln L and its exact derivatives (d,) with respect to all parameters, by one backward pass."""
-        r = self.recursion
         state = np.ascontiguousarray(self.first_state(values), dtype=float)
-        common = self._common(values, state)
-        parts = common[4]
+        steps = self._steps(values)
+        pieces = steps.pieces(self._whole)
+        states = [state]
+        for part in pieces[:-1]:
+            state = state.copy()
+            self._run(values, steps, part, state)
+            states.append(state)
+        loglik, theta_bar, state_bar = 0.0, np.zeros(len(self.recursion.p)), np.zeros(len(state))
+        for part, state in zip(reversed(pieces), reversed(states), strict=True):
+            entered = state.copy()
+            if part.start in steps.long:
+                self._long(steps, part.start).take(values, entered)
+            share, slopes = self._pulled_back(values, steps, part, entered, state_bar)
+            loglik, theta_bar = loglik + share, theta_bar + slopes
+            if part.start in steps.long:
+                state_bar, slopes = self._long(steps, part.start).back(values, state, state_bar)
+                theta_bar = theta_bar + slopes
+        return loglik, theta_bar + self._first_state_slopes(values) @ state_bar
+
+    def _pulled_back(
+        self,
+        values: Mapping[str, float],
+        steps: _Steps,
+        part: slice,
+        state: np.ndarray,
+        state_bar: np.ndarray,
+    ) -> tuple[float, np.ndarray]:
+        """ln L of a piece and its derivatives (d,); `state_bar` is taken back through it, in place."""
+        r = self.recursion
         width = len(state)
-        out, theta_bar, state_bar = np.zeros(3), np.zeros(len(r.p)), np.zeros(width)
+        out, theta_bar = np.zeros(3), np.zeros(len(r.p))
         store = self._store
-        key_bar = np.zeros(max(1, len(common[3]) * len(r.key_nodes)))
-        buffer = np.empty((max(int(parts.max(initial=1)), len(r.updates)) + 1, width))
+        key_bar = np.zeros(max(1, len(steps.keys) * len(r.key_nodes)))
+        buffer = np.empty((max(int(steps.parts.max(initial=1)), len(r.updates)) + 1, width))
+        common = self._common(values, steps, state, part)
         r.code("adjoint")("adjoint", *common, out, store, key_bar, theta_bar, state_bar, buffer)
-        return self._loglik(out), theta_bar + self._first_state_slopes(values) @ state_bar
+        return self._loglik(out), theta_bar
 
     # where the filter breaks down and the value is −∞, these sums are no numbers either
     @np.errstate(invalid="ignore", divide="ignore", over="ignore")
@@ -360,20 +483,29 @@ class Likelihood:
     ) -> tuple:
         r = self.recursion
         count, outputs = part.stop - part.start, len(r.updates)
+        steps = self._steps(values)
         derivatives: list[tuple[np.ndarray, np.ndarray]] = []
         for state, dot, seed in zip(states, dots, seeds, strict=True):
-            common = self._common(values, state, part)
-            out, e, s = np.zeros(3), np.zeros((count, outputs)), np.ones((count, outputs))
+            e, s, loglik = np.zeros((count, outputs)), np.ones((count, outputs)), 0.0
             de, ds = np.zeros((count, outputs, LANES)), np.zeros((count, outputs, LANES))
-            key_dot = np.empty(max(1, len(common[3]) * len(r.key_nodes)) * LANES)
-            r.code("tangent", gain)("tangent", *common, out, seed, dot, key_dot, e, s, de, ds)
+            key_dot = np.empty(max(1, len(steps.keys) * len(r.key_nodes)) * LANES)
+            for piece in steps.pieces(part):
+                if piece.start in steps.long:
+                    long = self._long(steps, piece.start)
+                    dot[:] = long.tangents(values, state, dot, seed)
+                    long.take(values, state)
+                own = slice(piece.start - part.start, piece.stop - part.start)
+                out, common = np.zeros(3), self._common(values, steps, state, piece)
+                rows = (e[own], s[own], de[own], ds[own])
+                r.code("tangent", gain)("tangent", *common, out, seed, dot, key_dot, *rows)
+                loglik += self._loglik(out)
             derivatives.append((de, ds))
         return (
             e,
             s,
             np.concatenate([d[0] for d in derivatives], axis=2),
             np.concatenate([d[1] for d in derivatives], axis=2),
-            self._loglik(out),
+            loglik,
         )
 
     def trace(self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None) -> Trace:
@@ -387,11 +519,20 @@ class Likelihood:
             state = np.ascontiguousarray(self.first_state(values), dtype=float)
         else:
             state = np.concatenate([start.mean, pack(start.covariance)])
-        out = np.zeros(3)
         rows = np.empty((len(self.timeline), trace_width(n, outputs, self._diffuse)))
-        r.code("trace", gain)("trace", *self._common(values, state), out, rows)
         width = len(state)
         q = n * (n + 1) // 2
+        steps, loglik = self._steps(values), 0.0
+        for part in steps.pieces(self._whole):
+            long = part.start in steps.long
+            through = self._long(steps, part.start).take(values, state) if long else None
+            out, common = np.zeros(3), self._common(values, steps, state, part)
+            r.code("trace", gain)("trace", *common, out, rows[part])
+            loglik += self._loglik(out)
+            if through is not None:
+                rows[part.start, 2 * width + 2 * outputs :] = (
+                    rows[part.start, 2 * width + 2 * outputs :].reshape(n, n) @ through
+                ).ravel()
         before, after = rows[:, :width], rows[:, width + 2 * outputs : 2 * width + 2 * outputs]
         return Trace(
             prior_mean=before[:, :n],
@@ -401,6 +542,6 @@ class Likelihood:
             mean=after[:, :n],
             covariance=unpack(after[:, n : n + q], n),
             transition=rows[:, 2 * width + 2 * outputs :].reshape(-1, n, n),
-            loglik=self._loglik(out),
+            loglik=loglik,
             last=Gaussian(state[:n].copy(), unpack(state[n : n + q], n), float(self.timeline.time[-1])),
         )

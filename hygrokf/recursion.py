@@ -129,7 +129,8 @@ class Recursion:
         if diffuse:
             carried = congruence(self.step.transition, self._square(self.infinite))
             self.predict.outputs.extend(self._lower(carried))
-        self.jacobian = jacobian(system.drift(self.mean, self.now, self.p), self.mean)
+        self.rates = system.drift(self.mean, self.now, self.p)
+        self.jacobian = jacobian(self.rates, self.mean)
         self.updates = [self._trace_update(function) for _, function in system.outputs]
         self._transition_outputs = [g.lift(v) for row in self.step.transition for v in row]
         self.given = [g.symbol(f"c:{i}") for i in range(len(g.given))]

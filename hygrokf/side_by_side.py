@@ -15,6 +15,7 @@ from hygrokf.discretisation import CONSTANT_RATES, VARYING_RATES
 from hygrokf.emission import RUNS
 from hygrokf.fleet_loop import fleet_text, kept_nodes
 from hygrokf.likelihood import Gaussian
+from hygrokf.long_steps import MOST, TAIL, inputs_between, jumped
 from hygrokf.machine import Code
 from hygrokf.model import Model
 from hygrokf.moments import pack, unpack
@@ -49,6 +50,7 @@ class SideBySide:
         self._count = count
         given = list(recursion.constants)
         parameters = np.array([[*(v[p.name] for p in model.parameters), *given] for v in values], dtype=float)
+        self._values = {p.name: parameters[:, i] for i, p in enumerate(model.parameters)}
         moments = np.array([np.concatenate([s.mean, pack(s.covariance)]) for s in states], dtype=float)
         self._theta, self._state = self._in_blocks(parameters), self._in_blocks(moments)
         blocks = len(self._state)
@@ -116,6 +118,9 @@ class SideBySide:
             self._fill(self._y[place], (readings or {}).get(name, np.nan))
         keys = self._keys.copy()
         parts = np.maximum(np.ceil(np.multiply(hours, self._fastest) / self._limit - 1e-9), 1.0)
+        if (far := parts > MOST).any():
+            hours = np.array(np.broadcast_to(hours, self._count), dtype=float)
+            hours[far], parts[far] = self._jumped(far, hours[far], inputs), TAIL
         self._fill(self._parts, parts)
         self._fill(self._keys[0], hours / parts)
         for place, name in enumerate(self.regimes):
@@ -126,6 +131,35 @@ class SideBySide:
             "fleet", len(self._state), self._theta, self._keys, self._parts, _of_blocks(self._parts), _of_blocks(changed),
             self._known, self._before, self._now, self._y, self._state,
         )  # fmt: skip
+
+    def _jumped(
+        self, far: np.ndarray, hours: np.ndarray, inputs: Mapping[str, np.ndarray | float]
+    ) -> np.ndarray:
+        """Take the runs `far` (N,) to the tail of a long step of `hours` [h] each; what is left of it [h]."""
+        rest_h = TAIL * self._limit / self._fastest[far]
+        now = {name: np.broadcast_to(inputs[name], self._count)[far] for name in self.model.inputs}
+        before = {
+            name: row[: self._count][far] for name, row in zip(self.varying, self._before, strict=False)
+        }
+        tail = inputs_between(self.model.holds, before, now, 1.0 - rest_h / hours)
+        rows, n = self._in_rows(self._state).copy(), self.model.recursion.n
+        found = jumped(
+            self.model.recursion,
+            {name: column[far] for name, column in self._values.items()},
+            before,
+            tail,
+            hours - rest_h,
+            rest_h,
+            rows[far, :n],
+            [unpack(rows[far, n:], n)],
+        )
+        rows[far] = np.concatenate([found.mean, pack(found.covariances[0])], axis=1)
+        self._state[...] = self._in_blocks(rows)
+        for name, row in zip(self.varying, self._before, strict=False):
+            at = row[: self._count].copy()
+            at[far] = tail[name]
+            self._fill(row, at)
+        return rest_h
 
     def begin(self, inputs: Mapping[str, np.ndarray]) -> None:
         """State the inputs at the instants where the states are, which straight lines begin at."""

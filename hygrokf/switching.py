@@ -10,6 +10,7 @@ Shapes: T instants, N runs or members side by side, n states.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
@@ -26,6 +27,8 @@ from hygrokf.timeline import Timeline
 
 DECIDE_H = 1.0 / 12.0
 """[h] after which a simulated switch looks at its reading again at the latest."""
+DECIDED_H = 720.0
+"""[h] at the end of a longer step in which it does: what it did months ago in a gap, a cabinet of hours has forgotten."""
 
 
 def switches_of(design: Design) -> dict[str, Switch]:
@@ -42,9 +45,16 @@ def all_on(t: Timeline, switches: Mapping[str, Switch]) -> Timeline:
     return t.with_inputs({name: np.ones(len(t)) for name in switches})
 
 
-def parts_of(hours: np.ndarray | float) -> np.ndarray:
-    """Number of sub-steps of steps [h] in which switches decide, one at least."""
-    return np.maximum(np.ceil(np.asarray(hours) / DECIDE_H - 1e-9), 1.0).astype(int)
+def cut(hours: float) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths [h] of the pieces of a step in which switches decide, and the shares of it at which they end.
+
+    Of a step longer than `DECIDED_H` the first piece is all but the last `DECIDED_H`.
+    """
+    parts = max(math.ceil(min(hours, DECIDED_H) / DECIDE_H - 1e-9), 1)
+    if hours <= DECIDED_H:
+        return np.full(parts, hours / parts), np.arange(1, parts + 1) / parts
+    shares = 1.0 - DECIDED_H / hours * (1.0 - np.arange(parts + 1) / parts)
+    return np.append(hours - DECIDED_H, np.full(parts, DECIDED_H / parts)), shares
 
 
 @dataclass
@@ -156,9 +166,9 @@ class _Pieces:
 def _pieces(model: Model, one: Run) -> _Pieces:
     t = one.timeline
     length = t.steps[t.key, 0]
-    parts = parts_of(length)
-    owner = np.repeat(np.arange(len(t)), parts)
-    share = (np.arange(len(owner)) - np.repeat(np.cumsum(parts) - parts, parts) + 1.0) / parts[owner]
+    cuts = {h: cut(h) for h in np.unique(length).tolist()}
+    owner = np.repeat(np.arange(len(t)), [len(cuts[h][0]) for h in length.tolist()])
+    hours, share = (np.concatenate([cuts[h][i] for h in length.tolist()]) for i in (0, 1))
     inputs = {}
     for name in model.inputs:
         now = t.input(name)
@@ -168,4 +178,4 @@ def _pieces(model: Model, one: Run) -> _Pieces:
             inputs[name] = np.append(before[:1], within)
         else:
             inputs[name] = np.append(now[:1], now[owner])
-    return _Pieces(length[owner] / parts[owner], owner, ~one.operating[owner], inputs, len(t))
+    return _Pieces(hours, owner, ~one.operating[owner], inputs, len(t))

@@ -20,7 +20,7 @@ FLOORS = (
     "console emission discretisation record stamps live.database surface climate.chamber wording",
     "verdict running_sums case_keys columns paths live.table_reader live.sqlite live.postgres live.check",
     "loops masks weather_form readers synthetic ambient live.opcua_security live.opcua_samples",
-    "features fleet_loop live.opcua_client case_form weather.archive weather.fields weather.altitude weather.joining weather.alignment climate.power",
+    "features fleet_loop long_steps live.opcua_client case_form weather.archive weather.fields weather.altitude weather.joining weather.alignment climate.power",
     "recursion weather.gridded weather.epw weather.clocks",
     "checks weather.era5",
     "weather.reading",

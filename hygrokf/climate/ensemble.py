@@ -20,7 +20,7 @@ from hygrokf.design import read_as
 from hygrokf.drivers import Run, run
 from hygrokf.fit import Fit
 from hygrokf.likelihood import Gaussian, Likelihood
-from hygrokf.loops import LINEAR
+from hygrokf.long_steps import inputs_between
 from hygrokf.model import Model
 from hygrokf.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
@@ -30,7 +30,7 @@ from hygrokf.psychrometrics import (
 from hygrokf.record import Record
 from hygrokf.side_by_side import SideBySide
 from hygrokf.surface import Surface, condenses
-from hygrokf.switching import Switchboard, all_on, parts_of, switches_of
+from hygrokf.switching import Switchboard, all_on, cut, switches_of
 
 STEP_H = 1.0
 """[h] distance of the instants that are kept; what happens between them is simulated, not kept."""
@@ -224,26 +224,16 @@ class _Walk:
                 self._step(step_h, now)
                 continue
             before = {name: float(value[place - 1]) for name, value in self.inputs.items()}
-            parts = int(parts_of(step_h))
-            for part in range(1, parts + 1):
-                self.board.decide(
-                    self.state, self._between(before, now, (part - 1) / parts), self.idle[place]
-                )
-                self._step(step_h / parts, self._between(before, now, part / parts) | self._flags)
+            holds, begun = self.runs.model.holds, 0.0
+            hours, shares = cut(step_h)
+            for length, ended in zip(hours.tolist(), shares.tolist(), strict=True):
+                self.board.decide(self.state, inputs_between(holds, before, now, begun), self.idle[place])
+                self._step(length, inputs_between(holds, before, now, ended) | self._flags)
+                begun = ended
 
     @property
     def _flags(self) -> dict[str, np.ndarray]:
         return {} if self.board is None else self.board.flags
-
-    def _between(
-        self, before: Mapping[str, float], now: Mapping[str, float], share: float
-    ) -> dict[str, float]:
-        """Inputs within a step: linear ones part of the way, others as they are over it."""
-        holds = self.runs.model.holds
-        return {
-            name: before[name] + share * (value - before[name]) if holds[name] == LINEAR else value
-            for name, value in now.items()
-        }
 
     def _step(self, step_h: float, inputs: Mapping[str, np.ndarray | float]) -> None:
         self.runs.step(step_h, inputs)
