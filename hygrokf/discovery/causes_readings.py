@@ -9,6 +9,7 @@ from hygrokf.discovery.clocks import Shift, sources, turns_within
 from hygrokf.discovery.grids import Probe, best_date, inside, span
 from hygrokf.discovery.scan import abrupt
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
+from hygrokf.forms import LONGEST_RESPONSE_H, UNSTATED
 
 
 def temperature_offset(scene: Scene) -> list[Variant]:
@@ -54,6 +55,24 @@ def humidity_drift(scene: Scene) -> list[Variant]:
             "humidity_sensor_drift", form, {HYGRIC: ((mechanism, settings),)}, features, starts, searched=len(forms)
         )
         for form, mechanism, settings, features, starts in forms
+    ]  # fmt: skip
+
+
+def response(scene: Scene) -> list[Variant]:
+    """A humidity sensor that follows slowly: the temperature beside it tells its delay from a slow exchange of air.
+
+    Where the fit has estimated the response already, nothing is left to find.
+    """
+    if HYGRIC not in scene.parts:
+        return []
+    sensors = dict(scene.parts[HYGRIC].base.mechanisms)
+    return [
+        Variant(
+            "sensor_response", "humidity", altered={HYGRIC: {sensor: {"longest_response_h": LONGEST_RESPONSE_H}}},
+            starts=({f"{signal}_response": 0.1},),
+        )
+        for signal, sensor in UNSTATED.items()
+        if sensor in sensors and sensors[sensor].get("longest_response_h") is None
     ]  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from hygrokf.discovery.cause import Cause, one_mechanism
 from hygrokf.discovery.causes_heat import cooling, door, exchange_step, heat_drift, heater, sun, wind
 from hygrokf.discovery.causes_moisture import condensation, drier, rain, sorption, source
-from hygrokf.discovery.causes_readings import breathed, clock, humidity_drift, temperature_offset
+from hygrokf.discovery.causes_readings import breathed, clock, humidity_drift, response, temperature_offset
 from hygrokf.discovery.scene import THERMAL
 
 ODD = 30.0
@@ -71,6 +71,11 @@ LIBRARY: tuple[Cause, ...] = (
         "temperature_sensor_offset", "the cabinet's temperature sensor is off by more than its accuracy",
         "compare the sensor with a reference; check its place and its wiring", "a second temperature sensor beside it",
         temperature_offset,
+    ),
+    Cause(
+        "sensor_response", "the humidity sensor follows more slowly than the case states",
+        "clean or replace its filter; state its response time in the case", "a second, bare humidity sensor beside it",
+        response, alone=ODD,
     ),
     Cause(
         "clock_shift", "one source's clock is off", "set the clock, or state the zone and the stamp of the source",
