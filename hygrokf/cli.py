@@ -367,6 +367,7 @@ def _discover(options: argparse.Namespace) -> int:
 def _simulate(options: argparse.Namespace) -> int:
     from hygrokf.files import write_text_whole
     from hygrokf.tables import simulation_csv, simulation_summary
+    from hygrokf.verdict import told
 
     expect_file(options.out)
     fit = _stored(options)
@@ -380,7 +381,11 @@ def _simulate(options: argparse.Namespace) -> int:
     write_text_whole(options.out, text)
     for sentence in summary["statements"]:
         print(f"note: {sentence}", file=sys.stderr)
-    _print(summary, f"{summary['n']} instants written: {options.out}", options.json)
+    _print(
+        summary,
+        "\n".join([f"{summary['n']} instants written: {options.out}", *told(summary["verdicts"])]),
+        options.json,
+    )
     return 0
 
 

@@ -10,9 +10,9 @@ from dataclasses import dataclass
 from hygrokf.lookup import entry, number, numbers, one_line
 from hygrokf.report_words import lead_words, method, simulated, time_constant
 from hygrokf.wording import (
-    BASELINES,
     NONE,
     QUANTITIES,
+    RULES,
     SCORED,
     decimals_for,
     fixed,
@@ -113,8 +113,7 @@ def rmse_table(fit: Mapping, period: str) -> Table | None:
     if not any(math.isfinite(number(fit, "rmse", period, q, "total")) for q in SCORED):
         return None
     rows = [("model, free run", *_cells(fit, ("rmse", period)))]
-    names: dict[str, str] = {key: words for group in BASELINES.values() for key, words in group.items()}
-    for key, words in names.items():
+    for key, words in RULES.items():
         cells = _cells(fit, ("baselines", period, key))
         if any(cell != NONE for cell in cells):
             rows.append((words, *cells))

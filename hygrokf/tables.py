@@ -14,6 +14,8 @@ from hygrokf.fit import Fit
 from hygrokf.record import Record
 from hygrokf.scoring import PERIODS, SCORED, bands, baselines, scores, sensor_share
 from hygrokf.simulation import Prediction, free_run
+from hygrokf.verdict import inherited, told
+from hygrokf.wording import RULES
 
 COLUMNS = {
     "cabinet_temperature_degC": "temperature_K",
@@ -78,6 +80,7 @@ def simulation_summary(fit: Fit, record: Record) -> dict:
         "n": len(t),
         "share_with_known_inputs": float(made.scored.mean()),
         "means": means,
+        "verdicts": inherited(fit.results),
         "statements": [*unlike(fit, record), *_unknown_throughout(fit, record, made)],
     }
 
@@ -103,6 +106,7 @@ def evaluation(fit: Fit, record: Record) -> dict:
     return {
         "fit": fit.name,
         "record": record.name,
+        "verdicts": inherited(fit.results),
         "rmse": table,
         "baselines": baselines(made, record.until_s),
         "sensor_share": sensor_share(record, made, table),
@@ -140,10 +144,11 @@ def unlike(fit: Fit, record: Record) -> list[str]:
 def evaluation_text(found: Mapping) -> str:
     """The evaluation as a fixed-width table: Table III of the paper with the baselines below it."""
     lines = [f"{found['fit']} on {found['record']}: root mean squared error of the free run"]
+    lines += told(found.get("verdicts"))
     lines += [f"note: {sentence}" for sentence in found.get("statements", ())]
     lines.append("")
     title = len(lines)
-    head = f"{'':34}{'operation':>12}{'standstill':>12}{'total':>12}{'n':>9}"
+    head = f"{'':36}{'operation':>12}{'standstill':>12}{'total':>12}{'n':>9}"
     for period in PERIODS:
         if not any(found["rmse"][period][q]["n"]["total"] for q in SCORED):
             continue
@@ -152,7 +157,7 @@ def evaluation_text(found: Mapping) -> str:
             lines.append(_row(f"  model, {unit}", found["rmse"][period][quantity]))
             for name, guess in found["baselines"][period].items():
                 if quantity in guess:
-                    lines.append(_row(f"  {_BASELINES[name]}", guess[quantity]))
+                    lines.append(_row(f"  {RULES[name]}", guess[quantity]))
         lines.append("")
     if len(lines) == title:
         return "\n".join(
@@ -181,11 +186,6 @@ _LABELS = {
     "relative_humidity": "relative humidity",
     "absolute_humidity_g_m3": "absolute humidity",
 }
-_BASELINES = {
-    "ambient": "c = c_amb",
-    "ambient_pressure_balance": "c = c_amb T_amb/T_conv,a",
-    "no_dynamics": "release without heat storage",
-}
 
 
 def _row(label: str, cells: Mapping) -> str:
@@ -193,4 +193,4 @@ def _row(label: str, cells: Mapping) -> str:
         f"{'–':>12}" if cells[r] is None else f"{cells[r]:12.2f}"
         for r in ("operation", "standstill", "total")
     )
-    return f"{label:34}{numbers}{cells['n']['total']:9d}"
+    return f"{label:36}{numbers}{cells['n']['total']:9d}"

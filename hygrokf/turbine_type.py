@@ -28,6 +28,7 @@ from hygrokf.design import Design
 from hygrokf.files import write_text_whole
 from hygrokf.fit import Fit
 from hygrokf.parameters import Parameter, Prior
+from hygrokf.verdict import PARAMETER_OF, REJECT, verdicts
 from hygrokf.version import __version__
 
 FEWEST = 2
@@ -152,7 +153,7 @@ def pooled(fits: Sequence[Fit], name: str = "") -> TurbineType:
     """The type of several turbines from their fits, each counted with its own covariance.
 
     The design is that of the first fit.  Parameters of loggers (offsets, noise of a reading) are left out, as are those
-    that a fit took over from another (marked as fixed), and those that fewer than two of the fits know with a standard error.  Raises TypeFault where fewer than two fits are given,
+    that a fit took over from another (marked as fixed), time constants that are not to be believed, and those that fewer than two of the fits know with a standard error.  Raises TypeFault where fewer than two fits are given,
     where the same turbine is given twice, or where nothing is left.
     """
     from hygrokf.confidence import normal_quantile
@@ -176,6 +177,8 @@ def pooled(fits: Sequence[Fit], name: str = "") -> TurbineType:
     for fit in fits:
         # what a fit took over from another turbine is no second witness
         taken = {n for n, row in fit.results.get("parameters", {}).items() if row.get("fixed")}
+        # nor is a number that is not to be believed
+        taken |= {PARAMETER_OF[part] for part, one in verdicts(fit.results).items() if one.verdict == REJECT}
         for parameter, value, variance in _on(base, fit):
             if (
                 parameter in known

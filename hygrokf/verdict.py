@@ -45,6 +45,8 @@ TIGHT = 0.25
 """[1] half-width of the interval, relative to the value, up to which a time constant counts as pinned down."""
 WIDE = 4.0
 """[1] upper over lower bound from which an interval is told as a factor."""
+DECADE = 10.0
+"""[1] upper over lower bound from which not even the order of magnitude is known."""
 CONTRADICTION = 2.0
 """[1] distance of the two criteria, in units of what both uncertainties explain, from which they contradict each other."""
 SAYING = 3.0
@@ -78,7 +80,7 @@ CREDIBLE = 0.1
 
 _OUTPUTS = {"thermal": "temperature", "hygric": "humidity"}
 QUANTITY_OF = {"thermal": "temperature_K", "hygric": "absolute_humidity_g_m3"}
-_PARAMETERS = {"thermal": "thermal_time_constant", "hygric": "hygric_k"}
+PARAMETER_OF = {"thermal": "thermal_time_constant", "hygric": "hygric_k"}
 
 
 @dataclass(frozen=True)
@@ -191,6 +193,16 @@ def verdicts(fit: Mapping) -> dict[str, Verdict]:
     return {part: found.get(part, judged.get(part)) for part in PARTS if part in found or part in judged}
 
 
+def with_reasons(fit: Mapping, part: str, further: Iterable[Reason]) -> dict:
+    """The data of a fit with further reasons against one of its numbers."""
+    known = verdicts(fit).get(part)
+    if known is None:
+        return dict(fit)
+    constants = fit["time_constants"]
+    wider = {**constants[part], **Verdict.of((*known.reasons, *further)).to_json()}
+    return {**fit, "time_constants": {**constants, part: wider}}
+
+
 def inherited(fit: Mapping) -> dict[str, dict]:
     """What results that use a fit hand on of its numbers: value, interval, verdict and reasons, by part."""
     return {
@@ -247,7 +259,7 @@ def _convergence(fit: Mapping, part: str) -> Iterator[Reason]:
 def _interval(fit: Mapping, part: str) -> Iterator[Reason]:
     """What the interval itself says: open, the search's own limit, or wide."""
     value, low, high = (number(fit, "time_constants", part, key) for key in ("value_h", "lower_h", "upper_h"))
-    if _PARAMETERS[part] in texts(entry(fit, "at_bounds")):
+    if PARAMETER_OF[part] in texts(entry(fit, "at_bounds")):
         yield Reason(
             "at_limit",
             REJECT,
@@ -269,6 +281,13 @@ def _interval(fit: Mapping, part: str) -> Iterator[Reason]:
             CAUTION,
             f"the record bounds it from below only (≥ {plain_number(low)} h)",
             {"lower_h": low},
+        )
+    elif high > DECADE * low:
+        yield Reason(
+            "undetermined",
+            REJECT,
+            f"its interval reaches over {spread_words(value, low, high)} on either side: not even its order of magnitude is known",
+            {"lower_h": low, "upper_h": high},
         )
     elif not (half := half_width(value, low, high)) <= TIGHT:
         yield Reason(
@@ -295,7 +314,7 @@ def spread_words(value: float, low: float, high: float) -> str:
 def _guards(fit: Mapping, part: str) -> Iterator[Reason]:
     """Other parameters at limits that only guard the search."""
     names = [name for name, row in _rows(fit, part) if entry(row, "at_guard") is True]
-    names = [name for name in names if name != _PARAMETERS[part]]
+    names = [name for name in names if name != PARAMETER_OF[part]]
     if names:
         ended = "ended at a limit of its search" if len(names) == 1 else "ended at limits of their search"
         yield Reason(
@@ -341,9 +360,12 @@ def _criteria(fit: Mapping, part: str) -> Iterator[Reason]:
     said = text_of(entry(data, "disagreement"))
     if said:
         apart = criteria_apart(data)
+        ends = (number(data, "lower_h"), number(data, "upper_h"))
+        values = (other, number(data, "likelihood", "value_h"))
+        held = not any(value < ends[0] or value > ends[1] for value in values)
         yield Reason(
             "criteria_disagree",
-            REJECT if apart > CONTRADICTION else CAUTION,
+            REJECT if apart > CONTRADICTION and not held else CAUTION,
             said,
             {"simulation_h": other, "simulation_lower_h": low, "simulation_upper_h": high, "apart": apart},
         )

@@ -21,6 +21,8 @@ BASELINES = {
         "ambient_pressure_balance": "c = c_amb T_amb/T_conv,a",
     },
 }
+"""Rules that need no model, by the quantity that they foretell."""
+RULES = {key: words for group in BASELINES.values() for key, words in group.items()}
 
 
 def plain_number(value: float, digits: int = 3) -> str:

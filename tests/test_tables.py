@@ -262,7 +262,17 @@ def test_loggers_that_average_are_simulated_as_such(fit, record):
 def test_the_summary_is_that_of_the_file(fit, record, text):
     _, times, cells = parsed(text)
     summary = simulation_summary(fit, record)
-    keys = ["fit", "record", "start", "end", "n", "share_with_known_inputs", "means", "statements"]
+    keys = [
+        "fit",
+        "record",
+        "start",
+        "end",
+        "n",
+        "share_with_known_inputs",
+        "means",
+        "verdicts",
+        "statements",
+    ]
     assert list(summary) == keys
     assert (summary["fit"], summary["record"]) == ("made", "synthetic-turbine-4")
     ends = [datetime.fromisoformat(summary[key]).timestamp() for key in ("start", "end")]
@@ -323,7 +333,16 @@ def test_scores_are_those_of_the_file(record, text, found):
 
 
 def test_the_evaluation_has_everything_and_is_json(found):
-    assert list(found) == ["fit", "record", "rmse", "baselines", "sensor_share", "bands", "statements"]
+    assert list(found) == [
+        "fit",
+        "record",
+        "verdicts",
+        "rmse",
+        "baselines",
+        "sensor_share",
+        "bands",
+        "statements",
+    ]
     assert found["statements"] == []
     assert list(found["bands"]) == ["1h", "6h", "24h", "free_run"]
     for period in ("identification", "validation"):
@@ -342,7 +361,7 @@ def test_the_text_shows_every_score_under_its_label(found):
         humidity = "absolute_humidity_g_m3"
         rows = (
             ("  model, temperature [K]", model["temperature_K"]),
-            ("  release without heat storage", guesses["no_dynamics"]["temperature_K"]),
+            ("  heat release without heat storage", guesses["no_dynamics"]["temperature_K"]),
             ("  model, absolute humidity [g/m3]", model[humidity]),
             ("  c = c_amb", guesses["ambient"][humidity]),
             ("  c = c_amb T_amb/T_conv,a", guesses["ambient_pressure_balance"][humidity]),
@@ -350,7 +369,7 @@ def test_the_text_shows_every_score_under_its_label(found):
         for line, (label, cells) in zip(block[1:6], rows, strict=True):
             shown = [f"{cells[regime]:.2f}" for regime in ("operation", "standstill", "total")]
             assert line.startswith(label)
-            assert line[34:].split() == [*shown, str(cells["n"]["total"])]
+            assert line[36:].split() == [*shown, str(cells["n"]["total"])]
             assert len(line) == len(block[0])
         assert block[6] == ""
     last = lines[lines.index("coverage of the 95 % bands (validation)") + 1 :]

@@ -136,6 +136,9 @@ CASES = {
     ),
     "one_sided": (_put(f"{THERMAL}/lower_h", 0.0), CAUTION, "from above only (≤ 1.58 h)"),
     "imprecise": (_put(f"{THERMAL}/upper_h", 3.0), CAUTION, "±52 % only"),
+    "undetermined": (
+        _all(_put(f"{THERMAL}/lower_h", 0.3), _put(f"{THERMAL}/upper_h", 4.8)), REJECT, "reaches over a factor of 4.0",
+    ),
     "criteria_disagree": (
         _all(
             _put(f"{THERMAL}/disagreement", "innovations say 1.5 h, the free run says 15 h"),
@@ -230,6 +233,19 @@ def test_criteria_that_contradict_reject_and_those_that_differ_a_little_warn(
     apart = abs(math.log(simulated / 1.5)) / reach
     assert found.reasons[0].numbers["apart"] == pytest.approx(apart)
     assert (apart > 2.0) == (verdict == REJECT)
+
+
+def test_a_contradiction_that_the_interval_holds_only_warns() -> None:
+    fit = _sound()
+    CASES["criteria_disagree"][0](fit)
+    plain = {key: fit["time_constants"]["thermal"][key] for key in ("value_h", "lower_h", "upper_h")}
+    _put(f"{THERMAL}/profile", plain)(fit)
+    _put(SIMULATION, {"value_h": 2.6, "lower_h": 2.4, "upper_h": 2.8})(fit)
+    assert decide(fit)["thermal"].verdict == REJECT
+    _all(_put(f"{THERMAL}/lower_h", 0.8), _put(f"{THERMAL}/upper_h", 2.8))(fit)
+    found = decide(fit)["thermal"]
+    assert found.verdict == CAUTION and found.reasons[0].numbers["half_width"] > 0.25
+    assert {one.code for one in found.reasons} == {"imprecise", "criteria_disagree"}
 
 
 def test_the_plain_profile_is_held_against_the_free_run_where_the_headline_is_wider() -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import combinations
 
@@ -23,7 +23,9 @@ from hygrokf.resampling import resampled
 from hygrokf.scoring import PERIODS, SCORED, guesses, period_masks, rmse
 from hygrokf.simulation import measured
 from hygrokf.tables import simulated, unlike
+from hygrokf.verdict import inherited, told
 from hygrokf.version import __version__
+from hygrokf.wording import NONE, RULES
 
 REGIMES = ("operation", "standstill", "total")
 ALL_PERIODS = (*PERIODS, "whole")
@@ -36,12 +38,6 @@ UNSCORED = (
     "nothing to score: no temperature or absolute humidity of the cabinet at a time when all inputs are known (a fit that "
     "knows the power needs the power); see `hygrokf check`"
 )
-RULES = {
-    "no_dynamics": "heat release without heat storage",
-    "ambient": "c = c_amb",
-    "ambient_pressure_balance": "c = c_amb T_amb/T_conv,a",
-}
-NONE = "–"
 UNITS = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m3"}
 
 
@@ -50,7 +46,8 @@ class Column:
     """A fit's free run on a record: errors (T,) by quantity at times (T,) [s], NaN where nothing is scored.
 
     `label` short name; `fit`, `case` what was combined; `own` whether the fit was identified on this record;
-    `rules` errors of the sceptic's rules by quantity and rule; `masks` (T,) by period; `operating` (T,).
+    `rules` errors of the sceptic's rules by quantity and rule; `masks` (T,) by period; `operating` (T,); `verdicts` on the
+    numbers of the fit.
     """
 
     label: str
@@ -65,6 +62,7 @@ class Column:
     masks: Mapping[str, np.ndarray]
     statements: tuple[str, ...]
     synthetic: bool
+    verdicts: Mapping[str, Mapping] = field(default_factory=dict)
 
     def shown(self, quantity: str, period: str, regime: str) -> np.ndarray:
         """(T,) True at the scored instants of a period and a regime."""
@@ -108,6 +106,7 @@ def column(fit: Fit, record: Record, label: str, own: bool = False) -> Column:
         masks,
         tuple(statements),
         synthetic,
+        inherited(fit.results),
     )
 
 
@@ -143,6 +142,7 @@ def compared(columns: Sequence[Column]) -> Comparison:
                 "fit": one.fit,
                 "case": one.case,
                 "identified_here": one.own,
+                "verdicts": dict(one.verdicts),
                 "statements": list(one.statements),
                 "scores": _scores(one),
                 "weeks": {q: [part.tolist() for part in rmse_by_week(one, q)] for q in one.errors},
@@ -299,6 +299,7 @@ def comparison_text(found: Mapping) -> str:
     width = max(min(widest, cut), 12) + 2
     lines = []
     for one in found["columns"]:
+        lines += [f"{one['label']}: {line}" for line in told(one.get("verdicts"))]
         lines += [f"note: {one['label']}: {sentence}" for sentence in one["statements"]]
     for quantity, name in (
         ("temperature_K", "temperature [K]"),

@@ -11,20 +11,19 @@ from pathlib import Path
 import numpy as np
 
 from hygrokf.files import COMPARISON, COMPARISON_TABLE, REPORT, write_text_whole
-from hygrokf.page import document, figure_html, prose, section, tables_html
+from hygrokf.page import document, figure_html, numbers_html, prose, section, tables_html
 from hygrokf.report_tables import Table
 from hygrokf.results import ResultFault, dump
 from hygrokf.transfer.comparison import ALL_PERIODS, REGIMES, Comparison, comparison_csv
 from hygrokf.transfer.plots import QUANTITIES, figure_errors, figure_weeks
 from hygrokf.version import __version__
-from hygrokf.wording import BASELINES, NONE, fixed, minus, percent, sentence, text_of
+from hygrokf.wording import NONE, RULES, fixed, minus, percent, sentence, text_of
 
 PERIODS = {
     "whole": "whole record (as the paper's Table III)",
     "validation": "validation (after the end of each record's identification period)",
     "identification": "identification",
 }
-RULES = {key: words for group in BASELINES.values() for key, words in group.items()}
 
 
 def write_comparison(found: Comparison | None, directory: str | os.PathLike[str]) -> Path:
@@ -60,6 +59,7 @@ def comparison_page(found: Mapping) -> str:
     labels = [text_of(one["label"]) for one in found["columns"]]
     parts = [
         _head(found, labels),
+        *(numbers_html(one.get("verdicts"), f"{one['label']}: the fit {one['fit']}") for one in found["columns"]),
         section("In short", *(f"<p>{prose(line)}</p>" for line in summary(found))),
         section(
             "Errors side by side",

@@ -15,7 +15,7 @@ import numpy as np
 
 from hygrokf.files import REPORT, TRANSFER, TRANSFER_SERIES, TYPE, write_bytes_whole, write_text_whole
 from hygrokf.lookup import number
-from hygrokf.page import document, figure_html, prose, section, tables_html
+from hygrokf.page import document, figure_html, numbers_html, prose, section, tables_html
 from hygrokf.report import write_report
 from hygrokf.report_tables import Table
 from hygrokf.results import ResultFault, dump, write_fit
@@ -30,6 +30,7 @@ from hygrokf.transfer.plots import (
 )
 from hygrokf.transfer.transfer import Transfer, transfer_json
 from hygrokf.turbine_type import TurbineType, write_type
+from hygrokf.verdict import told
 from hygrokf.version import __version__
 from hygrokf.wording import NONE, fixed, plain_number, sentence, text_of
 
@@ -115,7 +116,8 @@ def _head(found: Mapping, source: str, names: Sequence[str]) -> str:
     return (
         "<header><p class=kind>Hygrothermal model of an enclosure · transfer</p>"
         f"<h1>{escape(source)} on {escape(', '.join(names))}</h1>"
-        f"<p class=meta>The {kind} of {escape(source)}, tried on other records.</p>{banner}</header>"
+        f"<p class=meta>The {kind} of {escape(source)}, tried on other records.</p>{banner}"
+        f"{numbers_html(found['from'].get('verdicts'), f'The numbers of {source}')}</header>"
     )
 
 
@@ -124,9 +126,10 @@ def _cards(records: Sequence[Mapping]) -> str:
     for one in records:
         reasons = "".join(f"<p>{prose(sentence(text_of(line)))}</p>" for line in one["reasons"])
         open_ = " open" if one["verdict"] == NOT else ""
+        own = numbers_html(one.get("verdicts"), "The numbers of the model to use here")
         cards.append(
             f"<div class='card wide{open_}'><p class=label>{escape(text_of(one['name']))}</p>"
-            f"<p class='value words'>{escape(sentence(text_of(one['sentence'])))}</p>{reasons}</div>"
+            f"<p class='value words'>{escape(sentence(text_of(one['sentence'])))}</p>{reasons}{own}</div>"
         )
     return f"<section class=cards>{''.join(cards)}</section>"
 
@@ -222,7 +225,8 @@ def errors_table(one: Mapping) -> Table | None:
         ("", *columns, *columns),
         tuple(rows),
         groups=(("", 1), ("temperature [K]", 4), ("absolute humidity [g/m³]", 4)),
-        note=f"{n}. The rule of the temperature was fitted to this record's own identification period.",
+        note=f"{n}: the instants that every set and rule scores, so a number may differ from that of a fit's own page, which scores "
+        "each by itself. The rule of the temperature was fitted to this record's own identification period.",
     )
 
 
@@ -343,9 +347,10 @@ def _foot(found: Mapping) -> str:
 
 def transfer_text(found: Mapping) -> str:
     """The verdicts as text for the terminal."""
-    lines = []
+    lines = [f"{found['from']['name']}: {line}" for line in told(found["from"].get("verdicts"))]
     for one in found["records"]:
         lines += [f"{found['from']['name']} on {one['name']}: {one['sentence']}"]
+        lines += [f"  {line}" for line in told(one.get("verdicts"))]
         lines += [f"  note: {line}" for line in one["statements"]]
         lines += [f"  {line}" for line in one["reasons"]]
         for row in one["groups"]:

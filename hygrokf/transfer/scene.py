@@ -20,6 +20,7 @@ from hygrokf.record import Record
 from hygrokf.simulation import measured
 from hygrokf.transfer.groups import OF_THE_RECORD, UNKNOWN, Difference, group_of
 from hygrokf.turbine_type import TurbineType
+from hygrokf.verdict import Reason, handed_on, inherited
 
 EARLY_SHARE = 0.75
 
@@ -29,7 +30,8 @@ class Origin:
     """What is taken elsewhere: a design, its values, and how sure they are (covariance of `names`, in their units).
 
     `rmse` [K] and [g/m³]: the free run's errors where it comes from, by quantity, if known.  `kind` "fit" or "type".
-    `files`: hashes of the files that a fit was made from; `turbines`: names of those that a type was made of.
+    `files`: hashes of the files that a fit was made from; `turbines`: names of those that a type was made of; `verdicts`
+    on a fit's numbers, as handed on.
     """
 
     name: str
@@ -41,6 +43,16 @@ class Origin:
     rmse: Mapping[str, float] = field(default_factory=dict)
     files: frozenset[str] = frozenset()
     turbines: tuple[str, ...] = ()
+    verdicts: Mapping[str, Mapping] = field(default_factory=dict)
+
+    def reasons(self, part: str) -> tuple[Reason, ...]:
+        """What speaks against a number that is taken over from here."""
+        return tuple(
+            replace(reason, text=f"on {self.name}: {reason.text}")
+            for name, _, verdict in handed_on(self.verdicts)
+            for reason in verdict.reasons
+            if name == part
+        )
 
     @classmethod
     def of(cls, source: Fit | TurbineType) -> Origin:
@@ -64,7 +76,8 @@ class Origin:
         known = {q: row["total"] for q, row in scored.items() if row.get("total")}
         values = {p.name: source.values[p.name] for p in source.design.model.parameters}
         files = frozenset(digest for _, digest in source.results.get("provenance", ()))
-        return cls(source.name, "fit", source.design, values, names, matrix, known, files)
+        handed = inherited(source.results)
+        return cls(source.name, "fit", source.design, values, names, matrix, known, files, verdicts=handed)
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,7 @@ from hygrokf.transfer.account import MATTERS, groups_of, judged, matters, parame
 from hygrokf.transfer.groups import OFFSETS, members, selection
 from hygrokf.transfer.scene import Origin, Scene, difference, scene_of, stamp
 from hygrokf.turbine_type import TurbineType
+from hygrokf.verdict import PARTS, inherited, with_reasons
 from hygrokf.version import __version__
 
 SETS = ("as_is", "own_loggers", "re_estimated", "all_own")
@@ -103,7 +104,11 @@ def transfer_fit(
     found = {
         "name": record.name,
         "synthetic": "synthetic" in record.name.lower(),
-        "from": {"name": scene.origin.name, "kind": scene.origin.kind},
+        "from": {
+            "name": scene.origin.name,
+            "kind": scene.origin.kind,
+            "verdicts": dict(scene.origin.verdicts),
+        },
         "until": stamp(scene.record.until_s),
         "n_readings": scene.early_run.timeline.n_readings,
         "parameters": parameters_of(scene, apart, values, spread, own),
@@ -134,7 +139,8 @@ def transfer_fit(
         return Transfer(found, series)
     say("its own fit")
     mine = _fit(scene, own, spread)
-    return Transfer(found, series, mine if adapted is own else _fit(scene, adapted, told), mine)
+    made = mine if adapted is own else _fit(scene, adapted, told)
+    return Transfer(found | {"verdicts": inherited(made.results)}, series, made, mine)
 
 
 def _effect(scene: Scene, own: Estimate, group: str) -> dict[str, float]:
@@ -266,6 +272,8 @@ def _fit(scene: Scene, estimate: Estimate, spread: Uncertainty) -> Fit:
         wald=_blocks(spread.wald, old),
         sandwich=_blocks(spread.sandwich, old),
         factor=np.concatenate([spread.factor, np.ones(len(kept))]),
+        # no part of this record says anything about what was taken over
+        parts=np.pad(spread.parts, ((0, 0), (0, len(kept) if spread.parts.size else 0))),
     )
     bounds = {}
     for name in (n for n in TIME_CONSTANTS if n in parameters and wider.place(n) is not None):
@@ -278,10 +286,15 @@ def _fit(scene: Scene, estimate: Estimate, spread: Uncertainty) -> Fit:
     stage = Stage(scene.base, scene.early_run, estimate, wider, bounds)
     basis = Basis(JOINT, (stage,), (scene.early,), heat_release_regression(scene.early))
     made = assembled(scene.record, basis, {})
-    made.results["statements"].insert(
-        0, f"design and values that are marked as fixed come from {scene.origin.name}"
-    )
-    return made
+    results = dict(made.results)
+    results["statements"] = [
+        f"design and values that are marked as fixed come from {scene.origin.name}",
+        *made.results["statements"],
+    ]
+    for part, name in zip(PARTS, TIME_CONSTANTS, strict=True):
+        if name in kept:
+            results = with_reasons(results, part, scene.origin.reasons(part))
+    return replace(made, results=results)
 
 
 def _blocks(first: np.ndarray, second: np.ndarray) -> np.ndarray:
