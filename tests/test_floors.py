@@ -40,7 +40,7 @@ FLOORS = (
     "output_error scoring stationary diagnosis discovery.significance",
     "stage",
     "time_constants discovery.scene discovery.clocks",
-    "fit discovery.scan discovery.cause live.operation",
+    "fit discovery.scan discovery.cause live.operation live.ceiling",
     "climate.shots",
     "results tables identification discovery.residuals discovery.changes discovery.grids live.plan live.condition live.outlook climate.ensemble climate.members climate.region turbine_type",
     "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties climate.statistics climate.days climate.range transfer.comparison transfer.groups",

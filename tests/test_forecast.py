@@ -13,7 +13,8 @@ from live_case import live_fit
 from hygrokf.ambient import ambient_absolute_humidity, at_times
 from hygrokf.design import design, extended
 from hygrokf.fit import Fit
-from hygrokf.likelihood import Gaussian, Likelihood
+from hygrokf.likelihood import Gaussian
+from hygrokf.live.ceiling import filtered
 from hygrokf.live.condition import Surface, condition
 from hygrokf.live.forecast import (
     ENOUGH,
@@ -91,7 +92,7 @@ def unread(plan_: Plan, record: Record) -> tuple:
     made = whole(plan_, record).run
     t = made.timeline
     y = np.where((t.origin_s + HOUR_S * t.time > NOW_S + 1.0)[:, None], np.nan, t.y)
-    trace = Likelihood(plan_.model, t.with_readings(y), fastest=plan_.fastest).trace(plan_.values)
+    trace = filtered(plan_.likelihood(t.with_readings(y)), plan_.values)
     return t, condition(plan_.model, plan_.values, t, trace.mean, trace.covariance, SURFACE)
 
 

@@ -300,7 +300,7 @@ def test_forms_widen_to_the_variance_of_their_mixture():
     sample = np.concatenate([random.normal(0.0, 0.02, 200_000), random.normal(0.1, 0.03, 200_000)])
     whole = 0.02**2 + from_forms(0.0, 0.02**2, forms).variance
     assert whole == pytest.approx(float(np.mean(sample**2)), rel=0.01)
-    assert from_forms(0.0, 0.02**2, forms[:1] + [replace(forms[1], weight=0.0)]).variance == 0.0
+    assert from_forms(0.0, 0.02**2, [forms[0], replace(forms[1], weight=0.0)]).variance == 0.0
 
 
 def test_a_free_run_that_agrees_adds_nothing():

@@ -11,9 +11,10 @@ import pytest
 from hygrokf.case import read_case
 from hygrokf.design import CASCADE, design, merged
 from hygrokf.fit import Fit
-from hygrokf.likelihood import Likelihood
+from hygrokf.live.ceiling import filtered
 from hygrokf.live.plan import BEFORE, Form, Plan, plan
 from hygrokf.live.tracker import Reading, Tracker, whole
+from hygrokf.masks import SATURATED
 from hygrokf.record import Record, Series
 from hygrokf.synthetic import synthetic_turbine, write_case
 
@@ -132,6 +133,17 @@ def lagging(record: Record) -> Record:
     )
 
 
+def saturated(record: Record) -> Record:
+    """A humidity sensor that is at its ceiling for a fifth of the time."""
+    series = record["cabinet_relative_humidity"]
+    more = 1.0 - np.nanquantile(series.value, 0.8)
+    return record.replace_series(replace(series, value=np.minimum(series.value + more, 1.0)))
+
+
+def saturated_means(record: Record) -> Record:
+    return of_means(saturated(record))
+
+
 def dry(record: Record) -> Record:
     """No humidity sensor in the cabinet."""
     return replace(record, series=tuple(s for s in record.series if s.signal != "cabinet_relative_humidity"))
@@ -149,7 +161,20 @@ def powerless(record: Record) -> Record:
 
 
 @pytest.mark.parametrize(
-    "shape", [without_gaps, gapped, switches_unknown, rarely_told, of_means, lagging, dry, blind, powerless]
+    "shape",
+    [
+        without_gaps,
+        gapped,
+        switches_unknown,
+        rarely_told,
+        of_means,
+        lagging,
+        saturated,
+        saturated_means,
+        dry,
+        blind,
+        powerless,
+    ],
 )
 @pytest.mark.parametrize(
     ("seed", "late_s", "batch"), [(0, 0.0, 9), (1, 0.95 * LATENESS_S, 7), (2, 0.95 * LATENESS_S, 400)]
@@ -158,7 +183,7 @@ def test_what_is_final_is_the_offline_filter_bit_for_bit(
     record: Record, shape: Callable, seed: int, late_s: float, batch: int
 ) -> None:
     shaped = shape(record)
-    model = planned(of_means(record) if shape in (of_means, lagging) else record)
+    model = planned(of_means(record) if shape in (of_means, lagging, saturated_means) else record)
     forms = {
         s.signal: Form(s.hold, s.interval_s, s.resolution, s.accuracy, s.response_time_s)
         for s in shaped.series
@@ -171,9 +196,10 @@ def test_what_is_final_is_the_offline_filter_bit_for_bit(
     waits_s = HOUR_S + (6.0 * HOUR_S if shape is rarely_told else 0.0)
     assert tracker.point is not None and tracker.newest - tracker.point.time < LATENESS_S + waits_s
     last = int(np.searchsorted(offline.seconds, tracker.point.time + 1e-3, side="right"))
-    there = Likelihood(model.model, offline.run.timeline.window(0, last), fastest=model.fastest).trace(
-        model.values
-    )
+    t = offline.run.timeline
+    there = filtered(model.likelihood(t.window(0, last)), model.values)
+    if shape in (saturated, saturated_means):
+        assert 50 < (t.reading("cabinet_relative_humidity") >= SATURATED).sum() < 0.3 * t.n_readings
     assert np.array_equal(tracker.point.state.mean, there.last.mean)
     assert np.array_equal(tracker.point.state.covariance, there.last.covariance)
     assert np.array_equal(course.trace.mean[-1], offline.trace.mean[-1])

@@ -6,13 +6,12 @@ each of them, and the forecast is the mixture: probabilities are means over the 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hygrokf.drivers import Run, run
-from hygrokf.likelihood import Likelihood
 from hygrokf.live.condition import (
     Condition,
     Quantity,
@@ -136,16 +135,28 @@ def ahead(plan: Plan, state: Point, outlook: Outlook, surface: Surface) -> list[
 
     The state must be of the outlook's own time.  Raises NoForecast as `forecast` does.
     """
+    found = []
+    for moments in moments_ahead(plan, state, outlook):
+        whole = condition(plan.model, plan.values, *moments, surface)
+        found.append(only(whole, np.isin(np.round(whole.time_s), np.round(outlook.time_s))))
+    return found
+
+
+def moments_ahead(
+    plan: Plan, state: Point, outlook: Outlook
+) -> Iterator[tuple[Timeline, np.ndarray, np.ndarray]]:
+    """Under each member: the instants from the state's on, the state's means (T, n) and covariances (T, n, n) there."""
     if abs(state.time - outlook.now_s) > SAME_S:
         raise NoForecast(
             f"the outlook must begin at the state's time, it begins {outlook.now_s - state.time:+.0f} s from it"
         )
-    return [_under(plan, state, outlook, member, surface) for member in outlook.members]
+    for member in outlook.members:
+        yield _under(plan, state, outlook, member)
 
 
 def _under(
-    plan: Plan, state: Point, outlook: Outlook, member: Mapping[str, np.ndarray], surface: Surface
-) -> Condition:
+    plan: Plan, state: Point, outlook: Outlook, member: Mapping[str, np.ndarray]
+) -> tuple[Timeline, np.ndarray, np.ndarray]:
     record = Record(
         plan.name,
         tuple(_series(plan, name, outlook, values) for name, values in sorted(member.items())),
@@ -162,12 +173,10 @@ def _under(
     later = Run(_unread(made.window(first, len(made))), whole.operating[first:], whole.scored[first:])
     # a switch begins as it would stand by the state alone: within its hysteresis, off
     part = self_switched(plan.design, plan.values, [later], [state.state])[0].timeline
-    trace = Likelihood(plan.model, part, fastest=plan.fastest).trace(plan.values, start=state.state)
+    trace = plan.likelihood(part).trace(plan.values, start=state.state)
     mean = np.concatenate([state.state.mean[None], trace.mean])
     covariance = np.concatenate([state.state.covariance[None], trace.covariance])
-    found = condition(plan.model, plan.values, made.window(first - 1, len(made)), mean, covariance, surface)
-    kept = np.isin(np.round(found.time_s), np.round(outlook.time_s))
-    return only(found, kept)
+    return made.window(first - 1, len(made)), mean, covariance
 
 
 def _unread(t: Timeline) -> Timeline:

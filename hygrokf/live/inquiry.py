@@ -11,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from hygrokf.drivers import run
-from hygrokf.likelihood import Likelihood
+from hygrokf.live.ceiling import filtered
 from hygrokf.live.plan import Plan
 from hygrokf.record import Record
 
@@ -60,9 +60,9 @@ def inquire(plan: Plan, record: Record) -> Iterator[Finding | None]:
     Raises ValueError where nothing can be filtered.
     """
     t = run(plan.design, record).timeline
-    likelihood = Likelihood(plan.model, t, fastest=plan.fastest)
+    likelihood = plan.likelihood(t)
     still = {**plan.values, **_standing(plan)}
-    base = likelihood.trace(still).loglik
+    base = filtered(likelihood, still).loglik
     end_s = float(t.origin_s + 3600.0 * t.time[-1])
     gains: dict[str, tuple[float, str, float]] = {}
     for cause, options in STATES.items():
@@ -71,7 +71,7 @@ def inquire(plan: Plan, record: Record) -> Iterator[Finding | None]:
                 continue
             place = plan.model.states.index(state)
             for rate in rates:
-                found = likelihood.trace({**still, f"{state}_rate": rate})
+                found = filtered(likelihood, {**still, f"{state}_rate": rate})
                 gain = found.loglik - base
                 if cause not in gains or gain > gains[cause][0]:
                     gains[cause] = (gain, state, float(found.mean[-1, place]))

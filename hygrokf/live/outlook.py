@@ -8,12 +8,12 @@ is persistence with an honest spread.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times
+from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
 from hygrokf.live.operation import (
     DAY_S,
     DAYS,
@@ -25,7 +25,7 @@ from hygrokf.live.operation import (
     values_held,
 )
 from hygrokf.paths import input_path
-from hygrokf.psychrometrics import absolute_humidity
+from hygrokf.psychrometrics import absolute_humidity, relative_humidity
 from hygrokf.record import Record, Series
 
 FINE_S = 600.0
@@ -210,24 +210,42 @@ def _acts(series: Series) -> bool:
 def _ambients(
     history: Record, now_s: float, time: np.ndarray, days: Sequence[int]
 ) -> list[dict[str, np.ndarray]]:
-    """The ambient as it may go on, a course for each of so many days ago."""
-    told = {
-        name: _departures(series, now_s, time, days, log=name == "vapour")
-        for name, series in _ambient(history).items()
-    }
-    pairs = zip(told["temperature"], told["vapour"], strict=True)
-    return [_physical(kelvin, np.exp(vapour)) for kelvin, vapour in pairs]
+    """The ambient as it may go on, a course for each of so many days ago.
+
+    Of its humidity not the vapour is drawn but w with RH = exp(−w²): whatever is added to w, the air stays below saturation,
+    and the nearer it is to it the less of a departure in w is left of it in the humidity, as in air that would condense.
+    """
+    ambient = _ambient(history)
+    kelvin = _departures(ambient["temperature"], now_s, time, days)
+    dryness = _departures(_humidity(ambient), now_s, time, days, scaled=_dryness)
+    return [
+        _physical(warm, absolute_humidity(np.exp(-(dry**2)), warm))
+        for warm, dry in zip(kelvin, dryness, strict=True)
+    ]
+
+
+def _humidity(ambient: Mapping[str, Series]) -> Series:
+    """Relative humidity [1] of the ambient at the times of its vapour's readings."""
+    vapour, warm = ambient["vapour"], ambient["temperature"]
+    kelvin = at_times(warm, vapour.time, bridge_h(warm, AMBIENT_BRIDGE_H))
+    value = relative_humidity(np.maximum(vapour.value, DRIEST), kelvin)
+    return replace(vapour, signal="ambient_relative_humidity", value=value)
+
+
+def _dryness(humidity: np.ndarray) -> np.ndarray:
+    """w ≥ 0 with RH = exp(−w²), of any shape; 0 where a reading is above saturation."""
+    return np.sqrt(-np.log(np.minimum(humidity, MOISTEST)))
 
 
 def _departures(
-    series: Series, now_s: float, time: np.ndarray, days: Sequence[int], log: bool
+    series: Series,
+    now_s: float,
+    time: np.ndarray,
+    days: Sequence[int],
+    scaled: Callable[[np.ndarray], np.ndarray] = np.asarray,
 ) -> list[np.ndarray]:
-    """Courses of one signal, or of its logarithm: the readings up to now; then what is usual at the hour, what today's
-    departure from it tells, and what each day's beginning did not tell of its own."""
-
-    def scaled(values: np.ndarray) -> np.ndarray:
-        return np.log(np.maximum(values, DRIEST)) if log else values
-
+    """Courses of one signal, `scaled`: the readings up to now; then what is usual at the hour, what today's departure from
+    it tells, and what each day's beginning did not tell of its own."""
     hours = np.arange(0.0, DAY_S, STEP_S)
     past = scaled(values_at(series, now_s - DAY_S + hours[:, None] - DAY_S * np.arange(0, DAYS + 3)))
     there = np.isfinite(past)

@@ -19,7 +19,7 @@ from hygrokf.paths import readings_ahead
 from hygrokf.psychrometrics import absolute_humidity
 from hygrokf.record import Site
 from hygrokf.signals import SIGNALS
-from hygrokf.timeline import timeline
+from hygrokf.timeline import Timeline, timeline
 
 FEATURES_H = 48.0
 BEFORE = 12
@@ -78,6 +78,10 @@ class Plan:
     @property
     def model(self) -> Model:
         return self.design.model
+
+    def likelihood(self, t: Timeline) -> Likelihood:
+        """The likelihood on a timeline, with the plan's sub-steps."""
+        return Likelihood(self.model, t, fastest=self.fastest)
 
     def form(self, signal: str) -> Form:
         """How a signal is given; instants where nothing is stated."""

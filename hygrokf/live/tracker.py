@@ -19,9 +19,11 @@ import numpy as np
 
 from hygrokf.ambient import middle
 from hygrokf.drivers import Run, longest_gap_h, run
-from hygrokf.likelihood import Gaussian, Likelihood, Trace
+from hygrokf.likelihood import Gaussian, Trace
+from hygrokf.live.ceiling import filtered
 from hygrokf.live.plan import BEFORE, Plan
 from hygrokf.record import Record, Series
+from hygrokf.timeline import Timeline
 
 AMBIENT_HUMIDITIES = (
     "ambient_relative_humidity",
@@ -213,8 +215,8 @@ class Tracker:
     def _start(self) -> Gaussian | None:
         return None if self.point is None else self.point.state
 
-    def _filtered(self, t, start: Gaussian | None) -> Trace:
-        return Likelihood(self.plan.model, t, fastest=self.plan.fastest).trace(self.plan.values, start=start)
+    def _filtered(self, t: Timeline, start: Gaussian | None) -> Trace:
+        return filtered(self.plan.likelihood(t), self.plan.values, start)
 
     @property
     def _limit(self) -> float:
@@ -308,5 +310,4 @@ def whole(plan: Plan, record: Record) -> Course:
     times = {s.signal: s.time for s in record.series}
     values = {s.signal: s.value for s in record.series}
     made = run(plan.design, record_of(plan, times, values))
-    found = Likelihood(plan.model, made.timeline, fastest=plan.fastest).trace(plan.values)
-    return Course(made, found)
+    return Course(made, filtered(plan.likelihood(made.timeline), plan.values))

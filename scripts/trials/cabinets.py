@@ -8,6 +8,7 @@ import numpy as np
 from plants.as_record import to_record
 from plants.plant import Plant
 
+from hygrokf.checks import mask
 from hygrokf.fit import Fit
 from hygrokf.identification import identify
 from hygrokf.likelihood import Gaussian
@@ -26,8 +27,8 @@ HISTORY_S = (DAYS + 6.0) * DAY_S
 
 
 def identified(record: Record, until_s: float) -> Fit:
-    """The model of the readings up to `until_s` [s], by the default settings and one start."""
-    return identify(record.window(record.start_s, until_s), starts=1)
+    """The model of the readings up to `until_s` [s], masked as those of a case file, by the default settings and one start."""
+    return identify(mask(record.window(record.start_s, until_s)), starts=1)
 
 
 def plan_of(fit: Fit, record: Record) -> Plan:
@@ -77,13 +78,13 @@ class Truth:
     margin_K: np.ndarray
 
 
-def truth(made: Plant, time_s: np.ndarray) -> Truth:
+def truth(made: Plant, time_s: np.ndarray, surface: Surface = SURFACE) -> Truth:
     """The truth at times (T,) [s]."""
     minutes, run = made.drivers.time, made.trajectory
     kelvin = np.interp(time_s, minutes, run.cabinet_K)
     pressure = np.interp(time_s, minutes, run.cabinet_kg_m3) * GAS_CONSTANT_VAPOUR * kelvin
     outside = np.interp(time_s, minutes, made.drivers.ambient_K)
-    cold = outside + SURFACE.follows * (kelvin - outside) + SURFACE.offset_K
+    cold = outside + surface.follows * (kelvin - outside) + surface.offset_K
     dew = dew_point(pressure)
     icy = (cold < FREEZING_K) & (dew < FREEZING_K)
     # the ice's formula is not made for the pressures of warm air

@@ -10,7 +10,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from trials import changes, forecast, restart
+from trials import changes, forecast, restart, saturation
 from trials.picture import reliability_png
 
 
@@ -26,6 +26,9 @@ class Trial:
 TRIALS = {
     "forecast": Trial(forecast.one, forecast.table, "forecasts over sixty days against what came"),
     "restart": Trial(restart.one, restart.table, "advice how long to pre-heat against how long it took"),
+    "saturation": Trial(
+        saturation.one, saturation.table, "condensation said for several surfaces against what came"
+    ),
     "changes": Trial(
         changes.one, changes.table, "when a cabinet's change is reported, and how often wrongly"
     ),

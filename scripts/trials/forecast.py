@@ -113,7 +113,7 @@ def reliability(said: np.ndarray, happened: np.ndarray, seed: np.ndarray) -> lis
         here = (said >= low) & (said < low + 0.1 if low < 0.9 else said <= 1.0)
         if not here.any():
             continue
-        least, most = _between_plants(happened[here], seed[here])
+        least, most = between_plants(happened[here], seed[here])
         found.append(
             {
                 "from": low,
@@ -126,7 +126,8 @@ def reliability(said: np.ndarray, happened: np.ndarray, seed: np.ndarray) -> lis
     return found
 
 
-def _between_plants(happened: np.ndarray, seed: np.ndarray, draws: int = 2000) -> tuple[float, float]:
+def between_plants(happened: np.ndarray, seed: np.ndarray, draws: int = 2000) -> tuple[float, float]:
+    """95 % bounds of a share with whole plants drawn again, which keeps neighbouring forecasts together."""
     plants = np.unique(seed)
     hits = np.array([happened[seed == p].sum() for p in plants])
     counts = np.array([(seed == p).sum() for p in plants])
@@ -149,7 +150,7 @@ def coverage(f: Forecasts, quantity: str, rows: np.ndarray) -> dict:
     value, sd, seen = (f.columns[quantity + end][rows] for end in ("", "_sd", "_true"))
     error = value - seen
     held = np.abs(error) < 1.959964 * sd
-    low, high = _between_plants(held, f.seed[rows])
+    low, high = between_plants(held, f.seed[rows])
     return {
         "rate": Rate(int(held.sum()), len(held)),
         "low": low,
@@ -218,7 +219,7 @@ def _lead_rows(f: Forecasts) -> list[str]:
                 cells.append(f"n = {rows.sum()}")
                 continue
             happened = f.happened(column)[rows]
-            low, high = _between_plants(happened, f.seed[rows])
+            low, high = between_plants(happened, f.seed[rows])
             cells.append(
                 f"{100 * said[rows].mean():.0f} % said, {100 * happened.mean():.0f} % came "
                 f"({100 * low:.0f}–{100 * high:.0f}), n = {rows.sum()}"
