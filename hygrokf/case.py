@@ -16,8 +16,9 @@ import numpy as np
 
 from hygrokf.case_form import StatedCase, StatedColumn, StatedSource, stated_case
 from hygrokf.case_keys import CaseLines
-from hygrokf.checks import IDENTIFIABLE, mask, no_overlap
+from hygrokf.checks import mask
 from hygrokf.columns import Table, TableFault
+from hygrokf.doubts import IDENTIFIABLE, no_overlap
 from hygrokf.masks import detect_resolution, order_readings
 from hygrokf.readers import read_table
 from hygrokf.record import Record, Series

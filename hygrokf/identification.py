@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.checks import all_doubts, doubted
 from hygrokf.confidence import limit_remarks, normal_quantile, standard_error, wald_bounds
 from hygrokf.design import CASCADE, JOINT, Design, design, merged
+from hygrokf.doubts import all_doubts, doubted
 from hygrokf.drivers import IDENTIFIED_ON, Run, run
 from hygrokf.fit import Fit
 from hygrokf.likelihood import Likelihood

@@ -9,7 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hygrokf.checks import describe, describe_text, doubts, mask
+from hygrokf.checks import describe, describe_text, mask
+from hygrokf.doubts import doubts
 from hygrokf.record import Record, Series, Site
 
 DAY = 86400.0

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 from hygrokf.case import CaseFault, read_case
-from hygrokf.checks import all_doubts
+from hygrokf.doubts import all_doubts
 from hygrokf.record import Record, Site
 
 COUNT = 6 * 24 * 30
