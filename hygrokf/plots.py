@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.plots_composition import figure_composition
 from hygrokf.plots_course import figure_excerpts, figure_humidity, figure_residuals, figure_temperature
 from hygrokf.plots_identification import figure_heat_release, figure_profiles
 from hygrokf.plots_innovations import figure_innovations
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
 __all__ = [
     "FIGURES",
     "Picture",
+    "figure_composition",
     "figure_excerpts",
     "figure_heat_release",
     "figure_humidity",
@@ -78,9 +80,17 @@ FIGURES: tuple[Picture, ...] = (
     Picture(
         "profiles",
         "How well the time constants are pinned down",
-        "The bounds (shaded) are where the curve crosses the dashed line; a curve that stays below it on one side leaves "
-        "that side open, and a red bar outside the shading means that the two criteria disagree.",
+        "The likelihood's own bounds (shaded) are where the curve crosses the dashed line; a curve that stays below it on "
+        "one side leaves that side open, and a red bar outside the shading means that the two criteria disagree.",
         figure_profiles,
+    ),
+    Picture(
+        "composition",
+        "What the intervals are composed of",
+        "Each bar adds one source of uncertainty to the bar above it, and the last one is the interval that is reported. "
+        "Diamonds are other estimates: grey by another form of the model, as large as its share of the evidence, red by "
+        "the free run alone.",
+        figure_composition,
     ),
     Picture(
         "residuals",

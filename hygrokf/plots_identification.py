@@ -235,7 +235,9 @@ def figure_profiles(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
 
 
 def _profile(axes: Axes, found: Mapping) -> None:
-    value, low, high = (number(found, name) for name in ("value_h", "lower_h", "upper_h"))
+    # the likelihood's own bounds, where they stand beside the headline interval
+    own = entry(found, "profile") if isinstance(entry(found, "profile"), Mapping) else found
+    value, low, high = (number(own, name) for name in ("value_h", "lower_h", "upper_h"))
     threshold = number(found, "threshold")
     threshold = threshold if threshold > 0 else THRESHOLD
     top = 2.1 * threshold

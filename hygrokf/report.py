@@ -132,6 +132,7 @@ def report_page(fit: Mapping, series: Mapping[str, np.ndarray]) -> str:
             "What was identified",
             tables_html(constants),
             pictures["profiles"],
+            pictures["composition"],
             pictures["heat-release"],
             tables_html(parameters, optima),
         ),
@@ -321,9 +322,11 @@ def _method(fit: Mapping) -> str:
         "c = c* T_amb/T_conv,a. Coloured and white disturbances of both flows are estimated with everything else; the "
         "sensors' accuracy is a prior on a constant error.",
         f"Reported values: {how}{f', {kind} model' if kind else ''}, on the identification period alone. Every reading "
-        "is taken at its own time; interval means of inputs are held over their interval, instants are joined by lines.",
-        "Bounds of the time constants are those of the profile likelihood, widened where the scores vary more than the "
-        "model says; other bounds are the wider of Wald's and the sandwich's. Errors are those of the free run, "
+        "is taken at its own time. Instants of inputs are joined by straight lines, interval means of the ambient give the "
+        "path that keeps them, and means of the power hold over their interval.",
+        "Intervals of the time constants begin with the profile likelihood's bounds, widened where the scores vary more than "
+        "the model says; what parts of the record, other forms of the model, the free run, clocks and the sampling of the "
+        "ambient add is shown above. Other bounds are the wider of Wald's and the sandwich's. Errors are those of the free run, "
         "measured readings unseen; stretches with unknown power or weather, and the hours after them, are not scored.",
     ]
     lines += [sentence(line) for line in texts(entry(fit, "design", "statements"))]

@@ -63,12 +63,26 @@ def time_constants_table(fit: Mapping) -> Table | None:
             f"{method(constant.found)}, {percent(level)}" if math.isfinite(level) else method(constant.found)
         )
         rows.append((f"{name} {_PRODUCT[name]}", constant.value, bounds, how, constant.verdict.words))
+        rows += _beside(constant.found)
         other = simulated(constant.found)
         if other:
             value, _, span = other.partition(" (")
             rows.append(
                 ("  by simulation (output error)", value, span.rstrip(")") or NONE, "sandwich, 95 %", "")
             )
+        differences = numbers(constant.found, "difference_K")
+        if len(differences) == 3:
+            note = (
+                f"The difference between cabinet and ambient is {differences[0]:.1f}, {differences[1]:.1f} and "
+                f"{differences[2]:.1f} K in 10, 50 and 90 % of the readings"
+            )
+            courses = numbers(constant.found, "range_h")
+            if len(courses) == 3:
+                note += (
+                    f"; small changes decay with {', '.join(plain_number(v) for v in courses[:2])} and "
+                    f"{plain_number(courses[2])} h there"
+                )
+            notes.append(f"{note}.")
         span = entry(constant.found, "range_h")
         if isinstance(span, (list, tuple)) and len(span) == 2:
             low, high = number({"": span[0]}, ""), number({"": span[1]}, "")
@@ -103,6 +117,32 @@ def time_constants_table(fit: Mapping) -> Table | None:
         left=(0, 3, 4),
         note=" ".join(notes),
     )
+
+
+def _beside(found: Mapping) -> list[tuple[str, ...]]:
+    """Rows below a time constant: the likelihood's own bounds, R·C under convection, the sensor's response."""
+    rows = []
+    for words, key, how in (
+        ("  by the likelihood alone", "profile", "profile likelihood, 95 %"),
+        ("  R·C at the same difference", "resistance_capacity", "all sources, 95 %"),
+    ):
+        value, low, high = (number(found, key, part) for part in ("value_h", "lower_h", "upper_h"))
+        if math.isfinite(value) and low > 0 and math.isfinite(high):
+            decimals = decimals_for(0.5 * (high - low))
+            span = f"{low:.{decimals}f} … {high:.{decimals}f}"
+            rows.append((words, f"{value:.{decimals}f} h", span, how, ""))
+    minutes = number(found, "response", "minutes")
+    kind = entry(found, "response", "kind")
+    if kind == "estimated":
+        low, high = (number(found, "response", f"{side}_minutes") for side in ("lower", "upper"))
+        rows.append(
+            ("  humidity sensor's response", f"{minutes:.1f} min", f"{low:.1f} … {high:.1f} min", "estimated, 95 %", "")
+        )
+    elif kind == "included":
+        rows.append(("  humidity sensor's response", "included", NONE, "not stated, none seen", ""))
+    elif kind == "stated" and minutes > 0:
+        rows.append(("  humidity sensor's response", f"{minutes:.1f} min", NONE, "stated", ""))
+    return rows
 
 
 _PRODUCT = {"thermal": "(R_AT+R_IC)·C", "hygric": "R_D*·V*"}

@@ -46,7 +46,13 @@ from hygrokf.wording import (
     texts,
 )
 
-METHODS = {"profile": "profile likelihood", "wald": "Wald", "sandwich": "sandwich", "none": "no bounds"}
+METHODS = {
+    "composed": "all sources",
+    "profile": "profile likelihood",
+    "wald": "Wald",
+    "sandwich": "sandwich",
+    "none": "no bounds",
+}
 
 
 # --- time constants --------------------------------------------------------------------------

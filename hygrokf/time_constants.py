@@ -166,7 +166,7 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
         "lower_h": whole.lower * scale,
         "upper_h": _closed(whole.upper * scale),
         "level": b.level,
-        "method": b.method,
+        "method": "composed" if b.method == "profile" else b.method,
         "statement": statement,
         "profile": {
             "value_h": b.value * scale,

@@ -57,7 +57,7 @@ FLOORS = (
     "live.config",
     # pictures and faces
     "drawing excerpts report_words live.service live.views live.demo live.web_access live.usual live.logs live.doctor_clock live.doctor_store live.doctor_models",
-    "plots_course plots_identification plots_innovations report_tables discovery.plots_residuals live.web_events live.web_metrics live.doctor_mqtt transfer.plots",
+    "plots_course plots_composition plots_identification plots_innovations report_tables discovery.plots_residuals live.web_events live.web_metrics live.doctor_mqtt transfer.plots",
     "plots page weather.plots discovery.plots_misfits discovery.words live.web live.web_server live.doctor_opcua climate.tables",
     "live.tracking live.doctor_sources climate.plots",
     "live.doctor climate.page",
