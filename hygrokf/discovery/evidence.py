@@ -71,7 +71,8 @@ def cause_entry(
     cause = named(trial.variant.cause, library)
     statement = f"{cause.meaning} ({trial.variant.form}){_clock(trial)}"
     gain = _gain(QUANTITY.get(trial.part, QUANTITY[THERMAL]), *fits, moved_s)
-    parameters = _parameters(trial, stages)
+    known = {p.name for p in fits[0][0].design.model.parameters}
+    parameters = _parameters(trial, stages, known)
     notes = reservations(cause.event, seen_once(trial), gain, parameters)
     sure = confidence(trial, margin, later)
     if {LOST, VAGUE} & set(notes):
@@ -161,15 +162,18 @@ def seen_once(trial: Trial) -> bool:
     return trial.once or len(trial.variant.settings.get("spans", (1, 2))) == 1
 
 
-def _parameters(trial: Trial, stages: Sequence[Stage]) -> dict:
-    """The cause's own parameters in the extended model, with bounds."""
+def _parameters(trial: Trial, stages: Sequence[Stage], known: set[str]) -> dict:
+    """The cause's own parameters in the extended model, with bounds; `known` those of the base model."""
     names = added(trial.variant)
+    altered = {name for changes in trial.variant.altered.values() for name in changes}
     found = {}
     for stage in stages:
         for mechanism in stage.base.model.mechanisms:
-            if mechanism.name not in names:
+            if mechanism.name not in {*names, *altered}:
                 continue
             for p in mechanism.parameters:
+                if mechanism.name in altered and p.name in known:
+                    continue
                 b = wald_bounds(stage.estimate, stage.uncertainty, p.name)
                 se = standard_error(stage.estimate, stage.uncertainty, p.name)
                 found[p.name] = {

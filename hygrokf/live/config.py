@@ -33,7 +33,7 @@ _TURBINE = (
     "name", "fit", "known_as", "cold_surface", "site", "rated_power_kW", "lateness", "humidity_limit", "stale"
 )  # fmt: skip
 _MAPPING = ("turbine", "time", "quality", "good", "tag", "value", "signals")
-_SIGNAL = ("signal", "unit", "stamp", "interval", "accuracy", "resolution")
+_SIGNAL = ("signal", "unit", "stamp", "interval", "accuracy", "resolution", "response_time")
 _SURFACE = ("follows", "offset_K")
 _SITE = ("latitude_deg", "longitude_deg", "altitude_m")
 
@@ -162,6 +162,7 @@ def _field(name: str, entry: object, reader: TableReader) -> Field | None:
             f'{where}: a mean needs both, stamp = "start", "middle" or "end" and its interval'
         )
     sizes = {key: reader.number(entry, key, where) for key in ("accuracy", "resolution")}
+    response_s = reader.seconds(entry, "response_time", where, 0.0)
     if len(reader.faults) > before:
         return None
     si = {k: None if v is None else difference_to_si(v, unit, signal) for k, v in sizes.items()}
@@ -172,6 +173,7 @@ def _field(name: str, entry: object, reader: TableReader) -> Field | None:
         interval_s=interval_s,
         resolution=si["resolution"] or 0.0,
         accuracy=si["accuracy"],
+        response_time_s=response_s if "response_time" in entry else None,
     )
     return Field(signal, unit, form, stamp)
 
