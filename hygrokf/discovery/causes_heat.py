@@ -143,7 +143,7 @@ def heat_drift(scene: Scene) -> list[Variant]:
     if THERMAL not in scene.parts:
         return []
     base = dict(scene.parts[THERMAL].base.mechanisms)["heat_release"]
-    own = {"order": base["order"], "operation": base["operation"]} if base["standstill"] else {}
+    own = {"order": base["order"], "operation": True} if base["operation"] else {}
     found = [
         Variant(
             "heat_release_drift", "straight", {THERMAL: (("release_drift", own),)}, {"elapsed": span(scene)}

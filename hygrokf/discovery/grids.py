@@ -27,11 +27,28 @@ NARROWEST = 0.05
 Look = Callable[..., Scanned]
 
 
+def silences(record: Record) -> list[tuple[float, float]]:
+    """Beginnings and ends [s] of the gaps longer than a day in which no source has a reading."""
+    time = np.sort(np.concatenate([series.known[0] for series in record.series]))
+    return [(float(time[i]), float(time[i + 1])) for i in np.flatnonzero(np.diff(time) > DAY_S)]
+
+
 def dates(record: Record, every_days: float = 1.0) -> list[float]:
-    """Dates [s] for a change: every day, five percent of the record away from its ends."""
-    margin = 0.05 * (record.end_s - record.start_s)
-    count = max(int((record.end_s - record.start_s - 2 * margin) / (every_days * DAY_S)), 3)
-    return [float(d) for d in np.linspace(record.start_s + margin, record.end_s - margin, count)]
+    """Dates [s] for a change: every day with readings, five percent of these days away from the record's ends."""
+    return _spaced(record, every_days)[0]
+
+
+def _spaced(record: Record, every_days: float) -> tuple[list[float], float]:
+    """The dates of `dates`, and their distance [s].  All dates within a silence are one to the readings."""
+    gaps = silences(record)
+    end = record.end_s - sum(last - first for first, last in gaps)
+    margin = 0.05 * (end - record.start_s)
+    count = max(int((end - record.start_s - 2 * margin) / (every_days * DAY_S)), 3)
+    found = np.linspace(record.start_s + margin, end - margin, count)
+    step = float(found[1]) - float(found[0])
+    for first, last in gaps:
+        found[found > first] += last - first
+    return [float(d) for d in found], step
 
 
 @dataclass(frozen=True)
@@ -57,8 +74,7 @@ def best_date(
     `more` dates [s] that are looked at exactly; `days` in which the change takes place, for features that have such;
     `sudden` for one whose beginning is a jump, which is dated to minutes.
     """
-    spacing = dates(scene.record)
-    step = spacing[1] - spacing[0]
+    spacing, step = _spaced(scene.record, 1.0)
     searched = 0.0
 
     def asked_for(look: Look, settings: Sequence[dict]) -> dict:
