@@ -93,6 +93,44 @@ def test_heating_that_it_took_is_where_it_stays_dry() -> None:
     assert module._needed(np.full(module.HEATED_MIN, 0.7)) == -1.0
 
 
+def condensation(margin: np.ndarray, said: np.ndarray, seeds: int = 5) -> list[dict]:
+    """Lines of the trial of condensation: the second surface a day ahead, known outlook, with these margins."""
+    module = part("saturation")
+    lines = []
+    for seed, (m, p) in enumerate(zip(np.split(margin, seeds), np.split(said, seeds), strict=True)):
+        rows = np.column_stack(
+            [np.zeros(len(m)), np.ones(len(m)), np.full(len(m), 24.0), np.zeros(len(m)), p, p, m]
+        )
+        windows = np.column_stack([np.zeros(len(m)), np.ones(len(m)), p, m < 1.0])
+        lines.append(
+            {"seed": seed, "kind": module.KINDS[0], "rows": rows.tolist(), "windows": windows.tolist()}
+        )
+    return lines
+
+
+def test_condensation_is_a_margin_below_zero() -> None:
+    module = part("saturation")
+    margin = np.tile([-0.5, 0.5, 2.0, 2.0], 50)
+    said = np.tile([0.3, 0.3, 0.3, 1.0], 50)
+    text = module.table(condensation(margin, said))
+    assert text.startswith("5 plants (5 ordinary, 0 damp, 0 damp, errors of all sensors).")
+    (row,) = [line for line in text.splitlines() if line.startswith("| 0.3 / +0 K | 24 h | 200 |")]
+    assert row.startswith("| 0.3 / +0 K | 24 h | 200 | 47.50 % | 25.00 % (25.00–25.00) |")
+    assert "| 30.0 → 33.3 (33.3–33.3), 150 |" in row and row.endswith("| 100.0 → 0.0 (0.0–0.0), 50 |")
+    # at any time of the window it came twice as often
+    assert "| known | 200 | 47.50 % | 50.00 % (50.00–50.00) |" in text
+
+
+def test_seeds_are_ordinary_and_damp_cabinets() -> None:
+    module = part("saturation")
+    ordinary, damp, every = (module.cabinet(seed) for seed in (9, 10, 11))
+    assert ordinary == {} and (damp["sensor_errors"], every["sensor_errors"]) == ("cabinet", "all")
+    for one in (damp, every):
+        assert 0.5 <= one["standstill_W"][0] * one["outer_resistance"] <= 3.0
+        through = one["outer_resistance"] + one["inner_resistance"]
+        assert 0.8 <= through * one["heat_capacity"] / 3600.0 <= 3.0
+
+
 def test_waits_count_from_the_change() -> None:
     module = part("changes")
     found = {"tau": [["hygric_k", 61.0, 63.0, 0.2], ["thermal_time_constant", 60.0, 66.5, 0.4]], "none": []}
@@ -150,6 +188,21 @@ def test_a_small_trial_of_forecasts() -> None:
     )
 
 
+def test_a_small_trial_of_condensation() -> None:
+    """Ten days of a damp cabinet: with the weather that came, probabilities are right on the whole and tell the hours apart."""
+    module = part("saturation")
+    line = module.one(6010, days=12.0, learnt=32.0)
+    c = module.Cases([line], "rows", module.COLUMNS).columns
+    known = (c["outlook"] == 0.0) & (c["lead_h"] <= 6.0)
+    came = c["margin_true"] < 0.0
+    base = came[known].mean()
+    assert 0.02 < base < 0.5 and c["said"][known].mean() == pytest.approx(base, abs=0.03)
+    assert np.mean((c["said"][known] - came[known]) ** 2) < 0.4 * base * (1.0 - base)
+    assert 0.02 < np.mean(c["rank"][known] < 0.1) < 0.25
+    w = module.Cases([line], "windows", module.WINDOW_COLUMNS).columns
+    assert w["came"].mean() > base and "| persistence | 24 h |" in module.table([line])
+
+
 def test_a_small_trial_of_restarts() -> None:
     """Five restarts of one plant: dry when the advice said so, and it said neither never nor always the longest."""
     module = part("restart")
@@ -190,6 +243,23 @@ def test_probabilities_come_true() -> None:
                 assert row["low"] - 0.1 < row["said"] < row["high"] + 0.1, (column, row)
     for quantity in ("kelvin", "humidity"):
         assert 0.92 < module.coverage(f, quantity, np.ones(len(f.seed), bool))["rate"].share < 0.98
+
+
+@pytest.mark.slow
+def test_condensation_comes_as_often_as_it_is_said_also_where_the_sensor_is_at_its_ceiling() -> None:
+    """With the weather that came, in damp cabinets: a surface at 0.3 / 0 K and one at 0.6 / 0 K, where it is rare."""
+    module = part("saturation")
+    lines = lines_of("saturation", range(7200, 7224))
+    cases = module.Cases(lines, "rows", module.COLUMNS)
+    c, came = cases.columns, cases.columns["margin_true"] < 0.0
+    near = (c["outlook"] == 0.0) & np.isin(c["surface"], (1, 3)) & (c["lead_h"] <= 6.0)
+    for ceiling in (0.0, 1.0):
+        here = near & (c["ceiling"] == ceiling)
+        for _, said, rate, low, high in module.reliability(c["said"][here], came[here], cases.seed[here]):
+            if rate.n >= 50:
+                assert low - 0.1 < said < high + 0.1, (ceiling, said, rate)
+        low, high = module.between_plants(came[here], cases.seed[here])
+        assert low < c["said"][here].mean() < high
 
 
 @pytest.mark.slow

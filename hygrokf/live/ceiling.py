@@ -24,9 +24,7 @@ from hygrokf.timeline import Timeline
 HUMIDITY = "cabinet_relative_humidity"
 
 
-def filtered(
-    likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None = None
-) -> Trace:
+def filtered(likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None = None) -> Trace:
     """The filter's trace where relative humidity from `SATURATED` on is censored, from a state or from the prior.
 
     A stretch may be filtered in pieces: each goes on, bit for bit, where the one before it ended.

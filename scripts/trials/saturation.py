@@ -61,7 +61,9 @@ def one(seed: int, days: float = 60.0, learnt: float = LEARNT_DAYS) -> dict:
             for surface, found in _conditions(case, now, outlook):
                 some, window = _compared(case, found, SURFACES[surface])
                 moist = float(_newest_humidity(case, now) >= SATURATED)
-                rows += [(number, surface, lead, moist, *row) for lead, row in zip(LEADS_H, some, strict=True)]
+                rows += [
+                    (number, surface, lead, moist, *row) for lead, row in zip(LEADS_H, some, strict=True)
+                ]
                 windows.append((number, surface, *window))
     return {
         "seed": seed,
@@ -158,7 +160,9 @@ class Cases:
         self.kind = np.repeat([line["kind"] for line in lines], counts)
 
 
-def reliability(said: np.ndarray, came: np.ndarray, seed: np.ndarray) -> list[tuple[float, float, Rate, float, float]]:
+def reliability(
+    said: np.ndarray, came: np.ndarray, seed: np.ndarray
+) -> list[tuple[float, float, Rate, float, float]]:
     """(lower edge, mean of what was said, what came, its bounds over plants) of each bin of the stated probability."""
     found = []
     for low, high in pairwise(BINS):
@@ -187,8 +191,15 @@ def table(lines: Sequence[Mapping]) -> str:
             for lead in LEADS_H:
                 here = (c["outlook"] == number) & (c["surface"] == place) & (c["lead_h"] == lead)
                 out.append(f"| {surface.follows:g} / {surface.offset_K:+g} K | {lead:.0f} h | " + _cells(c["said"][here], came[here], cases.seed[here], edges))  # fmt: skip
-    out += ["", "By the newest reading of humidity, surface 0.3 / 0 K and 0.6 / 0 K, known outlook, up to 6 h:", ""]
-    out += ["| newest reading | n | said | came | " + " | ".join(edges) + " |", "|" + " --- |" * (4 + len(edges))]
+    out += [
+        "",
+        "By the newest reading of humidity, surface 0.3 / 0 K and 0.6 / 0 K, known outlook, up to 6 h:",
+        "",
+    ]
+    out += [
+        "| newest reading | n | said | came | " + " | ".join(edges) + " |",
+        "|" + " --- |" * (4 + len(edges)),
+    ]
     near = (c["outlook"] == 0) & np.isin(c["surface"], (1, 3)) & (c["lead_h"] <= 6.0)
     for flag, words in ((0.0, "below the ceiling"), (1.0, "at the ceiling")):
         here = near & (c["ceiling"] == flag)
@@ -207,7 +218,9 @@ def _cells(said: np.ndarray, came: np.ndarray, seed: np.ndarray, edges: Sequence
             cells.append(f"n = {rows[low][1].n if low in rows else 0}")
             continue
         mean, rate, least, most = rows[low]
-        cells.append(f"{100 * mean:.1f} → {100 * rate.share:.1f} ({100 * least:.1f}–{100 * most:.1f}), {rate.n:,}")
+        cells.append(
+            f"{100 * mean:.1f} → {100 * rate.share:.1f} ({100 * least:.1f}–{100 * most:.1f}), {rate.n:,}"
+        )
     least, most = between_plants(came, seed)
     whole = f"{100 * said.mean():.2f} % | {100 * came.mean():.2f} % ({100 * least:.2f}–{100 * most:.2f})"
     return f"{len(said):,} | {whole} | " + " | ".join(cells) + " |"
@@ -228,7 +241,11 @@ def _rank_rows(cases: Cases) -> list[str]:
             rank = c["rank"][near & (c["outlook"] == number) & (c["lead_h"] == lead)]
             if len(rank) >= FEWEST:
                 shares = (100 * np.mean(rank < 0.05), 100 * np.mean(rank < 0.5), 100 * np.mean(rank > 0.95))
-                out.append(f"| {name} | {lead:.0f} h | {len(rank):,} | " + " | ".join(f"{s:.1f} %" for s in shares) + " |")
+                out.append(
+                    f"| {name} | {lead:.0f} h | {len(rank):,} | "
+                    + " | ".join(f"{s:.1f} %" for s in shares)
+                    + " |"
+                )
     return out
 
 
@@ -244,5 +261,7 @@ def _window_rows(lines: Sequence[Mapping], edges: Sequence[str]) -> list[str]:
     ]
     for number, name in enumerate(OUTLOOKS):
         here = c["outlook"] == number
-        out.append(f"| {name} | " + _cells(c["highest"][here], c["came"][here] > 0.5, cases.seed[here], edges))
+        out.append(
+            f"| {name} | " + _cells(c["highest"][here], c["came"][here] > 0.5, cases.seed[here], edges)
+        )
     return out
