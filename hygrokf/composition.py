@@ -8,8 +8,8 @@ above the value.  Each further source adds a variance v, and the interval become
 - parts: (B − 1) σ², where quarters of the record scatter more than their bounds say (Birge's ratio B > 1);
 - forms: what the other forms add to the variance about the value, Σ_i p_i (σ_i² + (ln τ_i − ln τ)²) − σ², p_i their shares
   of the evidence;
-- free run: ½ (d² − σ² − σ_F²), d the distance to the free run's own estimate, where it is more than both uncertainties
-  explain (two methods, DerSimonian and Laird 1986);
+- free run: ½ (d² − σ² − σ_F²), d the distance to the free run's own estimate, where the two contradict each other at the
+  interval's level (variance between two methods, DerSimonian and Laird 1986);
 - clocks: the variance that offsets within their uncertainty add, and the square of what the most likely offsets would do;
 - sampling: s²/3, where half as many ambient readings move the estimate by s: what lies between the readings is wrong by an
   amount within ±s, equally likely.
@@ -86,12 +86,13 @@ def from_forms(log_value: float, variance: float, forms: Sequence[Alternative]) 
     return Source("forms", max(total - variance, 0.0), said or "no other form has evidence")
 
 
-def from_free_run(log_value: float, variance: float, free: Alternative) -> Source:
-    """What the free run's own estimate says beyond both uncertainties."""
-    apart = free.log_value - log_value
+def from_free_run(log_value: float, variance: float, free: Alternative, level: float = 0.95) -> Source:
+    """What the free run's own estimate says, where it contradicts the likelihood's at the interval's level."""
+    apart, both = free.log_value - log_value, variance + free.variance
+    contradicts = apart**2 > normal_quantile(level) ** 2 * both
     return Source(
         "free run",
-        0.5 * max(apart**2 - variance - free.variance, 0.0),
+        0.5 * (apart**2 - both) if contradicts else 0.0,
         f"the free run alone gives {100.0 * math.expm1(apart):+.0f} %",
     )
 
