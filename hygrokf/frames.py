@@ -310,8 +310,8 @@ def _stamps(
     if isinstance(kind, pd.PeriodDtype):
         starts = stamps.dt.start_time
         lengths = np.unique(((stamps + 1).dt.start_time - starts).dropna().dt.total_seconds())
-        if len(lengths) == 1:
-            return starts, named, float(lengths[0]), []
+        if len(lengths) <= 1:  # none at all where no row has a stamp
+            return starts, named, float(lengths[0]) if len(lengths) else None, []
         return None, named, None, [f"{named} holds periods of several lengths, expected one length"]
     if pd.api.types.is_numeric_dtype(kind) or pd.api.types.is_timedelta64_dtype(kind):
         what = "durations" if pd.api.types.is_timedelta64_dtype(kind) else "numbers"

@@ -122,8 +122,8 @@ class Series:
 
 
 _SECONDS = "seconds since 1970-01-01T00:00Z as numbers"
-EARLIEST_S, LATEST_S = -3786912000.0, 7258118400.0
-"""[s] 1850 and 2200: no reading is older or younger."""
+EARLIEST_S, LATEST_S = -3786825600.0, 7289654400.0
+"""[s] the beginning of 1850 and the end of 2200: no reading is older or younger."""
 
 
 def _reading_faults(time: np.ndarray, value: np.ndarray, row: Signal | None) -> list[str]:
