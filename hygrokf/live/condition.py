@@ -51,7 +51,8 @@ class Condition:
 
     `temperature_K`, `relative_humidity` [1] over water, `absolute_humidity_g_m3`, `dew_point_K`, `frost_point_K` (NaN
     above freezing), `margin_K` of the cold surface above the dew point or, below freezing, the frost point, and the
-    `condensation` probability [1] that it is below; `surface_humidity` [1] relative humidity of the air that touches it.
+    `condensation` probability [1] that it is below at that instant; `surface_humidity` [1] relative humidity of the air that
+    touches it.
     What the model does not have is None.
     """
 
