@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from threading import Lock
 
 import numpy as np
 
@@ -39,14 +40,18 @@ class Graph:
         self.nodes: list[tuple] = []
         self.given: list[Given] = []
         self._index: dict[tuple, int] = {}
+        self._growing = Lock()
         self._orders: dict[tuple[int, ...], list[int]] = {}
 
     def _node(self, key: tuple) -> Expression:
         index = self._index.get(key)
         if index is None:
-            index = len(self.nodes)
-            self._index[key] = index
-            self.nodes.append(key)
+            with self._growing:  # likelihoods of one model may run on several threads
+                index = self._index.get(key)
+                if index is None:
+                    index = len(self.nodes)
+                    self.nodes.append(key)
+                    self._index[key] = index
         return Expression(self, index)
 
     def constant(self, value: float) -> Expression:

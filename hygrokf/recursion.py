@@ -23,6 +23,7 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from threading import Lock
 
 import numpy as np
 
@@ -136,6 +137,7 @@ class Recursion:
         self.given = [g.symbol(f"c:{i}") for i in range(len(g.given))]
         self.constants = np.array(g.given, dtype=float)
         self._structure = self._described()
+        self._making = Lock()
 
     # -- tracing ---------------------------------------------------------------------------------------------
     def _lower(self, matrix: Matrix) -> list[Expression]:
@@ -287,7 +289,9 @@ class Recursion:
         """Compiled function of a kind: value, trace, adjoint, tangent; without gain the filter runs free."""
         made = _codes.setdefault(self._structure, {})
         if (kind, gain) not in made:
-            made[kind, gain] = Code(loop_text(self, kind, gain), [kind])
+            with self._making:
+                if (kind, gain) not in made:
+                    made[kind, gain] = Code(loop_text(self, kind, gain), [kind])
         return made[kind, gain]
 
 

@@ -20,6 +20,7 @@ from hygrokf.forms import ADOPTED, Form, weighed
 from hygrokf.kalman import smooth
 from hygrokf.likelihood import Likelihood
 from hygrokf.output_error import OutputError, fit_output_error
+from hygrokf.parallel import mapped
 from hygrokf.parameters import Coordinates
 from hygrokf.paths import thinned
 from hygrokf.record import Record, Series
@@ -241,23 +242,23 @@ def smoothed_temperature(
 
 def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> dict[str, OutputError]:
     """Output-error estimates: the thermal model on temperature, the hygric one on the measured temperature."""
-    found: dict[str, OutputError] = {}
     plain = _plain(base, values)
+    fitted: dict[str, Design] = {}
     if "thermal_network" in [name for name, _ in base.mechanisms]:
-        thermal = replace(
+        fitted["thermal_time_constant"] = replace(
             base,
             mechanisms=tuple(m for m in base.mechanisms if m[0] in _THERMAL_PLAIN),
             humidity=None,
             averaged={k: v for k, v in base.averaged.items() if k == "cabinet_temperature"},
             priors={},  # what other turbines say is no part of this criterion
         )
-        likelihood = Likelihood(thermal.model, run(thermal, early).timeline)
-        found["thermal_time_constant"] = fit_output_error(likelihood, plain(thermal))
     if base.humidity is not None and "cabinet_temperature" in early:
-        cascade = _with_sensors_of(base, design(early, kind=CASCADE, coloured=False))
-        likelihood = Likelihood(cascade.model, run(cascade, early).timeline)
-        found["hygric_k"] = fit_output_error(likelihood, plain(cascade))
-    return found
+        fitted["hygric_k"] = _with_sensors_of(base, design(early, kind=CASCADE, coloured=False))
+
+    def free(one: Design) -> OutputError:
+        return fit_output_error(Likelihood(one.model, run(one, early).timeline), plain(one))
+
+    return dict(zip(fitted, mapped(free, fitted.values()), strict=True))
 
 
 _THERMAL_PLAIN = (
