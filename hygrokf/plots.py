@@ -87,9 +87,8 @@ FIGURES: tuple[Picture, ...] = (
     Picture(
         "composition",
         "What the intervals are composed of",
-        "Each bar adds one source of uncertainty to the bar above it, and the last one is the interval that is reported. "
-        "Diamonds are other estimates: grey by another form of the model, as large as its share of the evidence, red by "
-        "the free run alone.",
+        "Each bar adds one source of uncertainty to the bar above it, down to the interval that is reported; diamonds are "
+        "other estimates, grey by another form of the model (as large as its share of the evidence), red by the free run.",
         figure_composition,
     ),
     Picture(

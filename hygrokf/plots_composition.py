@@ -23,6 +23,8 @@ LABELS = {
     "clocks": "+ clocks",
     "sampling": "+ ambient sampling",
 }
+SHOWN_SD = 1e-3
+"""[1] standard deviation of the logarithm from which a source has a bar of its own."""
 SHOWN_WEIGHT = 0.01
 """[1] share of the evidence above which another form is drawn."""
 
@@ -48,13 +50,14 @@ def figure_composition(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure
 
 
 def _steps(found: object) -> list[Mapping]:
-    """Steps whose interval is closed, those that add nothing left out but for the last."""
+    """Steps of an interval that is closed throughout, without those that add nothing."""
     rows = entry(found, "composition")
     rows = [row for row in rows if isinstance(row, Mapping)] if isinstance(rows, list) else []
+    rows = [row for row in rows if str(entry(row, "source")) in LABELS]
     closed = [row for row in rows if 0 < number(row, "lower_h") < number(row, "upper_h") < math.inf]
     if len(closed) != len(rows):
         return []
-    return [row for i, row in enumerate(rows) if i == 0 or number(row, "sd_ln") > 1e-3]
+    return [row for i, row in enumerate(rows) if i == 0 or number(row, "sd_ln") > SHOWN_SD]
 
 
 def _panel(axes: Axes, found: Mapping) -> None:
@@ -74,9 +77,7 @@ def _panel(axes: Axes, found: Mapping) -> None:
         if entry(one, "form") != "base" and weight >= SHOWN_WEIGHT:
             _mark(axes, rows, "forms", number(one, "value_h"), QUIET, 2.5 + 4.0 * weight)
     _mark(axes, rows, "free run", number(found, "simulation", "value_h"), SIMULATED, 4.5)
-    axes.set_yticks(
-        range(len(rows)), [LABELS.get(str(entry(row, "source")), str(entry(row, "source"))) for row in rows]
-    )
+    axes.set_yticks(range(len(rows)), [LABELS[str(entry(row, "source"))] for row in rows])
     axes.set_ylim(last + 0.6, -0.6)
     axes.locator_params(axis="x", nbins=5)
     axes.grid(False, axis="y")

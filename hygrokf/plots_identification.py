@@ -236,7 +236,7 @@ def figure_profiles(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
 
 def _profile(axes: Axes, found: Mapping) -> None:
     # the likelihood's own bounds, where they stand beside the headline interval
-    own = entry(found, "profile") if isinstance(entry(found, "profile"), Mapping) else found
+    own = entry(found, "profile") if number(found, "profile", "value_h") > 0 else found
     value, low, high = (number(own, name) for name in ("value_h", "lower_h", "upper_h"))
     threshold = number(found, "threshold")
     threshold = threshold if threshold > 0 else THRESHOLD

@@ -162,8 +162,24 @@ def _constant(value: float, half: float, simulated: float) -> dict:
         "value_h": value,
         "lower_h": value - half,
         "upper_h": value + half,
+        "composition": [
+            {"source": "profile", "lower_h": value - 0.6 * half, "upper_h": value + 0.6 * half},
+            {
+                "source": "forms", "sd_ln": 0.3 * half / value, "text": "",
+                "lower_h": value - 0.8 * half, "upper_h": value + 0.8 * half,
+            },
+            {
+                "source": "sampling", "sd_ln": 0.3 * half / value, "text": "",
+                "lower_h": value - half, "upper_h": value + half,
+            },
+        ],
+        "forms": [
+            {"form": "base", "weight": 0.7, "value_h": value},
+            {"form": "second mass", "weight": 0.3, "value_h": value + 0.5 * half},
+        ],
+        "profile": {"value_h": value, "lower_h": value - 0.6 * half, "upper_h": value + 0.6 * half},
         "level": 0.95,
-        "method": "profile",
+        "method": "composed",
         "statement": "",
         "factor": 1.3,
         "threshold": 1.3 * 3.8415,
