@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.signals import SIGNALS, Signal, better_units, suggestion
+from hygrokf.signals import LARGEST_FRACTION, SIGNALS, Signal, better_units, suggestion
 
 if TYPE_CHECKING:
     import pandas
@@ -200,6 +200,8 @@ def _other_unit(value: np.ndarray, row: Signal) -> str | None:
         return None
     finite = value[np.isfinite(value)]
     if not len(finite) or 2 * np.count_nonzero(inside) >= len(finite) or np.ptp(finite) == 0.0:
+        return None
+    if row.unit == "1" and np.median(finite) <= LARGEST_FRACTION:
         return None
     better = better_units(finite, row.unit, row)
     if not better:

@@ -28,6 +28,9 @@ class Unit:
     offset: float = 0.0
 
 
+LARGEST_FRACTION = 1.5
+"""[-] beyond which numbers are per cent: no sensor that is off shows 150 %, and no climate is at 1.5 % for long."""
+
 UNITS: dict[str, Unit] = {
     unit.name: unit
     for unit in (
@@ -415,12 +418,12 @@ def unit_mistaken(values: np.ndarray, unit: str, signal: str | Signal) -> str | 
     if row.dimension == "fraction" and not row.also:
         plausible = finite[(finite >= 0.0) & (finite <= 110.0)]
         high = float(np.quantile(plausible, 0.995)) if len(plausible) else math.nan
-        if unit == "%" and 0.0 < high <= 1.5:
+        if unit == "%" and 0.0 < high <= LARGEST_FRACTION:
             return (
                 f"{row.name} is called %, but its readings reach only {high:.3g}: they look like "
                 'fractions; state unit = "1"'
             )
-        if unit == "1" and high > 1.5:
+        if unit == "1" and high > LARGEST_FRACTION:
             return (
                 f"{row.name} is called a fraction (unit 1), but its readings reach {high:.3g}: "
                 'they look like per cent; state unit = "%"'

@@ -96,6 +96,7 @@ def test_readings_that_cannot_be_in_si_are_refused(signal, time, value, words):
         ("cabinet_temperature", np.full(50, -99.0 + 273.15)),  # a dead sensor, to be masked
         ("cabinet_relative_humidity", np.full(50, 99.99)),  # a sentinel, 9999 %
         ("cabinet_relative_humidity", np.where(np.arange(50) % 3, 0.7, 1.5)),  # a third out of range
+        ("cabinet_relative_humidity", np.where(np.arange(50) % 3, 1.4, 0.7)),  # a sensor that is far off
         ("cabinet_temperature", np.where(np.arange(50) % 2, 20.0, 293.0)),  # half of them, nobody knows
         ("rotor_speed", CELSIUS / 10.0),
         ("cabinet_temperature", np.full(50, np.nan)),
