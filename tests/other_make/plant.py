@@ -10,12 +10,14 @@ import numpy as np
 from other_make.cabinet import Cabinet, Trajectory, integrate
 from other_make.loggers import Channel, Clock, Sensor, write_down
 from other_make.moist_air import FREEZING_K, relative_humidity
-from other_make.operation import make_power
+from other_make.operation import held_over_steps, make_power
 from other_make.random_processes import first_order_lag, flaring, ornstein_uhlenbeck
 from other_make.weather import Weather, make_weather
 
 GRID_S = 20.0
 """[s] step of the integration and of all true courses."""
+SCADA_STEP_S = 600.0
+"""[s] over which SCADA averages the power."""
 LEAST_KG_M3 = 2e-4
 """[kg/m³] below which a disturbance does not take the vapour around the cabinet."""
 
@@ -27,6 +29,8 @@ Range = tuple[float, float]
 class Scenario:
     """What differs from the right form; a range is drawn from uniformly, None: absent.
 
+    power_held: whether the power is constant over the ten minutes that SCADA averages, so that its means tell all; else
+    it also moves within them, and starts and stops fall anywhere.
     ambient_step_s: [s]; ambient_mean: whether the ambient readings are means over that step. cabinet_mean: the same
     for the cabinet's. humidity_lag_s, temperature_lag_s, ambient_humidity_lag_s: [s] response of these sensors;
     lag_stated: whether the record says so. clock_s: [s] by which one system's stamps are off, early or late;
@@ -40,6 +44,7 @@ class Scenario:
     mean square).
     """
 
+    power_held: bool = False
     ambient_step_s: float = 600.0
     ambient_mean: bool = False
     cabinet_mean: bool = False
@@ -134,6 +139,8 @@ def make_plant(seed: int, scenario: Scenario | None = None, days: float = 90.0) 
     weather = make_weather(weather_random, days, GRID_S)
     rated_W = float(power_random.uniform(1.5e6, 3.6e6))
     power_W = make_power(power_random, weather, rated_W)
+    if scenario.power_held:
+        power_W = held_over_steps(power_W, round(SCADA_STEP_S / GRID_S))
     cabinet = random_cabinet(cabinet_random, weather, scenario, further)
     heat_W, outside_kg_m3, calm_W = _forced(noise_random, cabinet, weather, power_W, rated_W, scenario)
     trajectory = integrate(cabinet, GRID_S, weather.ambient_K, outside_kg_m3, heat_W)
@@ -272,7 +279,7 @@ def _logged(
         late_s[struck] = scenario.clock_s * float(further.choice([-1.0, 1.0]))
     cabinet_clock = Clock(900.0, 60.0 * random.integers(15), late_s["cabinet"], scenario.cabinet_mean)
     ambient_clock = Clock(scenario.ambient_step_s, 0.0, late_s["ambient"], scenario.ambient_mean)
-    scada_clock = Clock(600.0, 0.0, late_s["scada"], True)
+    scada_clock = Clock(SCADA_STEP_S, 0.0, late_s["scada"], True)
     tail = {"degrees": scenario.degrees, "outliers": scenario.outliers, "missing": 0.005}
     ambient_tail = {"missing": 0.002}
     coarse_K, coarse_humidity = scenario.resolution

@@ -9,6 +9,7 @@ HUMIDITY_LAG_S = (5.0 * MINUTE_S, 15.0 * MINUTE_S)
 TEMPERATURE_LAG_S = (2.0 * MINUTE_S, 8.0 * MINUTE_S)
 
 ROWS: dict[str, Scenario] = {
+    "right_form": Scenario(power_held=True),
     "instants": Scenario(),
     "means10": Scenario(ambient_mean=True),
     "means60": Scenario(ambient_step_s=3600.0, ambient_mean=True),
@@ -31,4 +32,4 @@ ROWS: dict[str, Scenario] = {
     "solar": Scenario(solar=0.3),
     "two_scales": Scenario(fast=(0.1, 0.3)),
 }
-"""Row -> scenario: the right form, and what each row changes in it."""
+"""Row -> scenario: the right form, ordinary records with instants, and what each further row changes in these."""
