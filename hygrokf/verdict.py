@@ -241,6 +241,15 @@ def handed_on(data: object) -> list[tuple[str, Mapping, Verdict]]:
     ]
 
 
+def rests_on(data: object) -> list[str]:
+    """What is said of a result that rests on numbers which are not to be believed; nothing where there are none."""
+    return [
+        f"this rests on a {part} time constant that is {found.words}: {found.why}"
+        for part, _, found in handed_on(data)
+        if found.verdict == REJECT
+    ]
+
+
 # --- the rules -------------------------------------------------------------------------------
 
 

@@ -73,6 +73,8 @@ def _constant(value: float, half: float) -> dict:
         "level": 0.95,
         "method": "profile",
         "statement": "",
+        "verdict": "believe",
+        "reasons": [],
         "simulation": {"value_h": 1.25 * value, "lower_h": value, "upper_h": 1.5 * value},
     }
 
@@ -129,6 +131,8 @@ def _cause() -> dict:
             "period": "validation",
             "rmse_before": 1.79,
             "rmse_after": 1.57,
+            "identified_before": 1.85,
+            "identified_after": 1.57,
             "lower": 0.13,
             "upper": 0.31,
             "loglik_per_obs": 0.02,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
@@ -20,14 +20,17 @@ from hygrokf.climate.tables import (
     rates_table,
     regimes_table,
     regions_table,
+    share_held,
     span_text,
+    with_shares,
     year_table,
 )
 from hygrokf.drawing import png
 from hygrokf.files import CLIMATE, REPORT, write_bytes_whole, write_text_whole
-from hygrokf.lookup import entry, number
-from hygrokf.page import document, figure_html, moment, prose, section, tables_html
+from hygrokf.lookup import entry
+from hygrokf.page import document, figure_html, mark_html, moment, numbers_html, prose, section, tables_html
 from hygrokf.results import ResultFault
+from hygrokf.verdict import REJECT, rests_on
 from hygrokf.wording import percent, plain_number, sentence, text_of
 
 PICTURE = "test_profile.png"
@@ -36,7 +39,7 @@ JOINT_CAPTION = (
     "than the outside air because it is warmer, not because it holds less vapour."
 )
 DURATION_CAPTION = (
-    "For how much of the time a value lies above the curve. The band holds 95 % of single years: parameters that the fit "
+    "For how much of the time a value lies above the curve. The band holds {share} of single years: parameters that the fit "
     "leaves open, disturbances, and the spread between the years of weather."
 )
 PROFILE_CAPTION = (
@@ -73,28 +76,28 @@ def write_climate_report(study: Study | None, directory: str | os.PathLike[str])
 
 def climate_page(found: Mapping) -> str:
     """The whole page as HTML text, from the data of `climate.json`."""
-    regions = found["regions"]
+    regions = with_shares(found)
     name = text_of(entry(found, "name")).strip() or "unnamed model"
-    parts = [_head(found, name)]
+    parts = [_head(found, regions, name)]
     if len(regions) > 1:
         drawing = figure_html(
             "regions",
             "Regions side by side",
-            "Thin: 95 % of single years. Thick: 95 % bounds of the mean over all years.",
+            f"Thin: bounds that hold {share_held(regions)} of single years. Thick: bounds that hold "
+            f"{share_held(regions, 'mean_bounds_hold')} of the means over all years.",
             lambda: figure_regions(regions),
         )
         parts.append(section("Regions side by side", drawing, tables_html((regions_table(regions), ""))))
     for place, region in enumerate(regions, 1):
-        parts += _region(region, place, len(regions) > 1)
+        parts += _region(region, place, len(regions) > 1, found.get("verdicts"))
     parts.append(_method(found))
     return document(f"{name} – hygrokf climate", parts)
 
 
-def _head(found: Mapping, name: str) -> str:
-    regions = found["regions"]
+def _head(found: Mapping, regions: Sequence[Mapping], name: str) -> str:
     where = ", ".join(text_of(one["name"]) for one in regions)
     line = (
-        f"{where}; {found['members']} members, seed {found['seed']}, bounds {percent(number(found, 'level'))}; cold surface "
+        f"{where}; {found['members']} members, seed {found['seed']}, bounds that hold {share_held(regions)} of single years; cold surface "
         f"follows the cabinet air by {found['surface']['follows']:g}, offset {found['surface']['offset_K']:g} K"
     )
     banner = ""
@@ -105,11 +108,12 @@ def _head(found: Mapping, name: str) -> str:
         )
     return (
         "<header><p class=kind>Hygrothermal model of an enclosure · simulated climate</p>"
-        f"<h1>{escape(name)}</h1><p class=meta>{prose(line)}</p>{banner}</header>"
+        f"<h1>{escape(name)}</h1><p class=meta>{prose(line)}</p>{banner}"
+        f"{numbers_html(found.get('verdicts'), 'The numbers of the model')}</header>"
     )
 
 
-def _region(region: Mapping, place: int, several: bool) -> list[str]:
+def _region(region: Mapping, place: int, several: bool, verdicts: object) -> list[str]:
     title = f"{text_of(region['name'])}: " if several else ""
     short = f"r{place}-"
     spans = region["years"]
@@ -119,7 +123,7 @@ def _region(region: Mapping, place: int, several: bool) -> list[str]:
     meta = f"Weather of {moment(spans[0]['from'])} to {moment(spans[-1]['until'])} UTC, {many}, from {', '.join(map(text_of, region['files'])) or 'a record'}."
     said = "".join(f"<p>{prose(sentence(one))}</p>" for one in region["statements"])
     return [
-        f"<section class=cards>{''.join(_cards(region))}</section>" if not several else "",
+        f"<section class=cards>{''.join(_cards(region, verdicts))}</section>" if not several else "",
         section(_heading(title, "weather and power"), f"<p class=meta>{prose(meta)}</p>", said),
         section(
             _heading(title, "limits"),
@@ -145,7 +149,10 @@ def _region(region: Mapping, place: int, several: bool) -> list[str]:
                 lambda: figure_joint(region),
             ),
             figure_html(
-                f"{short}duration", "Duration curves", DURATION_CAPTION, lambda: figure_duration(region)
+                f"{short}duration",
+                "Duration curves",
+                DURATION_CAPTION.format(share=share_held([region])),
+                lambda: figure_duration(region),
             ),
         ),
         section(_heading(title, "test profile"), *_profile(region, short)),
@@ -157,8 +164,10 @@ def _heading(title: str, words: str) -> str:
     return title + words if title else words[:1].upper() + words[1:]
 
 
-def _cards(region: Mapping) -> list[str]:
+def _cards(region: Mapping, verdicts: object) -> list[str]:
     year, cards = region["scopes"]["all"], []
+    doubtful = "".join(f"<p class=verdict>{mark_html(REJECT)} {prose(one)}</p>" for one in rests_on(verdicts))
+    kind = f" {REJECT}" if doubtful else ""
     part = part_of_year(region)
     scaled = f", scaled up from {part}" if part else ""
     verdicts = [one["verdict"] for one in region["limits"]]
@@ -179,10 +188,11 @@ def _cards(region: Mapping) -> list[str]:
             found = span_text(year[name], hours_text)
             value, _, rest = found.partition(" (")
             note += scaled
-            bounds = f"95 % of single years: {rest.rstrip(')')}" if rest else "in every member and year"
+            share = share_held([region])
+            bounds = f"{share} of single years: {rest.rstrip(')')}" if rest else "in every member and year"
             cards.append(
-                f"<div class=card><p class=label>{label} <span>{escape(note)}</span></p><p class=value>{escape(value)} h/a</p>"
-                f"<p class=bounds>{escape(bounds)}</p></div>"
+                f"<div class='card{kind}'><p class=label>{label} <span>{escape(note)}</span></p><p class=value>{escape(value)} h/a</p>"
+                f"<p class=bounds>{escape(bounds)}</p>{doubtful}</div>"
             )
     return cards
 

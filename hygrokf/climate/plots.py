@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.climate.tables import OF_SCOPES, SIDE_BY_SIDE
+from hygrokf.climate.tables import OF_SCOPES, SIDE_BY_SIDE, share_held
 from hygrokf.drawing import AMBIENT, INK, MEASURED, QUIET, SIMULATED, NothingToShow, key, new_figure, styled
 from hygrokf.lookup import number, numbers
 
@@ -74,7 +74,7 @@ def figure_duration(region: Mapping) -> Figure:
             _duration(axis, region[kind][name], label, kind == "rates")
         for axis in axes[len(there) :]:
             axis.set_axis_off()
-        _duration_key(axes[len(there)] if len(there) < 6 else axes[0])
+        _duration_key(axes[len(there)] if len(there) < 6 else axes[0], share_held([region]))
         made.subplots_adjust(left=0.06, right=0.99, bottom=0.09, top=0.95, wspace=0.2, hspace=0.42)
     return made
 
@@ -96,14 +96,14 @@ def _duration(axis: Axes, curve: Mapping, label: str, rate: bool) -> None:
     axis.margins(x=0.01)
 
 
-def _duration_key(axis: Axes) -> None:
+def _duration_key(axis: Axes, share: str) -> None:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     axis.legend(
         handles=[
             Line2D([], [], color=MEASURED, label="cabinet, simulated"),
-            Patch(color=MEASURED, alpha=0.25, label="95 % of single years"),
+            Patch(color=MEASURED, alpha=0.25, label=f"{share} of single years"),
             Line2D([], [], color=AMBIENT, linestyle=(0, (4, 2)), label="outside"),
         ],
         loc="center",

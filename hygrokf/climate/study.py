@@ -37,6 +37,7 @@ from hygrokf.fit import Fit
 from hygrokf.record import Record
 from hygrokf.stamps import stamp_text
 from hygrokf.surface import Surface
+from hygrokf.verdict import inherited, rests_on
 from hygrokf.version import __version__
 
 MEMBERS = 50
@@ -126,6 +127,7 @@ def climate_profile(
             "members": members,
             "seed": seed,
             "level": LEVEL,
+            "verdicts": inherited(fit.results),
             "surface": vars(surface),
             "plan": plan.to_json(),
             "synthetic": fit.results.get("synthetic") is True,
@@ -160,6 +162,7 @@ def _region(
         raise ValueError("neither weather nor power is known at any instant; check the files and their spans")
     if power is not None and fit.design.power_scale_W is not None:
         statements += _operating_words(gathered, isinstance(power, PowerCurve))
+    statements += rests_on(inherited(fit.results))
     statements += extrapolation_words(fit, record)
     statements += region.weather.warnings
     statements += _interval_words(region.weather)
@@ -194,6 +197,8 @@ def _region(
         "synthetic": any("synthetic" in s.source for s in region.weather.series),
         "statements": statements,
         "part_of_year": gathered.part,
+        "bounds_hold": held(len(drawn) * len(gathered.spans)),
+        "mean_bounds_hold": held(len(drawn)),
         "years": [
             {"from": stamp_text(a), "until": stamp_text(b), "hours_known": hours, "operating_share": share}
             for a, b, hours, share in gathered.spans

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from hygrokf.climate.bounds import held
 from hygrokf.climate.ensemble import part_text
 from hygrokf.climate.limits import QUANTITIES
 from hygrokf.lookup import number
 from hygrokf.report_tables import Table
+from hygrokf.verdict import told
 from hygrokf.wording import NONE, fixed, percent, plain_number
 
 SCOPE_WORDS = {
@@ -67,6 +69,20 @@ def span_text(one: Mapping | None, text: Callable[[float], str] = plain_number) 
     return f"{text(value)} ({text(low)} … {text(high)})"
 
 
+def with_shares(found: Mapping) -> list[Mapping]:
+    """The regions of a climate with the shares that their bounds hold; those of older results follow from its members."""
+    draws = number(found, "members")
+    return [
+        {"bounds_hold": held(draws * len(one["years"])), "mean_bounds_hold": held(draws), **one}
+        for one in found["regions"]
+    ]
+
+
+def share_held(regions: Sequence[Mapping], which: str = "bounds_hold") -> str:
+    """The share of single years (or, of `mean_bounds_hold`, of means) that bounds hold, the least of several regions."""
+    return percent(min(number(one, which) for one in regions))
+
+
 def part_of_year(region: Mapping) -> str:
     """What there is of a region's fullest year where it is too little to stand for a year, such as "80 days"; else ""."""
     if "part_of_year" in region:
@@ -94,7 +110,7 @@ def year_table(region: Mapping) -> Table:
         "The year",
         ("all", "standstill_all_year"),
         True,
-        "In brackets 95 % bounds for a single year. Hours are those of a year of 8766 h.",
+        f"In brackets bounds that hold {share_held([region])} of single years. Hours are those of a year of 8766 h.",
     )
 
 
@@ -265,14 +281,15 @@ def regions_table(regions: Sequence[Mapping]) -> Table | None:
         ("", "unit", *(one["name"] for one in regions)),
         tuple(rows),
         left=(0, 1),
-        note="In brackets 95 % bounds for a single year.",
+        note=f"In brackets bounds that hold {share_held(regions)} of single years.",
     )
 
 
 def climate_text(data: Mapping) -> str:
     """The same for a terminal."""
-    lines = []
-    for region in data["regions"]:
+    lines = told(data.get("verdicts"))
+    regions = with_shares(data)
+    for region in regions:
         lines += [f"{region['name']}", *(f"  {one}" for one in region["statements"])]
         for table in (
             limits_table(region),
@@ -283,7 +300,7 @@ def climate_text(data: Mapping) -> str:
             if table is not None:
                 lines += ["", *_lines(table)]
         lines.append("")
-    table = regions_table(data["regions"])
+    table = regions_table(regions)
     return "\n".join([*lines, *(_lines(table) if table else [])]).rstrip()
 
 

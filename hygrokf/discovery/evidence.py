@@ -193,7 +193,8 @@ def _gain(quantity: str, bases: tuple[Fit, Fit], extended: tuple[Fit, Fit], move
 
     Base and extended model as they were estimated by innovations or, where that simulates the identification period
     better, moved toward its least free-run error, sensors within their accuracy.  `lower`, `upper` bound the difference
-    by a bootstrap of blocks of three days.
+    by a bootstrap of blocks of three days.  `identified_before`, `identified_after`: the errors of the models as they were
+    estimated by innovations, which tables and other pages show.
     """
 
     def total(fit: Fit, period: str) -> float | None:
@@ -211,6 +212,8 @@ def _gain(quantity: str, bases: tuple[Fit, Fit], extended: tuple[Fit, Fit], move
         "period": period,
         "rmse_before": total(before, period),
         "rmse_after": total(after, period),
+        "identified_before": total(bases[0], period),
+        "identified_after": total(extended[0], period),
         "lower": low,
         "upper": high,
         "loglik_per_obs": per,

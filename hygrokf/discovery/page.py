@@ -34,6 +34,7 @@ from hygrokf.discovery.words import (
     evidence_sentence,
     gain_sentence,
     gains_by_quantity,
+    numbers_of,
     quantity_of,
     remainder,
     remainder_driver,
@@ -52,8 +53,9 @@ from hygrokf.discovery.words import (
 )
 from hygrokf.files import BESIDE_DISCOVERY, REPORT, write_text_whole
 from hygrokf.lookup import entry, number, numbers
-from hygrokf.page import document, figure_html, moment, prose, section, tables_html
+from hygrokf.page import document, figure_html, moment, numbers_html, prose, section, tables_html
 from hygrokf.report import write_report
+from hygrokf.verdict import rests_on
 from hygrokf.version import __version__
 from hygrokf.wording import BASELINES, SCORED, fixed, percent, sentence, text_of
 
@@ -67,6 +69,7 @@ HEADLINE = {
     "none": "Nothing is missing that this record shows",
     "unexplained": "Something is missing; its cause is not known",
 }
+NOT_RIGHT = "No cause is found, and the model is not right"
 REPETITION = "A logger writes readings again that are a day old"
 LABEL = {"none": "no cause", "named": "a cause is named", "unexplained": "unexplained"}
 TITLES = {"temperature": "temperature", "humidity": "absolute humidity"}
@@ -128,7 +131,19 @@ def _head(found: Mapping, name: str, before: Residuals | None) -> str:
         )
     return (
         "<header><p class=kind>Hygrothermal model of an enclosure · discovery report</p>"
-        f"<h1>{escape(name)}</h1>{meta}{banner}</header>"
+        f"<h1>{escape(name)}</h1>{meta}{banner}{_numbers(found)}</header>"
+    )
+
+
+def _numbers(found: Mapping) -> str:
+    """The time constants of the model that the discovery ends with, and of the base where that is another one."""
+    extended = isinstance(entry(found, "extended"), Mapping)
+    base = numbers_html(
+        numbers_of(found, "baseline"),
+        "The numbers of the base model" if extended else "The numbers of the model",
+    )
+    return base + (
+        numbers_html(numbers_of(found, "extended"), "The numbers of the extended model") if extended else ""
     )
 
 
@@ -154,6 +169,8 @@ def _headline(found: Mapping) -> str:
     verdict, causes = verdict_of(found), rows_of(found, "causes")
     names = [spoken(one.get("cause")) for one in causes]
     heading = HEADLINE.get(verdict) or title(" + ".join(names) or "a cause")
+    if verdict == "none" and rests_on(numbers_of(found, "baseline")):
+        heading = NOT_RIGHT
     if verdict == "unexplained" and repeats_itself(found):
         heading = REPETITION
     lines = []
@@ -189,21 +206,15 @@ def _error_cards(found: Mapping) -> list[str]:
     gains, cards = gains_by_quantity(found), []
     for quantity in SCORED:
         before, after, period = scored_error(found, quantity)
-        gain = gains.get(quantity)
-        if gain is not None:
-            before, after = number(gain, "rmse_before"), number(gain, "rmse_after")
-            period = text_of(entry(gain, "period"))
         if not math.isfinite(before):
             continue
         name, unit = quantity_of(quantity)
         value = f"{fixed(before)} → {fixed(after)}" if math.isfinite(after) else fixed(before)
         lines = []
         if math.isfinite(after) and before > 0:
-            bounds = ""
-            low, high = number(gain, "lower"), number(gain, "upper")
-            if math.isfinite(low) and math.isfinite(high):
-                bounds = f"; fall {fixed(low)} … {fixed(high)} {unit}, 95 %"
-            lines.append(f"<p class=bounds>{prose(signed_percent(after / before - 1.0) + bounds)}</p>")
+            lines.append(f"<p class=bounds>{prose(signed_percent(after / before - 1.0))}</p>")
+        if gain := _gain_words(gains.get(quantity), before, after, unit):
+            lines.append(f"<p>{prose(gain)}</p>")
         rules = {
             words: number(found, "baseline", "baselines", period, key, quantity, "total")
             for key, words in BASELINES[quantity].items()
@@ -224,6 +235,15 @@ def _error_cards(found: Mapping) -> list[str]:
             f"<p class=value>{escape(value)} {escape(unit)}</p>{''.join(lines)}</div>"
         )
     return cards
+
+
+def _gain_words(gain: Mapping | None, before: float, after: float, unit: str) -> str:
+    """The measured gain with its bounds; where it compares better simulators than the card does, with their errors."""
+    first, last, low, high = (number(gain, key) for key in ("rmse_before", "rmse_after", "lower", "upper"))
+    bounds = f"falls by {fixed(low)} … {fixed(high)} {unit} (95 %)" if low <= high else ""
+    if not math.isfinite(first) or [fixed(first), fixed(last)] == [fixed(before), fixed(after)]:
+        return bounds
+    return f"as the better simulators that both can be: {fixed(first)} → {fixed(last)} {unit}{f', {bounds}' if bounds else ''}"
 
 
 # --- sections --------------------------------------------------------------------------------
@@ -309,8 +329,10 @@ def _scores(found: Mapping) -> str:
     note = ""
     if gains_by_quantity(found):
         note = (
-            "<p class=note>The base model of these tables is the one identified by its innovations. The gain above is "
-            "measured against the better of it and of a base model fitted to its free run, so it may be smaller.</p>"
+            "<p class=note>Both models of these tables, and of the cards, are those identified by their innovations; the "
+            "fit’s own page shows the same numbers. The gain of a cause is measured between the better simulators that they "
+            "can be: each as it is, or moved toward its least free-run error, whichever simulates the identification period "
+            "better. So it may be smaller.</p>"
         )
     return section("Errors before and after", tables_html(*rows), note)
 

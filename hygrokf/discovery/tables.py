@@ -18,6 +18,7 @@ from hygrokf.discovery.words import (
 from hygrokf.lookup import entry, number
 from hygrokf.report_tables import REGIMES, Table, rmse_table
 from hygrokf.report_words import simulated, time_constant
+from hygrokf.verdict import REJECT, verdicts
 from hygrokf.wording import NONE, SCORED, fixed, percent, plain_number, text_of
 
 WHICH = ("baseline", "extended")
@@ -84,20 +85,26 @@ def constants_table(found: Mapping) -> Table | None:
             continue
         cells = []
         for one in pair:
-            cells += [one.value, one.bounds.split(",")[0] if one.closed else NONE]
+            known = one.found is not None
+            cells += [
+                one.value,
+                one.bounds.split(",")[0] if one.closed else NONE,
+                one.verdict.words if known else NONE,
+            ]
         a, b = (number(one.found, "value_h") if one.closed else math.nan for one in pair)
         rows.append((name, *cells, signed_percent(b / a - 1.0) if a > 0 and math.isfinite(b) else NONE))
         value, _, span = simulated(pair[0].found).partition(" (")
         if value:
             # the extended model has no such estimate: its free run is not fitted
-            rows.append(("  by its free run", value, span.rstrip(")") or NONE, NONE, NONE, NONE))
+            rows.append(("  by its free run", value, span.rstrip(")") or NONE, "", NONE, NONE, "", NONE))
     if not rows:
         return None
     return Table(
         "Time constants",
-        ("", "value", "bounds [h]", "value", "bounds [h]", "change"),
+        ("", "value", "bounds [h]", "verdict", "value", "bounds [h]", "verdict", "change"),
         tuple(rows),
-        groups=(("", 1), ("base model", 2), ("extended model", 2), ("", 1)),
+        left=(0, 3, 6),
+        groups=(("", 1), ("base model", 3), ("extended model", 3), ("", 1)),
     )
 
 
@@ -111,6 +118,13 @@ def constants_sentences(found: Mapping) -> list[str]:
         )
         after = number(found, "extended", "time_constants", name, "value_h")
         if not (math.isfinite(value) and math.isfinite(after) and after > 0 and value > 0):
+            continue
+        verdict = verdicts(_fit_like(found, "extended"))[name]
+        if verdict.verdict == REJECT:
+            said.append(
+                f"The {name} time constant of the extended model is {verdict.words} either, so it does not tell how wrong the "
+                f"base model's is: {verdict.why}."
+            )
             continue
         off = value / after - 1.0
         if abs(off) < 0.005:

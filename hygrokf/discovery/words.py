@@ -12,6 +12,7 @@ from datetime import UTC, datetime
 from hygrokf.discovery.repeats import REPEATED
 from hygrokf.lookup import entry, number
 from hygrokf.report_tables import TEXT_WIDTH, unit, wrapped
+from hygrokf.verdict import inherited, rests_on, told
 from hygrokf.wording import (
     NONE,
     QUANTITIES,
@@ -83,6 +84,11 @@ def verdict_sentences(found: Mapping) -> list[str]:
     if verdict == "named":
         left = remainder(found)
         return [f"that is not all: {left}"] if left else []
+    if verdict == "none" and (doubts := rests_on(numbers_of(found, "baseline"))):
+        return [
+            f"none of {tried(found)} causes of the library is both significant and worth having, and yet the base model is not right",
+            *(text.replace("this rests on", "it has", 1) for text in doubts),
+        ]
     if verdict == "none":
         return [
             f"none of {tried(found)} causes of the library is both significant and worth having, and what the simulation "
@@ -156,6 +162,12 @@ def gain_sentence(cause: Mapping) -> str:
         said += f" (95 % bounds of the fall: {fixed(low)} … {fixed(high)} {symbol})"
         if low <= 0.0:
             said += ": on this period alone the gain is not certain"
+    own = [number(gain, f"identified_{when}") for when in ("before", "after")]
+    if all(map(math.isfinite, own)) and [fixed(v) for v in own] != [fixed(before), fixed(after)]:
+        said += (
+            f". This compares the models as the better simulators that they can be; as they were identified, they err by "
+            f"{fixed(own[0])} and {fixed(own[1])} {symbol}, and these are the numbers of the tables and of the fit's page"
+        )
     if period == "identification":
         said += "; there is no held-out period, so the data that chose the cause also score it"
     return said
@@ -315,14 +327,23 @@ def discovery_text(found: Mapping) -> str:
 
 
 def _time_constants(found: Mapping) -> list[str]:
-    """Both time constants before and after, where there is an extended model."""
+    """The time constants of both models with their verdicts, and what the extension changed."""
     said = []
-    for name in ("thermal", "hygric"):
+    for which, label in (("baseline", "base model"), ("extended", "extended model")):
+        said += [line for text in told(numbers_of(found, which)) for line in _items([f"{label}: {text}"])]
+    changed = []
+    for name in PARTS:
         a, b = (number(found, which, "time_constants", name, "value_h") for which in ("baseline", "extended"))
-        if math.isfinite(a) and math.isfinite(b):
-            change = f" ({signed_percent(b / a - 1.0)})" if a > 0 else ""
-            said.append(f"  {name}: {plain_number(a)} h before, {plain_number(b)} h after{change}")
+        if a > 0 and math.isfinite(b):
+            changed.append(f"{name} {signed_percent(b / a - 1.0)}")
+    said += [f"  - change by the extension: {', '.join(changed)}"] if changed else []
     return ["", "time constants", *said] if said else []
+
+
+def numbers_of(found: Mapping, which: str) -> dict[str, dict]:
+    """The numbers of the base ("baseline") or the extended model with their verdicts."""
+    data = entry(found, which)
+    return inherited(data) if isinstance(data, Mapping) else {}
 
 
 def signed_percent(share: float) -> str:

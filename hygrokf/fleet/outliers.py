@@ -48,6 +48,7 @@ class Spread:
     between: float
     z: np.ndarray
     p: np.ndarray
+    rejected: tuple[str, ...] = ()
 
     @property
     def outliers(self) -> list[int]:
@@ -56,8 +57,8 @@ class Spread:
 
 
 def spreads(rows: Sequence[Mapping[str, object]], compared: Sequence[Compared]) -> list[Spread]:
-    """The spread of every quantity that any turbine has; turbines without a value and bounds above zero on both sides
-    are set aside by name (`open`).
+    """The spread of every quantity that any turbine has; turbines without a value and bounds above zero on both sides are
+    set aside by name (`open`), and so are those whose value is not to be believed (`rejected`).
     """
     there = [one for one in compared if any(number(row, one.column) > 0 for row in rows)]
     return [spread(rows, one, len(there)) for one in there]
@@ -65,10 +66,13 @@ def spreads(rows: Sequence[Mapping[str, object]], compared: Sequence[Compared]) 
 
 def spread(rows: Sequence[Mapping[str, object]], compared: Compared, quantities: int = 1) -> Spread:
     """One quantity over the fleet, judged as one of several."""
-    named, x, error, open_ = [], [], [], []
+    named, x, error, open_, rejected = [], [], [], [], []
     for row in rows:
         value = number(row, compared.column)
         if not value >= 0:
+            continue
+        if compared.rejected(row):
+            rejected.append(str(row["turbine"]))
             continue
         if value == 0:  # no logarithm
             open_.append(str(row["turbine"]))
@@ -83,7 +87,7 @@ def spread(rows: Sequence[Mapping[str, object]], compared: Compared, quantities:
     x, error = np.array(x), np.array(error)
     nothing = np.full(len(x), np.nan)
     if not len(x):
-        return Spread(compared, (), x, error, tuple(open_), np.nan, np.nan, nothing, nothing)
+        return Spread(compared, (), x, error, tuple(open_), np.nan, np.nan, nothing, nothing, tuple(rejected))
     center = float(np.median(x))
     scale = TO_SD * float(np.median(np.abs(x - center)))
     own = error**2 if compared.lower else np.zeros(len(x))
@@ -94,7 +98,7 @@ def spread(rows: Sequence[Mapping[str, object]], compared: Compared, quantities:
             scale**2 - min(float(np.median(own)), scale**2) + own if own.any() else scale**2
         )
         p = np.minimum(1.0, quantities * family_chance(np.abs(z)))
-    return Spread(compared, tuple(named), x, error, tuple(open_), center, between, z, p)
+    return Spread(compared, tuple(named), x, error, tuple(open_), center, between, z, p, tuple(rejected))
 
 
 def family_chance(z: np.ndarray) -> np.ndarray:

@@ -16,8 +16,9 @@ from hygrokf.lookup import entry, number
 from hygrokf.page import document, figure_html, moment, prose, section, tables_html
 from hygrokf.report_tables import Table
 from hygrokf.transfer.page import type_section
+from hygrokf.verdict import CAUTION, PARTS, REJECT, VERDICTS, WORDS
 from hygrokf.version import __version__
-from hygrokf.wording import NONE, decimals_for, fixed, plain_number, sentence, text_of
+from hygrokf.wording import NONE, decimals_for, fixed, percent, plain_number, sentence, text_of
 
 RANKED = 50
 """Rows of the ranking on the page; the table of all is fleet.csv."""
@@ -36,6 +37,7 @@ def fleet_page(fleet: Mapping) -> str:
         _head(fleet, name, done),
         _cards(rows, done, found),
         _failures(rows),
+        _believed(done),
         _verdicts(done),
         _transfers(done),
         _climates(done),
@@ -125,6 +127,51 @@ def _failures(rows: Sequence[Mapping]) -> str:
     return section("Without a result", tables_html((table, "")), said)
 
 
+def _believed(done: Sequence[Mapping]) -> str:
+    """The verdict on the time constants of each turbine's model, those that are not to be believed first."""
+    judged = [row for row in done if any(_verdict(row, part) for part in PARTS)]
+    if not judged:
+        return ""
+    order = {kind: place for place, kind in enumerate(reversed(VERDICTS))}
+    ranked = sorted(judged, key=lambda r: min(order.get(_verdict(r, part), len(order)) for part in PARTS))
+    doubtful = [r for r in ranked if any(_verdict(r, part) in (CAUTION, REJECT) for part in PARTS)]
+    rows = tuple(
+        (text_of(r.get("turbine")), *(_verdict_words(_verdict(r, part)) for part in PARTS))
+        for r in doubtful[:RANKED]
+    )
+    marked = tuple(
+        i for i, r in enumerate(doubtful[:RANKED]) if REJECT in [_verdict(r, part) for part in PARTS]
+    )
+    said = "; ".join(
+        f"the {part} time constant of "
+        + ", ".join(f"{count} {WORDS[kind]}" for kind in VERDICTS if (count := _count(judged, part, kind)))
+        for part in PARTS
+        if any(_verdict(row, part) for row in judged)
+    )
+    head = ("turbine", *(f"{part} time constant" for part in PARTS))
+    more = f" The first {RANKED} of {len(doubtful)}; all are in {CSV}." if len(doubtful) > RANKED else ""
+    note = f"The reasons stand in each turbine's own results.{more}"
+    table = Table("Turbines whose numbers are in doubt", head, rows, left=(0, 1, 2), marked=marked, note=note)
+    return section(
+        "Which numbers to believe",
+        f"<p>{prose(sentence(said))}</p>",
+        tables_html((table if rows else None, "All of them are to be believed.")),
+    )
+
+
+def _verdict(row: Mapping, part: str) -> str:
+    found = row.get(f"{part}_verdict")
+    return found if found in VERDICTS else ""
+
+
+def _verdict_words(kind: str) -> str:
+    return WORDS.get(kind, NONE)
+
+
+def _count(rows: Sequence[Mapping], part: str, kind: str) -> int:
+    return sum(_verdict(row, part) == kind for row in rows)
+
+
 def _verdicts(done: Sequence[Mapping]) -> str:
     """How often each cause was accepted, of a fleet's discoveries."""
     if not any("verdict" in row for row in done):
@@ -183,7 +230,9 @@ def _climates(done: Sequence[Mapping]) -> str:
     said = f"Limits: {verdicts}." if verdicts else "No limits were given."
     head = ("turbine", "limits", "wetness", "condensation, h/a")
     marked = tuple(i for i, row in enumerate(judged) if row.get("limits") == "fail")
-    note = "Limits: the worst of a turbine's verdicts. Wetness: class of ISO 9223:1992. In brackets 95 % bounds for a single year."
+    shares = [share for row in judged if math.isfinite(share := number(row, "bounds_hold"))]
+    held = f" that hold {percent(min(shares))} of single years" if shares else " for a single year"
+    note = f"Limits: the worst of a turbine's verdicts. Wetness: class of ISO 9223:1992. In brackets bounds{held}."
     table = Table("Each turbine", head, rows, left=(0, 1, 2), marked=marked, note=note)
     remarks = Counter(one for row in judged for one in text_of(row.get("statements")).split(BETWEEN) if one)
     told = "".join(
@@ -225,11 +274,15 @@ def _spreads_section(found: Sequence[Spread]) -> str:
         if chosen:
             parts.append(figure_html(name, heading, caption, lambda chosen=chosen: figure_spreads(chosen)))
     for one in found:
-        if one.open:
-            parts.append(
-                f"<p class=note>Without a value and bounds above zero on both sides, so not compared: {escape(one.compared.title)} of "
-                f"{escape(', '.join(one.open[:20]))}{' …' if len(one.open) > 20 else ''}.</p>"
-            )
+        for names, why in (
+            (one.open, "Without a value and bounds above zero on both sides"),
+            (one.rejected, WORDS[REJECT].capitalize()),
+        ):
+            if names:
+                parts.append(
+                    f"<p class=note>{why}, so not compared: {escape(one.compared.title)} of "
+                    f"{escape(', '.join(names[:20]))}{' …' if len(names) > 20 else ''}.</p>"
+                )
     return section("Spread over the fleet", *parts) if parts else ""
 
 
@@ -238,6 +291,8 @@ def _value(row: Mapping, one: Compared) -> str:
     value = number(row, one.column)
     if not math.isfinite(value):
         return NONE
+    if one.rejected(row):
+        return WORDS[REJECT]
     if not one.lower:
         return fixed(value)
     low, high = number(row, one.lower), number(row, one.upper)

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING
 from hygrokf.files import write_text_whole
 from hygrokf.fleet.job import DONE, FAILED, Job, Outcome, begin, finished, keep, outcome
 from hygrokf.lookup import entry, number
+from hygrokf.verdict import PARTS, REJECT
 
 if TYPE_CHECKING:
     from hygrokf.fit import Fit
@@ -56,7 +57,8 @@ class Option:
 class Compared:
     """A positive quantity by which turbines are compared on a logarithmic scale.
 
-    column: its value; lower, upper: columns of its 95 % bounds, or empty. title, unit: for tables and pictures.
+    column: its value; lower, upper: columns of its bounds, or empty. title, unit: for tables and pictures. verdict: the
+    column that says whether it can be believed, or empty.
     """
 
     column: str
@@ -64,6 +66,11 @@ class Compared:
     unit: str
     lower: str = ""
     upper: str = ""
+    verdict: str = ""
+
+    def rejected(self, row: Mapping[str, object]) -> bool:
+        """Whether a turbine's value is not to be believed."""
+        return bool(self.verdict) and row.get(self.verdict) == REJECT
 
 
 @dataclass(frozen=True)
@@ -152,6 +159,7 @@ def _of_fit(fit: Fit, record: Record) -> dict:
         "converged": results["converged"],
         "n_readings": entry(results, "period", "n_readings"),
         **_of_time_constants(results),
+        **_of_verdicts(results),
         **_of_scores(results),
         "loglik": number(results, "loglik"),
         "at_bounds": " ".join(results["at_bounds"]),
@@ -177,6 +185,12 @@ def _of_time_constants(results: Mapping) -> dict:
             found[f"{name}_{part}_h"] = number(results, "time_constants", name, f"{part}_h")
         found[f"{name}_statement"] = entry(results, "time_constants", name, "statement") or ""
     return found
+
+
+def _of_verdicts(data: object) -> dict:
+    """The verdict on each time constant of a fit, or of what has inherited its numbers; empty where there is none."""
+    known = entry(data, "time_constants") or data
+    return {f"{part}_verdict": entry(known, part, "verdict") or "" for part in PARTS}
 
 
 def _of_scores(results: Mapping) -> dict:
@@ -218,6 +232,7 @@ def _discover(job: Job) -> dict:
         "causes": " ".join(str(one["cause"]) for one in causes),
         "confidence": min((number(one, "confidence") for one in causes), default=math.nan),
         **_of_time_constants(final),
+        **_of_verdicts(final),
     }
     for quantity, column in _ERRORS.items():
         before, after, period = scored_error(results, quantity)
@@ -235,7 +250,12 @@ def _evaluate(job: Job) -> dict:
     fit, record = _stored(job), read_case(job.case)
     results = evaluation(fit, record)
     write_text_whole(job.folder / "evaluation.json", dump(results))
-    columns: dict[str, object] = {**_of_record(record), "model": fit.name, **_of_scores(results)}
+    columns: dict[str, object] = {
+        **_of_record(record),
+        "model": fit.name,
+        **_of_verdicts(results["verdicts"]),
+        **_of_scores(results),
+    }
     period = columns["scored_period"]
     for quantity, column in _ERRORS.items():
         name = column.partition("_rmse")[0]
@@ -278,6 +298,7 @@ def _transfer(job: Job) -> dict:
         "transfer": results["verdict"],
         "re_estimate": " ".join(results["re_estimate"]),
         "sentence": results["sentence"],
+        **_of_verdicts(results["verdicts"]),
         "scored_period": results["period"],
     }
     for quantity, column in _ERRORS.items():
@@ -310,7 +331,12 @@ def _climate(job: Job) -> dict:
     )
     write_climate_report(study, job.folder)
     (region,) = study.results["regions"]
-    columns: dict[str, object] = {**_of_record(weather), "model": fit.name}
+    columns: dict[str, object] = {
+        **_of_record(weather),
+        "model": fit.name,
+        **_of_verdicts(study.results["verdicts"]),
+        "bounds_hold": region["bounds_hold"],
+    }
     for name in _CLIMATE:
         for part, column in (("value", name), ("lower", f"{name}_lower"), ("upper", f"{name}_upper")):
             columns[column] = number(region, "scopes", "all", name, part)
@@ -348,14 +374,25 @@ _CONSTANTS = {
         ("statement", "what is to be said", ", empty where value and bounds say it"),
     )
 }
+_VERDICTS = {
+    f"{name}_verdict": f"whether the {name} time constant of the model can be believed: believe, caution or reject"
+    for name in PARTS
+}
 _SCORES = {
     "scored_period": "period of the errors: validation, or identification where nothing is held out",
     "temperature_rmse_K": "free-run error of the temperature in total, root mean square [K]",
     "humidity_rmse_g_m3": "free-run error of the absolute humidity in total, root mean square [g/m³]",
 }
 _COMPARED_CONSTANTS = tuple(
-    Compared(f"{name}_value_h", f"{name} time constant", "h", f"{name}_lower_h", f"{name}_upper_h")
-    for name in ("thermal", "hygric")
+    Compared(
+        f"{name}_value_h",
+        f"{name} time constant",
+        "h",
+        f"{name}_lower_h",
+        f"{name}_upper_h",
+        f"{name}_verdict",
+    )
+    for name in PARTS
 )
 _COMPARED_ERRORS = (
     Compared("temperature_rmse_K", "free-run error of the temperature", "K"),
@@ -386,6 +423,7 @@ TASKS: Mapping[str, Task] = {
             "converged": "whether every climb ended at a maximum",
             "n_readings": "readings of the identification period",
             **_CONSTANTS,
+            **_VERDICTS,
             **_SCORES,
             "loglik": "log-likelihood of all stages",
             "at_bounds": "parameters that ended at a bound",
@@ -403,6 +441,7 @@ TASKS: Mapping[str, Task] = {
             "causes": "accepted causes, in the order in which they were accepted",
             "confidence": "least confidence of the accepted causes [1]",
             **_CONSTANTS,
+            **_VERDICTS,
             **_SCORES,
             "base_temperature_rmse_K": "free-run error of the temperature before the extension [K]",
             "base_humidity_rmse_g_m3": "free-run error of the absolute humidity before the extension [g/m³]",
@@ -418,6 +457,7 @@ TASKS: Mapping[str, Task] = {
         {
             **_RECORD,
             "model": "name of the fitted model",
+            **_VERDICTS,
             **_SCORES,
             **{
                 f"{name}_rmse_{regime}_{unit}": f"the same of the {text} {words} [{unit.replace('g_m3', 'g/m³')}]"
@@ -446,6 +486,7 @@ TASKS: Mapping[str, Task] = {
             "transfer": "whether the model transfers, transfers after re-estimating, or does not",
             "re_estimate": "groups of parameters that are to be re-estimated",
             "sentence": "the verdict in words",
+            **_VERDICTS,
             **_SCORES,
             **{
                 f"as_is_{column}": f"the same of the {text}, with the model as it is [{unit}]"
@@ -481,10 +522,12 @@ TASKS: Mapping[str, Task] = {
         {
             **_RECORD,
             "model": "name of the fitted model",
+            **_VERDICTS,
+            "bounds_hold": "share of single years that the bounds hold [1]",
             **{
                 f"{name}{end}": f"{words}{meaning}"
                 for name, meaning in _CLIMATE.items()
-                for end, words in _ENDS
+                for end, words in (("", ""), ("_lower", "lower bound of "), ("_upper", "upper bound of "))
             },
             "limits": "worst verdict on the limits: fail, undecided or pass; empty without any",
             "wetness_class": "class of the time of wetness, ISO 9223:1992",

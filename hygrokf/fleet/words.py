@@ -9,6 +9,7 @@ from hygrokf.fleet.job import DONE, Outcome
 from hygrokf.fleet.outliers import FEWEST, spreads
 from hygrokf.fleet.tasks import TASKS, Compared
 from hygrokf.lookup import number
+from hygrokf.verdict import REJECT, WORDS
 from hygrokf.wording import text_of
 
 SHOWN = 60
@@ -21,7 +22,7 @@ def outcome_text(found: Outcome, known: bool) -> str:
         return f"{found.turbine}: {found.status}: {text_of(found.row['reason'])}"
     compared = TASKS[text_of(found.row["task"])].compared
     values = (
-        f"{one.title} {value:.3g} {one.unit}"
+        f"{one.title} {WORDS[REJECT]}" if one.rejected(found.row) else f"{one.title} {value:.3g} {one.unit}"
         for one in compared[:2]
         if math.isfinite(value := number(found.row, one.column))
     )
@@ -74,10 +75,12 @@ _HEADS = {
 }
 
 
-def _cell(row: Mapping[str, object], one) -> str:
+def _cell(row: Mapping[str, object], one: Compared) -> str:
     value = number(row, one.column)
     if not math.isfinite(value):
         return "–"
+    if one.rejected(row):
+        return WORDS[REJECT]
     if not one.lower:
         return f"{value:.2f}"
     low, high = number(row, one.lower), number(row, one.upper)

@@ -16,6 +16,7 @@ from hygrokf.live.condition import Condition
 from hygrokf.live.inquiry import SENSORS, Finding
 from hygrokf.live.properties import Departure
 from hygrokf.live.store import Alarm
+from hygrokf.verdict import PARTS, REJECT, handed_on
 
 MINUTE_S = 60.0
 HOUR_S = 3600.0
@@ -208,6 +209,26 @@ def condensation_level(found: Condition, place: int = -1) -> list[Level]:
         f"it is {margin.value[place]:+.1f} K ({margin.lower[place]:+.1f} … {margin.upper[place]:+.1f}) from the dew point"
     )
     return [Level(CONDENSATION.kind, chance, words)]
+
+
+RESTS_ON = {
+    "thermal_time_constant": PARTS[:1], "heat_release_change": PARTS[:1], "hygric_k": PARTS[1:], "humidity_offset": PARTS[1:],
+}  # fmt: skip
+"""Property -> the numbers of the fit that a departure of it rests on; everything else rests on both."""
+
+
+def resting_on(levels: list[Level], verdicts: Mapping[str, Mapping]) -> list[Level]:
+    """The levels, those in words with what they rest on and is not to be believed; `verdicts` as a fit hands them on."""
+    rejected = [part for part, _, found in handed_on(verdicts) if found.verdict == REJECT]
+    made = []
+    for one in levels:
+        parts = [part for part in rejected if part in RESTS_ON.get(one.subject, PARTS)]
+        if one.statement and parts:
+            names = " and ".join(f"{part} time constant" for part in parts)
+            words = f"{one.statement}; the model's {names}, on which this rests, {'is' if len(parts) == 1 else 'are'} not to be believed"
+            one = replace(one, statement=words)
+        made.append(one)
+    return made
 
 
 def stale_levels(ages_s: Mapping[str, float], limit_s: float) -> list[Level]:

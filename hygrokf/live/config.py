@@ -23,6 +23,7 @@ from hygrokf.live.table_reader import TableReader
 from hygrokf.record import Site
 from hygrokf.results import ResultFault, read_fit
 from hygrokf.signals import SIGNALS, difference_to_si, suggestion, unit_fault
+from hygrokf.verdict import inherited
 
 STAMPS = ("instant", "start", "middle", "end")
 RETENTION_S = 400.0 * 86400.0
@@ -269,7 +270,7 @@ def _turbine(
     except OSError as fault:
         reader.faults.append(f"{where}: {folder / path}: {fault.strerror}")
         return None
-    return Turbine(made, cold, standard_errors(fit), limit, stale_s)
+    return Turbine(made, cold, standard_errors(fit), limit, stale_s, inherited(fit.results))
 
 
 def _table(

@@ -22,6 +22,7 @@ from hygrokf.live.streams import Playback, form_of, record_mapping, record_messa
 from hygrokf.record import Record, Series
 from hygrokf.results import read_fit, write_fit
 from hygrokf.synthetic import SyntheticParameters, synthetic_turbine, write_case
+from hygrokf.verdict import inherited
 
 NAMES = {
     "Synthetic 1": (),
@@ -69,6 +70,7 @@ def demo_turbines(
         name: Turbine(
             plan(fit, name=name, forms=forms, site=record.site, rated_power_W=record.rated_power_W),
             errors=standard_errors(fit),
+            verdicts=inherited(fit.results),
         )
         for name in NAMES
     }

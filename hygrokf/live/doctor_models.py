@@ -15,6 +15,7 @@ from hygrokf.live.plan import Plan
 from hygrokf.live.streams import Stream
 from hygrokf.live.tracker import AMBIENT_HUMIDITIES, Reading, Tracker, record_of
 from hygrokf.signals import SIGNALS
+from hygrokf.verdict import REJECT, handed_on
 
 HOUR_S = 3600.0
 TRIED_H = 72
@@ -28,6 +29,13 @@ def model_checks(
     fine, unheard = [], []
     for name, one in turbines.items():
         mapped = mapped_signals(name, streams)
+        for part, _, found in handed_on(one.verdicts):
+            if found.verdict == REJECT:
+                yield doubt(
+                    f"turbine {name}",
+                    f"the {part} time constant of its model is {found.words}: {found.why}",
+                    "see the fit's report; what is told of this turbine says that it rests on it",
+                )
         wrong = model_fault(one.plan, mapped)
         if wrong is not None:
             yield fault(f"turbine {name}", *wrong)

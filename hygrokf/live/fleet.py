@@ -28,6 +28,7 @@ from hygrokf.live.alarms import (
     condensation_level,
     departure_levels,
     judged,
+    resting_on,
     source_levels,
     stale_levels,
 )
@@ -71,7 +72,7 @@ class Turbine:
     """A turbine to be tracked: its plan, its coldest surface, and the fit's own uncertainty of its properties.
 
     `limit` [1] relative humidity that forecasts and the advice for a restart ask for; `stale_s` [s] age from which its data
-    are stale.
+    are stale; `verdicts` on the numbers of the fit, as it hands them on.
     """
 
     plan: Plan
@@ -79,6 +80,7 @@ class Turbine:
     errors: MappingOf[str, float] = field(default_factory=dict)
     limit: float = LIMIT
     stale_s: float = STALE_S
+    verdicts: MappingOf[str, MappingOf] = field(default_factory=dict)
 
 
 class Fleet:
@@ -228,6 +230,7 @@ class Fleet:
             levels = condensation_level(found, int(i)) + departure_levels(
                 self.departures[name], self.findings.get(name)
             )
+            levels = resting_on(levels, self.turbines[name].verdicts)
             self._judge(name, float(found.time_s[i]), levels, WARNED, batch)
         self._warned[name] = max(after, float(found.time_s[-1]))
 
@@ -263,6 +266,7 @@ class Fleet:
         self.findings[name] = finding
         batch = Batch(memories={(name, "finding"): asdict(finding)})
         levels = departure_levels(self.departures[name], finding)
+        levels = resting_on(levels, self.turbines[name].verdicts)
         self._judge(name, finding.time_s, levels, (CHANGED.kind, SUSPECT.kind), batch)
         return batch
 

@@ -17,6 +17,7 @@ from hygrokf.live.sources import stream_of
 from hygrokf.live.table_reader import TableReader
 from hygrokf.results import ResultFault, read_fit
 from hygrokf.signals import SIGNALS
+from hygrokf.verdict import inherited
 
 
 def usual_mapping() -> Mapping:
@@ -65,7 +66,7 @@ def usual_config(fits: Sequence[Path], sources: Sequence[str], store: str, page:
             continue
         if made.name in turbines:
             reader.faults.append(f"{path}: a second model of {made.name!r}; name turbines in a track.toml")
-        turbines[made.name] = Turbine(made, errors=standard_errors(fit))
+        turbines[made.name] = Turbine(made, errors=standard_errors(fit), verdicts=inherited(fit.results))
     # a payload need not name the only turbine that there is
     mapping = replace(
         mapping, turbine="" if len(turbines) == 1 else "turbine", turbines={name: name for name in turbines}

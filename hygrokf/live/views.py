@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from types import MappingProxyType
 
 import numpy as np
 
@@ -16,6 +17,7 @@ from hygrokf.live.forecast import LIMIT
 from hygrokf.live.properties import WATCHED
 from hygrokf.live.store import Store
 from hygrokf.signals import SIGNALS, from_si
+from hygrokf.verdict import MARKS, PARAMETER_OF, VERDICTS, handed_on
 
 ZERO_C = 273.15
 HOUR_S = 3600.0
@@ -43,10 +45,33 @@ READ = {
 """Quantity on the page -> (the cabinet's own signal, factor, offset)."""
 
 
-def fleet_view(store: Store, names: Sequence[str], now: float) -> list[dict]:
+def model_view(verdicts: Mapping[str, Mapping]) -> dict:
+    """The verdict on a turbine's model, the worst of those on its numbers, and each of these in words."""
+    numbers = [
+        {
+            "part": part,
+            "property": PARAMETER_OF[part],
+            "verdict": found.verdict,
+            "mark": MARKS[found.verdict],
+            "words": found.words,
+            "why": found.why,
+        }
+        for part, _, found in handed_on(verdicts)
+    ]
+    worst = max((VERDICTS.index(one["verdict"]) for one in numbers), default=None)
+    return {"verdict": None if worst is None else VERDICTS[worst], "numbers": numbers}
+
+
+def fleet_view(
+    store: Store,
+    names: Sequence[str],
+    now: float,
+    verdicts: Mapping[str, Mapping[str, Mapping]] = MappingProxyType({}),
+) -> list[dict]:
     """One row a turbine, the one at most risk first: open alarms by severity, then condensation, the likeliest now or ahead.
 
-    `…_half` is half the width of a 95 % band; `ahead` the hour of the forecast in which condensation is likeliest.
+    `…_half` is half the width of a 95 % band; `ahead` the hour of the forecast in which condensation is likeliest;
+    `model` the verdict on the turbine's model, from the `verdicts` on its numbers.
     """
     # LEFT JOIN: the database is to go from turbine to turbine and not through every estimate
     newest = {
@@ -90,6 +115,7 @@ def fleet_view(store: Store, names: Sequence[str], now: float) -> list[dict]:
                 if any(a["kind"] == CHANGED.kind for a in alarms)
                 else cabinets.get(name),
                 "alarms": alarms,
+                "model": model_view(verdicts.get(name, {}))["verdict"],
                 "severity": max((SEVERITY[a["severity"]] for a in alarms), default=-1),
             }
         )
@@ -128,11 +154,13 @@ def _ahead(store: Store, now: float) -> dict[str, dict]:
     return found
 
 
-def turbine_view(store: Store, name: str, since: float, now: float) -> dict:
+def turbine_view(
+    store: Store, name: str, since: float, now: float, verdicts: Mapping[str, Mapping] = MappingProxyType({})
+) -> dict:
     """One turbine from a time [s] on: courses with bounds, readings, properties now and their course, alarms, counts.
 
     `hours` and `humid` hold the highest probability of each hour, up to the last estimate and as it is forecast: of
-    condensation, and of a relative humidity above the turbine's limit.
+    condensation, and of a relative humidity above the turbine's limit; `model` the verdicts on its model.
     """
     found = _thinned(
         store.rows(
@@ -158,6 +186,7 @@ def turbine_view(store: Store, name: str, since: float, now: float) -> dict:
     limit = forecast.get("limit", LIMIT) if forecast else LIMIT
     return {
         "turbine": name,
+        "model": model_view(verdicts),
         "time": time,
         "final": [row[-2] for row in found],
         "condensation": chances,

@@ -154,7 +154,8 @@ class Page:
         generation, at, rows = self._fleet
         current = self.hub.generation
         if generation != current or not 0.0 <= now - at < KEPT_S:
-            rows = self.reader.read(lambda store: fleet_view(store, list(self.service.turbines), now))
+            known = {name: one.verdicts for name, one in self.service.turbines.items()}
+            rows = self.reader.read(lambda store: fleet_view(store, list(known), now, known))
             self._fleet = (current, now, rows)
         return rows
 
@@ -165,7 +166,9 @@ class Page:
         if not days.isdecimal() or int(days) not in DAYS:
             return refusal(400, f"days must be one of {', '.join(map(str, DAYS))}")
         now = self.service.now
-        found = self.reader.read(lambda store: turbine_view(store, name, now - int(days) * DAY_S, now))
+        verdicts = self.service.turbines[name].verdicts
+        since = now - int(days) * DAY_S
+        found = self.reader.read(lambda store: turbine_view(store, name, since, now, verdicts))
         return reply({"now": now, **found})
 
     def alarms(self, request: Request) -> Response:

@@ -99,8 +99,11 @@ class Row {
     c.margin.replaceChildren(kelvin(row.margin), bound(row.margin_lower === null ? "" : `≥ ${fixed(row.margin_lower, 1, true)}`));
     c.temperature.replaceChildren(celsius(row.temperature), half(row.temperature_half, 1));
     c.humidity.replaceChildren(percent(row.relative_humidity), half(row.relative_humidity_half, 0));
-    c.cabinet.replaceChildren(row.cabinet ?? "–");
-    c.cabinet.className = `cabinet ${row.cabinet === "changed" ? "changed" : ""}`;
+    const rejected = row.model === "reject";
+    c.cabinet.replaceChildren(rejected && row.cabinet !== "changed" ? "model not to be believed" : row.cabinet ?? "–",
+      rejected && row.cabinet === "changed" ? bound("model not to be believed") : "");
+    c.cabinet.className = `cabinet ${rejected || row.cabinet === "changed" ? "changed" : ""}`;
+    this.root.classList.toggle("rejected", rejected);
     c.heard.replaceChildren(age(row.heard));
     this.tick();
   }

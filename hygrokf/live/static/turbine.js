@@ -16,6 +16,7 @@ const QUANTITIES = [
   ["margin", "Dew-point margin of the coldest surface", "K", 1, kelvin, HUMIDITY, 0],
   ["absolute_humidity", "Absolute humidity", "g/m³", 1, grams, HUMIDITY],
 ];
+const RESTS_ON = { temperature: ["thermal"], absolute_humidity: ["hygric"] }; // everything else on both numbers of the model
 const PROPERTIES = {
   thermal_time_constant: "Thermal time constant",
   hygric_k: "Hygric constant k",
@@ -46,6 +47,7 @@ export class Turbine {
     this.refresh = refresh;
     this.tiles = make("dl", { class: "tiles" });
     this.state = make("p", { class: "as-of" });
+    this.model = make("ul", { class: "model", "aria-label": "Numbers of the model" });
     this.advice = make("p", { class: "advice", hidden: true });
     this.alarms = make("ul", { class: "alarms" });
     this.charts = QUANTITIES.map(([quantity, title, unit, digits, , , level]) =>
@@ -66,7 +68,7 @@ export class Turbine {
     this.root = make("article", { class: "turbine" },
       make("p", { class: "back" }, make("a", { href: "#/" }, "‹ All cabinets")),
       make("div", { class: "tools" }, make("h1", { tabindex: "-1" }, name), this.state),
-      this.tiles, this.advice, this.alarms,
+      this.model, this.tiles, this.advice, this.alarms,
       make("section", { "aria-label": "Courses" }, make("div", { class: "tools sticky" }, make("h2", {}, "Course"), choice, key),
         this.charts.slice(0, 3).map(([, chart]) => chart.figure), this.hours.figure, this.humid.figure, this.charts[3][1].figure),
       make("section", {}, make("h2", {}, "The cabinet itself"), this.propertyRows),
@@ -89,6 +91,7 @@ export class Turbine {
   update(found) {
     this.found = found;
     this.tick();
+    this.showModel(found);
     this.showTiles(found);
     this.showAdvice(found);
     replaceItems(this.alarms, found.alarms, false);
@@ -125,17 +128,36 @@ export class Turbine {
     return "";
   }
 
+  /** The numbers of the model that are in doubt; what rests on them says so. */
+  showModel(found) {
+    const doubtful = found.model.numbers.filter((one) => one.verdict !== "believe");
+    this.root.classList.toggle("rejected", found.model.verdict === "reject");
+    this.model.hidden = !doubtful.length;
+    this.model.replaceChildren(...doubtful.map((one) => make("li", { class: one.verdict },
+      make("strong", {}, `${one.mark} ${one.part} time constant ${one.words}`), one.why ? `: ${one.why}` : "")));
+  }
+
+  /** What a quantity rests on that is not to be believed, in words; empty where there is nothing. */
+  rests(found, quantity) {
+    const parts = RESTS_ON[quantity] ?? ["thermal", "hygric"];
+    return found.model.numbers.some((one) => one.verdict === "reject" && parts.includes(one.part))
+      ? "by a model that is not to be believed" : "";
+  }
+
   showTiles(found) {
     const tiles = QUANTITIES.filter(([quantity]) => found.courses[quantity]).map(([quantity, title, , , text]) => {
       const { value, lower, upper } = found.courses[quantity];
       const missing = this.missing(found, quantity);
+      const rests = this.rests(found, quantity);
       return tile(quantity, title.replace(" of the coldest surface", ""), text(value.at(-1)),
-        `95\u00a0%: ${bare(text(lower.at(-1)))} … ${bare(text(upper.at(-1)))}`, missing ? "by the model alone" : "");
+        `95\u00a0%: ${bare(text(lower.at(-1)))} … ${bare(text(upper.at(-1)))}`, [missing ? "by the model alone" : "", rests].filter(Boolean).join("; "),
+        rests ? "rejected" : "");
     });
     const now = found.condensation.at(-1);
     if (now !== undefined && now !== null) {
-      tiles.splice(3, 0, tile("condensation", "Condensation now", chance(now), highestAhead(found.forecast), "",
-        now >= 0.5 ? "likely" : now >= 0.1 ? "possible" : ""));
+      tiles.splice(3, 0, tile("condensation", "Condensation now", chance(now), highestAhead(found.forecast),
+        this.rests(found, "condensation"),
+        `${now >= 0.5 ? "likely" : now >= 0.1 ? "possible" : ""} ${this.rests(found, "condensation") ? "rejected" : ""}`));
     }
     this.tiles.replaceChildren(...tiles);
   }
@@ -146,7 +168,8 @@ export class Turbine {
     this.advice.hidden = !text;
     if (!text) return;
     const made = found.forecast.made;
-    this.advice.replaceChildren(make("strong", {}, "Restart: "), text,
+    const doubt = this.rests(found, "advice");
+    this.advice.replaceChildren(make("strong", {}, "Restart: "), text, doubt ? `, ${doubt}` : "",
       Number.isFinite(made) ? make("span", { class: "more" }, " (forecast made ", age(made), " ago)") : "");
   }
 
@@ -159,7 +182,7 @@ export class Turbine {
         this.properties.set(property.name, one = new PropertyRow(property));
         this.propertyRows.append(one.root);
       }
-      one.update(property, rangeOfAll);
+      one.update(property, rangeOfAll, found.model.numbers.find((number) => number.property === property.name));
     }
     for (const [name, one] of this.properties) one.root.hidden = !found.properties.some((property) => property.name === name);
     if (!this.properties.size) this.propertyRows.replaceChildren(make("p", { class: "quiet-note" }, "Nothing is known yet of these days."));
@@ -210,7 +233,7 @@ class PropertyRow {
     this.root = make("div", { class: "property", dataset: { property: property.name } }, this.chart.figure);
   }
 
-  update(property, range) {
+  update(property, range, number) {
     const { reference, observable } = property;
     const [value, lower, upper] = ["value", "lower", "upper"].map((name) => property[name].at(-1));
     if (observable) {
@@ -218,7 +241,9 @@ class PropertyRow {
         make("span", { class: "more" }, ` ${this.format(lower)} … ${this.format(upper)}`));
     } else this.now.replaceChildren(make("strong", { class: "none" }, "not observable"));
     const change = observable && this.relative ? `; now ${fixed(100 * (value / reference - 1), 0, true)}\u00a0%` : "";
-    say(this.reference, this.relative ? `from the fit: ${this.format(reference)}\u00a0${this.unit}${change}` : "against the fit's own");
+    const verdict = number ? `, ${number.words}` : "";
+    say(this.reference, this.relative ? `from the fit: ${this.format(reference)}\u00a0${this.unit}${verdict}${change}` : "against the fit's own");
+    this.root.classList.toggle("rejected", number?.verdict === "reject");
     this.chart.update(property, range);
   }
 }
