@@ -18,6 +18,7 @@ FLOORS = (
     "expression machine moments parallel parameters signals psychrometrics files lookup version discovery live weather live.schema live.reasons live.certificates climate climate.form climate.cycles climate.bounds climate.acceleration resampling transfer fleet switches",
     # text of code, one step, what a record is
     "console emission discretisation record stamps live.database surface climate.chamber wording",
+    "verdict_terms",
     "verdict running_sums case_keys columns paths live.table_reader live.sqlite live.postgres live.check",
     "loops masks weather_form readers synthetic ambient live.opcua_security live.opcua_samples",
     "features fleet_loop long_steps live.opcua_client case_form weather.archive weather.fields weather.altitude weather.joining weather.alignment climate.power",

@@ -415,7 +415,7 @@ def test_a_number_that_is_not_to_be_believed_is_no_headline(monkeypatch) -> None
     thermal, hygric = re.findall(r"<div class='card (\w+)'>(.*?)</div>", page, re.S)[:2]
     assert thermal[0] == REJECT and hygric[0] == CAUTION
     assert re.findall(r"<p class=value>(.*?)</p>", thermal[1]) == [f"✕ {WORDS[REJECT]}"]
-    assert "<s>1.45&nbsp;h (1.40 … 1.50, 95&nbsp;%, profile likelihood)</s>" in thermal[1]
+    assert "<s>1.45&nbsp;h (1.40 … 1.50, 95&nbsp;%, all sources)</s>" in thermal[1]
     assert (
         re.findall(r"<p class=value>(.*?)</p>", hygric[1]) == ["0.30 h"] and "✓" not in thermal[1] + hygric[1]
     )
