@@ -146,6 +146,7 @@ def test_the_tests_extra_holds_what_tests_import(settings: configparser.ConfigPa
     own = {path.stem for path in (ROOT / "tests").rglob("*.py")} | {
         "hygrokf",
         "plants",
+        "other_make",
         "benchmarks",
         "tests",
     }
