@@ -167,7 +167,7 @@ p { margin: 4px 0; overflow-wrap: anywhere; }
 .card p { font-size: 13px; }
 .verdict { margin: 5px 0 6px; } .card .verdict.reject { font-size: 13.5px; color: #8c0f0b; }
 .card.reject .value { font-size: 23px; color: #8c0f0b; } .card.reject .bounds { font-weight: 400; font-size: 13px; color: #6b7480; }
-.card.caution .value { font-weight: 500; }
+.card.reject.resting .value { font-size: 19px; font-weight: 400; color: #6b7480; } .card.caution .value { font-weight: 500; }
 .numbers { margin: 14px 0 0; } .numbers ul { margin: 0; } .numbers li { font-size: 13px; color: #22272e; font-weight: 400; }
 .card.wide { grid-column: 1 / -1; } .card .value.words { font-size: 27px; line-height: 1.25; }
 .check { margin-top: 8px; padding-top: 7px; border-top: 1px solid #edf0f3; }

@@ -15,6 +15,7 @@ from hygrokf.wording import (
     RULES,
     SCORED,
     decimals_for,
+    ends,
     fixed,
     percent,
     plain_number,
@@ -128,9 +129,8 @@ def _beside(found: Mapping) -> list[tuple[str, ...]]:
     ):
         value, low, high = (number(found, key, part) for part in ("value_h", "lower_h", "upper_h"))
         if math.isfinite(value) and low > 0 and math.isfinite(high):
-            decimals = decimals_for(0.5 * (high - low))
-            span = f"{low:.{decimals}f} … {high:.{decimals}f}"
-            rows.append((words, f"{value:.{decimals}f} h", span, how, ""))
+            shown, span = ends(value, low, high)
+            rows.append((words, f"{shown} h", span, how, ""))
     minutes = number(found, "response", "minutes")
     kind = entry(found, "response", "kind")
     if kind == "estimated":

@@ -36,7 +36,7 @@ from hygrokf.verdict import (
 from hygrokf.wording import (
     QUANTITIES,
     SCORED,
-    decimals_for,
+    ends,
     fixed,
     interval,
     percent,
@@ -109,8 +109,8 @@ def simulated(found: Mapping | None) -> str:
         return ""
     if not (math.isfinite(low) and math.isfinite(high) and high > low):
         return f"{plain_number(value)} h"
-    decimals = decimals_for(0.5 * (high - low))
-    return f"{value:.{decimals}f} h ({low:.{decimals}f} … {high:.{decimals}f})"
+    shown, span = ends(value, low, high)
+    return f"{shown} h ({span})"
 
 
 # --- judgements ------------------------------------------------------------------------------
@@ -152,9 +152,8 @@ def _time_constant(fit: Mapping, name: str) -> list[Judgement]:
         return [Judgement(CAUTION, said, name)]
     known = constant.value
     if constant.closed:
-        known += (
-            f", {spread_words(*(number(constant.found, part) for part in ('value_h', 'lower_h', 'upper_h')))}"
-        )
+        ends_h = (number(constant.found, part) for part in ("value_h", "lower_h", "upper_h"))
+        known += f", known to {spread_words(*ends_h)}"
     verdict = constant.verdict
     head = {
         BELIEVE: f"The {name} time constant, {known}, is to be believed.",

@@ -47,7 +47,6 @@ from hygrokf.verdict_terms import (  # fmt: skip
     STRETCHED,
     TIGHT,
     VERDICTS,
-    WIDE,
     WORDS,
     Reason,
     Verdict,
@@ -56,6 +55,7 @@ from hygrokf.wording import (
     BASELINES,
     QUANTITIES,
     UNBOUNDED,
+    WIDE,
     fixed,
     interval,
     minus,
@@ -111,12 +111,14 @@ def verdicts(fit: Mapping) -> dict[str, Verdict]:
 
 
 def with_reasons(fit: Mapping, part: str, further: Iterable[Reason]) -> dict:
-    """The data of a fit with further reasons against one of its numbers."""
+    """The data of a fit with further reasons against one of its numbers; none is told twice."""
     known = verdicts(fit).get(part)
     if known is None:
         return dict(fit)
     constants = fit["time_constants"]
-    wider = {**constants[part], **Verdict.of((*known.reasons, *further)).to_json()}
+    said = {(one.code, one.verdict) for one in known.reasons}
+    new = [one for one in further if (one.code, one.verdict) not in said]
+    wider = {**constants[part], **Verdict.of((*known.reasons, *new)).to_json()}
     return {**fit, "time_constants": {**constants, part: wider}}
 
 
@@ -158,13 +160,19 @@ def handed_on(data: object) -> list[tuple[str, Mapping, Verdict]]:
     ]
 
 
-def rests_on(data: object) -> list[str]:
-    """What is said of a result that rests on numbers which are not to be believed; nothing where there are none."""
-    return [
-        f"this rests on a {part} time constant that is {found.words}: {found.why}"
-        for part, _, found in handed_on(data)
-        if found.verdict == REJECT
-    ]
+def rests_on(data: object, parts: Iterable[str] = PARTS) -> str:
+    """What is said of a result that rests on inherited numbers which are not to be believed; empty where there are none.
+
+    parts: those that it rests on.
+    """
+    rejected = [part for part, _, found in handed_on(data) if found.verdict == REJECT and part in parts]
+    if not rejected:
+        return ""
+    several = len(rejected) > 1
+    return (
+        f"the model's {' and '.join(rejected)} time constant{'s' if several else ''}, on which this rests, "
+        f"{'are' if several else 'is'} {WORDS[REJECT]}"
+    )
 
 
 # --- the rules -------------------------------------------------------------------------------

@@ -21,8 +21,6 @@ PERIODS = ("validation", "identification")
 
 TIGHT = 0.25
 """[1] half-width of the interval, relative to the value, up to which a time constant counts as pinned down."""
-WIDE = 4.0
-"""[1] upper over lower bound from which an interval is told as a factor."""
 DECADE = 10.0
 """[1] upper over lower bound from which not even the order of magnitude is known."""
 CONTRADICTION = 2.0

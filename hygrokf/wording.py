@@ -60,6 +60,18 @@ def decimals_for(spread: float) -> int:
     )
 
 
+WIDE = 4.0
+"""[1] upper over lower end from which an interval is told as a factor, and its ends with digits of their own."""
+
+
+def ends(value: float, low: float, high: float) -> tuple[str, str]:
+    """A number and its interval with the digits that it is known to: ("1.49", "1.44 … 1.54"), ("0.169", "0.017 … 1.6")."""
+    if high > WIDE * low:
+        return plain_number(value), f"{plain_number(low, 2)} … {plain_number(high, 2)}"
+    decimals = decimals_for(0.5 * (high - low))
+    return fixed(value, decimals), f"{fixed(low, decimals)} … {fixed(high, decimals)}"
+
+
 def interval(value: float, low: float, high: float, unit: str = "h") -> tuple[str, str, bool]:
     """A number and its interval as they are printed, and whether it is closed: ("1.49 h", "1.44 … 1.54", True).
 
@@ -68,8 +80,8 @@ def interval(value: float, low: float, high: float, unit: str = "h") -> tuple[st
     """
     low = low if low > 0 else math.nan
     if math.isfinite(value) and math.isfinite(low) and math.isfinite(high):
-        decimals = decimals_for(0.5 * (high - low))
-        return f"{value:.{decimals}f} {unit}", f"{low:.{decimals}f} … {high:.{decimals}f}", True
+        shown, span = ends(value, low, high)
+        return f"{shown} {unit}", span, True
     best = f"best {plain_number(value)} {unit}" if math.isfinite(value) else ""
     if math.isfinite(high):
         return f"≤ {plain_number(high)} {unit}", best, False

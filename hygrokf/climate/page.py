@@ -166,8 +166,9 @@ def _heading(title: str, words: str) -> str:
 
 def _cards(region: Mapping, verdicts: object) -> list[str]:
     year, cards = region["scopes"]["all"], []
-    doubtful = "".join(f"<p class=verdict>{mark_html(REJECT)} {prose(one)}</p>" for one in rests_on(verdicts))
-    kind = f" {REJECT}" if doubtful else ""
+    doubt = rests_on(verdicts)
+    doubtful = f"<p class=verdict>{mark_html(REJECT)} {prose(sentence(doubt))}</p>" if doubt else ""
+    kind = f" {REJECT} resting" if doubt else ""
     part = part_of_year(region)
     scaled = f", scaled up from {part}" if part else ""
     verdicts = [one["verdict"] for one in region["limits"]]

@@ -162,7 +162,7 @@ def _region(
         raise ValueError("neither weather nor power is known at any instant; check the files and their spans")
     if power is not None and fit.design.power_scale_W is not None:
         statements += _operating_words(gathered, isinstance(power, PowerCurve))
-    statements += rests_on(inherited(fit.results))
+    statements += filter(None, [rests_on(inherited(fit.results))])
     statements += extrapolation_words(fit, record)
     statements += region.weather.warnings
     statements += _interval_words(region.weather)

@@ -12,7 +12,7 @@ from datetime import UTC, datetime
 from hygrokf.discovery.repeats import REPEATED
 from hygrokf.lookup import entry, number
 from hygrokf.report_tables import TEXT_WIDTH, unit, wrapped
-from hygrokf.verdict import inherited, rests_on, told
+from hygrokf.verdict import REJECT, handed_on, inherited, told
 from hygrokf.wording import (
     NONE,
     QUANTITIES,
@@ -84,10 +84,15 @@ def verdict_sentences(found: Mapping) -> list[str]:
     if verdict == "named":
         left = remainder(found)
         return [f"that is not all: {left}"] if left else []
-    if verdict == "none" and (doubts := rests_on(numbers_of(found, "baseline"))):
+    doubts = [
+        f"its {part} time constant is {one.words}: {one.why}"
+        for part, _, one in handed_on(numbers_of(found, "baseline"))
+        if one.verdict == REJECT
+    ]
+    if verdict == "none" and doubts:
         return [
             f"none of {tried(found)} causes of the library is both significant and worth having, and yet the base model is not right",
-            *(text.replace("this rests on", "it has", 1) for text in doubts),
+            *doubts,
         ]
     if verdict == "none":
         return [

@@ -16,7 +16,7 @@ from hygrokf.live.condition import Condition
 from hygrokf.live.inquiry import SENSORS, Finding
 from hygrokf.live.properties import Departure
 from hygrokf.live.store import Alarm
-from hygrokf.verdict import PARTS, REJECT, handed_on
+from hygrokf.verdict import PARTS, rests_on
 
 MINUTE_S = 60.0
 HOUR_S = 3600.0
@@ -219,15 +219,10 @@ RESTS_ON = {
 
 def resting_on(levels: list[Level], verdicts: Mapping[str, Mapping]) -> list[Level]:
     """The levels, those in words with what they rest on and is not to be believed; `verdicts` as a fit hands them on."""
-    rejected = [part for part, _, found in handed_on(verdicts) if found.verdict == REJECT]
     made = []
     for one in levels:
-        parts = [part for part in rejected if part in RESTS_ON.get(one.subject, PARTS)]
-        if one.statement and parts:
-            names = " and ".join(f"{part} time constant" for part in parts)
-            words = f"{one.statement}; the model's {names}, on which this rests, {'is' if len(parts) == 1 else 'are'} not to be believed"
-            one = replace(one, statement=words)
-        made.append(one)
+        doubt = rests_on(verdicts, RESTS_ON.get(one.subject, PARTS))
+        made.append(replace(one, statement=f"{one.statement}; {doubt}") if one.statement and doubt else one)
     return made
 
 

@@ -12,6 +12,7 @@ from hygrokf.fitting import Estimate
 from hygrokf.scoring import SCORED
 from hygrokf.transfer.groups import HYGRIC, OF_THE_RECORD, THERMAL, Difference, Step, members, unexplained
 from hygrokf.transfer.scene import Scene
+from hygrokf.wording import RULES
 
 MATTERS = {
     "ln_time_constant": 0.10,
@@ -217,13 +218,13 @@ def judged(found: Mapping, differing: Sequence[str]) -> tuple[str, list[str]]:
         name, u = unit[quantity]
         if over and over["upper"] is None and over["gain"] < 0.0:
             doubts.append(
-                f"the simulated {name} errs by {-over['gain']:.2f} {u} more than `{over['against']}`, a rule without a model, "
+                f"the simulated {name} errs by {-over['gain']:.2f} {u} more than the rule “{RULES.get(over['against'], over['against'])}”, "
                 f"and {found['n_readings']} readings are too few for bounds: take a longer record"
             )
         if over and over["upper"] is not None and over["upper"] < 0.0:
             against.append(
                 f"no gain over the sceptic's rule: the simulated {name} errs by {-over['gain']:.2f} {u} more than "
-                f"`{over['against']}` does"
+                f"“{RULES.get(over['against'], over['against'])}” does"
             )
     for quantity, rows in found["gains"].items():
         gain = rows.get("re_estimated", {}).get("over_as_is")
