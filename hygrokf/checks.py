@@ -240,7 +240,7 @@ def _doubts_of_power(record: Record) -> list[str]:
         said.append(f"hardly any operation: {100 * standstill:.0f} % of the power readings are ≤ 0")
     if record.rated_power_W is None:
         said.append("no rated power: stationary periods cannot be found; state rated_power_kW")
-    elif there.max() < 0.3 * record.rated_power_W:
+    elif 0.0 < there.max() < 0.3 * record.rated_power_W:
         share = 100.0 * there.max() / record.rated_power_W
         said.append(f"active power never exceeds {share:.0f} % of the rated power: right unit?")
     for signal in record.signals:
