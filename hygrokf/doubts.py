@@ -200,7 +200,7 @@ def _doubts_of_power(record: Record) -> list[str]:
     elif there.max() > 10.0 * record.rated_power_W:
         times = there.max() / record.rated_power_W
         said.append(f"active power reaches {times:.3g} times the rated power: right unit?")
-    elif there.max() < 0.3 * record.rated_power_W:
+    elif 0.0 < there.max() < 0.3 * record.rated_power_W:
         share = 100.0 * there.max() / record.rated_power_W
         said.append(f"active power never exceeds {share:.0f} % of the rated power: right unit?")
     for signal in record.signals:

@@ -233,7 +233,7 @@ def assembled(
             {"thermal_time_constant": thermal, "hygric_k": moist},
         ),
         "covariance": {"names": list(spread[0]), "matrix": spread[1].tolist()},
-        "time_constants": {"thermal": thermal, "hygric": moist},
+        "time_constants": {n: e for n, e in (("thermal", thermal), ("hygric", moist)) if e is not None},
         "loglik": loglik,
         "aic": 2.0 * d - 2.0 * loglik,
         "bic": d * math.log(max(n, 1)) - 2.0 * loglik,

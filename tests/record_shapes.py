@@ -13,7 +13,7 @@ from hygrokf.record import Record, Series
 from hygrokf.stamps import stamp_text
 from hygrokf.synthetic import LATITUDE_DEG, LONGITUDE_DEG, synthetic_turbine, write_case
 
-DAYS = 7.0
+DAYS = 5.0
 DAY_S = 86400.0
 SIGNALS = (
     "cabinet_temperature", "cabinet_relative_humidity", "ambient_temperature", "ambient_relative_humidity", "active_power",
@@ -24,7 +24,7 @@ MINUTE_S, TEN_MINUTES_S, HOUR_S = 60.0, 600.0, 3600.0
 
 
 def base_record(folder: Path, seed: int = 11, days: float = DAYS) -> Record:
-    """A week of a synthetic turbine."""
+    """Five days of a synthetic turbine."""
     made = read_case(write_case(synthetic_turbine(seed=seed, days=days), folder / f"synthetic-{seed}"))
     return replace(made, series=tuple(s for s in made.series if s.signal in SIGNALS), warnings=())
 
@@ -56,9 +56,7 @@ def _changed(record: Record, change: Callable[[Series], Series]) -> Record:
 
 
 def _power(record: Record, value: Callable[[np.ndarray], np.ndarray]) -> Record:
-    return _changed(
-        record, lambda s: replace(s, value=value(s.value)) if s.signal == "active_power" else s
-    )
+    return _changed(record, lambda s: replace(s, value=value(s.value)) if s.signal == "active_power" else s)
 
 
 def _without(record: Record, *names: str) -> Record:
@@ -70,7 +68,8 @@ def ordinary(record: Record) -> Record:
 
 
 def no_standstill(record: Record) -> Record:
-    return _power(record, lambda watt: np.maximum(watt, 5e4))
+    """It feeds in 50 kW at least, never the same twice: a power that stands still looks like a frozen sensor."""
+    return _power(record, lambda watt: np.maximum(watt, 5e4 + 100.0 * (np.arange(len(watt)) % 7)))
 
 
 def only_standstill(record: Record) -> Record:

@@ -25,7 +25,9 @@ from hygrokf.likelihood import Gaussian, Likelihood, RatesFault, Trace
 from hygrokf.live.plan import Plan
 from hygrokf.live.tracker import Tracker, whole
 from hygrokf.mechanisms import wandering_exchange, wandering_release, wandering_time_constant
-from hygrokf.model import extend
+from hygrokf.mechanisms.network import linear_network
+from hygrokf.model import compose, extend
+from hygrokf.parameters import Parameter
 from hygrokf.record import Record
 from hygrokf.side_by_side import SideBySide
 from hygrokf.simulation import free_run
@@ -251,6 +253,7 @@ def test_a_diffuse_start_before_a_gap(thermal: object, every_sub_step: Callable)
     assert likelihood.value(values) == pytest.approx(
         every_sub_step(lambda: likelihood.value(values)), rel=1e-9
     )
+    check_score(likelihood, values)
 
 
 # -- pieces of a run, many runs, the tracker -----------------------------------------------------------------
@@ -368,6 +371,21 @@ def test_a_switch_decides_after_a_gap_as_without_one() -> None:
     assert np.mean(found.temperature[0][days_after]) == pytest.approx(
         np.mean(plain.temperature[0][days_after]), abs=0.5
     )
+
+
+def test_a_model_of_one_state() -> None:
+    """After a year only its stationary variance is left."""
+    rate = Parameter("rate", "1/h", 40.0, 0.0, 1e3)
+    level = linear_network(
+        "level", (rate,), ("level",), (), lambda p, x, u: {"level": -p.rate * x.level},
+        {"y": lambda p, x, u: (x.level, 0.25)}, lambda p: {"level": 0.5}, lambda p, u: {"level": (1.0, 1.0)},
+    )  # fmt: skip
+    model = compose([level])
+    line = timeline(model, np.array([0.0, 1.0, 1.0 + YEAR_H]), {}, {"y": np.array([1.0, np.nan, 2.0])})
+    found = Likelihood(model, line).trace({"rate": 40.0})
+    assert found.prior_covariance[2, 0, 0] == pytest.approx(0.5 / 80.0, rel=1e-12)
+    assert found.prior_mean[2, 0] == 0.0
+    check_score(Likelihood(model, line), {"rate": 40.0})
 
 
 # -- what is no gap -------------------------------------------------------------------------------------------
