@@ -225,16 +225,16 @@ def _ambients(
 
 
 def _humidity(ambient: Mapping[str, Series]) -> Series:
-    """Relative humidity [1] of the ambient at the times of its vapour's readings."""
+    """Relative humidity [1] of the ambient at the times of its vapour's readings; what is above saturation is saturated."""
     vapour, warm = ambient["vapour"], ambient["temperature"]
     kelvin = at_times(warm, vapour.time, bridge_h(warm, AMBIENT_BRIDGE_H))
-    value = relative_humidity(np.maximum(vapour.value, DRIEST), kelvin)
+    value = np.minimum(relative_humidity(np.maximum(vapour.value, DRIEST), kelvin), MOISTEST)
     return replace(vapour, signal="ambient_relative_humidity", value=value)
 
 
 def _dryness(humidity: np.ndarray) -> np.ndarray:
-    """w ≥ 0 with RH = exp(−w²), of any shape; 0 where a reading is above saturation."""
-    return np.sqrt(-np.log(np.minimum(humidity, MOISTEST)))
+    """w ≥ 0 with RH = exp(−w²), of any shape."""
+    return np.sqrt(-np.log(humidity))
 
 
 def _departures(
