@@ -26,6 +26,7 @@ from hygrokf.live.streams import record_mapping, record_messages
 from hygrokf.live.web import Page as LivePage
 from hygrokf.live.web_events import Hub
 from hygrokf.live.web_server import PageServer, serve
+from hygrokf.verdict import REJECT, Reason, Verdict
 
 CHROMIUM = shutil.which("chromium")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
@@ -188,6 +189,37 @@ def test_the_fleet_shows_what_the_store_holds(tab: Tab, live: tuple[str, Hub], s
         assert cells["margin"] == f"{text_of(margin, 1, True)} K≥ {text_of(lower, 1, True)}"
         assert cells["condensation"] == chance_text(chance)
     assert [row.get_attribute("data-turbine") for row in page.locator("tbody tr").all()][:2] == [EVIL, "T1"]
+
+
+def test_what_rests_on_a_number_that_is_not_to_be_believed_says_so(
+    tab: Tab, service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    numbers = {"value_h": 1.5, "lower_h": 1.4, "upper_h": 1.6}
+    known = {
+        "thermal": numbers
+        | Verdict.of([Reason("at_limit", REJECT, f"it ended at its limit {EVIL}")]).to_json(),
+        "hygric": numbers | Verdict().to_json(),
+    }
+    monkeypatch.setitem(service.turbines, "T2", replace(service.turbines["T2"], verdicts=known))
+    with served(service) as (server, _):
+        page = tab.open(server.url)
+        doubtful, fine = row_of(page, "T2"), row_of(page, "T1")
+        expect(doubtful.locator(".badge")).not_to_have_text("ok")
+        expect(doubtful.locator("td.cabinet")).to_contain_text("model not to be believed")
+        expect(doubtful).to_have_class("rejected")
+        expect(fine).not_to_have_class("rejected")
+        page = tab.open(f"{server.url}#/turbine/T2")
+        expect(page.locator(".model li")).to_have_count(
+            1
+        )  # of the number that is believed nothing needs to be said
+        expect(page.locator(".model li")).to_have_text(
+            f"✕ thermal time constant not to be believed: it ended at its limit {EVIL}"
+        )
+        expect(page.locator("#now-temperature")).to_contain_text("by a model that is not to be believed")
+        assert "by a model" not in page.locator("#now-absolute_humidity").inner_text()
+        page = tab.open(f"{server.url}#/turbine/T1")
+        expect(page.locator("#now-temperature")).to_be_visible()
+        expect(page.locator(".model")).to_be_hidden()
 
 
 def test_what_is_old_is_shown_as_old(tab: Tab, live: tuple[str, Hub]) -> None:

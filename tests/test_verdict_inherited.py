@@ -206,7 +206,7 @@ def test_a_fleet_leaves_out_what_is_not_to_be_believed() -> None:
     )
     assert constant.rejected == ("T6",) and "T6" not in constant.turbines and "T7" in constant.turbines
     words = Page(fleet_page({"task": "fit", "name": "park", "rows": rows})).text
-    assert "The thermal time constant of 6 to be believed, 1 with caution, 1 not to be believed" in words
+    assert "Thermal time constant: 6 to be believed, 1 with caution, 1 not to be believed" in words
     assert "T6 not to be believed to be believed T7 with caution to be believed" in words
     assert "Not to be believed, so not compared: thermal time constant of T6" in words
     assert "9.00" not in words

@@ -192,7 +192,7 @@ def _headline(found: Mapping) -> str:
         which = f" ({name})" if len(causes) > 1 else ""
         said = prose(sentence(remedy_of(one)))
         lines.append(f"<p class=check><b>Check in the turbine{escape(which)}:</b> {said}</p>")
-    open_ = " open" if verdict == "unexplained" else ""
+    open_ = " open" if verdict == "unexplained" or heading == NOT_RIGHT else ""
     cards = [
         f"<div class='card wide{open_}'><p class=label>Verdict <span>{LABEL[verdict]}</span></p>"
         f"<p class='value words'>{escape(heading)}</p>{''.join(lines)}</div>",
@@ -271,7 +271,8 @@ def _on_the_whole(before: Residuals | None) -> list[str]:
                 f"{TITLES[quantity]} by {fixed(before.rmse(quantity))} {unit}, {fixed(abs(mean))} {unit} too "
                 f"{'high' if mean > 0 else 'low'} on average"
             )
-    return [sentence(f"The base model’s free run errs in {'; in '.join(said)}")] if said else []
+    where = "In the identification period the base model’s free run errs in "
+    return [sentence(where + "; in ".join(said))] if said else []
 
 
 def _causes(found: Mapping) -> str:

@@ -143,7 +143,7 @@ def _believed(done: Sequence[Mapping]) -> str:
         i for i, r in enumerate(doubtful[:RANKED]) if REJECT in [_verdict(r, part) for part in PARTS]
     )
     said = "; ".join(
-        f"the {part} time constant of "
+        f"{part} time constant: "
         + ", ".join(f"{count} {WORDS[kind]}" for kind in VERDICTS if (count := _count(judged, part, kind)))
         for part in PARTS
         if any(_verdict(row, part) for row in judged)

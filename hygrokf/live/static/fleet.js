@@ -112,7 +112,7 @@ class Row {
     const { row, badge, root } = this;
     const stale = row.heard === null || clock() - row.heard > FRESH_S;
     const state = row.severity >= 0 ? SEVERITIES[row.severity]
-      : stale ? "no data" : row.condensation >= LIKELY ? "at risk" : "ok";
+      : stale ? "no data" : row.condensation >= LIKELY ? "at risk" : row.model === "reject" ? "in doubt" : "ok";
     if (this.shown === `${state} ${stale}`) return;
     this.shown = `${state} ${stale}`;
     root.classList.toggle("stale", stale);
