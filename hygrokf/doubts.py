@@ -104,17 +104,23 @@ def _doubts_of_readings(record: Record) -> list[str]:
         mistaken = unit_mistaken(series.value, row.unit, row)
         outside = out_of_range(series)
         if mistaken is not None:
-            said.append(mistaken)
+            said.append(Doubt(mistaken, *_told_by(series.signal)))
         elif outside.any():
-            said.append(
-                f"{range_sentence(series, outside)}; Record.from_frames and read_case mask such readings"
-            )
+            words = f"{range_sentence(series, outside)}; Record.from_frames and read_case mask such readings"
+            said.append(Doubt(words, *_told_by(series.signal)))
     if record.start_s < _OLDEST_S:
         said.append(
             f"the readings begin on {stamp_text(record.start_s)}: are the times seconds since 1970-01-01T00:00Z, or since "
             "the start of the record?"
         )
     return said + no_overlap(record.series)
+
+
+def _told_by(signal: str) -> tuple[str, ...]:
+    """The time constants that a signal tells something about."""
+    if "humidity" in signal or "dew_point" in signal:
+        return PARTS[1:]
+    return PARTS if signal.endswith("_temperature") else PARTS[:1] if signal == "active_power" else ()
 
 
 def no_overlap(series: Sequence[Series]) -> list[str]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hygrokf.checks import describe, describe_text, mask
-from hygrokf.doubts import doubts
+from hygrokf.doubts import doubted, doubts
 from hygrokf.record import Record, Series, Site
 
 DAY = 86400.0
@@ -166,6 +166,24 @@ def test_doubts(record, words):
     said = doubts(record)
     for word in words:
         assert any(word in one for one in said), said
+
+
+@pytest.mark.parametrize(
+    ("record", "touched"),
+    [
+        (good(), ()),
+        (without(good(), "active_power"), ()),  # a cabinet without power has time constants too
+        (changed(good(), "active_power", np.full(8640, -5e3)), ("thermal",)),
+        (changed(good(), "cabinet_temperature", good()["ambient_temperature"].value), ("thermal", "hygric")),
+        (changed(good(), "cabinet_relative_humidity", np.full(8640, 0.95)), ("hygric",)),
+        (changed(good(), "cabinet_temperature", np.full(8640, 20.0)), ("thermal", "hygric")),
+    ],
+)
+def test_doubts_name_the_time_constants_that_they_put_in_question(record, touched):
+    found = doubted(doubts(record))
+    assert {part for part, said in found.items() if said} == set(touched)
+    assert all(one in doubts(record) for said in found.values() for one in said)
+    assert json.loads(json.dumps(doubts(record))) == [str(one) for one in doubts(record)]
 
 
 def test_the_factor_of_absolute_humidity_is_that_of_its_definition():

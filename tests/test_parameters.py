@@ -106,6 +106,16 @@ def test_guards_are_lifted_and_physics_is_not() -> None:
     assert share.beyond_guards() == pytest.approx((math.log(5e-4), 0.0))
 
 
+def test_a_value_at_a_guard_is_told_from_one_at_a_limit_that_means_something() -> None:
+    """No less of a noise, no effect at all, and what is physical: none of these was stopped by a guard."""
+    ratio = Parameter("ratio", "1", 0.9, 0.2, 1.0, physical=(0.0, 1.0))
+    assert not ratio.guarded(1.0) and ratio.guarded(0.2)
+    noise = Parameter("noise", "K", 0.1, 0.002, 5.0, positive=True, noise=True)
+    assert not noise.guarded(0.002) and noise.guarded(5.0)
+    step = Parameter("step", "K", 0.0, 0.0, 30.0, null=0.0)
+    assert not step.guarded(0.0) and step.guarded(30.0)
+
+
 def test_one_name_stands_for_one_thing() -> None:
     assert unique(ALL) == ALL
     with pytest.raises(ValueError, match="'slope'"):
