@@ -53,7 +53,7 @@ def test_time_constants_are_recovered_within_their_bounds(fit, made):
         half = 0.5 * math.log(entry["upper_h"] / entry["lower_h"])
         assert abs(math.log(entry["value_h"] / truth)) < 1.5 * half
         assert half < 0.15
-        assert entry["method"] == "profile"
+        assert (entry["method"], entry["profile"]["method"]) == ("composed", "profile")
     assert fit.results["converged"] is True
 
 
@@ -81,7 +81,12 @@ def test_validation_readings_touch_nothing(record, fit):
     spoilt = np.where(late.time > record.until_s, late.value + 5.0, late.value)
     other = identify(record.replace_series(replace(late, value=spoilt)), starts=2)
     assert other.values == fit.values
-    assert other.results["time_constants"] == fit.results["time_constants"]
+    judged_by_it = {"verdict", "reasons"}  # a verdict may rest on the held-out scores, a number may not
+    for name, entry in fit.results["time_constants"].items():
+        there = other.results["time_constants"][name]
+        assert {k: v for k, v in there.items() if k not in judged_by_it} == {
+            k: v for k, v in entry.items() if k not in judged_by_it
+        }
     before = fit.results["rmse"]["validation"]["temperature_K"]["total"]
     assert other.results["rmse"]["validation"]["temperature_K"]["total"] > before + 1.0
 
@@ -225,8 +230,12 @@ def test_clock_uncertainty_widens_the_hygric_bounds(record, fit):
     other = identify(record.replace_series(*series), starts=1)
     plain, wide = (f.results["time_constants"]["hygric"] for f in (fit, other))
     ratio = math.log(wide["upper_h"] / wide["lower_h"]) / math.log(plain["upper_h"] / plain["lower_h"])
-    assert ratio > 1.3
-    assert "clock" in wide["method"]
+    assert ratio > 1.1
+    (clock,) = wide["clock"]
+    # the readings know the offset better than the three minutes that are stated
+    assert clock["prior_s"] == 180.0 and 10.0 < clock["sd_s"] < 120.0
+    added = {row["source"]: row.get("sd_ln") for row in wide["composition"]}
+    assert added["clocks"] > 0.02
 
 
 def test_fit_round_trip(fit, tmp_path):
