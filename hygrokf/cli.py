@@ -111,7 +111,7 @@ def _parser() -> argparse.ArgumentParser:
         help="one filter, or hygric on the measured temperature",
     )
     fit.add_argument(
-        "--starts", type=_whole(1), default=4, help="starts over the noise parameters (default 4)"
+        "--starts", type=_whole(1), default=5, help="starts of the search for the maximum (default 5)"
     )
     _json(fit)
     discover = command(
@@ -125,7 +125,7 @@ def _parser() -> argparse.ArgumentParser:
         help="directory for discovery.json, report.html and the extended model",
     )
     discover.add_argument(
-        "--starts", type=_whole(1), default=4, help="starts over the noise parameters (default 4)"
+        "--starts", type=_whole(1), default=5, help="starts of the search for the maximum (default 5)"
     )
     _library(discover)
     _json(discover)

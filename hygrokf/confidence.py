@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from hygrokf.fitting import Estimate, Objective, bounded_step
+from hygrokf.fitting import BETTER, Estimate, Objective, bounded_step
 from hygrokf.parallel import mapped
 from hygrokf.parameters import Parameter
 
@@ -33,8 +33,6 @@ AT_LIMIT = 1e-9
 WALK_STEPS = 40
 WALK_TOLERANCE = 2e-3
 """Re-estimation along a profile ends when the next step promises less than this much log-likelihood."""
-BETTER = 0.1
-"""Log-likelihood by which a point of a profile shows that the estimate is no maximum; climbs converge far below it."""
 MATERIAL = 0.05
 """[1] of a profile's threshold: a limit at whose passing the score promises less does not hold the profile back."""
 
@@ -58,6 +56,12 @@ class Uncertainty:
     trade_offs: tuple[tuple[str, str, float], ...]
     curvature: np.ndarray
     parts: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+
+    @property
+    def wider(self) -> np.ndarray:
+        """The Wald covariance (f, f), each standard deviation widened to the sandwich's where that is larger."""
+        root = np.sqrt(self.factor)
+        return self.wald * np.outer(root, root)
 
     def place(self, name: str) -> int | None:
         return self.names.index(name) if name in self.names else None
@@ -84,7 +88,7 @@ class Limit:
 class Bounds:
     """Confidence bounds of one value in its unit; infinite or zero where the data do not bound it.
 
-    `curve` (P, 2): values and twice the drop of the profile log-likelihood; `method` profile, wald or none; `limited_by`
+    `curve` (P, 2): values and twice the drop of the profile log-likelihood; `method` profile, wald, sandwich or none; `limited_by`
     the limits of other parameters that its ends met; `better` all parameters' values at the most likely point of the
     profile where that is more likely than the estimate (by `BETTER`): the estimate is no maximum, climb again from there.
     """
@@ -248,20 +252,24 @@ def _trade_offs(names: tuple[str, ...], covariance: np.ndarray) -> tuple[tuple[s
     return tuple(sorted(found, key=lambda pair: -abs(pair[2])))
 
 
-def wald_bounds(estimate: Estimate, found: Uncertainty, name: str, level: float = 0.95) -> Bounds:
-    """Bounds from the wider of the two covariances, symmetric in the parameter's coordinate."""
+def wald_bounds(
+    estimate: Estimate, found: Uncertainty, name: str, level: float = 0.95, covariance: str = "wider"
+) -> Bounds:
+    """Bounds from a covariance, symmetric in the parameter's coordinate: "wald", "sandwich" or the "wider" of the two."""
     value = estimate.values[name]
     place = found.place(name)
     if place is None:
         return Bounds(value, -math.inf, math.inf, level, "none", "at a bound or fixed", np.empty((0, 2)))
     p = next(q for q in estimate.coordinates.parameters if q.name == name)
-    se = math.sqrt(max(found.wald[place, place], found.sandwich[place, place]))
+    variances = {"wald": found.wald[place, place], "sandwich": found.sandwich[place, place]}
+    variances["wider"] = max(variances.values())
+    se, method = math.sqrt(variances[covariance]), "wald" if covariance == "wider" else covariance
     z = p.to_coordinate(value)
     reach = normal_quantile(level) * se
     if p.positive and se > FLAT_SE:
-        return Bounds(value, 0.0, math.inf, level, "wald", "not identifiable", np.empty((0, 2)))
+        return Bounds(value, 0.0, math.inf, level, method, "not identifiable", np.empty((0, 2)))
     ends = [p.from_coordinate(min(max(z + s * reach, -700.0), 700.0)) for s in (-1.0, 1.0)]
-    return Bounds(value, ends[0], ends[1], level, "wald", "", np.empty((0, 2)))
+    return Bounds(value, ends[0], ends[1], level, method, "", np.empty((0, 2)))
 
 
 def standard_error(estimate: Estimate, found: Uncertainty, name: str) -> float:

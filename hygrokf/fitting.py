@@ -5,7 +5,12 @@ score g and the expected information I of the innovations' sensitivities,
 
     (I + λ diag I) δ = g,
 
-λ by Levenberg and Marquardt; coordinates at a bound that the score pushes outwards are held there.
+λ by Levenberg and Marquardt; coordinates at a bound that the score pushes outwards are held there.  A climb ends with its
+budget of filter steps: where a time constant becomes far shorter than the interval between the readings, every pass
+takes many sub-steps.
+
+Models that contain one another are fitted from their parents: the likelihood has several maxima, and the larger model must
+not end below the smaller one.
 Shapes: d free parameters.
 """
 
@@ -13,16 +18,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from hygrokf.likelihood import Likelihood
-from hygrokf.parameters import Coordinates
+from hygrokf.parameters import Coordinates, Parameter
 
 GAIN_TOLERANCE = 1e-5
 """A climb has converged when the next full step promises less than this much log-likelihood."""
 MAXIMUM_PASSES = 60
+BUDGET = 3_000.0
+"""Filter steps per instant of the record after which a climb ends, wherever it is; cabinets take fewer than 100."""
+BETTER = 0.1
+"""Log-likelihood by which another point shows that an estimate is no maximum; climbs converge far below it."""
+NOISE_SPREAD = 5.0
+"""[ln] width of the range over which further starts vary a noise parameter: a factor of 12 up or down."""
+OTHER_SPREAD = 3.0
+"""[ln] the same for another positive parameter: a factor of 4.5."""
 
 
 @dataclass(frozen=True)
@@ -53,6 +66,10 @@ class Estimate:
     message: str
     at_bounds: tuple[str, ...]
     others: tuple[tuple[float, dict[str, float]], ...] = ()
+
+
+class _BudgetSpent(Exception):
+    """A climb has taken all the filter steps that it may."""
 
 
 class Objective:
@@ -98,17 +115,69 @@ class Objective:
         return self._sensitivities(z, each=True)
 
 
+class _Metered:
+    """An objective during one climb: counts its filter steps, and keeps the best point that it met."""
+
+    def __init__(self, objective: Objective, budget: float) -> None:
+        self.coordinates = objective.coordinates
+        self._objective = objective
+        self._budget = self._left = budget
+        self.evaluations = 0
+        self.best = (-math.inf, np.empty(0))
+
+    def value(self, z: np.ndarray) -> float:
+        self._spend(z)
+        return self._kept(z, (self._objective.value(z),))[0]
+
+    def score(self, z: np.ndarray) -> tuple[float, np.ndarray]:
+        self._spend(z)
+        return self._kept(z, self._objective.score(z))
+
+    def information(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        self._spend(z)
+        return self._kept(z, self._objective.information(z))
+
+    def _spend(self, z: np.ndarray) -> None:
+        try:
+            steps = self._objective.likelihood.steps_per_instant(self.coordinates.values(z))
+        except FloatingPointError:  # no rates, no steps
+            steps = 1.0
+        self.evaluations += 1
+        self._left -= steps
+        if self._left < 0.0:
+            raise _BudgetSpent(
+                f"stopped after its budget of {self._budget:.0f} filter steps an instant, {steps:.0f} of them in the last "
+                "pass: a time constant is far shorter than the interval between the readings"
+            )
+
+    def _kept(self, z: np.ndarray, found: tuple) -> tuple:
+        if found[0] > self.best[0]:
+            self.best = (found[0], z.copy())
+        return found
+
+
 def climb(
     objective: Objective,
     start: np.ndarray,
     passes: int = MAXIMUM_PASSES,
     tolerance: float = GAIN_TOLERANCE,
+    budget: float = BUDGET,
 ) -> Optimum:
     """Bounded Fisher scoring from one start (d,).
 
     Far from the optimum the expected information can mislead; where scoring sticks, a quasi-Newton climb by the
-    score alone leads on, and scoring finishes.
+    score alone leads on, and scoring finishes.  After `budget` filter steps per instant of the record the climb ends with
+    the best point that it met, not converged.
     """
+    metered = _Metered(objective, budget)
+    try:
+        return _climb(metered, start, passes, tolerance)
+    except _BudgetSpent as spent:
+        value, z = metered.best
+        return Optimum(z if z.size else start, value, False, str(spent), metered.evaluations)
+
+
+def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float) -> Optimum:
     found = _scoring(objective, start, passes, tolerance)
     for _ in range(3):
         if found.converged or not math.isfinite(found.objective) or passes < MAXIMUM_PASSES:
@@ -120,7 +189,7 @@ def climb(
     return found
 
 
-def _quasi_newton(objective: Objective, start: np.ndarray) -> np.ndarray:
+def _quasi_newton(objective: _Metered, start: np.ndarray) -> np.ndarray:
     from scipy.optimize import minimize
 
     def downhill(z: np.ndarray) -> tuple[float, np.ndarray]:
@@ -139,7 +208,7 @@ def _quasi_newton(objective: Objective, start: np.ndarray) -> np.ndarray:
     return found.x
 
 
-def _scoring(objective: Objective, start: np.ndarray, passes: int, tolerance: float) -> Optimum:
+def _scoring(objective: _Metered, start: np.ndarray, passes: int, tolerance: float) -> Optimum:
     lower, upper = objective.coordinates.lower, objective.coordinates.upper
     z = np.clip(start, lower, upper)
     damping = 1e-3
@@ -225,26 +294,61 @@ def _damped_step(information: np.ndarray, gradient: np.ndarray, damping: float) 
 
 
 def starts(coordinates: Coordinates, values: Mapping[str, float] | None, count: int) -> list[np.ndarray]:
-    """The stated start and `count`−1 more that differ in the noise parameters: a Halton sequence over e^±2.5."""
+    """The stated start and `count`−1 more: the noise parameters differ in each, all others in every second one.
+
+    They fill their ranges evenly by an additive recurrence with the generalised golden ratio (Roberts 2018): the k-th
+    start has the shares ½ + k φ^−j mod 1, φ^(d+1) = φ + 1.
+    """
     first = coordinates.start(values)
-    noisy = [i for i, p in enumerate(coordinates.free) if p.noise]
+    noisy = np.array([p.noise for p in coordinates.free], dtype=bool)
+    width = np.array([_start_width(p) for p in coordinates.free])
+    ratio = 2.0
+    for _ in range(50):
+        ratio = (1.0 + ratio) ** (1.0 / (len(first) + 1.0))
+    steps = ratio ** -np.arange(1.0, len(first) + 1.0)
     result = [first]
-    primes = [2, 3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37]
-    for k in range(1, count if noisy else 1):
-        z = first.copy()
-        for place, i in enumerate(noisy):
-            z[i] += 5.0 * (_halton(k, primes[place % len(primes)]) - 0.5)
-        result.append(np.clip(z, coordinates.lower, coordinates.upper))
+    for k in range(1, count):
+        varied = noisy if k % 2 else np.ones_like(noisy)
+        z = first + np.where(varied, width * ((0.5 + k * steps) % 1.0 - 0.5), 0.0)
+        z = np.clip(z, coordinates.lower, coordinates.upper)
+        if varied.any():
+            result.append(z)
     return result
 
 
-def _halton(index: int, base: int) -> float:
-    result, fraction = 0.0, 1.0
-    while index > 0:
-        fraction /= base
-        result += fraction * (index % base)
-        index //= base
+def _start_width(p: Parameter) -> float:
+    """Width of the range of starts in a parameter's coordinate; what a prior knows is not searched for further away."""
+    if p.noise:
+        return NOISE_SPREAD
+    if p.prior is not None and p.prior.logarithmic == p.positive:
+        return 4.0 * p.prior.sd
+    return OTHER_SPREAD if p.positive else 0.5 * (p.upper - p.lower)
+
+
+def nested_starts(
+    coordinates: Coordinates, values: Mapping[str, float] | None, parent: Estimate
+) -> list[np.ndarray]:
+    """Starts (d,) of a model at the maximum of one that it contains.
+
+    What the parent does not have is at its stated start, and in a second start at its null value where it has one.
+    """
+    own = [p for p in coordinates.free if p.name not in parent.values]
+    known = {**(values or {}), **parent.values}
+    result = [coordinates.start(known)]
+    if own and all(p.null is not None for p in own):
+        result.append(coordinates.start({**known, **{p.name: p.null for p in own}}))
     return result
+
+
+def least_objective(coordinates: Coordinates, parents: Sequence[Estimate]) -> float:
+    """Penalised log-likelihood that the maximum of a model cannot be below, given those of models that it contains."""
+    floors = [-math.inf]
+    for parent in parents:
+        own = [p for p in coordinates.free if p.prior is not None and p.name not in parent.values]
+        floors.append(
+            parent.objective + sum(p.prior.log_density(p.start if p.null is None else p.null) for p in own)
+        )
+    return max(floors)
 
 
 def maximise(
@@ -255,25 +359,33 @@ def maximise(
     progress: Callable[[str], None] | None = None,
     more_starts: Sequence[Mapping[str, float]] = (),
     search: Likelihood | None = None,
+    parents: Sequence[Estimate] = (),
+    budget: float = BUDGET,
 ) -> Estimate:
     """Maximum likelihood from several starts; other optima are reported, not hidden.
 
-    `values` start values of some parameters, `fixed` those to be held, `count` starts over the noise parameters,
-    `more_starts` further complete starts.  Short climbs from every start, on a shorter stretch of the record if `search`
-    gives one, are followed to the end on the whole for those that lead to different places.
+    `values` start values of some parameters, `fixed` those to be held, `count` starts (see `starts`), `more_starts` further
+    complete starts.  Short climbs from every start, on a shorter stretch of the record if `search` gives one, are followed
+    to the end on the whole for those that lead to different places.
+
+    `parents`: estimates, on the same readings, of models that this one contains, exactly or as a limit.  Climbs begin from
+    each of them too (see `nested_starts`), and an estimate that is less likely than a parent's is never called converged.
+    `budget`: filter steps per instant of the record that each climb may take.
     """
     coordinates = Coordinates(likelihood.model.parameters, fixed)
     objective = Objective(likelihood, coordinates)
     scout = objective if search is None else Objective(search, coordinates)
     candidates = starts(coordinates, values, count)
     candidates += [coordinates.start(v) for v in more_starts]
+    nested = [z for parent in parents for z in nested_starts(coordinates, values, parent)]
+    candidates += nested
     short = []
     for k, z in enumerate(candidates):
         if progress is not None:
             progress(f"start {k + 1} of {len(candidates)}")
         several = len(candidates) > 1
         short.append(
-            climb(scout, z, passes=15 if several else 25, tolerance=1e-2)
+            climb(scout, z, passes=15 if several else 25, tolerance=1e-2, budget=budget)
             if several or search
             else Optimum(z, 0.0, False, "", 0)
         )
@@ -285,10 +397,25 @@ def maximise(
         # worth following to the end: the best, and others that may still overtake it
         if k > 0 and (len(optima) >= 3 or o.objective < short[0].objective - 50.0 or not _far(o, short[0])):
             continue
-        done = climb(objective, o.z)
+        done = climb(objective, o.z, budget=budget)
         if all(_far(done, kept) for kept in optima):
             optima.append(done)
-    return estimate_of(likelihood, coordinates, optima)
+    least = least_objective(coordinates, parents)
+    if max(o.objective for o in optima) < least - BETTER:
+        optima += [climb(objective, z, budget=budget) for z in nested]
+    return refused_below(least, estimate_of(likelihood, coordinates, optima))
+
+
+def refused_below(least: float, found: Estimate) -> Estimate:
+    """The estimate, not called converged where it is below what a model that it contains has reached."""
+    short = least - found.objective
+    if not short > BETTER:
+        return found
+    message = (
+        f"not converged: a model that this one contains is more likely, by {short:.2f} in ln L; give start values nearer to "
+        "that model, more starts or wider bounds"
+    )
+    return replace(found, converged=False, message=message)
 
 
 def climbed_on(

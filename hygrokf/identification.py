@@ -37,7 +37,7 @@ from hygrokf.version import __version__
 if TYPE_CHECKING:
     from hygrokf.stationary import HeatRelease
 
-STARTS = 4
+STARTS = 5
 DEFAULT_KIND = CASCADE
 """Decided by trial: docs/decisions/0002-joint-or-cascade.md."""
 FEWEST = 50

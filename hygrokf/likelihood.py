@@ -206,6 +206,12 @@ class Likelihood:
         keys[:, 0] /= np.maximum(parts, 1)
         return _Steps(keys, parts.astype(np.int32), long, tail_h)
 
+    def steps_per_instant(self, values: Mapping[str, float]) -> float:
+        """Filter steps that one pass takes with these values, over the instants of the record: at least about 1."""
+        steps = self._steps(values)
+        taken = np.bincount(self.timeline.key, minlength=len(steps.parts)) @ steps.parts
+        return float(taken) / len(self.timeline)
+
     def _not_finite(self, values: Mapping[str, float]) -> str:
         """The states without a finite rate, and the parameters that their rates depend on."""
         if self.fastest is not None:
@@ -279,11 +285,11 @@ class Likelihood:
         n = len(mean)
         u = self.first_inputs()
         for _ in range(5):  # one step where the model is linear
-            matrix = self._jacobian_at(values, mean, u)
+            matrix = self.jacobian(values, mean, u)
             rates = np.array(self.model.evaluate(list(mean), u, values).rates)
             mean = mean - np.linalg.solve(matrix, rates)
         noise = np.array(self.model.noise(values))
-        matrix = self._jacobian_at(values, mean, u)
+        matrix = self.jacobian(values, mean, u)
         if np.linalg.eigvals(matrix).real.max() >= 0:
             raise ValueError(
                 "initial='stationary': the model has no stationary state; use 'prior', 'diffuse' or a Gaussian"
@@ -292,7 +298,11 @@ class Likelihood:
         flat = np.linalg.solve(np.kron(matrix, eye) + np.kron(eye, matrix), -noise.reshape(-1))
         return mean, flat.reshape(n, n)
 
-    def _jacobian_at(self, values: Mapping, mean: np.ndarray, u: Mapping) -> np.ndarray:
+    def jacobian(self, values: Mapping, mean: np.ndarray, u: Mapping) -> np.ndarray:
+        """Derivatives (n, n) [1/h] of the states' rates by the states, at a state `mean` (n,) and inputs `u`.
+
+        Complex values, for derivatives, give a complex matrix.
+        """
         r = self.recursion
         known = {f"p:{name}": v for name, v in values.items()}
         known |= {f"m{i}": v for i, v in enumerate(mean)}

@@ -15,7 +15,15 @@ from hygrokf.clock_offsets import NO_OFFSETS, ClockOffsets, clock_offsets
 from hygrokf.confidence import Bounds, Uncertainty, profile, uncertainty, wald_bounds
 from hygrokf.design import CASCADE, Design, design, extended, reading_step_h
 from hygrokf.drivers import Run, run
-from hygrokf.fitting import Estimate, Objective, climb, climbed_on, maximise
+from hygrokf.fitting import (
+    Estimate,
+    Objective,
+    climb,
+    climbed_on,
+    least_objective,
+    maximise,
+    refused_below,
+)
 from hygrokf.forms import ADOPTED, Form, weighed
 from hygrokf.kalman import smooth
 from hygrokf.likelihood import Likelihood
@@ -29,7 +37,7 @@ from hygrokf.simulation import air_temperature, project
 LEVEL = 0.95
 TIME_CONSTANTS = ("thermal_time_constant", "hygric_k")
 SEARCH_DAYS = 30.0
-"""[d] stretch of the record on which the starts over the noise parameters are tried."""
+"""[d] stretch of the record on which the starts are tried."""
 SECOND = ("second_heat_disturbance", "second_vapour_disturbance")
 SCREEN_GAIN = 3.0
 """Log-likelihood that a second disturbance must gain on the shorter stretch to be tried on the whole."""
@@ -96,7 +104,8 @@ def formed(early: Record, found: Estimated, say: Progress) -> tuple[Estimated, t
         return found, forms
     made = run(chosen.design, early)
     estimate = maximise(Likelihood(chosen.design.model, made.timeline), chosen.estimate.values, count=1)
-    return Estimated(chosen.design, made, estimate), forms
+    least = least_objective(estimate.coordinates, (found.estimate,))
+    return Estimated(chosen.design, made, refused_below(least, estimate)), forms
 
 
 def estimated(early: Record, base: Design, starts: int, say: Progress) -> Estimated:

@@ -326,7 +326,7 @@ def test_options_of_fit_reach_the_identification(folder, told, monkeypatch):
 
     monkeypatch.setattr("hygrokf.identification.identify", identify)
     told("fit case.toml --out made")
-    assert seen == {"name": "synthetic-turbine-3", "criterion": "likelihood", "starts": 4}
+    assert seen == {"name": "synthetic-turbine-3", "criterion": "likelihood", "starts": 5}
     told("fit case.toml --out made --kind joint --criterion simulation --starts 7")
     assert seen == {
         "name": "synthetic-turbine-3",

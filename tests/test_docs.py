@@ -102,6 +102,7 @@ def broken_links(page: Path, text: str) -> list[str]:
             ["result/fleet.csv", "result/fleet.parquet", "result/report.html"],
         ),
         (DOCS / "add_a_mechanism.md", "python,bash", ["turbine/case.toml"]),
+        (DOCS / "own_model.md", "python", []),
         (
             DOCS / "climate.md",
             "python,bash",

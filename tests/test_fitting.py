@@ -10,7 +10,17 @@ import pytest
 
 from hygrokf import fitting
 from hygrokf.confidence import uncertainty
-from hygrokf.fitting import Objective, Optimum, bounded_step, climb, maximise, starts
+from hygrokf.fitting import (
+    BETTER,
+    Objective,
+    Optimum,
+    bounded_step,
+    climb,
+    least_objective,
+    maximise,
+    nested_starts,
+    starts,
+)
 from hygrokf.likelihood import Likelihood
 from hygrokf.mechanisms import linear_network
 from hygrokf.model import compose
@@ -151,20 +161,126 @@ def test_where_a_climb_did_not_converge_is_not_reported_as_an_optimum(
     assert found.others == ()
 
 
-def test_starts_differ_in_the_noise_parameters_alone() -> None:
+def test_starts_vary_noise_always_and_all_else_in_every_second_one() -> None:
     coordinates = Coordinates(sample().model.parameters)
     made = starts(coordinates, {"mean": 2.0, "spread": 0.5}, 9)
     np.testing.assert_allclose(made[0], [2.0, math.log(0.5)])
-    # the sequence begins in the middle of its range: of a single noise parameter the second start repeats the first
-    assert len(made) == 9 and len({z[1] for z in made}) == 8
-    for z in made:
-        assert z[0] == 2.0 and abs(z[1] - math.log(0.5)) <= 2.5
-    assert np.ptp([z[1] for z in made]) > 3.0
+    assert len(made) == 9 and len({z[1] for z in made}) == 9
+    for k, z in enumerate(made):
+        assert abs(z[1] - math.log(0.5)) <= 2.5
+        assert (z[0] == 2.0) == (k % 2 == 1 or k == 0)
+        assert abs(z[0] - 2.0) <= 0.25 * 100.0
+    assert np.ptp([z[1] for z in made]) > 3.0 and np.ptp([z[0] for z in made]) > 25.0
     np.testing.assert_array_equal(made, starts(coordinates, {"mean": 2.0, "spread": 0.5}, 9))
     edge = starts(coordinates, {"spread": 1e-3}, 5)
     assert all(np.all(z >= coordinates.lower) for z in edge)
     quiet = Coordinates(sample().model.parameters, {"spread": 1.0})
-    assert len(starts(quiet, None, 9)) == 1  # nothing to vary
+    assert (
+        len(starts(quiet, None, 9)) == 5
+    )  # without noise parameters every second start would repeat the first
+
+
+def test_starts_stay_where_a_prior_is() -> None:
+    likelihood = sample(prior=Prior(3.0, 0.1))
+    made = starts(Coordinates(likelihood.model.parameters), {"mean": 3.0}, 30)
+    means = [z[0] for z in made]
+    assert max(abs(mean - 3.0) for mean in means) <= 0.2 and np.ptp(means) > 0.2
+
+
+HILLS = 2.0 + 0.2 * np.random.default_rng(2).normal(size=30)
+
+
+def hills(lowest: float = -50.0, shift: bool = False) -> Likelihood:
+    """Readings about mean² + mean/20, with a prior that prefers the hill at positive means; and a shift of it, if wanted."""
+    more = [Parameter("shift", "1", 0.005, -0.01, 0.01, null=0.0)] if shift else []
+    constant = linear_network(
+        "constant",
+        [
+            Parameter("mean", "1", -1.0, lowest, 50.0 if lowest == -50.0 else -0.1, prior=Prior(0.5, 1.0)),
+            Parameter("spread", "1", 2.0, 1e-3, 1e3, positive=True, noise=True),
+            *more,
+        ],
+        ["x"],
+        [],
+        lambda p, x, u: {"x": 0.0 * x.x},
+        {"y": lambda p, x, u: (x.x, p.spread * p.spread)},
+        lambda p: {"x": 0.0},
+        lambda p, u: {"x": (two_hills(p) + (p.shift if shift else 0.0), 0.0)},
+    )
+    model = compose([constant])
+    return Likelihood(model, timeline(model, np.arange(30.0), {}, {"y": HILLS}))
+
+
+def test_a_model_starts_from_one_that_it_contains() -> None:
+    parent = maximise(hills(), {"mean": 1.0}, count=1)
+    larger = hills(shift=True)
+    cold = maximise(larger, count=1)
+    assert cold.values["mean"] < 0 and cold.objective < parent.objective - BETTER  # the wrong hill
+    nested = maximise(larger, count=1, parents=[parent])
+    assert nested.converged and nested.objective >= parent.objective
+    assert nested.values["mean"] == pytest.approx(parent.values["mean"], abs=0.05)
+    made = nested_starts(nested.coordinates, None, parent)
+    assert [z[nested.coordinates.names.index("shift")] for z in made] == [0.005, 0.0]
+
+
+def test_what_is_below_a_model_that_it_contains_has_not_converged() -> None:
+    parent = maximise(hills(), {"mean": 1.0}, count=1)
+    held = maximise(
+        hills(lowest=-40.0, shift=True), count=1, parents=[parent]
+    )  # its bounds keep the hill out
+    assert not held.converged
+    short = parent.objective - held.objective
+    assert f"more likely, by {short:.2f} in ln L" in held.message and "start values" in held.message
+    assert maximise(hills(lowest=-40.0, shift=True), count=1).converged
+
+
+def test_a_prior_of_what_a_parent_lacks_counts_at_its_null() -> None:
+    parent = maximise(hills(), {"mean": 1.0}, count=1)
+    own = Parameter("drift", "1", 0.3, -1.0, 1.0, prior=Prior(0.0, 0.1), null=0.0)
+    coordinates = Coordinates([*parent.coordinates.parameters, own])
+    density = -math.log(0.1 * math.sqrt(2 * math.pi))
+    assert least_objective(coordinates, [parent]) == pytest.approx(parent.objective + density)
+    assert least_objective(coordinates, []) == -math.inf
+
+
+def stiff() -> Likelihood:
+    """A reading every hour through a first-order lag whose time constant starts at a second."""
+    lag = linear_network(
+        "lag",
+        [
+            Parameter("lag", "h", 1 / 3600.0, 1 / 7200.0, 1 / 600.0, positive=True),
+            Parameter("noise", "1", 1.0, 1e-3, 1e3, positive=True, noise=True),
+        ],
+        ["x"],
+        ["u"],
+        lambda p, x, u: {"x": (u.u - x.x) / p.lag},
+        {"y": lambda p, x, u: (x.x, p.noise * p.noise)},
+        lambda p: {"x": 0.01},
+        lambda p, u: {"x": (0.0, 1.0)},
+    )
+    random = np.random.default_rng(7)
+    model = compose([lag], {"u": "zero-order"})
+    course = random.normal(size=100).cumsum()
+    read = course + 0.1 * random.normal(size=100)
+    return Likelihood(model, timeline(model, np.arange(100.0), {"u": course}, {"y": read}))
+
+
+def test_a_stiff_corner_ends_with_its_budget() -> None:
+    likelihood = stiff()
+    first = {"lag": 1 / 3600.0, "noise": 1.0}
+    each = likelihood.steps_per_instant(first)
+    assert each > 4_000  # sub-steps of a second's fraction through an hour
+    begun = Objective(likelihood, Coordinates(likelihood.model.parameters))
+    start = begun.coordinates.start(first)
+    ended = climb(begun, start, budget=2.5 * each)
+    assert (
+        not ended.converged and "budget" in ended.message and "interval between the readings" in ended.message
+    )
+    assert ended.objective >= begun.value(start)
+    said = maximise(likelihood, count=1, budget=2.5 * each)
+    assert not said.converged and "budget" in said.message
+    with_room = climb(begun, start, budget=100 * each)
+    assert with_room.converged and with_room.objective > ended.objective
 
 
 def test_progress_names_every_start() -> None:

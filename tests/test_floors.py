@@ -37,7 +37,7 @@ FLOORS = (
     "likelihood design",
     "fitting kalman drivers thermal side_by_side",
     "switching confidence periods",
-    "simulation forms clock_offsets composition",
+    "simulation forms clock_offsets composition inference",
     # judgement
     "output_error scoring stationary diagnosis discovery.significance",
     "stage",

@@ -11,10 +11,10 @@ import pytest
 from plants import plant
 from plants.as_record import to_record
 
-from hygrokf.confidence import BETTER, Limit, describe
+from hygrokf.confidence import Limit, describe
 from hygrokf.design import Design, design
 from hygrokf.fit import Fit
-from hygrokf.fitting import Objective
+from hygrokf.fitting import BETTER, Objective
 from hygrokf.identification import identify, shared_error
 from hygrokf.likelihood import Likelihood
 from hygrokf.parameters import Parameter

@@ -400,7 +400,7 @@ _COMPARED_ERRORS = (
 )
 _ENDS = (("", ""), ("_lower", "lower 95 % bound of "), ("_upper", "upper 95 % bound of "))
 _REPORT = Option(False, "flag", "write each turbine's own page too")
-_STARTS = Option(4, 1, "starts over the noise parameters")
+_STARTS = Option(5, 1, "starts of the search for the maximum")
 _LIBRARY = Option([], "files", "files with causes of your own, which are executed")
 
 TASKS: Mapping[str, Task] = {
