@@ -17,6 +17,7 @@ from hygrokf.drivers import IDENTIFIED_ON, Run, run
 from hygrokf.fit import Fit
 from hygrokf.likelihood import Likelihood
 from hygrokf.output_error import OutputError
+from hygrokf.parallel import mapped
 from hygrokf.parameters import Parameter, Prior
 from hygrokf.record import Record
 from hygrokf.scoring import bands, baselines, readings_sd, scores, sensor_share
@@ -26,7 +27,10 @@ from hygrokf.stage import (
     TIME_CONSTANTS,
     Progress,
     Stage,
+    estimated,
+    formed,
     identify_stage,
+    judged,
     output_errors,
     smoothed_temperature,
 )
@@ -113,25 +117,34 @@ def identified(
     say("heat-release regression")
     regression = heat_release_regression(early)
     orders = _orders(regression)
-    stages: list[Stage] = []
-    records: list[Record] = []
-    for part in (JOINT,) if kind == JOINT else ("thermal", CASCADE):
+
+    def base_of(part: str) -> Design:
         base = design(early, kind=part, **orders)
-        if prior is not None:
-            known = {name: (p.mean, p.sd, p.logarithmic) for name, p in prior(base).items()}
-            base = replace(base, priors=known)
-        if part == CASCADE and base.humidity is None:
-            continue
-        driven = early
-        if part == CASCADE:
-            say("smoothed cabinet temperature")
-            known = stages[0]
-            driven = early.replace_series(
-                smoothed_temperature(known.base, known.run, known.estimate.values, early, base.humidity)
-            )
-        stages.append(identify_stage(driven, base, starts, profiles, say))
-        records.append(driven)
-    return Basis(kind, tuple(stages), tuple(records), regression)
+        if prior is None:
+            return base
+        known = {name: (p.mean, p.sd, p.logarithmic) for name, p in prior(base).items()}
+        return replace(base, priors=known)
+
+    first = base_of(JOINT if kind == JOINT else "thermal")
+    found, forms = formed(early, estimated(early, first, starts, say), say)
+
+    second = None if kind == JOINT else base_of(CASCADE)
+
+    def own() -> tuple[Record, Stage]:
+        return early, judged(early, found, profiles, say, forms)
+
+    def moist() -> tuple[Record, Stage]:
+        say("smoothed cabinet temperature")
+        values = found.estimate.values
+        driven = early.replace_series(
+            smoothed_temperature(found.base, found.run, values, early, second.humidity)
+        )
+        return driven, identify_stage(driven, second, starts, profiles, say)
+
+    # the hygric stage needs the thermal estimate, not its bounds
+    jobs = [own] if second is None or second.humidity is None else [own, moist]
+    driven, stages = zip(*mapped(lambda job: job(), jobs), strict=True)
+    return Basis(kind, tuple(stages), tuple(driven), regression)
 
 
 def expect_readings(early: Record) -> None:

@@ -449,9 +449,10 @@ class Likelihood:
         states, dots, seeds = self._tangent_start(values, directions)
         score, information, loglik = np.zeros(count), np.zeros((count, count)), 0.0
         scores = np.zeros((len(self.timeline), count)) if each else None
+        steps = self._steps(values)
         for start in range(0, len(self.timeline), CHUNK):
             part = slice(start, min(start + CHUNK, len(self.timeline)))
-            e, s, de, ds, value = self._tangent_part(values, part, states, dots, seeds, gain)
+            e, s, de, ds, value = self._tangent_part(values, steps, part, states, dots, seeds, gain)
             de, ds = de[..., :count], ds[..., :count]
             share = -(e / s)[..., None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[..., None] * ds
             loglik += value
@@ -479,21 +480,29 @@ class Likelihood:
     def slopes(self, values: Mapping[str, float], directions: np.ndarray) -> np.ndarray:
         """Slopes (T, k, r) of the innovations along directions (d, r) of the parameters."""
         states, dots, seeds = self._tangent_start(values, directions)
-        _, _, de, _, _ = self._tangent_part(values, slice(0, len(self.timeline)), states, dots, seeds, True)
+        steps = self._steps(values)
+        _, _, de, _, _ = self._tangent_part(values, steps, self._whole, states, dots, seeds, True)
         return de[..., : directions.shape[1]]
 
     def residuals(self, values: Mapping[str, float], directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Free-run residuals (T, k), NaN without reading, and their slopes (T, k, r) along directions (d, r)."""
         states, dots, seeds = self._tangent_start(values, directions)
-        e, _, de, _, _ = self._tangent_part(values, slice(0, len(self.timeline)), states, dots, seeds, False)
+        steps = self._steps(values)
+        e, _, de, _, _ = self._tangent_part(values, steps, self._whole, states, dots, seeds, False)
         return np.where(np.isfinite(self.timeline.y), e, np.nan), de[..., : directions.shape[1]]
 
     def _tangent_part(
-        self, values: Mapping[str, float], part: slice, states: list, dots: list, seeds: list, gain: bool
+        self,
+        values: Mapping[str, float],
+        steps: _Steps,
+        part: slice,
+        states: list,
+        dots: list,
+        seeds: list,
+        gain: bool,
     ) -> tuple:
         r = self.recursion
         count, outputs = part.stop - part.start, len(r.updates)
-        steps = self._steps(values)
         derivatives: list[tuple[np.ndarray, np.ndarray]] = []
         for state, dot, seed in zip(states, dots, seeds, strict=True):
             e, s, loglik = np.zeros((count, outputs)), np.ones((count, outputs)), 0.0

@@ -252,7 +252,7 @@ def forecasts(
     """
     t = run.timeline
     likelihood = Likelihood(design.model, t)
-    trace = likelihood.trace(values)
+    trace, fastest = likelihood.trace(values), likelihood.rate(values)
     known = measured(run)
     there = np.flatnonzero(np.isfinite(t.y).any(axis=1) & run.scored)
     there = there[there >= first]
@@ -272,7 +272,7 @@ def forecasts(
     pieces = self_switched(design, values, pieces, states)
     for start, last, piece, state in zip(starts, ends, pieces, states, strict=True):
         part = piece.timeline
-        ahead = Likelihood(design.model, part).trace(values, start=state)
+        ahead = Likelihood(design.model, part, fastest=fastest).trace(values, start=state)
         made = predicted_readings(design, values, piece, ahead)
         for lead in leads_h:
             for quantity in QUANTITIES:
