@@ -187,10 +187,12 @@ def table(lines: Sequence[Mapping]) -> str:
     edges = [f"{100 * a:.0f}–{100 * b:.0f} %" for a, b in pairwise(BINS)]
     for number, name in enumerate(OUTLOOKS):
         out += ["", f"Outlook: {name}.", "", "| surface | lead | n | said | came | " + " | ".join(edges) + " |", "|" + " --- |" * (5 + len(edges))]  # fmt: skip
-        for place, surface in enumerate(SURFACES):
-            for lead in LEADS_H:
-                here = (c["outlook"] == number) & (c["surface"] == place) & (c["lead_h"] == lead)
-                out.append(f"| {surface.follows:g} / {surface.offset_K:+g} K | {lead:.0f} h | " + _cells(c["said"][here], came[here], cases.seed[here], edges))  # fmt: skip
+        own = c["outlook"] == number
+        for place, words in (*enumerate(map(_words, SURFACES)), (None, "all")):
+            for lead in (*LEADS_H, None):
+                here = own & (place is None or c["surface"] == place) & (lead is None or c["lead_h"] == lead)
+                leads = "all" if lead is None else f"{lead:.0f} h"
+                out.append(f"| {words} | {leads} | " + _cells(c["said"][here], came[here], cases.seed[here], edges))  # fmt: skip
     out += [
         "",
         "By the newest reading of humidity, surface 0.3 / 0 K and 0.6 / 0 K, known outlook, up to 6 h:",
@@ -206,6 +208,10 @@ def table(lines: Sequence[Mapping]) -> str:
         out.append(f"| {words} | " + _cells(c["said"][here], came[here], cases.seed[here], edges))
     out += ["", *_rank_rows(cases), "", *_window_rows(lines, edges)]
     return "\n".join(out)
+
+
+def _words(surface: Surface) -> str:
+    return f"{surface.follows:g} / {surface.offset_K:+g} K"
 
 
 def _cells(said: np.ndarray, came: np.ndarray, seed: np.ndarray, edges: Sequence[str]) -> str:
