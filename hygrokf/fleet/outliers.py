@@ -55,6 +55,22 @@ class Spread:
         """Places of the outliers, the farthest first."""
         return [int(i) for i in np.argsort(-np.abs(self.z)) if self.p[i] < LEVEL]
 
+    @property
+    def explained(self) -> bool:
+        """Whether the bounds explain how the turbines scatter, outliers left out (Cochran's Q).
+
+        `between` alone cannot say so: the median deviation does not see a few turbines that depart, and below `FEWEST`
+        none is called an outlier.
+        """
+        from scipy.special import chdtrc
+
+        kept = np.delete(np.arange(len(self.x)), self.outliers)
+        x, weight = self.x[kept], self.error[kept] ** -2.0
+        if len(kept) < 2:
+            return True
+        q = float(weight @ (x - weight @ x / weight.sum()) ** 2)
+        return bool(chdtrc(len(kept) - 1, q) > LEVEL)
+
 
 def spreads(rows: Sequence[Mapping[str, object]], compared: Sequence[Compared]) -> list[Spread]:
     """The spread of every quantity that any turbine has; turbines without a value and bounds above zero on both sides are

@@ -89,6 +89,8 @@ def _cards(rows: Sequence[Mapping], done: Sequence[Mapping], found: Sequence[Spr
                 f"between turbines {100 * one.between:.0f} % (standard deviation beyond their bounds)"
                 if one.between > 0.005
                 else "the bounds explain all of the spread between turbines"
+                if one.explained
+                else "most agree within their bounds, but not all of them do"
             )
             if one.outliers:
                 between += f", but for {', '.join(one.turbines[i] for i in one.outliers[:4])}"

@@ -31,7 +31,7 @@ def figure_spreads(found: Sequence[Spread]) -> Figure:
     """One panel a quantity: turbines from the least to the largest value, bounds as lines, outliers in red.
 
     The shade is where 95 % of turbines would lie if their bounds were closed to a point: median and spread between them.
-    There is none where the bounds explain all of the spread.
+    There is none where the median deviation is no more than the bounds explain.
     """
     shown = [one for one in found if len(one.turbines)]
     if not shown:
