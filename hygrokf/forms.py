@@ -169,10 +169,8 @@ def weighed(
         at = _curvature(Objective(likelihood, found.coordinates), found)
         gain = found.objective - estimate.objective
         further = [p.name for p in found.coordinates.free if p.name not in estimate.coordinates.names]
-        # a parameter at the far end of its range says that something else is at work
-        ends = set(further) & set(found.at_bounds)
-        there = any(found.values[p.name] > 0.999 * p.upper for p in found.coordinates.free if p.name in ends)
-        adoptable = one.adoptable and not there
+        # a parameter at an end of its range says that something else is at work
+        adoptable = one.adoptable and not set(further) & set(found.at_bounds)
         form = Form(one.name, one.design, found, gain, 0.0, at.names, at.widest, adoptable)
         return form, gain / temper + _occam(found, at, further, temper)
 

@@ -231,12 +231,13 @@ def _sampling(
 def smoothed_temperature(
     base: Design, made: Run, values: Mapping[str, float], early: Record, humidity: str
 ) -> Series:
-    """The cabinet air temperature given all its readings [K], at its own times and those of the humidity.
+    """The cabinet air temperature given all its readings [K], at the run's instants and the times of the humidity.
 
     `base` a thermal design with its run on `early` and its parameters; `humidity` the signal of the cabinet's humidity.
 
     The hygric model divides by e_s(T): with raw readings their noise would weaken that dependence, as errors in a
-    regressor do, and end up in the humidity sensor's bias; the smoothed temperature is free of it.
+    regressor do, and end up in the humidity sensor's bias; the smoothed temperature is free of it.  A slow humidity sensor
+    carries the temperature between the readings, which ambient and power tell better than the chord.
     """
     t = made.timeline
     mean, _ = smooth(Likelihood(base.model, t), values, covariance=False)
@@ -244,7 +245,7 @@ def smoothed_temperature(
     seconds = t.origin_s + 3600.0 * t.time
     raw = early["cabinet_temperature"]
     moist = early[humidity]
-    time = np.union1d(raw.time[~raw.missing], moist.time[~moist.missing])
+    time = np.union1d(seconds, moist.time[~moist.missing])
     time = time[(time >= seconds[0]) & (time <= seconds[-1])]
     return replace(raw, time=time, value=np.interp(time, seconds, air), hold="linear", interval_s=0.0)
 

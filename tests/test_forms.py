@@ -33,7 +33,7 @@ from hygrokf.mechanisms import LIBRARY, natural_convection
 from hygrokf.mechanisms.thermal import STILL_K, small_signal
 from hygrokf.model import compose
 from hygrokf.record import Record, Series
-from hygrokf.stage import estimated
+from hygrokf.stage import estimated, smoothed_temperature
 from hygrokf.thermal import state_space
 from hygrokf.timeline import timeline
 
@@ -174,6 +174,17 @@ def test_a_stated_response_is_modelled_and_no_form_of_its_own():
     assert "cabinet_relative_humidity_sensor" in fit.design.model.states
 
 
+def test_a_response_at_an_end_of_its_range_is_not_adopted():
+    """Ambient stamps a minute early look like a humidity sensor of two minutes, the shortest that can be told."""
+    record, truth = plant_record("clock", 30021)
+    assert truth.late_s["ambient"] == -60.0
+    fit = identify(record, starts=1, profiles=False)
+    entry = fit.results["time_constants"]["hygric"]
+    assert entry["response"]["kind"] == "included"
+    (clock,) = (one for one in entry["clock"] if one["source"].startswith("ambient"))
+    assert clock["offset_s"] + 2.0 * clock["sd_s"] < 0.0
+
+
 def test_without_lag_convection_or_second_mass_the_base_stays(slow_sensor):
     record, truth = plant_record("instants", 31002)
     fit = identify(record, starts=1, profiles=False)
@@ -194,6 +205,21 @@ def test_no_form_that_a_design_has_already_is_a_candidate():
     assert candidates(
         next(one.design for one in candidates(base, record, made) if one.name == CONVECTION), record, made
     )[0].name == SECOND_MASS
+
+
+def test_the_smoothed_temperature_has_what_happens_between_the_readings(thermal_part):
+    """Ambient and power between the cabinet's readings tell its temperature better than the chord does."""
+    record, found = thermal_part
+    smoothed = smoothed_temperature(
+        found.base, found.run, found.estimate.values, record, "cabinet_relative_humidity"
+    )
+    made = make_plant(seed=31004, scenario=ROWS["instants"], days=45.0)
+    read = record["cabinet_temperature"].known[0]
+    middle = 0.5 * (read[1:] + read[:-1])[10:-10]
+    true = np.interp(middle, made.weather.time, made.trajectory.cabinet_K)
+    chord = np.interp(middle, read, np.interp(read, smoothed.time, smoothed.value))
+    errors = [np.std(course - true) for course in (np.interp(middle, smoothed.time, smoothed.value), chord)]
+    assert errors[0] < 0.95 * errors[1]
 
 
 # --- clocks ---------------------------------------------------------------------------------
