@@ -24,7 +24,7 @@ from hygrokf.design import (
 from hygrokf.features import feature
 from hygrokf.loops import LINEAR
 from hygrokf.mechanisms.hygric import exchange_factor
-from hygrokf.paths import input_path, while_running, without_response
+from hygrokf.paths import input_path, without_response
 from hygrokf.record import Record, Series
 from hygrokf.timeline import Timeline, timeline
 
@@ -108,7 +108,6 @@ def run(design: Design, record: Record) -> Run:
         if name in record and (name != "active_power" or design.power_order or "operating" in inputs_of)
     ]
     further = [record[name] for name in sorted(inputs_of & set(record.signals) - {*ambient, "preheating"})]
-    switched += [while_running(s)[0] for s in switched if s.signal == "active_power"]
     times = [_changes(s, first, last) for s in (*ambient.values(), *switched, *further)]
     times += [_changes(record[name], first, last) for name in outputs]
     time = np.sort(np.concatenate([(first, last), *times]))
@@ -225,18 +224,18 @@ def _power_inputs(
             )
         return {}, nothing, nothing
     series = record["active_power"]
-    longest = bridge_h(series, longest_gap_h("active_power"))
-    mean, running, share = (_over_steps(one, time, longest) for one in (series, *while_running(series)))
-    unknown = np.isnan(mean)
-    relative = np.where(unknown, 0.0, running / design.power_scale_W)
-    features = share[:, None] * power_features(relative, design.power_order)
+    relative = (
+        _over_steps(series, time, bridge_h(series, longest_gap_h("active_power"))) / design.power_scale_W
+    )
+    unknown = np.isnan(relative)
+    features = power_features(np.where(unknown, 0.0, relative), design.power_order)
     features[unknown] = np.array(design.power_mean) if design.power_mean else 0.0
     values = dict(zip(_feature_names(design), features.T, strict=True))
     wanted = set(design.model.inputs)
     values = {name: v for name, v in values.items() if name in wanted}
     if "power_unknown" in wanted:
         values["power_unknown"] = unknown.astype(float)
-    return values, (mean > 0) & ~unknown, unknown
+    return values, (relative > 0) & ~unknown, unknown
 
 
 def _feature_names(design: Design) -> list[str]:

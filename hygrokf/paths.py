@@ -85,40 +85,6 @@ def thinned(series: Series) -> Series:
     return replace(series, time=second[joined], value=mean[joined], interval_s=2.0 * series.interval_s)
 
 
-def while_running(power: Series) -> tuple[Series, Series]:
-    """Power while the turbine runs, and the share [1] of the time that it does; means are divided into halves.
-
-    Between an interval in which it runs, with the mean P₁ > 0, and one in which it stands still, P₀ ≤ 0, it starts or stops
-    within the interval, and the mean P says when: P = s P₁ + (1 − s) P₀, s within 0 … 1.  Where it runs before,
-    throughout and after an interval, the halves are those of the path through such means.  Instants, and means whose intervals
-    overlap, are left as they are with the share 1.
-    """
-    time, mean = power.known
-    width, step = power.interval_s, np.diff(time)
-    running, share = mean.copy(), np.ones(len(mean))
-    if width <= 0 or len(mean) < 2 or np.any(step < width - JOINED_S):
-        return replace(power, time=time, value=running), replace(power, time=time, value=share)
-    joined = step <= width + JOINED_S
-    before, here, after = mean[:-2], mean[1:-1], mean[2:]
-    switched = joined[:-1] & joined[1:] & ((before > 0) != (after > 0))
-    high, low = np.maximum(before, after), np.minimum(before, after)
-    part = np.clip((here - low) / np.where(switched, high - low, 1.0), 0.0, 1.0)
-    share[1:-1][switched] = part[switched]
-    running[1:-1][switched] = np.where(part > 0, np.maximum(here, high), low)[switched]
-    apart = np.zeros(len(mean))
-    whole = (running > 0) & (share == 1.0)
-    beside = joined & whole[1:] & whole[:-1]
-    if beside.any():
-        path = _through_means(replace(power, time=time[whole], value=mean[whole]), None)
-        first, second = (np.interp(time - back * width, path.time, path.value) for back in (0.75, 0.25))
-        led = np.append(False, beside) & np.append(beside, False)
-        apart = np.where(led, np.clip(second - first, -running, running), 0.0)
-    halves = np.column_stack([running - 0.5 * apart, running + 0.5 * apart]).ravel()
-    ends = np.column_stack([time - 0.5 * width, time]).ravel()
-    half = replace(power, time=ends, value=halves, interval_s=0.5 * width)
-    return half, replace(half, value=np.repeat(share, 2))
-
-
 def readings_ahead(interval_s: float, response_time_s: float) -> int:
     """How many readings after a time its path depends on, beside the next one."""
     return (AROUND if interval_s > 0 else 0) + (1 if response_time_s > 0 else 0)

@@ -14,7 +14,6 @@ from hygrokf import mechanisms as library
 from hygrokf.design import Design, design, extended
 from hygrokf.drivers import run
 from hygrokf.model import Mechanism
-from hygrokf.paths import while_running
 from hygrokf.psychrometrics import absolute_humidity
 from hygrokf.record import Record, Series
 
@@ -140,22 +139,22 @@ def test_ambient_humidity_is_computed_where_it_was_read(made, record):
 
 
 def test_power_holds_over_its_interval(made, base, record):
-    """Each step lies in half an interval (end − 5 min, end] and takes that half's power, for the share that the turbine runs."""
+    """Each step lies in one interval (end − 10 min, end] and takes that interval's mean."""
     power = record["active_power"]
     time = seconds(made)
     middle = 0.5 * (time[1:] + time[:-1])
-    interval = np.searchsorted(power.time, middle)
-    running, share = while_running(power)
-    half = np.searchsorted(running.time, middle)
+    interval = np.array(
+        [np.flatnonzero((power.time - 600.0 < m) & (m <= power.time))[0] for m in middle], dtype=int
+    )
     # a power column that nothing else than zero-order would survive: neighbours differ
-    assert np.mean(np.diff(running.value) != 0) > 0.7
-    p = running.value[half] / RATED_W
-    part = np.where(p > 0, share.value[half], 0.0)
-    assert 0.1 < part.mean() < 0.9
-    assert_allclose(made.timeline.input("operating")[1:], part)
-    assert_allclose(made.timeline.input("power_1")[1:], part * p, atol=1e-12)
-    assert_allclose(made.timeline.input("power_2")[1:], part * p**2, atol=1e-12)
-    assert_array_equal(made.operating[1:], power.value[interval] > 0)
+    assert np.mean(np.diff(power.value) != 0) > 0.9
+    p = power.value[interval] / RATED_W
+    running = p > 0
+    assert 0.1 < running.mean() < 0.9
+    assert_allclose(made.timeline.input("operating")[1:], running)
+    assert_allclose(made.timeline.input("power_1")[1:], np.where(running, p, 0.0), atol=1e-12)
+    assert_allclose(made.timeline.input("power_2")[1:], np.where(running, p, 0.0) ** 2, atol=1e-12)
+    assert_array_equal(made.operating[1:], running)
     assert base.power_scale_W == RATED_W
 
 

@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from hygrokf.ambient import reading_noise
-from hygrokf.paths import edge_weights, input_path, mean_weights, while_running, without_response
+from hygrokf.paths import edge_weights, input_path, mean_weights, without_response
 from hygrokf.record import Series
 
 START_S = 1.6e9
@@ -169,56 +169,6 @@ def test_no_slope_is_taken_across_a_long_gap():
 def test_a_negative_response_time_is_refused():
     with pytest.raises(ValueError, match="response_time_s must be a finite number ≥ 0 or None, found -1"):
         Series("ambient_temperature", [0.0], [280.0], response_time_s=-1.0)
-
-
-# --- power while the turbine runs -----------------------------------------------------------
-
-
-def power(values):
-    """Adjacent ten-minute means of the power."""
-    ends = START_S + 600.0 * np.arange(1, len(values) + 1)
-    return Series("active_power", ends, 1e3 * np.array(values), hold="zero-order", interval_s=600.0)
-
-
-@pytest.mark.parametrize(("low", "stands"), [(-4.0, 0.75), (0.0, 0.25), (-4.0, 0.0), (-4.0, 1.0)])
-@pytest.mark.parametrize("starts", [True, False])
-def test_the_mean_says_when_the_turbine_starts_or_stops(low, stands, starts):
-    """An interval between 100 kW and standstill: what goes with time and what goes with power count for its share."""
-    mean = stands * low + (1.0 - stands) * 100.0
-    course = [low] * 4 + [mean] + [100.0] * 4
-    running, share = while_running(power(course if starts else course[::-1]))
-    within = slice(8, 10)
-    runs = (running.value > 0) * share.value
-    assert_allclose(runs[within], 1.0 - stands)
-    assert_allclose((runs * running.value)[within], 1e5 * (1.0 - stands))
-    assert_allclose(np.sort(runs)[:8], 0.0)
-    assert_allclose(np.sort(runs)[-8:], 1.0)
-
-
-def test_halves_of_running_intervals_follow_the_path_and_keep_the_mean():
-    mean = 300.0 + 20.0 * np.arange(12.0)  # kW
-    running, share = while_running(power(mean))
-    assert_allclose(running.value.reshape(-1, 2).mean(axis=1), 1e3 * mean)
-    assert_allclose(np.diff(running.value.reshape(-1, 2))[2:-2, 0], 1e4)
-    assert running.interval_s == 300.0
-    assert_allclose(share.value, 1.0)
-
-
-def test_beside_a_gap_nothing_is_told_of_a_start():
-    series = power([-4.0, -4.0, 30.0, 100.0, 100.0])
-    gap = replace(series, time=series.time + np.array([0.0, 0.0, 600.0, 600.0, 600.0]))
-    running, share = while_running(gap)
-    assert_allclose(share.value[:4], 1.0)
-    assert_allclose(running.value.reshape(-1, 2).mean(axis=1)[:2], -4e3)
-    assert share.value[4] == 1.0
-    assert running.value.reshape(-1, 2).mean(axis=1)[2] == pytest.approx(30e3)
-
-
-def test_instants_of_the_power_are_left_as_they_are():
-    series = replace(power([-4.0, 50.0, 100.0]), hold="linear", interval_s=0.0)
-    running, share = while_running(series)
-    assert_allclose(running.value, series.value)
-    assert_allclose(share.value, 1.0)
 
 
 # --- noise of means ------------------------------------------------------------------------

@@ -88,15 +88,10 @@ class Plan:
         return self.forms.get(signal, Form())
 
     def readings_ahead(self, signal: str) -> int:
-        """How many later readings the path of an input depends on, beside the next one.
-
-        What holds over steps has none, but means of the power have one more than others: it tells whether the turbine
-        starts or stops within the last one.
-        """
+        """How many later readings the path of an input depends on, beside the next one; what holds over steps has none."""
         form = self.form(signal)
         if HOLDS[signal] == ZERO_ORDER:
-            means = signal == "active_power" and form.interval_s > 0
-            return readings_ahead(form.interval_s, 0.0) + 1 if means else 0
+            return 0
         return readings_ahead(form.interval_s, form.response_time_s or 0.0)
 
     @property
