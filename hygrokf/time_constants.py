@@ -94,12 +94,8 @@ def _differences_K(run_: Run) -> list[float]:
 
 
 def _resistance_capacity(stage: Stage, entry: Mapping, exponent: float) -> dict:
-    """(R_AT+R_IC) C at the median difference: (1+n) times the constant of small changes.
-
-    The readings tell n far less than the constant of small changes, so the value is the mean over all forms by their
-    weights (in logarithms), and the interval has their spread about it.
-    """
-    own = _variance(stage, THERMAL)
+    """(R_AT+R_IC) C at the median difference: (1+n) times the constant of small changes, over all forms."""
+    value = entry["value_h"] * (1.0 + exponent)
     forms = [
         Alternative(
             form.name,
@@ -109,22 +105,20 @@ def _resistance_capacity(stage: Stage, entry: Mapping, exponent: float) -> dict:
         )
         for form in stage.forms
         for n in [form.estimate.values.get("convection_exponent", 0.0)]
-    ] or [Alternative("", math.log(entry["value_h"] * (1.0 + exponent)), own)]
-    value = sum(form.weight * form.log_value for form in forms)
-    sources = [
-        Source(one["source"], one["sd_ln"] ** 2, "") for one in entry["composition"][1:] if one["source"] != "forms"
     ]
-    reach = normal_quantile(entry["level"]) * math.sqrt(own)
+    others = [Source(one["source"], one["sd_ln"] ** 2, "") for one in entry["composition"][1:]]
+    chosen = max(forms, key=lambda form: form.weight) if forms else None
+    own = _variance(stage, THERMAL)
+    if chosen is not None and exponent > 0:
+        own = max(own, chosen.variance)
+    kept = [source for source in others if source.name != "forms"]
     whole = composed(
-        math.exp(value),
-        math.exp(value - reach),
-        math.exp(value + reach),
+        value,
+        *(value * math.exp(sign * normal_quantile(entry["level"]) * math.sqrt(own)) for sign in (-1.0, 1.0)),
         entry["level"],
-        [*sources, from_forms(value, own, forms)],
+        [*kept, from_forms(math.log(value), own, forms)] if forms else kept,
     )
-    return {
-        "value_h": math.exp(value), "lower_h": whole.lower, "upper_h": _closed(whole.upper), "exponent": exponent
-    }  # fmt: skip
+    return {"value_h": value, "lower_h": whole.lower, "upper_h": _closed(whole.upper), "exponent": exponent}
 
 
 def _response(stage: Stage) -> dict:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -36,7 +35,6 @@ from hygrokf.model import compose
 from hygrokf.record import Record, Series
 from hygrokf.stage import estimated, smoothed_temperature
 from hygrokf.thermal import state_space
-from hygrokf.time_constants import THERMAL, _resistance_capacity
 from hygrokf.timeline import timeline
 
 Z = normal_quantile(0.95)
@@ -356,25 +354,3 @@ def test_parts_of_a_mean_are_the_means_of_the_parts():
     found = part_shifts(scores, value[:, None], np.array([[1.0 / 4000]]))
     expected = value.reshape(4, 1000).mean(axis=1) - value.mean()
     np.testing.assert_allclose(found[:, 0], expected, atol=1e-3)
-
-
-def test_resistance_times_capacity_is_the_mean_over_the_forms():
-    """Half the evidence for n = 0.3 and half for none: between both, and the interval holds both."""
-    forms = [
-        SimpleNamespace(
-            name=name,
-            weight=0.5,
-            estimate=SimpleNamespace(values={THERMAL: 2.0, "convection_exponent": n}),
-            variance=lambda slopes: 1e-4,
-        )
-        for name, n in (("base", 0.0), (CONVECTION, 0.3))
-    ]
-    stage = SimpleNamespace(forms=forms, uncertainty=SimpleNamespace(place=lambda name: None))
-    entry = {"value_h": 2.0, "level": 0.95, "composition": [{"source": "profile"}]}
-    found = _resistance_capacity(stage, entry, 0.0)
-    assert found["value_h"] == pytest.approx(2.0 * math.sqrt(1.3))
-    reach = Z * math.hypot(0.01, 0.5 * math.log(1.3))
-    assert math.log(found["upper_h"] / found["value_h"]) == pytest.approx(reach)
-    assert math.log(found["value_h"] / found["lower_h"]) == pytest.approx(reach)
-    stage.forms = []
-    assert _resistance_capacity(stage, entry, 0.0)["value_h"] == pytest.approx(2.0)
