@@ -29,7 +29,7 @@ GAIN_TOLERANCE = 1e-5
 """A climb has converged when the next full step promises less than this much log-likelihood."""
 MAXIMUM_PASSES = 60
 BUDGET = 3_000.0
-"""Filter steps per instant of the record after which a climb ends, wherever it is; cabinets take fewer than 100."""
+"""Filter steps per instant of the record after which a climb ends, wherever it is; the fit of the demo's cabinet takes 76 at most."""
 BETTER = 0.1
 """Log-likelihood by which another point shows that an estimate is no maximum; climbs converge far below it."""
 NOISE_SPREAD = 5.0
@@ -146,8 +146,8 @@ class _Metered:
         self._left -= steps
         if self._left < 0.0:
             raise _BudgetSpent(
-                f"stopped after its budget of {self._budget:.0f} filter steps an instant, {steps:.0f} of them in the last "
-                "pass: a time constant is far shorter than the interval between the readings"
+                f"stopped after its budget of {self._budget:.0f} filter steps an instant; one pass takes {steps:.0f} here, and many "
+                "mean a time constant far shorter than the interval between the readings: narrow its bounds"
             )
 
     def _kept(self, z: np.ndarray, found: tuple) -> tuple:
@@ -308,11 +308,9 @@ def starts(coordinates: Coordinates, values: Mapping[str, float] | None, count: 
     steps = ratio ** -np.arange(1.0, len(first) + 1.0)
     result = [first]
     for k in range(1, count):
-        varied = noisy if k % 2 else np.ones_like(noisy)
+        varied = noisy if k % 2 and noisy.any() else np.ones_like(noisy)
         z = first + np.where(varied, width * ((0.5 + k * steps) % 1.0 - 0.5), 0.0)
-        z = np.clip(z, coordinates.lower, coordinates.upper)
-        if varied.any():
-            result.append(z)
+        result.append(np.clip(z, coordinates.lower, coordinates.upper))
     return result
 
 

@@ -114,6 +114,7 @@ def system_time_constants(
         step = np.where(np.array(coordinates.names) == name, COORDINATE_STEP, 0.0)
         slopes.append((matrix(z + step) - matrix(z - step)) / (2.0 * COORDINATE_STEP))
     values, left, right = eig(matrix(z), left=True, right=True)
+    rounding = len(values) * np.finfo(float).eps * float(np.abs(values).max(initial=0.0))
     found = []
     for k in np.flatnonzero(values.imag >= 0.0):
         w, v = left[:, k].conj(), right[:, k]
@@ -123,7 +124,7 @@ def system_time_constants(
         participation = dict(zip(likelihood.model.states, (shares / shares.sum()).tolist(), strict=True))
         ordered = dict(sorted(participation.items(), key=lambda pair: -pair[1]))
         period = 2.0 * math.pi / float(values[k].imag) if values[k].imag > 0.0 else math.inf
-        if rate >= 0.0:
+        if rate >= -rounding:
             found.append(TimeConstant(math.inf, math.inf, math.inf, level, period, ordered))
             continue
         value, reach = -1.0 / rate, math.nan

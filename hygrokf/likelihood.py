@@ -299,10 +299,7 @@ class Likelihood:
         return mean, flat.reshape(n, n)
 
     def jacobian(self, values: Mapping, mean: np.ndarray, u: Mapping) -> np.ndarray:
-        """Derivatives (n, n) [1/h] of the states' rates by the states, at a state `mean` (n,) and inputs `u`.
-
-        Complex values, for derivatives, give a complex matrix.
-        """
+        """Derivatives (n, n) [1/h] of the states' rates by the states, at a state `mean` (n,) and inputs `u`."""
         r = self.recursion
         known = {f"p:{name}": v for name, v in values.items()}
         known |= {f"m{i}": v for i, v in enumerate(mean)}

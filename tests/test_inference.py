@@ -128,7 +128,8 @@ def test_two_masses_against_python_control_and_a_simulated_covariance(thermal: t
     known = covariances(likelihood, estimate)
     slow, fast = system_time_constants(likelihood, estimate, known=known)
 
-    control = pytest.importorskip("control")
+    import control
+
     v = estimate.values
     a = np.array(
         [[-1.0 / v["inner"], (1.0 - v["share"]) / v["inner"]], [1.0 / v["outer"], -1.0 / v["outer"]]]
@@ -146,6 +147,24 @@ def test_two_masses_against_python_control_and_a_simulated_covariance(thermal: t
     # a tenth of the covariance's root keeps the draws linear; 4,000 draws know a deviation to 1.1 %
     for one, sd in zip((fast, slow), np.std(drawn, axis=0), strict=True):
         assert math.log(one.upper / one.lower) / (2 * 1.959964) == pytest.approx(10.0 * sd, rel=0.05)
+
+
+def test_a_model_that_is_not_linear_is_linearised_where_it_is_asked_to(make_case: Callable) -> None:
+    """Equation (4): R_D*V* of a hygric part goes with 1/T of the cabinet, and its bounds are those of k."""
+    case = make_case("cascade", 0.25 * np.arange(2400), 32)
+    estimate = maximise(case.likelihood, case.values, count=1)
+    known = covariances(case.likelihood, estimate)
+    own = wald_bounds(estimate, known, "hygric_k")
+    found = {}
+    for kelvin in (285.0, 305.0):
+        constants = system_time_constants(
+            case.likelihood, estimate, inputs={"cabinet_temperature": kelvin}, known=known
+        )
+        fast = constants[-1]
+        assert next(iter(fast.states)) == "vapour"
+        assert fast.upper / fast.lower == pytest.approx(own.upper / own.lower, rel=1e-6)
+        found[kelvin] = fast.value
+    assert found[285.0] / found[305.0] == pytest.approx(305.0 / 285.0, rel=1e-9)
 
 
 def test_bounds_by_each_method_are_those_of_its_covariance(thermal: tuple) -> None:
