@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from hygrokf.actuators import actuators
 from hygrokf.doubts import all_doubts
 from hygrokf.masks import mask_frozen, mask_out_of_range, mask_saturated
 from hygrokf.record import Record, Series
@@ -52,7 +53,8 @@ def describe(record: Record) -> dict[str, Any]:
     """What is in a record, for `hygrokf check`: plain numbers and text, ready for JSON.
 
     record: any. Keys: `name`, `start`, `end`, `days`, `site`, `rated_power_kW`, `identification`
-    and `validation` (`start`, `end`, `days`, or None), `signals` (one dictionary each), `comparisons` (of sources
+    and `validation` (`start`, `end`, `days`, or None), `signals` (one dictionary each), `actuators` (logged ones, and whether
+    a model uses them), `comparisons` (of sources
     that are compared; see `hygrokf.weather.clocks.described`), `warnings`, `doubts`, `files`. Values of a signal are in its `unit`, steps and gaps in seconds, stamps in
     UTC; what is not known is None.
     """
@@ -72,6 +74,10 @@ def describe(record: Record) -> dict[str, Any]:
         "identification": _period_of(record.identification()),
         "validation": _period_of(record.validation()),
         "signals": [_describe_series(series) for series in record.series],
+        "actuators": [
+            {"signal": one.signal, "used": one.used, "statement": one.statement}
+            for one in actuators(record.identification())
+        ],
         "comparisons": described(clocks),
         "warnings": list(record.warnings),
         "doubts": list(all_doubts(record, clocks)),
@@ -185,6 +191,9 @@ def describe_text(description: dict[str, Any]) -> str:
     lines += ["", *_table(rows, right=())]
     if description.get("comparisons"):
         lines += ["", *_table(comparison_rows(description["comparisons"]), right=(3, 6))]
+    if description.get("actuators"):
+        lines += ["", "logged actuators"]
+        lines += [f"  - {one['statement']}" for one in description["actuators"]]
     for title in ("warnings", "doubts"):
         said = description[title]
         lines += ["", f"{title}: {len(said) or 'none'}"]

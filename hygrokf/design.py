@@ -14,6 +14,7 @@ from weakref import WeakValueDictionary
 
 import numpy as np
 
+from hygrokf.actuators import actuators
 from hygrokf.additions import origins
 from hygrokf.ambient import ambient_absolute_humidity, bridge_h, reading_noise
 from hygrokf.features import FEATURES
@@ -194,6 +195,7 @@ def design(
     scale = power_scale(record) if kind != CASCADE else None
     mean: tuple[float, ...] = ()
     reference = float(np.nanmean(record["ambient_temperature"].value))
+    acting = [one for one in actuators(record) if one.used]
     if kind != CASCADE:
         chosen.append(("thermal_network", {}))
         release, mean, said = _release(
@@ -201,6 +203,7 @@ def design(
         )
         chosen.append(("heat_release", release))
         statements += said
+        chosen += [(name, dict(settings)) for name, settings in (one.thermal for one in acting if one.thermal)]
         temperature = record[TEMPERATURE]
         if coloured:
             chosen.append(("heat_disturbance", _correlation_bounds(temperature, record)))
@@ -216,6 +219,7 @@ def design(
         series = record[humidity]
         shortest = RESOLVED * reading_step_h(series)
         chosen.append(("hygric_exchange", {"shortest_h": shortest} if shortest > SHORTEST_H else {}))
+        chosen += [(name, dict(settings)) for name, settings in (one.hygric for one in acting if one.hygric)]
         if coloured:
             chosen.append(("vapour_disturbance", _correlation_bounds(series, record)))
         chosen.append(("hygric_diffusion", {}))

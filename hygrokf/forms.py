@@ -1,8 +1,8 @@
 """Forms of one part of the model that compete with its base, and how much of the evidence each of them has.
 
-A time constant belongs to a form: with a second thermal mass, natural convection or a sensor that responds slowly the
-same readings give another one.  Each form here is the base with one mechanism more, fitted from the base's own maximum
-(so that it is never worse), and has the evidence
+A time constant belongs to a form: with a second thermal mass, natural convection, a second disturbance or a sensor that
+responds slowly the same readings give another one.  Each form here is the base with one mechanism more, fitted from the
+base's own maximum (so that it is never worse), and has the evidence
 
     ln Z = ln L̂/c + Σ ln min(1, √(2π) σ_j / w_j),
 
@@ -36,6 +36,13 @@ BASE = "base"
 CONVECTION = "natural convection"
 SECOND_MASS = "second mass"
 RESPONSE = "sensor response"
+SECOND = {
+    "heat_disturbance": "second heat disturbance",
+    "vapour_disturbance": "second vapour disturbance",
+}
+"""Coloured disturbances, and the names of the forms in which another one on another time scale stands beside them."""
+OTHER_TIMES = (0.2, 5.0)
+"""[1] correlation times of a second disturbance to start from, as multiples of the first one's."""
 LONGEST_RESPONSE_H = 1.0 / 3.0
 """[h] longest response of a humidity sensor that is not stated: behind filters 5 to 15 min are usual."""
 ADOPTED = 0.95
@@ -83,6 +90,11 @@ class Form:
     covariance: np.ndarray
     adoptable: bool = False
 
+    def within(self, chosen: Form) -> Form:
+        """This form as one of those into which the share of an adopted one is divided."""
+        name = chosen.name if self.name == BASE else f"{chosen.name} + {self.name}"
+        return replace(self, name=name, gain=chosen.gain + self.gain, weight=chosen.weight * self.weight)
+
     def variance(self, slopes: Mapping[str, float]) -> float:
         """Variance of a combination of coordinates with these slopes (delta method); those at a bound have none."""
         inside = [name for name in slopes if name in self.names]
@@ -106,8 +118,21 @@ class _Curvature:
         return self.covariance * np.outer(root, root)
 
 
-def candidates(base: Design, early: Record, made: Run) -> list[Candidate]:
-    """The forms that a design may be compared with on a record; none that it has already."""
+@dataclass(frozen=True)
+class _Short:
+    """The base's likelihood of a shorter stretch, and its maximum there."""
+
+    likelihood: Likelihood
+    objective: float
+
+    @classmethod
+    def of(cls, likelihood: Likelihood, base: Estimate) -> _Short:
+        found = climb(Objective(likelihood, base.coordinates), base.z, passes=8, tolerance=1e-2)
+        return cls(likelihood, found.objective)
+
+
+def candidates(base: Design, early: Record, made: Run, values: Mapping[str, float]) -> list[Candidate]:
+    """The forms that a design with these parameters may be compared with on a record; none that it has already."""
     names = [name for name, _ in base.mechanisms]
     found: list[Candidate] = []
     if "thermal_network" in names:
@@ -130,7 +155,22 @@ def candidates(base: Design, early: Record, made: Run) -> list[Candidate]:
                 mechanisms=tuple((m, responding if m == sensor else s) for m, s in base.mechanisms),
             )
             found.append(Candidate(RESPONSE, wider, ({f"{signal}_response": 0.1},), True))
-    return found
+    return found + [
+        _second(base, first, values) for first in SECOND if first in names and f"second_{first}" not in names
+    ]
+
+
+def _second(base: Design, first: str, values: Mapping[str, float]) -> Candidate:
+    """A second disturbance of a kind, from a faster and a slower one.
+
+    A real disturbance rarely has one time scale alone, and what is left over would be taken for the cabinet's dynamics.
+    """
+    time, sd = values[f"{first}_time"], values[f"{first}_sd"]
+    settings = {**dict(base.mechanisms)[first], "start_h": OTHER_TIMES[0] * time}
+    starts = tuple(
+        {f"second_{first}_time": factor * time, f"second_{first}_sd": 0.4 * sd} for factor in OTHER_TIMES
+    )
+    return Candidate(SECOND[first], extended(base, [(f"second_{first}", settings)]), starts, True)
 
 
 def _difference_K(made: Run) -> float:
@@ -160,21 +200,22 @@ def weighed(
     forms = [Form(BASE, base, estimate, 0.0, 1.0, at_base.names, at_base.widest)]
     evidence = [0.0]
 
+    short = None if scout is None else _Short.of(scout, estimate)
+
     def tried(one: Candidate) -> tuple[Form, float] | None:
         timeline = run(one.design, early).timeline
         likelihood = Likelihood(one.design.model, timeline, rate_step=SEARCH_STEP)
-        found = _fitted(one, likelihood, estimate, scout)
+        found = _fitted(one, likelihood, estimate, short)
         if found is None:
             return None
         at = _curvature(Objective(likelihood, found.coordinates), found)
         gain = found.objective - estimate.objective
         further = [p.name for p in found.coordinates.free if p.name not in estimate.coordinates.names]
-        # a parameter at an end of its range says that something else is at work
-        adoptable = one.adoptable and not set(further) & set(found.at_bounds)
+        adoptable = one.adoptable and not ended(found, estimate)
         form = Form(one.name, one.design, found, gain, 0.0, at.names, at.widest, adoptable)
         return form, gain / temper + _occam(found, at, further, temper)
 
-    for answer in mapped(tried, candidates(base, early, made)):
+    for answer in mapped(tried, candidates(base, early, made, estimate.values)):
         if answer is not None:
             forms.append(answer[0])
             evidence.append(answer[1])
@@ -183,18 +224,29 @@ def weighed(
     return tuple(replace(form, weight=weight) for form, weight in zip(forms, weights, strict=True))
 
 
-def _fitted(one: Candidate, whole: Likelihood, base: Estimate, scout: Likelihood | None) -> Estimate | None:
+def ended(found: Estimate, base: Estimate) -> set[str]:
+    """Names of an estimate's parameters beside the base's that are at an end of their range: something else is at work.
+
+    A disturbance's may be: the ends of its time are what step and length of the record resolve.
+    """
+    return {
+        p.name
+        for p in found.coordinates.free
+        if not p.noise and p.name in found.at_bounds and p.name not in base.coordinates.names
+    }
+
+
+def _fitted(one: Candidate, whole: Likelihood, base: Estimate, short: _Short | None) -> Estimate | None:
     """A form's maximum from its starts; None where the shorter stretch speaks against it."""
     coordinates = Coordinates(one.design.model.parameters)
     starts = [coordinates.start({**base.values, **start}) for start in one.starts]
-    if scout is not None:
-        cut = replace(whole, timeline=whole.timeline.window(0, _until(whole, scout)))
-        short = Objective(cut, coordinates)
-        plain = climb(Objective(scout, base.coordinates), base.z, passes=8, tolerance=1e-2).objective
-        tried = [climb(short, z, passes=12, tolerance=1e-2) for z in starts]
-        if max(found.objective for found in tried) - plain < SCOUT_GAIN:
+    if short is not None:
+        cut = replace(whole, timeline=whole.timeline.window(0, _until(whole, short.likelihood)))
+        tried = [climb(Objective(cut, coordinates), z, passes=12, tolerance=1e-2) for z in starts]
+        best = max(tried, key=lambda found: found.objective)
+        if best.objective - short.objective < SCOUT_GAIN:
             return None
-        starts = [max(tried, key=lambda found: found.objective).z]
+        starts = [best.z]
     found = [climb(Objective(whole, coordinates), z, passes=PASSES, tolerance=TOLERANCE) for z in starts]
     return estimate_of(whole, coordinates, found)
 

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.actuator_effects import actuator_effects
 from hygrokf.confidence import limit_remarks, normal_quantile, standard_error, wald_bounds
 from hygrokf.design import CASCADE, JOINT, Design, design, merged
 from hygrokf.doubts import all_doubts, doubted
@@ -267,6 +268,7 @@ def assembled(
         "sensor_share": sensor_share(record, made, table),
         "bands": bands(whole, values, made, predicted, record.until_s),
         "heat_release": regression.to_json(),
+        "actuators": actuator_effects(whole, values, errors, made, record),
     }
     say("innovations")
     series = _series(whole, values, made, predicted, record)

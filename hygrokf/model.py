@@ -1,14 +1,15 @@
 """Mechanisms, and models composed of them.
 
 A `Mechanism` is one piece of physics: its parameters, its states, the inputs it reads, and up to six functions of
-numbers.  A `Model` is a tuple of mechanisms.  Composition runs in three rounds, so that the order of the
+numbers.  A `Model` is a tuple of mechanisms.  Composition runs in four rounds, so that the order of the
 mechanisms does not matter:
 
-1. `quantities(p, x, u)`      -> shared quantities, such as the temperature of the cabinet air;
-2. `contributions(p, x, u, q)` -> terms added to named sums, such as the heat release;
-3. `drift(p, x, u, q, s)`     -> the rates of the mechanism's own states [unit/h], with the sums in `s`.
+1. `conductance(p, u)`        -> a conductance between cabinet air and ambient beside 1/R_AT, in its units; their sum is g;
+2. `quantities(p, x, u, g)`   -> shared quantities, such as the temperature of the cabinet air;
+3. `contributions(p, x, u, q)` -> terms added to named sums, such as the heat release;
+4. `drift(p, x, u, q, s)`     -> the rates of the mechanism's own states [unit/h], with the sums in `s`.
 
-`p` parameters, `x` states, `u` inputs, `q` quantities and `s` sums are read as attributes.  A sum that is
+The sum g is the quantity `air_conductance`.  `p` parameters, `x` states, `u` inputs, `q` quantities and `s` sums are read as attributes.  A sum that is
 neither in `SUMS` nor read by any mechanism is misspelt: the first trace raises an error.  `diffusion(p)` gives white noise
 intensities [unit²/h] of the mechanism's own states, `initial(p, u)` their (mean, variance) at the first instant,
 `outputs(p, x, u, q, s)` what a sensor is expected to show and the variance of its noise.
@@ -56,6 +57,7 @@ class Mechanism:
     parameters: tuple[Parameter, ...] = ()
     states: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
+    conductance: Callable | None = None
     quantities: Callable | None = None
     contributions: Callable | None = None
     drift: Callable | None = None
@@ -203,10 +205,15 @@ class Model:
                     yield m.name, name, value
 
     def _quantities(self, spaces: Sequence[SimpleNamespace]) -> dict[str, object]:
-        found: dict[str, object] = {}
+        p, x, u = spaces
+        g: object = 0.0
+        for m in self.mechanisms:
+            if m.conductance is not None:
+                g = g + m.conductance(p, u)
+        found: dict[str, object] = {"air_conductance": g}
         for m in self.mechanisms:
             if m.quantities is not None:
-                found.update(m.quantities(*spaces))
+                found.update(m.quantities(p, x, u, g))
         return found
 
     def noise(self, p: Mapping[str, object]) -> list[list]:

@@ -12,13 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hygrokf.actuators import HEATERS
 from hygrokf.design import TEMPERATURE, reading_step_h
 from hygrokf.drivers import at_times
 from hygrokf.record import Record, Series
 
 AMBIENT = "ambient_temperature"
 POWER = "active_power"
-PREHEATING = "preheating"
 OPERATION = "operation"
 STANDSTILL = "standstill"
 TEMPERATURE_TOLERANCE_K = 0.5
@@ -91,7 +91,7 @@ class Cells:
 
     `ranges` lowest and highest value of (cabinet, ambient, power), in units of what a period may span; `change_K` and
     `ambient_change_K` of the cabinet and ambient temperature from start to end; `running` share of the cell with
-    P > 0; `regime` 1 in operation, 0 at standstill, -1 mixed; `usable` known throughout and without pre-heating.
+    P > 0; `regime` 1 in operation, 0 at standstill, -1 mixed; `usable` known throughout, with no logged heater on.
     """
 
     start: np.ndarray
@@ -132,9 +132,9 @@ def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> C
     """The cells between the edges: exact means and ranges of each course, which runs by its own hold."""
     edges = edges if len(edges) > 1 else np.empty(0)
     first, last = (edges[0], edges[-1]) if len(edges) else (math.inf, -math.inf)
-    heated = PREHEATING in record
+    heaters = [name for name in HEATERS if name in record]
     knots = [edges]
-    for name in (TEMPERATURE, AMBIENT, *((POWER,) if scale_W else ()), *((PREHEATING,) if heated else ())):
+    for name in (TEMPERATURE, AMBIENT, *((POWER,) if scale_W else ()), *heaters):
         for shift in {0.0, record[name].interval_s}:
             knot = record[name].time - shift
             knots.append(knot[(knot > first) & (knot < last)])
@@ -166,9 +166,9 @@ def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> C
         relative = at_times(record[POWER], middle, _bridge_h(record[POWER])) / scale_W
         power, running = mean(relative), mean((relative > 0).astype(float))
         usable &= np.isfinite(power)
-    if heated:
+    for name in heaters:
         # As in `drivers.run`, a duty that nobody wrote down is none.
-        usable &= ~(mean((np.nan_to_num(at_times(record[PREHEATING], middle, 24.0)) > 0).astype(float)) > 0)
+        usable &= ~(mean((np.nan_to_num(at_times(record[name], middle, 24.0)) > 0).astype(float)) > 0)
     width_K, width = 2.0 * TEMPERATURE_TOLERANCE_K, 2.0 * POWER_TOLERANCE
     ranges = (
         (cabinet_range[0] / width_K, cabinet_range[1] / width_K),

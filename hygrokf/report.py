@@ -31,6 +31,7 @@ from hygrokf.report_tables import (
     PERIODS,
     TEXT_WIDTH,
     Table,
+    actuators_table,
     bands_table,
     innovations_table,
     optima_table,
@@ -118,6 +119,7 @@ def report_page(fit: Mapping, series: Mapping[str, np.ndarray]) -> str:
     name = text_of(entry(fit, "name")).strip() or "unnamed record"
     pictures = {picture.name: _figure(picture, fit, series) for picture in FIGURES}
     constants = (time_constants_table(fit), "No time constant was identified, so there is no table of them.")
+    actuators = actuators_table(fit)
     parameters = (parameters_table(fit), "The fit holds no parameters.")
     optima = (optima_table(fit), "The starts met no other optimum.")
     parts = [
@@ -134,6 +136,7 @@ def report_page(fit: Mapping, series: Mapping[str, np.ndarray]) -> str:
             pictures["profiles"],
             pictures["composition"],
             pictures["heat-release"],
+            *([] if actuators is None else [tables_html((actuators, ""))]),
             tables_html(parameters, optima),
         ),
         section("What the model leaves", pictures["residuals"], _innovations(fit)),
@@ -360,7 +363,7 @@ def report_text(fit: Mapping) -> str:
         said = text_of(entry(fit, "message"))
         blocks.append(_wrapped(f"NOT CONVERGED{f': {said}' if said else ''}. No number below is final."))
     blocks.append("\n".join(_wrapped(time_constant(fit, one).sentence) for one in ("thermal", "hygric")))
-    tables = [time_constants_table(fit), *(rmse_table(fit, period) for period in PERIODS), bands_table(fit)]
+    tables = [time_constants_table(fit), actuators_table(fit), *(rmse_table(fit, period) for period in PERIODS), bands_table(fit)]
     blocks += [table_text(table) for table in tables if table is not None]
     parameters = parameters_table(fit)
     if parameters is not None:

@@ -19,6 +19,8 @@ from hygrokf.wording import (
     fixed,
     percent,
     plain_number,
+    sentence,
+    signed,
     text_of,
     texts,
 )
@@ -250,6 +252,40 @@ def parameters_table(fit: Mapping) -> Table | None:
         return None
     columns = ("parameter", "value", "se", "95 % bounds", "unit", "meaning", "remarks")
     return Table("Parameters", columns, tuple(rows), left=(0, 4, 5, 6), marked=tuple(marked))
+
+
+def actuators_table(fit: Mapping) -> Table | None:
+    """What logged actuators change while they are on; None where none is logged."""
+    rows, left_out = [], []
+    for one in _rows(entry(fit, "actuators")):
+        if entry(one, "used") is not True:
+            left_out.append(sentence(text_of(entry(one, "statement"))))
+            continue
+        cells = []
+        for quantity, factor in (("temperature_K", 1.0), ("relative_humidity", 100.0), ("absolute_humidity_g_m3", 1.0)):
+            value, low, high = (factor * number(one, "changes", quantity, part) for part in ("value", "lower", "upper"))
+            decimals = decimals_for(max(0.25 * (high - low), 0.01 * abs(value))) if math.isfinite(high - low) else 2
+            bounds = f" ({signed(low, decimals)} … {signed(high, decimals)})" if math.isfinite(high - low) else ""
+            cells.append(f"{signed(value, decimals)}{bounds}" if math.isfinite(value) else NONE)
+        rows.append((text_of(entry(one, "signal")), percent(number(one, "on_share"), 1), *cells))
+    if not rows and not left_out:
+        return None
+    return Table(
+        "What the logged actuators change while they are on",
+        ("actuator", "on", "temperature [K]", "relative humidity [%]", "absolute humidity [g/m³]"),
+        tuple(rows),
+        note=" ".join(
+            [
+                "Mean of the simulation with the actuator less the one without it, over the time that it is above half of its "
+                "span, with 95 % bounds.",
+                *left_out,
+            ]
+        ),
+    )
+
+
+def _rows(found: object) -> list[Mapping]:
+    return [one for one in found if isinstance(one, Mapping)] if isinstance(found, (list, tuple)) else []
 
 
 def unit(text: str) -> str:

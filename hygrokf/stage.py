@@ -1,4 +1,4 @@
-"""One likelihood from its design to bounds: estimate, second disturbances, uncertainty, profiles, sensitivities.
+"""One likelihood from its design to bounds: estimate, form, uncertainty, profiles, sensitivities.
 
 A cascade has two stages (thermal, hygric), a joint identification one.
 """
@@ -11,9 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.actuators import ACTUATORS
 from hygrokf.clock_offsets import NO_OFFSETS, ClockOffsets, clock_offsets
 from hygrokf.confidence import Bounds, Uncertainty, profile, uncertainty, wald_bounds
-from hygrokf.design import CASCADE, Design, design, extended, reading_step_h
+from hygrokf.design import CASCADE, Design, design, reading_step_h
 from hygrokf.drivers import Run, run
 from hygrokf.fitting import (
     Estimate,
@@ -24,12 +25,11 @@ from hygrokf.fitting import (
     maximise,
     refused_below,
 )
-from hygrokf.forms import ADOPTED, Form, weighed
+from hygrokf.forms import ADOPTED, Form, ended, weighed
 from hygrokf.kalman import smooth
 from hygrokf.likelihood import Likelihood
 from hygrokf.output_error import OutputError, fit_output_error
 from hygrokf.parallel import mapped
-from hygrokf.parameters import Coordinates
 from hygrokf.paths import thinned
 from hygrokf.record import Record, Series
 from hygrokf.simulation import air_temperature, project
@@ -37,10 +37,7 @@ from hygrokf.simulation import air_temperature, project
 LEVEL = 0.95
 TIME_CONSTANTS = ("thermal_time_constant", "hygric_k")
 SEARCH_DAYS = 30.0
-"""[d] stretch of the record on which the starts are tried."""
-SECOND = ("second_heat_disturbance", "second_vapour_disturbance")
-SCREEN_GAIN = 3.0
-"""Log-likelihood that a second disturbance must gain on the shorter stretch to be tried on the whole."""
+"""[d] stretch of the record on which starts and forms are tried."""
 Progress = Callable[[str], None]
 
 
@@ -94,29 +91,29 @@ def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say
 def formed(early: Record, found: Estimated, say: Progress) -> tuple[Estimated, tuple[Form, ...]]:
     """The form that the evidence of a record chooses, and all forms with their weights.
 
-    A form with `ADOPTED` of the evidence becomes the base, and the others are held against it.
+    A form with `ADOPTED` of the evidence becomes the base, its share is divided among what competes with it in turn, and
+    so on until none is adopted.  One whose own parameters end at an end of their range, there or beside a form adopted
+    later, is not: something else is at work.
     """
     say("forms of the model")
-    scout = _search(found.likelihood)
-    forms = weighed(early, found.base, found.run, found.estimate, TIME_CONSTANTS, scout)
+    forms = weighed(early, found.base, found.run, found.estimate, TIME_CONSTANTS, _search(found.likelihood))
     chosen = next((form for form in forms if form.adoptable and form.weight > ADOPTED), None)
     if chosen is None:
         return found, forms
     made = run(chosen.design, early)
     estimate = maximise(Likelihood(chosen.design.model, made.timeline), chosen.estimate.values, count=1)
     least = least_objective(estimate.coordinates, (found.estimate,))
-    return Estimated(chosen.design, made, refused_below(least, estimate)), forms
+    last, further = formed(early, Estimated(chosen.design, made, refused_below(least, estimate)), say)
+    if ended(last.estimate, found.estimate):
+        return found, forms
+    return last, (*(form for form in forms if form is not chosen), *(form.within(chosen) for form in further))
 
 
 def estimated(early: Record, base: Design, starts: int, say: Progress) -> Estimated:
-    """Maximum likelihood of one design, with a second disturbance of a kind where the record pays for it."""
+    """Maximum likelihood of one design."""
     made = run(base, early)
     likelihood = Likelihood(base.model, made.timeline)
     estimate = maximise(likelihood, count=starts, progress=say, search=_search(likelihood))
-    for name in SECOND:
-        if name.replace("second_", "") in [m for m, _ in base.mechanisms]:
-            say(f"{name.replace('_', ' ')}?")
-            base, likelihood, estimate = _with_second(name, base, likelihood, estimate)
     return Estimated(base, made, estimate)
 
 
@@ -163,45 +160,11 @@ def _bounded(found: Estimated, profiles: bool, say: Progress) -> tuple[Uncertain
 
 
 def _search(likelihood: Likelihood) -> Likelihood | None:
-    """The likelihood of a shorter stretch, for trying starts and second disturbances; None where the record is short."""
+    """The likelihood of a shorter stretch, for trying starts and forms; None where the record is short."""
     t = likelihood.timeline
     if t.time[-1] <= 2.0 * 24.0 * SEARCH_DAYS:
         return None
     return Likelihood(likelihood.model, t.window(0, int(np.searchsorted(t.time, 24.0 * SEARCH_DAYS))))
-
-
-def _with_second(
-    name: str, base: Design, likelihood: Likelihood, estimate: Estimate
-) -> tuple[Design, Likelihood, Estimate]:
-    """Add a second disturbance of a kind where the likelihood of the whole record pays for it (BIC).
-
-    It is first tried on a shorter stretch, faster and slower than the first one.  A real disturbance rarely has one
-    time scale alone, and what is left over would be taken for the cabinet's own dynamics.
-    """
-    kind = name.replace("second_", "")
-    settings = next(s for m, s in base.mechanisms if m == kind)
-    first, sd = (estimate.values[f"{kind}_{part}"] for part in ("time", "sd"))
-    short = _search(likelihood) or likelihood
-    plain = climb(Objective(short, estimate.coordinates), estimate.z, passes=12, tolerance=1e-2)
-    wider = extended(base, [(name, {**settings, "start_h": first / 5.0})])
-    whole = Likelihood(wider.model, likelihood.timeline)
-    scout = _search(whole) or whole
-    coordinates = Coordinates(wider.model.parameters)
-    tried = [
-        climb(
-            Objective(scout, coordinates),
-            coordinates.start({**estimate.values, f"{name}_time": first * factor, f"{name}_sd": 0.4 * sd}),
-            passes=20,
-            tolerance=1e-2,
-        )
-        for factor in (0.2, 5.0)
-    ]
-    best = max(tried, key=lambda optimum: optimum.objective)
-    if best.objective - plain.objective > SCREEN_GAIN:
-        found = maximise(whole, coordinates.values(best.z), count=1)
-        if found.objective - estimate.objective > math.log(max(likelihood.timeline.n_readings, 3)):
-            return wider, whole, found
-    return base, likelihood, estimate
 
 
 def _moved(early: Record, old: Estimated, passes: int) -> dict[str, float]:
@@ -277,6 +240,7 @@ _THERMAL_PLAIN = (
     "natural_convection",
     "thermal_diffusion",
     "temperature_sensor",
+    *(thermal for thermal, _ in ACTUATORS.values() if thermal is not None),
 )
 
 

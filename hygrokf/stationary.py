@@ -193,8 +193,8 @@ def heat_release_regression(
     than 30 periods in 10 episodes, or loses a quarter of the range of power or ambient temperature, shorter ones are
     taken, down to an hour or two steps of the slowest series. As short ones are not settled, this share is taken off
     the difference before the regression where `settle` is True and cross-validation does not speak against it.
-    Standard errors are clustered by episode; they know neither the sensors' accuracy nor a form left out. Known
-    pre-heating is left out. Between the powers that periods reach the form is an interpolation.
+    Standard errors are clustered by episode; they know neither the sensors' accuracy nor a form left out. Times at which
+    a logged heater is on are left out. Between the powers that periods reach the form is an interpolation.
 
     A regime with too few periods is None, and the statement says so. Raises ValueError for arguments out of range.
     Source: equation (1), Fig. 3 and Fig. 4 of the paper.

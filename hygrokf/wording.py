@@ -42,6 +42,11 @@ def fixed(value: float, decimals: int = 2) -> str:
     return minus(f"{value:.{decimals}f}") if math.isfinite(value) else NONE
 
 
+def signed(value: float, decimals: int = 2) -> str:
+    """A difference with its sign and so many decimals."""
+    return minus(f"{value:+.{decimals}f}") if math.isfinite(value) else NONE
+
+
 def minus(text: str) -> str:
     return text.replace("-", "−", 1) if text.startswith("-") else text
 

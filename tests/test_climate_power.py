@@ -196,12 +196,13 @@ def test_pre_heating_goes_with_its_power() -> None:
     record, said = driven(fit, weather, power("2020-12-30T00:00:00"))
     assert record["preheating"].value.sum() == 800 and any("pre-heating at its own hours" in s for s in said)
     for other, words in (
-        (power("2016-12-30T00:00:00"), "pre-heating is not used"),
+        (power("2016-12-30T00:00:00"), "does not cover the weather's time"),
         (power("2020-12-30T00:00:00", heated=False), "nothing says when"),
         (None, "nothing says when"),
     ):
         record, said = driven(fit, weather, other)
-        assert "preheating" not in record and any(words in one for one in said)
+        assert not record["preheating"].value.any()
+        assert any(one.startswith("pre-heating is off all year") and words in one for one in said)
 
 
 def test_weather_every_three_hours_becomes_hourly() -> None:

@@ -20,7 +20,7 @@ FLOORS = (
     "console emission discretisation record stamps live.database surface climate.chamber wording",
     "verdict_terms",
     "verdict running_sums case_keys columns paths live.table_reader live.sqlite live.postgres live.check",
-    "loops masks weather_form readers synthetic ambient live.opcua_security live.opcua_samples",
+    "loops masks actuators weather_form readers synthetic ambient live.opcua_security live.opcua_samples",
     "features fleet_loop long_steps live.opcua_client case_form weather.archive weather.fields weather.altitude weather.joining weather.alignment climate.power",
     "recursion weather.gridded weather.epw weather.clocks",
     "doubts weather.era5",
@@ -39,7 +39,7 @@ FLOORS = (
     "switching confidence periods",
     "simulation forms clock_offsets composition inference",
     # judgement
-    "output_error scoring stationary diagnosis discovery.significance",
+    "output_error scoring actuator_effects stationary diagnosis discovery.significance",
     "stage",
     "time_constants discovery.scene discovery.clocks",
     "fit discovery.scan discovery.cause live.operation live.ceiling",

@@ -317,20 +317,23 @@ def test_a_model_without_humidity_forecasts_the_temperature(record: Record) -> N
 
 # -- what is not known ahead ---------------------------------------------------------------------------------------
 def test_a_switch_is_foretold_by_what_the_forecast_itself_shows(record: Record) -> None:
-    """A cooling stage out of reach changes nothing, and one that is always on cools."""
-    found = {}
-    for on_K in (350.0, 200.0):
-        switch = {"cooling": {"on_K": on_K, "off_K": on_K - 3.0}}
-        base = extended(live_fit(record).design, [("cooling_loss", {})], features=switch)
-        values = {p.name: p.start for p in base.model.parameters} | {"cooling_conductance": 3.0}
-        one = planned(Fit("cooled", base, values, {}), record)
-        state, outlook = point_at(one, record), persistence(record, NOW_S)
-        found[on_K] = forecast(one, state, outlook, SURFACE).condition.temperature_K.value
-        assert restart(one, state, outlook, SURFACE).made_s == state.time
+    """A cooling stage out of reach changes nothing, and one that is always on cools.
+
+    All begin from the state that the plain model filtered: a filter that believes in a cooling that is not there takes the
+    readings for a further heat release, and goes on with that.
+    """
     plain = live_fit(record).design
     one = planned(Fit("plain", plain, {p.name: p.start for p in plain.model.parameters}, {}), record)
     state, outlook = point_at(one, record), persistence(record, NOW_S)
     without = forecast(one, state, outlook, SURFACE).condition.temperature_K.value
+    found = {}
+    for on_K in (350.0, 200.0):
+        switch = {"cooling": {"on_K": on_K, "off_K": on_K - 3.0}}
+        base = extended(plain, [("cooling_loss", {})], features=switch)
+        values = {p.name: p.start for p in base.model.parameters} | {"cooling_conductance": 3.0}
+        one = planned(Fit("cooled", base, values, {}), record)
+        found[on_K] = forecast(one, state, outlook, SURFACE).condition.temperature_K.value
+        assert restart(one, state, outlook, SURFACE).made_s == state.time
     assert found[350.0][1:] == pytest.approx(without[1:], abs=0.05)
     assert found[200.0][-1] < without[-1] - 0.1
 

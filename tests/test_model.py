@@ -36,7 +36,7 @@ def source(name: str, value: float, of: str = "heat_release") -> Mechanism:
 
 
 READ = Mechanism(name="sensor", outputs={"y": lambda p, x, u, q, s: (x.heat + q.shift, 0.1)})
-SHIFT = Mechanism(name="shift", quantities=lambda p, x, u: {"shift": 2.0, "scale": 3.0})
+SHIFT = Mechanism(name="shift", quantities=lambda p, x, u, g: {"shift": 2.0, "scale": 3.0})
 
 
 def test_the_order_of_mechanisms_does_not_matter() -> None:

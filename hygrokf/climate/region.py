@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hygrokf.actuators import ACTUATORS
 from hygrokf.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
 from hygrokf.case import read_case
 from hygrokf.climate.power import (
@@ -28,7 +29,8 @@ from hygrokf.weather.reading import form_of
 from hygrokf.weather.years import read_weather
 
 HOUR_S = 3600.0
-PREHEATING = "preheating"
+DUTIES = ("preheating", *ACTUATORS)
+"""Signals of what is switched in a cabinet; they go with the power."""
 TYPICAL_YEAR = 2001
 """Calendar year that the months of a typical year, which are of several years, are put into; it has no 29 February."""
 
@@ -72,7 +74,7 @@ def read_region(
 
 
 def read_power(path: str | os.PathLike[str]) -> Record:
-    """The record of a case file that has active power; of other signals pre-heating alone is kept.
+    """The record of a case file that has active power; of other signals pre-heating and logged actuators are kept.
 
     Raises CaseFault, PowerFault.
     """
@@ -81,44 +83,50 @@ def read_power(path: str | os.PathLike[str]) -> Record:
         raise PowerFault(
             f"{path}: expected a case file with signals.active_power, found {', '.join(record.signals)}"
         )
-    return replace(
-        record, series=tuple(record[name] for name in ("active_power", PREHEATING) if name in record)
-    )
+    return replace(record, series=tuple(record[name] for name in ("active_power", *DUTIES) if name in record))
 
 
 def driven(fit: Fit, weather: Record, power: Record | PowerCurve | None) -> tuple[Record, list[str]]:
     """Weather and power as a record for a fit's model, and in words how they were put together.
 
-    `power`: a record of it, a power curve, or None for standstill all year.  The record's pre-heating goes with its power
-    where that is taken at its own hours.  The weather's own power, cabinet and pre-heating are left out.  Raises PowerFault
-    where the power cannot be had.
+    `power`: a record of it, a power curve, or None for standstill all year.  The record's pre-heating and actuators go with
+    its power where that is taken at its own hours; else they are off.  The weather's own power, cabinet and actuators are
+    left out.  Raises PowerFault where the power cannot be had.
     """
     said = []
-    kept = [s for s in weather.series if not s.signal.startswith(("cabinet_", "active_power", "preheating"))]
+    kept = [s for s in weather.series if not s.signal.startswith(("cabinet_", "active_power", *DUTIES))]
+    series: list[Series] = []
     if fit.design.power_scale_W is None:
         said.append("the model knows no power: all of the year counts as standstill")
-        return replace(weather, series=tuple(map(_hourly, kept)), until_s=None), said
-    if power is None:
-        series, words = standstill(weather), "standstill all year: no power at any time"
-    elif isinstance(power, PowerCurve):
-        series, words = power_from_wind(power, weather), power.words()
-        said += _scale_words(fit, power.rated_power_W)
+    elif power is None:
+        series.append(standstill(weather))
+        said.append("standstill all year: no power at any time")
     else:
-        series, words = power_by_season(power["active_power"], weather)
-        said += _scale_words(fit, power.rated_power_W)
-    said.insert(0, words)
-    heated: tuple[Series, ...] = ()
-    if PREHEATING in fit.design.model.inputs:
-        if not isinstance(power, Record) or PREHEATING not in power:
-            said.append("no pre-heating is simulated: nothing says when it would be on")
-        elif covers(power["active_power"], weather) and covers(power[PREHEATING], weather):
-            heated = (power[PREHEATING],)
-            said.append("pre-heating at its own hours, as the record of the power has it")
+        if isinstance(power, PowerCurve):
+            taken, words = power_from_wind(power, weather), power.words()
         else:
-            said.append(
-                "the record's pre-heating is not used, and none is simulated: the record does not cover the weather's time"
-            )
-    return replace(weather, series=(*map(_hourly, kept), series, *heated), until_s=None), said
+            taken, words = power_by_season(power["active_power"], weather)
+        series.append(taken)
+        said += [words, *_scale_words(fit, power.rated_power_W)]
+    for name in DUTIES:
+        if name in fit.design.model.inputs:
+            duty, words = _duty(name, weather, power if isinstance(power, Record) else None)
+            series.append(duty)
+            said.append(words)
+    return replace(weather, series=(*map(_hourly, kept), *series), until_s=None), said
+
+
+def _duty(name: str, weather: Record, power: Record | None) -> tuple[Series, str]:
+    """The course of pre-heating or of an actuator over a weather record, and in words where it is from."""
+    words = name.replace("preheating", "pre-heating")
+    if power is not None and name in power and covers(power["active_power"], weather):
+        if covers(power[name], weather):
+            return power[name], f"{words} at its own hours, as the record of the power has it"
+    why = "nothing says when it would be on" if power is None or name not in power else (
+        "the record of the power does not cover the weather's time"
+    )
+    off = replace(standstill(weather), signal=name, source="off")
+    return off, f"{words} is off all year: {why}"
 
 
 def _scale_words(fit: Fit, rated_W: float | None) -> list[str]:

@@ -162,7 +162,12 @@ def heat_drift(scene: Scene) -> list[Variant]:
 
 
 def door(scene: Scene) -> list[Variant]:
-    """Windows in which both parts' innovations ask for a much larger exchange, by a matched filter with a price for each."""
+    """Windows in which both parts' innovations ask for a much larger exchange, by a matched filter with a price for each.
+
+    None where the base model has a logged door.
+    """
+    if any("door_open" in part.base.model.inputs for part in scene.parts.values()):
+        return []
     spans = local_scan(
         {
             name: (scene.parts[name], mechanism, parameter)

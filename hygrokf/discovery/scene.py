@@ -20,7 +20,7 @@ from hygrokf.model import Model
 from hygrokf.parameters import Coordinates
 from hygrokf.psychrometrics import absolute_humidity
 from hygrokf.record import Record
-from hygrokf.stage import Estimated, Progress, estimated, smoothed_temperature
+from hygrokf.stage import Estimated, Progress, estimated, formed, smoothed_temperature
 from hygrokf.stationary import heat_release_regression
 from hygrokf.switching import self_switched, switches_of
 from hygrokf.timeline import Timeline
@@ -88,16 +88,19 @@ def scene(record: Record, starts: int = 2, say: Progress = lambda text: None) ->
     if regression.operation is not None and regression.operation.coefficients:
         order = max(2, regression.operation.order)
     parts: dict[str, Part] = {}
-    thermal = estimated(
-        early, design(early, kind=THERMAL, power_order=order, heat_start=regression.start()), starts, say
-    )
-    parts[THERMAL] = part_of(THERMAL, early, thermal)
+    thermal = design(early, kind=THERMAL, power_order=order, heat_start=regression.start())
+    parts[THERMAL] = part_of(THERMAL, early, _best(early, thermal, starts, say))
     base = design(early, kind=CASCADE)
     if base.humidity is not None:
         say("smoothed cabinet temperature")
         driven = _driven(parts[THERMAL], early, base.humidity)
-        parts[HYGRIC] = part_of(HYGRIC, driven, estimated(driven, base, starts, say))
+        parts[HYGRIC] = part_of(HYGRIC, driven, _best(driven, base, starts, say))
     return Scene(early, parts)
+
+
+def _best(early: Record, base: Design, starts: int, say: Progress) -> Estimated:
+    """A design's estimate in the form that the record calls for."""
+    return formed(early, estimated(early, base, starts, say), say)[0]
 
 
 def redriven(scene: Scene) -> Scene:

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from hygrokf.mechanisms.heat import (
     cooling_loss,
+    dehumidifier_heat,
+    fan_loss,
     lagged_ambient,
     leading_ambient,
+    logged_heater,
     open_loss,
+    pump_loss,
     release_drift,
     solar_gain,
     stepped_loss,
@@ -26,6 +30,8 @@ from hygrokf.mechanisms.moisture import (
     condensation,
     cooled_exchange,
     dehumidifier,
+    dehumidifier_drying,
+    fan_exchange,
     internal_moisture_source,
     moisture_sorption,
     open_exchange,
@@ -79,6 +85,17 @@ BASE = (
     absolute_humidity_sensor,
 )
 """What the base models are made of."""
+LOGGED = (
+    logged_heater,
+    dehumidifier_heat,
+    fan_loss,
+    pump_loss,
+    open_loss,
+    fan_exchange,
+    open_exchange,
+    dehumidifier_drying,
+)
+"""What actuators do that the record has; each of them is nested: at its null value it is not there."""
 FURTHER = (
     wall_thermal_mass,
     solar_gain,
@@ -86,7 +103,6 @@ FURTHER = (
     release_drift,
     wind_loss,
     stepped_loss,
-    open_loss,
     cooling_loss,
     lagged_ambient,
     leading_ambient,
@@ -98,7 +114,6 @@ FURTHER = (
     switched_drying,
     wind_exchange,
     stepped_exchange,
-    open_exchange,
     cooled_exchange,
     breathed_air,
     breathed_lag,
@@ -119,7 +134,7 @@ WANDERING = (
     wandering_humidity_scale,
 )
 """Properties of the cabinet as states, for tracking."""
-LIBRARY = {function.__name__: function for function in (*BASE, *FURTHER, *WANDERING)}
+LIBRARY = {function.__name__: function for function in (*BASE, *LOGGED, *FURTHER, *WANDERING)}
 """Factories by mechanism name; `LIBRARY[m.name](**m.settings)` makes a mechanism again."""
 
-__all__ = [*LIBRARY, "BASE", "FURTHER", "LIBRARY", "WANDERING", "linear_network"]
+__all__ = [*LIBRARY, "BASE", "FURTHER", "LIBRARY", "LOGGED", "WANDERING", "linear_network"]

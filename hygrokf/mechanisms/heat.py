@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+from hygrokf.expression import Given
 from hygrokf.model import Mechanism
 from hygrokf.parameters import Parameter
 
@@ -45,17 +47,27 @@ def solar_gain(lagged: bool = False, flag: str = "sunshine") -> Mechanism:
     )  # fmt: skip
 
 
-def _switched_heat(name: str, parameter: str, flag: str, lower: float, text: str, leaves: str) -> Mechanism:
+def _driven_heat(
+    name: str,
+    parameter: str,
+    flag: str,
+    text: str,
+    leaves: str,
+    full: float = 1.0,
+    settings: dict | None = None,
+) -> Mechanism:
+    """Heat release in proportion to an input: f += a · flag/full, a ≥ 0 [K]."""
+    scale = Given(1.0 / full)
     return Mechanism(
         name=name,
         parameters=(
             Parameter(
-                parameter, "K", 0.0, lower, 80.0, null=0.0, physical=(0.0 if lower == 0 else -math.inf, math.inf),
-                meaning=f"heat release {text}",
+                parameter, "K", 0.0, 0.0, 80.0, null=0.0, physical=(0.0, math.inf), meaning=f"heat release {text}"
             ),
         ),
         inputs=(flag,),
-        contributions=lambda p, x, u, q: {"heat_release": getattr(p, parameter) * getattr(u, flag)},
+        contributions=lambda p, x, u, q: {"heat_release": getattr(p, parameter) * (scale * getattr(u, flag))},
+        settings=settings or {},
         meaning=f"heat release {text}",
         leaves=leaves,
         source="balance of heat",
@@ -64,9 +76,29 @@ def _switched_heat(name: str, parameter: str, flag: str, lower: float, text: str
 
 def unreported_heater() -> Mechanism:
     """Heat of a heater that no signal reports, while it runs (input `heating`) [K]."""
-    return _switched_heat(
-        "unreported_heater", "heater_heat", "heating", 0.0, "while the unreported heater runs",
+    return _driven_heat(
+        "unreported_heater", "heater_heat", "heating", "while the unreported heater runs",
         "a cabinet that is too warm at standstill when it is cold or damp",
+    )  # fmt: skip
+
+
+def logged_heater(signal: str = "heater_duty", full: float = 1.0) -> Mechanism:
+    """Heat of a heater that is logged: f += a · signal/full [K].
+
+    `signal` "heater_duty" [1] or "heater_power" [W]; `full` its value at which the release is a, in the signal's unit.
+    """
+    at = "at full duty" if signal == "heater_duty" else f"at {full:.4g} W"
+    return _driven_heat(
+        "logged_heater", "logged_heater_heat", signal, f"of the logged heater {at}",
+        "a cabinet that is too warm while the heater runs", full, {"signal": signal, "full": full},
+    )  # fmt: skip
+
+
+def dehumidifier_heat() -> Mechanism:
+    """Heat that a logged dehumidifier releases (input `dehumidifier_duty`): its own power and that of condensing [K]."""
+    return _driven_heat(
+        "dehumidifier_heat", "dehumidifier_heat", "dehumidifier_duty", "of the logged dehumidifier at full duty",
+        "a cabinet that is too warm while the dehumidifier runs",
     )  # fmt: skip
 
 
@@ -107,12 +139,7 @@ def release_drift(order: int = 0, operation: bool = False, flag: str = "elapsed"
 def _loss(
     name: str, parameter: str, flag: str, lower: float, text: str, leaves: str, settings: dict | None = None
 ) -> Mechanism:
-    """Loss of heat to the ambient, in units of 1/R_AT: f −= g · flag · (T_a − T_amb)."""
-
-    def contributions(p, x, u, q):
-        above = q.cabinet_air_temperature - u.ambient_temperature
-        return {"heat_release": -getattr(p, parameter) * getattr(u, flag) * above}
-
+    """Conductance between cabinet air and ambient beside 1/R_AT, in its units: g · flag."""
     return Mechanism(
         name=name,
         parameters=(
@@ -121,13 +148,24 @@ def _loss(
                 meaning=f"conductance to the ambient beside 1/R_AT, {text}",
             ),
         ),
-        inputs=("ambient_temperature", flag),
-        contributions=contributions,
+        inputs=(flag,),
+        conductance=lambda p, u: getattr(p, parameter) * getattr(u, flag),
         settings=settings or {},
         meaning=f"heat lost to the ambient, {text}",
         leaves=leaves,
         source="conductance parallel to R_AT",
     )  # fmt: skip
+
+
+def _taken(name: str, parameter: str, flag: str, text: str, leaves: str) -> Mechanism:
+    """Heat taken from the converter, whose temperature above the ambient's is that of the air over ρ: f −= g · flag · (T_a − T_amb)."""
+
+    def contributions(p, x, u, q):
+        above = q.cabinet_air_temperature - u.ambient_temperature
+        return {"heat_release": -getattr(p, parameter) * getattr(u, flag) * above}
+
+    made = _loss(name, parameter, flag, 0.0, text, leaves)
+    return replace(made, inputs=("ambient_temperature", flag), conductance=None, contributions=contributions)
 
 
 def wind_loss(flag: str = "wind_tenth") -> Mechanism:
@@ -146,6 +184,25 @@ def stepped_loss() -> Mechanism:
     )  # fmt: skip
 
 
+def fan_loss() -> Mechanism:
+    """Heat loss through the air that a logged fan moves (input `fan_duty`), in proportion to its duty."""
+    return _loss(
+        "fan_loss", "fan_conductance", "fan_duty", 0.0, "at full duty of the logged fan",
+        "a cabinet that is too warm in the simulation while the fan runs",
+    )  # fmt: skip
+
+
+def pump_loss() -> Mechanism:
+    """Heat that a logged pump's coolant takes from the converter (input `pump_duty`): f −= g · pump_duty · (T_a − T_amb).
+
+    The coolant is taken to leave it at the ambient temperature.
+    """
+    return _taken(
+        "pump_loss", "pump_conductance", "pump_duty", "at full duty of the logged pump",
+        "a cabinet that is too warm in the simulation while the pump runs",
+    )  # fmt: skip
+
+
 def open_loss() -> Mechanism:
     """Heat loss while a door is open (input `door_open`)."""
     return _loss(
@@ -155,9 +212,13 @@ def open_loss() -> Mechanism:
 
 
 def cooling_loss() -> Mechanism:
-    """Heat loss while a cooling stage runs (input `cooling`)."""
-    return _loss(
-        "cooling_loss", "cooling_conductance", "cooling", 0.0, "while the cooling stage runs",
+    """Heat loss while a cooling stage runs (input `cooling`), taken from the converter: f −= g · cooling · (T_a − T_amb).
+
+    A stage that cools the air lets it jump at once, yet when a stage switches between two readings is not known: jumps at
+    wrong times cost more likelihood than their lack (2 ln L 397 this way and 79 as `fan_loss`, on a plant that does jump).
+    """
+    return _taken(
+        "cooling_loss", "cooling_conductance", "cooling", "while the cooling stage runs",
         "a cabinet that is too warm in the simulation above a threshold",
     )  # fmt: skip
 

@@ -288,14 +288,21 @@ def switched_drying(plate: bool = True) -> Mechanism:
 
 
 def _exchange(
-    name: str, parameter: str, flag: str, upper: float, text: str, leaves: str, settings: dict | None = None
+    name: str,
+    parameter: str,
+    flag: str,
+    upper: float,
+    text: str,
+    leaves: str,
+    settings: dict | None = None,
+    lower: float = -0.95,
 ) -> Mechanism:
-    """Exchange of vapour multiplied by 1 + b · flag, b > −1."""
+    """Exchange of vapour multiplied by 1 + b · flag, b > −1; b ≥ 0 with a `lower` of 0."""
     return Mechanism(
         name=name,
         parameters=(
             Parameter(
-                parameter, "1", 0.0, -0.95, upper, null=0.0, physical=(-1.0, math.inf),
+                parameter, "1", 0.0, lower, upper, null=0.0, physical=(0.0 if lower == 0 else -1.0, math.inf),
                 meaning=f"relative change of the vapour exchange, {text}",
             ),
         ),
@@ -305,6 +312,40 @@ def _exchange(
         meaning=f"vapour exchange, {text}",
         leaves=leaves,
         source="resistance R_D* of equation (4) divided by the factor",
+    )  # fmt: skip
+
+
+def fan_exchange() -> Mechanism:
+    """Vapour exchange through the air that a logged fan moves: 1 + b · `fan_duty`."""
+    return _exchange(
+        "fan_exchange", "fan_exchange", "fan_duty", 500.0, "at full duty of the logged fan",
+        "humidity that follows the ambient's faster while the fan runs", lower=0.0,
+    )  # fmt: skip
+
+
+def dehumidifier_drying() -> Mechanism:
+    """A dehumidifier that is logged: vapour release −d · `dehumidifier_duty` · c.
+
+    d [1/h] the air dried each hour at full duty, per volume of cabinet air; c [g/m³] the cabinet's vapour.
+    """
+
+    def contributions(p, x, u, q):
+        vapour = x.vapour * u.ambient_temperature / q.cabinet_air_temperature
+        return {"vapour_release": -p.logged_drying_rate * u.dehumidifier_duty * vapour}
+
+    return Mechanism(
+        name="dehumidifier_drying",
+        parameters=(
+            Parameter(
+                "logged_drying_rate", "1/h", 0.0, 0.0, 50.0, null=0.0, physical=(0.0, math.inf),
+                meaning="air dried each hour, per volume of cabinet air, at full duty of the logged dehumidifier",
+            ),
+        ),
+        inputs=("ambient_temperature", "dehumidifier_duty"),
+        contributions=contributions,
+        meaning="drying by the logged dehumidifier",
+        leaves="simulated humidity too high while the dehumidifier runs",
+        source="balance of vapour mass",
     )  # fmt: skip
 
 

@@ -18,16 +18,24 @@ def thermal_network() -> Mechanism:
     With τ = (R_AT+R_IC) C [h] and ρ = R_AT/(R_AT+R_IC) [1],
         dT_conv/dt = (T_amb − T_conv + f_ΔT/ρ)/τ,    T_conv,a = ρ T_conv + (1−ρ) T_amb,
     f_ΔT [K] the sum of all heat releases. R_AT, R_IC and C alone do not show in the data.
+
+    Where other mechanisms bring conductances g beside 1/R_AT, R_AT/(1+g) takes the place of R_AT: with e = 1 + (1−ρ) g
+        dT_conv/dt = ((T_amb − T_conv)(1+g)/e + f_ΔT/ρ)/τ,    T_conv,a = (ρ T_conv + (1−ρ)(1+g) T_amb)/e.
     """
 
-    def quantities(p, x, u):
-        air = (
-            p.resistance_ratio * x.converter_temperature + (1.0 - p.resistance_ratio) * u.ambient_temperature
-        )
-        return {"cabinet_air_temperature": air}
+    def relief(p, g):
+        return 1.0 + (1.0 - p.resistance_ratio) * g
+
+    def quantities(p, x, u, g):
+        rest = (1.0 - p.resistance_ratio) * (1.0 + g)
+        air = p.resistance_ratio * x.converter_temperature + rest * u.ambient_temperature
+        return {"cabinet_air_temperature": air / relief(p, g)}
 
     def drift(p, x, u, q, s):
-        drive = u.ambient_temperature - x.converter_temperature + s.heat_release / p.resistance_ratio
+        cooled = (u.ambient_temperature - x.converter_temperature) * (
+            (1.0 + q.air_conductance) / relief(p, q.air_conductance)
+        )
+        drive = cooled + s.heat_release / p.resistance_ratio
         return {"converter_temperature": drive * (1.0 + s.thermal_pace) / p.thermal_time_constant}
 
     return Mechanism(
@@ -76,7 +84,7 @@ def measured_air(accuracy: float = 0.0, step: bool = False) -> Mechanism:
             )
         )  # fmt: skip
 
-    def quantities(p, x, u):
+    def quantities(p, x, u, g):
         air = u.cabinet_temperature
         if accuracy > 0:
             air = air - p.cabinet_temperature_offset
