@@ -67,12 +67,16 @@ def _effects(
         run = free_run(design, {**values, **at}, made)
         pairs = {name: run.of(name) for name in QUANTITIES}
         return {
-            name: float(np.average(pair[0], weights=weight)) for name, pair in pairs.items() if pair is not None
+            name: float(np.average(pair[0], weights=weight))
+            for name, pair in pairs.items()
+            if pair is not None
         }
 
     def moved(sign: float) -> dict[str, float]:
         return {
-            p.name: min(max(values[p.name] + sign * normal_quantile(LEVEL) * errors[p.name], p.lower), p.upper)
+            p.name: min(
+                max(values[p.name] + sign * normal_quantile(LEVEL) * errors[p.name], p.lower), p.upper
+            )
             for p in known
         }
 
@@ -81,7 +85,9 @@ def _effects(
     ends = [means(moved(sign)) for sign in (-1.0, 1.0)] if bounded else []
     changes = {}
     for name in now:
-        reached = [at[name] - without[name] for at in (now, *ends)]  # two parameters at once need not act monotonically
+        reached = [
+            at[name] - without[name] for at in (now, *ends)
+        ]  # two parameters at once need not act monotonically
         changes[name] = {
             "value": reached[0],
             "lower": min(reached) if ends else None,

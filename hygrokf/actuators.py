@@ -78,7 +78,10 @@ def _actuator(series: Series) -> Actuator:
     settings = {}
     if thermal == "logged_heater":
         power = series.signal == "heater_power" and len(value) > 0
-        settings = {"signal": series.signal, "full": max(float(np.quantile(value, TOP)), 1.0) if power else 1.0}
+        settings = {
+            "signal": series.signal,
+            "full": max(float(np.quantile(value, TOP)), 1.0) if power else 1.0,
+        }
     return Actuator(
         series.signal,
         None if thermal is None else (thermal, settings),
@@ -97,6 +100,4 @@ def _why_not(value: np.ndarray) -> str:
     above = int((value > 0.5 * (value.min() + value.max())).sum())
     if min(above, len(value) - above) >= FEWEST:
         return ""
-    return (
-        f"{above} readings above half of its span and {len(value) - above} below; at least {FEWEST} of either are needed"
-    )
+    return f"{above} readings above half of its span and {len(value) - above} below; at least {FEWEST} of either are needed"

@@ -203,7 +203,9 @@ def design(
         )
         chosen.append(("heat_release", release))
         statements += said
-        chosen += [(name, dict(settings)) for name, settings in (one.thermal for one in acting if one.thermal)]
+        chosen += [
+            (name, dict(settings)) for name, settings in (one.thermal for one in acting if one.thermal)
+        ]
         temperature = record[TEMPERATURE]
         if coloured:
             chosen.append(("heat_disturbance", _correlation_bounds(temperature, record)))

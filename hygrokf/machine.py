@@ -17,6 +17,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 from llvmlite import binding as llvm
@@ -65,26 +66,33 @@ def has_fused_multiply_add() -> bool:
 _engines: dict[
     str, llvm.ExecutionEngine
 ] = {}  # for the life of the process: code that may run is never freed
+_compiling = Lock()
+"""Held while code is compiled: a second engine of the same code would take the place of the first and free what runs."""
 
 
 def _engine(text: str) -> llvm.ExecutionEngine:
     key = hashlib.sha256((_identity() + "\n" + text).encode()).hexdigest()
-    if key not in _engines:
-        machine = _machine()
-        path = cache_directory() / "code-1" / f"{key}.o"
-        stored = _read(path)
-        if stored is None:
-            module = llvm.parse_assembly(text)
-            module.verify()
-            builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
-            builder.getModulePassManager().run(module, builder)
-            stored = machine.emit_object(module)
-            _write(path, stored)
-        engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
-        engine.add_object_file(llvm.ObjectFileRef.from_data(stored))
-        engine.finalize_object()
-        _engines[key] = engine
-    return _engines[key]
+    with _compiling:
+        if key not in _engines:
+            _engines[key] = _compiled(text, key)
+        return _engines[key]
+
+
+def _compiled(text: str, key: str) -> llvm.ExecutionEngine:
+    machine = _machine()
+    path = cache_directory() / "code-1" / f"{key}.o"
+    stored = _read(path)
+    if stored is None:
+        module = llvm.parse_assembly(text)
+        module.verify()
+        builder = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=2))
+        builder.getModulePassManager().run(module, builder)
+        stored = machine.emit_object(module)
+        _write(path, stored)
+    engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+    engine.add_object_file(llvm.ObjectFileRef.from_data(stored))
+    engine.finalize_object()
+    return engine
 
 
 def _address(array: np.ndarray) -> int:

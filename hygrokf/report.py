@@ -363,7 +363,12 @@ def report_text(fit: Mapping) -> str:
         said = text_of(entry(fit, "message"))
         blocks.append(_wrapped(f"NOT CONVERGED{f': {said}' if said else ''}. No number below is final."))
     blocks.append("\n".join(_wrapped(time_constant(fit, one).sentence) for one in ("thermal", "hygric")))
-    tables = [time_constants_table(fit), actuators_table(fit), *(rmse_table(fit, period) for period in PERIODS), bands_table(fit)]
+    tables = [
+        time_constants_table(fit),
+        actuators_table(fit),
+        *(rmse_table(fit, period) for period in PERIODS),
+        bands_table(fit),
+    ]
     blocks += [table_text(table) for table in tables if table is not None]
     parameters = parameters_table(fit)
     if parameters is not None:

@@ -138,7 +138,13 @@ def _beside(found: Mapping) -> list[tuple[str, ...]]:
     if kind == "estimated":
         low, high = (number(found, "response", f"{side}_minutes") for side in ("lower", "upper"))
         rows.append(
-            ("  humidity sensor's response", f"{minutes:.1f} min", f"{low:.1f} … {high:.1f} min", "estimated, 95 %", "")
+            (
+                "  humidity sensor's response",
+                f"{minutes:.1f} min",
+                f"{low:.1f} … {high:.1f} min",
+                "estimated, 95 %",
+                "",
+            )
         )
     elif kind == "included":
         rows.append(("  humidity sensor's response", "included", NONE, "not stated, none seen", ""))
@@ -262,10 +268,20 @@ def actuators_table(fit: Mapping) -> Table | None:
             left_out.append(sentence(text_of(entry(one, "statement"))))
             continue
         cells = []
-        for quantity, factor in (("temperature_K", 1.0), ("relative_humidity", 100.0), ("absolute_humidity_g_m3", 1.0)):
-            value, low, high = (factor * number(one, "changes", quantity, part) for part in ("value", "lower", "upper"))
-            decimals = decimals_for(max(0.25 * (high - low), 0.01 * abs(value))) if math.isfinite(high - low) else 2
-            bounds = f" ({signed(low, decimals)} … {signed(high, decimals)})" if math.isfinite(high - low) else ""
+        for quantity, factor in (
+            ("temperature_K", 1.0),
+            ("relative_humidity", 100.0),
+            ("absolute_humidity_g_m3", 1.0),
+        ):
+            value, low, high = (
+                factor * number(one, "changes", quantity, part) for part in ("value", "lower", "upper")
+            )
+            decimals = (
+                decimals_for(max(0.25 * (high - low), 0.01 * abs(value))) if math.isfinite(high - low) else 2
+            )
+            bounds = (
+                f" ({signed(low, decimals)} … {signed(high, decimals)})" if math.isfinite(high - low) else ""
+            )
             cells.append(f"{signed(value, decimals)}{bounds}" if math.isfinite(value) else NONE)
         rows.append((text_of(entry(one, "signal")), percent(number(one, "on_share"), 1), *cells))
     if not rows and not left_out:

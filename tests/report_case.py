@@ -165,12 +165,18 @@ def _constant(value: float, half: float, simulated: float) -> dict:
         "composition": [
             {"source": "profile", "lower_h": value - 0.6 * half, "upper_h": value + 0.6 * half},
             {
-                "source": "forms", "sd_ln": 0.3 * half / value, "text": "",
-                "lower_h": value - 0.8 * half, "upper_h": value + 0.8 * half,
+                "source": "forms",
+                "sd_ln": 0.3 * half / value,
+                "text": "",
+                "lower_h": value - 0.8 * half,
+                "upper_h": value + 0.8 * half,
             },
             {
-                "source": "sampling", "sd_ln": 0.3 * half / value, "text": "",
-                "lower_h": value - half, "upper_h": value + half,
+                "source": "sampling",
+                "sd_ln": 0.3 * half / value,
+                "text": "",
+                "lower_h": value - half,
+                "upper_h": value + half,
             },
         ],
         "forms": [

@@ -643,13 +643,17 @@ def test_open_bounds_and_few_turbines_are_not_judged() -> None:
 
 def test_what_bounds_explain_is_not_said_where_one_of_few_departs() -> None:
     """Four turbines, one at twice the value: the median deviation does not see it, and so few name no outlier."""
-    four = [{"turbine": f"W{i}", "v": v, "l": 0.8 * v, "u": 1.25 * v} for i, v in enumerate((1.4, 1.5, 1.5, 3.8))]
+    four = [
+        {"turbine": f"W{i}", "v": v, "l": 0.8 * v, "u": 1.25 * v} for i, v in enumerate((1.4, 1.5, 1.5, 3.8))
+    ]
     one = spread(four, BOUNDED)
     assert one.between == 0.0 and not one.outliers and not one.explained
     assert spread(four[:3], BOUNDED).explained and spread(four[:1], BOUNDED).explained
     random = np.random.default_rng(8)
     alike = sum(spread(made_rows(random, 8, 0.0, np.full(8, 0.05)), BOUNDED).explained for _ in range(400))
-    assert 400 * 0.95 - 4 * 4.4 < alike  # 5 % of 400 with its standard deviation; outliers are left out beforehand
+    assert (
+        400 * 0.95 - 4 * 4.4 < alike
+    )  # 5 % of 400 with its standard deviation; outliers are left out beforehand
 
 
 def test_several_quantities_share_the_chance() -> None:

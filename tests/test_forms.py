@@ -75,9 +75,7 @@ def test_the_balance_is_that_of_natural_convection(difference):
     heat = (math.hypot(difference, STILL_K) / at) ** exponent * difference
     mechanism = natural_convection(at)
     network = LIBRARY["thermal_network"]()
-    fixed = replace(
-        LIBRARY["heat_release"](operation=False, standstill_ambient=False), initial=None
-    )
+    fixed = replace(LIBRARY["heat_release"](operation=False, standstill_ambient=False), initial=None)
     model = compose([network, mechanism, fixed], {"ambient_temperature": "linear"})
     values = {
         "thermal_time_constant": tau,
@@ -255,7 +253,10 @@ def test_an_offset_of_a_source_is_found_and_what_it_does_is_foreseen(thermal_par
         found,
         run=made,
         estimate=replace(
-            found.estimate, z=moved.z, values=found.estimate.coordinates.values(moved.z), objective=moved.objective
+            found.estimate,
+            z=moved.z,
+            values=found.estimate.coordinates.values(moved.z),
+            objective=moved.objective,
         ),
     )
     wrong = offsets(late, there)

@@ -647,7 +647,9 @@ def test_the_running_sum_of_logarithms_does_not_overflow() -> None:
 def test_a_likelihood_that_breaks_down_is_minus_infinity(thermal: object) -> None:
     case = thermal.first(20)
     assert case.likelihood.value(case.values | {"cabinet_temperature_noise": math.nan}) == -math.inf
-    with pytest.raises(FloatingPointError, match=r"rates.*converter_temperature.*thermal_time_constant = 1e-320"):
+    with pytest.raises(
+        FloatingPointError, match=r"rates.*converter_temperature.*thermal_time_constant = 1e-320"
+    ):
         case.likelihood.value(case.values | {"thermal_time_constant": 1e-320})
 
 

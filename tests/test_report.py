@@ -384,7 +384,10 @@ def test_judgements_follow_the_numbers() -> None:
     assert kind_of(error(9.9), "does not carry over well, and it is worse than the rule") == "reject"
     assert kind_of(error(0.5), "below that of the rule") == "believe"
     wide = {"lower_h": 0.5, "upper_h": 4.0}
-    assert kind_of(lambda fit: fit["time_constants"]["thermal"].update(wide), "a factor of 2.8 only") == "caution"
+    assert (
+        kind_of(lambda fit: fit["time_constants"]["thermal"].update(wide), "a factor of 2.8 only")
+        == "caution"
+    )
     assert kind_of(lambda fit: None, "too narrow: 1 h ahead absolute humidity 87 %") == "caution"
     assert kind_of(lambda fit: None, "hold about what they promise") == "believe"
     assert kind_of(lambda fit: None, "against white innovations") == "caution"

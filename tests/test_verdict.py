@@ -421,6 +421,4 @@ def test_a_number_that_is_not_to_be_believed_is_no_headline(monkeypatch) -> None
     )
     text = report_text(_rejected())
     first = text.split("\n\n")[1].splitlines()[0]
-    assert first.startswith(
-        "thermal not to be believed, 1.45 h (1.40 … 1.50, 95 %, all sources): the free"
-    )
+    assert first.startswith("thermal not to be believed, 1.45 h (1.40 … 1.50, 95 %, all sources): the free")

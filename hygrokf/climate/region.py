@@ -122,8 +122,10 @@ def _duty(name: str, weather: Record, power: Record | None) -> tuple[Series, str
     if power is not None and name in power and covers(power["active_power"], weather):
         if covers(power[name], weather):
             return power[name], f"{words} at its own hours, as the record of the power has it"
-    why = "nothing says when it would be on" if power is None or name not in power else (
-        "the record of the power does not cover the weather's time"
+    why = (
+        "nothing says when it would be on"
+        if power is None or name not in power
+        else ("the record of the power does not cover the weather's time")
     )
     off = replace(standstill(weather), signal=name, source="off")
     return off, f"{words} is off all year: {why}"

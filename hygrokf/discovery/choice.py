@@ -13,6 +13,7 @@ from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, redriven
 from hygrokf.discovery.trial import MATERIAL, Trial, attempt, polished, refined, started
+from hygrokf.parallel import mapped
 from hygrokf.stage import Progress
 from hygrokf.switches import SWITCHES
 
@@ -135,11 +136,13 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
     accepted: list[Trial] = []
     rivals: list[tuple[Trial, ...]] = []
     margins: list[float] = []
-    trials: list[Trial] = []
     behind: dict[str, str] = {}
-    for cause in library:
+
+    def tried_on(cause: Cause) -> list[Trial]:
         say(cause.name.replace("_", " "))
-        trials += [_settled(scene, attempt(scene, variant)) for variant in cause.variants(scene)]
+        return [_settled(scene, attempt(scene, variant)) for variant in cause.variants(scene)]
+
+    trials = [trial for found in mapped(tried_on, library) for trial in found]
     tried = len(trials)
     first = {t.variant.cause: t for t in sorted(trials, key=worth)}  # the best of each cause comes last
     while True:
@@ -160,7 +163,7 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
         rivals.append(class_)
         margins.append(ahead)
         accepted.append(best)
-        scene = _with(scene, best)
+        scene = with_trial(scene, best)
         changed = {name for name, part in scene.parts.items() if part is not before.parts[name]}
         if len(accepted) > 1:
             keep, scene = _needed(base, accepted, scene, say)
@@ -189,7 +192,7 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
     return Choice(tuple(accepted), apart, tuple(margins), tried, tuple(rejected), scene)
 
 
-def _with(scene: Scene, trial: Trial) -> Scene:
+def with_trial(scene: Scene, trial: Trial) -> Scene:
     """The scene with what a trial changed, the humidity on the temperature that is known by it."""
     wider = replace(scene, parts={**scene.parts, **trial.parts})
     return redriven(wider) if drives(trial) else wider
@@ -287,7 +290,7 @@ def _again(
     say("others beside it")
     done = {t.variant.cause for t in accepted}
     taken = {name: setting for t in accepted for name, setting in t.variant.features.items()}
-    found: list[Trial] = []
+    hopeful: list[Trial] = []
     count: dict[str, int] = {}
     for trial in sorted(trials, key=worth, reverse=True):
         cause, features = trial.variant.cause, trial.variant.features
@@ -296,9 +299,14 @@ def _again(
         if any(name in taken and taken[name] != setting for name, setting in features.items()):
             continue  # one setting of a feature at a time: two dates need two names
         count[cause] = count.get(cause, 0) + 1
-        touched = changed & set(trial.parts)
-        found.append(_settled(scene, attempt(scene, started(scene, trial))) if touched else trial)
-    return found
+        hopeful.append(trial)
+
+    def beside(trial: Trial) -> Trial:
+        if not changed & set(trial.parts):
+            return trial
+        return _settled(scene, attempt(scene, started(scene, trial)))
+
+    return mapped(beside, hopeful)
 
 
 def _needed(base: Scene, accepted: Sequence[Trial], scene: Scene, say: Progress) -> tuple[list[int], Scene]:
@@ -310,7 +318,7 @@ def _needed(base: Scene, accepted: Sequence[Trial], scene: Scene, say: Progress)
         without = base
         for i in others:
             again = attempt(without, started(without, accepted[i]))
-            without = _with(without, again)
+            without = with_trial(without, again)
         lost = sum(
             2.0 * (scene.parts[name].objective - without.parts[name].objective) for name in scene.parts
         )

@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 from hygrokf.design import CASCADE
+from hygrokf.discovery import held_out
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.choice import Choice, choose, switches
-from hygrokf.discovery.clocks import cabinet_moved, shifted
+from hygrokf.discovery.clocks import shifted
 from hygrokf.discovery.evidence import cause_entry, evidence
 from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.misfits import misfits
@@ -26,6 +27,12 @@ from hygrokf.record import Record
 from hygrokf.stage import Estimated, Progress, Stage, judged, output_errors
 from hygrokf.version import __version__
 
+REFUTED = (
+    "what the identification period showed was taken for a cause that the held-out period refutes: the model lacks something "
+    "else"
+)
+UNEXPLAINED_AT_MOST = 0.5
+"""Confidence of a cause under a verdict that says that the cause is not known."""
 FINAL_STEP = 1.0
 """Product of rate and sub-step in the last estimation: ln L right to 1e-4 where it was tried, at a third of the time."""
 
@@ -77,23 +84,31 @@ def discover(
     say("base model as a simulator")
     simulator = assembled(record, _simulating(basis, scene), simulated, say=say)
     choice = choose(scene, library, say)
-    extended, stages = None, basis.stages
-    moved = record
     if choice.accepted:
+        say("held-out period")
+    tested = held_out.judged(scene, choice, record)
+    wider, extended, simulator_after = basis, None, simulator
+    while tested.choice.accepted:
         say("extended model")
+        choice = tested.choice
+        wider = replace(basis, stages=_stages(basis, choice, say))
+        ended = held_out.model_of(_ended(choice.scene, wider.stages), record, choice.accepted)
+        tested = tested.ending(ended)
+        if tested.choice is choice:
+            break
+    choice, moved = tested.choice, record
+    if choice.accepted:
         for trial in choice.accepted:
             if trial.variant.shift is not None:
                 moved = shifted(moved, trial.variant.shift)
-        stages = _stages(basis, choice, say)
-        wider = replace(basis, stages=stages)
         extended = assembled(moved, wider, {}, say=say)
-        after_all = assembled(moved, _simulating(wider, choice.scene), {}, say=say)
+        simulator_after = assembled(moved, _simulating(wider, choice.scene), {}, say=say)
+    stages = wider.stages if choice.accepted else basis.stages
     say("what is left")
     before = residuals(base, record)
     after = before if extended is None else residuals(extended, moved)
-    fits = ((base, simulator), (extended, after_all)) if extended is not None else ((base, simulator),) * 2
-    left = remaining((after, residuals(fits[1][1], moved)))
-    results = _results(scene, before, left, fits, choice, stages, library, repeated)
+    left = remaining((after, residuals(simulator_after, moved)))
+    results = _results(scene, before, left, base, extended, tested, stages, library, repeated)
     return Discovery(base, extended, results, before, after if extended is not None else None)
 
 
@@ -120,6 +135,15 @@ def _stages(basis: Basis, choice: Choice, say: Progress) -> tuple[Stage, ...]:
     return tuple(found)
 
 
+def _ended(scene: Scene, stages: Sequence[Stage]) -> Scene:
+    """The scene with its parts as the stages have them in the end."""
+    parts = {
+        name: part_of(name, part.record, Estimated(stage.base, stage.run, stage.estimate))
+        for (name, part), stage in zip(scene.parts.items(), stages, strict=True)
+    }
+    return replace(scene, parts=parts)
+
+
 def verdict(accepted: Sequence[Trial], rest: Mapping | None, foreign: bool, repeated: bool) -> str:
     """`none`, `named` or `unexplained`.
 
@@ -137,36 +161,38 @@ def _results(
     scene: Scene,
     before: Residuals,
     left: tuple[dict | None, bool],
-    fits: tuple[tuple[Fit, Fit], tuple[Fit, Fit]],
-    choice: Choice,
+    base: Fit,
+    extended: Fit | None,
+    tested: held_out.Judged,
     stages: Sequence[Stage],
     library: Sequence[Cause],
     repeated: Mapping[str, list],
 ) -> dict:
-    (base, _), (extended, _) = fits
-    shown = misfits(before)
-    shifts = [trial.variant.shift for trial in choice.accepted if trial.variant.shift is not None]
-    moved_s = cabinet_moved(scene.record, shifts)
+    choice = tested.choice
     rest, foreign = left
     if repeated:
-        rest = {
-            "quantity": "readings", "kind": REPEATED, "when": "", "driver": None, "lag_h": None,
-            "correlation": 0.0, "p": 0.0, "statement": repeated_text(repeated),
-        }  # fmt: skip
+        rest = _remainder("readings", REPEATED, repeated_text(repeated))
+    elif rest is None and tested.refuted and not choice.accepted:
+        rest = _remainder(tested.refuted[0][1]["quantity"], "refuted", REFUTED)
+    said = verdict(choice.accepted, rest, foreign, bool(repeated))
+    known = {p.name for p in base.design.model.parameters}
     causes = [
-        cause_entry(scene, trial, rivals, margin, place > 0, fits, moved_s, stages, library, choice.tried)
-        for place, (trial, rivals, margin) in enumerate(
-            zip(choice.accepted, choice.rivals, choice.margins, strict=True)
+        cause_entry(scene, trial, rivals, margin, place > 0, gain, known, stages, library, choice.tried)
+        for place, (trial, rivals, margin, gain) in enumerate(
+            zip(choice.accepted, choice.rivals, choice.margins, tested.gains, strict=True)
         )
     ]
+    if said == "unexplained":
+        for one in causes:
+            one["confidence"] = min(one["confidence"], UNEXPLAINED_AT_MOST)
     return {
         "name": base.results["name"],
         "version": __version__,
         "synthetic": base.results["synthetic"],
-        "verdict": verdict(choice.accepted, rest, foreign, bool(repeated)),
+        "verdict": said,
         "baseline": _scores(base),
-        "extended": None if extended is base else _scores(extended),
-        "misfits": [one.to_json() for one in shown],
+        "extended": None if extended is None else _scores(extended),
+        "misfits": [one.to_json() for one in misfits(before)],
         "causes": causes,
         "rejected": [
             {
@@ -177,11 +203,22 @@ def _results(
             }
             for t, reason in choice.rejected
         ],
+        "refuted": [
+            {"cause": t.variant.cause, "form": t.variant.form, "gain": gain} for t, gain in tested.refuted
+        ],
         "unexplained": rest,
         "own_causes": {
             cause.name: origins_of(cause) for cause in library if cause.mechanisms or cause.features
         },
     }
+
+
+def _remainder(quantity: str, kind: str, statement: str) -> dict:
+    """What is left without a condition that it goes with, as plain data."""
+    return {
+        "quantity": quantity, "kind": kind, "when": "", "driver": None, "lag_h": None,
+        "correlation": 0.0, "p": 0.0, "statement": statement,
+    }  # fmt: skip
 
 
 def _scores(fit: Fit) -> dict:

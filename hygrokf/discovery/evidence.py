@@ -3,27 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-
-import numpy as np
+from collections.abc import Collection, Mapping, Sequence
 
 from hygrokf.confidence import standard_error, wald_bounds
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import named
-from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
+from hygrokf.discovery.scene import Scene
 from hygrokf.discovery.trial import MATERIAL, Trial, added, probability, score_statistic
-from hygrokf.fit import Fit
-from hygrokf.resampling import resampled
 from hygrokf.stage import Stage
 
-BLOCK_DAYS = 3
-QUANTITY = {THERMAL: "temperature_K", HYGRIC: "absolute_humidity_g_m3"}
 ONCE_AT_MOST = 0.6
-"""Confidence of a cause that was seen in one episode only, makes the held-out simulation worse beyond doubt, or has no
-amplitude whose bounds leave its null value out."""
-LOST = (
-    "on the held-out period it makes the simulation worse: the name is doubtful, do not extrapolate with it"
-)
+"""Confidence of a cause that was seen in one episode only, or has no amplitude whose bounds leave its null value out."""
 ONCE = "seen in one episode only: what it would gain at another time cannot be said"
 EVENT = (
     "an event that nobody logged is no prediction: it gains nothing outside the stretch in which it was found"
@@ -59,23 +49,21 @@ def cause_entry(
     rivals: Sequence[Trial],
     margin: float,
     later: bool,
-    fits: tuple[tuple[Fit, Fit], tuple[Fit, Fit]],
-    moved_s: float,
+    gain: dict | None,
+    known: Collection[str],
     stages: Sequence[Stage],
     library: Sequence[Cause],
     tried: int,
 ) -> dict:
-    """One entry of `causes`.  `fits`: base and extended, each by innovations and by the free run, the extended
-    ones on cabinet readings that are moved by `moved_s` [s]; `margin`: see `confidence`.
+    """One entry of `causes`.  `margin`: see `confidence`; `gain`: its own on the held-out period, beside those accepted
+    before it; `known`: parameters of the base model.
     """
     cause = named(trial.variant.cause, library)
     statement = f"{cause.meaning} ({trial.variant.form}){_clock(trial)}"
-    gain = _gain(QUANTITY.get(trial.part, QUANTITY[THERMAL]), *fits, moved_s)
-    known = {p.name for p in fits[0][0].design.model.parameters}
     parameters = _parameters(trial, stages, known)
-    notes = reservations(cause.event, seen_once(trial), gain, parameters)
+    notes = reservations(cause.event, seen_once(trial), parameters)
     sure = confidence(trial, margin, later)
-    if {LOST, VAGUE} & set(notes):
+    if VAGUE in notes:
         sure = min(sure, ONCE_AT_MOST)
     if {ONCE, EVENT} & set(notes):
         gain = None
@@ -96,15 +84,11 @@ def cause_entry(
     }
 
 
-def reservations(
-    event: bool, once: bool, gain: Mapping, parameters: Mapping[str, Mapping]
-) -> tuple[str, ...]:
+def reservations(event: bool, once: bool, parameters: Mapping[str, Mapping]) -> tuple[str, ...]:
     """What is said against a cause in its statement."""
     found = []
     if once or event:
         found.append(ONCE if once else EVENT)
-    elif _lost(gain):
-        found.append(LOST)
     if vague(parameters):
         found.append(VAGUE)
     return tuple(found)
@@ -162,7 +146,7 @@ def seen_once(trial: Trial) -> bool:
     return trial.once or len(trial.variant.settings.get("spans", (1, 2))) == 1
 
 
-def _parameters(trial: Trial, stages: Sequence[Stage], known: set[str]) -> dict:
+def _parameters(trial: Trial, stages: Sequence[Stage], known: Collection[str]) -> dict:
     """The cause's own parameters in the extended model, with bounds; `known` those of the base model."""
     names = added(trial.variant)
     altered = {name for changes in trial.variant.altered.values() for name in changes}
@@ -186,63 +170,3 @@ def _parameters(trial: Trial, stages: Sequence[Stage], known: set[str]) -> dict:
                     "meaning": p.meaning,
                 }
     return found
-
-
-def _gain(quantity: str, bases: tuple[Fit, Fit], extended: tuple[Fit, Fit], moved_s: float = 0.0) -> dict:
-    """Free-run error before and after on the validation period (the identification period where there is none).
-
-    Base and extended model as they were estimated by innovations or, where that simulates the identification period
-    better, moved toward its least free-run error, sensors within their accuracy.  `lower`, `upper` bound the difference
-    by a bootstrap of blocks of three days.  `identified_before`, `identified_after`: the errors of the models as they were
-    estimated by innovations, which tables and other pages show.
-    """
-
-    def total(fit: Fit, period: str) -> float | None:
-        return fit.results["rmse"][period][quantity]["total"]
-
-    def better(fits: tuple[Fit, Fit]) -> Fit:
-        return min(fits, key=lambda fit: total(fit, "identification") or math.inf)
-
-    before, after = better(bases), better(extended)
-    period = "identification" if total(before, "validation") is None else "validation"
-    low, high = _bootstrap(quantity, period, before, after, moved_s)
-    per = (extended[0].results["loglik"] - bases[0].results["loglik"]) / max(bases[0].results["n_obs"], 1)
-    return {
-        "quantity": quantity,
-        "period": period,
-        "rmse_before": total(before, period),
-        "rmse_after": total(after, period),
-        "identified_before": total(bases[0], period),
-        "identified_after": total(extended[0], period),
-        "lower": low,
-        "upper": high,
-        "loglik_per_obs": per,
-    }
-
-
-def _lost(gain: Mapping) -> bool:
-    """Whether the held-out period is simulated worse, with 95 % bounds that exclude a gain."""
-    return gain["period"] == "validation" and gain["upper"] is not None and gain["upper"] < 0.0
-
-
-def _bootstrap(
-    quantity: str, period: str, before: Fit, after: Fit, moved_s: float
-) -> tuple[float | None, float | None]:
-    """95 % bounds of RMSE before − RMSE after, over the readings that both have; `after`'s stamps are later by `moved_s`."""
-    columns = []
-    for fit, later_s in ((before, 0.0), (after, moved_s)):
-        s = fit.series
-        stem = quantity.removesuffix("_K").removesuffix("_g_m3")
-        error = s[f"{stem}_measured"] - s[f"{stem}_simulated"]
-        late = s["time_s"] > float(s["until_s"]) if math.isfinite(float(s["until_s"])) else s["time_s"] < 0
-        there = np.isfinite(error) & (s["scored"] > 0) & (late if period == "validation" else ~late)
-        time = np.round(
-            s["time_s"][there] - later_s
-        )  # whole seconds: no two readings are nearer, and rounding is no other one
-        columns.append(dict(zip(time.tolist(), error[there].tolist(), strict=True)))
-    # an extended model may have instants of its own: those of both are compared
-    time = np.array(sorted(set(columns[0]) & set(columns[1])))
-    errors = np.array([[column[at] for column in columns] for at in time]).reshape(-1, 2)
-    drawn = resampled(time, errors, length_h=24.0 * BLOCK_DAYS)
-    found = None if drawn is None else drawn.difference(0, 1)
-    return (None, None) if found is None else (found[1], found[2])

@@ -22,6 +22,7 @@ from hygrokf.drivers import run
 from hygrokf.features import feature
 from hygrokf.likelihood import Likelihood
 from hygrokf.model import Model
+from hygrokf.parallel import mapped
 from hygrokf.timeline import Timeline
 
 
@@ -86,12 +87,12 @@ class _Bench:
 
     def scanned(self, columns: Sequence[np.ndarray]) -> Scanned:
         """Signed roots of LM of slopes (n,), one for each setting."""
-        units = np.zeros((len(self.e), len(columns)))
-        for place, x in enumerate(columns):
-            x = x - self.basis @ (self.basis.T @ x)
-            length = float(np.linalg.norm(x))
-            if length > 1e-6:
-                units[:, place] = x / length
+        units = np.column_stack(columns)
+        for place in range(0, units.shape[1], AT_ONCE):
+            block = units[:, place : place + AT_ONCE]
+            block -= self.basis @ (self.basis.T @ block)
+            length = np.sqrt(np.einsum("ns,ns->s", block, block))
+            block *= np.where(length > 1e-6, 1.0 / np.maximum(length, 1e-6), 0.0)
         return Scanned(units.T @ self.e, units.T @ units)
 
 
@@ -139,7 +140,8 @@ def scan(
     `mechanism` (name, settings) brings the parameter and reads the feature; `nulls` values of its other parameters.
     """
     bench = _bench(part, mechanism, parameter, name, settings[0], nulls)
-    return bench.scanned([bench.slopes(feature(part.record, name, one, bench.seconds)) for one in settings])
+    courses = [feature(part.record, name, one, bench.seconds) for one in settings]
+    return bench.scanned(mapped(bench.slopes, courses))
 
 
 def slow_scan(
@@ -181,6 +183,8 @@ def abrupt(part: Part, count: int = 12) -> list[float]:
     return sorted(float(t.origin_s + 3600.0 * m) for m in middle)
 
 
+AT_ONCE = 64
+"""Settings whose slopes are made orthogonal to the base's at a time."""
 DRAWS = 4000
 TAIL = 0.02
 """[1] tail of the simulated maxima at which independent settings are counted."""

@@ -1,0 +1,225 @@
+"""What each accepted cause gains on the held-out period, and which of them that period refutes.
+
+The models are held against each other in the order in which their causes were accepted: without any, with the first, with
+the first two, and so on, each by its free run on the whole record.  A model is taken as it was estimated by innovations or,
+where that simulates the identification period better, moved toward its least free-run error: a likelihood makes a poor
+simulator of a model that lacks something.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hygrokf.design import merged
+from hygrokf.discovery.choice import Choice, with_trial
+from hygrokf.discovery.clocks import cabinet_moved, shifted
+from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, simulating
+from hygrokf.discovery.trial import Trial, attempt, started
+from hygrokf.drivers import run
+from hygrokf.record import Record
+from hygrokf.resampling import resampled
+from hygrokf.simulation import QUANTITIES, free_run, measured
+
+BLOCK_DAYS = 3
+QUANTITY = {THERMAL: "temperature_K", HYGRIC: "absolute_humidity_g_m3"}
+Errors = Mapping[str, tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """Free-run errors of one model on a record: quantity → (times [s], errors), at its scored readings.
+
+    The times are those of the record as it came: `moved_s` by which corrected clocks move them is taken off.
+    """
+
+    errors: Errors
+    until_s: float
+
+    def of(self, quantity: str, period: str) -> tuple[np.ndarray, np.ndarray]:
+        """Times (n,) and errors (n,) in a period, "identification" or "validation"."""
+        time, error = self.errors.get(quantity, (np.empty(0), np.empty(0)))
+        late = time > self.until_s
+        there = late if period == "validation" else ~late
+        return time[there], error[there]
+
+    def rmse(self, quantity: str, period: str) -> float | None:
+        _, error = self.of(quantity, period)
+        return float(np.sqrt(np.mean(error**2))) if len(error) else None
+
+
+@dataclass(frozen=True)
+class Model:
+    """One model as a simulator: as it was `identified`, and `moved` toward its least free-run error."""
+
+    identified: Simulated
+    moved: Simulated
+
+    def better(self, quantity: str) -> Simulated:
+        """The one that simulates the identification period better."""
+        return min(
+            (self.identified, self.moved), key=lambda one: one.rmse(quantity, "identification") or math.inf
+        )
+
+
+@dataclass(frozen=True)
+class Judged:
+    """A choice without the causes that the held-out period refutes, those with their (negative) gain, and `scenes` and
+    `models` without any cause, with the first, with the first two, …
+    """
+
+    choice: Choice
+    refuted: tuple[tuple[Trial, dict], ...]
+    scenes: tuple[Scene, ...]
+    models: tuple[Model, ...]
+
+    @property
+    def gains(self) -> list[dict]:
+        """What each accepted cause gains in its own quantity beside those before it."""
+        pairs = zip(self.models[:-1], self.models[1:], strict=True)
+        return [
+            gain_of(quantity_of(trial), *pair)
+            for trial, pair in zip(self.choice.accepted, pairs, strict=True)
+        ]
+
+    def ending(self, last: Model) -> Judged:
+        """The same with the last model as it was estimated in the end; without its cause where that is refuted now."""
+        ended = replace(self, models=(*self.models[:-1], last))
+        gain = ended.gains[-1]
+        if not refutes(gain):
+            return ended
+        trial = self.choice.accepted[-1]
+        choice = replace(
+            self.choice,
+            accepted=self.choice.accepted[:-1],
+            rivals=self.choice.rivals[:-1],
+            margins=self.choice.margins[:-1],
+            rejected=((trial, refutation(gain)), *self.choice.rejected),
+            scene=self.scenes[-2],
+        )
+        return Judged(choice, ((trial, gain), *self.refuted), self.scenes[:-1], self.models[:-1])
+
+
+def quantity_of(trial: Trial) -> str:
+    """The quantity whose free run a cause gains most in: its own."""
+    return QUANTITY.get(trial.part, QUANTITY[THERMAL])
+
+
+def model_of(scene: Scene, record: Record, trials: Sequence[Trial] = ()) -> Model:
+    """A scene's model on the whole record, whose clocks are corrected as its trials say."""
+    shifts = [trial.variant.shift for trial in trials if trial.variant.shift is not None]
+    corrected = record
+    for shift in shifts:
+        corrected = shifted(corrected, shift)
+    design = merged([part.base for part in scene.parts.values()])
+    made = run(design, corrected)
+    seconds = made.timeline.origin_s + 3600.0 * made.timeline.time - cabinet_moved(record, shifts)
+    readings = measured(made)
+
+    def simulated(values: Mapping[str, float]) -> Simulated:
+        found = free_run(design, values, made)
+        errors = {}
+        for quantity in QUANTITIES:
+            pair = found.of(quantity)
+            if pair is not None:
+                error = readings[quantity] - pair[0]
+                there = np.isfinite(error) & made.scored
+                errors[quantity] = (seconds[there], error[there])
+        return Simulated(errors, math.inf if record.until_s is None else record.until_s)
+
+    parts = scene.parts.values()
+    as_it_is = {name: value for part in parts for name, value in part.values.items()}
+    toward = {name: value for part in parts for name, value in simulating(part).items()}
+    return Model(simulated(as_it_is), simulated(toward))
+
+
+def gain_of(quantity: str, before: Model, after: Model) -> dict:
+    """What one model simulates better than another, as plain data: errors on the validation period (the identification
+    period where there is none), and 95 % bounds of their difference by a bootstrap of blocks of three days.
+
+    `identified_before`, `identified_after`: the errors of the models as they were estimated by innovations, which tables and
+    other pages show.
+    """
+    pair = before.better(quantity), after.better(quantity)
+    period = "identification" if pair[0].rmse(quantity, "validation") is None else "validation"
+    low, high = difference_bounds(*(one.of(quantity, period) for one in pair))
+    return {
+        "quantity": quantity,
+        "period": period,
+        "rmse_before": pair[0].rmse(quantity, period),
+        "rmse_after": pair[1].rmse(quantity, period),
+        "identified_before": before.identified.rmse(quantity, period),
+        "identified_after": after.identified.rmse(quantity, period),
+        "lower": low,
+        "upper": high,
+    }
+
+
+def difference_bounds(
+    before: tuple[np.ndarray, np.ndarray], after: tuple[np.ndarray, np.ndarray]
+) -> tuple[float | None, float | None]:
+    """95 % bounds of RMSE before − RMSE after, of (times [s], errors) each, over the readings that both have."""
+    # whole seconds: no two readings are nearer, and rounding is no other one
+    columns = [
+        dict(zip(np.round(time).tolist(), error.tolist(), strict=True)) for time, error in (before, after)
+    ]
+    # an extended model may have instants of its own: those of both are compared
+    time = np.array(sorted(set(columns[0]) & set(columns[1])))
+    errors = np.array([[column[at] for column in columns] for at in time]).reshape(-1, 2)
+    drawn = resampled(time, errors, length_h=24.0 * BLOCK_DAYS)
+    found = None if drawn is None else drawn.difference(0, 1)
+    return (None, None) if found is None else (found[1], found[2])
+
+
+def refutes(gain: Mapping) -> bool:
+    """Whether the held-out period is simulated worse, with 95 % bounds that exclude a gain."""
+    return gain["period"] == "validation" and gain["upper"] is not None and gain["upper"] < 0.0
+
+
+def judged(base: Scene, choice: Choice, record: Record) -> Judged:
+    """The choice without the causes under which the held-out error of their own quantity grows beyond its uncertainty.
+
+    Those after a refuted one are estimated again without it.
+    """
+    if not choice.accepted:
+        return Judged(choice, (), (), ())
+    kept: list[int] = []
+    refuted: list[tuple[Trial, dict]] = []
+    scenes, models = [base], [model_of(base, record)]
+    for place, trial in enumerate(choice.accepted):
+        whole = place == len(choice.accepted) - 1 and not refuted
+        wider = choice.scene if whole else _with(scenes[-1], trial)
+        after = model_of(wider, record, [choice.accepted[i] for i in (*kept, place)])
+        gain = gain_of(quantity_of(trial), models[-1], after)
+        if refutes(gain):
+            refuted.append((trial, gain))
+        else:
+            kept.append(place)
+            models.append(after)
+            scenes.append(wider)
+    without = replace(
+        choice,
+        accepted=tuple(choice.accepted[i] for i in kept),
+        rivals=tuple(choice.rivals[i] for i in kept),
+        margins=tuple(choice.margins[i] for i in kept),
+        rejected=(*((trial, refutation(gain)) for trial, gain in refuted), *choice.rejected),
+        scene=scenes[-1],
+    )
+    return Judged(without, tuple(refuted), tuple(scenes), tuple(models))
+
+
+def _with(scene: Scene, trial: Trial) -> Scene:
+    """A scene with a cause that was accepted in another one."""
+    return with_trial(scene, attempt(scene, started(scene, trial)))
+
+
+def refutation(gain: Mapping) -> str:
+    """Why the held-out period refutes a cause."""
+    unit = "K" if gain["quantity"].endswith("_K") else "g/m³"
+    return (
+        f"the held-out period refutes it: with it the error there grows from {gain['rmse_before']:.3g} to "
+        f"{gain['rmse_after']:.3g} {unit} (95 % bounds of the growth {-gain['upper']:.2g} … {-gain['lower']:.2g})"
+    )
