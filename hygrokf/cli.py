@@ -127,6 +127,13 @@ def _parser() -> argparse.ArgumentParser:
     discover.add_argument(
         "--starts", type=_whole(1), default=5, help="starts of the search for the maximum (default 5)"
     )
+    discover.add_argument(
+        "--budget",
+        type=float,
+        default=120.0,
+        metavar="SECONDS",
+        help="time after which no further trial is begun, bar what is needed to finish (default: %(default)g; inf: none)",
+    )
     _library(discover)
     _json(discover)
     simulate = command(
@@ -347,7 +354,7 @@ def _discover(options: argparse.Namespace) -> int:
     progress = Progress(45)
     wider = {"library": (*LIBRARY, *own)} if own else {}
     try:
-        found = discover(record, starts=options.starts, progress=progress, **wider)
+        found = discover(record, starts=options.starts, progress=progress, budget_s=options.budget, **wider)
     except ValueError as fault:
         progress.abandon()
         raise UserFault(f"{options.case}: {fault}") from fault

@@ -15,7 +15,7 @@ ROOT = Path(hygrokf.__file__).parent
 FACE = "hygrokf"
 FLOORS = (
     # what knows nothing of the package
-    "expression machine moments parallel parameters signals psychrometrics files lookup version discovery live weather live.schema live.reasons live.certificates climate climate.form climate.cycles climate.bounds climate.acceleration resampling transfer fleet switches",
+    "expression machine moments parallel parameters signals psychrometrics files lookup version discovery discovery.budget live weather live.schema live.reasons live.certificates climate climate.form climate.cycles climate.bounds climate.acceleration resampling transfer fleet switches",
     # text of code, one step, what a record is
     "console emission discretisation record stamps live.database surface climate.chamber wording",
     "verdict_terms",

@@ -12,6 +12,7 @@ from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
 from hygrokf.case import read_case
+from hygrokf.discovery.budget import Budget
 from hygrokf.discovery.discover import REFUTED, UNEXPLAINED_AT_MOST, discover
 from hygrokf.discovery.held_out import Model, Simulated, difference_bounds, gain_of, refutes
 from hygrokf.discovery.words import discovery_text
@@ -129,3 +130,21 @@ def test_bounds_compare_the_readings_that_both_have() -> None:
 
 def test_a_name_under_an_unknown_cause_is_no_certainty() -> None:
     assert UNEXPLAINED_AT_MOST <= 0.5
+
+
+# --- the time that it takes -------------------------------------------------------------------------------------------
+def test_what_the_time_does_not_last_for_is_said(taken_back: Record) -> None:
+    results = discover(taken_back, starts=1, budget_s=0.5).results
+    untried = results["not_tried"]["causes"]
+    tried = {row["cause"] for key in ("causes", "rejected") for row in results[key]}
+    assert len(untried) > 10 and not tried & set(untried)
+    assert results["not_tried"]["budget_s"] == 0.5
+    said = " ".join(discovery_text(results).split())
+    assert "were not tried: a larger --budget does" in said and untried[0].replace("_", " ") in said
+
+
+def test_a_budget_is_a_time() -> None:
+    for seconds in (0.0, -1.0, math.nan):
+        with pytest.raises(ValueError, match="seconds above 0"):
+            Budget(seconds)
+    assert not Budget(math.inf).spent

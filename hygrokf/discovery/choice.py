@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.discovery.budget import Budget
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, redriven
@@ -65,7 +66,8 @@ class Choice:
     """Accepted trials in order with the trials that rivalled each, all others with the reason, and the last scene.
 
     `margins`: share of its evidence by which the best cause outside its class stayed behind each accepted one;
-    `tried`: number of variants that were tried.
+    `tried`: number of variants that were tried; `untried` causes for which the time did not last; `cut`: whether it did not
+    last for looking beside what was accepted.
     """
 
     accepted: tuple[Trial, ...]
@@ -74,6 +76,8 @@ class Choice:
     tried: int
     rejected: tuple[tuple[Trial, str], ...]
     scene: Scene
+    untried: tuple[str, ...] = ()
+    cut: bool = False
 
 
 def verdict_on(trial: Trial, cause: Cause) -> str:
@@ -130,15 +134,28 @@ def worth(trial: Trial) -> float:
     return trial.bic_gain
 
 
-def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lambda text: None) -> Choice:
-    """Add causes as long as one is both significant and worth having; take back what a later one made needless."""
-    base = scene
+def choose(
+    scene: Scene,
+    library: Sequence[Cause] = LIBRARY,
+    say: Progress = lambda text: None,
+    budget: Budget | None = None,
+) -> Choice:
+    """Add causes as long as one is both significant and worth having; take back what a later one made needless.
+
+    Once the budget is spent no further trial is begun; what was found by then is decided on as it stands.
+    """
+    base, budget = scene, budget or Budget(math.inf)
+    untried: list[str] = []
+    cut = False
     accepted: list[Trial] = []
     rivals: list[tuple[Trial, ...]] = []
     margins: list[float] = []
     behind: dict[str, str] = {}
 
     def tried_on(cause: Cause) -> list[Trial]:
+        if budget.spent:
+            untried.append(cause.name)
+            return []
         say(cause.name.replace("_", " "))
         return [_settled(scene, attempt(scene, variant)) for variant in cause.variants(scene)]
 
@@ -152,7 +169,7 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
         good.sort(key=worth, reverse=True)
         if not good:
             break
-        best = polished(scene, _preferred(good))
+        best = _preferred(good) if budget.spent else polished(scene, _preferred(good))
         class_ = _class(scene, best, good, trials)
         ahead = _ahead(best, class_, trials)
         slipped = _reason(best, trials, accepted, library)  # at its maximum it may gain less than on the way
@@ -165,15 +182,19 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
         accepted.append(best)
         scene = with_trial(scene, best)
         changed = {name for name, part in scene.parts.items() if part is not before.parts[name]}
-        if len(accepted) > 1:
+        if len(accepted) > 1 and not budget.spent:
             keep, scene = _needed(base, accepted, scene, say)
             if len(keep) < len(accepted):
                 changed = set(scene.parts)
             accepted, rivals, margins = ([one[i] for i in keep] for one in (accepted, rivals, margins))
         if len(accepted) == MOST_CAUSES:
             break
-        trials = _again(scene, trials, accepted, changed, say)
-    for place, trial in enumerate(accepted):
+        if budget.spent:
+            cut = True
+            break
+        trials = _again(scene, trials, accepted, changed, say, budget)
+        cut = budget.spent
+    for place, trial in enumerate(() if budget.spent else accepted):
         others = [other for other in accepted if other is not trial]
         beside = {name for other in others for name in other.parts}
         ground = base
@@ -189,7 +210,8 @@ def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lam
         if name not in names:
             reason = verdict_on(trial, named(name, library)) or behind.get(name, "")
             rejected.append((trial, reason or last.get(name) or EXPLAINED))
-    return Choice(tuple(accepted), apart, tuple(margins), tried, tuple(rejected), scene)
+    untried.sort(key=[cause.name for cause in library].index)
+    return Choice(tuple(accepted), apart, tuple(margins), tried, tuple(rejected), scene, tuple(untried), cut)
 
 
 def with_trial(scene: Scene, trial: Trial) -> Scene:
@@ -281,11 +303,17 @@ def _reason(
 
 
 def _again(
-    scene: Scene, trials: Sequence[Trial], accepted: Sequence[Trial], changed: set[str], say: Progress
+    scene: Scene,
+    trials: Sequence[Trial],
+    accepted: Sequence[Trial],
+    changed: set[str],
+    say: Progress,
+    budget: Budget,
 ) -> list[Trial]:
     """The hopeful ones of the last round, two variants of a cause at most, tried beside what was accepted.
 
-    changed: parts that are others now; where a trial has none of them, nothing about it is.
+    changed: parts that are others now; where a trial has none of them, nothing about it is.  What the budget does not last
+    for is left out.
     """
     say("others beside it")
     done = {t.variant.cause for t in accepted}
@@ -301,12 +329,12 @@ def _again(
         count[cause] = count.get(cause, 0) + 1
         hopeful.append(trial)
 
-    def beside(trial: Trial) -> Trial:
+    def beside(trial: Trial) -> Trial | None:
         if not changed & set(trial.parts):
             return trial
-        return _settled(scene, attempt(scene, started(scene, trial)))
+        return None if budget.spent else _settled(scene, attempt(scene, started(scene, trial)))
 
-    return mapped(beside, hopeful)
+    return [trial for trial in mapped(beside, hopeful) if trial is not None]
 
 
 def _needed(base: Scene, accepted: Sequence[Trial], scene: Scene, say: Progress) -> tuple[list[int], Scene]:

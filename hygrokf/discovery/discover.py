@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from hygrokf.design import CASCADE
 from hygrokf.discovery import held_out
+from hygrokf.discovery.budget import SECONDS, Budget
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.choice import Choice, choose, switches
 from hygrokf.discovery.clocks import shifted
@@ -60,12 +61,15 @@ def discover(
     library: Sequence[Cause] = LIBRARY,
     starts: int = 4,
     progress: Progress | None = None,
+    budget_s: float = SECONDS,
 ) -> Discovery:
     """Find what the identified model of a record lacks, and name the cause out of a library.
 
-    Everything is chosen on the identification period; the validation period gives the reported gain.  Raises ValueError
-    as `identify` does, and LibraryFault for causes of a user's that cannot take part.
+    Everything is chosen on the identification period; the validation period refutes, and gives the reported gain.
+    `budget_s` [s] of wall-clock time: what was not tried by then is said (`not_tried`); `math.inf` for results that do not
+    depend on the machine.  Raises ValueError as `identify` does, and LibraryFault for causes of a user's that cannot take part.
     """
+    budget = Budget(budget_s)
     adopt(library)
     say = progress or (lambda text: None)
     record, repeated = without_repeats(record)
@@ -83,7 +87,7 @@ def discover(
     )
     say("base model as a simulator")
     simulator = assembled(record, _simulating(basis, scene), simulated, say=say)
-    choice = choose(scene, library, say)
+    choice = choose(scene, library, say, budget)
     if choice.accepted:
         say("held-out period")
     tested = held_out.judged(scene, choice, record)
@@ -91,7 +95,7 @@ def discover(
     while tested.choice.accepted:
         say("extended model")
         choice = tested.choice
-        wider = replace(basis, stages=_stages(basis, choice, say))
+        wider = replace(basis, stages=_stages(basis, choice, not budget.spent, say))
         ended = held_out.model_of(_ended(choice.scene, wider.stages), record, choice.accepted)
         tested = tested.ending(ended)
         if tested.choice is choice:
@@ -108,7 +112,7 @@ def discover(
     before = residuals(base, record)
     after = before if extended is None else residuals(extended, moved)
     left = remaining((after, residuals(simulator_after, moved)))
-    results = _results(scene, before, left, base, extended, tested, stages, library, repeated)
+    results = _results(scene, before, left, base, extended, tested, stages, library, repeated, budget_s)
     return Discovery(base, extended, results, before, after if extended is not None else None)
 
 
@@ -121,8 +125,8 @@ def _simulating(basis: Basis, scene: Scene) -> Basis:
     return replace(basis, stages=tuple(stages))
 
 
-def _stages(basis: Basis, choice: Choice, say: Progress) -> tuple[Stage, ...]:
-    """The stages with the accepted causes in them, climbed to the end and judged."""
+def _stages(basis: Basis, choice: Choice, profiles: bool, say: Progress) -> tuple[Stage, ...]:
+    """The stages with the accepted causes in them, climbed to the end and judged, by `profiles` or Wald bounds."""
     found = []
     for name, stage in zip((THERMAL, HYGRIC), basis.stages, strict=False):
         part = choice.scene.parts[name]
@@ -131,7 +135,7 @@ def _stages(basis: Basis, choice: Choice, say: Progress) -> tuple[Stage, ...]:
             continue
         likelihood = Likelihood(part.base.model, part.run.timeline, rate_step=FINAL_STEP)
         estimate = climbed_on(likelihood, part.values)
-        found.append(judged(part.record, Estimated(part.base, part.run, estimate, FINAL_STEP), True, say))
+        found.append(judged(part.record, Estimated(part.base, part.run, estimate, FINAL_STEP), profiles, say))
     return tuple(found)
 
 
@@ -167,6 +171,7 @@ def _results(
     stages: Sequence[Stage],
     library: Sequence[Cause],
     repeated: Mapping[str, list],
+    budget_s: float,
 ) -> dict:
     choice = tested.choice
     rest, foreign = left
@@ -207,6 +212,7 @@ def _results(
             {"cause": t.variant.cause, "form": t.variant.form, "gain": gain} for t, gain in tested.refuted
         ],
         "unexplained": rest,
+        "not_tried": {"causes": list(choice.untried), "beside": choice.cut, "budget_s": budget_s},
         "own_causes": {
             cause.name: origins_of(cause) for cause in library if cause.mechanisms or cause.features
         },

@@ -48,6 +48,7 @@ from hygrokf.discovery.words import (
     spoken,
     title,
     tried,
+    untried,
     verdict_of,
     verdict_sentences,
 )
@@ -187,6 +188,9 @@ def _headline(found: Mapping) -> str:
         lines.append(f"<p>{prose(sentence(gain_sentence(one)))}</p>")
         if rivals := rivals_sentence(one):
             lines.append(f"<p>{prose(sentence('This record does not tell it from ' + rivals))}</p>")
+    for one in rows_of(found, "refuted"):
+        said = f"{title(one.get('cause'))} is refuted: {gain_sentence(one)}"
+        lines.append(f"<p>{prose(sentence(said))}</p>")
     lines += [f"<p>{prose(sentence(line))}</p>" for line in verdict_sentences(found)]
     for one, name in zip(causes, names, strict=True):
         which = f" ({name})" if len(causes) > 1 else ""
@@ -339,8 +343,10 @@ def _scores(found: Mapping) -> str:
 
 
 def _rejected(found: Mapping) -> str:
+    said = untried(found)
     return section(
         "What was tried and left out",
+        *([f"<p>{prose(sentence(said))}</p>"] if said else []),
         tables_html((rejected_table(found), "No other cause was tried.")),
     )
 

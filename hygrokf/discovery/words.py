@@ -22,6 +22,7 @@ from hygrokf.wording import (
     minus,
     percent,
     plain_number,
+    sentence,
     text_of,
     texts,
 )
@@ -112,6 +113,16 @@ def verdict_sentences(found: Mapping) -> list[str]:
         )
     said.append("do not rely on the simulation where this shows; look there for what is not logged")
     return said
+
+
+def untried(found: Mapping) -> str:
+    """What the time did not last for; empty where all was tried."""
+    names = [spoken(name) for name in texts(entry(found, "not_tried", "causes"))]
+    parts = [f"{listed(names)} {'was' if len(names) == 1 else 'were'} not tried"] if names else []
+    if entry(found, "not_tried", "beside") is True:
+        parts.append("nothing was tried beside what was accepted")
+    seconds = number(found, "not_tried", "budget_s")
+    return f"within {seconds:.0f} s {' and '.join(parts)}: a larger --budget does" if parts else ""
 
 
 def remainder(found: Mapping) -> str:
@@ -320,6 +331,12 @@ def discovery_text(found: Mapping) -> str:
         if rivals := rivals_sentence(cause):
             lines += _items([f"could also be {rivals}"])
         lines += _items([f"check: {remedy_of(cause)}"])
+    for one in rows_of(found, "refuted"):
+        lines += [
+            "",
+            f"refuted by the held-out period: {text_of(one.get('cause'))}",
+            *_items([gain_sentence(one)]),
+        ]
     lines += _time_constants(found)
     if left := remainder(found):
         lines += ["", "unexplained", *_items([left, *filter(None, [remainder_driver(found)])])]
@@ -327,6 +344,7 @@ def discovery_text(found: Mapping) -> str:
     lines += [
         "",
         f"tried and left out: {out} {'cause' if out == 1 else 'causes'} (discovery.json has the evidence)",
+        *(wrapped(sentence(untried(found)), TEXT_WIDTH) if untried(found) else []),
     ]
     return "\n".join(lines)
 
