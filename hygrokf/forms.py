@@ -45,8 +45,9 @@ OTHER_TIMES = (0.2, 5.0)
 """[1] correlation times of a second disturbance to start from, as multiples of the first one's."""
 LONGEST_RESPONSE_H = 1.0 / 3.0
 """[h] longest response of a humidity sensor that is not stated: behind filters 5 to 15 min are usual."""
-ADOPTED = 0.95
-"""[1] share of the evidence with which a form becomes the base."""
+ADOPTED = 0.99
+"""[1] share of the evidence with which a form becomes the base; with 0.95 a slow second disturbance took the place of sensors
+that drift, which then were not found."""
 PASSES = 15
 """Passes of scoring after which a form's climb ends, wherever it is."""
 TOLERANCE = 0.02

@@ -15,7 +15,7 @@ from hygrokf.case import read_case
 from hygrokf.discovery.budget import Budget
 from hygrokf.discovery.discover import REFUTED, UNEXPLAINED_AT_MOST, discover
 from hygrokf.discovery.held_out import Model, Simulated, difference_bounds, gain_of, refutes
-from hygrokf.discovery.words import discovery_text
+from hygrokf.discovery.words import discovery_text, gain_sentence
 from hygrokf.record import Record, Series
 
 DAY_S = 86400.0
@@ -148,3 +148,15 @@ def test_a_budget_is_a_time() -> None:
         with pytest.raises(ValueError, match="seconds above 0"):
             Budget(seconds)
     assert not Budget(math.inf).spent
+
+
+def test_a_refutation_in_words_tells_the_rise() -> None:
+    gain = gain_of("temperature_K", *(Model(one, one) for one in (simulated(0.5), simulated(1.0))))
+    said = gain_sentence({"gain": gain})
+    assert "rises from 0.51 to 1.02 K" in said and "95 % bounds of the rise: 0.4" in said and "not certain" not in said
+
+
+def test_a_growth_that_is_certain_and_nothing_refutes_nothing() -> None:
+    """A clock that is set right moves the simulated error by a hundredth: certain, as all readings agree, and no matter."""
+    gain = gain_of("temperature_K", *(Model(one, one) for one in (simulated(1.0), simulated(1.005))))
+    assert gain["upper"] < 0.0 and not refutes(gain)

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.design import merged
-from hygrokf.discovery.choice import Choice, with_trial
+from hygrokf.discovery.choice import WORSE, Choice, with_trial
 from hygrokf.discovery.clocks import cabinet_moved, shifted
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, simulating
 from hygrokf.discovery.trial import Trial, attempt, started
@@ -175,8 +175,12 @@ def difference_bounds(
 
 
 def refutes(gain: Mapping) -> bool:
-    """Whether the held-out period is simulated worse, with 95 % bounds that exclude a gain."""
-    return gain["period"] == "validation" and gain["upper"] is not None and gain["upper"] < 0.0
+    """Whether the held-out period is simulated worse: materially, as in the identification period (`choice.WORSE`), and with
+    95 % bounds that exclude a gain.  The bounds know nothing of how the other parameters were estimated anew.
+    """
+    if gain["period"] != "validation" or gain["upper"] is None:
+        return False
+    return gain["upper"] < 0.0 and gain["rmse_after"] ** 2 > (1.0 - WORSE) * gain["rmse_before"] ** 2
 
 
 def judged(base: Scene, choice: Choice, record: Record) -> Judged:

@@ -174,7 +174,9 @@ def gain_sentence(cause: Mapping) -> str:
         f"on {PERIOD.get(period, period)} the {name} error of the free run {verb} from {fixed(before)} to "
         f"{fixed(after)} {symbol}{change}"
     )
-    if math.isfinite(low) and math.isfinite(high):
+    if math.isfinite(low) and high < 0.0:
+        said += f" (95 % bounds of the rise: {fixed(-high)} … {fixed(-low)} {symbol})"
+    elif math.isfinite(low) and math.isfinite(high):
         said += f" (95 % bounds of the fall: {fixed(low)} … {fixed(high)} {symbol})"
         if low <= 0.0:
             said += ": on this period alone the gain is not certain"
