@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import os
 import sys
 from collections.abc import Callable, Sequence
@@ -129,7 +130,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     discover.add_argument(
         "--budget",
-        type=float,
+        type=_seconds,
         default=120.0,
         metavar="SECONDS",
         help="time after which no further trial is begun, bar what is needed to finish (default: %(default)g; inf: none)",
@@ -339,6 +340,17 @@ def _fit_there(out: Path) -> str:
             "of `hygrokf fit`; name another one, or take that file away"
         )
     return str(data["name"])
+
+
+def _seconds(text: str) -> float:
+    """A number of seconds above 0; `inf` is one."""
+    try:
+        found = float(text)
+    except ValueError:
+        found = math.nan
+    if not found > 0.0:
+        raise argparse.ArgumentTypeError(f"expected seconds above 0 or inf, found {text!r}")
+    return found
 
 
 def _discover(options: argparse.Namespace) -> int:

@@ -266,6 +266,7 @@ def actuators_table(fit: Mapping) -> Table | None:
     for one in _rows(entry(fit, "actuators")):
         if entry(one, "used") is not True:
             left_out.append(sentence(text_of(entry(one, "statement"))))
+            rows.append((text_of(entry(one, "signal")), *[NONE] * 4))
             continue
         cells = []
         for quantity, factor in (
@@ -284,7 +285,7 @@ def actuators_table(fit: Mapping) -> Table | None:
             )
             cells.append(f"{signed(value, decimals)}{bounds}" if math.isfinite(value) else NONE)
         rows.append((text_of(entry(one, "signal")), percent(number(one, "on_share"), 1), *cells))
-    if not rows and not left_out:
+    if not rows:
         return None
     return Table(
         "What the logged actuators change while they are on",

@@ -91,6 +91,14 @@ def test_a_heater_that_is_logged_makes_the_simulation_better() -> None:
     assert errors[0] < 0.9 * errors[1]
 
 
+def test_an_actuator_that_is_not_used_has_its_row_and_its_reason() -> None:
+    record, _, _ = actuated(41002, "heater_duty", days=30.0)
+    fan = replace(record["heater_duty"], signal="fan_duty", value=np.ones(len(record["heater_duty"])))
+    fit = identify(replace(record, series=(*record.series, fan)), starts=1, profiles=False)
+    said = " ".join(report_text(fit.results).split())
+    assert "fan_duty – – – –" in said and "fan_duty is not used: it never changes" in said
+
+
 # --- which are used ---------------------------------------------------------------------------------------------------
 def _record(**courses: np.ndarray) -> Record:
     hour = 3600.0 * np.arange(400.0)

@@ -65,3 +65,11 @@ def test_mistakes_are_told_before_the_work(
     said = capsys.readouterr().err
     assert status == 2 and words in said and "Traceback" not in said
     assert not out.exists()
+
+
+@pytest.mark.parametrize("text", ["0", "-3", "nan", "soon"])
+def test_a_budget_that_is_no_time_is_told(text: str, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    with pytest.raises(SystemExit) as left:
+        main(["discover", str(tmp_path / "case.toml"), "--out", str(tmp_path / "out"), "--budget", text])
+    assert left.value.code == 2
+    assert f"--budget: expected seconds above 0 or inf, found '{text}'" in capsys.readouterr().err
