@@ -16,7 +16,7 @@ from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_time
 from hygrokf.loops import LINEAR, ZERO_ORDER
 from hygrokf.paths import input_path
 from hygrokf.record import Record, Series, Site
-from hygrokf.switches import SWITCHES, Switch
+from hygrokf.switches import SWITCHES, Switch, Throttle
 
 DAY_S = 86400.0
 SOLAR_CONSTANT = 1361.0
@@ -109,6 +109,17 @@ def heavy_rain(record: Record, time: np.ndarray, above: float) -> np.ndarray:
     return np.maximum(value - above, 0.0)
 
 
+def scheduled(
+    record: Record, time: np.ndarray, start_h: float, hours: float, workdays: bool = False
+) -> np.ndarray:
+    """1 for so many `hours` from `start_h` [h, UTC] on, every day or from Monday to Friday; 0 else."""
+    begun = time - 3600.0 * start_h
+    day = np.floor(begun / DAY_S)
+    inside = begun - DAY_S * day < 3600.0 * hours
+    # 1 January 1970 was a Thursday
+    return (inside & (~np.array(workdays) | ((day + 3) % 7 < 5))).astype(float)
+
+
 def fading(record: Record, time: np.ndarray, date_s: float, days: float) -> np.ndarray:
     """0 before a date [s], then 1 and falling by 1/e in so many days."""
     return np.where(time > date_s, np.exp(-np.maximum(time - date_s, 0.0) / (days * DAY_S)), 0.0)
@@ -150,9 +161,16 @@ def cooling(record: Record, time: np.ndarray, on_K: float, off_K: float) -> np.n
     return _switched(record, time, SWITCHES["cooling"](on_K, off_K))
 
 
-def heating(record: Record, time: np.ndarray, reads: str, on: float, off: float) -> np.ndarray:
-    """A heater at standstill by the cabinet's readings; see `switches`.  `reads` the signal."""
-    return _switched(record, time, SWITCHES["heating"](reads, on, off))
+def heating(
+    record: Record, time: np.ndarray, reads: str, on: float, off: float, idle: bool = True
+) -> np.ndarray:
+    """A heater by the cabinet's readings; see `switches`.  `reads` the signal, `idle` at standstill alone."""
+    return _switched(record, time, SWITCHES["heating"](reads, on, off, idle))
+
+
+def throttled(record: Record, time: np.ndarray, reads: str, start: float, full: float) -> np.ndarray:
+    """A controller in proportion to one of the cabinet's readings; see `switches`.  `reads` the signal."""
+    return _switched(record, time, Throttle(reads, start, full))
 
 
 def drying(record: Record, time: np.ndarray, on: float, off: float) -> np.ndarray:
@@ -177,6 +195,9 @@ FEATURES: Mapping[str, tuple[Callable, str]] = {
     "door_open": (door_open, ZERO_ORDER),
     "cooling": (cooling, ZERO_ORDER),
     "heating": (heating, ZERO_ORDER),
+    "throttled_heating": (throttled, ZERO_ORDER),
+    "venting": (throttled, ZERO_ORDER),
+    "scheduled": (scheduled, ZERO_ORDER),
     "drying": (drying, ZERO_ORDER),
 }
 """Features by the name of the input that they give, with its hold."""
@@ -262,7 +283,7 @@ def _signal(record: Record, name: str, time: np.ndarray) -> np.ndarray:
     return np.where(np.isnan(value), np.nanmean(series.value), value)
 
 
-def _switched(record: Record, time: np.ndarray, switch: Switch) -> np.ndarray:
+def _switched(record: Record, time: np.ndarray, switch: Switch | Throttle) -> np.ndarray:
     """State (T,) of a switch by the record's readings; a run without any reading of the cabinet has it off.
 
     That run can only be simulated, and a simulation drives its switches itself (`switching`).

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
@@ -19,6 +19,7 @@ from hygrokf.discretisation import CONSTANT_RATES, VARYING_RATES
 from hygrokf.emission import LANES
 from hygrokf.expression import is_zero
 from hygrokf.long_steps import MOST, TAIL, LongStep, inputs_between
+from hygrokf.loops import Control
 from hygrokf.model import Model
 from hygrokf.moments import pack, trace_width, unpack
 from hygrokf.recursion import Recursion
@@ -390,6 +391,37 @@ class Likelihood:
         out = np.zeros(3)
         self.recursion.code("value")("value", *self._common(values, steps, state, part), out)
         return self._loglik(out)
+
+    def controlled(
+        self,
+        values: Mapping[str, float],
+        controls: Mapping[Control, tuple[float, float]],
+        idle: np.ndarray,
+    ) -> np.ndarray:
+        """Positions (T, c) of controls in the step to each instant, in a free run that they drive themselves.
+
+        `controls` → their two levels; `idle` (T,) whether the turbine stands still; inputs that the controls set are those of
+        the instant before the first alone.
+        """
+        n, count = len(self.model.states), len(self.timeline)
+        state = np.ascontiguousarray(self.first_state(values), dtype=float)
+        state[n:] = 0.0
+        found = np.zeros((count, len(controls)))
+        levels, still = np.array(list(controls.values()), dtype=float), np.asarray(idle, dtype=float)
+        columns = [self.timeline.varying.index(one.input) for one in controls]
+        # the loop writes the positions into the inputs
+        own = replace(self, timeline=replace(self.timeline, u=self.timeline.u.copy()))
+        own.timeline.u[0, columns] = np.round(own.timeline.u[0, columns])
+        code = self.recursion.code("controlled", False, tuple(controls))
+        steps = self._steps(values)
+        for part in steps.pieces(self._whole):
+            if part.start in steps.long:
+                own.timeline.u[part.start + 1, columns] = own.timeline.u[part.start, columns]
+                own._long(steps, part.start).take(values, state)
+            common = own._common(values, steps, state, part)
+            code("controlled", *common, still[part], levels, found[part])
+            own.timeline.u[part.stop, columns] = found[part.stop - 1]
+        return found
 
     def score(self, values: Mapping[str, float]) -> tuple[float, np.ndarray]:
         """ln L and its exact derivatives (d,) with respect to all parameters, by one backward pass."""

@@ -48,13 +48,31 @@ ARGUMENTS = {
         "trace": "out rows",
         "adjoint": "out store keybar thetabar statebar buffer",
         "tangent": "out seeds statedot keydot e s edot sdot",
+        "controlled": "idle levels positions",
     }.items()
 }
 
 
-def loop_text(recursion: Recursion, kind: str, gain: bool) -> str:
+@dataclass(frozen=True)
+class Control:
+    """A controller within the loop: it sets a varying input by what a logger would show of an output.
+
+    `input`, `reads` names; `mean_h` [h] over which the logger takes means, 0 for none.  `proportional`: its position is
+    (reading − a)/(b − a), within 0 and 1, of its two levels.  Else it is 1 from a reading beyond a on until one beyond b, on
+    the other side: `rising` for one that starts above and stops below; `idle`: 0 but at standstill.
+    """
+
+    input: str
+    reads: str
+    mean_h: float
+    proportional: bool
+    rising: bool = True
+    idle: bool = False
+
+
+def loop_text(recursion: Recursion, kind: str, gain: bool, controls: Sequence[Control] = ()) -> str:
     """LLVM text of a module with one function, named after its kind; without gain no reading corrects the state."""
-    return declarations() + _Emission(recursion, gain).function(kind)
+    return declarations() + _Emission(recursion, gain, controls).function(kind)
 
 
 @dataclass
@@ -63,6 +81,7 @@ class _Emission:
 
     recursion: Recursion
     gain: bool
+    controls: Sequence[Control] = ()
     writer: Writer = field(init=False)
 
     def function(self, kind: str) -> str:
@@ -324,6 +343,69 @@ class _Emission:
                     w.store(SCALAR, total, transition[i * n + c])
             for s, (_, name) in zip(slots.values(), values, strict=False):
                 w.store(SCALAR, name, s)
+
+    def _controlled(self) -> None:
+        """Means of a free run that drives its own controls; `positions` (T, c) in the step that leads to each instant.
+
+        Before each step the controls look at what the logger would show where it begins; `idle` (T,) is 1 at standstill,
+        `levels` (c, 2) are theirs.
+        """
+        w, r = self.writer, self.recursion
+        means = [e.index for e in r.mean]
+        slots = self._slots(r.state)
+        self._load_state(slots, "%state")
+        width = len(r.varying)
+        with w.loop("%count") as k:
+            key, parts = self._instant_keys(k)
+            row = w.integer("mul", k, width)
+            before = w.integer("sub", row, width)
+            begun = {
+                r.now[name].index: w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", before, c)))
+                for c, name in enumerate(r.varying)
+            }
+            leaves = self._read(slots) | self._table(key) | begun | self.at_parameters
+            leaves |= {r.reading.index: literal(0.0)}
+            wanted = [self._shown(control) for control in self.controls]
+            shown = [name for _, name in w.block(r.graph, wanted, leaves)]
+            idle = w.value(f"fcmp ogt double {w.load(SCALAR, w.at(SCALAR, '%idle', k))}, {literal(0.5)}")
+            place = w.integer("mul", k, len(self.controls))
+            for c, (control, value) in enumerate(zip(self.controls, shown, strict=True)):
+                if not control.mean_h:  # the innovation of a reading of 0
+                    value = w.value(f"fneg double {value}")
+                position = self._position(control, c, value, begun[r.now[control.input].index], idle)
+                w.store(SCALAR, position, w.at(SCALAR, "%positions", w.integer("add", place, c)))
+                column = w.integer("add", row, r.varying.index(control.input))
+                w.store(SCALAR, position, w.at(SCALAR, "%u", column))
+            with w.loop(parts) as j:
+                leaves = self._read(slots) | self._table(key) | self._inputs_within(k, j, parts)
+                after = w.block(r.graph, r.predict.outputs[: len(means)], leaves | self.at_parameters)
+                for i, (_, name) in zip(means, after, strict=True):
+                    w.store(SCALAR, name, slots[i])
+        self._save_state(slots, "%state")
+
+    def _shown(self, control: Control) -> Expression:
+        """What the logger shows to a control: a mean's is the reading whose running mean grows at this rate."""
+        r = self.recursion
+        if control.mean_h:
+            return r.rates[r.system.states.index(f"mean_{control.reads}")] * control.mean_h
+        names = [name for name, _ in r.system.outputs]
+        return r.updates[names.index(control.reads)].outputs[-3]
+
+    def _position(self, control: Control, c: int, value: str, before: str, idle: str) -> str:
+        w = self.writer
+        first, second = (w.load(SCALAR, w.at(SCALAR, "%levels", 2 * c + i)) for i in (0, 1))
+        zero, one = literal(0.0), literal(1.0)
+        if control.proportional:
+            share = w.real("fdiv", w.real("fsub", value, first), w.real("fsub", second, first))
+            low = w.value(f"select i1 {w.value(f'fcmp ogt double {share}, {zero}')}, double {share}, double {zero}")
+            return w.value(f"select i1 {w.value(f'fcmp olt double {low}, {one}')}, double {low}, double {one}")
+        above, below = ("ogt", "olt") if control.rising else ("olt", "ogt")
+        started = w.value(f"fcmp {above} double {value}, {first}")
+        stopped = w.value(f"fcmp {below} double {value}, {second}")
+        if control.idle:
+            stopped = w.value(f"or i1 {stopped}, {w.value(f'xor i1 {idle}, true')}")
+        on = w.value(f"select i1 {started}, double {one}, double {before}")
+        return w.value(f"select i1 {stopped}, double {zero}, double {on}")
 
     def _adjoint(self) -> None:
         """Score by one forward pass that keeps the moments and one backward pass."""

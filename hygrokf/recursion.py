@@ -46,6 +46,7 @@ from hygrokf.loops import (
     LINEAR,
     PARAMETER,
     REGIME,
+    Control,
     loop_text,
 )
 from hygrokf.machine import Code
@@ -130,7 +131,7 @@ class Recursion:
         if diffuse:
             carried = congruence(self.step.transition, self._square(self.infinite))
             self.predict.outputs.extend(self._lower(carried))
-        self.rates = system.drift(self.mean, self.now, self.p)
+        self.rates = [g.lift(v) for v in system.drift(self.mean, self.now, self.p)]
         self.jacobian = jacobian(self.rates, self.mean)
         self.updates = [self._trace_update(function) for _, function in system.outputs]
         self._transition_outputs = [g.lift(v) for row in self.step.transition for v in row]
@@ -285,17 +286,20 @@ class Recursion:
         )
         return hashlib.sha256(repr(said).encode()).hexdigest()
 
-    def code(self, kind: str, gain: bool = True) -> Code:
-        """Compiled function of a kind: value, trace, adjoint, tangent; without gain the filter runs free."""
+    def code(self, kind: str, gain: bool = True, controls: tuple[Control, ...] = ()) -> Code:
+        """Compiled function of a kind: value, trace, adjoint, tangent; without gain the filter runs free.
+
+        "controlled": a free run whose `controls` follow it.
+        """
         made = _codes.setdefault(self._structure, {})
-        if (kind, gain) not in made:
+        if (kind, gain, controls) not in made:
             with self._making:
-                if (kind, gain) not in made:
-                    made[kind, gain] = Code(loop_text(self, kind, gain), [kind])
-        return made[kind, gain]
+                if (kind, gain, controls) not in made:
+                    made[kind, gain, controls] = Code(loop_text(self, kind, gain, controls), [kind])
+        return made[kind, gain, controls]
 
 
-_codes: dict[str, dict[tuple[str, bool], Code]] = {}
+_codes: dict[str, dict[tuple[str, bool, tuple[Control, ...]], Code]] = {}
 
 
 def _quadratic(row: list, covariance: Matrix, cross: list):

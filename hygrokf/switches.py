@@ -1,4 +1,4 @@
-"""Two-point switches that no signal reports: a heater at standstill, a cooling stage, a drier."""
+"""Controllers that no signal reports: two-point switches and throttles of a heater, a cooling stage, a vent, a drier."""
 
 from __future__ import annotations
 
@@ -24,6 +24,10 @@ class Switch:
     off: float
     rising: bool = True
     idle: bool = False
+
+    @property
+    def levels(self) -> tuple[float, float]:
+        return self.on, self.off
 
     def course(self, value: np.ndarray, idle: np.ndarray) -> np.ndarray:
         """State (T,) along readings (T,), of which a missing one changes nothing; `idle` (T,) the standstills."""
@@ -52,14 +56,41 @@ def two_point(value: np.ndarray, on_above: float, off_below: float, allowed: np.
     return ((last >= 0) & (event[np.maximum(last, 0)] > 0)).astype(float)
 
 
+@dataclass(frozen=True)
+class Throttle:
+    """A controller in proportion to a reading of the cabinet, `reads` [K] or [1]: 0 at `start`, 1 from `full` on."""
+
+    reads: str
+    start: float
+    full: float
+
+    @property
+    def levels(self) -> tuple[float, float]:
+        return self.start, self.full
+
+    def course(self, value: np.ndarray, idle: np.ndarray) -> np.ndarray:
+        """Position (T,) along readings (T,), of which a missing one changes nothing."""
+        known = np.maximum.accumulate(np.where(np.isfinite(value), np.arange(len(value)), 0))
+        return np.nan_to_num(self.after(0.0, value[known], idle))
+
+    def after(
+        self, before: np.ndarray | float, value: np.ndarray | float, idle: np.ndarray | bool
+    ) -> np.ndarray | float:
+        """Position of one such controller, or of N of them (N,), after one reading each."""
+        return np.clip((value - self.start) / (self.full - self.start), 0.0, 1.0)[()]
+
+
 def cooling_stage(on_K: float, off_K: float) -> Switch:
     """A cooling stage that starts above `on_K` and stops below `off_K` of the cabinet temperature."""
     return Switch(TEMPERATURE, on_K, off_K)
 
 
-def standstill_heater(reads: str, on: float, off: float) -> Switch:
-    """A heater at standstill: a thermostat starts below `on` [K] and stops above `off`, a humidistat [1] the other way round."""
-    return Switch(reads, on, off, rising=reads != TEMPERATURE, idle=True)
+def heater(reads: str, on: float, off: float, idle: bool = True) -> Switch:
+    """A heater: a thermostat starts below `on` [K] and stops above `off`, a humidistat [1] the other way round.
+
+    `idle`: it runs at standstill alone.
+    """
+    return Switch(reads, on, off, rising=reads != TEMPERATURE, idle=idle)
 
 
 def drier(on: float, off: float) -> Switch:
@@ -67,9 +98,11 @@ def drier(on: float, off: float) -> Switch:
     return Switch(HUMIDITY, on, off)
 
 
-SWITCHES: Mapping[str, Callable[..., Switch]] = {
+SWITCHES: Mapping[str, Callable[..., Switch | Throttle]] = {
     "cooling": cooling_stage,
-    "heating": standstill_heater,
+    "heating": heater,
+    "throttled_heating": Throttle,
+    "venting": Throttle,
     "drying": drier,
 }
-"""Switches by the name of the feature (and input) that they give."""
+"""Controllers by the name of the feature (and input) that they give."""

@@ -19,10 +19,9 @@ import numpy as np
 from hygrokf.design import Design
 from hygrokf.drivers import Run
 from hygrokf.likelihood import Gaussian, Likelihood
-from hygrokf.loops import LINEAR
+from hygrokf.loops import LINEAR, Control
 from hygrokf.model import Model
-from hygrokf.side_by_side import SideBySide
-from hygrokf.switches import SWITCHES, Switch
+from hygrokf.switches import SWITCHES, Switch, Throttle
 from hygrokf.timeline import Timeline
 
 DECIDE_H = 1.0 / 12.0
@@ -31,7 +30,7 @@ DECIDED_H = 720.0
 """[h] at the end of a longer step in which it does: what it did months ago in a gap, a cabinet of hours has forgotten."""
 
 
-def switches_of(design: Design) -> dict[str, Switch]:
+def switches_of(design: Design) -> dict[str, Switch | Throttle]:
     """A design's switches by their input, as far as its model predicts the reading that they follow."""
     return {
         name: switch
@@ -40,7 +39,7 @@ def switches_of(design: Design) -> dict[str, Switch]:
     }
 
 
-def all_on(t: Timeline, switches: Mapping[str, Switch]) -> Timeline:
+def all_on(t: Timeline, switches: Mapping[str, Switch | Throttle]) -> Timeline:
     """The run with its switches on throughout: its range, by which sub-steps are chosen, has them off and on."""
     return t.with_inputs({name: np.ones(len(t)) for name in switches})
 
@@ -66,7 +65,7 @@ class Switchboard:
 
     model: Model
     values: Mapping[str, np.ndarray | float]
-    switches: Mapping[str, Switch]
+    switches: Mapping[str, Switch | Throttle]
     flags: dict[str, np.ndarray]
 
     def decide(
@@ -93,89 +92,80 @@ def self_switched(
 ) -> list[Run]:
     """Runs whose switches follow their own simulation instead of readings; as they are where the model has none.
 
-    `starts` the state that each run begins from, else the model's own.  All runs step side by side.
+    `starts` the state that each run begins from, else the model's own.
     """
     switches = switches_of(design)
-    if not switches or not runs:
+    if not switches:
         return list(runs)
-    model = design.model
-    lines = [one.timeline for one in runs]
-    starts = starts or [Likelihood(model, t).first_gaussian(values) for t in lines]
-    rates = [Likelihood(model, all_on(t, switches)).rate(values) for t in lines]
-    begun = {name: [float(t.u[0, t.varying.index(name)] > 0.5) for t in lines] for name in switches}
-    board = Switchboard(model, values, switches, dict(zip(begun, _rows(list(begun.values())), strict=True)))
-    side = SideBySide(model, [values] * len(runs), starts, rates)
-    pieces = [_pieces(model, one) for one in runs]
-    longest = max(len(one.hours) for one in pieces)
-    hours = _rows(_side_by_side([one.hours for one in pieces], longest, filled=False))
-    idle = _rows(_side_by_side([one.idle for one in pieces], longest))
-    inputs = {
-        name: _rows(_side_by_side([one.inputs[name] for one in pieces], longest + 1)) for name in model.inputs
-    }
-    shares = {name: np.zeros((longest, len(runs))) for name in switches}
-    now = {name: rows[0] for name, rows in inputs.items()}
-    side.begin(now | board.flags)
-    for row in range(longest):
-        board.decide(side.mean, now, idle[row])
-        now = {name: rows[row + 1] for name, rows in inputs.items()}
-        side.step(hours[row], now | board.flags)
-        for name, flag in board.flags.items():
-            shares[name][row] = flag
-    return [
-        replace(one, timeline=one.timeline.with_inputs({n: piece.over(s[:, i]) for n, s in shares.items()}))
-        for i, (one, piece) in enumerate(zip(runs, pieces, strict=True))
-    ]
+    begun = starts or [None] * len(runs)
+    return [_self_switched(design.model, values, switches, *pair) for pair in zip(runs, begun, strict=True)]
 
 
-def _side_by_side(columns: Sequence[np.ndarray], count: int, filled: bool = True) -> np.ndarray:
-    """Columns of different lengths as (count, N), `filled` up with their last value or with 0."""
-    made = np.zeros((count, len(columns)), columns[0].dtype)
-    for i, column in enumerate(columns):
-        made[: len(column), i] = column
-        if filled:
-            made[len(column) :, i] = column[-1]
-    return made
+def _self_switched(
+    model: Model,
+    values: Mapping[str, float],
+    switches: Mapping[str, Switch | Throttle],
+    one: Run,
+    start: Gaussian | None,
+) -> Run:
+    t = one.timeline
+    pieces = _pieces(model, one)
+    rate = Likelihood(model, all_on(t, switches)).rate(values)
+    first = start or Likelihood(model, t).first_gaussian(values)
+    controls = {_control(model, name, switch): switch.levels for name, switch in switches.items()}
+    likelihood = Likelihood(model, pieces.timeline, initial=first, fastest=rate)
+    found = likelihood.controlled(values, controls, pieces.idle)
+    shares = {control.input: pieces.over(found[:, i]) for i, control in enumerate(controls)}
+    return replace(one, timeline=t.with_inputs(shares))
 
 
-def _rows(values: np.ndarray | Sequence) -> list:
-    """Rows of (T, N) for one step each; those of a single run as numbers."""
-    values = np.asarray(values)
-    return values[:, 0].tolist() if values.shape[1] == 1 else list(values)
+def _control(model: Model, name: str, switch: Switch | Throttle) -> Control:
+    """A switch as the compiled loop has it."""
+    mean_h = model.averaged.get(switch.reads, 0.0)
+    if isinstance(switch, Throttle):
+        return Control(name, switch.reads, mean_h, proportional=True)
+    return Control(name, switch.reads, mean_h, proportional=False, rising=switch.rising, idle=switch.idle)
 
 
 @dataclass(frozen=True)
 class _Pieces:
-    """A run cut into sub-steps: `hours`, `owner` (the instant that each leads to) and `idle` (S,), `inputs` (S + 1,)."""
+    """A run cut into S sub-steps: its `timeline`, `owner` (the instant that each leads to) of `count`, and `idle` (S,)."""
 
+    timeline: Timeline
     hours: np.ndarray
     owner: np.ndarray
     idle: np.ndarray
-    inputs: Mapping[str, np.ndarray]
     count: int
 
-    def over(self, flag: np.ndarray) -> np.ndarray:
-        """The share (T,) of each step in which a flag (S, or longer) was on."""
-        flag = flag[: len(self.hours)]
+    def over(self, position: np.ndarray) -> np.ndarray:
+        """The mean (T,) of a position (S,) over each step."""
         total = np.bincount(self.owner, self.hours, self.count)
-        on = np.bincount(self.owner, self.hours * flag, self.count)
+        on = np.bincount(self.owner, self.hours * position, self.count)
         at = np.zeros(self.count)
-        at[self.owner] = flag  # of a step that takes no time
+        at[self.owner] = position  # of a step that takes no time
         return np.divide(on, total, out=at, where=total > 0.0)
 
 
 def _pieces(model: Model, one: Run) -> _Pieces:
     t = one.timeline
-    length = t.steps[t.key, 0]
-    cuts = {h: cut(h) for h in np.unique(length).tolist()}
-    owner = np.repeat(np.arange(len(t)), [len(cuts[h][0]) for h in length.tolist()])
-    hours, share = (np.concatenate([cuts[h][i] for h in length.tolist()]) for i in (0, 1))
-    inputs = {}
-    for name in model.inputs:
-        now = t.input(name)
-        if model.holds[name] == LINEAR:
-            before = t.u[:-1, t.varying.index(name)]
-            within = before[owner] + share * (now - before)[owner]
-            inputs[name] = np.append(before[:1], within)
-        else:
-            inputs[name] = np.append(now[:1], now[owner])
-    return _Pieces(hours, owner, ~one.operating[owner], inputs, len(t))
+    kinds = [cut(length) for length in t.steps[:, 0].tolist()]
+    count = np.array([len(hours) for hours, _ in kinds])
+    owner = np.repeat(np.arange(len(t)), count[t.key])
+    kind = t.key[owner]
+    inner = np.arange(len(owner)) - np.repeat(np.cumsum(count[t.key]) - count[t.key], count[t.key])
+    begin = np.cumsum(count) - count
+    hours, share = (np.concatenate([one[i] for one in kinds])[begin[kind] + inner] for i in (0, 1))
+    before, now = t.u[:-1][owner], t.u[1:][owner]
+    linear = np.array([model.holds[name] == LINEAR for name in t.varying])
+    u = np.where(linear, before + share[:, None] * (now - before), now)
+    steps, key = np.unique(np.column_stack([hours, t.steps[kind, 1:]]), axis=0, return_inverse=True)
+    made = replace(
+        t,
+        time=np.interp(np.arange(len(owner)) + 1.0, np.cumsum(count[t.key]), t.time),
+        key=key.reshape(-1).astype(t.key.dtype),
+        steps=np.ascontiguousarray(steps),
+        u=np.ascontiguousarray(np.vstack([t.u[:1], u])),
+        y=np.full((len(owner), t.y.shape[1]), np.nan),
+        reset=np.zeros(len(owner), dtype=t.reset.dtype),
+    )
+    return _Pieces(made, hours, owner, ~one.operating[owner], len(t))

@@ -129,7 +129,7 @@ def test_some_causes_hardly_show_in_the_free_run(cause: str, bic: float, enough:
 
 def test_a_switch_that_follows_readings_may_be_a_little_worse() -> None:
     """A humidistat in the thermal part, which foretells no humidity: its cycles come at the wrong times."""
-    one = trial("standstill_heater", 900.0, -0.1, THERMAL)
+    one = trial("unlogged_heater", 900.0, -0.1, THERMAL)
     assert "worse" in verdict(one)
     assert verdict(replace(one, by_readings=frozenset({THERMAL}))) == ""
     assert "worse" in verdict(replace(one, by_readings=frozenset({HYGRIC})))
@@ -138,7 +138,7 @@ def test_a_switch_that_follows_readings_may_be_a_little_worse() -> None:
 
 @pytest.mark.parametrize(
     ("cause", "form", "strength", "seed", "part"),
-    [("standstill_heater", 0, 0.5, 9521, THERMAL), ("cooling_switching", 1, 1.0, 9026, THERMAL)],
+    [("unlogged_heater", 0, 0.5, 9521, THERMAL), ("cooling_switching", 1, 1.0, 9026, THERMAL)],
 )
 def test_a_switch_that_drives_itself_simulates_better(
     cause: str, form: int, strength: float, seed: int, part: str
@@ -257,7 +257,7 @@ def test_more_evidence_wins_unless_another_simulates_better() -> None:
 
 
 def test_what_a_form_leaves_behind_is_no_further_cause() -> None:
-    first = trial("standstill_heater", 1000.0, 0.2, THERMAL)
+    first = trial("unlogged_heater", 1000.0, 0.2, THERMAL)
     assert _reason(trial("wall_thermal_mass", 200.0, 0.1, THERMAL), [], [first], LIBRARY) == ""
     assert "leaves behind" in _reason(trial("wall_thermal_mass", 140.0, 0.1, THERMAL), [], [first], LIBRARY)
     assert "leaves behind" in _reason(trial("clock_shift", 600.0, 0.0, THERMAL), [], [first], LIBRARY)
@@ -468,9 +468,9 @@ def test_humidity_is_driven_by_the_temperature_that_a_cause_makes_known() -> Non
     """A heater's cycles that the base smoothed away are errors of the saturation, and had looked like a drier that runs with
     it.
     """
-    base = scene(to_record(hidden_plant(930, "standstill_heater", form=1, days=40.0)), starts=1)
+    base = scene(to_record(hidden_plant(930, "unlogged_heater", form=1, days=40.0)), starts=1)
     found = max(
-        (attempt(base, one) for one in named("standstill_heater").variants(base)), key=lambda t: t.bic_gain
+        (attempt(base, one) for one in named("unlogged_heater").variants(base)), key=lambda t: t.bic_gain
     )
     driven = with_trial(base, found)
     assert driven.parts[THERMAL] is found.parts[THERMAL]
@@ -489,7 +489,7 @@ def test_humidity_is_driven_by_the_temperature_that_a_cause_makes_known() -> Non
 def test_a_source_is_found_behind_a_disturbance_that_stands_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """At the base model's maximum the disturbance has a memory of days and the size of what the source brings."""
     plant = hidden_plant(
-        49608, "standstill_heater", form=1, days=120.0, second=("internal_moisture_source", 0)
+        49608, "unlogged_heater", form=1, days=120.0, second=("internal_moisture_source", 0)
     )
     made = scene(to_record(plant))
     always = named("internal_moisture_source").variants(made)[0]

@@ -27,7 +27,7 @@ from plants.strength import GROWTH, growth
 
 SEED, DAYS = 5, 40.0
 IDENTIFIERS = (
-    "moisture_sorption condensation wall_thermal_mass solar_gain wind_driven_exchange standstill_heater "
+    "moisture_sorption condensation wall_thermal_mass solar_gain wind_driven_exchange unlogged_heater "
     "cooling_switching exchange_step heat_release_drift humidity_sensor_drift temperature_sensor_offset "
     "clock_shift rain_ingress door_opening dehumidifier internal_moisture_source ambient_bias"
 ).split()

@@ -14,7 +14,7 @@ from hygrokf.drivers import Run, run
 from hygrokf.likelihood import Gaussian, Likelihood
 from hygrokf.record import Record, Series
 from hygrokf.simulation import forecasts, free_run
-from hygrokf.switches import Switch, cooling_stage, drier, standstill_heater, two_point
+from hygrokf.switches import Switch, cooling_stage, drier, heater, two_point
 from hygrokf.switching import DECIDE_H, self_switched, switches_of
 
 HOUR = 3600.0
@@ -33,8 +33,8 @@ def test_a_two_point_switch_has_hysteresis() -> None:
     "switch",
     [
         cooling_stage(300.0, 298.0),
-        standstill_heater("cabinet_temperature", 298.0, 300.0),
-        standstill_heater("cabinet_relative_humidity", 300.0, 298.0),
+        heater("cabinet_temperature", 298.0, 300.0),
+        heater("cabinet_relative_humidity", 300.0, 298.0),
         drier(300.0, 298.0),
     ],
 )

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 
 from hygrokf.ambient import at_times
 from hygrokf.discovery.cause import Variant, additions_of
-from hygrokf.discovery.grids import Probe, best_date, best_switch, inside, span
+from hygrokf.discovery.grids import Probe, best_date, best_hours, best_switch, inside, span
 from hygrokf.discovery.scan import local_scan, scan
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
 from hygrokf.features import operating
@@ -14,6 +16,8 @@ from hygrokf.paths import input_path
 
 RAMP_DAYS = 8.0
 SETTLING_DAYS = (8.0, 20.0, 50.0)
+FEWEST_IDLE = 200
+"""Readings at standstill from which a heater of the standstill is looked for."""
 
 
 def exchange_step(scene: Scene) -> list[Variant]:
@@ -41,14 +45,24 @@ def exchange_step(scene: Scene) -> list[Variant]:
     return found
 
 
+STEPS = {"cabinet_temperature": 1.5, "cabinet_relative_humidity": 0.05}
+"""Distances [K], [1] by which the set-points of controllers are refined."""
+
+
 def cooling(scene: Scene) -> list[Variant]:
     if THERMAL not in scene.parts:
         return []
+    found = _stage(scene)
+    vent = _vent(scene)
+    return found if vent is None else [*found, vent]
+
+
+def _stage(scene: Scene) -> list[Variant]:
+    """A stage with two set-points, in a closed cabinet or with exchange of air."""
     levels = np.quantile(inside(scene, "cabinet_temperature"), np.linspace(0.4, 0.97, 10))
     grid = [{"on_K": float(a), "off_K": float(a - width)} for a in levels for width in (1.0, 3.0, 6.0)]
-    found = best_switch(
-        scene.parts[THERMAL], "cooling_loss", "cooling_conductance", "cooling", grid, {"": 1.5}
-    )
+    probe = Probe(THERMAL, ("cooling_loss", {}), "cooling_conductance")
+    found = best_switch(scene, "cooling", [probe], grid, STEPS)
     if found is None:
         return []
     chosen, tried = found
@@ -64,36 +78,90 @@ def cooling(scene: Scene) -> list[Variant]:
     ]  # fmt: skip
 
 
+def _vent(scene: Scene) -> Variant | None:
+    """A vent that opens in proportion to the temperature or the humidity in the cabinet."""
+    probes = (
+        Probe(THERMAL, ("vent_loss", {}), "vent_conductance"),
+        Probe(HYGRIC, ("vent_exchange", {}), "vent_exchange"),
+    )
+    found = best_switch(scene, "venting", probes, list(_bands(scene)), STEPS)
+    if found is None:
+        return None
+    chosen, tried = found
+    additions = additions_of(scene, thermal=(("vent_loss", {}),), hygric=(("vent_exchange", {}),))
+    starts = tuple({"vent_conductance": g, "vent_exchange": 5.0 * g} for g in (0.1, 1.0))
+    return Variant(
+        "cooling_switching", f"vent, opens with {chosen['reads']}", additions, {"venting": chosen}, starts, chosen, tried
+    )  # fmt: skip
+
+
+def _bands(scene: Scene, falling: bool = False) -> Iterator[dict]:
+    """Bands in which a controller opens: upward with temperature or humidity; `falling`: downward with the temperature."""
+    names = ("cabinet_temperature",) if falling else tuple(STEPS)
+    for name in names:
+        if name in scene.record:
+            for start in np.quantile(inside(scene, name), (0.1, 0.3, 0.5, 0.7, 0.85, 0.95)):
+                for width in (1.5 * STEPS[name], 4.0 * STEPS[name]):
+                    full = start - width if falling else start + width
+                    yield {"reads": name, "start": float(start), "full": float(full)}
+
+
 def heater(scene: Scene) -> list[Variant]:
-    if THERMAL not in scene.parts or "active_power" not in scene.record:
+    if THERMAL not in scene.parts:
         return []
+    forms = [
+        _heater(scene, "heating", [{**one, "idle": False} for one in _set_points(scene)], "in any state, {reads}"),
+        _heater(scene, "throttled_heating", list(_bands(scene, falling=True)), "in any state, in proportion"),
+    ]  # fmt: skip
+    if "active_power" in scene.record:
+        series = scene.record["cabinet_temperature"]
+        idle = ~operating(scene.record, series.time) & np.isfinite(series.value)
+        if idle.sum() >= FEWEST_IDLE:
+            forms.append(_heater(scene, "heating", _set_points(scene, idle), "at standstill, {reads}"))
+    return [one for one in forms if one is not None]
+
+
+def _heater(scene: Scene, flag: str, grid: Sequence[dict], form: str) -> Variant | None:
+    mechanism = ("unreported_heater", {"flag": flag})
+    found = best_switch(scene, flag, [Probe(THERMAL, mechanism, "heater_heat")], grid, STEPS)
+    if found is None:
+        return None
+    chosen, tried = found
+    return Variant(
+        "unlogged_heater", form.format(**chosen), {THERMAL: (mechanism,)}, {flag: chosen},
+        ({"heater_heat": 1.0}, {"heater_heat": 8.0}), chosen, tried,
+    )  # fmt: skip
+
+
+def _set_points(scene: Scene, there: np.ndarray | None = None) -> list[dict]:
+    """Set-points of a thermostat or humidistat among the readings `there` (all)."""
     series = scene.record["cabinet_temperature"]
-    idle = ~operating(scene.record, series.time) & np.isfinite(series.value)
-    if idle.sum() < 200:
-        return []
-    levels = np.quantile(series.value[idle], np.linspace(0.05, 0.8, 9))
+    there = np.isfinite(series.value) if there is None else there
+    levels = np.quantile(series.value[there], np.linspace(0.05, 0.8, 9))
     grid = [
         {"reads": "cabinet_temperature", "on": float(a), "off": float(a + width)}
         for a in levels
         for width in (1.0, 3.0, 6.0)
     ]
     if "cabinet_relative_humidity" in scene.record:
-        damp = at_times(input_path(scene.record["cabinet_relative_humidity"]), series.time[idle], 2.0)
+        damp = at_times(input_path(scene.record["cabinet_relative_humidity"]), series.time[there], 2.0)
         levels = np.nanquantile(damp, np.linspace(0.3, 0.95, 8))
         grid += [
             {"reads": "cabinet_relative_humidity", "on": float(a), "off": float(a - width)}
             for a in levels
             for width in (0.03, 0.08, 0.15)
         ]
-    steps = {"cabinet_temperature": 1.5, "cabinet_relative_humidity": 0.05}
-    found = best_switch(scene.parts[THERMAL], "unreported_heater", "heater_heat", "heating", grid, steps)
-    if found is None:
+    return grid
+
+
+def by_the_clock(scene: Scene) -> list[Variant]:
+    if THERMAL not in scene.parts:
         return []
-    chosen, tried = found
+    setting, tried = best_hours(scene.parts[THERMAL], ("scheduled_heat", {}), "scheduled_heat")
     return [
         Variant(
-            "standstill_heater", str(chosen["reads"]), {THERMAL: (("unreported_heater", {}),)},
-            {"heating": chosen}, ({"heater_heat": 1.0}, {"heater_heat": 8.0}), chosen, tried,
+            "scheduled_heat", "on workdays" if setting["workdays"] else "every day",
+            {THERMAL: (("scheduled_heat", {}),)}, {"scheduled": setting}, ({"scheduled_heat": 1.0},), setting, tried,
         )
     ]  # fmt: skip
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hygrokf.discovery.cause import Variant
-from hygrokf.discovery.grids import Probe, best_date, best_switch, inside
+from hygrokf.discovery.grids import Probe, best_date, best_hours, best_switch, inside
 from hygrokf.discovery.scan import abrupt
 from hygrokf.discovery.scene import HYGRIC, Scene
 
@@ -113,6 +113,10 @@ def source(scene: Scene) -> list[Variant]:
         scene, "fading", [probe], abrupt(scene.parts[HYGRIC]), days=FADING_DAYS, sudden=True
     )
     found.append(variant("drying out from a date on", "fading", {"fading": setting}, tried))
+    timed = ("internal_moisture_source", {"when": "scheduled"})
+    setting, tried = best_hours(scene.parts[HYGRIC], timed, "moisture_source", {"moisture_source": 1e-4})
+    form = "by the clock, on workdays" if setting["workdays"] else "by the clock, every day"
+    found.append(variant(form, "scheduled", {"scheduled": setting}, tried))
     return found
 
 
@@ -126,15 +130,8 @@ def drier(scene: Scene) -> list[Variant]:
     found = [Variant("dehumidifier", "proportional", {HYGRIC: (("dehumidifier", {}),)}, starts=starts)]
     grid = [{"on": float(a), "off": float(a - width)} for a in levels for width in (0.03, 0.08)]
     # the rate is positive and estimated as a logarithm: its slope at a small value stands for that at zero
-    switched = best_switch(
-        scene.parts[HYGRIC],
-        "switched_drying",
-        "drying_rate",
-        "drying",
-        grid,
-        {"": 0.02},
-        {"drying_rate": 1e-4},
-    )
+    probe = Probe(HYGRIC, ("switched_drying", {}), "drying_rate", {"drying_rate": 1e-4})
+    switched = best_switch(scene, "drying", [probe], grid, {"": 0.02})
     if switched is None:
         return found
     chosen, tried = switched

@@ -100,6 +100,25 @@ def best_date(
     return found, searched
 
 
+def best_hours(
+    part: Part, mechanism: tuple[str, dict], parameter: str, nulls: Mapping[str, float] | None = None
+) -> tuple[dict, float]:
+    """(settings of `scheduled`, effective number searched): the hours of the day, or of workdays, in which the score statistic
+    asks most for more of an effect.
+    """
+    hours = [{"start_h": float(h), "hours": 1.0, "workdays": only} for only in (False, True) for h in range(24)]
+    windows = [(start, long) for long in range(1, 23) for start in range(24)]
+    sums = np.zeros((len(hours), 2 * len(windows)))
+    for column, (start, long) in enumerate(windows):
+        for kind in (0, 1):
+            rows = 24 * kind + (start + np.arange(long)) % 24
+            sums[rows, kind * len(windows) + column] = 1.0
+    scanned = scan(part, mechanism, parameter, "scheduled", hours, nulls, sums)
+    kind, place = divmod(int(np.argmax(scanned.root)), len(windows))
+    start, long = windows[place]
+    return {"start_h": float(start), "hours": float(long), "workdays": bool(kind)}, scanned.effective
+
+
 def inside(scene: Scene, name: str) -> np.ndarray:
     """Readings of a signal in the cabinet, NaN left out."""
     value = scene.record[name].value
@@ -107,32 +126,34 @@ def inside(scene: Scene, name: str) -> np.ndarray:
 
 
 def best_switch(
-    part: Part,
-    mechanism: str,
-    parameter: str,
-    feature: str,
-    grid: list[dict],
-    steps: Mapping[str, float],
-    nulls: Mapping[str, float] | None = None,
+    scene: Scene, feature: str, probes: Sequence[Probe], grid: Sequence[dict], steps: Mapping[str, float]
 ) -> tuple[dict, float] | None:
-    """(two-point setting that the score statistic asks for most, effective number searched); refined twice by `steps`.
+    """(setting of a controller that the parts' score statistics ask for most, effective number searched).
 
-    None where no setting lets the switch start often enough.
+    grid: settings with two bounds each, numbers; refined twice by `steps`, of a setting's `reads` or of any.  None where no
+    setting lets the controller start often enough.
     """
+    probes = [one for one in probes if one.part in scene.parts]
     searched, best, chosen = 0.0, -math.inf, grid[0]
     for factor in (1.0, 0.4, 0.0):
-        grid = [one for one in grid if starts(part, feature, one) >= FEWEST_STARTS]
+        grid = [
+            one for one in grid if starts(scene.parts[probes[0].part], feature, one) >= FEWEST_STARTS
+        ]
         if not grid:
             break
-        scanned = scan(part, (mechanism, {}), parameter, feature, grid, nulls)
+        looks = [
+            scan(scene.parts[one.part], one.mechanism, one.parameter, feature, grid, one.nulls)
+            for one in probes
+        ]
+        scanned = functools.reduce(operator.add, looks)
         searched += scanned.effective
         if scanned.root.max() > best:
             best, chosen = float(scanned.root.max()), grid[int(np.argmax(scanned.root))]
-        on, off = (key for key in chosen if key.startswith("o"))
+        first, second = (key for key, value in chosen.items() if isinstance(value, float))
         step = factor * steps.get(str(chosen.get("reads", "")), next(iter(steps.values())))
-        width = chosen[on] - chosen[off]
+        width = chosen[first] - chosen[second]
         grid = [
-            {**chosen, on: chosen[on] + i * step, off: chosen[off] + j * step}
+            {**chosen, first: chosen[first] + i * step, second: chosen[second] + j * step}
             for i in (-1.0, -0.5, 0.0, 0.5, 1.0)
             for j in (-1.0, -0.5, 0.0, 0.5, 1.0)
             if (width + (i - j) * step) / width > NARROWEST
@@ -141,9 +162,9 @@ def best_switch(
 
 
 def starts(part: Part, name: str, settings: Mapping) -> int:
-    """How often a switch starts by the readings of the part's run."""
-    course = feature(part.record, name, settings, part.time_s)
-    return int(np.sum(np.diff(course) > 0.0))
+    """How often a controller starts by the readings of the part's run."""
+    on = feature(part.record, name, settings, part.time_s) > 0.0
+    return int(np.sum(on[1:] & ~on[:-1]))
 
 
 def span(scene: Scene) -> dict[str, float]:

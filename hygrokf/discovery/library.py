@@ -5,7 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from hygrokf.discovery.cause import Cause, one_mechanism
-from hygrokf.discovery.causes_heat import cooling, door, exchange_step, heat_drift, heater, sun, wind
+from hygrokf.discovery.causes_heat import (
+    by_the_clock,
+    cooling,
+    door,
+    exchange_step,
+    heat_drift,
+    heater,
+    sun,
+    wind,
+)
 from hygrokf.discovery.causes_moisture import condensation, drier, rain, sorption, source
 from hygrokf.discovery.causes_readings import breathed, clock, humidity_drift, response, temperature_offset
 from hygrokf.discovery.scene import THERMAL
@@ -45,13 +54,18 @@ LIBRARY: tuple[Cause, ...] = (
         wind, needs="wind_speed",
     ),
     Cause(
-        "standstill_heater", "a heater that no signal reports runs at standstill",
+        "unlogged_heater", "a heater that no signal reports runs",
         "find the heater and its thermostat or humidistat; log its state", "current of the heater",
-        heater, needs="power", alone=SWITCHED,
+        heater, alone=SWITCHED,
     ),
     Cause(
-        "cooling_switching", "a fan or valve stage cools the cabinet above a threshold",
-        "find the stage and its set-points; log its state", "state of the fan or valve", cooling,
+        "scheduled_heat", "something releases heat at the same hours of every day, or of every workday",
+        "look for lamps, timers and people at work in these hours; log the load", "current of what runs in these hours",
+        by_the_clock,
+    ),
+    Cause(
+        "cooling_switching", "a fan, a vent or a valve cools the cabinet above a threshold",
+        "find the fan, vent or valve and its set-points; log its state", "state of the fan, vent or valve", cooling,
         alone=SWITCHED,
     ),
     Cause(

@@ -134,14 +134,17 @@ def scan(
     name: str,
     settings: Sequence[Mapping],
     nulls: Mapping[str, float] | None = None,
+    sums: np.ndarray | None = None,
 ) -> Scanned:
     """Score statistics of S settings of the feature `name`.
 
-    `mechanism` (name, settings) brings the parameter and reads the feature; `nulls` values of its other parameters.
+    `mechanism` (name, settings) brings the parameter and reads the feature; `nulls` values of its other parameters.  With
+    `sums` (S, W) those of W features that are sums of the settings' own: slopes are linear in the feature.
     """
     bench = _bench(part, mechanism, parameter, name, settings[0], nulls)
     courses = [feature(part.record, name, one, bench.seconds) for one in settings]
-    return bench.scanned(mapped(bench.slopes, courses))
+    columns = mapped(bench.slopes, courses)
+    return bench.scanned(columns if sums is None else list((np.column_stack(columns) @ sums).T))
 
 
 def slow_scan(

@@ -12,9 +12,11 @@ from hygrokf.mechanisms.heat import (
     open_loss,
     pump_loss,
     release_drift,
+    scheduled_heat,
     solar_gain,
     stepped_loss,
     unreported_heater,
+    vent_loss,
     wind_loss,
 )
 from hygrokf.mechanisms.hygric import (
@@ -38,6 +40,7 @@ from hygrokf.mechanisms.moisture import (
     rain_ingress,
     stepped_exchange,
     switched_drying,
+    vent_exchange,
     wind_exchange,
 )
 from hygrokf.mechanisms.network import linear_network
@@ -100,10 +103,12 @@ FURTHER = (
     wall_thermal_mass,
     solar_gain,
     unreported_heater,
+    scheduled_heat,
     release_drift,
     wind_loss,
     stepped_loss,
     cooling_loss,
+    vent_loss,
     lagged_ambient,
     leading_ambient,
     moisture_sorption,
@@ -115,6 +120,7 @@ FURTHER = (
     wind_exchange,
     stepped_exchange,
     cooled_exchange,
+    vent_exchange,
     breathed_air,
     breathed_lag,
     breathed_lead,

@@ -74,11 +74,19 @@ def _driven_heat(
     )  # fmt: skip
 
 
-def unreported_heater() -> Mechanism:
-    """Heat of a heater that no signal reports, while it runs (input `heating`) [K]."""
+def unreported_heater(flag: str = "heating") -> Mechanism:
+    """Heat of a heater that no signal reports, while it runs (input `heating`, or `throttled_heating`) [K]."""
     return _driven_heat(
-        "unreported_heater", "heater_heat", "heating", "while the unreported heater runs",
-        "a cabinet that is too warm at standstill when it is cold or damp",
+        "unreported_heater", "heater_heat", flag, "while the unreported heater runs",
+        "a cabinet that is too warm in the simulation when it is cold or damp", settings={"flag": flag},
+    )  # fmt: skip
+
+
+def scheduled_heat() -> Mechanism:
+    """Heat that follows the clock (input `scheduled`): lamps, people at work, a load on a timer [K]."""
+    return _driven_heat(
+        "scheduled_heat", "scheduled_heat", "scheduled", "in the hours in which it is on",
+        "a temperature error in the same hours of every day, or of every workday",
     )  # fmt: skip
 
 
@@ -220,6 +228,14 @@ def cooling_loss() -> Mechanism:
     return _taken(
         "cooling_loss", "cooling_conductance", "cooling", "while the cooling stage runs",
         "a cabinet that is too warm in the simulation above a threshold",
+    )  # fmt: skip
+
+
+def vent_loss() -> Mechanism:
+    """Heat loss through a vent that opens in proportion to a reading (input `venting`)."""
+    return _loss(
+        "vent_loss", "vent_conductance", "venting", 0.0, "while the vent is open",
+        "a cabinet that is too warm in the simulation, the more the warmer or damper it is",
     )  # fmt: skip
 
 

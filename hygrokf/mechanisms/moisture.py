@@ -169,7 +169,9 @@ def condensation(sky: bool = False) -> Mechanism:
 
 
 def internal_moisture_source(when: str = "always") -> Mechanism:
-    """A source of vapour in the cabinet [g/(m³ h)]: `when` "always", at "standstill", or "fading" from a date on."""
+    """A source of vapour in the cabinet [g/(m³ h)]: `when` "always", at "standstill", "fading" from a date
+    on, or "scheduled" by the clock.
+    """
     inputs = () if when == "always" else (when,)
     return Mechanism(
         name="internal_moisture_source",
@@ -391,6 +393,14 @@ def cooled_exchange() -> Mechanism:
     return _exchange(
         "cooled_exchange", "cooling_exchange", "cooling", 50.0, "while the cooling stage runs",
         "humidity that follows the ambient's faster while the cabinet is warm",
+    )  # fmt: skip
+
+
+def vent_exchange() -> Mechanism:
+    """Vapour exchange through a vent that opens in proportion to a reading (input `venting`): 1 + b · `venting`."""
+    return _exchange(
+        "vent_exchange", "vent_exchange", "venting", 500.0, "while the vent is open",
+        "humidity that follows the ambient's faster the warmer or damper the cabinet is", lower=0.0,
     )  # fmt: skip
 
 

@@ -22,6 +22,8 @@ CONVECTING = 20
 """Plants a round that hide nothing in a cabinet of another make, which no network of resistances describes."""
 OUTSIDE = 2
 """Plants a round, effect and strength that hide what no library holds."""
+LATER = (("unlogged_heater", 2), ("cooling_switching", 2), ("scheduled_heat", 0), ("scheduled_heat", 1))
+"""Forms that came later: they have the last seeds, so that the others keep theirs."""
 PAPER = 2
 """Plants a round of each of the paper's case and its decoys."""
 PAPER_LEAST_DAYS = 126.0
@@ -32,7 +34,7 @@ APART = 20_000
 THERMAL = (
     "wall_thermal_mass",
     "solar_gain",
-    "standstill_heater",
+    "unlogged_heater",
     "cooling_switching",
     "heat_release_drift",
     "temperature_sensor_offset",
@@ -90,6 +92,7 @@ def pairs(number: int) -> list[tuple[tuple[str, int], ...]]:
 def _round(first: int, number: int, days: float) -> Iterator[Case]:
     """Cases of one round.  Every cell has seeds of its own, the same ones however many rounds are run."""
     cells = [(c, form, s) for c in LIBRARY for form in range(len(FORMS[c])) for s in STRENGTHS]
+    cells.sort(key=lambda cell: cell[:2] in LATER)
     for place, (cause, form, strength) in enumerate(cells):
         yield Case("hidden", first + number * len(cells) + place, ((cause, form),), strength, days)
     for place in range(NULLS):

@@ -168,7 +168,7 @@ def _decide(on, rest, air, humidity, stopped, dwell, terms):
     """Positions of all devices for the step that begins."""
     if terms.heater_W > 0.0:
         wanted = on[0]
-        if terms.heater_kind < 1.5:
+        if terms.heater_kind < 1.5 or terms.heater_kind > 2.5:
             if air < terms.heater_on:
                 wanted = 1.0
             elif air > terms.heater_off:
@@ -177,7 +177,7 @@ def _decide(on, rest, air, humidity, stopped, dwell, terms):
             wanted = 1.0
         elif humidity < terms.heater_off:
             wanted = 0.0
-        if stopped > 0.5:
+        if stopped > 0.5 or terms.heater_kind > 2.5:
             _switch(on, rest, 0, wanted, dwell)
         else:
             # The start of the turbine cuts the heater off at once.

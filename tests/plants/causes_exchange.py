@@ -62,6 +62,23 @@ def exchange_ramps(random: np.random.Generator, scene: Scene) -> Law:
     return Law("ramp over some days", 0.0, 2.0, change, lambda strength: strength, _FACTOR)
 
 
+def vent_opens(random: np.random.Generator, scene: Scene) -> Law:
+    """A vent that a controller opens with the warmth that the cabinet would have without it, over a band of 4 to 10 K.
+
+    Begins to open where 20 to 60 % of the time lies above; wide open it has 2 to 40 times the exchange.
+    """
+    warmth = scene.trajectory.cabinet_K[:-1]
+    start = float(np.quantile(warmth, 1.0 - random.uniform(0.2, 0.6)))
+    band = random.uniform(4.0, 10.0)
+    position = np.clip((warmth - start) / band, 0.0, 1.0)
+
+    def change(factor: float) -> Change:
+        parameters = {"factor": factor, "start_degC": start - 273.15, "band_K": band}
+        return Change(**_exchange(scene, 1.0 + (factor - 1.0) * position), parameters=parameters)
+
+    return Law("vent in proportion to warmth", 1.2, 40.0, change)
+
+
 def doors_open(random: np.random.Generator, scene: Scene) -> Law:
     """3 to 8 periods of hours in working time with 10 to 30 times the exchange, half of them at
     standstill.

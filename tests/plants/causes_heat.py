@@ -166,6 +166,58 @@ def humidistat_heater(random: np.random.Generator, scene: Scene) -> Law:
     return Law("humidistat with hysteresis", 100.0, 2500.0, change)
 
 
+def frost_heater(random: np.random.Generator, scene: Scene) -> Law:
+    """Heater of 50 to 2,500 W below a temperature, whatever the turbine does, with hysteresis of 2 to 5 K.
+
+    Set where 15 to 60 % of the time lies below, between 3 and 25 degC.
+    """
+    cold = scene.trajectory.cabinet_K[:-1]
+    point = float(np.clip(np.quantile(cold, random.uniform(0.15, 0.6)), 276.15, 298.15))
+    width = random.uniform(2.0, 5.0)
+
+    def change(watts: float) -> Change:
+        terms = {"heater_W": watts, "heater_kind": 3.0, "heater_on": point, "heater_off": point + width}
+        parameters = {"heater_W": watts, "set_point_degC": point - 273.15, "hysteresis_K": width}
+        return Change(terms=terms, parameters=parameters)
+
+    return Law("thermostat in any state", 50.0, 2500.0, change)
+
+
+def _hours(random: np.random.Generator, scene: Scene) -> tuple[np.ndarray, float, float]:
+    """Whether a load is on, by the minute, over 5 to 12 h of the day; its begin [h] and length [h]."""
+    begin, long = random.uniform(4.0, 14.0), random.uniform(5.0, 12.0)
+    return np.mod(scene.drivers.time[:-1] / HOUR_S - begin, 24.0) < long, begin, long
+
+
+def lamps(random: np.random.Generator, scene: Scene) -> Law:
+    """A load of 20 to 2,000 W in the same hours of every day: lamps on a timer."""
+    on, begin, long = _hours(random, scene)
+
+    def change(watts: float) -> Change:
+        return Change(heat_W=watts * on, parameters={"load_W": watts, "begin_h": begin, "hours": long})
+
+    return Law("the same hours of every day", 20.0, 2000.0, change)
+
+
+def people_at_work(random: np.random.Generator, scene: Scene) -> Law:
+    """Heat of 20 to 2,000 W on workdays, with half an hour's jitter at begin and end and one day in ten off."""
+    _, begin, long = _hours(random, scene)
+    time = scene.drivers.time[:-1]
+    day = np.floor(time / DAY_S - begin / 24.0).astype(int)
+    first = day.min()
+    count = day.max() - first + 1
+    late, early = random.uniform(-0.5, 0.5, count), random.uniform(-0.5, 0.5, count)
+    there = (random.random(count) > 0.1) & ((np.arange(first, first + count) + 3) % 7 < 5)
+    since = time / HOUR_S - begin - 24.0 * day
+    place = day - first
+    on = there[place] & (since > late[place] + 0.5) & (since < long + early[place])
+
+    def change(watts: float) -> Change:
+        return Change(heat_W=watts * on, parameters={"load_W": watts, "begin_h": begin, "hours": long})
+
+    return Law("people on workdays", 20.0, 2000.0, change)
+
+
 def filter_fan(random: np.random.Generator, scene: Scene) -> Law:
     """A filter fan above a temperature: outside air of 5 to 500 m3/h carries heat and vapour.
 

@@ -42,7 +42,7 @@ class Terms(NamedTuple):
         drop_kg that runs off.
     pool_m2, pool_m_s, pool_kg: [m2], [m/s], [kg] evaporation of a pool that is full at pool_kg.
     heater_W, heater_kind, heater_on, heater_off: [W]; 1 thermostat [K], 2 humidistat [-]; switches
-        on below (above) `on` and off above (below) `off`, only at standstill.
+        on below (above) `on` and off above (below) `off`, only at standstill; 3 thermostat in any state.
     fan_W_K, fan_exchange, fan_on_K, fan_off_K: [W/K] conductance and [-] further vapour exchange of
         a fan stage; second_ for the second stage.
     dry_m3_s, dry_kind, dry_on, dry_off, dry_floor: [m3/s] air that a dehumidifier dries down to

@@ -26,8 +26,8 @@ FORMS: dict[str, tuple[Form, ...]] = {
     "wall_thermal_mass": (heat.one_wall, heat.two_walls),
     "solar_gain": (heat.sun_on_roof, heat.sun_on_wall),
     "wind_driven_exchange": (heat.wind_blows, heat.wind_presses),
-    "standstill_heater": (heat.thermostat_heater, heat.humidistat_heater),
-    "cooling_switching": (heat.filter_fan, heat.coolant_stages),
+    "unlogged_heater": (heat.thermostat_heater, heat.humidistat_heater, heat.frost_heater),
+    "cooling_switching": (heat.filter_fan, heat.coolant_stages, exchange.vent_opens),
     "exchange_step": (exchange.exchange_steps, exchange.exchange_ramps),
     "heat_release_drift": (heat.linear_fouling, heat.saturating_fouling),
     "humidity_sensor_drift": (
@@ -48,6 +48,7 @@ FORMS: dict[str, tuple[Form, ...]] = {
     "ambient_bias": (loggers.ambient_is_off, loggers.ambient_is_elsewhere),
     "neighbour_exhaust": (heat.neighbour_exhaust,),
     "logger_repeat": (loggers.logger_repeats,),
+    "scheduled_heat": (heat.lamps, heat.people_at_work),
 }
 """Functional forms of every cause."""
 
