@@ -103,7 +103,12 @@ def source(scene: Scene) -> list[Variant]:
         settings = next(iter(features.values()), {})
         return Variant("internal_moisture_source", form, additions, features, start, settings, searched)
 
-    found = [variant("always", "always", {}, 3)]
+    wet = {HYGRIC: (("wet_surface", {}),)}
+    rates = tuple({"evaporation_rate": rate * _pace(scene)} for rate in (0.02, 0.2, 2.0))
+    found = [
+        variant("always", "always", {}, 3),
+        Variant("internal_moisture_source", "from a wet surface", wet, starts=rates, searched=3),
+    ]
     if "active_power" in scene.record:
         found.append(variant("at standstill", "standstill", {"standstill": {}}, 3))
     late = ("internal_moisture_source", {"when": "fading"})

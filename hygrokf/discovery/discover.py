@@ -151,7 +151,7 @@ def _ended(scene: Scene, stages: Sequence[Stage]) -> Scene:
 def verdict(accepted: Sequence[Trial], rest: Mapping | None, foreign: bool, repeated: bool) -> str:
     """`none`, `named` or `unexplained`.
 
-    rest: structure that is left; foreign: whether unrest goes with one side; repeated: whether readings were set
+    rest: structure that is left; foreign: whether nobody logs what makes it; repeated: whether readings were set
     aside.  Both overrule what was accepted, the first but for switches: simulated ones lose their phase, and what their
     cycles leave goes to one side too.
     """

@@ -1,15 +1,16 @@
-"""What structure is left in the errors of a free run: under a condition, or to one side."""
+"""What structure is left in the errors of a free run: under a condition, to one side, or in time alone."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 
 import numpy as np
 
 from hygrokf.discovery.conditions import LAGS_H
-from hygrokf.discovery.misfits import LEVEL, NAMES, Misfit, digits, misfits
+from hygrokf.discovery.misfits import LEVEL, MATERIAL, NAMES, Misfit, digits, misfits
+from hygrokf.discovery.regularity import GROWS, growth, period
 from hygrokf.discovery.residuals import (
     FEWEST_HOURS,
     HUMIDITY,
@@ -34,6 +35,10 @@ RESTLESS = {(TEMPERATURE, 1): 2.4, (TEMPERATURE, -1): 3.6, (HUMIDITY, 1): 3.0, (
 air around it, so that an ordinary exchange that is restless goes with errors to the cold side."""
 UNSTEADY = 1.3
 """Variance of the innovations' size below which there is no unrest to speak of."""
+CHANCE = 1e-3
+"""p below which errors have a period, grow or come in bursts: all three are looked for in each quantity."""
+PEAKED = 6.0
+"""[1] kurtosis of the errors from which they come in bursts, twice that of a Gaussian disturbance."""
 SKEWED = 0.5
 """[1] skewness of the errors below which nothing is called one-sided."""
 
@@ -75,8 +80,35 @@ def structure(
     return None
 
 
+def _in_time(hours: Hours, quantity: str) -> dict | None:
+    """A period, growth or bursts of a quantity's errors, as `structure` gives it, or None."""
+    error, name, unit = hours.error[quantity], NAMES[quantity], UNITS[quantity]
+    scale = float(np.nanstd(error))
+    line = period(error, hours.step_h, CHANCE)
+    if line is not None and line.size > MATERIAL * scale:
+        text = f"{line.hours:.1f} h" if line.hours < 72.0 else f"{line.hours / 24.0:.1f} days"
+        words = (
+            f"simulated {name} errs with a period of {text}, by {digits(line.size)} {unit} (root mean square); something that "
+            "nobody logs follows a timer or a cycle of its own"
+        )
+        return _left(hours, quantity, "period", f"every {text}", words, line.p)
+    ratio, p = growth(error, hours.step_h)
+    if p < CHANCE and max(ratio, 1.0 / ratio) > GROWS:
+        change = f"grow to {ratio:.1f} times" if ratio > 1.0 else f"shrink to {ratio:.2f} times"
+        words = f"the errors of the simulated {name} {change} their size over the record"
+        return _left(hours, quantity, "growth", "from beginning to end", words, p)
+    peaked, p = bursts(error, hours.step_h)
+    if p < CHANCE and peaked > PEAKED:
+        words = (
+            f"the errors of the simulated {name} come in bursts (kurtosis {peaked:.1f}, 3 for a disturbance that is always "
+            "there), under no condition that is logged"
+        )
+        return _left(hours, quantity, "bursts", "now and then", words, p)
+    return None
+
+
 def remaining(pair: tuple[Residuals, Residuals]) -> tuple[dict | None, bool]:
-    """(structure that is left or None, whether it is unrest to one side) in the errors of a model's two versions.
+    """(structure that is left or None, whether nobody logs what makes it) in the errors of a model's two versions.
 
     pair: as estimated by innovations, and moved toward its least free-run error.  What the second one does not show is a
     poor simulator's, and no effect: a model that is wrong in its form is estimated to foretell the next reading.
@@ -88,7 +120,10 @@ def remaining(pair: tuple[Residuals, Residuals]) -> tuple[dict | None, bool]:
 
 
 def unlogged(residuals: Residuals) -> dict | None:
-    """Unrest to one side, as `structure` gives it, or None: something that nobody logs acts, whatever else was found."""
+    """Unrest to one side, a period, growth or bursts, as `structure` gives it, or None: something that nobody logs acts,
+    whatever else was found.
+    """
+    hours = hourly(residuals)
     for quantity in QUANTITIES:
         z, unsteady = unrest(residuals, quantity)
         if abs(z) > RESTLESS[quantity, int(math.copysign(1, z))] and unsteady > UNSTEADY:
@@ -97,8 +132,11 @@ def unlogged(residuals: Residuals) -> dict | None:
                 f"it is simulated too {'low' if z > 0 else 'high'} (rank correlation {z:.1f} standard errors; none is "
                 "expected of a disturbance that knows no side)"
             )
-            hours = hourly(residuals)
             return _left(hours, quantity, "restless to one side", "now and then", words, _two_sided(z))
+        if np.isfinite(hours.error[quantity]).sum() >= FEWEST_HOURS:
+            course = _in_time(hours, quantity)
+            if course is not None:
+                return course
     return None
 
 
@@ -195,14 +233,30 @@ def _dates(instants_s: Sequence[float]) -> str:
 
 
 def one_sided(values: np.ndarray, step_h: float = 1.0) -> tuple[float, float]:
-    """Skewness [1] of a series (n,), NaN = missing, and p that a symmetrical one shows it; blocks are the witnesses."""
+    """Skewness [1] of a series (n,), NaN = missing, and p that a symmetrical one shows it."""
+    return _moment(values, step_h, 3, lambda z: z**3 - 3.0 * z)
+
+
+def bursts(values: np.ndarray, step_h: float = 1.0) -> tuple[float, float]:
+    """Kurtosis [1] of a series (n,), NaN = missing, and p that a Gaussian one shows it."""
+    return _moment(values, step_h, 4, lambda z: z**4 - 6.0 * z**2 + 3.0)
+
+
+def _moment(
+    values: np.ndarray, step_h: float, order: int, polynomial: Callable[[np.ndarray], np.ndarray]
+) -> tuple[float, float]:
+    """Standardised moment of an order, and p that it is that of a Gaussian series; blocks are the witnesses.
+
+    The Hermite polynomial of the order has no mean, and hardly any error from the estimated mean and variance.
+    """
     from scipy.stats import t as t_law
 
     known = np.isfinite(values)
     if known.sum() < 2 or not float(values[known].std()) > 0:
         return 0.0, 1.0
-    z = np.where(known, (values - float(values[known].mean())) / float(values[known].std()), 0.0)
+    z = (values - float(values[known].mean())) / float(values[known].std())
     block = max(1, round(block_h(values, step_h) / step_h))
-    shares = np.add.reduceat(z**3 - 3.0 * z, np.arange(0, len(z), block))
+    shares = np.add.reduceat(np.where(known, polynomial(z), 0.0), np.arange(0, len(z), block))
     ratio = float(shares.sum()) / math.sqrt(float((shares**2).sum()))
-    return float((z**3).sum() / known.sum()), float(2.0 * t_law.sf(abs(ratio), max(1, len(shares) - 1)))
+    found = float(np.mean(z[known] ** order))
+    return found, float(2.0 * t_law.sf(abs(ratio), max(1, len(shares) - 1)))

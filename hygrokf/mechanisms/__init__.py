@@ -41,6 +41,7 @@ from hygrokf.mechanisms.moisture import (
     stepped_exchange,
     switched_drying,
     vent_exchange,
+    wet_surface,
     wind_exchange,
 )
 from hygrokf.mechanisms.network import linear_network
@@ -114,6 +115,7 @@ FURTHER = (
     moisture_sorption,
     condensation,
     internal_moisture_source,
+    wet_surface,
     rain_ingress,
     dehumidifier,
     switched_drying,

@@ -192,6 +192,35 @@ def internal_moisture_source(when: str = "always") -> Mechanism:
     )  # fmt: skip
 
 
+def wet_surface() -> Mechanism:
+    """A wet surface as warm as the cabinet air, which gives vapour or takes it: vapour release k (c_sat(T_a) − c).
+
+    k [1/h] the air that it saturates each hour, per volume of cabinet; c_sat, c [g/m³] of saturated and of the cabinet's air:
+    open water, a wet wall, soil, plants.
+    """
+
+    def contributions(p, x, u, q):
+        air = q.cabinet_air_temperature
+        saturated = saturation_pressure(air) / (air * (1e-3 * GAS_CONSTANT_VAPOUR))
+        lacking = saturated - x.vapour * u.ambient_temperature / air
+        return {"vapour_release": p.evaporation_rate * lacking}
+
+    return Mechanism(
+        name="wet_surface",
+        parameters=(
+            Parameter(
+                "evaporation_rate", "1/h", 0.05, 1e-4, 100.0, positive=True, null=0.0,
+                meaning="air that a wet surface saturates each hour, per volume of cabinet air",
+            ),
+        ),
+        inputs=("ambient_temperature",),
+        contributions=contributions,
+        meaning="water that evaporates from a wet surface",
+        leaves="absolute humidity above the ambient's, the more the warmer and drier the cabinet is",
+        source="Dalton's law of evaporation",
+    )  # fmt: skip
+
+
 def rain_ingress(flag: str = "rain") -> Mechanism:
     """Rain that enters, is held wet, and evaporates with a delay; `flag` "rain", or "heavy_rain" above a threshold.
 
