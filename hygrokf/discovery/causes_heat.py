@@ -73,6 +73,7 @@ def _stage(scene: Scene) -> list[Variant]:
         Variant(
             "cooling_switching", form, additions, {"cooling": chosen},
             ({"cooling_conductance": 0.05}, {"cooling_conductance": 0.5}), chosen, tried,
+            joint=form == "filter fan",
         )
         for form, additions in forms
     ]  # fmt: skip
@@ -91,7 +92,8 @@ def _vent(scene: Scene) -> Variant | None:
     additions = additions_of(scene, thermal=(("vent_loss", {}),), hygric=(("vent_exchange", {}),))
     starts = tuple({"vent_conductance": g, "vent_exchange": 5.0 * g} for g in (0.1, 1.0))
     return Variant(
-        "cooling_switching", f"vent, opens with {chosen['reads']}", additions, {"venting": chosen}, starts, chosen, tried
+        "cooling_switching", f"vent, opens with {chosen['reads']}", additions, {"venting": chosen}, starts, chosen, tried,
+        joint=len(additions) > 1,
     )  # fmt: skip
 
 

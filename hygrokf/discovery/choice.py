@@ -38,25 +38,19 @@ SHARE = 0.15
 """Share of an accepted cause's evidence that a further cause of the same part must have, and all of it where the free run
 does not gain clearly: the true form is never known, and what it differs in is left behind."""
 CLEAR = 2.0 * MATERIAL
-"""Lasting gain from which the free run speaks for a cause by itself; below it no cause that is not worth having has more
-evidence."""
+"""Lasting gain from which a share of the evidence is enough for a further cause."""
 STRIKING = 2.0 * CLEAR
 """Lasting gain from which a further cause needs no share of the first one's evidence: what a strong cause of another form
 leaves behind is seen by the likelihood, and not by the free run.  A switch does need it: what the cycles of another one leave
 behind is seen by both."""
 LEAD = 0.3
-"""Share of its evidence by which a further cause must be ahead of all others where the free run does not speak for it, and
-the first one ahead of those that are not worth having."""
+"""Share of its evidence by which a further cause must be ahead of all others where the free run does not speak for it."""
 OVERWHELMING = 100.0
 """Gain in evidence (BIC) with which half a material share without the best days is enough, the whole with them."""
-INSIDE = 0.2
-"""Share of the squared free-run error within its windows that an event must take away: bursts of a disturbance draw windows
-upon themselves too, and no exchange explains what goes on in them."""
 EXPLAINED = "what it explains is explained by the accepted causes"
 NOT_AHEAD = (
     "beside the accepted causes it does not simulate better, and other causes have nearly as much evidence"
 )
-OVERSHADOWED = "causes that are not worth having have more evidence: the record departs from the model in ways that look like it"
 RETRY = 8.0
 """2 Δ ln L below which a cause is not tried again beside an accepted one."""
 
@@ -80,16 +74,19 @@ class Choice:
     cut: bool = False
 
 
-def verdict_on(trial: Trial, cause: Cause) -> str:
-    """Why a trial is not acceptable; empty where it is."""
+def verdict_on(trial: Trial, cause: Cause, tried: int = 1) -> str:
+    """Why a trial, one of so many that were `tried`, is not acceptable; empty where it is."""
     if trial.lr <= 0.0 or not trial.parts:
         return "it gains no likelihood"
-    if not all(part.converged for part in trial.parts.values()) and trial.bic_gain < EVIDENCE:
+    certain = trial.bic_gain >= EVIDENCE
+    if not certain and not all(part.converged for part in trial.parts.values()):
         return "the estimate did not converge, and what it reached is no evidence"
-    if trial.bic_gain < EVIDENCE:
+    if not certain and not simulates(trial, tried):
         return "its gain in likelihood does not pay for its parameters and the settings searched"
     if trial.beyond:
         return f"{trial.beyond.replace('_', ' ')} would have to be larger than is physically possible"
+    if trial.variant.joint and min(trial.lrs.values()) < math.log(min(p.n for p in trial.parts.values())):
+        return "air that is exchanged carries heat and vapour, and one of them does not show"
     worse = any(
         share < (WORSE_BY_READINGS if name in trial.by_readings else WORSE)
         for name, share in trial.gain.items()
@@ -101,11 +98,20 @@ def verdict_on(trial: Trial, cause: Cause) -> str:
         return "a clock error of this size is ordinary"
     if trial.value("humidity_ceiling", 0.0) > SATURATION:
         return "a ceiling as near to saturation as that is one of the air, not of the sensor"
-    if trial.inside is not None and trial.inside < INSIDE:
-        return "the free run gains too little in the windows in which it is said to have happened"
     if not worth_having(trial) and trial.bic_gain < cause.alone:
         return "significant, but the free run gains too little, or on a few days alone"
     return ""
+
+
+def simulates(trial: Trial, tried: int) -> bool:
+    """Whether the free run of a part gains a material share beyond what chance makes of so many trials and their settings.
+
+    Where the model is far from right the likelihood knows little, and this speaks for a cause by itself.
+    """
+    if trial.lr - trial.price < EVIDENCE:
+        return False
+    largest = math.sqrt(2.0 * math.log(max(tried * trial.variant.searched, 1.0)))
+    return any(trial.gain[name] >= MATERIAL and z >= largest for name, z in trial.z.items())
 
 
 def worth_having(trial: Trial) -> bool:
@@ -164,7 +170,7 @@ def choose(
     first = {t.variant.cause: t for t in sorted(trials, key=worth)}  # the best of each cause comes last
     while True:
         good = [
-            t for t in trials if t.variant.cause not in behind and not _reason(t, trials, accepted, library)
+            t for t in trials if t.variant.cause not in behind and not _reason(t, tried, accepted, library)
         ]
         good.sort(key=worth, reverse=True)
         if not good:
@@ -172,7 +178,7 @@ def choose(
         best = _preferred(good) if budget.spent else polished(scene, _preferred(good))
         class_ = _class(scene, best, good, trials)
         ahead = _ahead(best, class_, trials)
-        slipped = _reason(best, trials, accepted, library)  # at its maximum it may gain less than on the way
+        slipped = _reason(best, tried, accepted, library)  # at its maximum it may gain less than on the way
         if slipped or (accepted and best.best_lasting < MATERIAL and ahead < LEAD):
             behind[best.variant.cause] = slipped or NOT_AHEAD
             continue
@@ -204,11 +210,11 @@ def choose(
     names = {t.variant.cause for t in accepted}
     # what was accepted beside a cause is no longer another name for it
     apart = tuple(tuple(t for t in one if t.variant.cause not in names) for one in rivals)
-    last = {t.variant.cause: _reason(t, trials, accepted, library) for t in sorted(trials, key=worth)}
+    last = {t.variant.cause: _reason(t, tried, accepted, library) for t in sorted(trials, key=worth)}
     rejected = []
     for name, trial in first.items():
         if name not in names:
-            reason = verdict_on(trial, named(name, library)) or behind.get(name, "")
+            reason = verdict_on(trial, named(name, library), tried) or behind.get(name, "")
             rejected.append((trial, reason or last.get(name) or EXPLAINED))
     untried.sort(key=[cause.name for cause in library].index)
     return Choice(tuple(accepted), apart, tuple(margins), tried, tuple(rejected), scene, tuple(untried), cut)
@@ -225,29 +231,6 @@ def drives(trial: Trial) -> bool:
     that the hygric part is told by itself.
     """
     return THERMAL in trial.parts and HYGRIC not in trial.variant.altered
-
-
-def overshadowed(trial: Trial, trials: Sequence[Trial], library: Sequence[Cause]) -> str:
-    """Why other trials take a trial's evidence its weight; empty where they do not.
-
-    A cabinet is no network of two resistances, and likelihood notices: many causes then gain hundreds in 2 ln L and simulate
-    nothing better.  What gains no more than they do is one of them, unless the free run speaks for it clearly, or in
-    both parts.  A small error of a clock counts as none of them: every record has one.
-    """
-    both = len(trial.lasting) > 1 and min(trial.lasting.values()) >= MATERIAL
-    if trial.best_lasting >= CLEAR or both:
-        return ""
-    idle = [
-        worth(other)
-        for other in trials
-        if other.variant.cause != trial.variant.cause
-        and other.variant.shift is None
-        and not worth_having(other)
-        and set(other.parts) & set(trial.parts)
-        and verdict_on(other, named(other.variant.cause, library))
-    ]
-    least = max(idle, default=0.0) / (1.0 if trial.best_lasting >= MATERIAL else 1.0 - LEAD)
-    return OVERSHADOWED if worth(trial) < least else ""
 
 
 def _class(scene: Scene, best: Trial, good: Sequence[Trial], trials: Sequence[Trial]) -> tuple[Trial, ...]:
@@ -285,11 +268,9 @@ def _preferred(good: Sequence[Trial]) -> Trial:
     return max(better, key=lambda t: t.best_lasting, default=best)
 
 
-def _reason(
-    trial: Trial, trials: Sequence[Trial], accepted: Sequence[Trial], library: Sequence[Cause]
-) -> str:
+def _reason(trial: Trial, tried: int, accepted: Sequence[Trial], library: Sequence[Cause]) -> str:
     """Why a trial is not acceptable beside the accepted ones."""
-    reason = verdict_on(trial, named(trial.variant.cause, library)) or overshadowed(trial, trials, library)
+    reason = verdict_on(trial, named(trial.variant.cause, library), tried)
     if reason:
         return reason
     if trial.best_lasting >= STRIKING and not switches(trial):
@@ -326,6 +307,8 @@ def _again(
             continue
         if any(name in taken and taken[name] != setting for name, setting in features.items()):
             continue  # one setting of a feature at a time: two dates need two names
+        if any(_controls(trial) & _controls(one) for one in accepted):
+            continue
         count[cause] = count.get(cause, 0) + 1
         hopeful.append(trial)
 
@@ -335,6 +318,19 @@ def _again(
         return None if budget.spent else _settled(scene, attempt(scene, started(scene, trial)))
 
     return [trial for trial in mapped(beside, hopeful) if trial is not None]
+
+
+def _controls(trial: Trial) -> set[tuple[str, str]]:
+    """(part, reading) of the controllers that a trial brings.
+
+    Of two that follow the same reading the second is what the first one's form leaves behind.
+    """
+    return {
+        (part, SWITCHES[name](**settings).reads)
+        for name, settings in trial.variant.features.items()
+        if name in SWITCHES
+        for part in trial.parts
+    }
 
 
 def _needed(base: Scene, accepted: Sequence[Trial], scene: Scene, say: Progress) -> tuple[list[int], Scene]:
@@ -350,8 +346,7 @@ def _needed(base: Scene, accepted: Sequence[Trial], scene: Scene, say: Progress)
         lost = sum(
             2.0 * (scene.parts[name].objective - without.parts[name].objective) for name in scene.parts
         )
-        price = accepted[place].lr - accepted[place].bic_gain
-        if lost - price < EVIDENCE:
+        if lost - accepted[place].price < EVIDENCE:
             return others, without
     return places, scene
 

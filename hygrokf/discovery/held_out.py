@@ -24,7 +24,10 @@ from hygrokf.record import Record
 from hygrokf.resampling import resampled
 from hygrokf.simulation import QUANTITIES, free_run, measured
 
-BLOCK_DAYS = 3
+DAY_S = 86400.0
+BLOCK_DAYS = 3.0
+"""[d] Blocks by which errors are drawn; shorter where the period would have fewer than `FEWEST`."""
+FEWEST = 6
 QUANTITY = {THERMAL: "temperature_K", HYGRIC: "absolute_humidity_g_m3"}
 Errors = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
@@ -169,7 +172,8 @@ def difference_bounds(
     # an extended model may have instants of its own: those of both are compared
     time = np.array(sorted(set(columns[0]) & set(columns[1])))
     errors = np.array([[column[at] for column in columns] for at in time]).reshape(-1, 2)
-    drawn = resampled(time, errors, length_h=24.0 * BLOCK_DAYS)
+    long = float(np.ptp(time)) / (FEWEST * DAY_S) if len(time) else 0.0
+    drawn = resampled(time, errors, length_h=24.0 * min(max(long, 1.0), BLOCK_DAYS))
     found = None if drawn is None else drawn.difference(0, 1)
     return (None, None) if found is None else (found[1], found[2])
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -78,6 +79,28 @@ class Scene:
 
     record: Record
     parts: Mapping[str, Part]
+
+    @cached_property
+    def tempers(self) -> dict[str, float]:
+        """Part → `temper` of it."""
+        return {name: temper(part) for name, part in self.parts.items()}
+
+
+def temper(part: Part) -> float:
+    """Factor c ≥ 1 by which 2 ln L of a part is too large, because the model is not quite right: tr(H⁻¹ J)/d.
+
+    H (d, d) the information of its parameters, J the sum of g g' over the days' scores g: both are one where the model is
+    right.  Where something is missing that lasts for hours the scores of a day have one sign, and J grows.
+
+    Source: Takeuchi 1976 (the trace); the sandwich of White 1982, doi:10.2307/1912526.
+    """
+    coordinates = Coordinates(part.base.model.parameters)
+    objective = Objective(searching(part.base.model, part.run.timeline), coordinates)
+    _, _, information, scores = objective.information_and_scores(coordinates.start(part.values))
+    daily = np.zeros((int(days(part).max()) + 1, scores.shape[1]))
+    np.add.at(daily, days(part), scores)
+    found = float(np.trace(np.linalg.pinv(information, rcond=1e-10) @ (daily.T @ daily)))
+    return max(1.0, found / scores.shape[1]) if math.isfinite(found) else 1.0
 
 
 def scene(record: Record, starts: int = 2, say: Progress = lambda text: None) -> Scene:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -42,6 +43,8 @@ AT_BOUND = 1e-4
 EPISODE_GAP = 3
 """[d] days of one episode lie at most so far apart."""
 WEEK = 7
+BLOCKS = 25
+"""Blocks of days from which the standard error of a gain is taken."""
 BEST_DAYS = 3
 """Days that a gain must survive without: an effect that was seen on three days alone is no property of the cabinet."""
 
@@ -50,11 +53,11 @@ BEST_DAYS = 3
 class Trial:
     """A variant estimated in a scene.
 
-    `parts` the parts that it changed; `lrs` 2 Δ ln L of each, `lr` of them together, `parameters` their new ones, `bic_gain` lr less
-    the price of parameters and grid; `gain` part → share of the squared free-run error that is gone, `lasting` the
-    same without the three days that gained most, `episodes` in how many episodes it was gained.  `inside` the share that
-    is gone within the windows of an event, in the part that gains most there; None for what has none.  `by_readings` the
-    parts in which a switch follows readings that the part does not foretell, such as a humidistat in the thermal one.
+    `parts` the parts that it changed; `lrs` 2 Δ ln L of each, `lr` of them together, `parameters` their new ones, `price` what
+    these and the grid cost, `bic_gain` the evidence: what is left of the lrs over the scene's tempers; `gain` part → share
+    of the squared free-run error that is gone, `lasting` the same without the three days that gained most, `z` the gain in
+    standard errors of its blocks, `episodes` in how many episodes it was gained.  `by_readings` the parts in which a switch
+    follows readings that the part does not foretell, such as a humidistat in the thermal one.
     """
 
     variant: Variant
@@ -65,7 +68,8 @@ class Trial:
     gain: Mapping[str, float]
     lasting: Mapping[str, float]
     episodes: Mapping[str, int]
-    inside: float | None = None
+    price: float = 0.0
+    z: Mapping[str, float] = field(default_factory=dict)
     by_readings: frozenset[str] = frozenset()
 
     @property
@@ -155,7 +159,8 @@ def refined(base: Scene, scene: Scene, trial: Trial, alone: bool) -> tuple[Trial
     else:
         gained = _gained(scene, after)
         lrs = {name: one + gained.get(name, 0.0) for name, one in trial.lrs.items()}
-        found = replace(trial, variant=finer, lrs=lrs, bic_gain=trial.bic_gain + sum(gained.values()))
+        more = sum(one / scene.tempers[name] for name, one in gained.items())
+        found = replace(trial, variant=finer, lrs=lrs, bic_gain=trial.bic_gain + more)
     return found, replace(scene, parts={**scene.parts, **after})
 
 
@@ -184,7 +189,7 @@ def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
     lrs = _gained(scene, parts)
     lr = sum(lrs.values())
     count, n = 0, 0
-    gain, lasting, often = {}, {}, {}
+    gain, lasting, often, z = {}, {}, {}, {}
     switched = set(SWITCHES) & set(variant.features)
     own = lr > SHOWN and bool(switched)
     led = {
@@ -194,36 +199,22 @@ def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
     }
     for name, part in parts.items():
         before, after = scene.parts[name], self_driven(part) if own else part
-        often[name] = episodes(*daily_squares(before, after))
+        squares = daily_squares(before, after)
+        often[name], z[name] = episodes(*squares), standard_errors(*squares)
         count += part.parameters - before.parameters
         n += before.n
         gain[name], lasting[name] = shares(before, after)
     count = max(count, 1)
-    spans = variant.settings.get("spans", ())
-    windows = [share_inside(scene.parts[name], part, spans) for name, part in parts.items()] if spans else []
     price = penalty(variant, count, n)
+    evidence = sum(one / scene.tempers[name] for name, one in lrs.items()) - price
     return Trial(
-        variant, dict(parts), lrs, count, lr - price, gain, lasting, often,
-        max(windows) if windows else None, frozenset(led),
-    )  # fmt: skip
+        variant, dict(parts), lrs, count, evidence, gain, lasting, often, price, z, frozenset(led)
+    )
 
 
 def _gained(scene: Scene, parts: Mapping[str, Part]) -> dict[str, float]:
     """2 Δ ln L of changed parts over those of the scene."""
     return {name: 2.0 * (part.objective - scene.parts[name].objective) for name, part in parts.items()}
-
-
-def share_inside(before: Part, after: Part, spans: Sequence[Sequence[float]]) -> float:
-    """Share of the squared free-run error within windows (start, end) [s] that is gone."""
-
-    def square(part: Part) -> float:
-        there = np.zeros(len(part.time_s), bool)
-        for start, end in spans:
-            there |= (part.time_s > start) & (part.time_s <= end)
-        return float(np.nansum(part.error[there] ** 2))
-
-    old = square(before)
-    return 1.0 - square(after) / old if old > 0.0 else 0.0
 
 
 def daily_squares(before: Part, after: Part) -> tuple[np.ndarray, np.ndarray]:
@@ -245,6 +236,14 @@ def shares(before: Part, after: Part) -> tuple[float, float]:
         1.0 - float(new.sum()) / total if total > 0 else 0.0,
         1.0 - float(new[order].sum()) / rest if rest > 0 else 0.0,
     )
+
+
+def standard_errors(old: np.ndarray, new: np.ndarray) -> float:
+    """What is gone of squared errors by day (D,), over its own standard error from `BLOCKS` blocks of days."""
+    size = max(1, len(old) // BLOCKS)
+    gone = np.add.reduceat(old - new, np.arange(0, len(old), size))
+    spread = math.sqrt(len(gone) * float(np.var(gone, ddof=1))) if len(gone) > 1 else 0.0
+    return float(gone.sum()) / spread if spread > 0.0 else 0.0
 
 
 def episodes(old: np.ndarray, new: np.ndarray) -> int:
