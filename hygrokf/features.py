@@ -198,6 +198,7 @@ FEATURES: Mapping[str, tuple[Callable, str]] = {
     "throttled_heating": (throttled, ZERO_ORDER),
     "venting": (throttled, ZERO_ORDER),
     "scheduled": (scheduled, ZERO_ORDER),
+    "open_hours": (scheduled, ZERO_ORDER),
     "drying": (drying, ZERO_ORDER),
 }
 """Features by the name of the input that they give, with its hold."""

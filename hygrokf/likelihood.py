@@ -15,11 +15,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from hygrokf.control_loop import Control
 from hygrokf.discretisation import CONSTANT_RATES, VARYING_RATES
 from hygrokf.emission import LANES
 from hygrokf.expression import is_zero
 from hygrokf.long_steps import MOST, TAIL, LongStep, inputs_between
-from hygrokf.loops import Control
 from hygrokf.model import Model
 from hygrokf.moments import pack, trace_width, unpack
 from hygrokf.recursion import Recursion

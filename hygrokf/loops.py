@@ -11,6 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
+from hygrokf.control_loop import Control, write_controlled
 from hygrokf.emission import SCALAR, VECTOR, Writer, declarations, literal
 from hygrokf.expression import Expression, forward, reverse
 from hygrokf.moments import place, trace_width
@@ -53,30 +54,13 @@ ARGUMENTS = {
 }
 
 
-@dataclass(frozen=True)
-class Control:
-    """A controller within the loop: it sets a varying input by what a logger would show of an output.
-
-    `input`, `reads` names; `mean_h` [h] over which the logger takes means, 0 for none.  `proportional`: its position is
-    (reading − a)/(b − a), within 0 and 1, of its two levels.  Else it is 1 from a reading beyond a on until one beyond b, on
-    the other side: `rising` for one that starts above and stops below; `idle`: 0 but at standstill.
-    """
-
-    input: str
-    reads: str
-    mean_h: float
-    proportional: bool
-    rising: bool = True
-    idle: bool = False
-
-
 def loop_text(recursion: Recursion, kind: str, gain: bool, controls: Sequence[Control] = ()) -> str:
     """LLVM text of a module with one function, named after its kind; without gain no reading corrects the state."""
-    return declarations() + _Emission(recursion, gain, controls).function(kind)
+    return declarations() + Emission(recursion, gain, controls).function(kind)
 
 
 @dataclass
-class _Emission:
+class Emission:
     """LLVM text of the loops of one recursion."""
 
     recursion: Recursion
@@ -121,25 +105,25 @@ class _Emission:
                 w.store(SCALAR, name, w.at(SCALAR, "%table", w.integer("add", row, c)))
 
     # -- pieces of the time loop -----------------------------------------------------------------------------
-    def _slots(self, prefix: Sequence[Expression], kind: str = SCALAR) -> dict[int, str]:
+    def slots(self, prefix: Sequence[Expression], kind: str = SCALAR) -> dict[int, str]:
         return {e.index: self.writer.slot(kind) for e in prefix}
 
-    def _read(self, slots: Mapping[int, str], kind: str = SCALAR) -> dict[int, str]:
+    def read(self, slots: Mapping[int, str], kind: str = SCALAR) -> dict[int, str]:
         return {i: self.writer.load(kind, s) for i, s in slots.items()}
 
-    def _load_state(self, slots: Mapping[int, str], base: str, row: str | int = 0) -> None:
+    def load_state(self, slots: Mapping[int, str], base: str, row: str | int = 0) -> None:
         w = self.writer
         start = w.integer("mul", row, len(slots))
         for c, s in enumerate(slots.values()):
             w.store(SCALAR, w.load(SCALAR, w.at(SCALAR, base, w.integer("add", start, c))), s)
 
-    def _save_state(self, slots: Mapping[int, str], base: str, row: str | int = 0) -> None:
+    def save_state(self, slots: Mapping[int, str], base: str, row: str | int = 0) -> None:
         w = self.writer
         start = w.integer("mul", row, len(slots))
         for c, s in enumerate(slots.values()):
             w.store(SCALAR, w.load(SCALAR, s), w.at(SCALAR, base, w.integer("add", start, c)))
 
-    def _instant_keys(self, k: str) -> tuple[str, str]:
+    def instant_keys(self, k: str) -> tuple[str, str]:
         """(row of the key table as i64, number of sub-steps as i64) of the step that ends at instant k."""
         key = self._index("%key", k)
         return key, self._index("%nsub", key)
@@ -149,7 +133,7 @@ class _Emission:
         value = w.load("i32", w.at("i32", base, place))
         return w.value(f"sext i32 {value} to i64")
 
-    def _table(self, key: str) -> dict[int, str]:
+    def table(self, key: str) -> dict[int, str]:
         r, w = self.recursion, self.writer
         row = w.integer("mul", key, len(r.key_nodes))
         values = {
@@ -158,7 +142,7 @@ class _Emission:
         }
         return self._key_row(key) | values
 
-    def _inputs_within(self, k: str, j: str, count: str) -> dict[int, str]:
+    def inputs_within(self, k: str, j: str, count: str) -> dict[int, str]:
         """Inputs at the start and the end of sub-step j of `count`, between instants k−1 and k."""
         r, w = self.recursion, self.writer
         m = len(r.varying)
@@ -199,11 +183,11 @@ class _Emission:
         with w.loop(rest) as j:
             if each is not None:
                 each(j)
-            self._advance(slots, key, self._inputs_within(k, j, count))
+            self._advance(slots, key, self.inputs_within(k, j, count))
 
     def _advance(self, slots: Mapping[int, str], key: str, inputs: Mapping[int, str]) -> None:
         r, w = self.recursion, self.writer
-        leaves = self._read(slots) | self._table(key) | inputs
+        leaves = self.read(slots) | self.table(key) | inputs
         values = w.block(r.graph, r.predict.outputs, leaves | self.at_parameters)
         for s, (_, name) in zip(slots.values(), values, strict=True):
             w.store(SCALAR, name, s)
@@ -234,8 +218,8 @@ class _Emission:
 
     def _update_leaves(self, slots: Mapping[int, str], k: str, key: str, y: str) -> dict[int, str]:
         return (
-            self._read(slots)
-            | self._table(key)
+            self.read(slots)
+            | self.table(key)
             | self._inputs_at(k)
             | {self.recursion.reading.index: y}
             | self.at_parameters
@@ -260,15 +244,15 @@ class _Emission:
     # -- the functions ---------------------------------------------------------------------------------------
     def _value(self) -> None:
         w = self.writer
-        slots = self._slots(self.recursion.state)
-        self._load_state(slots, "%state")
+        slots = self.slots(self.recursion.state)
+        self.load_state(slots, "%state")
         total = RunningSums(w)
         with w.loop("%count") as k:
-            key, parts = self._instant_keys(k)
+            key, parts = self.instant_keys(k)
             self._predict(slots, k, key, parts)
             self._correct(slots, k, key, total)
             self._resets(slots, k)
-        self._save_state(slots, "%state")
+        self.save_state(slots, "%state")
         total.write(w, "%out")
 
     def _correct(self, slots: Mapping[int, str], k: str, key: str, total: RunningSums) -> None:
@@ -288,18 +272,18 @@ class _Emission:
     def _trace(self) -> None:
         """Rows: mean, covariance before; (prediction, variance) of every output; after; transition."""
         w, r = self.writer, self.recursion
-        slots = self._slots(self.recursion.state)
-        self._load_state(slots, "%state")
+        slots = self.slots(self.recursion.state)
+        self.load_state(slots, "%state")
         total = RunningSums(w)
         width = trace_width(r.n, len(r.updates), r.diffuse)
         transition = [w.slot(SCALAR) for _ in range(r.n * r.n)]
         with w.loop("%count") as k:
-            key, parts = self._instant_keys(k)
+            key, parts = self.instant_keys(k)
             row = w.at(SCALAR, "%rows", w.integer("mul", k, width))
             for c, s in enumerate(transition):
                 w.store(SCALAR, literal(1.0 if c % (r.n + 1) == 0 else 0.0), s)
             self._predict_with_transition(slots, transition, k, key, parts)
-            self._save_state(slots, row)
+            self.save_state(slots, row)
             column = len(slots)
             for update, (y, there) in zip(r.updates, self._readings(k), strict=True):
                 outputs = update.outputs[-3:-1]
@@ -315,12 +299,12 @@ class _Emission:
                     if self.gain:
                         for s, (_, name) in zip(slots.values(), values, strict=False):
                             w.store(SCALAR, name, s)
-            self._save_state(slots, w.at(SCALAR, row, column))
+            self.save_state(slots, w.at(SCALAR, row, column))
             column += len(slots)
             for c, s in enumerate(transition):
                 w.store(SCALAR, w.load(SCALAR, s), w.at(SCALAR, row, column + c))
             self._resets(slots, k)
-        self._save_state(slots, "%state")
+        self.save_state(slots, "%state")
         total.write(w, "%out")
 
     def _predict_with_transition(
@@ -329,7 +313,7 @@ class _Emission:
         r, w = self.recursion, self.writer
         n = r.n
         with w.loop(count) as j:
-            leaves = self._read(slots) | self._table(key) | self._inputs_within(k, j, count)
+            leaves = self.read(slots) | self.table(key) | self.inputs_within(k, j, count)
             both = [*r.predict.outputs, *r._transition_outputs]
             values = w.block(r.graph, both, leaves | self.at_parameters)
             f = [name for _, name in values[len(slots) :]]
@@ -345,105 +329,45 @@ class _Emission:
                 w.store(SCALAR, name, s)
 
     def _controlled(self) -> None:
-        """Means of a free run that drives its own controls; `positions` (T, c) in the step that leads to each instant.
-
-        Before each step the controls look at what the logger would show where it begins; `idle` (T,) is 1 at standstill,
-        `levels` (c, 2) are theirs.
-        """
-        w, r = self.writer, self.recursion
-        means = [e.index for e in r.mean]
-        slots = self._slots(r.state)
-        self._load_state(slots, "%state")
-        width = len(r.varying)
-        with w.loop("%count") as k:
-            key, parts = self._instant_keys(k)
-            row = w.integer("mul", k, width)
-            before = w.integer("sub", row, width)
-            begun = {
-                r.now[name].index: w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", before, c)))
-                for c, name in enumerate(r.varying)
-            }
-            leaves = self._read(slots) | self._table(key) | begun | self.at_parameters
-            leaves |= {r.reading.index: literal(0.0)}
-            wanted = [self._shown(control) for control in self.controls]
-            shown = [name for _, name in w.block(r.graph, wanted, leaves)]
-            idle = w.value(f"fcmp ogt double {w.load(SCALAR, w.at(SCALAR, '%idle', k))}, {literal(0.5)}")
-            place = w.integer("mul", k, len(self.controls))
-            for c, (control, value) in enumerate(zip(self.controls, shown, strict=True)):
-                if not control.mean_h:  # the innovation of a reading of 0
-                    value = w.value(f"fneg double {value}")
-                position = self._position(control, c, value, begun[r.now[control.input].index], idle)
-                w.store(SCALAR, position, w.at(SCALAR, "%positions", w.integer("add", place, c)))
-                column = w.integer("add", row, r.varying.index(control.input))
-                w.store(SCALAR, position, w.at(SCALAR, "%u", column))
-            with w.loop(parts) as j:
-                leaves = self._read(slots) | self._table(key) | self._inputs_within(k, j, parts)
-                after = w.block(r.graph, r.predict.outputs[: len(means)], leaves | self.at_parameters)
-                for i, (_, name) in zip(means, after, strict=True):
-                    w.store(SCALAR, name, slots[i])
-        self._save_state(slots, "%state")
-
-    def _shown(self, control: Control) -> Expression:
-        """What the logger shows to a control: a mean's is the reading whose running mean grows at this rate."""
-        r = self.recursion
-        if control.mean_h:
-            return r.rates[r.system.states.index(f"mean_{control.reads}")] * control.mean_h
-        names = [name for name, _ in r.system.outputs]
-        return r.updates[names.index(control.reads)].outputs[-3]
-
-    def _position(self, control: Control, c: int, value: str, before: str, idle: str) -> str:
-        w = self.writer
-        first, second = (w.load(SCALAR, w.at(SCALAR, "%levels", 2 * c + i)) for i in (0, 1))
-        zero, one = literal(0.0), literal(1.0)
-        if control.proportional:
-            share = w.real("fdiv", w.real("fsub", value, first), w.real("fsub", second, first))
-            low = w.value(f"select i1 {w.value(f'fcmp ogt double {share}, {zero}')}, double {share}, double {zero}")
-            return w.value(f"select i1 {w.value(f'fcmp olt double {low}, {one}')}, double {low}, double {one}")
-        above, below = ("ogt", "olt") if control.rising else ("olt", "ogt")
-        started = w.value(f"fcmp {above} double {value}, {first}")
-        stopped = w.value(f"fcmp {below} double {value}, {second}")
-        if control.idle:
-            stopped = w.value(f"or i1 {stopped}, {w.value(f'xor i1 {idle}, true')}")
-        on = w.value(f"select i1 {started}, double {one}, double {before}")
-        return w.value(f"select i1 {stopped}, double {zero}, double {on}")
+        write_controlled(self, self.controls)
 
     def _adjoint(self) -> None:
         """Score by one forward pass that keeps the moments and one backward pass."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
-        slots = self._slots(self.recursion.state)
-        self._load_state(slots, "%state")
+        slots = self.slots(self.recursion.state)
+        self.load_state(slots, "%state")
         total = RunningSums(w)
         # store: row 2k the moments before the updates of instant k, row 2k+1 those after it
         with w.loop("%count") as k:
-            key, parts = self._instant_keys(k)
+            key, parts = self.instant_keys(k)
             self._predict(slots, k, key, parts)
-            self._save_state(slots, "%store", w.integer("mul", k, 2))
+            self.save_state(slots, "%store", w.integer("mul", k, 2))
             self._correct(slots, k, key, total)
             self._resets(slots, k)
-            self._save_state(slots, "%store", w.integer("add", w.integer("mul", k, 2), 1))
+            self.save_state(slots, "%store", w.integer("add", w.integer("mul", k, 2), 1))
         total.write(w, "%out")
 
-        bars = self._slots(self.recursion.state)
+        bars = self.slots(self.recursion.state)
         bar_symbol = {i: g.symbol(f"bar:{i}") for i in bars}
-        self._load_state(bars, "%statebar")
+        self.load_state(bars, "%statebar")
         self.parameter_bars = {i: w.slot(SCALAR, literal(0.0)) for i in r.estimated_nodes}
         for e in r.p.values():
             self.parameter_bars.setdefault(e.index, w.slot(SCALAR, literal(0.0)))
         with w.loop("%count", backwards=True) as k:
-            key, parts = self._instant_keys(k)
+            key, parts = self.instant_keys(k)
             self._resets(bars, k)
             self._reverse_updates(slots, bars, bar_symbol, k, key)
             self._reverse_predict(slots, bars, bar_symbol, k, key, parts)
-        self._save_state(bars, "%statebar")
+        self.save_state(bars, "%statebar")
         self._reverse_stages()
 
     def _reverse_updates(self, slots: dict, bars: dict, bar_symbol: dict, k: str, key: str) -> None:
         w, r = self.writer, self.recursion
         readings = self._readings(k)
-        self._load_state(slots, "%store", w.integer("mul", k, 2))
+        self.load_state(slots, "%store", w.integer("mul", k, 2))
         last = len(r.updates) - 1
         for c, update in enumerate(r.updates):  # moments before each update, kept in the buffer
-            self._save_state(slots, "%buffer", c)
+            self.save_state(slots, "%buffer", c)
             if c < last and self.gain:
                 y, there = readings[c]
                 with w.when(there):
@@ -455,7 +379,7 @@ class _Emission:
             update = r.updates[c]
             y, there = readings[c]
             with w.when(there):
-                self._load_state(slots, "%buffer", c)
+                self.load_state(slots, "%buffer", c)
                 leaves = self._update_leaves(slots, k, key, y)
                 seeds: dict[int, Expression] = {}
                 if self.gain:
@@ -473,21 +397,21 @@ class _Emission:
         """Back through the sub-steps; their starting moments are recomputed into the buffer when there are several."""
         w, r = self.writer, self.recursion
         first = w.value(f"icmp eq i64 {k}, 0")
-        self._load_state(slots, "%first")
+        self.load_state(slots, "%first")
         with w.when(w.value(f"xor i1 {first}, true")):
-            self._load_state(slots, "%store", w.integer("sub", w.integer("mul", k, 2), 1))
+            self.load_state(slots, "%store", w.integer("sub", w.integer("mul", k, 2), 1))
 
         def keep(j: str) -> None:
-            self._save_state(slots, "%buffer", j)
+            self.save_state(slots, "%buffer", j)
 
         one = w.value(f"icmp sle i64 {parts}, 1")
         with w.when(one):
-            self._save_state(slots, "%buffer", 0)
+            self.save_state(slots, "%buffer", 0)
         with w.when(w.value(f"xor i1 {one}, true")):
             self._predict(slots, k, key, parts, each=keep)
         with w.loop(parts, backwards=True) as j:
-            self._load_state(slots, "%buffer", j)
-            leaves = self._read(slots) | self._table(key) | self._inputs_within(k, j, parts)
+            self.load_state(slots, "%buffer", j)
+            leaves = self.read(slots) | self.table(key) | self.inputs_within(k, j, parts)
             seeds: dict[int, Expression] = {}
             for e, i in zip(r.predict.outputs, bars, strict=True):
                 _seed(seeds, e, bar_symbol[i])
@@ -583,10 +507,10 @@ class _Emission:
                 pointer = w.at(VECTOR, "%keydot", w.integer("add", row, c))
                 w.store(VECTOR, w.as_vector(kind, name), pointer)
         key_dots = {i: g.symbol(f"dot:{i}") for i in r.key_nodes}
-        slots = self._slots(self.recursion.state)
+        slots = self.slots(self.recursion.state)
         state_dots = {i: g.symbol(f"dot:{i}") for i in slots}
         dot_slots = {i: w.slot(VECTOR) for i in slots}
-        self._load_state(slots, "%state")
+        self.load_state(slots, "%state")
         for c, s in enumerate(dot_slots.values()):
             w.store(VECTOR, w.load(VECTOR, w.at(VECTOR, "%statedot", c)), s)
         total = RunningSums(w)
@@ -613,9 +537,9 @@ class _Emission:
 
         width = len(r.updates)
         with w.loop("%count") as k:
-            key, parts = self._instant_keys(k)
+            key, parts = self.instant_keys(k)
             with w.loop(parts) as j:
-                leaves = self._read(slots) | self._table(key) | self._inputs_within(k, j, parts)
+                leaves = self.read(slots) | self.table(key) | self.inputs_within(k, j, parts)
                 values, derivatives = run(r.predict.outputs, leaves | self.at_parameters, key)
                 for s, (_, name) in zip(slots.values(), values, strict=True):
                     w.store(SCALAR, name, s)
@@ -647,7 +571,7 @@ class _Emission:
                             w.store(VECTOR, name, s)
             self._resets(slots, k)
             self._resets(dot_slots, k, "zeroinitializer", VECTOR)
-        self._save_state(slots, "%state")
+        self.save_state(slots, "%state")
         for c, s in enumerate(dot_slots.values()):
             w.store(VECTOR, w.load(VECTOR, s), w.at(VECTOR, "%statedot", c))
         total.write(w, "%out")

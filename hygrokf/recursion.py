@@ -27,6 +27,7 @@ from threading import Lock
 
 import numpy as np
 
+from hygrokf.control_loop import Control
 from hygrokf.discretisation import Step, congruence, step
 from hygrokf.expression import (
     Expression,
@@ -46,7 +47,6 @@ from hygrokf.loops import (
     LINEAR,
     PARAMETER,
     REGIME,
-    Control,
     loop_text,
 )
 from hygrokf.machine import Code

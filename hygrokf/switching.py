@@ -16,10 +16,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.control_loop import Control
 from hygrokf.design import Design
 from hygrokf.drivers import Run
 from hygrokf.likelihood import Gaussian, Likelihood
-from hygrokf.loops import LINEAR, Control
+from hygrokf.loops import LINEAR
 from hygrokf.model import Model
 from hygrokf.switches import SWITCHES, Switch, Throttle
 from hygrokf.timeline import Timeline

@@ -21,7 +21,7 @@ ACTUATORS = ("heater_duty", "fan_duty")
 """What is logged and used: the heating pipe's warmth above the air, and the vents' opening.  The lamps' signal is 100 % for
 97 % of the time, so that withholding it hides nothing."""
 CLASSES = {
-    "heater_duty": ("unlogged_heater", "scheduled_heat"),
+    "heater_duty": ("unlogged_heater",),
     "fan_duty": ("cooling_switching", "wind_driven_exchange", "exchange_step", "door_opening"),
 }
 """Causes that are right names where an actuator is withheld: sources of heat; exchange of air."""

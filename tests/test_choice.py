@@ -15,7 +15,6 @@ from hygrokf.discovery import choice, evidence, grids
 from hygrokf.discovery.cause import Variant
 from hygrokf.discovery.choice import (
     NOT_AHEAD,
-    OVERSHADOWED,
     _preferred,
     _reason,
     choose,
@@ -32,7 +31,7 @@ from hygrokf.discovery.trial import (
     ordinary_shift,
     refined,
     score_statistic,
-    share_inside,
+    standard_errors,
     started,
 )
 from hygrokf.drivers import run
@@ -47,7 +46,7 @@ def part_of(*mechanisms: Mechanism, converged: bool = True, **values: float) -> 
     """What a choice reads of a part."""
     parameters = [p for mechanism in mechanisms for p in mechanism.parameters]
     base = SimpleNamespace(model=SimpleNamespace(parameters=parameters))
-    return SimpleNamespace(base=base, values=values, converged=converged)
+    return SimpleNamespace(base=base, values=values, converged=converged, n=5000)
 
 
 def trial(
@@ -91,9 +90,6 @@ def test_overwhelming_evidence_needs_half_of_the_gain_without_the_best_days() ->
     assert "gains too little" in verdict(replace(one, bic_gain=90.0))
     assert "gains too little" in verdict(replace(one, gain={THERMAL: 0.045}))
     assert "gains too little" in verdict(replace(one, lasting={THERMAL: 0.02}))
-    idle = trial("wall_thermal_mass", 300.0, 0.0, THERMAL)
-    assert _reason(one, [one, idle], [], LIBRARY) == OVERSHADOWED
-    assert _reason(replace(one, bic_gain=450.0), [one, idle], [], LIBRARY) == ""
 
 
 @pytest.mark.parametrize(
@@ -190,60 +186,53 @@ def test_a_ceiling_at_saturation_is_the_airs() -> None:
         assert ("saturation" not in found) == named_so
 
 
-def test_an_event_explains_what_goes_on_in_its_windows() -> None:
-    """On the plants that door windows were held against: real ones take 42 % and more away, bursts of noise −4 to 2 %."""
-    one = trial("door_opening", 300.0, 0.0)
-    assert verdict(replace(one, inside=0.4)) == verdict(replace(one, inside=None)) == ""
-    assert "windows" in verdict(replace(one, inside=0.02)) and "windows" in verdict(
-        replace(one, inside=-0.04)
+def test_where_the_likelihood_knows_little_the_free_run_speaks() -> None:
+    """Evidence that is nothing after tempering, and a free run that gains 12 of its own standard errors."""
+    one = replace(
+        trial("internal_moisture_source", 2.0, 0.6), price=20.0, lrs={HYGRIC: 400.0}, z={HYGRIC: 12.0}
     )
+    cause = named("internal_moisture_source")
+    assert verdict_on(one, cause, tried=60) == ""
+    assert "does not pay" in verdict_on(replace(one, z={HYGRIC: 2.5}), cause, tried=60)
+    assert "does not pay" in verdict_on(replace(one, gain={HYGRIC: 0.03}), cause, tried=60)
+    assert "does not pay" in verdict_on(replace(one, lrs={HYGRIC: 25.0}), cause, tried=60)
+    # four standard errors are chance where a thousand settings were searched
+    searched = replace(one.variant, searched=1000.0)
+    assert verdict_on(replace(one, z={HYGRIC: 4.0}), cause, tried=60) == ""
+    assert "does not pay" in verdict_on(replace(one, z={HYGRIC: 4.0}, variant=searched), cause, tried=60)
 
 
-def test_the_share_within_windows() -> None:
-    time = np.arange(10.0)
-    before, after = (
-        SimpleNamespace(time_s=time, error=np.where(time < 5.0, size, 7.0)) for size in (2.0, 1.0)
-    )
-    before.error[2] = np.nan
-    assert share_inside(before, after, [(0.0, 4.0)]) == pytest.approx(1.0 - 4.0 / 12.0)
-    assert share_inside(before, after, [(100.0, 200.0)]) == 0.0
+def test_standard_errors_of_a_gain_come_from_blocks_of_days() -> None:
+    random = np.random.default_rng(3)
+    old, gone = np.full(100, 10.0), random.normal(0.5, 1.0, 100)
+    blocks = gone.reshape(25, 4).sum(axis=1)
+    expected = gone.sum() / (5.0 * blocks.std(ddof=1))
+    assert standard_errors(old, old - gone) == pytest.approx(expected)
+    once = np.zeros(100)
+    once[40] = 50.0
+    assert standard_errors(old, old - once) == pytest.approx(1.0)
+    assert standard_errors(old, old) == 0.0
 
 
-def test_what_gains_no_more_than_idle_causes_is_one_of_them() -> None:
-    """A record that departs from the model everywhere gives every cause evidence; it takes a clear free run to stand out."""
-    idle = trial("wall_thermal_mass", 400.0, 0.01)
+def test_what_exchanges_air_must_show_in_heat_and_vapour() -> None:
+    one = trial("cooling_switching", 900.0, 0.2)
+    both = replace(
+        one, variant=replace(one.variant, joint=True), parts={THERMAL: part_of(), HYGRIC: part_of()},
+        lrs={THERMAL: 600.0, HYGRIC: 300.0},
+    )  # fmt: skip
+    assert verdict(both) == ""
+    for name in (THERMAL, HYGRIC):
+        assert "one of them does not show" in verdict(replace(both, lrs={**both.lrs, name: 3.0}))
+    assert verdict(replace(both, variant=one.variant, lrs={THERMAL: 600.0, HYGRIC: 3.0})) == ""
 
-    def reason(one: Trial, beside: Trial = idle) -> str:
-        return _reason(one, [one, beside], [], LIBRARY)
 
-    assert (
-        reason(trial("exchange_step", 120.0, 0.0))
-        == reason(trial("ambient_bias", 380.0, 0.06))
-        == OVERSHADOWED
-    )
-    assert (
-        reason(trial("exchange_step", 560.0, 0.0)) == OVERSHADOWED
-        and reason(trial("exchange_step", 580.0, 0.0)) == ""
-    )
-    assert reason(trial("ambient_bias", 420.0, 0.06)) == reason(trial("ambient_bias", 90.0, 0.12)) == ""
-    offset = replace(
-        trial("temperature_sensor_offset", 200.0, 0.06),
-        parts={HYGRIC: part_of(), THERMAL: part_of()},
-        lasting={HYGRIC: 0.06, THERMAL: 0.06},
-    )
-    assert (
-        reason(offset) == "" and reason(replace(offset, lasting={HYGRIC: 0.06, THERMAL: 0.0})) == OVERSHADOWED
-    )
-    # another part, a cause worth having, and a clock do not count
-    assert reason(trial("exchange_step", 120.0, 0.0), trial("wall_thermal_mass", 400.0, 0.01, THERMAL)) == ""
-    assert reason(trial("exchange_step", 120.0, 0.0), trial("wall_thermal_mass", 400.0, 0.2)) == ""
-    clock = replace(
-        idle,
-        variant=Variant(
-            "clock_shift", "x", shift=Shift("a.csv", 60.0), settings={"shift_s": 60.0, "ordinary_s": 240.0}
-        ),
-    )
-    assert reason(trial("exchange_step", 120.0, 0.0), clock) == ""
+def test_a_model_that_is_not_quite_right_tempers_its_likelihood() -> None:
+    """Near one on a plant that hides nothing; measured boxes are far above it (test_greenhouse)."""
+    plain = scene(to_record(hidden_plant(941, "none", days=40.0)), starts=1)
+    assert all(1.0 <= c < 1.6 for c in plain.tempers.values())
+    (variant,) = named("wall_thermal_mass").variants(plain)
+    found = attempt(plain, variant)
+    assert found.bic_gain == pytest.approx(found.lrs[THERMAL] / plain.tempers[THERMAL] - found.price)
 
 
 def test_more_evidence_wins_unless_another_simulates_better() -> None:
@@ -258,20 +247,20 @@ def test_more_evidence_wins_unless_another_simulates_better() -> None:
 
 def test_what_a_form_leaves_behind_is_no_further_cause() -> None:
     first = trial("unlogged_heater", 1000.0, 0.2, THERMAL)
-    assert _reason(trial("wall_thermal_mass", 200.0, 0.1, THERMAL), [], [first], LIBRARY) == ""
-    assert "leaves behind" in _reason(trial("wall_thermal_mass", 140.0, 0.1, THERMAL), [], [first], LIBRARY)
-    assert "leaves behind" in _reason(trial("clock_shift", 600.0, 0.0, THERMAL), [], [first], LIBRARY)
-    assert _reason(trial("clock_shift", 1200.0, 0.0, THERMAL), [], [first], LIBRARY) == ""
-    assert _reason(trial("moisture_sorption", 20.0, 0.1, HYGRIC), [], [first], LIBRARY) == ""
+    assert _reason(trial("wall_thermal_mass", 200.0, 0.1, THERMAL), 1, [first], LIBRARY) == ""
+    assert "leaves behind" in _reason(trial("wall_thermal_mass", 140.0, 0.1, THERMAL), 1, [first], LIBRARY)
+    assert "leaves behind" in _reason(trial("clock_shift", 600.0, 0.0, THERMAL), 1, [first], LIBRARY)
+    assert _reason(trial("clock_shift", 1200.0, 0.0, THERMAL), 1, [first], LIBRARY) == ""
+    assert _reason(trial("moisture_sorption", 20.0, 0.1, HYGRIC), 1, [first], LIBRARY) == ""
 
 
 def test_a_strikingly_better_free_run_needs_no_share_of_the_first_evidence() -> None:
     """A thermometer 1.7 K off beside a drier: 2.5 % of its evidence, and a free run that is better by a quarter."""
     first = trial("dehumidifier", 2699.0, 0.3)
-    assert _reason(trial("temperature_sensor_offset", 69.0, 0.26), [], [first], LIBRARY) == ""
-    assert "leaves behind" in _reason(trial("temperature_sensor_offset", 69.0, 0.18), [], [first], LIBRARY)
+    assert _reason(trial("temperature_sensor_offset", 69.0, 0.26), 1, [first], LIBRARY) == ""
+    assert "leaves behind" in _reason(trial("temperature_sensor_offset", 69.0, 0.18), 1, [first], LIBRARY)
     drier = trial("dehumidifier", 69.0, 0.26, features={"drying": {}})
-    assert "leaves behind" in _reason(drier, [], [first], LIBRARY)
+    assert "leaves behind" in _reason(drier, 1, [first], LIBRARY)
 
 
 def test_evidence_is_compared_in_the_part_that_causes_share() -> None:
@@ -282,9 +271,9 @@ def test_evidence_is_compared_in_the_part_that_causes_share() -> None:
         lrs={THERMAL: 750.0, HYGRIC: 200.0},
     )
     assert fan.lr == 950.0 and fan.bic_in([HYGRIC]) == pytest.approx(930.0 * 200.0 / 950.0)
-    assert _reason(trial("rain_ingress", 136.0, 0.14), [], [fan], LIBRARY) == ""
+    assert _reason(trial("rain_ingress", 136.0, 0.14), 1, [fan], LIBRARY) == ""
     alone = replace(fan, parts={HYGRIC: part_of()}, lrs={HYGRIC: 950.0})
-    assert "leaves behind" in _reason(trial("rain_ingress", 136.0, 0.14), [], [alone], LIBRARY)
+    assert "leaves behind" in _reason(trial("rain_ingress", 136.0, 0.14), 1, [alone], LIBRARY)
     assert trial("rain_ingress", -30.0, 0.0).bic_in([HYGRIC]) == 0.0
 
 
@@ -365,7 +354,9 @@ def test_a_switch_is_refined_without_losing_its_hysteresis(monkeypatch: pytest.M
     monkeypatch.setattr(grids, "scan", narrowest)
     monkeypatch.setattr(grids, "starts", lambda part, name, settings: 99)
     first = [{"on": a, "off": a - width} for a in (0.6644, 0.8572) for width in (0.03, 0.08)]
-    chosen, searched = grids.best_switch(None, "drier", "rate", "drying", first, {"": 0.02})  # type: ignore[arg-type]
+    probe = grids.Probe(HYGRIC, ("drier", {}), "rate")
+    bare = Scene(Record("bare", ()), {HYGRIC: SimpleNamespace()})
+    chosen, searched = grids.best_switch(bare, "drying", [probe], first, {"": 0.02})
     # steps of 0.01 and 0.02 bring on and off together but for rounding: such a pair is no switch
     assert chosen["on"] - chosen["off"] > 1e-3 and searched == 3.0
     assert min(one["on"] - one["off"] for one in seen) > 1e-3
@@ -385,11 +376,11 @@ def test_what_turns_with_the_seasons_is_no_switch(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(
         grids, "scan", lambda *args: SimpleNamespace(root=np.ones(len(args[4])), effective=1.0)
     )
-    names = ("cooling_loss", "cooling_conductance", "cooling")
-    assert grids.best_switch(part, *names, [{"on_K": 296.0, "off_K": 288.5}], {"": 0.5}) is None
-    setting, _ = grids.best_switch(
-        part, *names, [{"on_K": 296.0, "off_K": 288.5}, {"on_K": 292.0, "off_K": 291.0}], {"": 0.1}
-    )
+    probe = grids.Probe(THERMAL, ("cooling_loss", {}), "cooling_conductance")
+    roof = Scene(part.record, {THERMAL: part})
+    seldom, often = {"on_K": 296.0, "off_K": 288.5}, {"on_K": 292.0, "off_K": 291.0}
+    assert grids.best_switch(roof, "cooling", [probe], [seldom], {"": 0.5}) is None
+    setting, _ = grids.best_switch(roof, "cooling", [probe], [seldom, often], {"": 0.1})
     assert setting["on_K"] < 295.0
 
 
@@ -428,7 +419,8 @@ def test_finer_forms_are_tried_in_the_end() -> None:
     assert again is found and same is after
     # beside others only what the form gains is its own, or another's evidence would be counted here too
     told, _ = refined(made, beside, trial, alone=False)
-    assert told.bic_gain == pytest.approx(found.bic_gain, abs=0.1) and told.gain == trial.gain
+    assert told.lr == pytest.approx(found.lr, abs=0.1) and told.gain == trial.gain
+    assert told.bic_gain > trial.bic_gain + 5.0
 
 
 @pytest.mark.parametrize(
@@ -488,9 +480,7 @@ def test_humidity_is_driven_by_the_temperature_that_a_cause_makes_known() -> Non
 
 def test_a_source_is_found_behind_a_disturbance_that_stands_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """At the base model's maximum the disturbance has a memory of days and the size of what the source brings."""
-    plant = hidden_plant(
-        49608, "unlogged_heater", form=1, days=120.0, second=("internal_moisture_source", 0)
-    )
+    plant = hidden_plant(49608, "unlogged_heater", form=1, days=120.0, second=("internal_moisture_source", 0))
     made = scene(to_record(plant))
     always = named("internal_moisture_source").variants(made)[0]
     found = attempt(made, always)

@@ -42,7 +42,7 @@ from hygrokf.record import Record
 from hygrokf.results import dump
 
 DAY_S = 86400.0
-IDENTIFIERS = """moisture_sorption condensation wall_thermal_mass solar_gain wind_driven_exchange unlogged_heater
+IDENTIFIERS = """moisture_sorption condensation wall_thermal_mass solar_gain wind_driven_exchange unlogged_heater scheduled_heat
 cooling_switching exchange_step heat_release_drift humidity_sensor_drift temperature_sensor_offset sensor_response
 clock_shift rain_ingress door_opening dehumidifier internal_moisture_source ambient_bias""".split()
 
@@ -163,7 +163,8 @@ def test_a_trial_counts_its_price_and_its_days(sorbing: Scene) -> None:
     trial = attempt(sorbing, variant)
     before = sorbing.parts[HYGRIC]
     assert trial.parameters == 2
-    assert trial.bic_gain == pytest.approx(trial.lr - 2 * np.log(before.n) - 2 * np.log(4))
+    assert trial.price == pytest.approx(2 * np.log(before.n) + 2 * np.log(4))
+    assert trial.bic_gain == pytest.approx(trial.lr / sorbing.tempers[HYGRIC] - trial.price)
     after = trial.parts[HYGRIC]
     assert trial.gain[HYGRIC] == pytest.approx(1.0 - (rmse(after) / rmse(before)) ** 2, abs=1e-9)
     assert trial.lasting[HYGRIC] < trial.gain[HYGRIC]

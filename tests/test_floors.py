@@ -19,7 +19,7 @@ FLOORS = (
     # text of code, one step, what a record is
     "console emission discretisation record stamps live.database surface climate.chamber wording",
     "verdict_terms",
-    "verdict running_sums case_keys columns paths live.table_reader live.sqlite live.postgres live.check",
+    "verdict running_sums control_loop case_keys columns paths live.table_reader live.sqlite live.postgres live.check",
     "loops masks actuators weather_form readers synthetic ambient live.opcua_security live.opcua_samples",
     "features fleet_loop long_steps live.opcua_client case_form weather.archive weather.fields weather.altitude weather.joining weather.alignment climate.power",
     "recursion weather.gridded weather.epw weather.clocks",
@@ -47,7 +47,7 @@ FLOORS = (
     "results tables identification discovery.residuals discovery.changes discovery.grids live.plan live.condition live.outlook climate.ensemble climate.members climate.region turbine_type",
     "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties climate.statistics climate.days climate.range transfer.comparison transfer.groups",
     "discovery.library discovery.misfits discovery.repeats live.forecast live.inquiry climate.limits climate.sequence transfer.scene",
-    "discovery.nesting discovery.trial live.store live.payload climate.study transfer.account",
+    "discovery.nesting discovery.trial discovery.regularity live.store live.payload climate.study transfer.account",
     "discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.alarms live.tally climate.results transfer.transfer",
     "discovery.held_out live.fleet",
     "discovery.discover",

@@ -29,7 +29,7 @@ SEED, DAYS = 5, 40.0
 IDENTIFIERS = (
     "moisture_sorption condensation wall_thermal_mass solar_gain wind_driven_exchange unlogged_heater "
     "cooling_switching exchange_step heat_release_drift humidity_sensor_drift temperature_sensor_offset "
-    "clock_shift rain_ingress door_opening dehumidifier internal_moisture_source ambient_bias"
+    "clock_shift rain_ingress door_opening dehumidifier internal_moisture_source ambient_bias scheduled_heat"
 ).split()
 EVERY = [(cause, form) for cause, forms in FORMS.items() for form in range(len(forms))]
 OPTIONAL = ("wind_speed", "global_horizontal_irradiance", "rain")

@@ -14,7 +14,7 @@ from hygrokf.drivers import Run, run
 from hygrokf.likelihood import Gaussian, Likelihood
 from hygrokf.record import Record, Series
 from hygrokf.simulation import forecasts, free_run
-from hygrokf.switches import Switch, cooling_stage, drier, heater, two_point
+from hygrokf.switches import Switch, Throttle, cooling_stage, drier, heater, two_point
 from hygrokf.switching import DECIDE_H, self_switched, switches_of
 
 HOUR = 3600.0
@@ -221,3 +221,39 @@ def test_steps_between_decisions_are_bounded() -> None:
     idle = np.arange(n) < 95
     assert abs(np.mean((coarse[:n] - fine[:n])[idle])) < 0.3
     assert DECIDE_H <= 0.1
+
+
+def test_a_throttle_follows_its_reading_within_its_band() -> None:
+    opening = Throttle("cabinet_temperature", 290.0, 294.0)
+    value = np.array([np.nan, 288.0, 291.0, np.nan, 293.0, 299.0])
+    np.testing.assert_allclose(opening.course(value, np.zeros(6, bool)), [0.0, 0.0, 0.25, 0.25, 0.75, 1.0])
+    heating = Throttle("cabinet_temperature", 290.0, 286.0)
+    np.testing.assert_allclose(heating.after(0.0, np.array([292.0, 289.0, 280.0]), False), [0.0, 0.25, 1.0])
+
+
+@pytest.mark.parametrize("proportional", [False, True])
+def test_a_heater_in_any_state_holds_its_cabinet(proportional: bool) -> None:
+    """In operation too, where the one of the standstill is off: between its set-points, or within its band."""
+    record = weather()
+    _, values = heated(record)
+    flag = "throttled_heating" if proportional else "heating"
+    levels = {"start": 296.0, "full": 292.0} if proportional else {"on": 294.0, "off": 296.0, "idle": False}
+    features = {flag: {"reads": "cabinet_temperature", **levels}}
+    wider = extended(
+        design(weather(), kind="thermal", power_order=1),
+        (("unreported_heater", {"flag": flag}),),
+        features=features,
+    )
+    made = run(wider, record)
+    own = self_switched(wider, values, [made])[0]
+    duty = own.timeline.input(flag)
+    late = made.timeline.time > 24.0
+    assert duty[late & made.operating].mean() > 0.02 and 0.0 <= duty.min() <= duty.max() <= 1.0
+    found = free_run(wider, values, made).temperature[0]
+    cold = free_run(wider, {**values, "heater_heat": 0.0}, made).temperature[0]
+    assert found[late].min() > cold[late].min() + 2.0
+    if proportional:
+        inside = late & (duty > 0.05) & (duty < 0.95)
+        expected = (296.0 - found[inside]) / 4.0
+        # the mean of a step's duty belongs to temperatures within the step
+        assert inside.sum() > 20 and np.abs(duty[inside] - expected).mean() < 0.1

@@ -54,7 +54,7 @@ def cooling(scene: Scene) -> list[Variant]:
         return []
     found = _stage(scene)
     vent = _vent(scene)
-    return found if vent is None else [*found, vent]
+    return [*found, *([] if vent is None else [vent]), _timed_vent(scene)]
 
 
 def _stage(scene: Scene) -> list[Variant]:
@@ -93,6 +93,22 @@ def _vent(scene: Scene) -> Variant | None:
     starts = tuple({"vent_conductance": g, "vent_exchange": 5.0 * g} for g in (0.1, 1.0))
     return Variant(
         "cooling_switching", f"vent, opens with {chosen['reads']}", additions, {"venting": chosen}, starts, chosen, tried,
+        joint=len(additions) > 1,
+    )  # fmt: skip
+
+
+def _timed_vent(scene: Scene) -> Variant:
+    """A vent that is open in the same hours of every day, or of every workday."""
+    by_clock = {"flag": "open_hours"}
+    probes = (
+        Probe(THERMAL, ("vent_loss", by_clock), "vent_conductance"),
+        Probe(HYGRIC, ("vent_exchange", by_clock), "vent_exchange"),
+    )
+    setting, tried = best_hours(scene, probes, "open_hours")
+    additions = additions_of(scene, thermal=(("vent_loss", by_clock),), hygric=(("vent_exchange", by_clock),))
+    starts = tuple({"vent_conductance": g, "vent_exchange": 5.0 * g} for g in (0.1, 1.0))
+    return Variant(
+        "cooling_switching", "vent, by the clock", additions, {"open_hours": setting}, starts, setting, tried,
         joint=len(additions) > 1,
     )  # fmt: skip
 
@@ -159,7 +175,7 @@ def _set_points(scene: Scene, there: np.ndarray | None = None) -> list[dict]:
 def by_the_clock(scene: Scene) -> list[Variant]:
     if THERMAL not in scene.parts:
         return []
-    setting, tried = best_hours(scene.parts[THERMAL], ("scheduled_heat", {}), "scheduled_heat")
+    setting, tried = best_hours(scene, [Probe(THERMAL, ("scheduled_heat", {}), "scheduled_heat")])
     return [
         Variant(
             "scheduled_heat", "on workdays" if setting["workdays"] else "every day",

@@ -119,7 +119,8 @@ def source(scene: Scene) -> list[Variant]:
     )
     found.append(variant("drying out from a date on", "fading", {"fading": setting}, tried))
     timed = ("internal_moisture_source", {"when": "scheduled"})
-    setting, tried = best_hours(scene.parts[HYGRIC], timed, "moisture_source", {"moisture_source": 1e-4})
+    probe = Probe(HYGRIC, timed, "moisture_source", {"moisture_source": 1e-4})
+    setting, tried = best_hours(scene, [probe])
     form = "by the clock, on workdays" if setting["workdays"] else "by the clock, every day"
     found.append(variant(form, "scheduled", {"scheduled": setting}, tried))
     return found

@@ -100,21 +100,27 @@ def best_date(
     return found, searched
 
 
-def best_hours(
-    part: Part, mechanism: tuple[str, dict], parameter: str, nulls: Mapping[str, float] | None = None
-) -> tuple[dict, float]:
-    """(settings of `scheduled`, effective number searched): the hours of the day, or of workdays, in which the score statistic
-    asks most for more of an effect.
+def best_hours(scene: Scene, probes: Sequence[Probe], name: str = "scheduled") -> tuple[dict, float]:
+    """(settings of a feature `name` like `scheduled`, effective number searched): the hours of the day, or of workdays, in which the parts' score
+    statistics ask most for more of an effect.
     """
-    hours = [{"start_h": float(h), "hours": 1.0, "workdays": only} for only in (False, True) for h in range(24)]
+    hours = [
+        {"start_h": float(h), "hours": 1.0, "workdays": only} for only in (False, True) for h in range(24)
+    ]
     windows = [(start, long) for long in range(1, 23) for start in range(24)]
     sums = np.zeros((len(hours), 2 * len(windows)))
     for column, (start, long) in enumerate(windows):
         for kind in (0, 1):
             rows = 24 * kind + (start + np.arange(long)) % 24
             sums[rows, kind * len(windows) + column] = 1.0
-    scanned = scan(part, mechanism, parameter, "scheduled", hours, nulls, sums)
-    kind, place = divmod(int(np.argmax(scanned.root)), len(windows))
+    looks = [
+        scan(scene.parts[one.part], one.mechanism, one.parameter, name, hours, one.nulls, sums)
+        for one in probes
+        if one.part in scene.parts
+    ]
+    wanted = np.minimum.reduce([np.sign(one.root) for one in looks])
+    scanned = functools.reduce(operator.add, looks)
+    kind, place = divmod(int(np.argmax(np.where(wanted > 0.0, scanned.root, -1.0))), len(windows))
     start, long = windows[place]
     return {"start_h": float(start), "hours": float(long), "workdays": bool(kind)}, scanned.effective
 
@@ -136,9 +142,7 @@ def best_switch(
     probes = [one for one in probes if one.part in scene.parts]
     searched, best, chosen = 0.0, -math.inf, grid[0]
     for factor in (1.0, 0.4, 0.0):
-        grid = [
-            one for one in grid if starts(scene.parts[probes[0].part], feature, one) >= FEWEST_STARTS
-        ]
+        grid = [one for one in grid if starts(scene.parts[probes[0].part], feature, one) >= FEWEST_STARTS]
         if not grid:
             break
         looks = [

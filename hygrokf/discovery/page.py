@@ -30,6 +30,7 @@ from hygrokf.discovery.tables import (
 from hygrokf.discovery.words import (
     PARTS,
     PERIOD,
+    card_sentences,
     confidence_of,
     evidence_sentence,
     gain_sentence,
@@ -50,7 +51,6 @@ from hygrokf.discovery.words import (
     tried,
     untried,
     verdict_of,
-    verdict_sentences,
 )
 from hygrokf.files import BESIDE_DISCOVERY, REPORT, write_text_whole
 from hygrokf.lookup import entry, number, numbers
@@ -177,25 +177,7 @@ def _headline(found: Mapping) -> str:
     lines = []
     if verdict == "named" and len(causes) == 1:
         lines.append(f"<p class=bounds>confidence {escape(confidence_of(causes[0]))}</p>")
-    for one, name in zip(causes, names, strict=True):
-        # a lone cause stands in the heading, unless the verdict does
-        who = (
-            ""
-            if verdict == "named" and len(causes) == 1
-            else f"{title(name)}, confidence {confidence_of(one)}: "
-        )
-        lines.append(f"<p><b>{escape(who)}</b>{prose(sentence(text_of(one.get('statement'))))}</p>")
-        lines.append(f"<p>{prose(sentence(gain_sentence(one)))}</p>")
-        if rivals := rivals_sentence(one):
-            lines.append(f"<p>{prose(sentence('This record does not tell it from ' + rivals))}</p>")
-    for one in rows_of(found, "refuted"):
-        said = f"{title(one.get('cause'))} is refuted: {gain_sentence(one)}"
-        lines.append(f"<p>{prose(sentence(said))}</p>")
-    lines += [f"<p>{prose(sentence(line))}</p>" for line in verdict_sentences(found)]
-    for one, name in zip(causes, names, strict=True):
-        which = f" ({name})" if len(causes) > 1 else ""
-        said = prose(sentence(remedy_of(one)))
-        lines.append(f"<p class=check><b>Check in the turbine{escape(which)}:</b> {said}</p>")
+    lines += [f"<p>{prose(line)}</p>" for line in card_sentences(found)]
     open_ = " open" if verdict == "unexplained" or heading == NOT_RIGHT else ""
     cards = [
         f"<div class='card wide{open_}'><p class=label>Verdict <span>{LABEL[verdict]}</span></p>"

@@ -67,7 +67,9 @@ def period(values: np.ndarray, step_h: float, level: float) -> Period | None:
     p = -np.expm1(number * np.log1p(-np.exp(-np.maximum(ratio, 1e-9))))
     peaks = np.flatnonzero(allowed & (p < level))
     peaks = peaks[np.argsort(-ratio[peaks])][:MOST_PEAKS]
-    lines = [Period(h, _size(values, step_h, h), float(p[i])) for i in peaks if (h := 1.0 / float(frequency[i]))]
+    lines = [
+        Period(h, _size(values, step_h, h), float(p[i])) for i in peaks if (h := 1.0 / float(frequency[i]))
+    ]
     return max(lines, key=lambda one: one.size, default=None)
 
 

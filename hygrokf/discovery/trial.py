@@ -207,9 +207,7 @@ def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
     count = max(count, 1)
     price = penalty(variant, count, n)
     evidence = sum(one / scene.tempers[name] for name, one in lrs.items()) - price
-    return Trial(
-        variant, dict(parts), lrs, count, evidence, gain, lasting, often, price, z, frozenset(led)
-    )
+    return Trial(variant, dict(parts), lrs, count, evidence, gain, lasting, often, price, z, frozenset(led))
 
 
 def _gained(scene: Scene, parts: Mapping[str, Part]) -> dict[str, float]:

@@ -38,6 +38,8 @@ NO_GAIN = (
     "no gain is stated: what was seen in one episode only, or was an event, no held-out data can show again; for one "
     "episode the confidence is capped"
 )
+MOST_SENTENCES = 5
+"""Sentences on the verdict's card; the rest stands below."""
 NO_CHECK = "nothing is stated"
 
 
@@ -113,6 +115,44 @@ def verdict_sentences(found: Mapping) -> list[str]:
         )
     said.append("do not rely on the simulation where this shows; look there for what is not logged")
     return said
+
+
+def card_sentences(found: Mapping) -> list[str]:
+    """The verdict in at most five sentences: what it is, what it gained, what it may also be, what to check, what is left."""
+    causes = rows_of(found, "causes")
+    if len(causes) == 1 and verdict_of(found) == "named":
+        (one,) = causes
+        rivals = rivals_sentence(one)
+        said = [
+            text_of(one.get("statement")),
+            short_gain(one),
+            f"this record does not tell it from {rivals}" if rivals else "",
+            f"check in the turbine: {remedy_of(one)}",
+            *verdict_sentences(found),
+        ]
+    else:
+        named = [
+            f"{spoken(one.get('cause'))} (confidence {confidence_of(one)}): {short_gain(one)}"
+            for one in causes
+        ]
+        left = verdict_sentences(found)
+        said = [*left[:1], *named] if causes and verdict_of(found) == "unexplained" else [*named, *left]
+        refuted = listed([spoken(one.get("cause")) for one in rows_of(found, "refuted")])
+        if refuted:
+            said.append(f"the held-out period refutes {refuted}, named on the identification period")
+    return [sentence(text) for text in said if text][:MOST_SENTENCES]
+
+
+def short_gain(cause: Mapping) -> str:
+    """What a cause gained, in one clause; why none is stated."""
+    gain = entry(cause, "gain")
+    before, after = number(gain, "rmse_before"), number(gain, "rmse_after")
+    if not (math.isfinite(before) and math.isfinite(after)):
+        return "seen once, or an event: no gain can be held against other data"
+    name, symbol = quantity_of(entry(gain, "quantity"))
+    period = PERIOD.get(text_of(entry(gain, "period")), "the held-out period")
+    verb = "falls" if after < before else "rises"
+    return f"the {name} error {verb} from {fixed(before)} to {fixed(after)} {symbol} on {period}"
 
 
 def untried(found: Mapping) -> str:
@@ -201,7 +241,7 @@ def evidence_sentence(cause: Mapping) -> str:
         if math.isfinite(df):
             said += f" for {df:.0f} {'parameter' if df == 1 else 'parameters'}"
         if math.isfinite(price):
-            said += f", by {price:.0f} more than parameters and settings searched cost"
+            said += f"; tempered by the base’s misfit and less the price of what was searched, that is evidence of {minus(f'{price:.0f}')}"
         parts.append(said)
     score = number(found, "score_statistic")
     if math.isfinite(score):

@@ -231,11 +231,11 @@ def cooling_loss() -> Mechanism:
     )  # fmt: skip
 
 
-def vent_loss() -> Mechanism:
-    """Heat loss through a vent that opens in proportion to a reading (input `venting`)."""
+def vent_loss(flag: str = "venting") -> Mechanism:
+    """Heat loss through a vent that opens in proportion to a reading (input `venting`), or by the clock (`open_hours`)."""
     return _loss(
-        "vent_loss", "vent_conductance", "venting", 0.0, "while the vent is open",
-        "a cabinet that is too warm in the simulation, the more the warmer or damper it is",
+        "vent_loss", "vent_conductance", flag, 0.0, "while the vent is open",
+        "a cabinet that is too warm in the simulation while the vent is open", {"flag": flag},
     )  # fmt: skip
 
 

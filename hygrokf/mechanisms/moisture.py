@@ -425,11 +425,13 @@ def cooled_exchange() -> Mechanism:
     )  # fmt: skip
 
 
-def vent_exchange() -> Mechanism:
-    """Vapour exchange through a vent that opens in proportion to a reading (input `venting`): 1 + b · `venting`."""
+def vent_exchange(flag: str = "venting") -> Mechanism:
+    """Vapour exchange through a vent: 1 + b · flag, which opens in proportion to a reading (`venting`) or by the clock
+    (`open_hours`).
+    """
     return _exchange(
-        "vent_exchange", "vent_exchange", "venting", 500.0, "while the vent is open",
-        "humidity that follows the ambient's faster the warmer or damper the cabinet is", lower=0.0,
+        "vent_exchange", "vent_exchange", flag, 500.0, "while the vent is open",
+        "humidity that follows the ambient's faster while the vent is open", {"flag": flag}, lower=0.0,
     )  # fmt: skip
 
 

@@ -179,7 +179,7 @@ def comparable(cause: str, truth: Mapping[str, float], volume_m3: float) -> dict
 def _discovered(record: Record, truth: list[dict], starts: int | None) -> dict:
     from hygrokf.discovery.discover import discover
 
-    results = discover(record, **({} if starts is None else {"starts": starts})).to_json()
+    results = discover(record, budget_s=math.inf, **({} if starts is None else {"starts": starts})).to_json()
     return read_discovery(results, truth)
 
 
