@@ -23,7 +23,7 @@ VAGUE = (
     "model lacks in form"
 )
 WEIGHTS = {"level": 0.8, "margin": 4.0, "lasting": 4.7, "unsupported": -4.0}
-"""Logistic weights of what `confidence` reads, from the accepted causes of simulated plants (docs/discover.md)."""
+"""Logistic weights of what `confidence` reads, from the accepted causes of simulated plants (docs/discover_decides.md)."""
 
 
 def evidence(scene: Scene, trial: Trial, tried: int) -> dict:
