@@ -1,0 +1,1 @@
+"""What `scripts/head_to_head` runs and prints."""
