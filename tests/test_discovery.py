@@ -42,9 +42,10 @@ from hygrokf.record import Record
 from hygrokf.results import dump
 
 DAY_S = 86400.0
-IDENTIFIERS = """moisture_sorption condensation wall_thermal_mass solar_gain wind_driven_exchange unlogged_heater scheduled_heat
-cooling_switching exchange_step heat_release_drift humidity_sensor_drift temperature_sensor_offset sensor_response
-clock_shift rain_ingress door_opening dehumidifier internal_moisture_source ambient_bias""".split()
+IDENTIFIERS = """moisture_sorption condensation wall_thermal_mass solar_gain wind_driven_exchange
+exchange_step heat_release_drift humidity_sensor_drift temperature_sensor_offset sensor_response
+clock_shift rain_ingress door_opening dehumidifier internal_moisture_source ambient_bias unlogged_heater scheduled_heat
+cooling_switching""".split()
 
 
 def record_of(cause: str, seed: int, days: float, form: int = 0) -> Record:

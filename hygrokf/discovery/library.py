@@ -54,21 +54,6 @@ LIBRARY: tuple[Cause, ...] = (
         wind, needs="wind_speed",
     ),
     Cause(
-        "unlogged_heater", "a heater that no signal reports runs",
-        "find the heater and its thermostat or humidistat; log its state", "current of the heater",
-        heater, alone=SWITCHED,
-    ),
-    Cause(
-        "scheduled_heat", "something releases heat at the same hours of every day, or of every workday",
-        "look for lamps, timers and people at work in these hours; log the load", "current of what runs in these hours",
-        by_the_clock,
-    ),
-    Cause(
-        "cooling_switching", "a fan, a vent or a valve cools the cabinet above a threshold",
-        "find the fan, vent or valve and its set-points; log its state", "state of the fan, vent or valve", cooling,
-        alone=SWITCHED,
-    ),
-    Cause(
         "exchange_step", "the exchange of air changed at a date",
         "ask what was done on that date: seal, filter, door, cable entry", "a tracer-gas decay now", exchange_step, alone=ODD,
     ),
@@ -113,6 +98,22 @@ LIBRARY: tuple[Cause, ...] = (
     Cause(
         "ambient_bias", "the ambient series is not the air that the cabinet breathes",
         "compare the weather series with a sensor at the air inlet", "temperature and humidity at the inlet", breathed,
+    ),
+    # hours and set-points are searched longest: what a budget does not last for is looked for last
+    Cause(
+        "unlogged_heater", "a heater that no signal reports runs",
+        "find the heater and its thermostat or humidistat; log its state", "current of the heater",
+        heater, alone=SWITCHED,
+    ),
+    Cause(
+        "scheduled_heat", "something releases heat at the same hours of every day, or of every workday",
+        "look for lamps, timers and people at work in these hours; log the load", "current of what runs in these hours",
+        by_the_clock,
+    ),
+    Cause(
+        "cooling_switching", "a fan, a vent or a valve cools the cabinet above a threshold",
+        "find the fan, vent or valve and its set-points; log its state", "state of the fan, vent or valve", cooling,
+        alone=SWITCHED,
     ),
 )  # fmt: skip
 
