@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 
 import numpy as np
 
 from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
 from hygrokf.loops import LINEAR, ZERO_ORDER
-from hygrokf.paths import input_path
+from hygrokf.paths import Same, input_path
 from hygrokf.record import Record, Series, Site
 from hygrokf.switches import SWITCHES, Switch, Throttle
 
@@ -230,7 +231,11 @@ def operating(record: Record, time: np.ndarray) -> np.ndarray:
     """Whether the turbine feeds power (T,) at `time` [s]; False where the power is unknown or there is none."""
     if "active_power" not in record:
         return np.zeros(len(time), bool)
-    return np.nan_to_num(at_times(record["active_power"], time, 1.0), nan=0.0) > 0.0
+    return _feeds(record["active_power"], time)
+
+
+def _feeds(power: Series, time: np.ndarray) -> np.ndarray:
+    return np.nan_to_num(at_times(power, time, 1.0), nan=0.0) > 0.0
 
 
 def sun_place(time: np.ndarray, site: Site) -> tuple[np.ndarray, np.ndarray]:
@@ -295,5 +300,14 @@ def _switched(record: Record, time: np.ndarray, switch: Switch | Throttle) -> np
         raise ValueError(
             f"the model switches by {switch.reads}, which the record does not have; add the signal"
         )
-    value = at_times(input_path(record[switch.reads]), time, READING_BRIDGE_H)
-    return switch.course(value, ~operating(record, time))
+    power = Same(record["active_power"]) if "active_power" in record else None
+    value, idle = _followed(Same(record[switch.reads]), power, time.tobytes())
+    return switch.course(value, idle)
+
+
+@lru_cache(maxsize=8)
+def _followed(reads: Same, power: Same | None, time: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """What a switch follows at `time` (T,) [s]: the reading (T,) and the standstills (T,); a search asks for it hundreds of times."""
+    at = np.frombuffer(time)
+    idle = np.ones(len(at), bool) if power is None else ~_feeds(power.series, at)
+    return at_times(input_path(reads.series), at, READING_BRIDGE_H), idle

@@ -44,24 +44,24 @@ def input_path(series: Series, noise: tuple[float, float] | None = None) -> Seri
     (`ambient.smoothed`).  Missing readings end a stretch; a mean without neighbours stands in the middle of its
     interval, and so do means whose intervals overlap.
     """
-    return series if series.hold == "linear" else _known_path(_Key(series), noise)
+    return series if series.hold == "linear" else _known_path(Same(series), noise)
 
 
-class _Key:
+class Same:
     """A series as a key of a cache: equal to itself alone.  It keeps the series alive, so that its identity is its own."""
 
     def __init__(self, series: Series) -> None:
         self.series = series
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, _Key) and self.series is other.series
+        return isinstance(other, Same) and self.series is other.series
 
     def __hash__(self) -> int:
         return id(self.series)
 
 
 @lru_cache(maxsize=32)
-def _known_path(key: _Key, noise: tuple[float, float] | None) -> Series:
+def _known_path(key: Same, noise: tuple[float, float] | None) -> Series:
     """The path through means; discovery asks for that of one series hundreds of times."""
     return _through_means(key.series, noise)
 

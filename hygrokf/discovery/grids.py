@@ -16,6 +16,8 @@ from hygrokf.features import feature
 from hygrokf.record import Record
 
 DAY_S = 86400.0
+MOST_DATES = 90
+"""Dates of the first look at a record; the next look goes between the best one and its neighbours."""
 PACES = (0.6, 0.8, 1.0, 1.25, 1.6)
 """Factors by which the days that a change takes are refined."""
 SUDDEN = (0.2, 0.03)
@@ -34,7 +36,9 @@ def silences(record: Record) -> list[tuple[float, float]]:
 
 
 def dates(record: Record, every_days: float = 1.0) -> list[float]:
-    """Dates [s] for a change: every day with readings, five percent of these days away from the record's ends."""
+    """Dates [s] for a change: every day with readings, `MOST_DATES` of them at most, five percent of these days away from the
+    record's ends.
+    """
     return _spaced(record, every_days)[0]
 
 
@@ -43,7 +47,7 @@ def _spaced(record: Record, every_days: float) -> tuple[list[float], float]:
     gaps = silences(record)
     end = record.end_s - sum(last - first for first, last in gaps)
     margin = 0.05 * (end - record.start_s)
-    count = max(int((end - record.start_s - 2 * margin) / (every_days * DAY_S)), 3)
+    count = min(max(int((end - record.start_s - 2 * margin) / (every_days * DAY_S)), 3), MOST_DATES)
     found = np.linspace(record.start_s + margin, end - margin, count)
     step = float(found[1]) - float(found[0])
     for first, last in gaps:

@@ -13,32 +13,33 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 
 import numpy as np
 
 from hygrokf.design import extended
 from hygrokf.discovery.scene import Part, searching
 from hygrokf.drivers import run
+from hygrokf.emission import LANES
 from hygrokf.features import feature
 from hygrokf.likelihood import Likelihood
-from hygrokf.model import Model
+from hygrokf.model import Mechanism, Model, compose
 from hygrokf.parallel import mapped
-from hygrokf.timeline import Timeline
 
 
 @dataclass(frozen=True)
 class Scanned:
-    """Score statistics of S settings: `root` (S,) signed roots of LM, positive where the parameter wants to grow, and their
-    `correlation` (S, S) where there is no effect.
+    """Score statistics of S settings: `root` (S,) signed roots of LM, positive where the parameter wants to grow, and a
+    `factor` (S, r) of their correlation F F' where there is no effect.
     """
 
     root: np.ndarray
-    correlation: np.ndarray
+    factor: np.ndarray
 
     def __add__(self, other: Scanned) -> Scanned:
         """Both of two independent looks at the same settings, for statistics that add up as squares."""
         root = np.sqrt(self.root**2 + other.root**2)
-        return Scanned(root, 0.5 * (self.correlation + other.correlation))
+        return Scanned(root, math.sqrt(0.5) * np.hstack([self.factor, other.factor]))
 
     @property
     def effective(self) -> float:
@@ -48,52 +49,92 @@ class Scanned:
         """
         from scipy.special import erfc
 
-        value, vector = np.linalg.eigh(self.correlation)
-        factor = vector * np.sqrt(np.maximum(value, 0.0))
-        normal = np.random.default_rng(0).standard_normal((DRAWS, len(value)))
-        high = float(np.quantile(np.abs(normal @ factor.T).max(axis=1), 1.0 - TAIL))
+        normal = np.random.default_rng(0).standard_normal((DRAWS, self.factor.shape[1]))
+        high = float(np.quantile(np.abs(normal @ self.factor.T).max(axis=1), 1.0 - TAIL))
         return max(TAIL / max(float(erfc(high / math.sqrt(2.0))), 1e-12), 1.0)
 
 
 @dataclass(frozen=True)
 class _Bench:
-    """A part with an effect at its null value: standardised innovations `e` (n,) at the readings, a `basis` (n, d) of what
-    the base's parameters explain, and how the slopes along the effect are had for other values of its feature.
+    """A part with an effect at its null value, as often as the model has copies of the effect's mechanism.
+
+    `e` (n,) standardised innovations at the readings, `basis` (n, d) what the base's parameters explain of them; `along`
+    (parameters, L) the directions of the copies' parameters, `columns` the places of their features among the inputs.
     """
 
-    part: Part
-    model: Model
-    timeline: Timeline
+    likelihood: Likelihood
     at: Mapping[str, float]
     along: np.ndarray
+    columns: tuple[int, ...]
     root: np.ndarray
     read: np.ndarray
     e: np.ndarray
     basis: np.ndarray
-    name: str
 
     @property
     def seconds(self) -> np.ndarray:
-        return self.timeline.origin_s + 3600.0 * self.timeline.time
+        t = self.likelihood.timeline
+        return t.origin_s + 3600.0 * t.time
 
-    def slopes(self, value: np.ndarray) -> np.ndarray:
-        """Slopes (n,) along the effect with the feature's values (T,)."""
-        u = self.timeline.u.copy()
-        column = self.timeline.varying.index(self.name)
-        u[1:, column] = value
-        u[0, column] = value[0]
-        changed = searching(self.model, replace(self.timeline, u=u))
-        return (_slopes(changed, self.at, self.along)[..., 0] / self.root)[self.read]
+    def slopes(self, courses: Sequence[np.ndarray]) -> np.ndarray:
+        """Slopes (n, S) along the effect with each of S courses (T,) of its feature, in one pass of the filter."""
+        t = self.likelihood.timeline
+        u = t.u.copy()
+        for column, course in zip(self.columns, courses, strict=False):
+            u[1:, column] = course
+            u[0, column] = course[0]
+        changed = replace(self.likelihood, timeline=replace(t, u=u))
+        along = self.along[:, : len(courses)]
+        return (_slopes(changed, self.at, along) / self.root[..., None])[self.read]
 
-    def scanned(self, columns: Sequence[np.ndarray]) -> Scanned:
-        """Signed roots of LM of slopes (n,), one for each setting."""
-        units = np.column_stack(columns)
-        for place in range(0, units.shape[1], AT_ONCE):
-            block = units[:, place : place + AT_ONCE]
-            block -= self.basis @ (self.basis.T @ block)
-            length = np.sqrt(np.einsum("ns,ns->s", block, block))
-            block *= np.where(length > 1e-6, 1.0 / np.maximum(length, 1e-6), 0.0)
-        return Scanned(units.T @ self.e, units.T @ units)
+    def scanned(self, units: np.ndarray, sums: np.ndarray | None = None) -> Scanned:
+        """Score statistics of settings with slopes (n, S), or of W `sums` (S, W) of them."""
+        rest = units - self.basis @ (self.basis.T @ units)
+        score, products = rest.T @ self.e, rest.T @ rest
+        value, vector = np.linalg.eigh(products)
+        factor = vector * np.sqrt(np.maximum(value, 0.0))
+        if sums is not None:
+            score, factor = sums.T @ score, sums.T @ factor
+        length = np.sqrt(np.einsum("sr,sr->s", factor, factor))
+        scale = np.where(length > 1e-6, 1.0 / np.maximum(length, 1e-6), 0.0)
+        return Scanned(score * scale, factor * scale[:, None])
+
+
+def _abreast(
+    model: Model, mechanism: Mechanism, parameter: str, name: str
+) -> tuple[Model, list[str], list[str]]:
+    """(the model with as many copies of a mechanism as the filter takes directions at once, their parameters, their features).
+
+    At the parameter's null value a copy changes nothing, so slopes along all of them are had in one pass.  A mechanism that
+    brings a state or a shared quantity stays alone.
+    """
+    count = 1 if mechanism.states or mechanism.quantities else LANES
+    numbers = range(2, count + 1)
+    parameters, names = ([one, *(f"{one}_{k}" for k in numbers)] for one in (parameter, name))
+    copies = [
+        _copy(mechanism, {parameter: a, name: b}) for a, b in zip(parameters[1:], names[1:], strict=True)
+    ]
+    holds = dict(model.holds) | dict.fromkeys(names, model.holds[name])
+    return compose([*model.mechanisms, *copies], holds, model.averaged), parameters, names
+
+
+def _copy(mechanism: Mechanism, names: Mapping[str, str]) -> Mechanism:
+    """A mechanism without states with other names of parameters and inputs."""
+
+    def renamed(space: SimpleNamespace) -> SimpleNamespace:
+        known = vars(space)
+        return SimpleNamespace(**{**known, **{old: known[new] for old, new in names.items() if new in known}})
+
+    conductance, contributions = mechanism.conductance, mechanism.contributions
+    return replace(
+        mechanism,
+        parameters=tuple(replace(p, name=names.get(p.name, p.name)) for p in mechanism.parameters),
+        inputs=tuple(names.get(one, one) for one in mechanism.inputs),
+        conductance=None if conductance is None else lambda p, u: conductance(renamed(p), renamed(u)),
+        contributions=None
+        if contributions is None
+        else lambda p, x, u, q: contributions(renamed(p), x, renamed(u), q),
+    )
 
 
 def _bench(
@@ -106,15 +147,25 @@ def _bench(
 ) -> _Bench:
     wider = extended(part.base, [mechanism], features={name: dict(setting)})
     t = run(wider, part.record).timeline
-    model = wider.model
+    added = wider.model.mechanism(mechanism[0])
+    model, parameters, names = _abreast(wider.model, added, parameter, name)
+    column = t.u[:, t.varying.index(name)]
+    more = names[1:]
+    t = replace(
+        t,
+        u=np.column_stack([t.u, *(column for _ in more)]),
+        varying=(*t.varying, *more),
+        whole={**t.whole, **{one: t.whole[name] for one in more}},
+    )
     at = {p.name: p.null if p.null is not None else p.start for p in model.parameters}
     at |= dict(part.values) | dict(nulls or {})
+    at |= {one: at[parameter] for one in parameters}
     own = [p.name for p in model.parameters]
     base = [own.index(p.name) for p in part.base.model.parameters if p.name in own]
     slopes = {p.name: p.slope(at[p.name]) for p in part.base.model.parameters}
     directions = np.zeros((len(own), len(base)))
-    for column, row in enumerate(base):
-        directions[row, column] = slopes[own[row]]
+    for place, row in enumerate(base):
+        directions[row, place] = slopes[own[row]]
     likelihood = searching(model, t)
     trace = likelihood.trace(at)
     read = np.isfinite(t.y)
@@ -122,9 +173,11 @@ def _bench(
     e = ((t.y - trace.prediction) / root)[read]
     x0 = (_slopes(likelihood, at, directions) / root[..., None])[read]
     basis, _ = np.linalg.qr(x0[:, np.abs(x0).max(axis=0) > 1e-12])
-    along = np.zeros((len(own), 1))
-    along[own.index(parameter), 0] = 1.0
-    return _Bench(part, model, t, at, along, root, read, e, basis, name)
+    along = np.zeros((len(own), len(parameters)))
+    for place, one in enumerate(parameters):
+        along[own.index(one), place] = 1.0
+    columns = tuple(t.varying.index(one) for one in names)
+    return _Bench(likelihood, at, along, columns, root, read, e, basis)
 
 
 def scan(
@@ -143,8 +196,9 @@ def scan(
     """
     bench = _bench(part, mechanism, parameter, name, settings[0], nulls)
     courses = [feature(part.record, name, one, bench.seconds) for one in settings]
-    columns = mapped(bench.slopes, courses)
-    return bench.scanned(columns if sums is None else list((np.column_stack(columns) @ sums).T))
+    width = len(bench.columns)
+    together = [courses[k : k + width] for k in range(0, len(courses), width)]
+    return bench.scanned(np.hstack(mapped(bench.slopes, together)), sums)
 
 
 def slow_scan(
@@ -161,12 +215,10 @@ def slow_scan(
     times its course.  What happens in the hours after a sudden change is missed; `scan` refines.
     """
     bench = _bench(part, mechanism, parameter, name, settings[0], nulls)
-    lasting = bench.slopes(np.ones(len(bench.seconds)))
-    courses = (
-        np.broadcast_to(feature(part.record, name, one, bench.seconds)[:, None], bench.read.shape)
-        for one in settings
-    )
-    return bench.scanned([lasting * course[bench.read] for course in courses])
+    lasting = bench.slopes([np.ones(len(bench.seconds))])
+    at = np.broadcast_to(np.arange(len(bench.seconds))[:, None], bench.read.shape)[bench.read]
+    courses = np.column_stack([feature(part.record, name, one, bench.seconds)[at] for one in settings])
+    return bench.scanned(lasting * courses)
 
 
 def _slopes(likelihood: Likelihood, values: Mapping[str, float], directions: np.ndarray) -> np.ndarray:
@@ -186,8 +238,6 @@ def abrupt(part: Part, count: int = 12) -> list[float]:
     return sorted(float(t.origin_s + 3600.0 * m) for m in middle)
 
 
-AT_ONCE = 64
-"""Settings whose slopes are made orthogonal to the base's at a time."""
 DRAWS = 4000
 TAIL = 0.02
 """[1] tail of the simulated maxima at which independent settings are counted."""
