@@ -184,8 +184,9 @@ def assembled(
     simulated: Mapping[str, OutputError],
     criterion: str = "likelihood",
     say: Progress = lambda text: None,
+    rate_step: float | None = None,
 ) -> Fit:
-    """A fit from its stages: free run, scores, bands, tables, on the whole record."""
+    """A fit from its stages: free run, scores, bands, tables, on the whole record; `rate_step` as in `Likelihood`."""
     stages, whole, values, regression, kind = (
         list(basis.stages),
         basis.whole,
@@ -204,7 +205,7 @@ def assembled(
     }
     made = run(whole, record)
     spread = _covariance(stages, whole, simulated if criterion == "simulation" else {}, values)
-    predicted = free_run(whole, values, made, spread)
+    predicted = free_run(whole, values, made, spread, rate_step)
     thermal = next((e for stage in stages if (e := thermal_entry(stage, simulated))), None)
     moist = next((e for stage in stages if (e := hygric_entry(stage, simulated))), None)
     if criterion == "simulation":
@@ -266,12 +267,12 @@ def assembled(
         "baselines": baselines(made, record.until_s),
         "readings_sd": readings_sd(made, record.until_s),
         "sensor_share": sensor_share(record, made, table),
-        "bands": bands(whole, values, made, predicted, record.until_s),
+        "bands": bands(whole, values, made, predicted, record.until_s, rate_step),
         "heat_release": regression.to_json(),
         "actuators": actuator_effects(whole, values, errors, made, record),
     }
     say("innovations")
-    series = _series(whole, values, made, predicted, record)
+    series = _series(whole, values, made, predicted, record, rate_step)
     results["innovations"] = _diagnosis(made, series, record)
     results["identified_on"] = _identified_on(whole, made, record)
     return Fit(record.name, whole, values, with_verdicts(results), series)
@@ -427,7 +428,9 @@ def _parameters(stage: Stage, values: Mapping[str, float], errors: Mapping[str, 
     return rows
 
 
-def _series(base: Design, values: Mapping, whole: Run, predicted, record: Record) -> dict[str, np.ndarray]:
+def _series(
+    base: Design, values: Mapping, whole: Run, predicted, record: Record, rate_step: float | None
+) -> dict[str, np.ndarray]:
     t = whole.timeline
     known = measured(whole)
     nothing = np.full(len(t), np.nan)
@@ -435,7 +438,7 @@ def _series(base: Design, values: Mapping, whole: Run, predicted, record: Record
     def pair(quantity: str) -> tuple[np.ndarray, np.ndarray]:
         return predicted.of(quantity) or (nothing, nothing)
 
-    trace = Likelihood(base.model, t).trace(values)
+    trace = Likelihood(base.model, t, rate_step=rate_step).trace(values)
     standard = (t.y - trace.prediction) / np.sqrt(trace.variance)
 
     def innovation(*names: str) -> np.ndarray:

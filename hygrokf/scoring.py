@@ -168,14 +168,19 @@ def coverage(reading: np.ndarray, value: np.ndarray, sd: np.ndarray, level: floa
 
 
 def bands(
-    design: Design, values: Mapping[str, float], run: Run, predicted: Prediction, until_s: float | None
+    design: Design,
+    values: Mapping[str, float],
+    run: Run,
+    predicted: Prediction,
+    until_s: float | None,
+    rate_step: float | None = None,
 ) -> dict:
     """Coverage of the 1 h, 6 h, 24 h and free-run bands on the validation period (the whole record without one)."""
     masks = period_masks(run, until_s)
     late = masks["validation"] if masks["validation"].any() else masks["identification"]
     known = measured(run)
     result: dict = {}
-    found = forecasts(design, values, run, int(np.flatnonzero(late)[0]))
+    found = forecasts(design, values, run, int(np.flatnonzero(late)[0]), rate_step=rate_step)
     for lead, by_quantity in found.items():
         result[f"{lead:g}h"] = {q: coverage(*rows) for q, rows in by_quantity.items()}
     chosen = late & run.scored

@@ -184,15 +184,17 @@ def free_run(
     values: Mapping[str, float],
     run: Run,
     covariance: tuple[Sequence[str], np.ndarray] | None = None,
+    rate_step: float | None = None,
 ) -> Prediction:
     """The model driven by its inputs alone, from the start of the run to its end, with the predictive spread.
 
     Switches follow what the simulation itself would show (`switching`), and the spread takes their course as given.
-    `covariance` (names, (r, r) in the parameters' units) adds the parameters' uncertainty to first order.
+    `covariance` (names, (r, r) in the parameters' units) adds the parameters' uncertainty to first order;
+    `rate_step` as in `Likelihood`.
     """
     run = self_switched(design, values, [run])[0]
     blind = run.timeline.with_readings(np.full_like(run.timeline.y, np.nan))
-    likelihood = Likelihood(design.model, blind)
+    likelihood = Likelihood(design.model, blind, rate_step=rate_step)
     made = predicted_readings(design, values, run, likelihood.trace(values))
     if covariance is None:
         return made
@@ -201,7 +203,8 @@ def free_run(
     directions = np.zeros((len(place), len(names)))
     directions[[place[name] for name in names], np.arange(len(names))] = 1.0
     # with readings of zero the free run's residuals are minus the predictions, at every instant
-    zero = Likelihood(design.model, run.timeline.with_readings(np.zeros_like(run.timeline.y)))
+    zeros = run.timeline.with_readings(np.zeros_like(run.timeline.y))
+    zero = Likelihood(design.model, zeros, rate_step=rate_step)
     _, slopes = zero.residuals(values, directions)
     rows = {name: -slopes[:, j] for j, name in enumerate(design.model.outputs)}
     warm = rows.get("cabinet_temperature")
@@ -245,13 +248,14 @@ def forecasts(
     first: int,
     leads_h: tuple[float, ...] = (1.0, 6.0, 24.0),
     count: int = 250,
+    rate_step: float | None = None,
 ) -> dict[float, dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
     """Forecasts from filtered states at `count` instants after instant `first`: (reading, prediction, sd) by lead.
 
     Inputs are those of the record (a perfect weather forecast), readings after the start are not used.
     """
     t = run.timeline
-    likelihood = Likelihood(design.model, t)
+    likelihood = Likelihood(design.model, t, rate_step=rate_step)
     trace, fastest = likelihood.trace(values), likelihood.rate(values)
     known = measured(run)
     there = np.flatnonzero(np.isfinite(t.y).any(axis=1) & run.scored)
@@ -272,7 +276,9 @@ def forecasts(
     pieces = self_switched(design, values, pieces, states)
     for start, last, piece, state in zip(starts, ends, pieces, states, strict=True):
         part = piece.timeline
-        ahead = Likelihood(design.model, part, fastest=fastest).trace(values, start=state)
+        ahead = Likelihood(design.model, part, rate_step=rate_step, fastest=fastest).trace(
+            values, start=state
+        )
         made = predicted_readings(design, values, piece, ahead)
         for lead in leads_h:
             for quantity in QUANTITIES:

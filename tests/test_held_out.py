@@ -12,9 +12,13 @@ from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
 from hygrokf.case import read_case
-from hygrokf.discovery.budget import Budget
+from hygrokf.discovery.budget import Budget, BudgetSpent
+from hygrokf.discovery.choice import choose
 from hygrokf.discovery.discover import UNEXPLAINED_AT_MOST, discover
 from hygrokf.discovery.held_out import Model, Simulated, difference_bounds, gain_of, refutes
+from hygrokf.discovery.library import named
+from hygrokf.discovery.scene import scene
+from hygrokf.discovery.trial import attempt
 from hygrokf.discovery.words import discovery_text, gain_sentence
 from hygrokf.record import Record, Series
 
@@ -143,6 +147,27 @@ def test_what_the_time_does_not_last_for_is_said(taken_back: Record) -> None:
     assert "were not tried: a larger --budget does" in said and untried[0].replace("_", " ") in said
 
 
+def test_a_trial_that_runs_ends_with_the_time(taken_back: Record) -> None:
+    """No pass of the filter is begun after it; the parts that are estimated already stay whole."""
+    made = scene(taken_back.identification(), starts=1)
+    variant = named("moisture_sorption").variants(made)[0]
+
+    class Short(Budget):
+        left = 12
+
+        @property
+        def spent(self) -> bool:
+            self.left -= 1
+            return self.left < 0
+
+    with pytest.raises(BudgetSpent):
+        attempt(replace(made, budget=Short()), variant)
+    short = Short()
+    found = choose(replace(made, budget=short), [named("moisture_sorption"), named("solar_gain")])
+    assert set(found.untried) == {"moisture_sorption", "solar_gain"} and not found.accepted
+    assert not found.scene.budget.spent
+
+
 def test_a_budget_is_a_time() -> None:
     for seconds in (0.0, -1.0, math.nan):
         with pytest.raises(ValueError, match="seconds above 0"):
@@ -153,7 +178,11 @@ def test_a_budget_is_a_time() -> None:
 def test_a_refutation_in_words_tells_the_rise() -> None:
     gain = gain_of("temperature_K", *(Model(one, one) for one in (simulated(0.5), simulated(1.0))))
     said = gain_sentence({"gain": gain})
-    assert "rises from 0.51 to 1.02 K" in said and "95 % bounds of the rise: 0.4" in said and "not certain" not in said
+    assert (
+        "rises from 0.51 to 1.02 K" in said
+        and "95 % bounds of the rise: 0.4" in said
+        and "not certain" not in said
+    )
 
 
 def test_a_growth_that_is_certain_and_nothing_refutes_nothing() -> None:

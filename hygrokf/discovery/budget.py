@@ -8,13 +8,17 @@ import time
 SECONDS = 120.0
 """[s] a discovery's time where nothing is stated."""
 FOR_TRIALS = 0.6
-"""Share of it in which trials are begun: what was found by then has to be estimated to the end, judged and told."""
+"""Share of it for trials: what was found by then has to be estimated to the end, judged and told."""
+
+
+class BudgetSpent(Exception):
+    """The time for trials is over."""
 
 
 class Budget:
     """Wall-clock time from now on, `seconds` in all; infinite for results that do not depend on the machine."""
 
-    def __init__(self, seconds: float = SECONDS) -> None:
+    def __init__(self, seconds: float = math.inf) -> None:
         if not seconds > 0.0:
             raise ValueError(f"budget: expected seconds above 0, found {seconds}")
         self.seconds = seconds
@@ -22,5 +26,10 @@ class Budget:
 
     @property
     def spent(self) -> bool:
-        """Whether no further trial is to be begun."""
+        """Whether the time for trials is over."""
         return time.monotonic() > self._until
+
+    def check(self) -> None:
+        """Raise BudgetSpent where the time for trials is over."""
+        if self.spent:
+            raise BudgetSpent

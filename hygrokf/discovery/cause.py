@@ -18,7 +18,7 @@ class Variant:
     `additions` part → (mechanism, settings) pairs; `features` inputs they read; `starts` start values to be tried;
     `settings` what was chosen from a grid (dates, thresholds), `searched` how many independent settings that amounts to;
     `altered` part → mechanism → settings that differ from the base; `shift` a source whose stamps are to be moved.
-    `joint`: whether it acts in all its parts or not at all, as air that is exchanged carries heat and vapour.
+    `joint`: whether it acts in all its parts or not at all, as air that is exchanged carries heat and vapour, and a drier heats.
     `finer` a costlier form of the same mechanisms, which takes the place of this one in the end where it gains more; it
     starts from all values that are there, those in its `scaled` times a factor.
     """

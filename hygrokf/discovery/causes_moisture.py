@@ -9,7 +9,7 @@ import numpy as np
 from hygrokf.discovery.cause import Variant
 from hygrokf.discovery.grids import Probe, best_date, best_hours, best_switch, inside
 from hygrokf.discovery.scan import abrupt
-from hygrokf.discovery.scene import HYGRIC, Scene
+from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
 
 FADING_DAYS = (8.0, 20.0, 50.0)
 USUAL_EXCHANGE_H = 3.0
@@ -141,11 +141,14 @@ def drier(scene: Scene) -> list[Variant]:
     if switched is None:
         return found
     chosen, tried = switched
-    for form, plate in (("two-point, cold plate", True), ("two-point, desiccant", False)):
+    forms = [("two-point, cold plate", True, {}), ("two-point, desiccant", False, {})]
+    if THERMAL in scene.parts:
+        forms.append(("two-point, cold plate, heats the air", True, {THERMAL: (("drying_heat", {}),)}))
+    for form, plate, also in forms:
         found.append(
             Variant(
-                "dehumidifier", form, {HYGRIC: (("switched_drying", {"plate": plate}),)}, {"drying": chosen},
-                ({"drying_rate": 0.02}, {"drying_rate": 0.2}), chosen, tried,
+                "dehumidifier", form, {HYGRIC: (("switched_drying", {"plate": plate}),), **also}, {"drying": chosen},
+                ({"drying_rate": 0.02}, {"drying_rate": 0.2}), chosen, tried, joint=bool(also),
             )
         )  # fmt: skip
     return found

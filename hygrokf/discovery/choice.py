@@ -5,11 +5,12 @@ from __future__ import annotations
 import functools
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.discovery.budget import Budget
+from hygrokf.discovery.budget import Budget, BudgetSpent
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, redriven
@@ -34,23 +35,13 @@ the other has at least this share of its evidence."""
 SAME = 0.25
 """Acceptable causes whose free runs differ by less than this share are alike whatever their evidence."""
 MOST_CAUSES = 3
-SHARE = 0.15
-"""Share of an accepted cause's evidence that a further cause of the same part must have, and all of it where the free run
-does not gain clearly: the true form is never known, and what it differs in is left behind."""
-CLEAR = 2.0 * MATERIAL
-"""Lasting gain from which a share of the evidence is enough for a further cause."""
-STRIKING = 2.0 * CLEAR
-"""Lasting gain from which a further cause needs no share of the first one's evidence: what a strong cause of another form
-leaves behind is seen by the likelihood, and not by the free run.  A switch does need it: what the cycles of another one leave
-behind is seen by both."""
-LEAD = 0.3
-"""Share of its evidence by which a further cause must be ahead of all others where the free run does not speak for it."""
+SHARE = 0.06
+"""Share of an accepted cause's evidence that a further cause of the same part must have: the true form is never known, and
+what it differs in is left behind."""
 OVERWHELMING = 200.0
 """Evidence that is enough for any cause, however little the free run gains; in 36 cabinets that hide nothing the most was 88."""
 EXPLAINED = "what it explains is explained by the accepted causes"
-NOT_AHEAD = (
-    "beside the accepted causes it does not simulate better, and other causes have nearly as much evidence"
-)
+NO_BETTER = "beside the accepted causes it does not simulate better"
 RETRY = 8.0
 """2 Δ ln L below which a cause is not tried again beside an accepted one."""
 
@@ -86,7 +77,7 @@ def verdict_on(trial: Trial, cause: Cause, tried: int = 1) -> str:
     if trial.beyond:
         return f"{trial.beyond.replace('_', ' ')} would have to be larger than is physically possible"
     if trial.variant.joint and min(trial.lrs.values()) < math.log(min(p.n for p in trial.parts.values())):
-        return "air that is exchanged carries heat and vapour, and one of them does not show"
+        return "it acts on heat and vapour, and one of them does not show"
     worse = any(
         share < (WORSE_BY_READINGS if name in trial.by_readings else WORSE)
         for name, share in trial.gain.items()
@@ -141,13 +132,13 @@ def choose(
     scene: Scene,
     library: Sequence[Cause] = LIBRARY,
     say: Progress = lambda text: None,
-    budget: Budget | None = None,
 ) -> Choice:
     """Add causes as long as one is both significant and worth having; take back what a later one made needless.
 
-    Once the budget is spent no further trial is begun; what was found by then is decided on as it stands.
+    Once the scene's budget is spent no further trial is begun, and those that run end; what was found by then is decided on
+    as it stands.
     """
-    base, budget = scene, budget or Budget(math.inf)
+    base, budget = scene, scene.budget
     untried: list[str] = []
     cut = False
     accepted: list[Trial] = []
@@ -156,11 +147,15 @@ def choose(
     behind: dict[str, str] = {}
 
     def tried_on(cause: Cause) -> list[Trial]:
-        if budget.spent:
+        found = []
+        try:
+            budget.check()
+            say(cause.name.replace("_", " "))
+            for variant in cause.variants(scene):
+                found.append(_settled(scene, attempt(scene, variant)))
+        except BudgetSpent:
             untried.append(cause.name)
-            return []
-        say(cause.name.replace("_", " "))
-        return [_settled(scene, attempt(scene, variant)) for variant in cause.variants(scene)]
+        return found
 
     trials = [trial for found in mapped(tried_on, library) for trial in found]
     tried = len(trials)
@@ -172,12 +167,14 @@ def choose(
         good.sort(key=worth, reverse=True)
         if not good:
             break
-        best = _preferred(good) if budget.spent else polished(scene, _preferred(good))
+        best = _preferred(good)
+        with suppress(BudgetSpent):
+            best = polished(scene, best)
         class_ = _class(scene, best, good, trials)
         ahead = _ahead(best, class_, trials)
         slipped = _reason(best, tried, accepted, library)  # at its maximum it may gain less than on the way
-        if slipped or (accepted and best.best_lasting < MATERIAL and ahead < LEAD):
-            behind[best.variant.cause] = slipped or NOT_AHEAD
+        if slipped:
+            behind[best.variant.cause] = slipped
             continue
         behind, before = {}, scene
         rivals.append(class_)
@@ -185,35 +182,39 @@ def choose(
         accepted.append(best)
         scene = with_trial(scene, best)
         changed = {name for name, part in scene.parts.items() if part is not before.parts[name]}
-        if len(accepted) > 1 and not budget.spent:
-            keep, scene = _needed(base, accepted, scene, say)
-            if len(keep) < len(accepted):
-                changed = set(scene.parts)
-            accepted, rivals, margins = ([one[i] for i in keep] for one in (accepted, rivals, margins))
+        if len(accepted) > 1:
+            with suppress(BudgetSpent):
+                keep, scene = _needed(base, accepted, scene, say)
+                if len(keep) < len(accepted):
+                    changed = set(scene.parts)
+                accepted, rivals, margins = ([one[i] for i in keep] for one in (accepted, rivals, margins))
         if len(accepted) == MOST_CAUSES:
             break
         if budget.spent:
             cut = True
             break
-        trials = _again(scene, trials, accepted, changed, say, budget)
+        trials = _again(scene, trials, accepted, changed, say)
         cut = budget.spent
-    for place, trial in enumerate(() if budget.spent else accepted):
+    for place, trial in enumerate(accepted):
         others = [other for other in accepted if other is not trial]
         beside = {name for other in others for name in other.parts}
         ground = base
         if any(drives(other) for other in others):
             ground = redriven(replace(base, parts={**base.parts, THERMAL: scene.parts[THERMAL]}))
-        accepted[place], scene = refined(ground, scene, trial, alone=not beside & set(trial.parts))
+        with suppress(BudgetSpent):
+            accepted[place], scene = refined(ground, scene, trial, alone=not beside & set(trial.parts))
     names = {t.variant.cause for t in accepted}
     # what was accepted beside a cause is no longer another name for it
     apart = tuple(tuple(t for t in one if t.variant.cause not in names) for one in rivals)
     last = {t.variant.cause: _reason(t, tried, accepted, library) for t in sorted(trials, key=worth)}
     rejected = []
     for name, trial in first.items():
-        if name not in names:
+        if name not in names and name not in untried:
             reason = verdict_on(trial, named(name, library), tried) or behind.get(name, "")
             rejected.append((trial, reason or last.get(name) or EXPLAINED))
+    untried = [name for name in untried if name not in names]
     untried.sort(key=[cause.name for cause in library].index)
+    scene = replace(scene, budget=Budget())  # what follows has time of its own
     return Choice(tuple(accepted), apart, tuple(margins), tried, tuple(rejected), scene, tuple(untried), cut)
 
 
@@ -270,12 +271,11 @@ def _reason(trial: Trial, tried: int, accepted: Sequence[Trial], library: Sequen
     reason = verdict_on(trial, named(trial.variant.cause, library), tried)
     if reason:
         return reason
-    if trial.best_lasting >= STRIKING and not switches(trial):
-        return ""
-    share = SHARE if trial.best_lasting >= CLEAR else 1.0
+    if accepted and not worth_having(trial):
+        return NO_BETTER
     for other in accepted:
         common = set(other.parts) & set(trial.parts)
-        if common and trial.bic_in(common) < share * other.bic_in(common):
+        if common and trial.bic_in(common) < SHARE * other.bic_in(common):
             return "no more than what a stronger cause of another form than assumed leaves behind"
     return ""
 
@@ -286,7 +286,6 @@ def _again(
     accepted: Sequence[Trial],
     changed: set[str],
     say: Progress,
-    budget: Budget,
 ) -> list[Trial]:
     """The hopeful ones of the last round, two variants of a cause at most, tried beside what was accepted.
 
@@ -312,7 +311,11 @@ def _again(
     def beside(trial: Trial) -> Trial | None:
         if not changed & set(trial.parts):
             return trial
-        return None if budget.spent else _settled(scene, attempt(scene, started(scene, trial)))
+        try:
+            scene.budget.check()
+            return _settled(scene, attempt(scene, started(scene, trial)))
+        except BudgetSpent:
+            return None
 
     return [trial for trial in mapped(beside, hopeful) if trial is not None]
 

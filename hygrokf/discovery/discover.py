@@ -18,12 +18,20 @@ from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.remainder import remaining
 from hygrokf.discovery.repeats import REPEATED, repeated_text, without_repeats
 from hygrokf.discovery.residuals import Residuals, residuals
-from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, part_of, simulating
+from hygrokf.discovery.scene import (
+    HYGRIC,
+    SEARCH_STEP,
+    SIMULATION_STEP,
+    THERMAL,
+    Scene,
+    part_of,
+    searching,
+    simulating,
+)
 from hygrokf.discovery.trial import Trial
 from hygrokf.fit import Fit
 from hygrokf.fitting import climbed_on
 from hygrokf.identification import Basis, assembled, identified
-from hygrokf.likelihood import Likelihood
 from hygrokf.record import Record
 from hygrokf.stage import Estimated, Progress, Stage, judged, output_errors
 from hygrokf.version import __version__
@@ -34,8 +42,6 @@ REFUTED = (
 )
 UNEXPLAINED_AT_MOST = 0.5
 """Confidence of a cause under a verdict that says that the cause is not known."""
-FINAL_STEP = 1.0
-"""Product of rate and sub-step in the last estimation: ln L right to 1e-4 where it was tried, at a third of the time."""
 
 
 @dataclass(frozen=True)
@@ -84,10 +90,12 @@ def discover(
             name: part_of(name, driven, stage)
             for name, driven, stage in zip(names, basis.records, basis.stages, strict=True)
         },
+        budget,
     )
     say("base model as a simulator")
     simulator = assembled(record, _simulating(basis, scene), simulated, say=say)
-    choice = choose(scene, library, say, budget)
+    choice = choose(scene, library, say)
+    scene = replace(scene, budget=Budget())
     if choice.accepted:
         say("held-out period")
     tested = held_out.judged(scene, choice, record)
@@ -105,8 +113,9 @@ def discover(
         for trial in choice.accepted:
             if trial.variant.shift is not None:
                 moved = shifted(moved, trial.variant.shift)
-        extended = assembled(moved, wider, {}, say=say)
-        simulator_after = assembled(moved, _simulating(wider, choice.scene), {}, say=say)
+        extended = assembled(moved, wider, {}, say=say, rate_step=SIMULATION_STEP)
+        after = _simulating(wider, choice.scene)
+        simulator_after = assembled(moved, after, {}, say=say, rate_step=SIMULATION_STEP)
     stages = wider.stages if choice.accepted else basis.stages
     say("what is left")
     before = residuals(base, record)
@@ -133,9 +142,10 @@ def _stages(basis: Basis, choice: Choice, profiles: bool, say: Progress) -> tupl
         if part.base is stage.base and part.record is basis.records[len(found)]:
             found.append(stage)
             continue
-        likelihood = Likelihood(part.base.model, part.run.timeline, rate_step=FINAL_STEP)
-        estimate = climbed_on(likelihood, part.values)
-        found.append(judged(part.record, Estimated(part.base, part.run, estimate, FINAL_STEP), profiles, say))
+        estimate = climbed_on(searching(part.base.model, part.run.timeline), part.values)
+        found.append(
+            judged(part.record, Estimated(part.base, part.run, estimate, SEARCH_STEP), profiles, say)
+        )
     return tuple(found)
 
 
@@ -182,9 +192,9 @@ def _results(
     said = verdict(choice.accepted, rest, foreign, bool(repeated))
     known = {p.name for p in base.design.model.parameters}
     causes = [
-        cause_entry(scene, trial, rivals, margin, place > 0, gain, known, stages, library, choice.tried)
-        for place, (trial, rivals, margin, gain) in enumerate(
-            zip(choice.accepted, choice.rivals, choice.margins, tested.gains, strict=True)
+        cause_entry(scene, trial, rivals, margin, gain, known, stages, library, choice.tried)
+        for trial, rivals, margin, gain in zip(
+            choice.accepted, choice.rivals, choice.margins, tested.gains, strict=True
         )
     ]
     if said == "unexplained":

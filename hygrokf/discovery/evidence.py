@@ -9,7 +9,7 @@ from hygrokf.confidence import standard_error, wald_bounds
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import named
 from hygrokf.discovery.scene import Scene
-from hygrokf.discovery.trial import MATERIAL, Trial, added, probability, score_statistic
+from hygrokf.discovery.trial import Trial, added, probability, score_statistic
 from hygrokf.stage import Stage
 
 ONCE_AT_MOST = 0.6
@@ -22,7 +22,7 @@ VAGUE = (
     "the bounds of its size include no effect at all: the name is doubtful, its evidence may come from what the base "
     "model lacks in form"
 )
-WEIGHTS = {"level": 0.8, "margin": 4.0, "lasting": 4.7, "unsupported": -4.0}
+WEIGHTS = {"level": 0.8, "margin": 4.0, "lasting": 4.7}
 """Logistic weights of what `confidence` reads, from the accepted causes of simulated plants (docs/discover_decides.md)."""
 
 
@@ -48,7 +48,6 @@ def cause_entry(
     trial: Trial,
     rivals: Sequence[Trial],
     margin: float,
-    later: bool,
     gain: dict | None,
     known: Collection[str],
     stages: Sequence[Stage],
@@ -62,7 +61,7 @@ def cause_entry(
     statement = f"{cause.meaning} ({trial.variant.form}){_clock(trial)}"
     parameters = _parameters(trial, stages, known)
     notes = reservations(cause.event, seen_once(trial), parameters)
-    sure = confidence(trial, margin, later)
+    sure = confidence(trial, margin)
     if VAGUE in notes:
         sure = min(sure, ONCE_AT_MOST)
     if {ONCE, EVENT} & set(notes):
@@ -128,15 +127,14 @@ def _remedy(cause: Cause, trial: Trial) -> str:
     return f"{cause.remedy}; until then write {line} {place}, added to a correction that already stands there"
 
 
-def confidence(trial: Trial, margin: float, later: bool) -> float:
+def confidence(trial: Trial, margin: float) -> float:
     """Probability [1] that the cause, or one of its class, is the right name.
 
-    margin: [1] share of its evidence by which the best cause outside its class stays behind.  later: whether others were
-    accepted before it.  Logistic in the margin, the lasting gain of the free run, and whether a later cause lacks that gain.
+    margin: [1] share of its evidence by which the best cause outside its class stays behind.  Logistic in the margin and the
+    lasting gain of the free run.
     """
     score = WEIGHTS["level"] + WEIGHTS["margin"] * min(max(margin, -1.0), 1.0)
     score += WEIGHTS["lasting"] * min(max(trial.best_lasting, 0.0), 0.5)
-    score += WEIGHTS["unsupported"] * (later and trial.best_lasting < MATERIAL)
     found = 1.0 / (1.0 + math.exp(-score))
     return min(found, ONCE_AT_MOST) if seen_once(trial) else found
 

@@ -17,8 +17,8 @@ import numpy as np
 from hygrokf.design import merged
 from hygrokf.discovery.choice import WORSE, Choice, with_trial
 from hygrokf.discovery.clocks import cabinet_moved, shifted
-from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, simulating
-from hygrokf.discovery.trial import Trial, attempt, started
+from hygrokf.discovery.scene import HYGRIC, SIMULATION_STEP, THERMAL, Part, Scene, simulating
+from hygrokf.discovery.trial import Trial, added, attempt, started
 from hygrokf.drivers import run
 from hygrokf.record import Record
 from hygrokf.resampling import resampled
@@ -123,7 +123,10 @@ def model_of(scene: Scene, record: Record, trials: Sequence[Trial] = ()) -> Mode
     readings = measured(made)
 
     def simulated(values: Mapping[str, float]) -> Simulated:
-        found = free_run(design, values, made)
+        with np.errstate(
+            invalid="ignore"
+        ):  # far from the estimate the spread may be lost; it is not used here
+            found = free_run(design, values, made, rate_step=SIMULATION_STEP)
         errors = {}
         for quantity in QUANTITIES:
             pair = found.of(quantity)
@@ -220,8 +223,17 @@ def judged(base: Scene, choice: Choice, record: Record) -> Judged:
 
 
 def _with(scene: Scene, trial: Trial) -> Scene:
-    """A scene with a cause that was accepted in another one."""
-    return with_trial(scene, attempt(scene, started(scene, trial)))
+    """A scene with a cause that was accepted in another one; as it was estimated there where all else was the same."""
+    same = trial.variant.shift is None and all(
+        part.record is scene.parts[name].record and _added(part, scene.parts[name]) == added(trial.variant)
+        for name, part in trial.parts.items()
+    )
+    return with_trial(scene, trial if same else attempt(scene, started(scene, trial)))
+
+
+def _added(wider: Part, part: Part) -> set[str]:
+    """Names of the mechanisms that a part has beside those of another one."""
+    return {name for name, _ in wider.base.mechanisms} - {name for name, _ in part.base.mechanisms}
 
 
 def refutation(gain: Mapping) -> str:

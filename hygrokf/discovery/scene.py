@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
 
 from hygrokf.design import CASCADE, Design, design, extended
+from hygrokf.discovery.budget import Budget
 from hygrokf.drivers import Run, run
 from hygrokf.fitting import Objective, climb
 from hygrokf.likelihood import Likelihood
@@ -31,6 +32,8 @@ HYGRIC = "hygric"
 DAY_H = 24.0
 SEARCH_STEP = 2.0
 """Product of rate and sub-step in trials: ln L is right to a few thousandths, at a quarter of the time."""
+SIMULATION_STEP = 1.0
+"""The same for simulations over the whole record: without readings, coarser steps can leave a variance below zero."""
 SURE = 1.96
 """[sd] a sensor's offset in a free run: within the accuracy that 95 % of such sensors keep."""
 REACH = 1.5
@@ -75,10 +78,13 @@ class Part:
 
 @dataclass(frozen=True)
 class Scene:
-    """The identification period of a record and the parts that were identified on it."""
+    """The identification period of a record, the parts that were identified on it, and the time that trials on it may take:
+    where it is over, what estimates a trial raises BudgetSpent.
+    """
 
     record: Record
     parts: Mapping[str, Part]
+    budget: Budget = field(default_factory=Budget)
 
     @cached_property
     def tempers(self) -> dict[str, float]:
@@ -158,12 +164,29 @@ def searching(model: Model, timeline: Timeline) -> Likelihood:
     return Likelihood(model, timeline, rate_step=SEARCH_STEP)
 
 
+class _Timed(Objective):
+    """An objective that is not evaluated any more where the time for trials is over."""
+
+    def __init__(self, likelihood: Likelihood, coordinates: Coordinates, budget: Budget) -> None:
+        super().__init__(likelihood, coordinates)
+        self._budget = budget
+
+    def value(self, z: np.ndarray) -> float:
+        self._budget.check()
+        return super().value(z)
+
+    def information(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        self._budget.check()
+        return super().information(z)
+
+
 def refitted(
     part: Part,
     additions: Sequence[tuple[str, dict]],
     features: Mapping[str, dict],
     starts: Sequence[Mapping[str, float]],
     record: Record | None = None,
+    budget: Budget | None = None,
 ) -> Part:
     """The part with further mechanisms, all its parameters estimated again, the noise's too; the best of several starts."""
     wider = extended(part.base, additions, features=features)
@@ -171,7 +194,8 @@ def refitted(
     made = run(wider, record)
     likelihood = searching(wider.model, made.timeline)
     coordinates = Coordinates(wider.model.parameters)
-    objective = Objective(likelihood, coordinates)
+    budget = budget or Budget()
+    objective = _Timed(likelihood, coordinates, budget)
     given = {p.name: p.start for p in wider.model.parameters} | dict(part.values)
     first, hopeful = [{**given, **start} for start in starts or ({},)], True
     if len(first) > SCOUTED:
@@ -184,7 +208,9 @@ def refitted(
         first.append({**first[0], **ordinary})
     if len(first) > 1:
         # the mechanisms' own parameters alone, a few passes: what is far behind then is not followed
-        reached, best_start = max((_scouted(likelihood, part, at) for at in first), key=lambda pair: pair[0])
+        reached, best_start = max(
+            (_scouted(likelihood, part, at, budget) for at in first), key=lambda pair: pair[0]
+        )
         first = [best_start]
         hopeful = reached > part.objective + HOPE
     best = climb(objective, coordinates.start(first[0]), passes=10 if hopeful else 2, tolerance=0.5)
@@ -192,10 +218,10 @@ def refitted(
     return _part(part.name, record, wider, made, values, best.objective, best.converged)
 
 
-def climbed(part: Part) -> Part:
+def climbed(part: Part, budget: Budget | None = None) -> Part:
     """The part with its parameters climbed to the maximum."""
     coordinates = Coordinates(part.base.model.parameters)
-    objective = Objective(searching(part.base.model, part.run.timeline), coordinates)
+    objective = _Timed(searching(part.base.model, part.run.timeline), coordinates, budget or Budget())
     best = climb(objective, coordinates.start(part.values), passes=40, tolerance=0.02)
     values = coordinates.values(best.z)
     return _part(part.name, part.record, part.base, part.run, values, best.objective, best.converged)
@@ -206,7 +232,9 @@ def disturbances(model: Model) -> dict[str, float]:
     return {p.name: p.start for p in model.parameters if p.noise and "_disturbance_" in p.name}
 
 
-def _scouted(likelihood: Likelihood, part: Part, at: Mapping[str, float]) -> tuple[float, dict[str, float]]:
+def _scouted(
+    likelihood: Likelihood, part: Part, at: Mapping[str, float], budget: Budget
+) -> tuple[float, dict[str, float]]:
     """(objective, values) after a few passes over the parameters that the part does not have, the disturbances' and the
     sensors' offsets.
 
@@ -217,9 +245,8 @@ def _scouted(likelihood: Likelihood, part: Part, at: Mapping[str, float]) -> tup
     free = {*offsets, *disturbances(likelihood.model)}
     held = {name: value for name, value in at.items() if name in part.values and name not in free}
     coordinates = Coordinates(parameters, held if len(held) < len(parameters) else {})
-    found = climb(
-        Objective(likelihood, coordinates), coordinates.start({**at, **offsets}), passes=5, tolerance=1.0
-    )
+    objective = _Timed(likelihood, coordinates, budget)
+    found = climb(objective, coordinates.start({**at, **offsets}), passes=5, tolerance=1.0)
     return found.objective, coordinates.values(found.z)
 
 

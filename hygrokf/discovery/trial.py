@@ -129,7 +129,7 @@ def attempt(scene: Scene, variant: Variant) -> Trial:
         if not additions and not altered:
             continue
         base = replace(part, base=_altered(part.base, altered))
-        parts[name] = refitted(base, additions, variant.features, variant.starts)
+        parts[name] = refitted(base, additions, variant.features, variant.starts, budget=scene.budget)
     return judged(scene, variant, parts)
 
 
@@ -150,10 +150,10 @@ def refined(base: Scene, scene: Scene, trial: Trial, alone: bool) -> tuple[Trial
             for p in part.base.model.parameters
         }
         altered = replace(part, base=_altered(part.base, dict(additions)))
-        after[name] = refitted(altered, (), {}, (start,))
+        after[name] = refitted(altered, (), {}, (start,), budget=scene.budget)
     if sum(_gained(scene, after).values()) <= FINER:
         return trial, scene
-    after = {name: climbed(part) for name, part in after.items()}
+    after = {name: climbed(part, scene.budget) for name, part in after.items()}
     if alone:
         found = judged(base, finer, {**trial.parts, **after})
     else:
@@ -181,7 +181,9 @@ def started(scene: Scene, trial: Trial) -> Variant:
 
 def polished(scene: Scene, trial: Trial) -> Trial:
     """The trial with its parts climbed to their maxima."""
-    return judged(scene, trial.variant, {name: climbed(part) for name, part in trial.parts.items()})
+    return judged(
+        scene, trial.variant, {name: climbed(part, scene.budget) for name, part in trial.parts.items()}
+    )
 
 
 def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
@@ -368,7 +370,7 @@ def _moved(
     parts = {}
     for name, part in scene.parts.items():
         begin = part if near is None else replace(part, values=near[name].values)
-        parts[name] = refitted(begin, (), {}, ({},), shifted(part.record, shift))
+        parts[name] = refitted(begin, (), {}, ({},), shifted(part.record, shift), scene.budget)
     return shift.seconds, parts
 
 

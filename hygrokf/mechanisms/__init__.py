@@ -5,6 +5,7 @@ from __future__ import annotations
 from hygrokf.mechanisms.heat import (
     cooling_loss,
     dehumidifier_heat,
+    drying_heat,
     fan_loss,
     lagged_ambient,
     leading_ambient,
@@ -104,6 +105,7 @@ FURTHER = (
     wall_thermal_mass,
     solar_gain,
     unreported_heater,
+    drying_heat,
     scheduled_heat,
     release_drift,
     wind_loss,

@@ -110,6 +110,14 @@ def dehumidifier_heat() -> Mechanism:
     )  # fmt: skip
 
 
+def drying_heat() -> Mechanism:
+    """Heat that a drier which no signal reports releases (input `drying`): its own power and that of condensing [K]."""
+    return _driven_heat(
+        "drying_heat", "drying_heat", "drying", "while the unreported drier runs",
+        "a cabinet that is too warm in the simulation when it is damp",
+    )  # fmt: skip
+
+
 def release_drift(order: int = 0, operation: bool = False, flag: str = "elapsed") -> Mechanism:
     """Heat release that drifts with the calendar: f += a · flag · f₀ [K], f₀ the base model's own in operation.
 

@@ -291,7 +291,7 @@ def _chosen(record: Record, truth: list[dict], starts: int | None) -> dict:
         }
         named = [other.variant.cause for other in rivals]
         told_more = {
-            "confidence": confidence(trial, margin, bool(causes)),
+            "confidence": confidence(trial, margin),
             "margin": margin,
             "once": trial.once,
         }
