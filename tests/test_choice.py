@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -15,7 +16,6 @@ from hygrokf.discovery import choice, evidence, grids
 from hygrokf.discovery.cause import Variant
 from hygrokf.discovery.choice import (
     NO_BETTER,
-    _preferred,
     _reason,
     choose,
     verdict_on,
@@ -121,13 +121,11 @@ def test_some_causes_hardly_show_in_the_free_run(cause: str, bic: float, enough:
     assert (verdict(trial(cause, bic, 0.0)) == "") == enough
 
 
-def test_a_switch_that_follows_readings_may_be_a_little_worse() -> None:
-    """A humidistat in the thermal part, which foretells no humidity: its cycles come at the wrong times."""
-    one = trial("unlogged_heater", 900.0, -0.1, THERMAL)
-    assert "worse" in verdict(one)
-    assert verdict(replace(one, by_readings=frozenset({THERMAL}))) == ""
-    assert "worse" in verdict(replace(one, by_readings=frozenset({HYGRIC})))
-    assert "worse" in verdict(replace(one, gain={THERMAL: -0.2}, by_readings=frozenset({THERMAL})))
+def test_what_simulates_worse_in_any_part_is_no_cause() -> None:
+    assert "worse" in verdict(trial("unlogged_heater", 900.0, -0.03, THERMAL))
+    assert verdict(trial("unlogged_heater", 900.0, -0.01, THERMAL)) == ""
+    both = replace(trial("cooling_switching", 900.0, 0.3, THERMAL), gain={THERMAL: 0.3, HYGRIC: -0.03})
+    assert "worse" in verdict(both)
 
 
 @pytest.mark.parametrize(
@@ -143,7 +141,6 @@ def test_a_switch_that_drives_itself_simulates_better(
     trials = [attempt(shared, variant) for variant in named(cause).variants(shared)]
     best = max(trials, key=lambda one: one.lr)
     assert best.lr > 100.0 and best.lasting[part] > 0.05 and verdict(best) == ""
-    assert part not in best.by_readings
     # the trial's parts keep the errors by readings, which later trials beside it are held against
     by_readings = 1.0 - np.nansum(best.parts[part].error ** 2) / np.nansum(shared.parts[part].error ** 2)
     assert best.gain[part] > by_readings + 0.05
@@ -233,16 +230,6 @@ def test_a_model_that_is_not_quite_right_tempers_its_likelihood() -> None:
     assert found.bic_gain == pytest.approx(found.lrs[THERMAL] / plain.tempers[THERMAL] - found.price)
 
 
-def test_more_evidence_wins_unless_another_simulates_better() -> None:
-    strong, good, weak = (
-        trial("clock_shift", 400.0, 0.1),
-        trial("ambient_bias", 250.0, 0.2),
-        trial("moisture_sorption", 150.0, 0.4),
-    )
-    assert _preferred([strong, good, weak]) is good
-    assert _preferred([strong, trial("ambient_bias", 250.0, 0.13), weak]) is strong
-
-
 def test_what_a_form_leaves_behind_is_no_further_cause() -> None:
     """A thermometer 1.7 K off beside a drier had 9 % of its evidence; a drier that sorption's form leaves behind, 5 %."""
     first = trial("moisture_sorption", 1000.0, 0.2)
@@ -302,10 +289,46 @@ def test_a_cause_is_judged_at_its_maximum(monkeypatch: pytest.MonkeyPatch) -> No
     )
     alone = choose(Scene(None, {HYGRIC: SimpleNamespace()}), library[:1])  # type: ignore[arg-type]
     assert not alone.accepted and "gains too little" in alone.rejected[0][1]
-    monkeypatch.setattr(choice, "alike", lambda scene, best, other: False)
+    # and the other one has its turn
+    monkeypatch.setattr(choice, "difference", lambda scene, best, other: math.inf)
     monkeypatch.setattr(choice, "MOST_CAUSES", 1)
     both = choose(Scene(None, {HYGRIC: SimpleNamespace()}), library)  # type: ignore[arg-type]
     assert [one.variant.cause for one in both.accepted] == ["ambient_bias"]
+
+
+def test_what_a_coarse_form_leaves_behind_is_no_further_cause(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The finer form comes first; what still looks like a further cause is then tried beside it."""
+    plain = trial("moisture_sorption", 900.0, 0.5)
+    coarse = replace(plain, variant=replace(plain.variant, finer=plain.variant))
+    leftover = trial("ambient_bias", 200.0, 0.3)
+    answers = {"moisture_sorption": [coarse], "ambient_bias": [leftover, trial("ambient_bias", 3.0, 0.3)]}
+    asked = []
+
+    def attempted(scene: object, variant: Variant) -> Trial:
+        asked.append(variant.cause)
+        left = answers[variant.cause]
+        return left.pop(0) if len(left) > 1 else left[0]
+
+    def finer(base: object, scene: Scene, one: Trial, alone: bool) -> tuple[Trial, Scene]:
+        return replace(one, lrs={HYGRIC: 970.0}), replace(scene, parts={HYGRIC: SimpleNamespace(values={})})
+
+    monkeypatch.setattr(choice, "attempt", attempted)
+    monkeypatch.setattr(choice, "polished", lambda scene, one: one)
+    monkeypatch.setattr(choice, "difference", lambda scene, best, other: math.inf)
+    monkeypatch.setattr(choice, "with_trial", lambda scene, one: scene)
+    monkeypatch.setattr(
+        choice, "_again", lambda scene, trials, accepted, *rest: [t for t in trials if t not in accepted]
+    )
+    monkeypatch.setattr(choice, "started", lambda scene, one: one.variant)
+    monkeypatch.setattr(choice, "refined", finer)
+    library = tuple(
+        replace(named(name), variants=lambda scene, one=one: [one.variant])
+        for name, one in {"moisture_sorption": coarse, "ambient_bias": leftover}.items()
+    )
+    found = choose(Scene(None, {HYGRIC: SimpleNamespace(values={})}), library)  # type: ignore[arg-type]
+    assert [one.variant.cause for one in found.accepted] == ["moisture_sorption"]
+    assert found.accepted[0].lr == 970.0
+    assert asked.count("ambient_bias") == 2 and asked.count("moisture_sorption") == 1
 
 
 def test_a_switch_is_refined_without_losing_its_hysteresis(monkeypatch: pytest.MonkeyPatch) -> None:

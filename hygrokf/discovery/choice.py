@@ -23,8 +23,6 @@ EVIDENCE = 10.0
 """Gain in 2 ln L beyond the price of parameters and grid (BIC) that counts as strong."""
 WORSE = -0.02
 """A cause that makes the free run of a part worse by more than this share is no cause."""
-WORSE_BY_READINGS = -0.15
-"""The same for a part in which a switch follows readings: sampled triggers put its cycles at wrong times."""
 SATURATION = 0.97
 """[1] relative humidity from which a ceiling is no fault of a sensor: saturated air, read with a sensor's accuracy."""
 CLOSE = 10.0
@@ -78,11 +76,7 @@ def verdict_on(trial: Trial, cause: Cause, tried: int = 1) -> str:
         return f"{trial.beyond.replace('_', ' ')} would have to be larger than is physically possible"
     if trial.variant.joint and min(trial.lrs.values()) < math.log(min(p.n for p in trial.parts.values())):
         return "it acts on heat and vapour, and one of them does not show"
-    worse = any(
-        share < (WORSE_BY_READINGS if name in trial.by_readings else WORSE)
-        for name, share in trial.gain.items()
-    )
-    if worse and trial.best_lasting < 4.0 * -WORSE:
+    if min(trial.gain.values(), default=0.0) < WORSE:
         return "it makes the free run worse"
     stated = trial.variant.settings
     if cause.name == "clock_shift" and abs(float(stated["shift_s"])) < float(stated["ordinary_s"]):
@@ -145,6 +139,7 @@ def choose(
     rivals: list[tuple[Trial, ...]] = []
     margins: list[float] = []
     behind: dict[str, str] = {}
+    stale: set[str] = set()
 
     def tried_on(cause: Cause) -> list[Trial]:
         found = []
@@ -167,7 +162,13 @@ def choose(
         good.sort(key=worth, reverse=True)
         if not good:
             break
-        best = _preferred(good)
+        best = good[0]
+        if best.variant.cause in stale:  # beside a coarser form than is accepted now
+            stale.remove(best.variant.cause)
+            trials = [t for t in trials if t.variant.cause != best.variant.cause]
+            with suppress(BudgetSpent):
+                trials.append(attempt(scene, started(scene, best)))
+            continue
         with suppress(BudgetSpent):
             best = polished(scene, best)
         class_ = _class(scene, best, good, trials)
@@ -176,7 +177,15 @@ def choose(
         if slipped:
             behind[best.variant.cause] = slipped
             continue
-        behind, before = {}, scene
+        before = scene
+        rough = _rough(accepted, best)
+        if rough is not None and not budget.spent:  # what a coarse form leaves behind is no other cause
+            with suppress(BudgetSpent):
+                accepted[rough], scene = _finest(base, scene, accepted, rough)
+            if scene is not before:
+                behind, stale = {}, {t.variant.cause for t in trials if set(t.parts) & set(best.parts)}
+            continue
+        behind = {}
         rivals.append(class_)
         margins.append(ahead)
         accepted.append(best)
@@ -193,16 +202,11 @@ def choose(
         if budget.spent:
             cut = True
             break
-        trials = _again(scene, trials, accepted, changed, say)
+        trials, stale = _again(scene, trials, accepted, changed, say), set()
         cut = budget.spent
-    for place, trial in enumerate(accepted):
-        others = [other for other in accepted if other is not trial]
-        beside = {name for other in others for name in other.parts}
-        ground = base
-        if any(drives(other) for other in others):
-            ground = redriven(replace(base, parts={**base.parts, THERMAL: scene.parts[THERMAL]}))
+    for place in range(len(accepted)):
         with suppress(BudgetSpent):
-            accepted[place], scene = refined(ground, scene, trial, alone=not beside & set(trial.parts))
+            accepted[place], scene = _finest(base, scene, accepted, place)
     names = {t.variant.cause for t in accepted}
     # what was accepted beside a cause is no longer another name for it
     apart = tuple(tuple(t for t in one if t.variant.cause not in names) for one in rivals)
@@ -216,6 +220,26 @@ def choose(
     untried.sort(key=[cause.name for cause in library].index)
     scene = replace(scene, budget=Budget())  # what follows has time of its own
     return Choice(tuple(accepted), apart, tuple(margins), tried, tuple(rejected), scene, tuple(untried), cut)
+
+
+def _rough(accepted: Sequence[Trial], other: Trial) -> int | None:
+    """Place of an accepted cause of the same part whose finer form was not tried yet."""
+    for place, one in enumerate(accepted):
+        if one.variant.finer is not None and set(one.parts) & set(other.parts):
+            return place
+    return None
+
+
+def _finest(base: Scene, scene: Scene, accepted: Sequence[Trial], place: int) -> tuple[Trial, Scene]:
+    """An accepted trial in its finer form where that gains, and the scene with it; it is tried once."""
+    trial = accepted[place]
+    others = [*accepted[:place], *accepted[place + 1 :]]
+    beside = {name for other in others for name in other.parts}
+    ground = base
+    if any(drives(other) for other in others):
+        ground = redriven(replace(base, parts={**base.parts, THERMAL: scene.parts[THERMAL]}))
+    found, scene = refined(ground, scene, trial, alone=not beside & set(trial.parts))
+    return replace(found, variant=replace(found.variant, finer=None)), scene
 
 
 def with_trial(scene: Scene, trial: Trial) -> Scene:
@@ -253,17 +277,6 @@ def _ahead(best: Trial, class_: Sequence[Trial], trials: Sequence[Trial]) -> flo
     alike_to_it = {best.variant.cause, *(t.variant.cause for t in class_)}
     behind = max((worth(t) for t in trials if t.variant.cause not in alike_to_it), default=0.0)
     return 1.0 - max(behind, 0.0) / max(worth(best), behind, 1e-9)
-
-
-def _preferred(good: Sequence[Trial]) -> Trial:
-    """The one with the most evidence, unless another with half as much simulates better by a material share."""
-    best = good[0]
-    better = [
-        t
-        for t in good[1:]
-        if worth(t) >= HALF * worth(best) and t.best_lasting >= best.best_lasting + MATERIAL
-    ]
-    return max(better, key=lambda t: t.best_lasting, default=best)
 
 
 def _reason(trial: Trial, tried: int, accepted: Sequence[Trial], library: Sequence[Cause]) -> str:

@@ -17,7 +17,6 @@ from hygrokf.drivers import run
 from hygrokf.likelihood import Trace
 from hygrokf.record import Record
 from hygrokf.switches import SWITCHES
-from hygrokf.switching import switches_of
 from hygrokf.timeline import Timeline
 
 MATERIAL = 0.05
@@ -56,8 +55,7 @@ class Trial:
     `parts` the parts that it changed; `lrs` 2 Δ ln L of each, `lr` of them together, `parameters` their new ones, `price` what
     these and the grid cost, `bic_gain` the evidence: what is left of the lrs over the scene's tempers; `gain` part → share
     of the squared free-run error that is gone, `lasting` the same without the three days that gained most, `z` the gain in
-    standard errors of its blocks, `episodes` in how many episodes it was gained.  `by_readings` the parts in which a switch
-    follows readings that the part does not foretell, such as a humidistat in the thermal one.
+    standard errors of its blocks, `episodes` in how many episodes it was gained.
     """
 
     variant: Variant
@@ -70,7 +68,6 @@ class Trial:
     episodes: Mapping[str, int]
     price: float = 0.0
     z: Mapping[str, float] = field(default_factory=dict)
-    by_readings: frozenset[str] = frozenset()
 
     @property
     def lr(self) -> float:
@@ -194,11 +191,6 @@ def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
     gain, lasting, often, z = {}, {}, {}, {}
     switched = set(SWITCHES) & set(variant.features)
     own = lr > SHOWN and bool(switched)
-    led = {
-        name
-        for name, part in parts.items()
-        if switched & set(part.base.features) - set(switches_of(part.base))
-    }
     for name, part in parts.items():
         before, after = scene.parts[name], self_driven(part) if own else part
         squares = daily_squares(before, after)
@@ -209,7 +201,7 @@ def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
     count = max(count, 1)
     price = penalty(variant, count, n)
     evidence = sum(one / scene.tempers[name] for name, one in lrs.items()) - price
-    return Trial(variant, dict(parts), lrs, count, evidence, gain, lasting, often, price, z, frozenset(led))
+    return Trial(variant, dict(parts), lrs, count, evidence, gain, lasting, often, price, z)
 
 
 def _gained(scene: Scene, parts: Mapping[str, Part]) -> dict[str, float]:
