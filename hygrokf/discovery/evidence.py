@@ -22,8 +22,8 @@ VAGUE = (
     "the bounds of its size include no effect at all: the name is doubtful, its evidence may come from what the base "
     "model lacks in form"
 )
-WEIGHTS = {"level": 0.8, "margin": 4.0, "lasting": 4.7}
-"""Logistic weights of what `confidence` reads, from the accepted causes of simulated plants (docs/discover_decides.md)."""
+WEIGHTS = {"level": 0.1, "margin": 2.3, "lasting": 3.5}
+"""Logistic weights of what `confidence` reads, from the causes accepted in simulated plants (docs/discover_measured.md)."""
 
 
 def evidence(scene: Scene, trial: Trial, tried: int) -> dict:
