@@ -143,13 +143,9 @@ def test_every_third_party_import_is_required(settings: configparser.ConfigParse
 def test_the_tests_extra_holds_what_tests_import(settings: configparser.ConfigParser) -> None:
     extra = {IMPORT_NAMES.get(n, n) for n in requirements(settings["options.extras_require"]["test"])}
     installed = {*requirements(settings["options"]["install_requires"])}
-    own = {path.stem for path in (ROOT / "tests").rglob("*.py")} | {
-        "hygrokf",
-        "plants",
-        "other_make",
-        "benchmarks",
-        "tests",
-    }
+    folders = (ROOT / "tests", ROOT / "scripts")
+    packages = {path.parent.name for folder in folders for path in folder.rglob("__init__.py")}
+    own = {path.stem for path in (ROOT / "tests").rglob("*.py")} | packages | {"hygrokf", "tests"}
     found = set()
     for path in (ROOT / "tests").rglob("*.py"):
         for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
