@@ -2,7 +2,7 @@
 
 import sys
 
-from hygrokf.cli import main
+from hygrokf.commands.main import main
 
 if __name__ == "__main__":
     sys.exit(main())

@@ -10,7 +10,7 @@ from plants.hidden import HIDDEN_OPTIONS, finish, make_scene
 from plants.plant import ingredients, plant
 from plants.scene import Change, Scene, states
 
-from hygrokf.record import Record, Series
+from hygrokf.data.record import Record, Series
 
 STEP_MIN = 10
 HEATER_W = 300.0

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from hygrokf.psychrometrics import relative_humidity
-from hygrokf.record import Record, Series, Site
+from hygrokf.data.record import Record, Series, Site
+from hygrokf.physics.psychrometrics import relative_humidity
 
 STEP_S = 600.0
 DAY_S = 86400.0

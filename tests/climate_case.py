@@ -6,8 +6,8 @@ from functools import cache
 
 import numpy as np
 
-from hygrokf.fit import Fit
-from hygrokf.record import Record, Series
+from hygrokf.data.record import Record, Series
+from hygrokf.identification.fit import Fit
 
 HOUR_S = 3600.0
 BEGIN_S = float(np.datetime64("2021-01-01T00:00:00", "s").astype(int))
@@ -48,7 +48,7 @@ def made_up_weather(days: int = 365, seed: int = 5) -> Record:
 
 def known_fit(spread: float = 0.02, **values: float) -> Fit:
     """The usual joint model with stated parameters; those of `FREE` are uncertain by a share `spread` of their value."""
-    from hygrokf.design import Design
+    from hygrokf.modelling.design import Design
 
     mechanisms = (
         ("thermal_network", {}),

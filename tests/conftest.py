@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from databases import postgresql, store_url  # noqa: F401  (fixtures)
 
-from hygrokf.likelihood import Likelihood
-from hygrokf.mechanisms import (
+from hygrokf.engine.timeline import Timeline, timeline
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.physics.mechanisms import (
     heat_disturbance,
     heat_release,
     humidity_sensor,
@@ -22,8 +23,7 @@ from hygrokf.mechanisms import (
     thermal_network,
     vapour_disturbance,
 )
-from hygrokf.model import Model, compose
-from hygrokf.timeline import Timeline, timeline
+from hygrokf.physics.model import Model, compose
 
 HOLDS = {
     "ambient_temperature": "linear",

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from hygrokf.discovery.misfits import Misfit
+from hygrokf.discovery.findings import Misfit
 from hygrokf.discovery.residuals import Residuals
 
 ORIGIN_S = 1594771200.0

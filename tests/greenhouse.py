@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from hygrokf.record import Record
+from hygrokf.data.record import Record
 
 EXCERPTS = Path(__file__).parent / "greenhouse"
 WHOLE = Path(__file__).resolve().parents[1] / "../shared/data"

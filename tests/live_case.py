@@ -10,16 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hygrokf.case import read_case
-from hygrokf.design import CASCADE, design, merged
-from hygrokf.fit import Fit
-from hygrokf.live.fleet import Delivery, Turbine
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.data.record import Record
+from hygrokf.identification.fit import Fit
 from hygrokf.live.plan import Form, plan
-from hygrokf.live.store import open_store
-from hygrokf.live.streams import Playback
+from hygrokf.live.sources.streams import Playback
+from hygrokf.live.storage.store import open_store
 from hygrokf.live.tracker import whole
-from hygrokf.record import Record
-from hygrokf.synthetic import synthetic_turbine, write_case
+from hygrokf.live.turbines import Delivery, Turbine
+from hygrokf.modelling.design import CASCADE, design, merged
 
 SIGNALS = (
     "cabinet_temperature", "cabinet_relative_humidity", "ambient_temperature", "ambient_relative_humidity", "active_power",

@@ -20,14 +20,14 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 from live_case import live_record, live_turbine
 
+from hygrokf.data.record import Record
 from hygrokf.live.condition import Surface
-from hygrokf.live.fleet import Delivery
 from hygrokf.live.forecast import LIMIT
-from hygrokf.live.payload import Mapping as PayloadMapping
 from hygrokf.live.service import Service
-from hygrokf.live.store import Store, open_store
-from hygrokf.live.streams import Playback, Threaded, record_mapping, record_messages
-from hygrokf.record import Record
+from hygrokf.live.sources.payload import Mapping as PayloadMapping
+from hygrokf.live.sources.streams import Playback, Threaded, record_mapping, record_messages
+from hygrokf.live.storage.store import Store, open_store
+from hygrokf.live.turbines import Delivery
 
 HOUR_S = 3600.0
 

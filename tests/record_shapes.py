@@ -8,10 +8,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hygrokf.case import read_case
-from hygrokf.record import Record, Series
-from hygrokf.stamps import stamp_text
-from hygrokf.synthetic import LATITUDE_DEG, LONGITUDE_DEG, synthetic_turbine, write_case
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import LATITUDE_DEG, LONGITUDE_DEG, synthetic_turbine, write_case
+from hygrokf.data.record import Record, Series
+from hygrokf.data.timestamps import stamp_text
 
 DAYS = 5.0
 DAY_S = 86400.0

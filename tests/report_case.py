@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hygrokf.diagnosis import diagnose
-from hygrokf.synthetic import synthetic_turbine
+from hygrokf.cases.synthetic import synthetic_turbine
+from hygrokf.evaluation.innovation_tests import diagnose
 
 DAYS = 40.0
 TAU_H, RATIO, HYGRIC_H = 1.45, 0.84, 0.31

@@ -20,20 +20,20 @@ from actuated import (
 )
 
 from hygrokf import identify
-from hygrokf.actuators import ACTUATORS, FEWEST, actuators
-from hygrokf.checks import describe, describe_text
+from hygrokf.cases.summary import describe, describe_text
 from hygrokf.climate.region import driven
-from hygrokf.design import CASCADE, design
-from hygrokf.discovery.scene import scene
-from hygrokf.drivers import run
-from hygrokf.fit import Fit
-from hygrokf.likelihood import Likelihood
+from hygrokf.data.actuators import ACTUATORS, FEWEST, actuators
+from hygrokf.data.record import Record, Series
+from hygrokf.data.signals import SIGNALS
+from hygrokf.discovery.baseline import scene
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.identification.fit import Fit
 from hygrokf.live.plan import plan
-from hygrokf.mechanisms import LIBRARY
-from hygrokf.record import Record, Series
-from hygrokf.report import report_page, report_text
-from hygrokf.signals import SIGNALS
-from hygrokf.thermal import thermal_system
+from hygrokf.modelling.design import CASCADE, design
+from hygrokf.modelling.inputs import run
+from hygrokf.modelling.thermal_system import thermal_system
+from hygrokf.physics.mechanisms import LIBRARY
+from hygrokf.report.fit_page import report_page, report_text
 
 
 @pytest.fixture(scope="module")
@@ -205,7 +205,7 @@ def test_with_nulls_the_model_is_the_one_without() -> None:
 
 # --- every command ----------------------------------------------------------------------------------------------------
 def test_the_design_comes_back_from_its_json(all_logged) -> None:
-    from hygrokf.design import Design
+    from hygrokf.modelling.design import Design
 
     _, fit, _ = all_logged
     again = Design.from_json(json.loads(json.dumps(fit.design.to_json())))

@@ -6,19 +6,11 @@ import math
 
 import numpy as np
 
-from hygrokf.live.alarms import (
-    LIKELY,
-    RULES,
-    Level,
-    Standing,
-    condensation_level,
-    departure_levels,
-    judged,
-)
+from hygrokf.live.alarms import LIKELY, RULES, Level, Standing, condensation_level, departure_levels, judged
 from hygrokf.live.condition import Condition, Quantity
-from hygrokf.live.inquiry import Finding
+from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.properties import WATCHED, Departure
-from hygrokf.live.store import Alarm
+from hygrokf.live.storage.store import Alarm
 
 MINUTE = 60.0
 

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 import weather_case as made
 
-from hygrokf.record import Record, Series, Site
-from hygrokf.stamps import summer_time
+from hygrokf.data.record import Record, Series, Site
+from hygrokf.data.timestamps import summer_time
 from hygrokf.weather.alignment import UNKNOWN, Bounded, align, mean_days
 from hygrokf.weather.clocks import (
     ClockError,
@@ -285,7 +285,7 @@ signals.wind_speed = {{ column = "ws_100m", unit = "m/s" }}
 @measured
 def test_the_french_wind_farm_runs_on_utc(tmp_path: Path, capsys) -> None:
     """Its stamps say +01:00 and +02:00; the reanalysis says that they are UTC."""
-    from hygrokf.cli import main
+    from hygrokf.commands.main import main
 
     case = tmp_path / "case.toml"
     case.write_text(FRENCH.format(data=DATA.resolve(), clock=""))
@@ -303,7 +303,7 @@ def test_the_french_wind_farm_runs_on_utc(tmp_path: Path, capsys) -> None:
 @measured
 def test_the_reanalysis_as_a_weather_file_says_the_same(tmp_path: Path) -> None:
     """The same file read with its format, by its own names; what the turbine measures itself is taken from there."""
-    from hygrokf.case import read_case
+    from hygrokf.cases.case_file import read_case
 
     head = FRENCH.format(data=DATA.resolve(), clock="").partition("[[source]]\nfile")
     turbine = (head[1] + head[2]).rpartition("[[source]]")[0]

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as some
 from scipy.integrate import solve_ivp
 
-from hygrokf.psychrometrics import humidity_ratio, saturation_pressure_water
-from hygrokf.record import Record, Series, Site
+from hygrokf.data.record import Record, Series, Site
+from hygrokf.physics.psychrometrics import humidity_ratio, saturation_pressure_water
 from hygrokf.weather.altitude import at_altitude, pressure_ratio
 
 TIME = 3600.0 * np.arange(4)

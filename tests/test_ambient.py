@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from hygrokf.ambient import (
+from hygrokf.data.ambient import (
     FEWEST,
     ambient_absolute_humidity,
     at_times,
@@ -18,9 +18,9 @@ from hygrokf.ambient import (
     reading_noise,
     smoothed,
 )
-from hygrokf.paths import centred
-from hygrokf.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
-from hygrokf.record import Record, Series
+from hygrokf.data.input_paths import centred
+from hygrokf.data.record import Record, Series
+from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 
 START_S = 1.6e9
 STEP_S = 600.0

@@ -13,7 +13,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from hygrokf.likelihood import Likelihood
+from hygrokf.estimation.likelihood import Likelihood
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 

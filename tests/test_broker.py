@@ -10,11 +10,18 @@ from pathlib import Path
 import pytest
 from brokers import authority
 
-from hygrokf.live.broker import EXPIRY_S, Broker, alarm_topic, broker_of, default_client_id, filter_fault
-from hygrokf.live.payload import Field, Mapping
 from hygrokf.live.reasons import reason_words, tls_words, unreached
-from hygrokf.live.sources import stream_of
-from hygrokf.live.store import Alarm
+from hygrokf.live.sources.broker import (
+    EXPIRY_S,
+    Broker,
+    alarm_topic,
+    broker_of,
+    default_client_id,
+    filter_fault,
+)
+from hygrokf.live.sources.kinds import stream_of
+from hygrokf.live.sources.payload import Field, Mapping
+from hygrokf.live.storage.store import Alarm
 from hygrokf.live.table_reader import TableReader
 
 MAPPING = Mapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})

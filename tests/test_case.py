@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hygrokf.case import CaseFault, read_case
+from hygrokf.cases.case_file import CaseFault, read_case
 
 DATA = Path(__file__).resolve().parents[1] / "../shared/data"
 measured = pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there")

@@ -6,8 +6,8 @@ import tomllib
 
 import pytest
 
-from hygrokf.case_form import stated_case
-from hygrokf.case_keys import CaseLines
+from hygrokf.cases.form import stated_case
+from hygrokf.cases.keys import CaseLines
 
 GOOD = """name = "uk-01"
 rated_power_kW = 2050.0

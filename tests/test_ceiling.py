@@ -10,14 +10,14 @@ from ahead_case import cabinet_record
 from live_case import live_fit
 from scipy.stats import truncnorm
 
-from hygrokf.kalman import observation
-from hygrokf.likelihood import Gaussian
+from hygrokf.data.masks import SATURATED
+from hygrokf.data.record import Record
+from hygrokf.engine.timeline import Timeline
+from hygrokf.estimation.likelihood import Gaussian
+from hygrokf.estimation.smoother import observation
 from hygrokf.live.ceiling import HUMIDITY, filtered, truncated
 from hygrokf.live.plan import Form, Plan, plan
 from hygrokf.live.tracker import whole
-from hygrokf.masks import SATURATED
-from hygrokf.record import Record
-from hygrokf.timeline import Timeline
 
 
 @pytest.fixture(scope="module")

@@ -9,9 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hygrokf.checks import describe, describe_text, mask
-from hygrokf.doubts import doubted, doubts
-from hygrokf.record import Record, Series, Site
+from hygrokf.cases.doubts import doubted, doubts
+from hygrokf.cases.summary import describe, describe_text, mask
+from hygrokf.data.record import Record, Series, Site
 
 DAY = 86400.0
 START = 1577836800.0  # 2020-01-01T00:00Z

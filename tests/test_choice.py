@@ -11,21 +11,11 @@ import pytest
 from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
-from hygrokf.design import Design, extended, merged
-from hygrokf.discovery import choice, evidence, grids
-from hygrokf.discovery.cause import Variant
-from hygrokf.discovery.choice import (
-    NO_BETTER,
-    _reason,
-    choose,
-    verdict_on,
-    with_trial,
-)
-from hygrokf.discovery.clocks import Shift
-from hygrokf.discovery.discover import verdict as verdict_of
-from hygrokf.discovery.library import LIBRARY, named
-from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, scene
-from hygrokf.discovery.trial import (
+from hygrokf.data.record import Record, Series
+from hygrokf.discovery import evidence, grids
+from hygrokf.discovery import model_selection as choice
+from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene, scene
+from hygrokf.discovery.candidate import (
     Trial,
     attempt,
     ordinary_shift,
@@ -34,12 +24,17 @@ from hygrokf.discovery.trial import (
     standard_errors,
     started,
 )
-from hygrokf.drivers import run
-from hygrokf.mechanisms import condensation, humidity_ceiling, humidity_drift, temperature_step
-from hygrokf.model import Mechanism
-from hygrokf.psychrometrics import saturation_pressure_water
-from hygrokf.record import Record, Series
-from hygrokf.simulation import free_run
+from hygrokf.discovery.cause import Variant
+from hygrokf.discovery.clocks import Shift
+from hygrokf.discovery.library import LIBRARY, named
+from hygrokf.discovery.model_selection import NO_BETTER, _reason, choose, verdict_on, with_trial
+from hygrokf.discovery.procedure import verdict as verdict_of
+from hygrokf.evaluation.simulation import free_run
+from hygrokf.modelling.design import Design, extended, merged
+from hygrokf.modelling.inputs import run
+from hygrokf.physics.mechanisms import condensation, humidity_ceiling, humidity_drift, temperature_step
+from hygrokf.physics.model import Mechanism
+from hygrokf.physics.psychrometrics import saturation_pressure_water
 
 
 def part_of(*mechanisms: Mechanism, converged: bool = True, **values: float) -> SimpleNamespace:
@@ -474,7 +469,7 @@ def test_a_source_is_found_behind_a_disturbance_that_stands_for_it(monkeypatch: 
     found = attempt(made, always)
     assert found.lr > 12.0
     assert attempt(made, started(made, found)).lr > 12.0
-    monkeypatch.setattr("hygrokf.discovery.scene.disturbances", lambda model: {})
+    monkeypatch.setattr("hygrokf.discovery.baseline.disturbances", lambda model: {})
     assert attempt(made, replace(always, starts=always.starts[:2])).lr < 5.0
 
 

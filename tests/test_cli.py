@@ -20,12 +20,12 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pytest
 
-from hygrokf.case import read_case
-from hygrokf.cli import main
-from hygrokf.files import RESULTS
-from hygrokf.results import read_fit
-from hygrokf.synthetic import synthetic_turbine, write_case
-from hygrokf.tables import evaluation, evaluation_text, simulated, simulation_summary
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.commands.main import main
+from hygrokf.data.files import RESULTS
+from hygrokf.identification.results import read_fit
+from hygrokf.identification.tables import evaluation, evaluation_text, simulated, simulation_summary
 from hygrokf.version import __version__
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -221,7 +221,7 @@ def test_demo_makes_fits_and_reports(tmp_path, told):
 
 def test_demo_of_another_seed_is_another_turbine(tmp_path, told, monkeypatch):
     """The seed reaches the turbine; what follows is broken off."""
-    monkeypatch.setattr("hygrokf.identification.identify", interrupted)
+    monkeypatch.setattr("hygrokf.identification.procedure.identify", interrupted)
     assert told(f"demo --out {tmp_path}/demo --seed 7").status == 130
     assert 'name = "synthetic-turbine-7"' in (tmp_path / "demo" / "case.toml").read_text()
     assert len(content(tmp_path / "demo")) == 4
@@ -324,7 +324,7 @@ def test_options_of_fit_reach_the_identification(folder, told, monkeypatch):
         seen.update(options, name=record.name)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("hygrokf.identification.identify", identify)
+    monkeypatch.setattr("hygrokf.identification.procedure.identify", identify)
     told("fit case.toml --out made")
     assert seen == {"name": "synthetic-turbine-3", "criterion": "likelihood", "starts": 5}
     told("fit case.toml --out made --kind joint --criterion simulation --starts 7")
@@ -385,8 +385,8 @@ def test_evaluate_notes_another_rated_power(folder, told):
 
 
 def test_fit_says_whose_fit_it_replaces(folder, told, monkeypatch):
-    monkeypatch.setattr("hygrokf.cli._identify", lambda *_: read_fit(folder / "result"))
-    monkeypatch.setattr("hygrokf.cli._write", lambda fit, out: out / "report.html")
+    monkeypatch.setattr("hygrokf.commands.main._identify", lambda *_: read_fit(folder / "result"))
+    monkeypatch.setattr("hygrokf.commands.main._write", lambda fit, out: out / "report.html")
     assert "replaces" not in told("fit case.toml --out result").err
     case(("synthetic-turbine-3", "uk-01"))(folder)
     assert (
@@ -412,7 +412,7 @@ def test_report_is_written_again_from_the_two_files(folder, told):
 
 
 def test_report_as_json_names_the_page(folder, told, monkeypatch):
-    monkeypatch.setattr("hygrokf.report.report_page", lambda fit, series: fit["name"])
+    monkeypatch.setattr("hygrokf.report.fit_page.report_page", lambda fit, series: fit["name"])
     assert json.loads(told("report result --json").out) == {"report": "result/report.html"}
     assert (folder / "result/report.html").read_text() == "synthetic-turbine-3"
 
@@ -658,7 +658,7 @@ def test_a_write_protected_directory_is_told_before_the_work(folder, told, monke
     (folder / "locked").chmod(0o555)
     allowed = os.access  # root may write everywhere: the answer of an ordinary user is given to it
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name != "locked" and allowed(path, mode))
-    monkeypatch.setattr("hygrokf.case.read_case", interrupted)
+    monkeypatch.setattr("hygrokf.cases.case_file.read_case", interrupted)
     refused(told(line), ("locked is write-protected", "name another"))
     assert content(folder / "locked") == {}
 
@@ -667,13 +667,13 @@ def test_what_the_system_refuses_is_told_without_a_traceback(folder, told, monke
     def full(*_):
         raise OSError(28, "No space left on device", "made/fit.json")
 
-    monkeypatch.setattr("hygrokf.files.write_text_whole", full)
+    monkeypatch.setattr("hygrokf.data.files.write_text_whole", full)
     refused(told(SIMULATE), ("made/fit.json: cannot be read or written: No space left on device",))
 
 
 def test_an_interrupted_fit_leaves_nothing(folder, told, monkeypatch):
     before = content(folder)
-    monkeypatch.setattr("hygrokf.identification.identify", interrupted)
+    monkeypatch.setattr("hygrokf.identification.procedure.identify", interrupted)
     assert told(FIT) == Said(130, "", "interrupted; nothing half-written is left\n")
     assert content(folder) == before
 
@@ -682,7 +682,7 @@ def test_faults_of_the_package_itself_are_not_hidden(folder, told, monkeypatch):
     def broken(*_, **__):
         raise RuntimeError("a defect")
 
-    monkeypatch.setattr("hygrokf.identification.identify", broken)
+    monkeypatch.setattr("hygrokf.identification.procedure.identify", broken)
     with pytest.raises(RuntimeError, match="a defect"):
         told(FIT)
 

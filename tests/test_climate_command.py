@@ -13,17 +13,17 @@ from climate_case import known_fit, made_up_weather
 from html_page import Page
 from weather_case import epw_text
 
-from hygrokf.cli import main
 from hygrokf.climate.chamber import Chamber, ProfilePlan
 from hygrokf.climate.ensemble import years_of
 from hygrokf.climate.limits import Limit
-from hygrokf.climate.page import climate_page
 from hygrokf.climate.region import Region, read_region
 from hygrokf.climate.results import climate_csv, profile_files
 from hygrokf.climate.study import climate_profile
-from hygrokf.climate.tables import class_text, climate_text, hours_text, span_text
-from hygrokf.record import Record, Series
-from hygrokf.results import dump
+from hygrokf.commands.main import main
+from hygrokf.data.record import Record, Series
+from hygrokf.identification.results import dump
+from hygrokf.report.climate_page import climate_page
+from hygrokf.report.climate_tables import class_text, climate_text, hours_text, span_text
 from hygrokf.version import __version__
 
 LIMITS = '[[limit]]\nquantity = "temperature_degC"\nabove = 60\n[[limit]]\nquantity = "temperature_degC"\nabove = 10\n'

@@ -9,14 +9,14 @@ import pytest
 from climate_case import FREE, HOUR_S, known_fit, made_up_weather
 
 from hygrokf.climate.ensemble import _drawn, course, kept_instants, simulate_years, years_of
-from hygrokf.climate.members import draw_members
+from hygrokf.climate.parameter_samples import draw_members
 from hygrokf.climate.region import driven
-from hygrokf.design import extended
-from hygrokf.fit import Fit
-from hygrokf.likelihood import Likelihood
-from hygrokf.record import Record
-from hygrokf.simulation import free_run
-from hygrokf.surface import Surface, condenses
+from hygrokf.data.record import Record
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.evaluation.simulation import free_run
+from hygrokf.identification.fit import Fit
+from hygrokf.modelling.design import extended
+from hygrokf.physics.cold_surface import Surface, condenses
 
 
 def short(days: int) -> Record:
@@ -208,7 +208,7 @@ def test_years_and_hours() -> None:
 
 
 def test_a_surface_condenses_below_dew_and_frost_point() -> None:
-    from hygrokf.psychrometrics import dew_point, frost_point
+    from hygrokf.physics.psychrometrics import dew_point, frost_point
 
     for pressure in (300.0, 900.0, 2500.0):
         point = dew_point(pressure) if pressure > 611.7 else frost_point(pressure)

@@ -12,15 +12,9 @@ from climate_case import BEGIN_S, known_fit, made_up_weather
 from hygrokf.climate.chamber import ProfilePlan, read_test_plan
 from hygrokf.climate.form import FormFault
 from hygrokf.climate.limits import read_limits
-from hygrokf.climate.power import (
-    PowerFault,
-    power_by_season,
-    power_from_wind,
-    read_power_curve,
-    standstill,
-)
+from hygrokf.climate.power import PowerFault, power_by_season, power_from_wind, read_power_curve, standstill
 from hygrokf.climate.region import driven, read_power
-from hygrokf.record import Record, Series
+from hygrokf.data.record import Record, Series
 
 CURVE = """\
 rated_power_kW = 2000

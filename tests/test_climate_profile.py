@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 from hygrokf.climate.acceleration import BOLTZMANN_EV, Acceleration
 from hygrokf.climate.bounds import bounded
 from hygrokf.climate.chamber import Chamber, ProfilePlan, read_test_plan
-from hygrokf.climate.days import Days, choose_days, ordered, shares
 from hygrokf.climate.form import FormFault
-from hygrokf.climate.sequence import chamber_sequence, closeness, set_points
+from hygrokf.climate.representative_days import Days, choose_days, ordered, shares
+from hygrokf.climate.test_profile import chamber_sequence, closeness, set_points
 
 
 def many_days(count: int = 400, seed: int = 6) -> Days:

@@ -8,15 +8,15 @@ from climate_case import BEGIN_S, known_fit
 from scipy.signal import lfilter
 
 from hygrokf.climate.ensemble import shots_of, simulate_years
+from hygrokf.climate.jump_noise import FEWEST, Shots, words
 from hygrokf.climate.region import driven
-from hygrokf.climate.shots import FEWEST, Shots, words
-from hygrokf.diagnosis import diagnose
-from hygrokf.drivers import run
-from hygrokf.fit import Fit
-from hygrokf.likelihood import Likelihood
-from hygrokf.psychrometrics import saturation_pressure_water
-from hygrokf.record import Record, Series
-from hygrokf.surface import Surface
+from hygrokf.data.record import Record, Series
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.evaluation.innovation_tests import diagnose
+from hygrokf.identification.fit import Fit
+from hygrokf.modelling.inputs import run
+from hygrokf.physics.cold_surface import Surface
+from hygrokf.physics.psychrometrics import saturation_pressure_water
 
 STEP_H = 1.0 / 30.0
 TAU_H, HYGRIC_H = 1.5, 0.4

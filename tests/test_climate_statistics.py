@@ -12,14 +12,7 @@ from hygrokf.climate.bounds import bounded, held
 from hygrokf.climate.cycles import rainflow, turning_points
 from hygrokf.climate.ensemble import Year
 from hygrokf.climate.limits import Limit, exceeded, judged
-from hygrokf.climate.statistics import (
-    TEMPERATURE_EDGES,
-    curves,
-    excursions,
-    outside,
-    scalars,
-    wetness_class,
-)
+from hygrokf.climate.statistics import TEMPERATURE_EDGES, curves, excursions, outside, scalars, wetness_class
 
 LAW = Acceleration()
 

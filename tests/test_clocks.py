@@ -9,9 +9,9 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pytest
 
+from hygrokf.data.record import Record, Series, Site
 from hygrokf.discovery.clocks import Shift, cabinet_moved, shifted, sources, summer_time, turns_within
 from hygrokf.discovery.held_out import difference_bounds
-from hygrokf.record import Record, Series, Site
 
 HOUR_S = 3600.0
 

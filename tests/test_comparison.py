@@ -11,17 +11,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hygrokf.cli import main
-from hygrokf.console import UserFault
-from hygrokf.fit import Fit
-from hygrokf.identification import identify
-from hygrokf.record import Record
-from hygrokf.results import ResultFault, write_fit
-from hygrokf.synthetic import synthetic_turbine, write_case
-from hygrokf.tables import evaluation
-from hygrokf.transfer.command import labels_of, pairs_of
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.commands.console import UserFault
+from hygrokf.commands.main import main
+from hygrokf.commands.transfer import labels_of, pairs_of
+from hygrokf.data.record import Record
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.procedure import identify
+from hygrokf.identification.results import ResultFault, write_fit
+from hygrokf.identification.tables import evaluation
+from hygrokf.report.comparison_page import comparison_page, summary, write_comparison
 from hygrokf.transfer.comparison import Column, column, compared, comparison_csv, comparison_text
-from hygrokf.transfer.comparison_page import comparison_page, summary, write_comparison
 
 HOUR = 3600.0
 
@@ -148,7 +148,7 @@ def test_names_of_columns() -> None:
 @pytest.fixture(scope="module")
 def turbines(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Fit]:
     """Two synthetic cases and the fit of the first."""
-    from hygrokf.case import read_case
+    from hygrokf.cases.case_file import read_case
 
     folder = tmp_path_factory.mktemp("turbines")
     paths = [write_case(synthetic_turbine(seed=seed, days=16.0), folder / str(seed)) for seed in (21, 22)]
@@ -158,7 +158,7 @@ def turbines(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Fit]
 
 
 def test_a_column_is_what_evaluate_says(turbines: tuple[Path, Path, Fit]) -> None:
-    from hygrokf.case import read_case
+    from hygrokf.cases.case_file import read_case
 
     record: Record = read_case(turbines[1])
     found = compared([column(turbines[2], record, "x")]).results["columns"][0]["scores"]
@@ -174,7 +174,7 @@ def test_a_column_is_what_evaluate_says(turbines: tuple[Path, Path, Fit]) -> Non
 def test_a_column_without_a_score_says_why_and_long_names_stay_apart(
     turbines: tuple[Path, Path, Fit],
 ) -> None:
-    from hygrokf.case import read_case
+    from hygrokf.cases.case_file import read_case
 
     record: Record = read_case(turbines[1])
     idle = replace(record, series=tuple(one for one in record.series if one.signal != "active_power"))

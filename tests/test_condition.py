@@ -5,16 +5,16 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.live.condition import Quantity, Surface, condition, probability_above, probability_below
-from hygrokf.mechanisms import LIBRARY
-from hygrokf.model import Model, compose
-from hygrokf.psychrometrics import (
+from hygrokf.physics.mechanisms import LIBRARY
+from hygrokf.physics.model import Model, compose
+from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
     dew_point,
     frost_point,
     saturation_pressure_water,
 )
-from hygrokf.timeline import Timeline, timeline
 
 THERMAL = ("thermal_network", "thermal_diffusion", "temperature_sensor")
 HYGRIC = ("hygric_exchange", "hygric_diffusion", "humidity_sensor")

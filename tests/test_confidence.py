@@ -15,8 +15,9 @@ from scipy.optimize import brentq
 from scipy.stats import norm
 from statsmodels.stats.sandwich_covariance import S_hac_simple
 
-from hygrokf.case import read_case
-from hygrokf.confidence import (
+from hygrokf.cases.case_file import read_case
+from hygrokf.engine.timeline import timeline
+from hygrokf.estimation.confidence import (
     Bounds,
     Uncertainty,
     limit_remarks,
@@ -28,16 +29,15 @@ from hygrokf.confidence import (
     uncertainty,
     wald_bounds,
 )
-from hygrokf.design import design, extended
-from hygrokf.drivers import run
-from hygrokf.fitting import Estimate, Objective, maximise
-from hygrokf.identification import identified
-from hygrokf.likelihood import Likelihood
-from hygrokf.mechanisms import linear_network
-from hygrokf.model import compose
-from hygrokf.parameters import Parameter, Prior
-from hygrokf.stage import estimated, judged
-from hygrokf.timeline import timeline
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import Estimate, Objective, maximise
+from hygrokf.identification.estimation import estimated, judged
+from hygrokf.identification.procedure import identified
+from hygrokf.modelling.design import design, extended
+from hygrokf.modelling.inputs import run
+from hygrokf.physics.mechanisms import linear_network
+from hygrokf.physics.model import compose
+from hygrokf.physics.parameters import Parameter, Prior
 
 LEVEL = 0.95
 CHI_SQUARED = norm.ppf(0.975) ** 2

@@ -9,7 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hygrokf.design import (
+from hygrokf.data.record import Record, Series
+from hygrokf.identification.results import dump
+from hygrokf.modelling.design import (
     BRIDGE_H,
     Design,
     accuracy_of,
@@ -23,8 +25,6 @@ from hygrokf.design import (
     read_as,
     reading_step_h,
 )
-from hygrokf.record import Record, Series
-from hygrokf.results import dump
 
 START_S = 1.6e9
 HOURS = 40 * 24

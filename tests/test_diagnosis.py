@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import stats
 
-from hygrokf.diagnosis import FEWEST, POINTS, diagnose, whitened
+from hygrokf.evaluation.innovation_tests import FEWEST, POINTS, diagnose, whitened
 
 STEP_H = 0.25
 N = 1500

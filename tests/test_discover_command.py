@@ -8,11 +8,11 @@ from pathlib import Path
 
 import pytest
 
-from hygrokf.cli import main
-from hygrokf.discovery.discover import discover
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.commands.main import main
 from hygrokf.discovery.library import named
-from hygrokf.results import read_fit
-from hygrokf.synthetic import synthetic_turbine, write_case
+from hygrokf.discovery.procedure import discover
+from hygrokf.identification.results import read_fit
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +24,7 @@ def test_a_case_becomes_a_discovery(
     case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     few = [named(name) for name in ("solar_gain", "humidity_sensor_drift", "clock_shift")]
-    monkeypatch.setattr("hygrokf.discovery.discover.discover", partial(discover, library=few))
+    monkeypatch.setattr("hygrokf.discovery.procedure.discover", partial(discover, library=few))
     assert main(["discover", str(case), "--out", str(tmp_path / "made"), "--starts", "1", "--json"]) == 0
     data = json.loads((tmp_path / "made" / "discovery.json").read_text())
     assert json.loads(capsys.readouterr().out) == data

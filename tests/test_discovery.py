@@ -10,15 +10,9 @@ import pytest
 from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
-from hygrokf.discovery import scene as scene_module
-from hygrokf.discovery.cause import Variant, penalty
-from hygrokf.discovery.choice import choose, difference, verdict_on
-from hygrokf.discovery.clocks import Shift, shifted, sources
-from hygrokf.discovery.discover import discover
-from hygrokf.discovery.grids import dates
-from hygrokf.discovery.library import LIBRARY, named
-from hygrokf.discovery.scan import Scanned, scan, slow_scan
-from hygrokf.discovery.scene import (
+from hygrokf.data.record import Record
+from hygrokf.discovery import baseline as scene_module
+from hygrokf.discovery.baseline import (
     HYGRIC,
     THERMAL,
     Scene,
@@ -28,7 +22,7 @@ from hygrokf.discovery.scene import (
     scene,
     searching,
 )
-from hygrokf.discovery.trial import (
+from hygrokf.discovery.candidate import (
     MATERIAL,
     attempt,
     episodes,
@@ -37,9 +31,15 @@ from hygrokf.discovery.trial import (
     score_statistic,
     shift_gains,
 )
-from hygrokf.discovery.words import discovery_text
-from hygrokf.record import Record
-from hygrokf.results import dump
+from hygrokf.discovery.cause import Variant, penalty
+from hygrokf.discovery.clocks import Shift, shifted, sources
+from hygrokf.discovery.grids import dates
+from hygrokf.discovery.library import LIBRARY, named
+from hygrokf.discovery.model_selection import choose, difference, verdict_on
+from hygrokf.discovery.procedure import discover
+from hygrokf.discovery.scan import Scanned, scan, slow_scan
+from hygrokf.identification.results import dump
+from hygrokf.report.discovery_text import discovery_text
 
 DAY_S = 86400.0
 IDENTIFIERS = """moisture_sorption condensation wall_thermal_mass solar_gain wind_driven_exchange

@@ -19,7 +19,7 @@ from plants.hidden import FORMS, LIBRARY, OUT_OF_LIBRARY, hidden_plant
 from plants.injection import EFFECTS
 from scipy.stats import binomtest
 
-from hygrokf.record import Record, Series
+from hygrokf.data.record import Record, Series
 
 SCRIPTS = Path(__file__).resolve().parents[1] / "scripts"
 CI_LIMIT_S = 900.0
@@ -748,7 +748,7 @@ def test_what_is_raised_is_part_of_the_result(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_the_light_engine_writes_the_same_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    from hygrokf.discovery import choice
+    from hygrokf.discovery import model_selection as choice
     from hygrokf.discovery.library import named
 
     cases, trial, command = part("cases"), part("trial"), part("command")

@@ -16,18 +16,18 @@ from html_page import Page
 from report_case import report_case
 
 import hygrokf
-from hygrokf.cli import main
-from hygrokf.discovery.discover import Discovery
-from hygrokf.discovery.misfits import Misfit
-from hygrokf.discovery.page import discovery_page, write_discovery_report
-from hygrokf.discovery.plots_residuals import telling_drivers
+from hygrokf.commands.main import main
+from hygrokf.discovery.findings import Misfit
+from hygrokf.discovery.procedure import Discovery
 from hygrokf.discovery.repeats import REPEATED
 from hygrokf.discovery.results import read_discovery, write_discovery
-from hygrokf.discovery.tables import constants_sentences, constants_table, rejected_table, scores_table
-from hygrokf.discovery.words import discovery_text, gain_sentence, settings_words, signed_percent
-from hygrokf.fit import Fit
-from hygrokf.report_tables import cells
-from hygrokf.results import ResultFault, write_fit
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.results import ResultFault, write_fit
+from hygrokf.report.discovery_page import discovery_page, write_discovery_report
+from hygrokf.report.discovery_tables import constants_sentences, constants_table, rejected_table, scores_table
+from hygrokf.report.discovery_text import discovery_text, gain_sentence, settings_words, signed_percent
+from hygrokf.report.figures.residual_structure import telling_drivers
+from hygrokf.report.fit_tables import cells
 
 
 @pytest.fixture(scope="module")
@@ -183,7 +183,10 @@ def test_a_part_explained_is_not_told_as_the_whole() -> None:
     assert "That is not all: readings repeat" in words(found)
     partly = found | {"verdict": "unexplained"}
     text = words(partly)
-    assert "Something is missing; its cause is not known Readings repeat. Solar gain (confidence 87 %): the temperature error falls" in text
+    assert (
+        "Something is missing; its cause is not known Readings repeat. Solar gain (confidence 87 %): the temperature error falls"
+        in text
+    )
 
 
 def test_a_logger_that_repeats_itself_is_what_the_page_says_first() -> None:
@@ -499,6 +502,6 @@ def test_other_arrays_are_no_residuals(written: Path, tmp_path: Path, arrays: di
 
 
 def test_the_face_has_the_names() -> None:
-    from hygrokf.discovery import discover as module
+    from hygrokf.discovery import procedure as module
 
     assert hygrokf.discover is module.discover and hygrokf.Discovery is module.Discovery

@@ -13,13 +13,13 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from hygrokf.discretisation import CONSTANT_RATES, congruence, step
-from hygrokf.expression import Graph
-from hygrokf.likelihood import Gaussian, Likelihood
-from hygrokf.mechanisms import linear_network
-from hygrokf.model import compose
-from hygrokf.parameters import Parameter
-from hygrokf.timeline import timeline
+from hygrokf.engine.discretisation import CONSTANT_RATES, congruence, step
+from hygrokf.engine.timeline import timeline
+from hygrokf.estimation.likelihood import Gaussian, Likelihood
+from hygrokf.physics.expression import Graph
+from hygrokf.physics.mechanisms import linear_network
+from hygrokf.physics.model import compose
+from hygrokf.physics.parameters import Parameter
 
 EXACT = 1e-12
 SECOND, QUARTER, DAY, FORTNIGHT = 1.0 / 3600.0, 0.25, 24.0, 336.0

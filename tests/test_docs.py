@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import ast
 import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import house
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -21,7 +21,7 @@ from pathlib import Path
 page, languages = Path(sys.argv[1]), sys.argv[2].split(",")
 
 def bash(text):
-    command = f'hygrokf() {{ "{sys.executable}" -m hygrokf.cli "$@"; }}\\n' + text
+    command = f'hygrokf() {{ "{sys.executable}" -m hygrokf.commands.main "$@"; }}\\n' + text
     subprocess.run(["bash", "-euo", "pipefail", "-c", command], check=True)
 
 lines, block, language = [], [], None
@@ -191,47 +191,10 @@ def test_every_table_of_the_pictures_script_is_filled() -> None:
 
 
 def test_the_floor_plan_is_the_house() -> None:
-    """Every module stands once in the picture, and what it imports stands below it, but for the one way up that the page names."""
+    """The table in the docs is the one of the imports; the floors' own test guards them."""
     text = (DOCS / "house.md").read_text(encoding="utf-8")
-    plan = re.search(r"^```text\n(.*?)^```", text, re.DOTALL | re.MULTILINE)
-    assert plan is not None
-    rows = [line.split() for line in plan[1].splitlines()]
-    floor = {name: len(rows) - i for i, row in enumerate(rows) for name in row}
-    assert len(floor) == sum(map(len, rows))
-    package = ROOT / "hygrokf"
-    modules = {f.stem for f in package.glob("*.py")} - {"__init__"}
-    modules |= {f.parent.name for f in package.glob("*/__init__.py")}
-    assert set(floor) == modules
-    faults = []
-    for file in package.rglob("*.py"):
-        own = file.relative_to(package).parts[0].removesuffix(".py")
-        if own == "__init__":
-            continue
-        for name in sorted(imported(file)):
-            if name != own and floor[name] >= floor[own]:
-                faults.append(f"{own} imports {name}")
-    assert faults == ["record imports frames"] and "One import points up: `Record.from_frames`" in text
-
-
-def imported(file: Path) -> set[str]:
-    """Modules of the package that a file imports, wherever the import stands; those for type hints alone left out."""
-    tree = ast.parse(file.read_text(encoding="utf-8"))
-    hints = {
-        id(inner)
-        for node in ast.walk(tree)
-        if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.dump(node.test)
-        for inner in ast.walk(node)
-    }
-    found = set()
-    for node in ast.walk(tree):
-        if (
-            isinstance(node, ast.ImportFrom)
-            and id(node) not in hints
-            and (node.module or "").startswith("hygrokf")
-        ):
-            parts = (node.module or "").split(".")
-            found |= {parts[1]} if len(parts) > 1 else {alias.name for alias in node.names}
-    return found
+    for row in house.table():
+        assert "| " + " | ".join(row) + " |" in text, f"house.md: run scripts/pictures --only house_plan; {row}"
 
 
 def test_the_tests_that_hold_a_promise_exist() -> None:

@@ -28,19 +28,23 @@ from brokers import (
 from ports import free_port
 from test_track_config import MODEL
 
-from hygrokf.cli import main
-from hygrokf.fit import Fit
-from hygrokf.live import doctor_clock, doctor_files, doctor_mqtt, doctor_sources, doctor_store
-from hygrokf.live.certificates import validities
-from hygrokf.live.check import Check, several, worst
+from hygrokf.commands.main import main
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.results import write_fit
 from hygrokf.live.config import read_config
-from hygrokf.live.doctor import examine, page_checks
-from hygrokf.live.doctor_clock import Watch, machine_checks, server_check, stamp_check
-from hygrokf.live.opcua_client import Connection
-from hygrokf.live.page_settings import PageSettings
+from hygrokf.live.doctor import clock as doctor_clock
+from hygrokf.live.doctor import files as doctor_files
+from hygrokf.live.doctor import mqtt as doctor_mqtt
+from hygrokf.live.doctor import sources as doctor_sources
+from hygrokf.live.doctor import store as doctor_store
+from hygrokf.live.doctor.check import Check, several, worst
+from hygrokf.live.doctor.clock import Watch, machine_checks, server_check, stamp_check
+from hygrokf.live.doctor.examination import examine, page_checks
 from hygrokf.live.service import Service
-from hygrokf.live.store import open_store
-from hygrokf.results import write_fit
+from hygrokf.live.sources.certificates import validities
+from hygrokf.live.sources.opcua_client import Connection
+from hygrokf.live.storage.store import open_store
+from hygrokf.live.web.page_settings import PageSettings
 
 TRACK = """\
 store = "sqlite:live.db"
@@ -244,7 +248,7 @@ def test_rows_that_give_no_reading_are_counted_with_the_reason(folder: Path) -> 
 
 
 def test_a_long_file_is_read_from_its_end(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hygrokf.live.doctor_sources.TAIL", 500)
+    monkeypatch.setattr("hygrokf.live.doctor.sources.TAIL", 500)
     found = [one.found for one in looked(folder) if "last rows gave readings" in one.found]
     count, of = (int(found[0].split()[k]) for k in (0, 2))
     assert count == of and 5 < of < 20
@@ -546,9 +550,9 @@ def test_the_page_s_address(folder: Path) -> None:
 
 
 def test_a_tracker_s_own_page_is_told_from_a_stranger(folder: Path) -> None:
-    from hygrokf.live.web import Page
-    from hygrokf.live.web_events import Hub
-    from hygrokf.live.web_server import serve
+    from hygrokf.live.web.application import Page
+    from hygrokf.live.web.events import Hub
+    from hygrokf.live.web.server import serve
 
     certificate, key = authority(folder).issue("page", "127.0.0.1")
     config = read_config(folder / "track.toml")

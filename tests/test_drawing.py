@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hygrokf.drawing import (
+from hygrokf.report.figures.drawing import (
     band,
     calendar_ticks,
     envelope,

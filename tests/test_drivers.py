@@ -10,12 +10,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
-from hygrokf import mechanisms as library
-from hygrokf.design import Design, design, extended
-from hygrokf.drivers import run
-from hygrokf.model import Mechanism
-from hygrokf.psychrometrics import absolute_humidity
-from hygrokf.record import Record, Series
+from hygrokf.data.record import Record, Series
+from hygrokf.modelling.design import Design, design, extended
+from hygrokf.modelling.inputs import run
+from hygrokf.physics import mechanisms as library
+from hygrokf.physics.model import Mechanism
+from hygrokf.physics.psychrometrics import absolute_humidity
 
 START_S = 1.6e9
 HOUR_S = 3600.0

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import weather_case as made
 
-from hygrokf.columns import TableFault
-from hygrokf.psychrometrics import relative_humidity_from_dew_point
-from hygrokf.record import Site
+from hygrokf.data.columns import TableFault
+from hygrokf.data.record import Site
+from hygrokf.physics.psychrometrics import relative_humidity_from_dew_point
 from hygrokf.weather.epw import read_epw
 from hygrokf.weather.reading import form_of
 from hygrokf.weather.years import read_weather

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 import weather_case as made
 
-from hygrokf.columns import TableFault
-from hygrokf.record import Site
+from hygrokf.data.columns import TableFault
+from hygrokf.data.record import Site
 from hygrokf.weather import archive
 from hygrokf.weather.era5 import era5_record, read_era5
 

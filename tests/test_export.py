@@ -12,10 +12,10 @@ import pytest
 from test_cli import run
 from test_store import T0, a_condition, observed
 
-from hygrokf.live import export as module
-from hygrokf.live.export import ExportFault, export
 from hygrokf.live.properties import Property
-from hygrokf.live.store import Alarm, Batch, Observation, StoreFault, open_store
+from hygrokf.live.storage import export as module
+from hygrokf.live.storage.export import ExportFault, export
+from hygrokf.live.storage.store import Alarm, Batch, Observation, StoreFault, open_store
 from hygrokf.live.tracker import Reading
 
 BEGAN = "2023-11-14T22:13:20.000Z"

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from hygrokf.expression import (
+from hygrokf.physics.expression import (
     Expression,
     Graph,
     add,

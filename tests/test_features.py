@@ -9,10 +9,10 @@ import pytest
 from plants import plant
 from plants.as_record import to_record
 
-from hygrokf.design import Design, design, extended
-from hygrokf.drivers import run
-from hygrokf.features import FEATURES, clear_sky, feature, feature_faults
-from hygrokf.record import Record, Series, Site
+from hygrokf.data.record import Record, Series, Site
+from hygrokf.modelling.derived_inputs import FEATURES, clear_sky, feature, feature_faults
+from hygrokf.modelling.design import Design, design, extended
+from hygrokf.modelling.inputs import run
 
 HOUR = 3600.0
 START = 1.6e9

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from hygrokf import files
-from hygrokf.files import write_bytes_whole, write_text_whole
+from hygrokf.data import files
+from hygrokf.data.files import write_bytes_whole, write_text_whole
 
 
 def test_text_arrives_as_utf8_with_its_line_ends(tmp_path):

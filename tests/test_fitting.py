@@ -8,9 +8,11 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hygrokf import fitting
-from hygrokf.confidence import uncertainty
-from hygrokf.fitting import (
+from hygrokf.engine.timeline import timeline
+from hygrokf.estimation import optimiser as fitting
+from hygrokf.estimation.confidence import uncertainty
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import (
     BETTER,
     Objective,
     Optimum,
@@ -21,11 +23,9 @@ from hygrokf.fitting import (
     nested_starts,
     starts,
 )
-from hygrokf.likelihood import Likelihood
-from hygrokf.mechanisms import linear_network
-from hygrokf.model import compose
-from hygrokf.parameters import Coordinates, Parameter, Prior
-from hygrokf.timeline import timeline
+from hygrokf.physics.mechanisms import linear_network
+from hygrokf.physics.model import compose
+from hygrokf.physics.parameters import Coordinates, Parameter, Prior
 
 COUNT = 50
 READ = 3.0 + 0.7 * np.random.default_rng(1).normal(size=COUNT)

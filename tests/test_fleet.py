@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 from live_case import expect_offline, live_record, live_turbine
 
+from hygrokf.data.record import Record
 from hygrokf.live.condition import Surface
-from hygrokf.live.fleet import Delivery, Fleet, Turbine, conditions
-from hygrokf.live.payload import Mapping
-from hygrokf.live.store import Batch, Store, open_store
-from hygrokf.live.streams import record_mapping, record_messages
+from hygrokf.live.sources.payload import Mapping
+from hygrokf.live.sources.streams import record_mapping, record_messages
+from hygrokf.live.storage.store import Batch, Store, open_store
 from hygrokf.live.tracker import whole
-from hygrokf.record import Record
+from hygrokf.live.turbines import Delivery, Fleet, Turbine, conditions
 
 SOURCE = "replay:"
 

@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from hygrokf import identify, read_case, synthetic_turbine, write_case
-from hygrokf.cli import main
+from hygrokf.commands.main import main
 from hygrokf.fleet import job as job_module
 from hygrokf.fleet import running
 from hygrokf.fleet.cluster import batches, on_cluster
@@ -30,9 +30,9 @@ from hygrokf.fleet.processes import in_processes
 from hygrokf.fleet.running import run_fleet, write_fleet_report
 from hygrokf.fleet.table import columns_of, table_csv, table_parquet
 from hygrokf.fleet.tasks import TASKS, Compared, perform
-from hygrokf.fleet.words import fleet_text
-from hygrokf.results import dump, read_fit
-from hygrokf.turbine_type import pooled, read_type
+from hygrokf.fleet.text import fleet_text
+from hygrokf.identification.results import dump, read_fit
+from hygrokf.identification.turbine_type import pooled, read_type
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 DAYS, TURBINES = 5.0, 5

@@ -4,143 +4,47 @@ from __future__ import annotations
 
 import ast
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-
-import hygrokf
-
-ROOT = Path(hygrokf.__file__).parent
-FACE = "hygrokf"
-FLOORS = (
-    # what knows nothing of the package
-    "expression machine moments parallel parameters signals psychrometrics files lookup version discovery discovery.budget live weather live.schema live.reasons live.certificates climate climate.form climate.cycles climate.bounds climate.acceleration resampling transfer fleet switches",
-    # text of code, one step, what a record is
-    "console emission discretisation record stamps live.database surface climate.chamber wording",
-    "verdict_terms",
-    "verdict running_sums control_loop case_keys columns paths live.table_reader live.sqlite live.postgres live.check",
-    "loops masks actuators weather_form readers synthetic ambient live.opcua_security live.opcua_samples",
-    "features fleet_loop long_steps live.opcua_client case_form weather.archive weather.fields weather.altitude weather.joining weather.alignment climate.power",
-    "recursion weather.gridded weather.epw weather.clocks",
-    "doubts weather.era5",
-    "checks",
-    "weather.reading",
-    "model case weather.years",
-    "frames",
-    # the physics
-    "mechanisms.thermal mechanisms.network mechanisms.sensors",
-    "mechanisms.hygric mechanisms.heat mechanisms.moisture mechanisms.readings mechanisms.wandering",
-    "mechanisms timeline",
-    "additions",
-    # the estimation
-    "likelihood design",
-    "fitting kalman drivers thermal side_by_side",
-    "switching confidence periods",
-    "simulation forms clock_offsets composition inference",
-    # judgement
-    "output_error scoring actuator_effects stationary diagnosis discovery.significance",
-    "stage",
-    "time_constants discovery.scene discovery.clocks",
-    "fit discovery.scan discovery.cause live.operation live.ceiling",
-    "climate.shots",
-    "results tables identification discovery.residuals discovery.changes discovery.grids live.plan live.condition live.outlook climate.ensemble climate.members climate.region turbine_type",
-    "discovery.causes_heat discovery.causes_moisture discovery.causes_readings discovery.results discovery.conditions live.tracker live.properties climate.statistics climate.days climate.range transfer.comparison transfer.groups",
-    "discovery.library discovery.misfits discovery.repeats live.forecast live.inquiry climate.limits climate.sequence transfer.scene",
-    "discovery.nesting discovery.trial discovery.regularity live.store live.payload climate.study transfer.account",
-    "discovery.own_causes discovery.choice discovery.remainder discovery.evidence live.alarms live.tally climate.results transfer.transfer",
-    "discovery.held_out live.fleet",
-    "discovery.discover",
-    "live.streams live.ahead live.retention live.export",
-    "live.broker live.opcua live.mqtt_client",
-    "live.mqtt_link live.opcua_table",
-    "live.mqtt",
-    "live.sources live.page_settings live.doctor_files",
-    "live.config",
-    # pictures and faces
-    "drawing excerpts report_words live.service live.views live.demo live.web_access live.usual live.logs live.doctor_clock live.doctor_store live.doctor_models",
-    "plots_course plots_composition plots_identification plots_innovations report_tables discovery.plots_residuals live.web_events live.web_metrics live.doctor_mqtt transfer.plots",
-    "plots page weather.plots discovery.plots_misfits discovery.words live.web live.web_server live.doctor_opcua climate.tables",
-    "live.tracking live.doctor_sources climate.plots",
-    "live.doctor climate.page",
-    "report live.command discovery.tables climate.command transfer.comparison_page",
-    "discovery.page transfer.page fleet.job",
-    "fleet.tasks",
-    "fleet.plan fleet.worker fleet.cluster fleet.table fleet.outliers",
-    "fleet.processes fleet.plots fleet.words",
-    "fleet.page",
-    "fleet.running",
-    "fleet.command",
-    "transfer.command",
-    "cli",
-    "__main__",
-)
-"""Every module of the package, from the lowest floor to the highest; modules of one floor do not know each other."""
-ONLY_IN = {"llvmlite": "machine"}
-"""Third parties that are imported with a module, and the module that may."""
-UPWARD = {("record", "frames")}
-"""Imports that point up, with their reason: `Record.from_frames` stands where one looks for it and leads to the whole
-way from tables to a record, which knows `Record`."""
-PLACE = {name: floor for floor, names in enumerate(FLOORS) for name in names.split()}
+from house import FACE, FLOORS, MODULES, ONLY_IN, OUTSIDE, PLACE, UPWARD, folder, imports, known, meaning
 
 
-def modules() -> dict[str, Path]:
-    """Module name below the package -> file; the face is the empty name."""
-    result = {}
-    for path in sorted(ROOT.rglob("*.py")):
-        parts = path.relative_to(ROOT).with_suffix("").parts
-        result[".".join(p for p in parts if p != "__init__")] = path
-    return result
+def test_every_module_has_its_folder() -> None:
+    there = {name for name in MODULES if name not in OUTSIDE}
+    assert {folder(name) for name in there} == set(PLACE)
+    flat = sorted(name for name in there - set(PLACE) if "." not in name)
+    assert not flat, f"in no folder: {flat}"
+    assert len(PLACE) == sum(len(names.split()) for names in FLOORS), "a folder stands on two floors"
 
 
-MODULES = modules()
+@pytest.mark.parametrize("name", PLACE)
+def test_a_folder_says_what_lives_there(name: str) -> None:
+    assert len(meaning(name)) > 40
 
 
-def imports(path: Path, top_only: bool = False) -> Iterator[tuple[str, str, int]]:
-    """(module, imported name or '', line) of all imports that run: those under TYPE_CHECKING do not."""
-
-    def walk(parent: ast.AST) -> Iterator[tuple[str, str, int]]:
-        for node in ast.iter_child_nodes(parent):
-            if isinstance(node, ast.Import):
-                yield from ((alias.name, "", node.lineno) for alias in node.names)
-            elif isinstance(node, ast.ImportFrom):
-                assert node.level == 0, f"{path.name}:{node.lineno}: relative import"
-                yield from ((str(node.module), alias.name, node.lineno) for alias in node.names)
-            elif isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
-                continue
-            elif not (top_only and isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef)):
-                yield from walk(node)
-
-    yield from walk(ast.parse(path.read_text(encoding="utf-8")))
+@pytest.mark.parametrize("name", [n for n in MODULES if n not in OUTSIDE])
+def test_imports_point_to_lower_floors(name: str) -> None:
+    own = folder(name)
+    for lower, line in known(name):
+        if lower in OUTSIDE or folder(lower) == own or (name, lower) in UPWARD:
+            continue
+        assert PLACE[folder(lower)] < PLACE[own], f"{name}:{line}: {lower} does not lie below {own}"
 
 
-def below(module: str, name: str) -> str:
-    """The module of the package that an import reaches."""
-    inner = module.removeprefix(FACE).removeprefix(".")
-    whole = f"{inner}.{name}".strip(".")
-    return whole if whole in MODULES else inner
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    graph = {name: {lower for lower, _ in known(name) if (name, lower) not in UPWARD} for name in MODULES if name}
+    done: set[str] = set()
 
+    def walk(name: str, path: tuple[str, ...]) -> None:
+        assert name not in path, " imports ".join((*path[path.index(name) :], name))
+        if name not in done:
+            for lower in sorted(graph[name] - {"", name}):
+                walk(lower, (*path, name))
+            done.add(name)
 
-def test_every_module_has_its_floor() -> None:
-    listed, there = set(PLACE), set(MODULES) - {""}
-    assert listed == there, f"without a floor: {sorted(there - listed)}; gone: {sorted(listed - there)}"
-    assert len(PLACE) == sum(len(names.split()) for names in FLOORS), "a module stands on two floors"
-
-
-@pytest.mark.parametrize("name", [n for n in MODULES if n])
-def test_imports_point_strictly_down(name: str) -> None:
-    for module, imported, line in imports(MODULES[name]):
-        if module.split(".")[0] == FACE:
-            lower = below(module, imported)
-            assert lower, (
-                f"{name}:{line}: imports the package's own face; name the module: hygrokf.{imported}"
-            )
-            assert module != FACE, (
-                f"{name}:{line}: write `from hygrokf.{lower} import ...`, the face has names of its own"
-            )
-            assert PLACE[lower] < PLACE[name] or (name, lower) in UPWARD, (
-                f"{name}:{line}: {lower} does not lie below {name}"
-            )
+    for name in graph:
+        walk(name, ())
 
 
 def test_the_face_loads_nothing_but_the_version() -> None:

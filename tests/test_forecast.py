@@ -10,10 +10,10 @@ import pytest
 from ahead_case import DAY_S, RATED_W, START_S, STEP_S, cabinet_record, changed, without
 from live_case import live_fit
 
-from hygrokf.ambient import ambient_absolute_humidity, at_times
-from hygrokf.design import design, extended
-from hygrokf.fit import Fit
-from hygrokf.likelihood import Gaussian
+from hygrokf.data.ambient import ambient_absolute_humidity, at_times
+from hygrokf.data.record import Record, Series
+from hygrokf.estimation.likelihood import Gaussian
+from hygrokf.identification.fit import Fit
 from hygrokf.live.ceiling import filtered
 from hygrokf.live.condition import Surface, condition
 from hygrokf.live.forecast import (
@@ -27,11 +27,11 @@ from hygrokf.live.forecast import (
     mixture,
     restart,
 )
-from hygrokf.live.outlook import HORIZON_S, Outlook, grid, persistence
 from hygrokf.live.plan import Form, Plan, plan
+from hygrokf.live.scenarios import HORIZON_S, Outlook, grid, persistence
 from hygrokf.live.tracker import Point, whole
-from hygrokf.psychrometrics import absolute_humidity
-from hygrokf.record import Record, Series
+from hygrokf.modelling.design import design, extended
+from hygrokf.physics.psychrometrics import absolute_humidity
 
 DAYS = 16.0
 NOW_S = START_S + 14.0 * DAY_S

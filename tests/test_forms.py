@@ -12,8 +12,13 @@ from other_make.as_record import to_record
 from scipy.integrate import solve_ivp
 
 from hygrokf import identify
-from hygrokf.clock_offsets import ONE_SYSTEM_S, TWO_SYSTEMS_S, clock_offsets, prior_s
-from hygrokf.composition import (
+from hygrokf.data.record import Record, Series
+from hygrokf.engine.timeline import timeline
+from hygrokf.estimation.confidence import normal_quantile, part_shifts, uncertainty
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import Objective, climb
+from hygrokf.identification.clock_offsets import ONE_SYSTEM_S, TWO_SYSTEMS_S, clock_offsets, prior_s
+from hygrokf.identification.composition import (
     Alternative,
     Source,
     composed,
@@ -23,19 +28,14 @@ from hygrokf.composition import (
     from_parts,
     from_sampling,
 )
-from hygrokf.confidence import normal_quantile, part_shifts, uncertainty
-from hygrokf.design import Design, design
-from hygrokf.drivers import run
-from hygrokf.fitting import Objective, climb
-from hygrokf.forms import CONVECTION, RESPONSE, SECOND, SECOND_MASS, candidates
-from hygrokf.likelihood import Likelihood
-from hygrokf.mechanisms import LIBRARY, natural_convection
-from hygrokf.mechanisms.thermal import STILL_K, small_signal
-from hygrokf.model import compose
-from hygrokf.record import Record, Series
-from hygrokf.stage import estimated, smoothed_temperature
-from hygrokf.thermal import state_space
-from hygrokf.timeline import timeline
+from hygrokf.identification.estimation import estimated, smoothed_temperature
+from hygrokf.identification.forms import CONVECTION, RESPONSE, SECOND, SECOND_MASS, candidates
+from hygrokf.modelling.design import Design, design
+from hygrokf.modelling.inputs import run
+from hygrokf.modelling.thermal_system import state_space
+from hygrokf.physics.mechanisms import LIBRARY, natural_convection
+from hygrokf.physics.mechanisms.thermal import STILL_K, small_signal
+from hygrokf.physics.model import compose
 
 Z = normal_quantile(0.95)
 

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from hygrokf.case import CaseFault, read_case
-from hygrokf.doubts import all_doubts
-from hygrokf.record import Record, Site
+from hygrokf.cases.case_file import CaseFault, read_case
+from hygrokf.cases.doubts import all_doubts
+from hygrokf.data.record import Record, Site
 
 COUNT = 6 * 24 * 30
 INDEX = pd.date_range("2020-10-05", periods=COUNT, freq="10min", tz="UTC")

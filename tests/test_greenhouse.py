@@ -8,11 +8,11 @@ import greenhouse
 import pytest
 
 from hygrokf import discover
-from hygrokf.actuators import ACTUATORS
-from hygrokf.design import CASCADE
-from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene, part_of
-from hygrokf.identification import identified
-from hygrokf.record import Record
+from hygrokf.data.actuators import ACTUATORS
+from hygrokf.data.record import Record
+from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene, part_of
+from hygrokf.identification.procedure import identified
+from hygrokf.modelling.design import CASCADE
 
 UNTIL = "2022-03-01T00:00+01:00"
 
@@ -51,8 +51,8 @@ def test_a_measured_box_is_far_from_the_model_and_its_likelihood_is_tempered(ven
 
 def test_vents_that_nobody_logged_show_in_their_hours(vented: Scene) -> None:
     """They are open from 17 to 23 h, UTC+1, and cool: among the forms of the cause the one by the clock has the evidence."""
+    from hygrokf.discovery.candidate import attempt
     from hygrokf.discovery.library import named
-    from hygrokf.discovery.trial import attempt
 
     trials = [attempt(vented, one) for one in named("cooling_switching").variants(vented)]
     best = max(trials, key=lambda one: one.bic_gain)

@@ -11,16 +11,16 @@ import pytest
 from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
-from hygrokf.case import read_case
+from hygrokf.cases.case_file import read_case
+from hygrokf.data.record import Record, Series
+from hygrokf.discovery.baseline import scene
 from hygrokf.discovery.budget import Budget, BudgetSpent
-from hygrokf.discovery.choice import choose
-from hygrokf.discovery.discover import UNEXPLAINED_AT_MOST, discover
+from hygrokf.discovery.candidate import attempt
 from hygrokf.discovery.held_out import Model, Simulated, difference_bounds, gain_of, refutes
 from hygrokf.discovery.library import named
-from hygrokf.discovery.scene import scene
-from hygrokf.discovery.trial import attempt
-from hygrokf.discovery.words import discovery_text, gain_sentence
-from hygrokf.record import Record, Series
+from hygrokf.discovery.model_selection import choose
+from hygrokf.discovery.procedure import UNEXPLAINED_AT_MOST, discover
+from hygrokf.report.discovery_text import discovery_text, gain_sentence
 
 DAY_S = 86400.0
 CABINET = (

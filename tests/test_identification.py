@@ -11,17 +11,17 @@ import pytest
 from plants import plant
 from plants.as_record import to_record
 
-from hygrokf.confidence import Limit, describe
-from hygrokf.design import Design, design
-from hygrokf.fit import Fit
-from hygrokf.fitting import BETTER, Objective
-from hygrokf.identification import identify, shared_error
-from hygrokf.likelihood import Likelihood
-from hygrokf.parameters import Parameter
-from hygrokf.record import Record
-from hygrokf.results import ResultFault, dump, read_fit, write_fit
-from hygrokf.stage import estimated, identify_stage, judged
-from hygrokf.time_constants import hygric_entry
+from hygrokf.data.record import Record
+from hygrokf.estimation.confidence import Limit, describe
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import BETTER, Objective
+from hygrokf.identification.estimation import estimated, identify_stage, judged
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.procedure import identify, shared_error
+from hygrokf.identification.results import ResultFault, dump, read_fit, write_fit
+from hygrokf.identification.time_constants import hygric_entry
+from hygrokf.modelling.design import Design, design
+from hygrokf.physics.parameters import Parameter
 
 DAYS = 45
 
@@ -137,8 +137,8 @@ def test_joint_and_cascade_agree(record, fit):
 
 def test_white_noise_alone_is_wrong_and_proud(record, made):
     """The warning that everything rests on: without coloured disturbances τ comes out far too long."""
-    from hygrokf.drivers import run
-    from hygrokf.fitting import maximise
+    from hygrokf.estimation.optimiser import maximise
+    from hygrokf.modelling.inputs import run
 
     early = record.identification()
     white = design(early, kind="thermal", coloured=False)

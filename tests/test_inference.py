@@ -9,14 +9,14 @@ import numpy as np
 import pytest
 
 import hygrokf
-from hygrokf.confidence import uncertainty, wald_bounds
-from hygrokf.fitting import Estimate, Objective, maximise
-from hygrokf.inference import confidence_bounds, covariances, system_time_constants
-from hygrokf.likelihood import Likelihood
-from hygrokf.mechanisms import linear_network
-from hygrokf.model import compose
-from hygrokf.parameters import Parameter
-from hygrokf.timeline import timeline
+from hygrokf.engine.timeline import timeline
+from hygrokf.estimation.confidence import uncertainty, wald_bounds
+from hygrokf.estimation.inference import confidence_bounds, covariances, system_time_constants
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import Estimate, Objective, maximise
+from hygrokf.physics.mechanisms import linear_network
+from hygrokf.physics.model import compose
+from hygrokf.physics.parameters import Parameter
 
 
 @pytest.fixture(scope="module")

@@ -10,17 +10,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hygrokf.case import read_case
-from hygrokf.identification import identify
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import SyntheticParameters, synthetic_turbine, write_case
+from hygrokf.data.record import Record, Series
+from hygrokf.identification.procedure import identify
 from hygrokf.live.alarms import CHANGED, SUSPECT, departure_levels
 from hygrokf.live.demo import SIGNALS
-from hygrokf.live.inquiry import CLOSE, LEAST, Finding, inquire, judged_by
+from hygrokf.live.fault_isolation import CLOSE, LEAST, Finding, inquire, judged_by
 from hygrokf.live.plan import Plan, plan
 from hygrokf.live.properties import Departure
-from hygrokf.live.streams import form_of
-from hygrokf.psychrometrics import saturation_pressure_water
-from hygrokf.record import Record, Series
-from hygrokf.synthetic import SyntheticParameters, synthetic_turbine, write_case
+from hygrokf.live.sources.streams import form_of
+from hygrokf.physics.psychrometrics import saturation_pressure_water
 
 SEED, DAYS, FITTED, CHANGE = 21, 75.0, 45.0, 60.0
 DAY_S = 86400.0

@@ -8,10 +8,10 @@ from numpy.testing import assert_allclose
 from plants import plant
 from plants.as_record import to_record
 
-from hygrokf.design import design
-from hygrokf.drivers import run
-from hygrokf.kalman import filterpy_filter, smooth
-from hygrokf.likelihood import Likelihood
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.smoother import filterpy_filter, smooth
+from hygrokf.modelling.design import design
+from hygrokf.modelling.inputs import run
 
 
 @pytest.fixture(scope="module")

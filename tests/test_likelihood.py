@@ -13,9 +13,10 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_lyapunov
 from statsmodels.tsa.statespace.kalman_filter import KalmanFilter
 
-from hygrokf.expression import exp
-from hygrokf.likelihood import Gaussian, Likelihood
-from hygrokf.mechanisms import (
+from hygrokf.engine.timeline import timeline
+from hygrokf.estimation.likelihood import Gaussian, Likelihood
+from hygrokf.physics.expression import exp
+from hygrokf.physics.mechanisms import (
     absolute_humidity_sensor,
     hygric_diffusion,
     hygric_exchange,
@@ -23,9 +24,8 @@ from hygrokf.mechanisms import (
     measured_air,
     vapour_disturbance,
 )
-from hygrokf.model import compose
-from hygrokf.parameters import Parameter
-from hygrokf.timeline import timeline
+from hygrokf.physics.model import compose
+from hygrokf.physics.parameters import Parameter
 
 AGREE = 1e-9
 

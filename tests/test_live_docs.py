@@ -19,12 +19,14 @@ from ports import free_port
 from test_docs import DOCS, ROOT, run_page
 from test_track_config import MODEL
 
-from hygrokf.fit import Fit
-from hygrokf.live import broker, config, opcua_table, page_settings, streams
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.results import write_fit
+from hygrokf.live import config
 from hygrokf.live.config import read_config
 from hygrokf.live.logs import Lines
 from hygrokf.live.plan import WANDERING
-from hygrokf.results import write_fit
+from hygrokf.live.sources import broker, opcua_table, streams
+from hygrokf.live.web import page_settings
 
 PATIENCE_S = 120.0
 PORT = "127.0.0.1:8080"

@@ -14,26 +14,26 @@ from test_likelihood import check_score
 from test_switches import heated, weather
 from test_tracker import LATENESS_S, arriving, planned, readings_of
 
-from hygrokf import likelihood as module
-from hygrokf import long_steps
-from hygrokf.case import read_case
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.climate.ensemble import simulate_years
 from hygrokf.climate.region import driven
-from hygrokf.drivers import run
-from hygrokf.kalman import smooth, transition
-from hygrokf.likelihood import Gaussian, Likelihood, RatesFault, Trace
+from hygrokf.data.record import Record
+from hygrokf.engine import long_steps
+from hygrokf.engine.timeline import Timeline, timeline
+from hygrokf.estimation import likelihood as module
+from hygrokf.estimation.batch_filter import SideBySide
+from hygrokf.estimation.likelihood import Gaussian, Likelihood, RatesFault, Trace
+from hygrokf.estimation.smoother import smooth, transition
+from hygrokf.evaluation.simulation import free_run
 from hygrokf.live.plan import Plan
 from hygrokf.live.tracker import Tracker, whole
-from hygrokf.mechanisms import wandering_exchange, wandering_release, wandering_time_constant
-from hygrokf.mechanisms.network import linear_network
-from hygrokf.model import compose, extend
-from hygrokf.parameters import Parameter
-from hygrokf.record import Record
-from hygrokf.side_by_side import SideBySide
-from hygrokf.simulation import free_run
-from hygrokf.surface import Surface
-from hygrokf.synthetic import synthetic_turbine, write_case
-from hygrokf.timeline import Timeline, timeline
+from hygrokf.modelling.inputs import run
+from hygrokf.physics.cold_surface import Surface
+from hygrokf.physics.mechanisms import wandering_exchange, wandering_release, wandering_time_constant
+from hygrokf.physics.mechanisms.network import linear_network
+from hygrokf.physics.model import compose, extend
+from hygrokf.physics.parameters import Parameter
 
 YEAR_H = 8766.0
 AT = 60

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hygrokf.lookup import array, entry, instants, number, numbers, scalar
+from hygrokf.data.lookup import array, entry, instants, number, numbers, scalar
 
 DATA = {"a": {"b": 1.5, "c": None, "d": [1, None, "x", 2.5, True], "e": True, "f": math.inf}, "g": [1, 2]}
 

@@ -10,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hygrokf import machine
-from hygrokf.emission import LANES, SCALAR, VECTOR, Writer, declarations, literal
-from hygrokf.expression import Expression, Graph, exp, forward, jacobian, log, maximum, sqrt, where
-from hygrokf.machine import Code, cache_directory, has_fused_multiply_add
+from hygrokf.engine import jit as machine
+from hygrokf.engine.jit import Code, cache_directory, has_fused_multiply_add
+from hygrokf.engine.llvm_writer import LANES, SCALAR, VECTOR, Writer, declarations, literal
+from hygrokf.physics.expression import Expression, Graph, exp, forward, jacobian, log, maximum, sqrt, where
 
 NAMES = ("x", "y", "z")
 

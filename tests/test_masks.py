@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hygrokf.masks import (
+from hygrokf.data.masks import (
     detect_resolution,
     mask_frozen,
     mask_out_of_range,
     mask_saturated,
     order_readings,
 )
-from hygrokf.record import Series
-from hygrokf.signals import SIGNALS, difference_to_si, to_si
+from hygrokf.data.record import Series
+from hygrokf.data.signals import SIGNALS, difference_to_si, to_si
 
 DATA = Path(__file__).resolve().parents[1] / "../shared/data"
 measured = pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there")

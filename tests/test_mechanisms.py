@@ -13,15 +13,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from plants.cabinet import Cabinet
 
-from hygrokf.expression import Graph, jacobian
-from hygrokf.likelihood import Likelihood
-from hygrokf.mechanisms import LIBRARY, linear_network
-from hygrokf.mechanisms.hygric import exchange_factor, hygric_time_constant
-from hygrokf.mechanisms.moisture import GAB_C, GAB_ENDS, GAB_K, GAB_SLOPE, SLAB, _gab, condensation
-from hygrokf.model import Mechanism, Model, compose, extend, without
-from hygrokf.parameters import Parameter
-from hygrokf.psychrometrics import relative_humidity
-from hygrokf.timeline import Timeline, timeline
+from hygrokf.engine.timeline import Timeline, timeline
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.physics.expression import Graph, jacobian
+from hygrokf.physics.mechanisms import LIBRARY, linear_network
+from hygrokf.physics.mechanisms.hygric import exchange_factor, hygric_time_constant
+from hygrokf.physics.mechanisms.moisture import GAB_C, GAB_ENDS, GAB_K, GAB_SLOPE, SLAB, _gab, condensation
+from hygrokf.physics.model import Mechanism, Model, compose, extend, without
+from hygrokf.physics.parameters import Parameter
+from hygrokf.physics.psychrometrics import relative_humidity
 
 GAP = ((0.2, 0.05, 0.04), (0.05, 0.08, 0.07), (0.04, 0.07, 0.08))
 THERMAL = ("thermal_network", "heat_release", "heat_disturbance", "thermal_diffusion", "temperature_sensor")

@@ -14,15 +14,23 @@ from plants.as_record import to_record
 from plants.saturation import saturation_pressure
 
 import hygrokf
-from hygrokf.discovery.conditions import conditions
-from hygrokf.discovery.misfits import MATERIAL, Misfit, misfits
-from hygrokf.discovery.plots_misfits import figure_episodes
-from hygrokf.discovery.plots_residuals import figure_day_hour, figure_drivers, figure_innovations
-from hygrokf.discovery.remainder import RESTLESS, UNSTEADY, one_sided, remaining, structure, unlogged, unrest
+from hygrokf.data.record import Record
+from hygrokf.discovery.findings import MATERIAL, Misfit, misfits
+from hygrokf.discovery.residual_structure import (
+    RESTLESS,
+    UNSTEADY,
+    one_sided,
+    remaining,
+    structure,
+    unlogged,
+    unrest,
+)
 from hygrokf.discovery.residuals import Residuals, closed, duration_h, hourly, residuals, run_lengths
-from hygrokf.drawing import NothingToShow, inline_svg, png
-from hygrokf.fit import Fit
-from hygrokf.record import Record
+from hygrokf.discovery.strata import conditions
+from hygrokf.identification.fit import Fit
+from hygrokf.report.figures.drawing import NothingToShow, inline_svg, png
+from hygrokf.report.figures.findings import figure_episodes
+from hygrokf.report.figures.residual_structure import figure_day_hour, figure_drivers, figure_innovations
 
 STEP_H = 0.25
 ORIGIN_S = 1594771200.0

@@ -7,12 +7,13 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from hygrokf.likelihood import Likelihood
-from hygrokf.mechanisms import LIBRARY, linear_network
-from hygrokf.model import SUMS, Mechanism, Model, compose, extend, without
-from hygrokf.parameters import Parameter
-from hygrokf.recursion import Recursion
-from hygrokf.timeline import timeline
+from hygrokf.engine import traced_filter
+from hygrokf.engine.timeline import timeline
+from hygrokf.engine.traced_filter import Recursion
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.physics.mechanisms import LIBRARY, linear_network
+from hygrokf.physics.model import SUMS, Mechanism, Model, compose, extend, without
+from hygrokf.physics.parameters import Parameter
 
 
 def store(name: str = "store", state: str = "heat", **more: object) -> Mechanism:
@@ -127,7 +128,7 @@ def test_what_does_not_fit_is_named() -> None:
 
 
 def traced(*mechanisms: Mechanism) -> Recursion:
-    return compose([store(), READ, SHIFT, *mechanisms], {"outside": "linear"}).recursion
+    return traced_filter.traced(compose([store(), READ, SHIFT, *mechanisms], {"outside": "linear"}))
 
 
 def test_a_misspelt_sum_is_an_error_that_names_the_sums() -> None:

@@ -28,15 +28,15 @@ from brokers import (
 )
 from live_case import count_of, expect_offline, live_record, live_turbine
 
-from hygrokf.live import mqtt, mqtt_link
-from hygrokf.live.broker import Broker
-from hygrokf.live.fleet import Delivery, Turbine
-from hygrokf.live.mqtt import Mqtt
-from hygrokf.live.payload import LARGEST, Field, Mapping, Refused, parsed
+from hygrokf.data.record import Record
 from hygrokf.live.service import Service
-from hygrokf.live.store import Alarm, Batch, open_store
-from hygrokf.live.streams import record_mapping, record_messages
-from hygrokf.record import Record
+from hygrokf.live.sources import mqtt, mqtt_link
+from hygrokf.live.sources.broker import Broker
+from hygrokf.live.sources.mqtt import Mqtt
+from hygrokf.live.sources.payload import LARGEST, Field, Mapping, Refused, parsed
+from hygrokf.live.sources.streams import record_mapping, record_messages
+from hygrokf.live.storage.store import Alarm, Batch, open_store
+from hygrokf.live.turbines import Delivery, Turbine
 
 pytestmark = needs_mosquitto
 

@@ -21,20 +21,20 @@ from live_case import expect_offline, live_record, live_turbine
 from ports import free_port
 from test_streams import Collected
 
-from hygrokf.live import opcua as module
-from hygrokf.live import opcua_client, opcua_table
-from hygrokf.live.fleet import Turbine
-from hygrokf.live.opcua import OpcUa
-from hygrokf.live.opcua_samples import ConnectionFault, Node, Rates, node_fault, sample_of
-from hygrokf.live.opcua_security import User, security_of
-from hygrokf.live.opcua_table import opcua_stream
-from hygrokf.live.payload import Field, Mapping, taken
+from hygrokf.data.record import Record
 from hygrokf.live.service import Service
-from hygrokf.live.sources import stream_of
-from hygrokf.live.store import open_store
-from hygrokf.live.streams import record_mapping, record_messages
+from hygrokf.live.sources import opcua as module
+from hygrokf.live.sources import opcua_client, opcua_table
+from hygrokf.live.sources.kinds import stream_of
+from hygrokf.live.sources.opcua import OpcUa
+from hygrokf.live.sources.opcua_samples import ConnectionFault, Node, Rates, node_fault, sample_of
+from hygrokf.live.sources.opcua_security import User, security_of
+from hygrokf.live.sources.opcua_table import opcua_stream
+from hygrokf.live.sources.payload import Field, Mapping, taken
+from hygrokf.live.sources.streams import record_mapping, record_messages
+from hygrokf.live.storage.store import open_store
 from hygrokf.live.table_reader import TableReader
-from hygrokf.record import Record
+from hygrokf.live.turbines import Turbine
 
 pytest.importorskip("asyncua", reason="asyncua is not installed: pip install 'hygrokf[test]'")
 

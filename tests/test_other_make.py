@@ -14,7 +14,7 @@ from other_make.moist_air import concentration, relative_humidity, saturation_pr
 from other_make.random_processes import first_order_lag, flaring, interval_means, ornstein_uhlenbeck
 from scipy.linalg import expm
 
-from hygrokf.record import Series
+from hygrokf.data.record import Series
 
 CABINET = Cabinet(
     heat_capacity=1.5e5,

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from ahead_case import DAY_S, RATED_W, START_S, cabinet_record, changed, without
 
-from hygrokf.ambient import ambient_absolute_humidity, at_times
-from hygrokf.live.outlook import (
+from hygrokf.data.ambient import ambient_absolute_humidity, at_times
+from hygrokf.data.record import Record, Series
+from hygrokf.live.scenarios import (
     ERROR_H,
     FINE_S,
     HORIZON_S,
@@ -21,8 +22,7 @@ from hygrokf.live.outlook import (
     persistence,
     weather_forecast,
 )
-from hygrokf.psychrometrics import relative_humidity
-from hygrokf.record import Record, Series
+from hygrokf.physics.psychrometrics import relative_humidity
 
 DAYS = 20
 NOW_S = START_S + DAYS * DAY_S

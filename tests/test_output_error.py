@@ -10,11 +10,11 @@ import pytest
 from plants import plant
 from plants.as_record import to_record
 
-from hygrokf.design import design
-from hygrokf.drivers import run
-from hygrokf.likelihood import Likelihood
-from hygrokf.output_error import OutputError, fit_output_error
-from hygrokf.record import Record
+from hygrokf.data.record import Record
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.output_error import OutputError, fit_output_error
+from hygrokf.modelling.design import design
+from hygrokf.modelling.inputs import run
 
 EXACT = {"sensor_errors": "none", "missing": 0.0, "ambient_humidity": "absolute", "disturbance": "none"}
 PLANTS = 30

@@ -15,20 +15,20 @@ from plants import plant
 from plants.as_record import to_record
 
 import hygrokf
-from hygrokf import additions
-from hygrokf.cli import main
-from hygrokf.design import Design, design, extended
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.commands.main import main
+from hygrokf.data.signals import SIGNALS
 from hygrokf.discovery import own_causes
+from hygrokf.discovery.baseline import THERMAL, Scene
 from hygrokf.discovery.library import LIBRARY, named
-from hygrokf.discovery.nesting import trial_record, trial_scene, variant_faults
 from hygrokf.discovery.own_causes import LibraryFault, adopt, cause_of, load_library
-from hygrokf.discovery.scene import THERMAL, Scene
-from hygrokf.drivers import run
-from hygrokf.features import FEATURES
-from hygrokf.mechanisms import LIBRARY as MECHANISMS
-from hygrokf.results import LibraryAbsent, ResultFault, read_fit
-from hygrokf.signals import SIGNALS
-from hygrokf.synthetic import synthetic_turbine, write_case
+from hygrokf.discovery.plugin_validation import trial_record, trial_scene, variant_faults
+from hygrokf.identification.results import LibraryAbsent, ResultFault, read_fit
+from hygrokf.modelling import registry as additions
+from hygrokf.modelling.derived_inputs import FEATURES
+from hygrokf.modelling.design import Design, design, extended
+from hygrokf.modelling.inputs import run
+from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "own_cause.md"
 WORDS = {"meaning": "it warms", "remedy": "look", "separate_by": "measure"}

@@ -252,13 +252,13 @@ def loaded_by(statement: str) -> set[str]:
     return set(done.stdout.split())
 
 
-@pytest.mark.parametrize("module", ["hygrokf", "hygrokf.cli"])
+@pytest.mark.parametrize("module", ["hygrokf", "hygrokf.commands.main"])
 def test_the_command_line_loads_no_heavy_package(module: str) -> None:
     assert not loaded_by(f"import {module}") & LATE
 
 
 def test_help_loads_no_heavy_package() -> None:
-    shown = "from contextlib import redirect_stdout, suppress\nfrom io import StringIO\nfrom hygrokf.cli import main\n"
+    shown = "from contextlib import redirect_stdout, suppress\nfrom io import StringIO\nfrom hygrokf.commands.main import main\n"
     shown += "with suppress(SystemExit), redirect_stdout(StringIO()):\n    main(['--help'])"
     assert not loaded_by(shown) & (LATE | {"numpy"})
 

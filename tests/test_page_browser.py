@@ -18,15 +18,15 @@ from page_case import Case, Fed, add_forecast, eventually, filled, opened, recen
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 from ports import free_port
 
+from hygrokf.identification.verdict import REJECT, Reason, Verdict
 from hygrokf.live.condition import Surface
-from hygrokf.live.page_settings import PageSettings
 from hygrokf.live.service import Service
-from hygrokf.live.store import Alarm, Batch
-from hygrokf.live.streams import record_mapping, record_messages
-from hygrokf.live.web import Page as LivePage
-from hygrokf.live.web_events import Hub
-from hygrokf.live.web_server import PageServer, serve
-from hygrokf.verdict import REJECT, Reason, Verdict
+from hygrokf.live.sources.streams import record_mapping, record_messages
+from hygrokf.live.storage.store import Alarm, Batch
+from hygrokf.live.web.application import Page as LivePage
+from hygrokf.live.web.events import Hub
+from hygrokf.live.web.page_settings import PageSettings
+from hygrokf.live.web.server import PageServer, serve
 
 CHROMIUM = shutil.which("chromium")
 pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium")

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from page_case import write_certificate
 
-from hygrokf.live.page_settings import PageSettings, address, is_loopback, page_settings
 from hygrokf.live.table_reader import TableReader
+from hygrokf.live.web.page_settings import PageSettings, address, is_loopback, page_settings
 
 TOKEN = "correct-horse-battery"
 

@@ -12,7 +12,7 @@ from plants.as_record import to_record
 from plants.paper import paper_case
 from plants.plant import Plant
 
-from hygrokf.discovery.discover import discover
+from hygrokf.discovery.procedure import discover
 
 DAYS = 126.0
 

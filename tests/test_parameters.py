@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from hygrokf.parameters import Coordinates, Parameter, Prior, unique
+from hygrokf.physics.parameters import Coordinates, Parameter, Prior, unique
 
 TIME = Parameter("time", "h", 2.0, 0.02, 200.0, positive=True)
 SLOPE = Parameter("slope", "K/K", 0.0, -2.0, 2.0, null=0.0)

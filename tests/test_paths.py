@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hygrokf.ambient import reading_noise
-from hygrokf.paths import edge_weights, input_path, mean_weights, without_response
-from hygrokf.record import Series
+from hygrokf.data.ambient import reading_noise
+from hygrokf.data.input_paths import edge_weights, input_path, mean_weights, without_response
+from hygrokf.data.record import Series
 
 START_S = 1.6e9
 FINE = 40

@@ -9,8 +9,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hygrokf.live.payload import DEEPEST, LARGEST, Field, Mapping, Refused, Taken, parsed, seconds, taken
 from hygrokf.live.plan import Form
+from hygrokf.live.sources.payload import (
+    DEEPEST,
+    LARGEST,
+    Field,
+    Mapping,
+    Refused,
+    Taken,
+    parsed,
+    seconds,
+    taken,
+)
 
 NOW = 1_772_367_000.0  # 2026-03-01T12:10:00Z
 STAMP = "2026-03-01T12:10:00Z"

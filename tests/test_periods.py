@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from plants import plant
 from plants.as_record import to_record
 
-from hygrokf.periods import (
+from hygrokf.data.record import Record, Series
+from hygrokf.identification.periods import (
     EPISODE_GAP_H,
     EPISODE_LONGEST_H,
     OPERATION,
@@ -26,7 +27,6 @@ from hygrokf.periods import (
     periods_of_length,
     rough_time_constant,
 )
-from hygrokf.record import Record, Series
 
 RATED_W = 2.0e6
 HOUR_S = 3600.0

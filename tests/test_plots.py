@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 from report_case import REFERENCE_K, RELEASE, TAU_H, report_case
 
-from hygrokf.drawing import NothingToShow, inline_svg, svg
-from hygrokf.plots import (
+from hygrokf.report.figures.drawing import NothingToShow, inline_svg, svg
+from hygrokf.report.figures.identification import released
+from hygrokf.report.figures.overview import (
     FIGURES,
     figure_excerpts,
     figure_heat_release,
@@ -23,7 +24,6 @@ from hygrokf.plots import (
     figure_residuals,
     figure_temperature,
 )
-from hygrokf.plots_identification import released
 
 LIMIT = 300_000
 
@@ -233,7 +233,7 @@ def test_innovations_of_each_output_with_every_input() -> None:
 
 
 def test_what_goes_beyond_the_limits_is_red() -> None:
-    from hygrokf.drawing import SIMULATED
+    from hygrokf.report.figures.drawing import SIMULATED
 
     fit, series = report_case()
     data = fit["innovations"]["outputs"]["temperature"]["autocorrelation"]

@@ -18,15 +18,15 @@ from test_service import Acknowledging, until
 from test_store import T0, everything, observed, refused
 from tracking_process import halt_after, killed_at, started
 
-from hygrokf.live import database, postgres
+from hygrokf.data.record import Record
 from hygrokf.live import service as module
-from hygrokf.live.fleet import Turbine
-from hygrokf.live.postgres import NO_SECRET, url_fault
-from hygrokf.live.schema import VERSION
 from hygrokf.live.service import Service
-from hygrokf.live.store import Batch, Store, StoreFault, open_store
-from hygrokf.live.streams import record_mapping
-from hygrokf.record import Record
+from hygrokf.live.sources.streams import record_mapping
+from hygrokf.live.storage import database, postgres
+from hygrokf.live.storage.postgres import NO_SECRET, url_fault
+from hygrokf.live.storage.schema import VERSION
+from hygrokf.live.storage.store import Batch, Store, StoreFault, open_store
+from hygrokf.live.turbines import Turbine
 
 
 @pytest.fixture(scope="module")

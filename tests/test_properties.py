@@ -6,15 +6,9 @@ import math
 
 import pytest
 
-from hygrokf.design import Design
-from hygrokf.fit import Fit
-from hygrokf.live.properties import (
-    DAY_S,
-    Departure,
-    departures,
-    properties,
-    standard_errors,
-)
+from hygrokf.identification.fit import Fit
+from hygrokf.live.properties import DAY_S, Departure, departures, properties, standard_errors
+from hygrokf.modelling.design import Design
 
 TAU = "thermal_time_constant"
 ERRORS = {TAU: 0.03}

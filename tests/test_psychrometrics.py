@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hygrokf import psychrometrics as air
+from hygrokf.physics import psychrometrics as air
 
 ZERO = 273.15
 COMPLEX_STEP = 1e-30

@@ -12,8 +12,8 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from hygrokf.columns import TableFault
-from hygrokf.readers import read_table
+from hygrokf.data.columns import TableFault
+from hygrokf.data.table_readers import read_table
 
 BASE = 1577836800.0  # 2020-01-01T00:00Z
 

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hygrokf.record import Record, Series, Site
+from hygrokf.data.record import Record, Series, Site
 
 
 def series(signal="cabinet_temperature", time=(0.0, 60.0, 120.0), value=None, **more) -> Series:

@@ -18,12 +18,12 @@ import numpy as np
 import pytest
 from record_shapes import SHAPES, SIGNALS, base_record, write_record
 
-from hygrokf.case import read_case
-from hygrokf.cli import main
-from hygrokf.discovery.discover import discover
+from hygrokf.cases.case_file import read_case
+from hygrokf.commands.main import main
+from hygrokf.data.record import Record
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.record import Record
-from hygrokf.results import read_fit
+from hygrokf.discovery.procedure import discover
+from hygrokf.identification.results import read_fit
 
 README = Path(__file__).resolve().parents[1] / "README.md"
 ORDINARY = "ordinary"

@@ -16,15 +16,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hygrokf.confidence import uncertainty
-from hygrokf.expression import exp
-from hygrokf.fitting import Estimate, Objective, maximise
-from hygrokf.inference import confidence_bounds, system_time_constants
-from hygrokf.likelihood import Likelihood
-from hygrokf.mechanisms import linear_network
-from hygrokf.model import compose
-from hygrokf.parameters import Coordinates, Parameter
-from hygrokf.timeline import timeline
+from hygrokf.engine.timeline import timeline
+from hygrokf.estimation.confidence import uncertainty
+from hygrokf.estimation.inference import confidence_bounds, system_time_constants
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import Estimate, Objective, maximise
+from hygrokf.physics.expression import exp
+from hygrokf.physics.mechanisms import linear_network
+from hygrokf.physics.model import compose
+from hygrokf.physics.parameters import Coordinates, Parameter
 
 REFERENCE = Path(__file__).resolve().parents[1] / "../shared/data/reference"
 

@@ -9,12 +9,12 @@ import pytest
 from other_make import ROWS, make_plant
 from other_make.as_record import to_record
 
+from hygrokf.data.record import Record
 from hygrokf.discovery.regularity import growth, period
-from hygrokf.discovery.remainder import bursts, unlogged
+from hygrokf.discovery.residual_structure import bursts, unlogged
 from hygrokf.discovery.residuals import residuals
-from hygrokf.identification import identify
-from hygrokf.psychrometrics import absolute_humidity
-from hygrokf.record import Record
+from hygrokf.identification.procedure import identify
+from hygrokf.physics.psychrometrics import absolute_humidity
 
 HOURS = 24 * 60
 LEVEL = 1e-3

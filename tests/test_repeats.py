@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hygrokf.data.record import Record, Series
 from hygrokf.discovery.repeats import repeated_text, repeats, without_repeats
-from hygrokf.record import Record, Series
 
 START = 1_596_499_200.0  # 4 August 2020, 00:00 UTC
 STEP_S = 900.0

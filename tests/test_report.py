@@ -13,11 +13,11 @@ import pytest
 from html_page import Page as _Page
 from report_case import report_case, write_case
 
-from hygrokf import report
-from hygrokf.report import ReportFault, read_results, report_page, report_text, write_report
-from hygrokf.report_tables import cells, rmse_table, shortened
-from hygrokf.report_words import judgements, time_constant
-from hygrokf.wording import decimals_for, percent, plain_number
+from hygrokf.identification.wording import decimals_for, percent, plain_number
+from hygrokf.report import fit_page as report
+from hygrokf.report.fit_page import ReportFault, read_results, report_page, report_text, write_report
+from hygrokf.report.fit_tables import cells, rmse_table, shortened
+from hygrokf.report.fit_text import judgements, time_constant
 
 
 @pytest.fixture
@@ -201,8 +201,8 @@ def test_any_piece_of_the_fit_may_be_null_or_wrong(quick, value: object) -> None
 )
 @pytest.mark.parametrize("piece", ["heat_release", "time_constants", "innovations", "parameters", "design"])
 def test_figures_take_a_fit_with_holes(piece: str, value: object) -> None:
-    from hygrokf.drawing import NothingToShow
-    from hygrokf.plots import figure_heat_release, figure_innovations, figure_profiles
+    from hygrokf.report.figures.drawing import NothingToShow
+    from hygrokf.report.figures.overview import figure_heat_release, figure_innovations, figure_profiles
 
     fit, series = report_case()
     fit = _trimmed(fit, 9)
@@ -501,7 +501,7 @@ def test_the_page_reads_what_the_results_hold(tmp_path) -> None:
 
 
 def test_a_table_with_a_cell_too_many_is_refused() -> None:
-    from hygrokf.report_tables import Table
+    from hygrokf.report.fit_tables import Table
 
     with pytest.raises(ValueError, match="Parameters: expected a cell for each of 2 columns, found"):
         Table("Parameters", ("name", "value"), (("a", "1"), ("b", "group", "2")))

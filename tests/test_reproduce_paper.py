@@ -249,11 +249,11 @@ def test_scores_are_those_of_the_series(small: Path, drivers: Path) -> None:
 
 
 def test_sensor_errors_stay_with_their_logger() -> None:
-    models, design = part("models"), importlib.import_module("hygrokf.design")
+    models, design = part("models"), importlib.import_module("hygrokf.modelling.design")
     record = importlib.import_module("plants").plant(1, days=30.0)
     made = design.design(importlib.import_module("plants.as_record").to_record(record))
     values = {p.name: p.start for p in made.model.parameters} | {"cabinet_relative_humidity_bias": 0.02}
-    fit = importlib.import_module("hygrokf.fit").Fit("x", made, values, {})
+    fit = importlib.import_module("hygrokf.identification.fit").Fit("x", made, values, {})
     left = models.Identified(fit, {"likelihood": values}).without_sensors("likelihood")
     assert left == values | {"cabinet_relative_humidity_bias": 0.0}
 

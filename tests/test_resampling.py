@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from hygrokf.resampling import block_h, resampled
+from hygrokf.evaluation.bootstrap import block_h, resampled
 
 STEP_S = 900.0
 

@@ -8,15 +8,15 @@ from live_case import live_record, live_turbine
 from test_service import Acknowledging
 from test_store import T0, a_condition, observed
 
-from hygrokf.live import retention as module
 from hygrokf.live import service
-from hygrokf.live.fleet import Fleet
 from hygrokf.live.plan import BEFORE
 from hygrokf.live.properties import Property
-from hygrokf.live.retention import Retention, prune
 from hygrokf.live.service import Service
-from hygrokf.live.store import Alarm, Batch, Store, open_store
+from hygrokf.live.storage import retention as module
+from hygrokf.live.storage.retention import Retention, prune
+from hygrokf.live.storage.store import Alarm, Batch, Store, open_store
 from hygrokf.live.tracker import whole
+from hygrokf.live.turbines import Fleet
 
 
 @pytest.fixture

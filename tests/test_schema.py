@@ -13,8 +13,8 @@ import pytest
 from databases import Server
 from test_store import T0, a_condition, everything, observed
 
-from hygrokf.live.schema import SQLITE, TABLES, VERSION, VIEWS, migration
-from hygrokf.live.store import Alarm, Batch, Store, open_store
+from hygrokf.live.storage.schema import SQLITE, TABLES, VERSION, VIEWS, migration
+from hygrokf.live.storage.store import Alarm, Batch, Store, open_store
 
 PAGE = (Path(__file__).resolve().parents[1] / "docs" / "live_store.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```sql\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)

@@ -13,12 +13,12 @@ from plants import plant
 from plants.as_record import to_record
 from scipy.stats import binom
 
-from hygrokf.design import design
-from hygrokf.drivers import run
-from hygrokf.likelihood import Likelihood
-from hygrokf.psychrometrics import absolute_humidity
-from hygrokf.scoring import bands, baselines, coverage, period_masks, rmse, scores, sensor_share
-from hygrokf.simulation import Prediction, free_run, measured
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.evaluation.scoring import bands, baselines, coverage, period_masks, rmse, scores, sensor_share
+from hygrokf.evaluation.simulation import Prediction, free_run, measured
+from hygrokf.modelling.design import design
+from hygrokf.modelling.inputs import run
+from hygrokf.physics.psychrometrics import absolute_humidity
 
 DAY_S = 86400.0
 

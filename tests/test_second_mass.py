@@ -9,13 +9,13 @@ import pytest
 from plants import plant
 from plants.as_record import to_record
 
-from hygrokf.design import design, extended
-from hygrokf.drivers import run
-from hygrokf.fitting import maximise
-from hygrokf.likelihood import Likelihood
-from hygrokf.mechanisms import wall_thermal_mass
-from hygrokf.model import extend
-from hygrokf.stationary import heat_release_regression
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import maximise
+from hygrokf.identification.steady_state import heat_release_regression
+from hygrokf.modelling.design import design, extended
+from hygrokf.modelling.inputs import run
+from hygrokf.physics.mechanisms import wall_thermal_mass
+from hygrokf.physics.model import extend
 
 DAYS = 45.0
 STARTS_H = (4.0, 20.0)

@@ -11,13 +11,13 @@ from pathlib import Path
 import pytest
 from live_case import Halting, expect_offline, live_record, live_turbine
 
-from hygrokf.live import database
+from hygrokf.data.record import Record
 from hygrokf.live import service as module
-from hygrokf.live.fleet import Delivery, Turbine
 from hygrokf.live.service import Service
-from hygrokf.live.store import StoreFault, open_store
-from hygrokf.live.streams import disturbed, record_mapping, record_messages
-from hygrokf.record import Record
+from hygrokf.live.sources.streams import disturbed, record_mapping, record_messages
+from hygrokf.live.storage import database
+from hygrokf.live.storage.store import StoreFault, open_store
+from hygrokf.live.turbines import Delivery, Turbine
 
 
 @pytest.fixture(scope="module")

@@ -7,15 +7,15 @@ import pytest
 from live_case import live_fit, live_record
 from test_mechanisms import host, some_run, some_values
 
-from hygrokf.emission import RUNS
-from hygrokf.expression import maximum, minimum
-from hygrokf.kalman import filterpy_filter
-from hygrokf.likelihood import Gaussian, Likelihood
+from hygrokf.data.record import Record
+from hygrokf.engine.llvm_writer import RUNS
+from hygrokf.estimation.batch_filter import SideBySide
+from hygrokf.estimation.likelihood import Gaussian, Likelihood
+from hygrokf.estimation.smoother import filterpy_filter
 from hygrokf.live.plan import Plan, plan
 from hygrokf.live.tracker import Course, whole
-from hygrokf.model import Mechanism
-from hygrokf.record import Record
-from hygrokf.side_by_side import SideBySide
+from hygrokf.physics.expression import maximum, minimum
+from hygrokf.physics.model import Mechanism
 
 SEEDS = (3, 4, 5)
 COUNT = 120

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hygrokf.signals import (
+from hygrokf.data.signals import (
     SIGNALS,
     UNITS,
     difference_from_si,
@@ -18,12 +18,12 @@ from hygrokf.signals import (
     fitting_units,
     from_si,
     in_words,
-    near_names,
     signal_named,
     signal_table_markdown,
     to_si,
     unit_fault,
 )
+from hygrokf.errors import near_names
 
 PAIRS = [(name, unit) for name in SIGNALS for unit in fitting_units(name)]
 

@@ -10,15 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hygrokf.discovery.changes import change_p, drift_p, sharp_step
-from hygrokf.discovery.significance import (
-    Null,
-    Prewhitened,
-    benjamini_hochberg,
-    largest_p,
-    linear_p,
-    tail,
-)
-from hygrokf.resampling import autoregression, effective_size, integral_time_h, surrogates
+from hygrokf.discovery.significance import Null, Prewhitened, benjamini_hochberg, largest_p, linear_p, tail
+from hygrokf.evaluation.bootstrap import autoregression, effective_size, integral_time_h, surrogates
 
 
 def remembering(seed: int, size: int, time_h: float, step_h: float = 1.0) -> np.ndarray:

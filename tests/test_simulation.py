@@ -13,12 +13,10 @@ from plants.as_record import to_record
 from scipy.integrate import solve_ivp
 from scipy.stats import binom
 
-from hygrokf.design import Design, design
-from hygrokf.drivers import Run, run
-from hygrokf.likelihood import Gaussian, Likelihood
-from hygrokf.psychrometrics import absolute_humidity, relative_humidity
-from hygrokf.record import Record
-from hygrokf.simulation import (
+from hygrokf.data.record import Record
+from hygrokf.engine.timeline import timeline
+from hygrokf.estimation.likelihood import Gaussian, Likelihood
+from hygrokf.evaluation.simulation import (
     QUANTITIES,
     air_humidity,
     air_temperature,
@@ -28,7 +26,9 @@ from hygrokf.simulation import (
     predicted_readings,
     project,
 )
-from hygrokf.timeline import timeline
+from hygrokf.modelling.design import Design, design
+from hygrokf.modelling.inputs import Run, run
+from hygrokf.physics.psychrometrics import absolute_humidity, relative_humidity
 
 EXACT = {"sensor_errors": "none", "missing": 0.0, "ambient_humidity": "absolute", "disturbance": "none"}
 VALUES = {

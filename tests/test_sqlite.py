@@ -19,13 +19,13 @@ from test_service import Acknowledging, until
 from test_store import T0, everything, observed, refused
 from tracking_process import halt_after, killed_at, started
 
-from hygrokf.live import database
+from hygrokf.data.record import Record
 from hygrokf.live import service as module
-from hygrokf.live.fleet import Turbine
-from hygrokf.live.schema import VERSION
 from hygrokf.live.service import Service
-from hygrokf.live.store import Batch, StoreFault, open_store
-from hygrokf.record import Record
+from hygrokf.live.storage import database
+from hygrokf.live.storage.schema import VERSION
+from hygrokf.live.storage.store import Batch, StoreFault, open_store
+from hygrokf.live.turbines import Turbine
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +146,7 @@ def test_several_processes_may_make_a_store_at_once(tmp_path: Path) -> None:
     """Four of them, a new store at each of thirty beats."""
     opens = (
         "import sys, time\n"
-        "from hygrokf.live.store import open_store\n"
+        "from hygrokf.live.storage.store import open_store\n"
         "print('ready', flush=True)\n"
         "beat = float(sys.stdin.readline())\n"
         "for n in range(30):\n"
@@ -200,7 +200,7 @@ def test_one_file_has_one_tracker_and_many_readers(file: Path, monkeypatch: pyte
 def test_a_dead_tracker_holds_nothing(file: Path) -> None:
     holds = (
         "import sys, time\n"
-        "from hygrokf.live.store import open_store\n"
+        "from hygrokf.live.storage.store import open_store\n"
         "store = open_store(sys.argv[1])\n"
         "store.claim('turbine', ['T1'])\n"
         "print('held', flush=True)\n"

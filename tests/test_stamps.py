@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hygrokf.stamps import (
+from hygrokf.data.timestamps import (
     duration,
     duration_text,
     modal_step,

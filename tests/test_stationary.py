@@ -15,11 +15,11 @@ import pytest
 from plants import Plant, plant
 from plants.as_record import to_record
 
-from hygrokf.design import design
-from hygrokf.mechanisms.thermal import heat_release
-from hygrokf.record import Record, Series
-from hygrokf.stationary import HeatRelease, Regression, heat_release_regression
-from hygrokf.synthetic import SyntheticParameters, synthetic_turbine
+from hygrokf.cases.synthetic import SyntheticParameters, synthetic_turbine
+from hygrokf.data.record import Record, Series
+from hygrokf.identification.steady_state import HeatRelease, Regression, heat_release_regression
+from hygrokf.modelling.design import design
+from hygrokf.physics.mechanisms.thermal import heat_release
 
 SHARED = Path(__file__).resolve().parents[1] / "../shared/data"
 RATED_W = 2.0e6
@@ -525,7 +525,7 @@ def test_plain_data(scattered: HeatRelease, monkeypatch: pytest.MonkeyPatch) -> 
     assert regime["points"]["fitted_K"] == fit.fitted_K.tolist()
     assert sum(row["chosen"] for row in regime["cross_validation"]) == 1
     assert data["statement"] == f"{data['operation']['statement']}; {data['standstill']['statement']}"
-    monkeypatch.setattr("hygrokf.stationary.JSON_POINTS", 50)
+    monkeypatch.setattr("hygrokf.identification.steady_state.JSON_POINTS", 50)
     thinned = scattered.to_json()["operation"]["points"]
     assert 25 <= len(thinned["power"]) <= 50
     assert thinned["power"] == fit.points.power[:: -(-fit.n_points // 50)].tolist()
@@ -539,7 +539,7 @@ def test_all_faults_of_the_arguments_at_once() -> None:
 
 
 def test_statsmodels_is_not_imported_with_the_module() -> None:
-    code = "import sys, hygrokf.stationary; sys.exit('statsmodels' in sys.modules or 'pandas' in sys.modules)"
+    code = "import sys, hygrokf.identification.steady_state; sys.exit('statsmodels' in sys.modules or 'pandas' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hygrokf.likelihood import Gaussian
+from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live.condition import Condition, Quantity
 from hygrokf.live.plan import BEFORE
 from hygrokf.live.properties import Property
-from hygrokf.live.schema import MIGRATIONS, TABLES, VERSION, VIEWS
-from hygrokf.live.store import (
+from hygrokf.live.storage.schema import MIGRATIONS, TABLES, VERSION, VIEWS
+from hygrokf.live.storage.store import (
     Alarm,
     Batch,
     Observation,

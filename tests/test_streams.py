@@ -12,10 +12,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hygrokf.live import streams
-from hygrokf.live.fleet import Delivery
-from hygrokf.live.payload import Field, Mapping
-from hygrokf.live.streams import (
+from hygrokf.data.record import Record, Series
+from hygrokf.live.sources import streams
+from hygrokf.live.sources.payload import Field, Mapping
+from hygrokf.live.sources.streams import (
     Lines,
     Playback,
     StandardInput,
@@ -26,7 +26,7 @@ from hygrokf.live.streams import (
     record_messages,
     taken_from,
 )
-from hygrokf.record import Record, Series
+from hygrokf.live.turbines import Delivery
 
 PATIENCE_S = 60.0
 

@@ -9,13 +9,13 @@ import pytest
 from plants.as_record import to_record
 from plants.plant import plant
 
-from hygrokf.design import Design, design, extended, merged
-from hygrokf.drivers import Run, run
-from hygrokf.likelihood import Gaussian, Likelihood
-from hygrokf.record import Record, Series
-from hygrokf.simulation import forecasts, free_run
-from hygrokf.switches import Switch, Throttle, cooling_stage, drier, heater, two_point
-from hygrokf.switching import DECIDE_H, self_switched, switches_of
+from hygrokf.data.record import Record, Series
+from hygrokf.estimation.likelihood import Gaussian, Likelihood
+from hygrokf.evaluation.self_switching import DECIDE_H, self_switched, switches_of
+from hygrokf.evaluation.simulation import forecasts, free_run
+from hygrokf.modelling.design import Design, design, extended, merged
+from hygrokf.modelling.inputs import Run, run
+from hygrokf.physics.switches import Switch, Throttle, cooling_stage, drier, heater, two_point
 
 HOUR = 3600.0
 START = 1.6e9

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hygrokf import synthetic
-from hygrokf.synthetic import (
+from hygrokf.cases import synthetic
+from hygrokf.cases.synthetic import (
     SyntheticParameters,
     SyntheticTable,
     SyntheticTurbine,
@@ -294,6 +294,6 @@ def test_no_estimation_code_is_imported() -> None:
     tree = ast.parse(Path(synthetic.__file__).read_text(encoding="utf-8"))
     imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
     assert {name for name in imported if name.startswith("hygrokf")} == {
-        "hygrokf.files",
-        "hygrokf.psychrometrics",
+        "hygrokf.data.files",
+        "hygrokf.physics.psychrometrics",
     }

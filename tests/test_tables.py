@@ -12,16 +12,16 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from hygrokf import tables
-from hygrokf.case import read_case
-from hygrokf.design import design
-from hygrokf.drivers import Run, run
-from hygrokf.fit import Fit
-from hygrokf.record import Record, Series
-from hygrokf.results import dump
-from hygrokf.simulation import Prediction, free_run
-from hygrokf.synthetic import synthetic_turbine, write_case
-from hygrokf.tables import evaluation, evaluation_text, simulation_csv, simulation_summary
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.data.record import Record, Series
+from hygrokf.evaluation.simulation import Prediction, free_run
+from hygrokf.identification import tables
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.results import dump
+from hygrokf.identification.tables import evaluation, evaluation_text, simulation_csv, simulation_summary
+from hygrokf.modelling.design import design
+from hygrokf.modelling.inputs import Run, run
 
 HOUR = 3600.0
 DAY = 86400.0

@@ -7,10 +7,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hygrokf.design import Design
-from hygrokf.likelihood import Gaussian, Likelihood
-from hygrokf.thermal import INPUTS, state_space, thermal_poles, thermal_system
-from hygrokf.timeline import timeline
+from hygrokf.engine.timeline import timeline
+from hygrokf.estimation.likelihood import Gaussian, Likelihood
+from hygrokf.modelling.design import Design
+from hygrokf.modelling.thermal_system import INPUTS, state_space, thermal_poles, thermal_system
 
 TAU, RHO = 1.7, 0.83
 

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hygrokf.mechanisms import linear_network
-from hygrokf.model import Model, compose
-from hygrokf.parameters import Parameter
-from hygrokf.timeline import timeline
+from hygrokf.engine.timeline import timeline
+from hygrokf.physics.mechanisms import linear_network
+from hygrokf.physics.model import Model, compose
+from hygrokf.physics.parameters import Parameter
 
 
 def room(averaged: dict[str, float] | None = None) -> Model:

@@ -21,13 +21,13 @@ from live_case import live_fit
 from page_case import recent_record
 from test_track_config import MODEL
 
-from hygrokf.cli import main
-from hygrokf.fit import Fit
+from hygrokf.commands.main import main
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.results import write_fit
 from hygrokf.live import demo
-from hygrokf.live.database import StoreUnready
 from hygrokf.live.service import Service
-from hygrokf.live.store import Store, open_store
-from hygrokf.results import write_fit
+from hygrokf.live.storage.database import StoreUnready
+from hygrokf.live.storage.store import Store, open_store
 
 ROOT = Path(__file__).resolve().parents[1]
 PATIENCE_S = 90.0

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import pytest
 
-from hygrokf.design import Design
-from hygrokf.fit import Fit
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.results import write_fit
 from hygrokf.live.config import Config, ConfigFault, read_config
-from hygrokf.live.page_settings import PageSettings
-from hygrokf.results import write_fit
+from hygrokf.live.web.page_settings import PageSettings
+from hygrokf.modelling.design import Design
 
 MODEL = Design(
     (

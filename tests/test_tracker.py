@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hygrokf.case import read_case
-from hygrokf.design import CASCADE, design, merged
-from hygrokf.fit import Fit
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.data.masks import SATURATED
+from hygrokf.data.record import Record, Series
+from hygrokf.identification.fit import Fit
 from hygrokf.live.ceiling import filtered
 from hygrokf.live.plan import BEFORE, Form, Plan, plan
 from hygrokf.live.tracker import Reading, Tracker, whole
-from hygrokf.masks import SATURATED
-from hygrokf.record import Record, Series
-from hygrokf.synthetic import synthetic_turbine, write_case
+from hygrokf.modelling.design import CASCADE, design, merged
 
 HOUR_S = 3600.0
 LATENESS_S = 1800.0

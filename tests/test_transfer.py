@@ -15,17 +15,17 @@ import pytest
 from plants.plant import plant
 from transfer_pairs import Pair, changed, pair, record_of
 
-from hygrokf.fit import Fit
-from hygrokf.identification import identify
-from hygrokf.record import Record
-from hygrokf.results import read_fit, write_fit
-from hygrokf.simulation import free_run
-from hygrokf.tables import evaluation
-from hygrokf.transfer.account import judged
+from hygrokf.data.record import Record
+from hygrokf.evaluation.simulation import free_run
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.procedure import identify
+from hygrokf.identification.results import read_fit, write_fit
+from hygrokf.identification.tables import evaluation
+from hygrokf.identification.turbine_type import pooled
+from hygrokf.report.transfer_page import folders, rewrite_transfer, transfer_text, write_transfer
 from hygrokf.transfer.groups import HEAT, HYGRIC, THERMAL
-from hygrokf.transfer.page import folders, rewrite_transfer, transfer_text, write_transfer
-from hygrokf.transfer.transfer import Transfer, transfer_fit, transfer_json
-from hygrokf.turbine_type import pooled
+from hygrokf.transfer.procedure import Transfer, transfer_fit, transfer_json
+from hygrokf.transfer.verdict import judged
 
 DAYS, HELD_OUT = 36.0, 9.0
 SEED = 31_000
@@ -236,7 +236,7 @@ def test_the_free_run_of_all_sets_is_in_the_series(other: Transfer) -> None:
     assert np.sqrt(np.mean(error**2)) == pytest.approx(
         other.results["rmse"]["temperature_K"]["re_estimated"]["total"]
     )
-    from hygrokf.drivers import run
+    from hygrokf.modelling.inputs import run
 
     record = sister((HEAT,))
     again = free_run(

@@ -71,7 +71,7 @@ def test_the_most_telling_comes_first_even_where_p_underflows() -> None:
 
 
 def test_groups_of_a_base_model_and_of_what_is_added() -> None:
-    from hygrokf.design import Design, extended
+    from hygrokf.modelling.design import Design, extended
 
     base = Design(
         (

@@ -11,10 +11,8 @@ import numpy as np
 import pytest
 from statsmodels.stats.meta_analysis import combine_effects
 
-from hygrokf.design import Design
-from hygrokf.fit import Fit
-from hygrokf.parameters import Coordinates, Parameter, Prior
-from hygrokf.turbine_type import (
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.turbine_type import (
     TurbineType,
     TypeFault,
     is_type,
@@ -25,6 +23,8 @@ from hygrokf.turbine_type import (
     student,
     write_type,
 )
+from hygrokf.modelling.design import Design
+from hygrokf.physics.parameters import Coordinates, Parameter, Prior
 
 BCG = np.array(
     [

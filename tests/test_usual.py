@@ -8,11 +8,11 @@ from pathlib import Path
 import pytest
 from live_case import live_fit, live_record
 
+from hygrokf.identification.results import write_fit
 from hygrokf.live.config import ConfigFault
-from hygrokf.live.page_settings import PageSettings
-from hygrokf.live.payload import taken
-from hygrokf.live.usual import page_at, table_of, usual_config, usual_mapping
-from hygrokf.results import write_fit
+from hygrokf.live.defaults import page_at, table_of, usual_config, usual_mapping
+from hygrokf.live.sources.payload import taken
+from hygrokf.live.web.page_settings import PageSettings
 
 
 @pytest.fixture(scope="module")

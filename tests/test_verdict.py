@@ -12,10 +12,8 @@ from pathlib import Path
 import pytest
 from report_case import report_case
 
-from hygrokf.fit import Fit
-from hygrokf.report import report_page, report_text
-from hygrokf.report_words import judgements
-from hygrokf.verdict import (
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.verdict import (
     BELIEVE,
     CAUTION,
     REJECT,
@@ -30,6 +28,8 @@ from hygrokf.verdict import (
     verdicts,
     with_verdicts,
 )
+from hygrokf.report.fit_page import report_page, report_text
+from hygrokf.report.fit_text import judgements
 
 DOCS = Path(__file__).parent.parent / "docs" / "verdict.md"
 
@@ -408,7 +408,7 @@ def test_nothing_is_believed_beside_what_refutes_it(code: str | None) -> None:
 
 
 def test_a_number_that_is_not_to_be_believed_is_no_headline(monkeypatch) -> None:
-    from hygrokf import report
+    from hygrokf.report import fit_page as report
 
     monkeypatch.setattr(report, "_figure", lambda picture, fit, series: "")
     page = report_page(_rejected(), {})

@@ -16,33 +16,33 @@ from discovery_case import discovery_case
 from html_page import Page
 
 from hygrokf import identify, read_case, synthetic_turbine, write_case, write_fit
-from hygrokf.cli import main
-from hygrokf.climate.page import climate_page
 from hygrokf.climate.region import Region
 from hygrokf.climate.study import climate_profile
-from hygrokf.climate.tables import climate_text
-from hygrokf.discovery.page import discovery_page
-from hygrokf.discovery.words import discovery_text, gain_sentence
-from hygrokf.fit import Fit
+from hygrokf.commands.main import main
+from hygrokf.data.record import Record
 from hygrokf.fleet.outliers import spreads
 from hygrokf.fleet.page import fleet_page
 from hygrokf.fleet.table import columns_of
 from hygrokf.fleet.tasks import TASKS
-from hygrokf.fleet.words import fleet_text
+from hygrokf.fleet.text import fleet_text
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.results import dump
+from hygrokf.identification.tables import evaluation, evaluation_text, simulation_summary
+from hygrokf.identification.turbine_type import TypeFault, pooled
+from hygrokf.identification.verdict import BELIEVE, CAUTION, REJECT, Reason, Verdict, inherited, verdicts
 from hygrokf.live.alarms import Level, resting_on
-from hygrokf.live.page_settings import PageSettings
-from hygrokf.live.store import Store, open_store
-from hygrokf.live.usual import usual_config
-from hygrokf.live.views import fleet_view, turbine_view
-from hygrokf.record import Record
-from hygrokf.results import dump
-from hygrokf.tables import evaluation, evaluation_text, simulation_summary
+from hygrokf.live.defaults import usual_config
+from hygrokf.live.storage.store import Store, open_store
+from hygrokf.live.web.page_settings import PageSettings
+from hygrokf.live.web.views import fleet_view, turbine_view
+from hygrokf.report.climate_page import climate_page
+from hygrokf.report.climate_tables import climate_text
+from hygrokf.report.comparison_page import comparison_page
+from hygrokf.report.discovery_page import discovery_page
+from hygrokf.report.discovery_text import discovery_text, gain_sentence
+from hygrokf.report.transfer_page import transfer_page, transfer_text
 from hygrokf.transfer.comparison import column, compared, comparison_text
-from hygrokf.transfer.comparison_page import comparison_page
-from hygrokf.transfer.page import transfer_page, transfer_text
-from hygrokf.transfer.transfer import transfer_fit, transfer_json
-from hygrokf.turbine_type import TypeFault, pooled
-from hygrokf.verdict import BELIEVE, CAUTION, REJECT, Reason, Verdict, inherited, verdicts
+from hygrokf.transfer.procedure import transfer_fit, transfer_json
 
 WHY = "the free run would choose another number"
 SAID = f"thermal time constant not to be believed, 1.50 h (1.40 … 1.60): {WHY}"

@@ -10,9 +10,9 @@ import pytest
 from hygrokf.live.condition import Condition, Quantity
 from hygrokf.live.properties import Property
 from hygrokf.live.service import Health
-from hygrokf.live.store import Alarm, Batch, Observation, Store, open_store
+from hygrokf.live.storage.store import Alarm, Batch, Observation, Store, open_store
 from hygrokf.live.tracker import Reading
-from hygrokf.live.views import MOST, alarms_view, by_hour, fleet_view, health_view, turbine_view
+from hygrokf.live.web.views import MOST, alarms_view, by_hour, fleet_view, health_view, turbine_view
 
 T0 = 1.7e9
 

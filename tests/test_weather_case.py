@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 import weather_case as made
 
-from hygrokf.ambient import ambient_absolute_humidity
-from hygrokf.case import CaseFault, read_case
-from hygrokf.checks import describe, describe_text
-from hygrokf.cli import main
-from hygrokf.psychrometrics import saturation_pressure_water
+from hygrokf.cases.case_file import CaseFault, read_case
+from hygrokf.cases.summary import describe, describe_text
+from hygrokf.commands.main import main
+from hygrokf.data.ambient import ambient_absolute_humidity
+from hygrokf.physics.psychrometrics import saturation_pressure_water
 
 SITE = "[site]\nlatitude_deg = 48.48\nlongitude_deg = 5.57\naltitude_m = 411.0\n"
 CABINET = """[[source]]
@@ -210,10 +210,10 @@ def test_check_says_that_two_files_have_too_little_in_common(folder: Path) -> No
 
 
 def test_the_picture(tmp_path: Path) -> None:
-    from hygrokf.drawing import NothingToShow, png
-    from hygrokf.stamps import summer_time
+    from hygrokf.data.timestamps import summer_time
+    from hygrokf.report.figures.drawing import NothingToShow, png
+    from hygrokf.report.figures.weather import figure_clocks
     from hygrokf.weather.alignment import align
-    from hygrokf.weather.plots import figure_clocks
 
     one, other = made.weather_pair(5991, 300, -3600.0, -3600.0, 0.0, 0.0, summer_time)
     found = align(one, other)

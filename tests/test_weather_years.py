@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 import weather_case as made
 
-from hygrokf.columns import TableFault
-from hygrokf.record import Record, Series, Site
+from hygrokf.data.columns import TableFault
+from hygrokf.data.record import Record, Series, Site
 from hygrokf.weather.joining import joined
 from hygrokf.weather.reading import read_weather_file
 from hygrokf.weather.years import gaps_text, read_weather, whole_years

@@ -17,14 +17,14 @@ from page_case import Case, add_forecast, filled, opened, write_certificate
 from ports import free_port
 from prometheus_client.parser import text_string_to_metric_families
 
-from hygrokf.live import web_access
-from hygrokf.live.page_settings import PageFault, PageSettings
 from hygrokf.live.service import Service
-from hygrokf.live.store import Alarm, Batch
-from hygrokf.live.web import STATIC, Page
-from hygrokf.live.web_access import Attempts, Sessions, host_name
-from hygrokf.live.web_events import Hub
-from hygrokf.live.web_server import PageServer, serve
+from hygrokf.live.storage.store import Alarm, Batch
+from hygrokf.live.web import access as web_access
+from hygrokf.live.web.access import Attempts, Sessions, host_name
+from hygrokf.live.web.application import STATIC, Page
+from hygrokf.live.web.events import Hub
+from hygrokf.live.web.page_settings import PageFault, PageSettings
+from hygrokf.live.web.server import PageServer, serve
 
 NAMES = ("T1", "A/B <b>&%3F")
 TOKEN = "a-token-of-the-tests-0123456789"

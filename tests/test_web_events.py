@@ -14,14 +14,14 @@ import httpx
 import pytest
 from page_case import Case, eventually, filled
 
-from hygrokf.live import web_events
-from hygrokf.live.page_settings import PageSettings
 from hygrokf.live.service import Service
-from hygrokf.live.store import Alarm, Batch, Observation
+from hygrokf.live.storage.store import Alarm, Batch, Observation
 from hygrokf.live.tracker import Reading
-from hygrokf.live.web import Page
-from hygrokf.live.web_events import Hub, changed_by
-from hygrokf.live.web_server import STOP_S, PageServer, serve
+from hygrokf.live.web import events as web_events
+from hygrokf.live.web.application import Page
+from hygrokf.live.web.events import Hub, changed_by
+from hygrokf.live.web.page_settings import PageSettings
+from hygrokf.live.web.server import STOP_S, PageServer, serve
 
 LOCAL = PageSettings(port=0)
 

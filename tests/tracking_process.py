@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from live_case import count_of
 
-from hygrokf.record import Record
+from hygrokf.data.record import Record
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -69,9 +69,9 @@ def halt_after(mark: float, record: Record) -> float:
 def track(case: str, url: str, speed: str, halt: str) -> None:
     from live_case import SIGNALS, Halting, live_turbine
 
-    from hygrokf.case import read_case
+    from hygrokf.cases.case_file import read_case
     from hygrokf.live import service
-    from hygrokf.live.streams import record_mapping, record_messages
+    from hygrokf.live.sources.streams import record_mapping, record_messages
 
     made = read_case(case)
     record = replace(made, series=tuple(s for s in made.series if s.signal in SIGNALS))

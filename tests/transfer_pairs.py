@@ -9,7 +9,7 @@ from plants.as_record import to_record
 from plants.cabinet import Cabinet
 from plants.plant import plant
 
-from hygrokf.record import Record
+from hygrokf.data.record import Record
 from hygrokf.transfer.groups import HEAT, HYGRIC, THERMAL
 
 DAY_S = 86400.0

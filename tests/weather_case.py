@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hygrokf.record import Series
+from hygrokf.data.record import Series
 
 START = np.datetime64("2021-03-01T00:00:00", "s")
 HOURS = 96

@@ -1,1 +1,4 @@
-"""The climate in a cabinet anywhere: simulated years with bounds, limits, and a test profile that stands for them."""
+"""Years of weather through a fitted model: statistics with bounds, limits, a test profile.
+
+Science only: pages and tables are in `report`.
+"""

@@ -15,22 +15,22 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.climate.shots import Shots, shots
-from hygrokf.design import read_as
-from hygrokf.drivers import Run, run
-from hygrokf.fit import Fit
-from hygrokf.likelihood import Gaussian, Likelihood
-from hygrokf.long_steps import inputs_between
-from hygrokf.model import Model
-from hygrokf.psychrometrics import (
+from hygrokf.climate.jump_noise import Shots, shots
+from hygrokf.data.record import Record
+from hygrokf.engine.long_steps import inputs_between
+from hygrokf.estimation.batch_filter import SideBySide
+from hygrokf.estimation.likelihood import Gaussian, Likelihood
+from hygrokf.evaluation.self_switching import Switchboard, all_on, cut, switches_of
+from hygrokf.identification.fit import Fit
+from hygrokf.modelling.design import read_as
+from hygrokf.modelling.inputs import Run, run
+from hygrokf.physics.cold_surface import Surface, condenses
+from hygrokf.physics.model import Model
+from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
     absolute_humidity_from_vapour_pressure,
     saturation_pressure_water,
 )
-from hygrokf.record import Record
-from hygrokf.side_by_side import SideBySide
-from hygrokf.surface import Surface, condenses
-from hygrokf.switching import Switchboard, all_on, cut, switches_of
 
 STEP_H = 1.0
 """[h] distance of the instants that are kept; what happens between them is simulated, not kept."""

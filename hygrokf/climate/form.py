@@ -10,8 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
+from hygrokf.errors import HygrokfError
 
-class FormFault(Exception):
+
+class FormFault(HygrokfError):
     """A file of limits or of a test that cannot be used, with every reason."""
 
     def __init__(self, file: object, faults: list[str]) -> None:

@@ -20,11 +20,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.ambient import at_times, bridge_h
 from hygrokf.climate.form import FormFault, is_number, read_toml, unknown_keys
-from hygrokf.paths import centred
-from hygrokf.record import Record, Series
-from hygrokf.stamps import stamp_text
+from hygrokf.data.ambient import at_times, bridge_h
+from hygrokf.data.input_paths import centred
+from hygrokf.data.record import Record, Series
+from hygrokf.data.timestamps import stamp_text
+from hygrokf.errors import HygrokfError
 
 HOUR_S = 3600.0
 DAYS_A_YEAR = 365.25
@@ -40,7 +41,7 @@ RATED = (0.5, 1.2)
 LAWS = {"power": "exponent", "log": "roughness_m"}
 
 
-class PowerFault(Exception):
+class PowerFault(HygrokfError):
     """Power that cannot be used, with every reason."""
 
 

@@ -8,9 +8,9 @@ import numpy as np
 
 from hygrokf.climate.acceleration import FREEZING_K
 from hygrokf.climate.ensemble import YEAR_H, course
-from hygrokf.drivers import IDENTIFIED_ON
-from hygrokf.fit import Fit
-from hygrokf.record import Record
+from hygrokf.data.record import Record
+from hygrokf.identification.fit import Fit
+from hygrokf.modelling.inputs import IDENTIFIED_ON
 
 BEYOND_K = 2.0
 BEYOND_SHARE = 0.1

@@ -10,9 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from hygrokf.actuators import ACTUATORS
-from hygrokf.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
-from hygrokf.case import read_case
+from hygrokf.cases.case_file import read_case
 from hygrokf.climate.power import (
     PowerCurve,
     PowerFault,
@@ -22,9 +20,11 @@ from hygrokf.climate.power import (
     standstill,
     years_of_power,
 )
-from hygrokf.fit import Fit
-from hygrokf.paths import input_path
-from hygrokf.record import Record, Series
+from hygrokf.data.actuators import ACTUATORS
+from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
+from hygrokf.data.input_paths import input_path
+from hygrokf.data.record import Record, Series
+from hygrokf.identification.fit import Fit
 from hygrokf.weather.reading import form_of
 from hygrokf.weather.years import read_weather
 

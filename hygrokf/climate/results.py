@@ -11,8 +11,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from hygrokf.climate.study import Study
-from hygrokf.files import CLIMATE, write_text_whole
-from hygrokf.results import ResultFault, dump
+from hygrokf.data.files import CLIMATE, write_text_whole
+from hygrokf.identification.results import ResultFault, dump
 
 TABLE = "climate.csv"
 _COLUMNS = (

@@ -7,20 +7,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hygrokf.ambient import middle
 from hygrokf.climate.acceleration import Acceleration
 from hygrokf.climate.bounds import LEVEL, Bounded, bounded, held
 from hygrokf.climate.chamber import ProfilePlan
-from hygrokf.climate.days import Days, days_of, joined, thinned
 from hygrokf.climate.ensemble import WHOLE, YEAR_H, Year, part_text, shots_of, simulate_years
 from hygrokf.climate.form import as_list
+from hygrokf.climate.jump_noise import words as shot_words
 from hygrokf.climate.limits import Limit, exceeded, expect_names, judged
-from hygrokf.climate.members import draw_members
+from hygrokf.climate.parameter_samples import draw_members
 from hygrokf.climate.power import PowerCurve
 from hygrokf.climate.range import extrapolation_words
 from hygrokf.climate.region import Region, driven
-from hygrokf.climate.sequence import chamber_sequence, closeness
-from hygrokf.climate.shots import words as shot_words
+from hygrokf.climate.representative_days import Days, days_of, joined, thinned
 from hygrokf.climate.statistics import (
     CYCLE_RANGES_K,
     HUMIDITY_EDGES,
@@ -33,11 +31,13 @@ from hygrokf.climate.statistics import (
     scalars,
     wetness_class,
 )
-from hygrokf.fit import Fit
-from hygrokf.record import Record
-from hygrokf.stamps import stamp_text
-from hygrokf.surface import Surface
-from hygrokf.verdict import inherited, rests_on
+from hygrokf.climate.test_profile import chamber_sequence, closeness
+from hygrokf.data.ambient import middle
+from hygrokf.data.record import Record
+from hygrokf.data.timestamps import stamp_text
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.verdict import inherited, rests_on
+from hygrokf.physics.cold_surface import Surface
 from hygrokf.version import __version__
 
 MEMBERS = 50

@@ -1,1 +1,4 @@
-"""What a model gets wrong, and the physical cause of it."""
+"""What a model's simulation gets wrong, the causes that may explain it, and what naming one gains.
+
+Science only: pages and tables are in `report`.
+"""

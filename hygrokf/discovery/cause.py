@@ -6,9 +6,9 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
+from hygrokf.discovery.baseline import Scene
 from hygrokf.discovery.clocks import Shift
-from hygrokf.discovery.scene import Scene
-from hygrokf.model import Mechanism
+from hygrokf.physics.model import Mechanism
 
 
 @dataclass(frozen=True)

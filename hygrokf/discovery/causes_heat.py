@@ -6,13 +6,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hygrokf.ambient import at_times
+from hygrokf.data.ambient import at_times
+from hygrokf.data.input_paths import input_path
+from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene
 from hygrokf.discovery.cause import Variant, additions_of
 from hygrokf.discovery.grids import Probe, best_date, best_hours, best_switch, inside, span
 from hygrokf.discovery.scan import local_scan, scan
-from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
-from hygrokf.features import operating
-from hygrokf.paths import input_path
+from hygrokf.modelling.derived_inputs import operating
 
 RAMP_DAYS = 8.0
 SETTLING_DAYS = (8.0, 20.0, 50.0)

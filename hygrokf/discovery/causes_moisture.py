@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
+from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene
 from hygrokf.discovery.cause import Variant
 from hygrokf.discovery.grids import Probe, best_date, best_hours, best_switch, inside
 from hygrokf.discovery.scan import abrupt
-from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
 
 FADING_DAYS = (8.0, 20.0, 50.0)
 USUAL_EXCHANGE_H = 3.0

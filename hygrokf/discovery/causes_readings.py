@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene
 from hygrokf.discovery.cause import Variant, additions_of
 from hygrokf.discovery.clocks import Shift, sources, turns_within
 from hygrokf.discovery.grids import Probe, best_date, inside, span
 from hygrokf.discovery.scan import abrupt
-from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
-from hygrokf.forms import LONGEST_RESPONSE_H, UNSTATED
+from hygrokf.identification.forms import LONGEST_RESPONSE_H, UNSTATED
 
 
 def temperature_offset(scene: Scene) -> list[Variant]:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.discovery.significance import Null, centred, tail
-from hygrokf.resampling import autoregression
+from hygrokf.evaluation.bootstrap import autoregression
 
 LEAST_LEAD = -4.0
 CLEAR_LEAD = 2.0

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.record import Record, Series
-from hygrokf.stamps import summer_time
+from hygrokf.data.record import Record, Series
+from hygrokf.data.timestamps import summer_time
 
 HOUR_S = 3600.0
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 
-from hygrokf.confidence import standard_error, wald_bounds
+from hygrokf.discovery.baseline import Scene
+from hygrokf.discovery.candidate import Trial, added, probability, score_statistic
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import named
-from hygrokf.discovery.scene import Scene
-from hygrokf.discovery.trial import Trial, added, probability, score_statistic
-from hygrokf.stage import Stage
+from hygrokf.estimation.confidence import standard_error, wald_bounds
+from hygrokf.identification.estimation import Stage
 
 ONCE_AT_MOST = 0.6
 """Confidence of a cause that was seen in one episode only, or has no amplitude whose bounds leave its null value out."""

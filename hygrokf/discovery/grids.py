@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from hygrokf.data.record import Record
+from hygrokf.discovery.baseline import Part, Scene
 from hygrokf.discovery.scan import Scanned, scan, slow_scan
-from hygrokf.discovery.scene import Part, Scene
-from hygrokf.features import feature
-from hygrokf.record import Record
+from hygrokf.modelling.derived_inputs import feature
 
 DAY_S = 86400.0
 MOST_DATES = 90

@@ -14,15 +14,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.design import merged
-from hygrokf.discovery.choice import WORSE, Choice, with_trial
+from hygrokf.data.record import Record
+from hygrokf.discovery.baseline import HYGRIC, SIMULATION_STEP, THERMAL, Part, Scene, simulating
+from hygrokf.discovery.candidate import Trial, added, attempt, started
 from hygrokf.discovery.clocks import cabinet_moved, shifted
-from hygrokf.discovery.scene import HYGRIC, SIMULATION_STEP, THERMAL, Part, Scene, simulating
-from hygrokf.discovery.trial import Trial, added, attempt, started
-from hygrokf.drivers import run
-from hygrokf.record import Record
-from hygrokf.resampling import resampled
-from hygrokf.simulation import QUANTITIES, free_run, measured
+from hygrokf.discovery.model_selection import WORSE, Choice, with_trial
+from hygrokf.evaluation.bootstrap import resampled
+from hygrokf.evaluation.simulation import QUANTITIES, free_run, measured
+from hygrokf.modelling.design import merged
+from hygrokf.modelling.inputs import run
 
 DAY_S = 86400.0
 BLOCK_DAYS = 3.0

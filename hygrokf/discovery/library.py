@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from hygrokf.discovery.baseline import THERMAL
 from hygrokf.discovery.cause import Cause, one_mechanism
 from hygrokf.discovery.causes_heat import (
     by_the_clock,
@@ -17,7 +18,6 @@ from hygrokf.discovery.causes_heat import (
 )
 from hygrokf.discovery.causes_moisture import condensation, drier, rain, sorption, source
 from hygrokf.discovery.causes_readings import breathed, clock, humidity_drift, response, temperature_offset
-from hygrokf.discovery.scene import THERMAL
 
 ODD = 30.0
 """Evidence that is enough for causes that hardly show in the free run; on plants without any it stays below 10."""

@@ -17,13 +17,14 @@ from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
 
-from hygrokf.additions import Origin, admit, origins, withdraw
-from hygrokf.ambient import ambient_absolute_humidity
+from hygrokf.data.ambient import ambient_absolute_humidity
+from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene
 from hygrokf.discovery.cause import Cause, Variant
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.nesting import form_faults, is_feature, told, variant_faults
-from hygrokf.discovery.scene import HYGRIC, THERMAL, Scene
-from hygrokf.model import Mechanism
+from hygrokf.discovery.plugin_validation import form_faults, is_feature, told, variant_faults
+from hygrokf.errors import HygrokfError
+from hygrokf.modelling.registry import Origin, admit, origins, withdraw
+from hygrokf.physics.model import Mechanism
 
 GROUP = "hygrokf.causes"
 """Entry points of this group name a `Cause`, or a module with causes at its top level."""
@@ -32,7 +33,7 @@ ALWAYS = ("ambient_temperature", "exchange_factor")
 _adopted: dict[str, Cause] = {}
 
 
-class LibraryFault(Exception):
+class LibraryFault(HygrokfError):
     """Causes that cannot be used; `faults` lists every reason, the message all of them."""
 
     def __init__(self, faults: Iterable[str]) -> None:

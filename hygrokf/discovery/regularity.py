@@ -12,7 +12,7 @@ import numpy as np
 
 from hygrokf.discovery.changes import drift_p
 from hygrokf.discovery.significance import Null
-from hygrokf.resampling import autoregression, bridged
+from hygrokf.evaluation.bootstrap import autoregression, bridged
 
 DAY_H = 24.0
 FEWEST_CYCLES = 8

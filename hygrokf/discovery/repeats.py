@@ -8,8 +8,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
+from hygrokf.data.record import Record, Series
 from hygrokf.discovery.residuals import run_lengths
-from hygrokf.record import Record, Series
 
 DAY_S = 86400.0
 REPEATED = "repeated readings"

@@ -11,14 +11,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hygrokf.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
-from hygrokf.design import accuracy_of
-from hygrokf.fit import Fit
-from hygrokf.paths import input_path
-from hygrokf.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
-from hygrokf.record import Record
-from hygrokf.signals import SIGNALS
-from hygrokf.signals import UNITS as CASE_UNITS
+from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
+from hygrokf.data.input_paths import input_path
+from hygrokf.data.record import Record
+from hygrokf.data.signals import SIGNALS
+from hygrokf.data.signals import UNITS as CASE_UNITS
+from hygrokf.identification.fit import Fit
+from hygrokf.modelling.design import accuracy_of
+from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
 
 TEMPERATURE = "temperature"
 HUMIDITY = "humidity"

@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.data.files import DISCOVERY, DISCOVERY_SERIES, write_bytes_whole, write_text_whole
 from hygrokf.discovery.residuals import Residuals
-from hygrokf.files import DISCOVERY, DISCOVERY_SERIES, write_bytes_whole, write_text_whole
-from hygrokf.results import ResultFault, dump, write_fit
+from hygrokf.identification.results import ResultFault, dump, write_fit
 
 if TYPE_CHECKING:
-    from hygrokf.discovery.discover import Discovery
+    from hygrokf.discovery.procedure import Discovery
 
 WHICH = ("before", "after")
 AGAIN = "run `hygrokf discover` with --out on this directory first"

@@ -17,14 +17,14 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from hygrokf.design import extended
-from hygrokf.discovery.scene import Part, searching
-from hygrokf.drivers import run
-from hygrokf.emission import LANES
-from hygrokf.features import feature
-from hygrokf.likelihood import Likelihood
-from hygrokf.model import Mechanism, Model, compose
-from hygrokf.parallel import mapped
+from hygrokf.discovery.baseline import Part, searching
+from hygrokf.engine.llvm_writer import LANES
+from hygrokf.engine.parallel import mapped
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.modelling.derived_inputs import feature
+from hygrokf.modelling.design import extended
+from hygrokf.modelling.inputs import run
+from hygrokf.physics.model import Mechanism, Model, compose
 
 
 @dataclass(frozen=True)

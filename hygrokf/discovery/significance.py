@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.resampling import SURROGATES, autoregression, block_h, effective_size, surrogates
+from hygrokf.evaluation.bootstrap import SURROGATES, autoregression, block_h, effective_size, surrogates
 
 SECOND_LOOK = 200
 """Surrogates where the noise is judged again without an effect."""

@@ -1,1 +1,1 @@
-"""Many turbines: the same task for each, on one machine or on several, one table and one page of all."""
+"""One task for many turbines, on processes or a cluster, restartable, with one table and one page."""

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hygrokf.files import (
+from hygrokf.data.files import (
     BESIDE_DISCOVERY,
     CLIMATE,
     DISCOVERY,
@@ -20,7 +20,8 @@ from hygrokf.files import (
     TRANSFER_SERIES,
     write_text_whole,
 )
-from hygrokf.results import dump
+from hygrokf.errors import HygrokfError
+from hygrokf.identification.results import dump
 from hygrokf.version import __version__
 
 ROW = "row.json"
@@ -33,7 +34,7 @@ WRITES = (
 )  # fmt: skip
 
 
-class FleetFault(Exception):
+class FleetFault(HygrokfError):
     """A fleet that cannot be run, in one message; `faults` lists every reason."""
 
     def __init__(self, where: str, faults: Sequence[str]) -> None:

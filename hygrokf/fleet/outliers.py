@@ -17,8 +17,8 @@ from functools import cache
 
 import numpy as np
 
+from hygrokf.data.lookup import number
 from hygrokf.fleet.tasks import Compared
-from hygrokf.lookup import number
 
 LEVEL = 0.05
 """Chance of any outlier, in all quantities together, in a fleet of turbines that are alike."""

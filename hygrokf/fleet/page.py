@@ -7,18 +7,18 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from html import escape
 
+from hygrokf.data.lookup import entry, number
 from hygrokf.fleet.job import DONE
 from hygrokf.fleet.outliers import DRAWS, FEWEST, LEVEL, Spread, spreads
 from hygrokf.fleet.plots import figure_spreads
 from hygrokf.fleet.table import CSV
 from hygrokf.fleet.tasks import BETWEEN, TASKS, Compared
-from hygrokf.lookup import entry, number
-from hygrokf.page import document, figure_html, moment, prose, section, tables_html
-from hygrokf.report_tables import Table
-from hygrokf.transfer.page import type_section
-from hygrokf.verdict import CAUTION, PARTS, REJECT, VERDICTS, WORDS
+from hygrokf.identification.verdict import CAUTION, PARTS, REJECT, VERDICTS, WORDS
+from hygrokf.identification.wording import NONE, decimals_for, fixed, percent, plain_number, sentence, text_of
+from hygrokf.report.fit_tables import Table
+from hygrokf.report.html import document, figure_html, moment, prose, section, tables_html
+from hygrokf.report.transfer_page import type_section
 from hygrokf.version import __version__
-from hygrokf.wording import NONE, decimals_for, fixed, percent, plain_number, sentence, text_of
 
 RANKED = 50
 """Rows of the ranking on the page; the table of all is fleet.csv."""

@@ -10,9 +10,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from hygrokf.errors import suggestion
 from hygrokf.fleet.job import FleetFault, Job, content_key
 from hygrokf.fleet.tasks import TASKS, Task
-from hygrokf.signals import suggestion
 
 _TOP = ("name", "task", "cases", "fit", "options", "turbine")
 _TURBINE = ("name", "case", "fit")

@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.drawing import (
+from hygrokf.fleet.outliers import REACH, Spread
+from hygrokf.report.figures.drawing import (
     MEASURED,
     QUIET,
     SHADE,
@@ -17,7 +18,6 @@ from hygrokf.drawing import (
     new_figure,
     styled,
 )
-from hygrokf.fleet.outliers import REACH, Spread
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 
-from hygrokf.files import FLEET, REPORT, TYPE, write_bytes_whole, write_text_whole
+from hygrokf.data.files import FLEET, REPORT, TYPE, write_bytes_whole, write_text_whole
 from hygrokf.fleet.cluster import on_cluster
 from hygrokf.fleet.job import DONE, FleetFault, Job, Outcome, finished, keep
 from hygrokf.fleet.outliers import spreads
@@ -18,8 +18,8 @@ from hygrokf.fleet.plan import Plan
 from hygrokf.fleet.processes import cores, in_processes
 from hygrokf.fleet.table import CSV, PARQUET, table_csv, table_parquet
 from hygrokf.fleet.tasks import TASKS
-from hygrokf.results import ResultFault, dump, read_fit
-from hygrokf.turbine_type import TypeFault, pooled, write_type
+from hygrokf.identification.results import ResultFault, dump, read_fit
+from hygrokf.identification.turbine_type import TypeFault, pooled, write_type
 from hygrokf.version import __version__
 
 FEWEST_OF_A_TYPE = 3

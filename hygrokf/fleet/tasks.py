@@ -14,14 +14,14 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hygrokf.files import write_text_whole
+from hygrokf.data.files import write_text_whole
+from hygrokf.data.lookup import entry, number
 from hygrokf.fleet.job import DONE, FAILED, Job, Outcome, begin, finished, keep, outcome
-from hygrokf.lookup import entry, number
-from hygrokf.verdict import PARTS, REJECT
+from hygrokf.identification.verdict import PARTS, REJECT
 
 if TYPE_CHECKING:
-    from hygrokf.fit import Fit
-    from hygrokf.record import Record
+    from hygrokf.data.record import Record
+    from hygrokf.identification.fit import Fit
 
 BETWEEN = " | "
 """Between the statements of a column: sentences have semicolons of their own."""
@@ -132,9 +132,9 @@ def reason_of(fault: Exception) -> str:
 
 def _fit(job: Job) -> dict:
     """Identify the models of a case, as `hygrokf fit` does."""
-    from hygrokf.case import read_case
-    from hygrokf.identification import identify
-    from hygrokf.results import write_fit
+    from hygrokf.cases.case_file import read_case
+    from hygrokf.identification.procedure import identify
+    from hygrokf.identification.results import write_fit
 
     record, options = read_case(job.case), job.options
     fit = identify(
@@ -146,7 +146,7 @@ def _fit(job: Job) -> dict:
     )
     write_fit(fit, job.folder)
     if options["report"]:
-        from hygrokf.report import write_report
+        from hygrokf.report.fit_page import write_report
 
         write_report(job.folder)
     return _of_fit(fit, record)
@@ -167,7 +167,7 @@ def _of_fit(fit: Fit, record: Record) -> dict:
 
 
 def _of_record(record: Record) -> dict:
-    from hygrokf.stamps import stamp_text
+    from hygrokf.data.timestamps import stamp_text
 
     return {
         "record": record.name,
@@ -208,13 +208,13 @@ _ERRORS = {"temperature_K": "temperature_rmse_K", "absolute_humidity_g_m3": "hum
 
 def _discover(job: Job) -> dict:
     """Show what the simulation gets wrong, name the cause, extend the model, as `hygrokf discover` does."""
-    from hygrokf.case import read_case
-    from hygrokf.discovery.discover import discover
+    from hygrokf.cases.case_file import read_case
     from hygrokf.discovery.library import LIBRARY
     from hygrokf.discovery.own_causes import load_library
-    from hygrokf.discovery.page import write_discovery_report
+    from hygrokf.discovery.procedure import discover
     from hygrokf.discovery.results import write_discovery
-    from hygrokf.discovery.words import rows_of, scored_error, verdict_of
+    from hygrokf.report.discovery_page import write_discovery_report
+    from hygrokf.report.discovery_text import rows_of, scored_error, verdict_of
 
     own = load_library(*job.options["library"], installed=True)
     record = read_case(job.case)
@@ -243,9 +243,9 @@ def _discover(job: Job) -> dict:
 
 def _evaluate(job: Job) -> dict:
     """Score a fitted model on a case, as `hygrokf evaluate` does."""
-    from hygrokf.case import read_case
-    from hygrokf.results import dump
-    from hygrokf.tables import evaluation
+    from hygrokf.cases.case_file import read_case
+    from hygrokf.identification.results import dump
+    from hygrokf.identification.tables import evaluation
 
     fit, record = _stored(job), read_case(job.case)
     results = evaluation(fit, record)
@@ -270,7 +270,7 @@ def _evaluate(job: Job) -> dict:
 
 def _stored(job: Job) -> Fit:
     """The fitted model that a job uses, with causes of the user's own where it has some."""
-    from hygrokf.results import LibraryAbsent, read_fit
+    from hygrokf.identification.results import LibraryAbsent, read_fit
 
     try:
         return read_fit(job.fit)
@@ -283,10 +283,10 @@ def _stored(job: Job) -> Fit:
 
 def _transfer(job: Job) -> dict:
     """Try a fitted model, or a type, on another turbine's record, as `hygrokf transfer` does."""
-    from hygrokf.case import read_case
-    from hygrokf.transfer.page import write_transfer
-    from hygrokf.transfer.transfer import transfer_fit
-    from hygrokf.turbine_type import is_type, read_type
+    from hygrokf.cases.case_file import read_case
+    from hygrokf.identification.turbine_type import is_type, read_type
+    from hygrokf.report.transfer_page import write_transfer
+    from hygrokf.transfer.procedure import transfer_fit
 
     record = read_case(job.case)
     made = transfer_fit(read_type(job.fit) if is_type(job.fit) else _stored(job), record)
@@ -312,11 +312,11 @@ def _transfer(job: Job) -> dict:
 
 def _climate(job: Job) -> dict:
     """The climate in a fitted cabinet under the weather and power of a case, as `hygrokf climate` has it."""
-    from hygrokf.case import read_case
+    from hygrokf.cases.case_file import read_case
     from hygrokf.climate.limits import read_limits
-    from hygrokf.climate.page import write_climate_report
     from hygrokf.climate.region import Region, read_power
     from hygrokf.climate.study import climate_profile
+    from hygrokf.report.climate_page import write_climate_report
 
     fit, options = _stored(job), job.options
     weather = read_case(job.case, cabinet=False)

@@ -11,9 +11,9 @@ import os
 import signal
 import sys
 
+from hygrokf.engine.parallel import THREADS
 from hygrokf.fleet.job import Job
 from hygrokf.fleet.tasks import perform
-from hygrokf.parallel import THREADS
 
 ENVIRONMENT = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", THREADS)}
 """One thread for linear algebra: the matrices are tiny, and as many processes as cores are at work."""

@@ -1,1 +1,4 @@
-"""Cabinets tracked online: from readings as they come in to condition, risk and warning."""
+"""Cabinets followed from live readings: the tracker, its alarms and forecasts, and the service around them.
+
+`sources`, `storage`, `web` and `doctor` hold what touches networks, databases and browsers; nothing else does.
+"""

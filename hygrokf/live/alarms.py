@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.identification.verdict import PARTS, rests_on
 from hygrokf.live.condition import Condition
-from hygrokf.live.inquiry import SENSORS, Finding
+from hygrokf.live.fault_isolation import SENSORS, Finding
 from hygrokf.live.properties import Departure
-from hygrokf.live.store import Alarm
-from hygrokf.verdict import PARTS, rests_on
+from hygrokf.live.storage.store import Alarm
 
 MINUTE_S = 60.0
 HOUR_S = 3600.0

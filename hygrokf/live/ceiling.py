@@ -17,9 +17,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from hygrokf.likelihood import Gaussian, Likelihood, Trace
-from hygrokf.masks import SATURATED
-from hygrokf.timeline import Timeline
+from hygrokf.data.masks import SATURATED
+from hygrokf.engine.timeline import Timeline
+from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 
 HUMIDITY = "cabinet_relative_humidity"
 

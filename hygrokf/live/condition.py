@@ -11,8 +11,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.model import Model
-from hygrokf.psychrometrics import (
+from hygrokf.engine.timeline import Timeline
+from hygrokf.physics.cold_surface import Surface
+from hygrokf.physics.model import Model
+from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
     ICE_RANGE,
     absolute_humidity_from_vapour_pressure,
@@ -22,8 +24,6 @@ from hygrokf.psychrometrics import (
     saturation_pressure_water,
     saturation_pressure_water_slope,
 )
-from hygrokf.surface import Surface
-from hygrokf.timeline import Timeline
 
 Z95 = 1.959964
 FREEZING_K = 273.15

@@ -9,21 +9,22 @@ from collections.abc import Mapping as MappingOf
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
+from hygrokf.data.record import Site
+from hygrokf.data.signals import SIGNALS, difference_to_si, unit_fault
+from hygrokf.errors import HygrokfError, suggestion
+from hygrokf.identification.results import ResultFault, read_fit
+from hygrokf.identification.verdict import inherited
 from hygrokf.live.condition import Surface
-from hygrokf.live.fleet import STALE_S, Turbine
 from hygrokf.live.forecast import LIMIT
-from hygrokf.live.page_settings import PAGE, PageSettings, page_settings
-from hygrokf.live.payload import GOOD, Field, Mapping
 from hygrokf.live.plan import LATENESS_S, WANDERING, Form, plan
-from hygrokf.live.postgres import url_fault
 from hygrokf.live.properties import standard_errors
-from hygrokf.live.sources import stream_of
-from hygrokf.live.streams import Stream
+from hygrokf.live.sources.kinds import stream_of
+from hygrokf.live.sources.payload import GOOD, Field, Mapping
+from hygrokf.live.sources.streams import Stream
+from hygrokf.live.storage.postgres import url_fault
 from hygrokf.live.table_reader import TableReader
-from hygrokf.record import Site
-from hygrokf.results import ResultFault, read_fit
-from hygrokf.signals import SIGNALS, difference_to_si, suggestion, unit_fault
-from hygrokf.verdict import inherited
+from hygrokf.live.turbines import STALE_S, Turbine
+from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings
 
 STAMPS = ("instant", "start", "middle", "end")
 RETENTION_S = 400.0 * 86400.0
@@ -39,7 +40,7 @@ _SURFACE = ("follows", "offset_K")
 _SITE = ("latitude_deg", "longitude_deg", "altitude_m")
 
 
-class ConfigFault(Exception):
+class ConfigFault(HygrokfError):
     """A tracker's file that cannot be used: every fault, one on a line."""
 
     def __init__(self, file: str, faults: list[str]) -> None:

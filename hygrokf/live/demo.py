@@ -13,16 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from hygrokf.case import read_case
-from hygrokf.identification import identify
-from hygrokf.live.fleet import Turbine
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import SyntheticParameters, synthetic_turbine, write_case
+from hygrokf.data.record import Record, Series
+from hygrokf.identification.procedure import identify
+from hygrokf.identification.results import read_fit, write_fit
+from hygrokf.identification.verdict import inherited
 from hygrokf.live.plan import plan
 from hygrokf.live.properties import standard_errors
-from hygrokf.live.streams import Playback, form_of, record_mapping, record_messages
-from hygrokf.record import Record, Series
-from hygrokf.results import read_fit, write_fit
-from hygrokf.synthetic import SyntheticParameters, synthetic_turbine, write_case
-from hygrokf.verdict import inherited
+from hygrokf.live.sources.streams import Playback, form_of, record_mapping, record_messages
+from hygrokf.live.turbines import Turbine
 
 NAMES = {
     "Synthetic 1": (),

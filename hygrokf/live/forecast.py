@@ -11,7 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.drivers import Run, run
+from hygrokf.data.record import Record, Series
+from hygrokf.engine.timeline import Timeline
+from hygrokf.evaluation.self_switching import self_switched
 from hygrokf.live.condition import (
     Condition,
     Quantity,
@@ -21,12 +23,10 @@ from hygrokf.live.condition import (
     probability_above,
     probability_below,
 )
-from hygrokf.live.outlook import Outlook
 from hygrokf.live.plan import Plan
+from hygrokf.live.scenarios import Outlook
 from hygrokf.live.tracker import SAME_S, Point
-from hygrokf.record import Record, Series
-from hygrokf.switching import self_switched
-from hygrokf.timeline import Timeline
+from hygrokf.modelling.inputs import Run, run
 
 LIMIT = 0.8
 """[1] relative humidity above which a forecast gives the probability."""

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hygrokf.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
-from hygrokf.record import Record, Series
+from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
+from hygrokf.data.record import Record, Series
 
 DAY_S = 86400.0
 STEP_S = 1800.0

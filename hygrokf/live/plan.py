@@ -8,18 +8,18 @@ from functools import cached_property
 
 import numpy as np
 
-from hygrokf.ambient import AMBIENT_BRIDGE_H
-from hygrokf.design import HOLDS, SETTLING_H, Design, extended
-from hygrokf.fit import Fit
-from hygrokf.likelihood import Likelihood
-from hygrokf.loops import ZERO_ORDER
-from hygrokf.mechanisms.hygric import exchange_factor
-from hygrokf.model import Model
-from hygrokf.paths import readings_ahead
-from hygrokf.psychrometrics import absolute_humidity
-from hygrokf.record import Site
-from hygrokf.signals import SIGNALS
-from hygrokf.timeline import Timeline, timeline
+from hygrokf.data.ambient import AMBIENT_BRIDGE_H
+from hygrokf.data.input_paths import readings_ahead
+from hygrokf.data.record import Site
+from hygrokf.data.signals import SIGNALS
+from hygrokf.engine.filter_codegen import ZERO_ORDER
+from hygrokf.engine.timeline import Timeline, timeline
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.identification.fit import Fit
+from hygrokf.modelling.design import HOLDS, SETTLING_H, Design, extended
+from hygrokf.physics.mechanisms.hygric import exchange_factor
+from hygrokf.physics.model import Model
+from hygrokf.physics.psychrometrics import absolute_humidity
 
 FEATURES_H = 48.0
 BEFORE = 12

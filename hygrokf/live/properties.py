@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.fit import Fit
+from hygrokf.identification.fit import Fit
 from hygrokf.live.condition import Z95
-from hygrokf.model import Model
+from hygrokf.physics.model import Model
 
 DAY_S = 86400.0
 

@@ -16,12 +16,12 @@ from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Mapping as MappingOf
 from dataclasses import dataclass, field
 
-from hygrokf.live.ahead import EVERY_S, ahead_batch, inquiry_into, look_ahead
-from hygrokf.live.fleet import SOURCE, Delivery, Fleet, Turbine
-from hygrokf.live.inquiry import Finding
-from hygrokf.live.retention import Retention
-from hygrokf.live.store import Batch, Store, StoreFault, open_store
-from hygrokf.live.streams import Stream, taken_from
+from hygrokf.live.fault_isolation import Finding
+from hygrokf.live.forecast_job import EVERY_S, ahead_batch, inquiry_into, look_ahead
+from hygrokf.live.sources.streams import Stream, taken_from
+from hygrokf.live.storage.retention import Retention
+from hygrokf.live.storage.store import Batch, Store, StoreFault, open_store
+from hygrokf.live.turbines import SOURCE, Delivery, Fleet, Turbine
 
 LOG = logging.getLogger("hygrokf.track")
 WAITING = 20_000

@@ -6,8 +6,8 @@ import math
 from collections.abc import Mapping as MappingOf
 from dataclasses import dataclass, field
 
-from hygrokf.signals import suggestion
-from hygrokf.stamps import duration
+from hygrokf.data.timestamps import duration
+from hygrokf.errors import suggestion
 
 
 @dataclass

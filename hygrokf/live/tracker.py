@@ -17,13 +17,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.ambient import middle
-from hygrokf.drivers import Run, longest_gap_h, run
-from hygrokf.likelihood import Gaussian, Trace
+from hygrokf.data.ambient import middle
+from hygrokf.data.record import Record, Series
+from hygrokf.engine.timeline import Timeline
+from hygrokf.estimation.likelihood import Gaussian, Trace
 from hygrokf.live.ceiling import filtered
 from hygrokf.live.plan import BEFORE, Plan
-from hygrokf.record import Record, Series
-from hygrokf.timeline import Timeline
+from hygrokf.modelling.inputs import Run, longest_gap_h, run
 
 AMBIENT_HUMIDITIES = (
     "ambient_relative_humidity",

@@ -10,7 +10,7 @@ from contextlib import ExitStack, contextmanager
 
 from hygrokf.live.config import Config
 from hygrokf.live.service import Service
-from hygrokf.live.streams import SourceFault, TailedFile
+from hygrokf.live.sources.streams import SourceFault, TailedFile
 
 LOG = logging.getLogger("hygrokf.track")
 
@@ -28,7 +28,7 @@ def track(
     told the service and the page's address once the store is open.  What was delivered is committed before it
     returns; the service is returned for what it counted.
     """
-    from hygrokf.live.web_events import Hub
+    from hygrokf.live.web.events import Hub
 
     if until_ended:
         for stream in config.streams:
@@ -45,8 +45,8 @@ def track(
     with ExitStack() as stack:
         page = None
         if with_page:
-            from hygrokf.live.web import Page
-            from hygrokf.live.web_server import serve
+            from hygrokf.live.web.application import Page
+            from hygrokf.live.web.server import serve
 
             app = Page(service, hub, config.page).app()
             page = stack.enter_context(serve(app, config.page, hub)).url

@@ -1,1 +1,4 @@
-"""A fit elsewhere: beside others, on other records, and what several turbines of a type have in common."""
+"""Fits side by side, and a fit on another turbine's record: what travels, what differs.
+
+Science only: pages are in `report`.
+"""

@@ -17,15 +17,15 @@ from itertools import combinations
 
 import numpy as np
 
-from hygrokf.fit import Fit
-from hygrokf.record import Record
-from hygrokf.resampling import resampled
-from hygrokf.scoring import PERIODS, SCORED, guesses, period_masks, rmse
-from hygrokf.simulation import measured
-from hygrokf.tables import simulated, unlike
-from hygrokf.verdict import inherited, told
+from hygrokf.data.record import Record
+from hygrokf.evaluation.bootstrap import resampled
+from hygrokf.evaluation.scoring import PERIODS, SCORED, guesses, period_masks, rmse
+from hygrokf.evaluation.simulation import measured
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.tables import simulated, unlike
+from hygrokf.identification.verdict import inherited, told
+from hygrokf.identification.wording import NONE, RULES
 from hygrokf.version import __version__
-from hygrokf.wording import NONE, RULES
 
 REGIMES = ("operation", "standstill", "total")
 ALL_PERIODS = (*PERIODS, "whole")

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.confidence import positive_inverse
-from hygrokf.model import Model
+from hygrokf.estimation.confidence import positive_inverse
+from hygrokf.physics.model import Model
 
 THERMAL = "thermal time constant"
 HEAT = "heat release"
@@ -78,7 +78,7 @@ class Difference:
 
     def bounds(self, name: str, level: float = 0.95) -> tuple[float, float, float]:
         """Difference of one parameter in its coordinate: (value, lower, upper)."""
-        from hygrokf.confidence import normal_quantile
+        from hygrokf.estimation.confidence import normal_quantile
 
         i = self.names.index(name)
         reach = normal_quantile(level) * math.sqrt(max(self.covariance[i, i], 0.0))

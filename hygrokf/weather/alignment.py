@@ -17,10 +17,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.ambient import at_times, bridge_h
-from hygrokf.paths import centred
-from hygrokf.record import Series
-from hygrokf.stamps import summer_time
+from hygrokf.data.ambient import at_times, bridge_h
+from hygrokf.data.input_paths import centred
+from hygrokf.data.record import Series
+from hygrokf.data.timestamps import summer_time
 
 DAY_S = 86400.0
 GRID_S = 600.0

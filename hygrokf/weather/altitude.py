@@ -6,8 +6,8 @@ import dataclasses
 
 import numpy as np
 
-from hygrokf.psychrometrics import GAS_CONSTANT_DRY_AIR, dew_point, saturation_pressure_water
-from hygrokf.record import Record, Site
+from hygrokf.data.record import Record, Site
+from hygrokf.physics.psychrometrics import GAS_CONSTANT_DRY_AIR, dew_point, saturation_pressure_water
 
 GRAVITY = 9.80665
 """[m/s²] standard acceleration of free fall."""

@@ -17,8 +17,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
-from hygrokf.columns import TableFault
-from hygrokf.signals import suggestion
+from hygrokf.data.columns import TableFault
+from hygrokf.errors import suggestion
 
 MOST_BYTES = 2**31
 """Bytes that a file may hold, packed or unpacked: a decade of one country's grid of hourly fields is 1 GB."""

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from hygrokf.record import Record
-from hygrokf.signals import difference_from_si, signal_named
-from hygrokf.stamps import modal_step
+from hygrokf.data.record import Record
+from hygrokf.data.signals import difference_from_si, signal_named
+from hygrokf.data.timestamps import modal_step
 from hygrokf.weather.alignment import DAY_S, UNKNOWN, Alignment, Bounded, Lag, align
 
 MINUTE_S = 60.0

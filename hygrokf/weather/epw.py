@@ -14,10 +14,10 @@ from pathlib import Path
 
 import numpy as np
 
-from hygrokf.columns import TableFault
-from hygrokf.psychrometrics import dew_point, vapour_pressure
-from hygrokf.record import Record, Series, Site
-from hygrokf.signals import from_si, signal_named, to_si
+from hygrokf.data.columns import TableFault
+from hygrokf.data.record import Record, Series, Site
+from hygrokf.data.signals import from_si, signal_named, to_si
+from hygrokf.physics.psychrometrics import dew_point, vapour_pressure
 from hygrokf.weather.archive import contents
 from hygrokf.weather.fields import saturation_doubt
 

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.columns import TableFault
-from hygrokf.record import Record, Site
+from hygrokf.data.columns import TableFault
+from hygrokf.data.record import Record, Site
 from hygrokf.weather.archive import Content, contents
 from hygrokf.weather.fields import NO_HUMIDITY, Field, PointFields, point_record, short_name
 from hygrokf.weather.gridded import FAR_KM, distance_km, open_dataset, place_text, point_fields
@@ -144,7 +144,7 @@ def _csv_time(column: pandas.Series, name: str) -> np.ndarray:
     """Stamps in UTC [s]; the product's own carry no offset."""
     from datetime import UTC
 
-    from hygrokf.stamps import read_stamps
+    from hygrokf.data.timestamps import read_stamps
 
     stamps = read_stamps(column, UTC)
     wrong = stamps.unreadable | ~np.isfinite(stamps.time)

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from hygrokf.columns import TableFault
-from hygrokf.record import Record, Series, Site
-from hygrokf.signals import from_si, signal_named
-from hygrokf.stamps import duration_text, modal_step
+from hygrokf.data.columns import TableFault
+from hygrokf.data.record import Record, Series, Site
+from hygrokf.data.signals import from_si, signal_named
+from hygrokf.data.timestamps import duration_text, modal_step
 
 HOUR_S = 3600.0
 GRAVITY = 9.80665

@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.columns import TableFault
-from hygrokf.record import Site
+from hygrokf.data.columns import TableFault
+from hygrokf.data.record import Site
 from hygrokf.weather.archive import MOST_BYTES
 from hygrokf.weather.fields import Field, PointFields, altitude_of, short_name
 

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from hygrokf.columns import TableFault
-from hygrokf.masks import order_readings
-from hygrokf.record import Record, Series, Site
+from hygrokf.data.columns import TableFault
+from hygrokf.data.masks import order_readings
+from hygrokf.data.record import Record, Series, Site
 
 SAME_PLACE_DEG = 0.02
 """[deg] within which two files are of the same point: that of a reanalysis' cell is written with two digits."""

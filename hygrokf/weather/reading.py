@@ -7,9 +7,9 @@ import os
 import zipfile
 from pathlib import Path
 
-from hygrokf.columns import TableFault
-from hygrokf.masks import mask_out_of_range
-from hygrokf.record import Record, Site
+from hygrokf.data.columns import TableFault
+from hygrokf.data.masks import mask_out_of_range
+from hygrokf.data.record import Record, Site
 from hygrokf.weather.altitude import LAPSE_RATE, SAID_FROM_M, at_altitude
 from hygrokf.weather.epw import read_epw
 from hygrokf.weather.era5 import read_era5

@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from hygrokf.columns import TableFault
-from hygrokf.record import Record, Series, Site
-from hygrokf.stamps import duration_text, modal_step, stamp_text
+from hygrokf.data.columns import TableFault
+from hygrokf.data.record import Record, Series, Site
+from hygrokf.data.timestamps import duration_text, modal_step, stamp_text
 from hygrokf.weather.altitude import LAPSE_RATE
 from hygrokf.weather.joining import joined
 from hygrokf.weather.reading import form_of, read_weather_file

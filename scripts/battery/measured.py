@@ -16,8 +16,8 @@ import numpy as np
 from plants.injection import YEAR_S, inject
 from plants.saturation import concentration, saturation_pressure
 
-from hygrokf.case import read_case
-from hygrokf.record import Record, Series
+from hygrokf.cases.case_file import read_case
+from hygrokf.data.record import Record, Series
 
 DATA = Path(__file__).resolve().parents[2] / "../shared/data"
 IDENTIFIED = 2.0 / 3.0

@@ -22,7 +22,7 @@ from plants.plant import Hidden, Plant, undisturbed
 import hygrokf
 from battery.cases import Case
 from battery.measured import IDENTIFIED, absent, injected, measured
-from hygrokf.record import Record
+from hygrokf.data.record import Record
 
 ENGINES = ("discover", "choose")
 QUANTITY = {"temperature": "temperature_K", "absolute_humidity": "absolute_humidity_g_m3"}
@@ -177,7 +177,7 @@ def comparable(cause: str, truth: Mapping[str, float], volume_m3: float) -> dict
 
 # -- engines ---------------------------------------------------------------------------------------------------------
 def _discovered(record: Record, truth: list[dict], starts: int | None) -> dict:
-    from hygrokf.discovery.discover import discover
+    from hygrokf.discovery.procedure import discover
 
     results = discover(record, budget_s=math.inf, **({} if starts is None else {"starts": starts})).to_json()
     return read_discovery(results, truth)
@@ -258,9 +258,9 @@ def gained(
 
 def _chosen(record: Record, truth: list[dict], starts: int | None) -> dict:
     """Scene and choice alone: no bounds, gains on the identification period."""
-    from hygrokf.discovery.choice import choose
+    from hygrokf.discovery.baseline import rmse, scene
     from hygrokf.discovery.evidence import confidence
-    from hygrokf.discovery.scene import rmse, scene
+    from hygrokf.discovery.model_selection import choose
 
     base = scene(record, **({} if starts is None else {"starts": starts}))
     choice = choose(base)

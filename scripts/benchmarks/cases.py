@@ -7,9 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.expression import exp
-from hygrokf.likelihood import Likelihood
-from hygrokf.mechanisms import (
+from hygrokf.engine.timeline import timeline
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.physics.expression import exp
+from hygrokf.physics.mechanisms import (
     heat_disturbance,
     heat_release,
     humidity_sensor,
@@ -21,11 +22,10 @@ from hygrokf.mechanisms import (
     thermal_network,
     vapour_disturbance,
 )
-from hygrokf.mechanisms.hygric import exchange_factor
-from hygrokf.model import compose
-from hygrokf.parameters import Parameter
-from hygrokf.psychrometrics import saturation_pressure_water
-from hygrokf.timeline import timeline
+from hygrokf.physics.mechanisms.hygric import exchange_factor
+from hygrokf.physics.model import compose
+from hygrokf.physics.parameters import Parameter
+from hygrokf.physics.psychrometrics import saturation_pressure_water
 
 STEP_H = 1.0 / 6.0
 MISSING = 0.05

@@ -12,14 +12,14 @@ import numpy as np
 
 from benchmarks import cases
 from benchmarks.measure import Figure, Times, repeated, timed
-from hygrokf.confidence import uncertainty, wald_bounds
-from hygrokf.fitting import Objective, maximise
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.estimation.confidence import uncertainty, wald_bounds
+from hygrokf.estimation.optimiser import Objective, maximise
 from hygrokf.fleet.cluster import batches, on_cluster
 from hygrokf.fleet.job import DONE, Job
 from hygrokf.fleet.plan import read_plan
 from hygrokf.fleet.processes import cores, in_processes
 from hygrokf.fleet.tasks import perform
-from hygrokf.synthetic import synthetic_turbine, write_case
 
 INSTANTS = 8_000
 DAYS = 25.2

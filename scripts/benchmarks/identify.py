@@ -16,9 +16,9 @@ import numpy as np
 
 from benchmarks import cases, rivals
 from benchmarks.measure import Figure, Times, interleaved, ratio, repeated, timed
-from hygrokf.confidence import profile, standard_error, uncertainty
-from hygrokf.fitting import Estimate, Objective, maximise
-from hygrokf.likelihood import Likelihood
+from hygrokf.estimation.confidence import profile, standard_error, uncertainty
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import Estimate, Objective, maximise
 
 SIZES = (26_000, 262_000)
 QUICK_SIZES = (2_600, 26_000)
@@ -183,7 +183,7 @@ def command_line(quick: bool) -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         cache = str(Path(folder) / "kernels")
         environment = {**os.environ, "HYGROKF_CACHE": cache}
-        hygrokf = [sys.executable, "-m", "hygrokf.cli"]
+        hygrokf = [sys.executable, "-m", "hygrokf.commands.main"]
         runs = [_children([*hygrokf, "--help"], environment) for _ in range(3 if quick else 9)]
         fault = next((done for _, done in runs if done.returncode), None)
         if fault is not None:
@@ -192,7 +192,7 @@ def command_line(quick: bool) -> Iterator[Figure]:
         yield timed("command", "hygrokf --help", "s", Times(np.array([s for s, _ in runs])), at_most=0.5)
         if quick:
             return
-        from hygrokf.synthetic import synthetic_turbine, write_case
+        from hygrokf.cases.synthetic import synthetic_turbine, write_case
 
         made = write_case(synthetic_turbine(seed=1), folder)
         fit_it = [*hygrokf, "fit", str(made), "--out", str(Path(folder) / "fit")]

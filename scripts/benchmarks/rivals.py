@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from benchmarks.cases import STEP_H, VAPOUR, Case
-from hygrokf.discretisation import VARYING_RATES
+from hygrokf.engine.discretisation import VARYING_RATES
 
 LOG_2PI = math.log(2.0 * math.pi)
 SONNTAG = (-6096.9385, 16.635794 + math.log(100.0), -2.711193e-2, 1.673952e-5, 2.433502)

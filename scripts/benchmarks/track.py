@@ -21,17 +21,17 @@ from brokers import Mosquitto, mosquitto
 
 from benchmarks import track_cases as cases
 from benchmarks.measure import Figure, Times, interleaved, timed
-from hygrokf.drivers import run
-from hygrokf.likelihood import Gaussian
+from hygrokf.estimation.batch_filter import SideBySide
+from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live import service as loop
-from hygrokf.live.broker import Broker
-from hygrokf.live.fleet import Delivery, Fleet, Turbine, conditions
-from hygrokf.live.mqtt import Mqtt
 from hygrokf.live.plan import Form, plan
 from hygrokf.live.service import Service
-from hygrokf.live.store import open_store
+from hygrokf.live.sources.broker import Broker
+from hygrokf.live.sources.mqtt import Mqtt
+from hygrokf.live.storage.store import open_store
 from hygrokf.live.tracker import whole
-from hygrokf.side_by_side import SideBySide
+from hygrokf.live.turbines import Delivery, Fleet, Turbine, conditions
+from hygrokf.modelling.inputs import run
 
 PUBLISHER = Path(__file__).with_name("publisher.py")
 ROOT = Path(__file__).resolve().parents[2]

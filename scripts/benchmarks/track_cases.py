@@ -9,16 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from hygrokf.design import CASCADE, design, merged
-from hygrokf.fit import Fit
-from hygrokf.live.fleet import Delivery, Fleet, Turbine
+from hygrokf.data.record import Record, Series, Site
+from hygrokf.data.signals import SIGNALS
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.results import write_fit
 from hygrokf.live.plan import WANDERING, Form, plan
-from hygrokf.live.store import Store
-from hygrokf.live.streams import record_mapping
-from hygrokf.psychrometrics import relative_humidity
-from hygrokf.record import Record, Series, Site
-from hygrokf.results import write_fit
-from hygrokf.signals import SIGNALS
+from hygrokf.live.sources.streams import record_mapping
+from hygrokf.live.storage.store import Store
+from hygrokf.live.turbines import Delivery, Fleet, Turbine
+from hygrokf.modelling.design import CASCADE, design, merged
+from hygrokf.physics.psychrometrics import relative_humidity
 from hygrokf.version import __version__
 
 STEP_S = 600.0

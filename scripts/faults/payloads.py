@@ -13,7 +13,7 @@ from brokers import mosquitto, peer, publish
 from faults.outcome import Outcome
 from faults.plant import Message, Plant, counted, stored
 from faults.tracker import mqtt_source, tracking, unacknowledged, until
-from hygrokf.live.payload import DEEPEST, LARGEST
+from hygrokf.live.sources.payload import DEEPEST, LARGEST
 
 NAMES = (
     "<script>alert(1)</script>", "T1<img src=x onerror=alert(1)>", "T1\x00", "T1\r\n", "\x1b[31mT1", "T1\u202e", "t1", " T1", "T1 ",

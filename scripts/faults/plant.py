@@ -12,12 +12,12 @@ from pathlib import Path
 from live_case import expect_offline, live_fit, live_record
 
 from faults.outcome import Outcome
+from hygrokf.data.record import Record, Series
+from hygrokf.data.signals import SIGNALS
+from hygrokf.identification.results import write_fit
 from hygrokf.live.config import read_config
-from hygrokf.live.store import StoreFault, open_store
-from hygrokf.live.streams import record_messages
-from hygrokf.record import Record, Series
-from hygrokf.results import write_fit
-from hygrokf.signals import SIGNALS
+from hygrokf.live.sources.streams import record_messages
+from hygrokf.live.storage.store import StoreFault, open_store
 
 LATENESS_S = 1800.0
 Message = tuple[str, bytes]

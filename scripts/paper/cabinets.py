@@ -16,8 +16,8 @@ from plants.drivers import Drivers, minutes
 from plants.loggers import Logging
 from plants.plant import Plant, build_plant
 
-from hygrokf.psychrometrics import absolute_humidity
-from hygrokf.record import Record, Series
+from hygrokf.data.record import Record, Series
+from hygrokf.physics.psychrometrics import absolute_humidity
 from paper.published import TIME_CONSTANTS_H
 from paper.sites import STEP_S, Site
 

@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
-from hygrokf.console import UserFault, expect_directory, system_words
-from hygrokf.drawing import png, svg
-from hygrokf.files import write_bytes_whole
-from hygrokf.results import dump
+from hygrokf.commands.console import UserFault, expect_directory, system_words
+from hygrokf.data.files import write_bytes_whole
+from hygrokf.identification.results import dump
+from hygrokf.report.figures.drawing import png, svg
 from paper import published
 from paper.experiments import Outcome, Plan, experiments, plain
 from paper.figures import Drawn, all_figures

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from plants.plant import Plant
 
-from hygrokf.record import Record
+from hygrokf.data.record import Record
 from paper.cabinets import (
     INDIVIDUAL,
     LocalAir,

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.drawing import INK, MEASURED, QUIET, RULE, SIMULATED, new_figure, styled
-from hygrokf.plots import figure_excerpts, figure_humidity, figure_temperature
-from hygrokf.wording import SCORED
+from hygrokf.identification.wording import SCORED
+from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, RULE, SIMULATED, new_figure, styled
+from hygrokf.report.figures.overview import figure_excerpts, figure_humidity, figure_temperature
 from paper.experiments import Outcome
 from paper.models import CRITERIA, FREE_RUN, LIKELIHOOD
 from paper.tables import SPREAD, UNITS, WORDS, published_total, totals

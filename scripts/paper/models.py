@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.design import CASCADE, Design, read_as
-from hygrokf.drivers import Run, run
-from hygrokf.fit import Fit
-from hygrokf.identification import assembled, identified
-from hygrokf.record import Record
-from hygrokf.scoring import baselines, scores
-from hygrokf.simulation import Prediction, free_run, measured
-from hygrokf.stage import output_errors
+from hygrokf.data.record import Record
+from hygrokf.evaluation.scoring import baselines, scores
+from hygrokf.evaluation.simulation import Prediction, free_run, measured
+from hygrokf.identification.estimation import output_errors
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.procedure import assembled, identified
+from hygrokf.modelling.design import CASCADE, Design, read_as
+from hygrokf.modelling.inputs import Run, run
 
 Say = Callable[[str], None]
 LIKELIHOOD = "likelihood"
@@ -83,7 +83,7 @@ def simulate(
 
 
 def _series(made: Run, predicted: Prediction, record: Record) -> dict[str, np.ndarray]:
-    """The arrays that the figures of hygrokf.plots read, as in series.npz."""
+    """The arrays that the figures of hygrokf.report.figures.overview read, as in series.npz."""
     t, known = made.timeline, measured(made)
     nothing = np.full(len(t), np.nan)
     arrays = {

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from html import escape
 
-from hygrokf.page import document, figure_html, section, tables_html
+from hygrokf.identification.wording import SCORED, fixed
+from hygrokf.report.html import document, figure_html, section, tables_html
 from hygrokf.version import __version__
-from hygrokf.wording import SCORED, fixed
 from paper.figures import Drawn
 from paper.models import CRITERIA
 from paper.tables import SIMULATED_NOTE, SPREAD, UNITS, WORDS, all_tables, published_total, totals

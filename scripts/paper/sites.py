@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from plants.uk import ten_minute_power
 
-from hygrokf.psychrometrics import absolute_humidity_from_dew_point
+from hygrokf.physics.psychrometrics import absolute_humidity_from_dew_point
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -148,7 +148,7 @@ def eave_deviations(folder: Path) -> list[dict[str, float]]:
     """How loggers outside three Finnish houses differ from the weather station in absolute humidity (relative, ln)."""
     import pandas as pd
 
-    from hygrokf.psychrometrics import absolute_humidity
+    from hygrokf.physics.psychrometrics import absolute_humidity
 
     rows = []
     for name, side in EAVES.items():

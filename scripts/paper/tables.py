@@ -7,8 +7,8 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 
-from hygrokf.report_tables import REGIMES, Table
-from hygrokf.wording import NONE, SCORED, fixed, percent, plain_number
+from hygrokf.identification.wording import NONE, SCORED, fixed, percent, plain_number
+from hygrokf.report.fit_tables import REGIMES, Table
 from paper.models import CRITERIA, FREE_RUN, LIKELIHOOD
 
 SIMULATED_NOTE = (

@@ -12,7 +12,7 @@ from other_make.as_record import to_record as record_of_other_make
 from plants import DISTURBANCES, plant
 from plants.as_record import to_record
 
-from hygrokf.record import Record
+from hygrokf.data.record import Record
 
 Entry = Mapping
 """One of a fit's `time_constants`."""

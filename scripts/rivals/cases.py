@@ -13,8 +13,8 @@ from battery.trial import identified_until
 from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
-from hygrokf.case import read_case
-from hygrokf.record import Record
+from hygrokf.cases.case_file import read_case
+from hygrokf.data.record import Record
 
 FIRST_SEED = 97000
 DAYS = 90.0

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 from scipy.stats import chi2
 
-from hygrokf.discovery.choice import with_trial
+from hygrokf.discovery.baseline import Scene
+from hygrokf.discovery.candidate import Trial, attempt
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.scene import Scene
-from hygrokf.discovery.trial import Trial, attempt
+from hygrokf.discovery.model_selection import with_trial
 
 LEVEL = 0.05
 LIMIT_S = 45.0

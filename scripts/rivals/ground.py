@@ -8,14 +8,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.ambient import ambient_absolute_humidity
-from hygrokf.design import merged
+from hygrokf.data.ambient import ambient_absolute_humidity
+from hygrokf.data.record import Record, Series
+from hygrokf.discovery.baseline import HYGRIC, Scene, scene
 from hygrokf.discovery.held_out import Model, model_of
-from hygrokf.discovery.scene import HYGRIC, Scene, scene
-from hygrokf.drivers import run
-from hygrokf.features import clear_sky
-from hygrokf.record import Record, Series
-from hygrokf.simulation import measured
+from hygrokf.evaluation.simulation import measured
+from hygrokf.modelling.derived_inputs import clear_sky
+from hygrokf.modelling.design import merged
+from hygrokf.modelling.inputs import run
 
 TEMPERATURE, HUMIDITY = "temperature_K", "absolute_humidity_g_m3"
 STARTS = 4

@@ -6,8 +6,8 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from hygrokf.discovery.discover import discover
 from hygrokf.discovery.held_out import model_of
+from hygrokf.discovery.procedure import discover
 from rivals.forward import LIMIT_S, log_p, search
 from rivals.ground import Ground
 from rivals.network import corrected

@@ -8,16 +8,21 @@ import numpy as np
 from plants.as_record import to_record
 from plants.plant import Plant
 
-from hygrokf.checks import mask
-from hygrokf.fit import Fit
-from hygrokf.identification import identify
-from hygrokf.likelihood import Gaussian
+from hygrokf.cases.summary import mask
+from hygrokf.data.record import Record
+from hygrokf.estimation.likelihood import Gaussian
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.procedure import identify
 from hygrokf.live.condition import FREEZING_K, Surface
-from hygrokf.live.outlook import DAYS, Outlook, persistence
 from hygrokf.live.plan import Form, Plan, plan
+from hygrokf.live.scenarios import DAYS, Outlook, persistence
 from hygrokf.live.tracker import Course, Point, whole
-from hygrokf.psychrometrics import GAS_CONSTANT_VAPOUR, dew_point, frost_point, saturation_pressure_water
-from hygrokf.record import Record
+from hygrokf.physics.psychrometrics import (
+    GAS_CONSTANT_VAPOUR,
+    dew_point,
+    frost_point,
+    saturation_pressure_water,
+)
 
 DAY_S = 86400.0
 SURFACE = Surface(follows=0.6, offset_K=0.0)

@@ -12,8 +12,9 @@ from battery.rates import rate
 from plants import DISTURBANCES, plant
 from plants.as_record import to_record
 
-from hygrokf.case import read_case
-from hygrokf.live.fleet import PROPERTY_S
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import SyntheticParameters, synthetic_turbine, write_case
+from hygrokf.data.record import Record, Series
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import (
     HUMIDITIES,
@@ -24,8 +25,7 @@ from hygrokf.live.properties import (
     states_of,
 )
 from hygrokf.live.tracker import Course, whole
-from hygrokf.record import Record, Series
-from hygrokf.synthetic import SyntheticParameters, synthetic_turbine, write_case
+from hygrokf.live.turbines import PROPERTY_S
 from trials.cabinets import DAY_S, identified, plan_of
 
 PLANT_LEARNT_DAYS, PLANT_DAYS = 60.0, 240.0

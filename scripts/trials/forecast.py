@@ -10,7 +10,7 @@ from plants import plant
 
 from hygrokf.live.condition import probability_above, probability_below
 from hygrokf.live.forecast import ahead, mixture
-from hygrokf.live.outlook import HORIZON_S, NoOutlook
+from hygrokf.live.scenarios import HORIZON_S, NoOutlook
 from trials.cabinets import DAY_S, SURFACE, tracked, truth
 
 LEARNT_DAYS = 60.0

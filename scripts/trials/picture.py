@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hygrokf.drawing import INK, MEASURED, QUIET, new_figure, png, styled
+from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, new_figure, png, styled
 from trials.forecast import EVENTS, Forecasts, reliability
 
 SHOWN = ("RH > 50 %", "RH > 60 %", "RH > 70 %", "RH > 80 %")

@@ -13,7 +13,7 @@ from plants.operation import turbine_operation
 from plants.outdoors import with_fronts
 
 from hygrokf.live.forecast import LONGEST_H, STAYS_H, restart
-from hygrokf.live.outlook import NoOutlook
+from hygrokf.live.scenarios import NoOutlook
 from trials.cabinets import DAY_S, SURFACE, tracked, truth
 
 LIMIT = 0.6

@@ -9,10 +9,10 @@ import numpy as np
 from battery.rates import Rate
 from plants import plant
 
+from hygrokf.data.masks import SATURATED
 from hygrokf.live.condition import Condition, condition, only
 from hygrokf.live.forecast import moments_ahead
-from hygrokf.live.outlook import HORIZON_S, NoOutlook, Outlook
-from hygrokf.masks import SATURATED
+from hygrokf.live.scenarios import HORIZON_S, NoOutlook, Outlook
 from trials.cabinets import DAY_S, Surface, Tracked, tracked, truth
 from trials.forecast import between_plants
 

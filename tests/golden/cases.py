@@ -23,13 +23,13 @@ from typing import Any
 
 import numpy as np
 
-from hygrokf import machine
-from hygrokf.cli import main
-from hygrokf.discovery.discover import discover
-from hygrokf.discovery.page import write_discovery_report
-from hygrokf.discovery.words import discovery_text
-from hygrokf.record import Record
-from hygrokf.synthetic import synthetic_turbine, write_case
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.commands.main import main
+from hygrokf.data.record import Record
+from hygrokf.discovery.procedure import discover
+from hygrokf.engine import jit
+from hygrokf.report.discovery_page import write_discovery_report
+from hygrokf.report.discovery_text import discovery_text
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -188,17 +188,17 @@ def in_folder(folder: Path) -> Iterator[None]:
 def compiled_texts() -> Iterator[set[str]]:
     """Digests of all texts that are given to the compiler meanwhile, also those that are compiled already."""
     found: set[str] = set()
-    real = machine.Code.__init__
+    real = jit.Code.__init__
 
-    def noted(self: machine.Code, text: str, functions: Sequence[str]) -> None:
+    def noted(self: jit.Code, text: str, functions: Sequence[str]) -> None:
         found.add(hashlib.sha256(text.encode()).hexdigest()[:16])
         real(self, text, functions)
 
-    machine.Code.__init__ = noted
+    jit.Code.__init__ = noted
     try:
         yield found
     finally:
-        machine.Code.__init__ = real
+        jit.Code.__init__ = real
 
 
 def turbine(days: float, *names: str, seed: int = 31) -> Callable[[Path], None]:
@@ -224,9 +224,9 @@ def playback(folder: Path) -> str:
     from live_case import live_record, live_turbine
 
     from hygrokf.live.service import Service
-    from hygrokf.live.store import open_store
-    from hygrokf.live.streams import Playback, record_mapping, record_messages
-    from hygrokf.live.views import turbine_view
+    from hygrokf.live.sources.streams import Playback, record_mapping, record_messages
+    from hygrokf.live.storage.store import open_store
+    from hygrokf.live.web.views import turbine_view
 
     record = live_record(folder / "T1", seed=61, days=10.0)
     stream = Playback("replay:", record_messages(record, "T1"), record_mapping(record, "T1"), 0.0)

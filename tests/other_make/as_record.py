@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 
-from hygrokf.record import Record, Series, Site
+from hygrokf.data.record import Record, Series, Site
 from other_make.loggers import Channel
 from other_make.plant import Plant
 

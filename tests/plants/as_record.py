@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hygrokf.record import Record, Series, Site
+from hygrokf.data.record import Record, Series, Site
 from plants.loggers import PlantSeries
 from plants.plant import Plant
 

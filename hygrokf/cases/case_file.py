@@ -1,0 +1,394 @@
+"""The case file: which files, columns, units and clocks make up a record."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hygrokf.cases.doubts import IDENTIFIABLE, no_overlap
+from hygrokf.cases.form import StatedCase, StatedColumn, StatedSource, stated_case
+from hygrokf.cases.keys import CaseLines
+from hygrokf.cases.summary import mask
+from hygrokf.cases.weather_form import StatedWeather
+from hygrokf.data.columns import Table, TableFault
+from hygrokf.data.masks import detect_resolution, order_readings
+from hygrokf.data.record import Record, Series
+from hygrokf.data.signals import difference_to_si, to_si, unit_mistaken
+from hygrokf.data.table_readers import read_table
+from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text, summer_time_holes
+from hygrokf.errors import HygrokfError, suggestion
+from hygrokf.weather.joining import follows, joined
+from hygrokf.weather.reading import read_weather_file
+
+
+class CaseFault(HygrokfError):
+    """A case that cannot be read; `faults` lists every reason, the message all of them."""
+
+    def __init__(self, case: str, faults: Iterable[str]) -> None:
+        self.faults = tuple(faults)
+        count = f"{len(self.faults)} fault{'s' if len(self.faults) != 1 else ''}"
+        listed = (f"  {number}. {fault}" for number, fault in enumerate(self.faults, 1))
+        super().__init__("\n".join([f"{case}: {count}", *listed]))
+
+
+def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bool = True) -> Record:
+    """Record of a case file: sources read, units in SI, clocks in UTC, doubtful readings masked.
+
+    path: the TOML file; the files it names are relative to it. docs/case_file.md has its form.
+    cabinet: whether there must be a cabinet signal to identify; False for drivers alone.
+    ambient: whether there must be an ambient temperature; False for a power alone.
+
+    What was masked or repaired is in the record's `warnings`.
+    Raises CaseFault with all faults of the case file and of every source.
+    """
+    file = Path(path)
+    text, content = _case_text(file)
+    case, faults = stated_case(content, CaseLines(file.name, text), file.stem)
+
+    def table(source: StatedSource) -> Table:
+        columns = [one.column for one in source.columns]
+        return read_table(file.parent / source.file, columns, source.time, **source.reading)
+
+    def weather(stated: StatedWeather) -> Record:
+        return _weather(stated, file.parent, case)
+
+    return record_of(case, faults, table, str(path), weather=weather, cabinet=cabinet, ambient=ambient)
+
+
+def record_of(
+    case: StatedCase,
+    faults: Sequence[str],
+    table: Callable[[StatedSource], Table],
+    head: str,
+    *,
+    weather: Callable[[StatedWeather], Record] | None = None,
+    cabinet: bool,
+    ambient: bool,
+) -> Record:
+    """Record of what a case states, wherever its tables are: units in SI, clocks in UTC, doubtful readings masked.
+
+    case: as stated. faults: of its form. table: the readings of a source; raises TableFault. head: what the message of a
+    CaseFault begins with. weather: what a weather file brings, where the case names any; raises TableFault.
+    cabinet, ambient: as for `read_case`.
+
+    Raises CaseFault with all faults.
+    """
+    faults = [*faults, *_undeclared(case, cabinet, ambient)]
+    series: list[Series] = []
+    compared: list[Series] = []
+    warnings: list[str] = []
+    provenance: dict[str, str] = {}
+    whole = True
+    for source in case.sources:
+        try:
+            read = table(source)
+        except TableFault as broken:
+            faults += [f"{source.file}: {fault}" for fault in broken.faults]
+            whole = False
+            continue
+        if read.sha256:
+            provenance[source.file] = read.sha256
+        found, said, wrong = _source_series(source, read, case.rated_power_W)
+        warnings += [f"{source.file}: {one}" for one in said]
+        faults += [f"{source.file}: {one}" for one in wrong]
+        (compared if source.compare else series).extend(found)
+        whole = whole and not wrong
+    reads: list[tuple[StatedWeather, Record]] = []
+    if weather is not None:
+        reads, said, wrong = _weathers(case, weather)
+        warnings += said
+        faults += wrong
+        whole = whole and not wrong
+    for stated, read in reads:
+        provenance.update(read.provenance)
+        used = set(case.declared) | {one.signal for one in series}
+        series += [one for one in read.series if not stated.compare and one.signal not in used]
+        compared += [one for one in read.series if stated.compare or one.signal in used]
+    unique = {one.signal: one for one in series}
+    second = {one.signal: one for one in reversed(compared)}
+    faults += no_overlap(tuple(unique.values()))
+    record = Record(
+        case.name,
+        tuple(unique.values()),
+        case.site,
+        case.rated_power_W,
+        warnings=tuple(warnings),
+        compared=tuple(second.values()),
+    )
+    if whole and series:
+        faults += _period_faults(record, case)
+    if faults:
+        raise CaseFault(head, faults)
+    record = dataclasses.replace(record, until_s=case.until_s, provenance=tuple(provenance.items()))
+    if case.start_s is not None:
+        record = record.window(case.start_s, math.inf)
+    record = mask(record)
+    faults = _emptied(record, cabinet, ambient)
+    if faults:
+        raise CaseFault(head, faults)
+    return record
+
+
+def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
+    """Faults of a case that does not name the signals that a model needs."""
+    name, signal = case.lines.name, case.lines.signal
+    faults = []
+    unheard = "ambient_temperature" not in case.declared and all(one.compare for one in case.weather)
+    if ambient and unheard:
+        faults.append(
+            f"{name}: no source names {signal('ambient_temperature')}, the input that no model goes without"
+        )
+    if cabinet and not any(one in case.declared for one in IDENTIFIABLE):
+        faults.append(
+            f"{name}: nothing in the cabinet to identify; expected one of "
+            f"{', '.join(signal(one) for one in IDENTIFIABLE)}"
+        )
+    return faults
+
+
+def _weathers(
+    case: StatedCase, weather: Callable[[StatedWeather], Record]
+) -> tuple[list[tuple[StatedWeather, Record]], list[str], list[str]]:
+    """What the weather files bring, those that follow each other joined; warnings, faults."""
+    reads: list[tuple[StatedWeather, Record]] = []
+    warnings: list[str] = []
+    faults: list[str] = []
+    for stated in case.weather:
+        try:
+            read = weather(stated)
+        except TableFault as broken:
+            faults += [f"{stated.file}: {fault}" for fault in broken.faults]
+            continue
+        warnings += [f"{stated.file}: {one}" for one in read.warnings]
+        read = dataclasses.replace(read, warnings=())
+        for place, (before, earlier) in enumerate(reads):
+            # one file a year, say: the second goes on where the first ends
+            if (before.format, before.compare) == (stated.format, stated.compare) and follows(earlier, read):
+                try:
+                    made = joined((earlier, read), earlier.name)
+                except TableFault as broken:
+                    faults += [f"{before.file} and {stated.file}: {fault}" for fault in broken.faults]
+                    break
+                warnings += [f"{before.file} and {stated.file}: {one}" for one in made.warnings]
+                reads[place] = (before, dataclasses.replace(made, warnings=()))
+                break
+        else:
+            reads.append((stated, read))
+    return reads, warnings, faults
+
+
+def _case_text(file: Path) -> tuple[str, dict[str, Any]]:
+    """Text and content of the case file."""
+    try:
+        text = file.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        near = [one.name for one in file.parent.glob("*.toml")] if file.parent.is_dir() else []
+        raise CaseFault(str(file), [f"no such case file{suggestion(file.name, near)}"]) from None
+    except OSError as refused:
+        raise CaseFault(str(file), [f"cannot be read: {refused.strerror or refused}"]) from None
+    except UnicodeDecodeError:
+        if file.suffix.lower() in _TABLES:
+            raise CaseFault(str(file), [f"is a table, {_EXPECTED}"]) from None
+        raise CaseFault(str(file), ["expected TOML text in UTF-8, found other bytes"]) from None
+    try:
+        return text, tomllib.loads(text.replace("\r\n", "\n"))
+    except tomllib.TOMLDecodeError as wrong:
+        other = _other_than_case(file, text)
+        if other:
+            raise CaseFault(str(file), [other]) from None
+        raise CaseFault(str(file), [_syntax_fault(str(wrong), text)]) from None
+
+
+_EXPECTED = "expected a case file that names it (docs/case_file.md)"
+_TABLES = (".csv", ".tsv", ".txt", ".dat", ".parquet", ".nc", ".xlsx")
+
+
+def _other_than_case(file: Path, text: str) -> str:
+    """What a file is that is no TOML, where it can be told: a result, or a table."""
+    if text.lstrip().startswith("{"):
+        try:
+            held = json.loads(text)
+        except (ValueError, RecursionError):
+            held = None
+        if isinstance(held, dict):
+            if {"design", "parameters"} <= set(held):
+                return "is a result of `hygrokf fit`, expected a case file (docs/case_file.md)"
+            return "is JSON, expected a case file (docs/case_file.md)"
+    return f"is a table, {_EXPECTED}" if file.suffix.lower() in _TABLES else ""
+
+
+def _syntax_fault(reason: str, text: str) -> str:
+    """What is wrong with the TOML, with its line."""
+    found = re.search(r"\(at line (\d+), column (\d+)\)", reason)
+    reason = re.sub(r"\s*\(at [^)]*\)$", "", reason)
+    if "('source',)" in reason:
+        reason += "; write [[source]] with two brackets, once for each file"
+    if found is not None:
+        number, where = int(found[1]), f"line {found[1]}, column {found[2]}"
+    else:
+        # The parser gives no line at the end of the document.
+        number = len(text.rstrip().splitlines())
+        where = f"line {number}, at the end"
+    line = text.splitlines()[number - 1 : number]
+    shown = f", in: {line[0].strip()[:80]}" if line else ""
+    return f"{where}: not valid TOML: {reason}{shown}"
+
+
+def _weather(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
+    """What a weather file brings; its record named as the case file names the file."""
+    read = read_weather_file(
+        folder / stated.file,
+        stated.format,
+        site=case.site,
+        year=stated.year,
+        altitude_m=stated.altitude_m,
+        to_site_altitude=stated.to_site_altitude,
+        lapse_rate=stated.lapse_rate,
+    )
+    name = Path(stated.file).name
+    return dataclasses.replace(
+        read,
+        series=tuple(
+            dataclasses.replace(
+                one,
+                time=one.time + stated.clock_correction_s,
+                clock_uncertainty_s=stated.clock_uncertainty_s,
+                source=stated.file + one.source.removeprefix(name),
+            )
+            for one in read.series
+        ),
+        provenance=tuple((stated.file, digest) for _, digest in read.provenance),
+    )
+
+
+def _source_series(
+    source: StatedSource, table: Table, rated_W: float | None
+) -> tuple[list[Series], list[str], list[str]]:
+    """Series of a source, warnings, faults."""
+    warnings = list(table.warnings)
+    time, values, said = order_readings(table.time, table.values)
+    if not any("summer-time" in one for one in warnings):
+        warnings += summer_time_holes(np.sort(table.time))
+    warnings += said
+    faults: list[str] = []
+    step, regular = modal_step(time)
+    found = []
+    for one in source.columns:
+        raw = values[one.column]
+        wrong = unit_mistaken(raw, one.unit, one.signal)
+        if wrong is None and one.signal.name == "active_power" and rated_W is not None:
+            wrong, hint = _power_mistaken(one, raw, rated_W)
+            warnings += [hint] if hint else []
+        if wrong is not None:
+            faults.append(f'column "{one.column}": {wrong}')
+            continue
+        hold = source.hold
+        if hold is None:
+            # Between two directions the straight line may pass through all of the others.
+            turning = one.signal.dimension == "angle"
+            hold = "linear" if source.stamp == "instant" and not turning else "zero-order"
+        length = source.interval_s
+        if length is None and (source.stamp != "instant" or hold == "zero-order"):
+            if not regular >= 0.5:
+                faults.append(_no_step(source, step, regular))
+                break
+            length = step
+        moved, length = _end_of_interval(time + source.clock_correction_s, length or 0.0, source.stamp, hold)
+        settings = dict(one.settings)
+        if "resolution" not in settings:
+            settings["resolution"] = difference_to_si(detect_resolution(raw), one.unit, one.signal)
+        try:
+            found.append(
+                Series(
+                    one.signal.name,
+                    moved,
+                    to_si(raw, one.unit, one.signal),
+                    hold,
+                    length,
+                    clock_uncertainty_s=source.clock_uncertainty_s,
+                    source=f'{source.file}, column "{one.column}"',
+                    **settings,
+                )
+            )
+        except ValueError as impossible:
+            faults.append(f'column "{one.column}": {impossible}')
+    if source.interval_s is not None and source.interval_s > 1.5 * step:
+        warnings.append(
+            f"interval = {duration_text(source.interval_s)} is longer than the step of "
+            f"{duration_text(step)}: means of overlapping intervals are no independent readings"
+        )
+    return found, warnings, faults
+
+
+def _no_step(source: StatedSource, step: float, regular: float) -> str:
+    found = "there is only one stamp"
+    if math.isfinite(step):
+        found = f"only {100 * regular:.0f} % of the steps are {duration_text(step)}"
+    return (
+        f"the length of the interval averaged over is not to be seen from the stamps ({found}): "
+        'state it, such as interval = "10min"'
+    )
+
+
+def _end_of_interval(time: np.ndarray, length: float, stamp: str, hold: str) -> tuple[np.ndarray, float]:
+    """Times as a Series has them, and the interval's length [s]."""
+    shift = {"instant": 0.0, "start": length, "middle": 0.5 * length, "end": 0.0}[stamp]
+    if hold == "linear":
+        # A mean to be joined by straight lines stands in the middle of its interval.
+        return time + (0.0 if stamp == "instant" else shift - 0.5 * length), 0.0
+    return time + shift, length
+
+
+def _power_mistaken(one: StatedColumn, raw: np.ndarray, rated_W: float) -> tuple[str | None, str | None]:
+    """Power that does not go with the rated power: a fault if impossible, a warning if doubtful."""
+    finite = to_si(raw[np.isfinite(raw)], one.unit, one.signal)
+    if not len(finite):
+        return None, None
+    high = float(np.quantile(finite, 0.995))
+    text = (
+        f"{one.signal.name} is called {one.unit} and reaches {high / 1e3:.4g} kW, "
+        f"{high / rated_W:.3g} times the rated {rated_W / 1e3:g} kW"
+    )
+    if high > 10.0 * rated_W:
+        return f"{text}: correct its unit or rated_power_kW", None
+    if high > 1.3 * rated_W or 1e-4 < high / rated_W < 2e-3:
+        return None, f"{text}: are its unit and rated_power_kW right?"
+    return None, None
+
+
+def _period_faults(record: Record, case: StatedCase) -> list[str]:
+    faults = []
+    for key, value in (("start", case.start_s), ("until", case.until_s)):
+        if value is not None and not record.start_s < value < record.end_s:
+            faults.append(
+                f"{case.lines.at(None, key)}: {key} = {stamp_text(value)} is outside of the record "
+                f"({period_text(record.start_s, record.end_s)})"
+            )
+    return faults
+
+
+def _emptied(record: Record, cabinet: bool, ambient: bool) -> list[str]:
+    """Faults of a record that has no reading left where a model needs some."""
+    faults = []
+    needed = [("ambient_temperature",)] if ambient else []
+    if cabinet:
+        needed.append(tuple(signal for signal in IDENTIFIABLE if signal in record))
+    for signals in needed:
+        there = [signal for signal in signals if signal in record]
+        if not any(np.isfinite(record[signal].value).any() for signal in there):
+            named = ", ".join(signals) or "the cabinet"
+            said = [one for one in record.warnings if any(one.startswith(s) for s in signals)]
+            faults.append(
+                f"no reading of {named} can be used"
+                + (f": {'; '.join(said)}" if said else "; the columns hold no number")
+            )
+    return faults

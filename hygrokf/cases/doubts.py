@@ -1,0 +1,382 @@
+"""What a sceptic would ask about a record: doubts, one sentence each; none of them is a fault."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hygrokf.data.masks import out_of_range, range_sentence
+from hygrokf.data.record import Record, Series
+from hygrokf.data.signals import signal_named, unit_mistaken
+from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text
+from hygrokf.modelling.design import PARTS
+from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
+from hygrokf.weather.alignment import FEWEST_D
+from hygrokf.weather.clocks import NOT_COMPARED, ClockError, alignments, clock_errors, clock_sentences
+
+_DAY = 86400.0
+_SHORT_RECORD_D = 14.0
+_SHORT_VALIDATION_D = 7.0
+_SOLAR_LAG_MIN = 20.0
+_FEWEST_IN_COMMON = 20
+_OLDEST_S = 10 * 365.25 * _DAY
+"""[s] before which, in the seventies, no turbine was logged."""
+IDENTIFIABLE = (
+    "cabinet_temperature",
+    "cabinet_relative_humidity",
+    "cabinet_absolute_humidity",
+    "cabinet_dew_point_temperature",
+)
+"""Signals of the cabinet that a model can be identified from."""
+
+
+class Doubt(str):
+    """A sentence of doubt about a record, and the time constants ("thermal", "hygric") that it puts in question."""
+
+    touches: tuple[str, ...]
+
+    def __new__(cls, text: str, *touches: str) -> Doubt:
+        made = super().__new__(cls, text)
+        made.touches = touches
+        return made
+
+
+def doubted(said: Sequence[str]) -> dict[str, list[str]]:
+    """Of doubts those that put each time constant in question."""
+    return {
+        part: [str(one) for one in said if isinstance(one, Doubt) and part in one.touches] for part in PARTS
+    }
+
+
+def all_doubts(record: Record, clocks: Sequence[ClockError] | None = None) -> tuple[str, ...]:
+    """The `doubts` about a record, and before them those of the sources that are compared.
+
+    record: any. clocks: errors of clocks, where they are known already.
+    """
+    if clocks is None:
+        clocks = clock_errors(alignments(record))
+    south = record.site is not None and record.site.latitude_deg < 0.0
+    off = (Doubt(one, *PARTS) for one in clock_sentences(clocks, south))
+    return (*off, *_uncompared(record, clocks), *doubts(record))
+
+
+def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
+    """Files that are there to be compared, and have too little time in common with what is used."""
+    done = {one.signal for error in clocks for one in error.alignments}
+    apart = [one for one in record.compared if one.signal in record and one.signal not in done]
+    apart = [one for one in apart if one.signal not in NOT_COMPARED]
+    files: dict[str, list[str]] = {}
+    for one in apart:
+        files.setdefault(one.source.split(", column")[0], []).append(one.signal)
+    return [
+        f"{file} cannot be compared ({', '.join(signals)}): fewer than {FEWEST_D:g} days in common with the source that is used"
+        for file, signals in files.items()
+    ]
+
+
+def doubts(record: Record) -> tuple[str, ...]:
+    """What a sceptic would ask about a record, one sentence each; none of it is a fault.
+
+    record: any.
+    """
+    return (
+        *_doubts_of_readings(record),
+        *_doubts_of_periods(record),
+        *_doubts_of_power(record),
+        *_doubts_of_climate(record),
+        *_doubts_of_clocks(record),
+    )
+
+
+def _doubts_of_readings(record: Record) -> list[str]:
+    """What a record that was made of series may still hold; `read_case` and `Record.from_frames` refuse or mask it."""
+    said = []
+    for series in (*record.series, *record.compared):
+        row = signal_named(series.signal)
+        mistaken = unit_mistaken(series.value, row.unit, row)
+        outside = out_of_range(series)
+        if mistaken is not None:
+            said.append(Doubt(mistaken, *_told_by(series.signal)))
+        elif outside.any():
+            words = f"{range_sentence(series, outside)}; Record.from_frames and read_case mask such readings"
+            said.append(Doubt(words, *_told_by(series.signal)))
+    if record.start_s < _OLDEST_S:
+        said.append(
+            f"the readings begin on {stamp_text(record.start_s)}: are the times seconds since 1970-01-01T00:00Z, or since "
+            "the start of the record?"
+        )
+    return said + no_overlap(record.series)
+
+
+def _told_by(signal: str) -> tuple[str, ...]:
+    """The time constants that a signal tells something about."""
+    if "humidity" in signal or "dew_point" in signal:
+        return PARTS[1:]
+    return PARTS if signal.endswith("_temperature") else PARTS[:1] if signal == "active_power" else ()
+
+
+def no_overlap(series: Sequence[Series]) -> list[str]:
+    """Sources that share no time with the cabinet's readings, one sentence each."""
+    spans = {one.signal: (one.time[0] - one.interval_s, one.time[-1]) for one in series if len(one)}
+    cabinet = {signal: span for signal, span in spans.items() if signal in IDENTIFIABLE}
+    if not cabinet:
+        return []
+    first = min(span[0] for span in cabinet.values())
+    last = max(span[1] for span in cabinet.values())
+    apart: dict[str, list[str]] = {}
+    for one in series:
+        if one.signal in cabinet or one.signal not in spans:
+            continue
+        start, end = spans[one.signal]
+        if start > last or end < first:
+            source = one.source.split(", column")[0]
+            where = f" in {source}" * bool(source)
+            apart.setdefault(f"{where} ({period_text(start, end)})", []).append(one.signal)
+    return [
+        f"no overlap: {', '.join(signals)}{where} and the cabinet's readings "
+        f"({period_text(first, last)}) share no time; check the sources, and zone and offset of "
+        "their stamps"
+        for where, signals in apart.items()
+    ]
+
+
+def _doubts_of_periods(record: Record) -> list[str]:
+    said = []
+    days = (record.end_s - record.start_s) / _DAY
+    if not days >= _SHORT_RECORD_D:
+        said.append(
+            f"short record: {days:.1f} days; below {_SHORT_RECORD_D:.0f} days weather and "
+            "operation hardly vary, and bounds will be wide"
+        )
+    if record.until_s is None:
+        said.append(
+            "no validation period: every score will be one on the data that were fitted; state "
+            "[identification] until"
+        )
+    elif not record.start_s < record.until_s < record.end_s:
+        said.append(
+            f"until = {stamp_text(record.until_s)} is outside of the record "
+            f"({period_text(record.start_s, record.end_s)})"
+        )
+    else:
+        for name, part in (
+            ("identification", record.identification()),
+            ("validation", record.validation()),
+        ):
+            length = (part.end_s - part.start_s) / _DAY
+            if not length >= _SHORT_VALIDATION_D:
+                said.append(f"short {name} period: {length:.1f} days")
+    return said
+
+
+def _doubts_of_power(record: Record) -> list[str]:
+    if "active_power" not in record:
+        return ["no active power: the whole record counts as standstill"]
+    power = record["active_power"]
+    there = power.value[~power.missing]
+    if not len(there):
+        return ["active power has no reading: the whole record counts as standstill"]
+    said = []
+    standstill = float(np.mean(there <= 0.0))
+    if np.median(there) < 0.0 and -there.min() > 2.0 * max(there.max(), 0.0):
+        said.append(
+            Doubt(
+                f"active power is negative for {100 * standstill:.0f} % of its readings and hardly "
+                "ever positive: is the sign turned round (feeding in is positive)?",
+                "thermal",
+            )
+        )
+    elif standstill < 0.01:
+        said.append(
+            f"no standstill: {100 * standstill:.1f} % of the power readings are ≤ 0, so standstill "
+            "cannot be identified apart from operation"
+        )
+    elif standstill > 0.9:
+        said.append(f"hardly any operation: {100 * standstill:.0f} % of the power readings are ≤ 0")
+    if record.rated_power_W is None:
+        said.append("no rated power: stationary periods cannot be found; state rated_power_kW")
+    elif there.max() > 10.0 * record.rated_power_W:
+        times = there.max() / record.rated_power_W
+        said.append(f"active power reaches {times:.3g} times the rated power: right unit?")
+    elif 0.0 < there.max() < 0.3 * record.rated_power_W:
+        share = 100.0 * there.max() / record.rated_power_W
+        said.append(f"active power never exceeds {share:.0f} % of the rated power: right unit?")
+    for signal in record.signals:
+        if signal.startswith("cabinet_") and len(record[signal]):
+            covered = _covered(record[signal], power)
+            if covered < 0.5:
+                said.append(f"active power covers only {100 * covered:.0f} % of the period of {signal}")
+            break
+    return said
+
+
+def _covered(series: Series, other: Series) -> float:
+    """Share of the readings of a series that lie within the span of another [-]."""
+    inside = (series.time >= other.time[0] - other.interval_s) & (series.time <= other.time[-1])
+    return float(np.mean(inside))
+
+
+def _doubts_of_climate(record: Record) -> list[str]:
+    said = []
+    humid = any(f"cabinet_{kind}" in record for kind in _HUMIDITIES)
+    if "cabinet_temperature" not in record and not humid:
+        said.append("no cabinet signal: nothing can be identified or scored")
+    elif "cabinet_temperature" not in record:
+        said.append("no cabinet temperature: the thermal model cannot be identified")
+    elif not humid:
+        said.append("no cabinet humidity: only the thermal model can be identified")
+    if humid and not any(f"ambient_{kind}" in record for kind in _HUMIDITIES):
+        said.append("no ambient humidity: the hygric model has no input")
+    for signal in record.signals:
+        one = record[signal]
+        if one.missing.mean() > 0.3:
+            said.append(f"{signal}: {100 * one.missing.mean():.0f} % of its readings are missing")
+    if "ambient_temperature" in record:
+        step, _ = modal_step(record["ambient_temperature"].time)
+        if step >= 3600.0:
+            said.append(
+                f"ambient temperature every {duration_text(step)} only: how fast the cabinet "
+                "follows it (rho) will hardly be resolved"
+            )
+        if "cabinet_temperature" in record:
+            pair = _pair(
+                _present(record["cabinet_temperature"]),
+                _present(record["ambient_temperature"]),
+            )
+            if pair is not None and np.mean(pair[0] - pair[1]) < -2.0:
+                colder = np.mean(pair[1] - pair[0])
+                said.append(
+                    Doubt(
+                        f"the cabinet is {colder:.1f} K colder than outside on average: are the "
+                        "columns exchanged?",
+                        *PARTS,
+                    )
+                )
+    for kind in ("temperature", *_HUMIDITIES):
+        if f"cabinet_{kind}" in record and f"ambient_{kind}" in record:
+            inside, outside = record[f"cabinet_{kind}"], record[f"ambient_{kind}"]
+            if _same_readings(inside, outside):
+                said.append(
+                    Doubt(
+                        f"{inside.signal} and {outside.signal} are the same readings ({inside.source}; {outside.source}): "
+                        "one of the two columns is wrong",
+                        *(PARTS if kind == "temperature" else PARTS[1:]),
+                    )
+                )
+    pair = _pair(_vapour_density(record, "cabinet"), _vapour_density(record, "ambient"))
+    if pair is not None and len(pair[0]):
+        factor = float(np.mean(pair[0]) / np.mean(pair[1]))
+        if not 0.7 <= factor <= 1.3:
+            said.append(
+                Doubt(
+                    f"absolute humidity in the cabinet is {factor:.2f} times that outside on average: "
+                    "a source or sink of vapour, a sensor error, or the wrong column",
+                    "hygric",
+                )
+            )
+    return said
+
+
+def _same_readings(one: Series, other: Series) -> bool:
+    """Whether two series that vary agree to rounding at nearly every time which both have."""
+    _, i, j = np.intersect1d(one.time, other.time, return_indices=True)
+    there = ~(one.missing[i] | other.missing[j])
+    first, second = one.value[i][there], other.value[j][there]
+    if len(first) < _FEWEST_IN_COMMON or not np.ptp(first) > 0.0:
+        return False
+    return bool(np.mean(np.isclose(first, second, rtol=1e-9, atol=0.0)) > 0.99)
+
+
+_HUMIDITIES = ("relative_humidity", "absolute_humidity", "dew_point_temperature")
+
+
+def _present(series: Series) -> tuple[np.ndarray, np.ndarray]:
+    there = ~series.missing
+    # A mean stands for the middle of its interval.
+    return series.time[there] - 0.5 * series.interval_s, series.value[there]
+
+
+def _vapour_density(record: Record, place: str) -> tuple[np.ndarray, np.ndarray] | None:
+    """Times [s] and absolute humidity [kg/m3] of a place, from whatever humidity there is."""
+    if f"{place}_absolute_humidity" in record:
+        return _present(record[f"{place}_absolute_humidity"])
+    if f"{place}_temperature" not in record:
+        return None
+    time, temperature = _present(record[f"{place}_temperature"])
+    for kind, convert in (
+        ("relative_humidity", absolute_humidity),
+        ("dew_point_temperature", absolute_humidity_from_dew_point),
+    ):
+        if f"{place}_{kind}" in record:
+            when, value = _present(record[f"{place}_{kind}"])
+            if not (len(time) and len(when)):
+                return None
+            density = convert(value, np.interp(when, time, temperature))
+            good = np.isfinite(density)
+            return when[good], density[good]
+    return None
+
+
+def _pair(
+    one: tuple[np.ndarray, np.ndarray] | None,
+    other: tuple[np.ndarray, np.ndarray] | None,
+) -> tuple[np.ndarray, np.ndarray] | None:
+    """Values of one and, at the same times, of the other, over their common span."""
+    if one is None or other is None or not (len(one[0]) and len(other[0])):
+        return None
+    common = (one[0] >= other[0][0]) & (one[0] <= other[0][-1])
+    if not common.any():
+        return None
+    return one[1][common], np.interp(one[0][common], *other)
+
+
+def _doubts_of_clocks(record: Record) -> list[str]:
+    said = []
+    irregular: dict[str, list[str]] = {}
+    for series in record.series:
+        step, regular = modal_step(series.time)
+        if len(series) > 2 and regular < 0.9:
+            source = series.source.split(", column")[0] or series.signal
+            text = f"{100 * regular:.0f} % of the steps are {duration_text(step)}"
+            irregular.setdefault(f"irregular steps in {source}: only {text}", []).append(series.signal)
+    said += list(irregular)
+    if record.site is not None and "global_horizontal_irradiance" in record:
+        lag = _solar_lag(record["global_horizontal_irradiance"], record.site.longitude_deg)
+        if lag is not None and abs(lag) > _SOLAR_LAG_MIN * 60.0:
+            direction = "after" if lag > 0 else "before"
+            said.append(
+                Doubt(
+                    f"the sun's radiation is centred {abs(lag) / 60:.0f} min {direction} solar noon at "
+                    "the site: wrong zone, wrong stamp (start, middle, end) or wrong longitude?",
+                    *PARTS,
+                )
+            )
+    return said
+
+
+def _solar_lag(irradiance: Series, longitude_deg: float) -> float | None:
+    """Mean time from solar noon to the middle of a day's radiation [s]; None below 20 days.
+
+    The equation of time is the usual three-term one, good to a minute.
+    """
+    time, value = _present(irradiance)
+    step, _ = modal_step(irradiance.time)
+    if not (len(time) > 100 and step <= 3600.0):
+        return None
+    day_of_year = np.mod(time / _DAY, 365.2425)
+    angle = 2.0 * math.pi * (day_of_year - 80.0) / 365.2425
+    equation_min = 9.87 * np.sin(2 * angle) - 7.53 * np.cos(angle) - 1.5 * np.sin(angle)
+    solar = time + 240.0 * longitude_deg + 60.0 * equation_min
+    day = np.floor(solar / _DAY)
+    hour_angle = solar - (day + 0.5) * _DAY
+    first = day - day.min()
+    number = np.bincount(first.astype(int))
+    energy = np.bincount(first.astype(int), weights=np.fmax(value, 0.0))
+    moment = np.bincount(first.astype(int), weights=np.fmax(value, 0.0) * hour_angle)
+    whole = (number >= 0.95 * _DAY / step) & (energy > 0.0)
+    whole &= energy > 0.2 * np.median(energy[whole]) if whole.any() else False
+    if whole.sum() < 20:
+        return None
+    return float(np.median(moment[whole] / energy[whole]))

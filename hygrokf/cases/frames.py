@@ -1,0 +1,352 @@
+"""Records from pandas frames: each frame is a source, stated with the keys of a case file."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hygrokf.cases.case_file import CaseFault, record_of
+from hygrokf.cases.form import (
+    COLUMN_SETTINGS,
+    IDENTIFICATION_KEYS,
+    SITE_KEYS,
+    SOURCE_KEYS,
+    StatedSource,
+    stated_case,
+)
+from hygrokf.data.columns import Places, Table, TableFault, column_fault, table_of
+from hygrokf.data.record import Record, Site
+from hygrokf.data.signals import SIGNALS
+from hygrokf.errors import suggestion
+
+if TYPE_CHECKING:
+    import pandas
+
+HEAD = "Record.from_frames"
+FRAME_KEYS = tuple(key for key in SOURCE_KEYS if key not in ("file", "separator", "comment", "signals"))
+"""Keys of a [[source]] that a frame has too: one value for all frames, or a mapping from the frame's name."""
+COLUMN_OPTIONS = {"units": "unit", **{one.key: one.key for one in COLUMN_SETTINGS}}
+"""Options that map columns, and the key of a case file's signal that each stands for."""
+_READING = ("timezone", "decimal", "missing", "time_format", "ignore_offset")
+_PLACES = Places("iloc", lambda rows: [int(row) for row in rows], "")
+
+
+def record_from_frames(
+    frames: pandas.DataFrame | Mapping[str, pandas.DataFrame] | Sequence[pandas.DataFrame],
+    *,
+    name: str,
+    signals: Mapping[str, Any] | None,
+    units: Mapping[str, Any] | None,
+    site: Site | Mapping[str, float] | None,
+    rated_power_kW: float | None,
+    identification: Mapping[str, Any] | None,
+    cabinet: bool,
+    ambient: bool,
+    settings: Mapping[str, Any],
+) -> Record:
+    """What `Record.from_frames` returns; it describes the arguments.  Raises CaseFault with all faults."""
+    faults = [
+        f'unknown option "{key}"{_instead(key)}'
+        for key in settings
+        if key not in FRAME_KEYS and key not in COLUMN_OPTIONS
+    ]
+    named, refused = _named(frames)
+    if refused:
+        raise CaseFault(HEAD, [*faults, *refused])
+    by_frame = {key: settings[key] for key in FRAME_KEYS if settings.get(key) is not None}
+    by_column = {"units": units, **{key: settings.get(key) for key in COLUMN_OPTIONS if key != "units"}}
+    for key, value in by_frame.items():
+        if isinstance(value, Mapping):
+            faults += _unknown_frames(key, value, named)
+    columns = {key: _per_frame(key, value, named, faults) for key, value in by_column.items()}
+    mapped = _per_frame("signals", signals, named, faults)
+    prepared: dict[str, _Prepared] = {}
+    for frame_name, frame in named.items():
+        stated = {
+            key: value.get(frame_name) if isinstance(value, Mapping) else value
+            for key, value in by_frame.items()
+        }
+        own = {key: one[frame_name] for key, one in columns.items()}
+        made = _prepare(frame_name, frame, mapped[frame_name], own, stated, faults)
+        if made is not None:
+            prepared[frame_name] = made
+    if not prepared:
+        raise CaseFault(HEAD, faults)
+    content: dict[str, Any] = {"name": name, "source": [one.source for one in prepared.values()]}
+    if rated_power_kW is not None:
+        content["rated_power_kW"] = rated_power_kW
+    if site is not None:
+        content["site"] = (
+            {key: value for key, value in asdict(site).items() if value is not None}
+            if isinstance(site, Site)
+            else site
+        )
+    if identification is not None:
+        content["identification"] = identification
+    case, wrong = stated_case(content, _Arguments(list(prepared.values())), "record")
+
+    def table(source: StatedSource) -> Table:
+        return prepared[source.file].table(source)
+
+    return record_of(case, [*faults, *wrong], table, HEAD, cabinet=cabinet, ambient=ambient)
+
+
+def _instead(key: str) -> str:
+    """What to write in place of an unknown option."""
+    for table, keys in (("identification", IDENTIFICATION_KEYS), ("site", SITE_KEYS)):
+        if key in keys:
+            return f': write {table}={{"{key}": …}}'
+    if key in SOURCE_KEYS or key == "format":
+        return ": it is for files, which a case file names"
+    known = ("name", "signals", "units", "site", "rated_power_kW", "identification")
+    known += (*FRAME_KEYS, *COLUMN_OPTIONS, "cabinet", "ambient")
+    return suggestion(key, known) or f"; expected {', '.join(dict.fromkeys(known))}"
+
+
+def _named(frames: Any) -> tuple[dict[str, pandas.DataFrame], list[str]]:
+    """Frames by name, and faults of what is none."""
+    import pandas as pd
+
+    faults = []
+    if isinstance(frames, pd.DataFrame):
+        given: dict[str, Any] = {"frame": frames}
+    elif isinstance(frames, Mapping):
+        given = {str(name): frame for name, frame in frames.items()}
+    elif isinstance(frames, list | tuple):
+        given = {f"frame {number}": frame for number, frame in enumerate(frames, 1)}
+    else:
+        given = {"frame": frames}
+    if not given:
+        faults.append("expected a DataFrame, or several by name, found none")
+    named = {}
+    for name, frame in given.items():
+        if isinstance(frame, pd.DataFrame):
+            if frame.columns.nlevels == 1:
+                named[name] = frame
+            else:
+                faults.append(
+                    f"{name}: expected one level of column names, found {frame.columns.nlevels}: give each column one name"
+                )
+            continue
+        found = f"{name}: expected a pandas DataFrame, found {type(frame).__module__}.{type(frame).__name__}"
+        if isinstance(frame, pd.Series):
+            found += ': make it one with .to_frame("cabinet_temperature"), or what the signal is'
+        elif hasattr(frame, "to_pandas"):
+            found += ": hand over .to_pandas()"
+        faults.append(found)
+    return named, faults
+
+
+def _unknown_frames(option: str, stated: Mapping, named: Mapping[str, Any]) -> list[str]:
+    """Faults of an option that is stated for frames that there are not."""
+    return [
+        f'{option}: no frame is called "{name}" (there are {", ".join(named)}){suggestion(str(name), named)}'
+        for name in stated
+        if name not in named
+    ]
+
+
+def _per_frame(
+    option: str, stated: Any, named: Mapping[str, pandas.DataFrame], faults: list[str]
+) -> dict[str, dict[str, Any]]:
+    """Column -> value for each frame, of an option that is a mapping from columns or from frames to such mappings."""
+    nothing: dict[str, dict[str, Any]] = {name: {} for name in named}
+    if stated is None:
+        return nothing
+    if not isinstance(stated, Mapping):
+        faults.append(f"{option}: expected a mapping from columns, found {stated!r}")
+        return nothing
+    nested = [isinstance(one, Mapping) for one in stated.values()]
+    if any(nested) and not all(nested):
+        faults.append(f"{option}: expected columns or frames as keys, found both")
+        return nothing
+    if any(nested):
+        faults += _unknown_frames(option, stated, named)
+        return nothing | {
+            name: {str(column): value for column, value in stated[name].items()}
+            for name in named
+            if name in stated
+        }
+    columns = {str(column): value for column, value in stated.items()}
+    found = {name: {str(column) for column in frame.columns} for name, frame in named.items()}
+    for column in columns:
+        if not any(column in one for one in found.values()):
+            holder = "the frame has" if len(named) == 1 else "the frames have"
+            there = list(dict.fromkeys(str(one) for frame in named.values() for one in frame.columns))
+            faults.append(f"{option}: {column_fault(column, there, holder)}")
+    return {
+        name: {column: value for column, value in columns.items() if column in found[name]} for name in named
+    }
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """A frame as a source.
+
+    source: as a case file states it. frame: columns by name, rows counted from 0. stamps: (N,) or None where faults say
+    why not. stamps_named: in messages. faults: of the stamps.
+    """
+
+    source: dict[str, Any]
+    frame: pandas.DataFrame
+    stamps: pandas.Series | None
+    stamps_named: str
+    faults: tuple[str, ...]
+
+    def table(self, source: StatedSource) -> Table:
+        """Its readings; raises TableFault."""
+        if not len(self.frame):
+            raise TableFault(["expected readings, found no row in the frame"])
+        return table_of(
+            self.frame,
+            [one.column for one in source.columns],
+            self.stamps,
+            self.stamps_named,
+            _PLACES,
+            faults=self.faults,
+            **{key: source.reading[key] for key in _READING},
+        )
+
+
+def _prepare(
+    name: str,
+    frame: pandas.DataFrame,
+    mapped: Mapping[str, Any],
+    by_column: Mapping[str, Mapping[str, Any]],
+    stated: Mapping[str, Any],
+    faults: list[str],
+) -> _Prepared | None:
+    """A frame as a source, or None where no column of it can be used; faults that no case file can have are added.
+
+    mapped: column -> signal. by_column: option -> column -> value. stated: key of a source -> value.
+    """
+    time = None if stated.get("time") is None else str(stated["time"])
+    labels = [str(label) for label in frame.columns]
+    stamps, stamps_named, length, wrong = _stamps(frame, labels, time)
+    if length is not None:
+        twice = [key for key in ("stamp", "interval") if stated.get(key) is not None]
+        wrong += [f"{stamps_named} holds periods, which say what each reading is the mean of: remove {key}"
+                  for key in twice]  # fmt: skip
+        stated = {**stated, "stamp": "start", "interval": f"{length:.6f}s"}
+    used = {
+        label: mapped.get(label, label)
+        for label in labels
+        if (label in mapped or label in SIGNALS) and label != time
+    }
+    before = len(faults)
+    faults += [
+        f"{name}: signals: {column_fault(one, labels, 'the frame has')}"
+        for one in mapped
+        if one not in labels
+    ]
+    entries: dict[str, dict[str, Any]] = {}
+    for label, signal in used.items():
+        if labels.count(label) > 1:
+            faults.append(f'{name}: column "{label}" occurs {labels.count(label)} times')
+        if signal in entries:
+            faults.append(
+                f'{name}: columns "{entries[signal]["column"]}" and "{label}" are both {signal}; '
+                "a record has one series of a signal"
+            )
+        entries[signal] = {"column": label}
+    for option, values in by_column.items():
+        for label, value in values.items():
+            if label in used:
+                entries[used[label]][COLUMN_OPTIONS[option]] = value
+            elif label not in labels:
+                faults.append(f"{name}: {option}: {column_fault(label, labels, 'the frame has')}")
+            else:
+                faults.append(
+                    f'{name}: {option}: column "{label}" is no signal{suggestion(label, SIGNALS, 1) or ";"} '
+                    f'say which one it holds, such as signals={{"{label}": "cabinet_temperature"}}'
+                )
+    if not used:
+        if len(faults) == before:
+            shown = ", ".join(f'"{label}"' for label in labels) or "no column"
+            faults.append(
+                f"{name}: none of its columns is a signal (it has {shown}): call them by signals, or say which is "
+                'which, such as signals={"T": "cabinet_temperature"}'
+            )
+        return None
+    missing = stated.get("missing")
+    if isinstance(missing, tuple):
+        stated = {**stated, "missing": list(missing)}
+    source = {
+        **{key: value for key, value in stated.items() if value is not None},
+        "file": name,
+        "time": "index" if time is None else time,
+        "separator": "\t",  # a frame has none: one that no decimal sign can be
+        "signals": entries,
+    }
+    kept = frame.iloc[:, [labels.index(label) for label in used]].copy(deep=False)
+    kept.columns = list(used)
+    kept.index = range(len(frame))
+    return _Prepared(source, kept, stamps, stamps_named, tuple(wrong))
+
+
+def _stamps(
+    frame: pandas.DataFrame, labels: Sequence[str], time: str | None
+) -> tuple[pandas.Series | None, str, float | None, list[str]]:
+    """Stamps of the rows, what messages call them, the length of their periods [s] or None, faults."""
+    import pandas as pd
+
+    if time is None:
+        named = "the index"
+        if frame.index.nlevels > 1:
+            levels = ", ".join(str(one) for one in frame.index.names)
+            return None, named, None, [
+                f"{named} has {frame.index.nlevels} levels ({levels}), expected the times alone: make the others columns "
+                "with .reset_index(level=…), or hand over one frame for each of their values"
+            ]  # fmt: skip
+        stamps = pd.Series(frame.index)
+    else:
+        named = f'column "{time}"'
+        if labels.count(time) != 1:
+            return None, named, None, [column_fault(time, labels, "the frame has")]
+        stamps = frame.iloc[:, labels.index(time)].reset_index(drop=True)
+    kind = stamps.dtype
+    if isinstance(kind, pd.PeriodDtype):
+        starts = stamps.dt.start_time
+        lengths = np.unique(((stamps + 1).dt.start_time - starts).dropna().dt.total_seconds())
+        if len(lengths) <= 1:  # none at all where no row has a stamp
+            return starts, named, float(lengths[0]) if len(lengths) else None, []
+        return None, named, None, [f"{named} holds periods of several lengths, expected one length"]
+    if pd.api.types.is_numeric_dtype(kind) or pd.api.types.is_timedelta64_dtype(kind):
+        what = "durations" if pd.api.types.is_timedelta64_dtype(kind) else "numbers"
+        shown = ", ".join(str(one) for one in stamps.iloc[:3])
+        where = ', or name the column of the times: time="…"' if time is None else ""
+        return None, named, None, [
+            f"{named} holds {what} ({shown} …), expected times: make a DatetimeIndex of it, such as "
+            f'pandas.to_datetime(…, unit="s", utc=True){where}'
+        ]  # fmt: skip
+    return stamps, named, None, []
+
+
+class _Arguments:
+    """Where the arguments of `Record.from_frames` state a case: `hygrokf.cases.keys.Statement`."""
+
+    name = "from_frames"
+
+    def __init__(self, prepared: Sequence[_Prepared]) -> None:
+        self.sources = [one.source for one in prepared]
+
+    def at(self, block: int | None, *keys: str) -> str:
+        """The frame, with the column of a signal."""
+        if block is None:
+            return self.name
+        source = self.sources[block]
+        for key in keys:
+            if key in source["signals"]:
+                return f'{source["file"]}, column "{source["signals"][key]["column"]}"'
+        return str(source["file"])
+
+    def table(self, name: str) -> str:
+        """The argument."""
+        return f"{name}={{…}}"
+
+    def signal(self, name: str) -> str:
+        """The signal itself."""
+        return name

@@ -1,0 +1,141 @@
+"""`hygrokf climate`: what it is asked, and how that is done."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hygrokf.commands.console import Progress, UserFault, expect_own_directory
+from hygrokf.data.files import CLIMATE
+
+if TYPE_CHECKING:
+    from hygrokf.identification.fit import Fit
+
+
+def climate_arguments(parser: argparse.ArgumentParser, whole: Callable[[int], Callable]) -> None:
+    """Weather, power, and what is asked of a climate; `whole(least)` reads a whole number."""
+    parser.add_argument("fit", type=Path, metavar="FIT.json")
+    parser.add_argument(
+        "--weather",
+        type=Path,
+        nargs="+",
+        default=[],
+        metavar="FILE",
+        help="weather of one site: ERA5 or EPW files, one after the other, or a case file (.toml)",
+    )
+    parser.add_argument(
+        "--region",
+        action="append",
+        default=[],
+        metavar="NAME=FILE[,FILE]",
+        help="weather of a region; several regions stand side by side",
+    )
+    how = parser.add_mutually_exclusive_group()
+    how.add_argument("--power", type=Path, metavar="CASE.toml", help="case file with active power over time")
+    how.add_argument(
+        "--power-curve", type=Path, metavar="CURVE.toml", help="power over the weather's wind speed"
+    )
+    how.add_argument("--standstill", action="store_true", help="no power all year")
+    parser.add_argument(
+        "--limits", type=Path, metavar="LIMITS.toml", help="limits to hold the climate against"
+    )
+    parser.add_argument(
+        "--test", type=Path, metavar="TEST.toml", help="length, law and chamber of the test profile"
+    )
+    parser.add_argument("--members", type=whole(2), default=50, help="of the ensemble (default 50)")
+    parser.add_argument("--seed", type=whole(0), default=1, help="of the ensemble (default 1)")
+    parser.add_argument(
+        "--surface",
+        type=_surface,
+        default=None,
+        metavar="FOLLOWS[,OFFSET_K]",
+        help="the coldest surface: 0 as cold as outside, 1 as warm as the cabinet air (default 0.3)",
+    )
+    parser.add_argument(
+        "--out", type=Path, required=True, help="directory for climate.json, climate.csv and report.html"
+    )
+
+
+def _surface(text: str) -> Any:
+    """A cold surface: how far it follows the cabinet air, and its offset [K]."""
+    from hygrokf.physics.cold_surface import Surface
+
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if not 1 <= len(numbers) <= 2 or not 0.0 <= numbers[0] <= 1.0 or not abs(numbers[-1]) < 50.0:
+        raise argparse.ArgumentTypeError(
+            f"expected a number within 0 … 1 and maybe an offset in K, such as 0.3,-1, found {text!r}"
+        )
+    return Surface(*numbers)
+
+
+def run_climate(options: argparse.Namespace, stored: Callable[[], Fit]) -> tuple[Path, dict, str]:
+    """Run the command; returns the page's path, the data of climate.json and the text for the terminal.
+
+    `stored` reads the fit.  Raises UserFault and what the readers raise.
+    """
+    from hygrokf.climate.chamber import read_test_plan
+    from hygrokf.climate.limits import read_limits
+    from hygrokf.climate.power import read_power_curve
+    from hygrokf.climate.region import read_power, read_region
+    from hygrokf.climate.study import climate_profile
+    from hygrokf.report.climate_page import write_climate_report
+    from hygrokf.report.climate_tables import climate_text
+
+    expect_own_directory(options.out, CLIMATE)
+    groups = _regions(options)
+    fit = stored()
+    stated = options.power or options.power_curve or options.standstill
+    if not stated and fit.design.power_scale_W is not None:
+        raise UserFault(
+            "expected --power, --power-curve or --standstill, as the model reads a power; found none"
+        )
+    power = read_power(options.power) if options.power else None
+    if options.power_curve:
+        power = read_power_curve(options.power_curve)
+    limits = read_limits(options.limits) if options.limits else ()
+    plan = read_test_plan(options.test) if options.test else None
+    regions = [read_region(name, files, power) for name, files in groups]
+    for region in regions:
+        for warning in region.weather.warnings:
+            print(f"warning: {region.name}: {warning}", file=sys.stderr)
+    progress = Progress(4 * len(regions))
+    try:
+        study = climate_profile(
+            fit, regions, power, limits=limits, plan=plan, members=options.members, seed=options.seed,
+            surface=options.surface, progress=progress,
+        )  # fmt: skip
+    except ValueError as fault:
+        progress.abandon()
+        raise UserFault(f"{options.fit}: {fault}") from fault
+    except BaseException:
+        progress.abandon()
+        raise
+    progress.close()
+    page = write_climate_report(study, options.out)
+    return page, study.to_json(), climate_text(study.to_json())
+
+
+def _regions(options: argparse.Namespace) -> list[tuple[str, list[Path]]]:
+    """Names and weather files of the regions that a command names."""
+    groups = [("site", options.weather)] if options.weather else []
+    for text in options.region:
+        name, sign, files = text.partition("=")
+        paths = [Path(one) for one in files.split(",") if one]
+        if not (name.strip() and sign and paths):
+            raise UserFault(f"--region {text}: expected NAME=FILE or NAME=FILE,FILE; write it so")
+        groups.append((name.strip(), paths))
+    names = [name for name, _ in groups]
+    if not groups or len(set(names)) < len(names):
+        found = (
+            f"found twice: {', '.join(sorted({n for n in names if names.count(n) > 1}))}"
+            if groups
+            else "found none"
+        )
+        raise UserFault(f"expected --weather FILE, or --region NAME=FILE with a name each; {found}")
+    return groups

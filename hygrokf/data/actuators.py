@@ -1,0 +1,103 @@
+"""Logged actuators: heaters, fans, pumps, driers and doors whose course a record has, and the mechanisms they act by."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hygrokf.data.record import Record, Series
+
+FEWEST = 10
+"""Readings of either state, above and below half of its span, that an actuator needs for its effect to be seen."""
+TOP = 0.999
+"""Quantile of a power that counts as full."""
+Chosen = tuple[str, Mapping[str, object]]
+
+
+@dataclass(frozen=True)
+class Actuator:
+    """A logged actuator: `thermal` and `hygric` the mechanism (name, settings) by which it acts on each network, None for
+    none; `half` the middle of its span [SI unit], above which it counts as on; `reason` why a model does not use it, empty
+    where it does.
+    """
+
+    signal: str
+    thermal: Chosen | None
+    hygric: Chosen | None
+    half: float = 0.5
+    reason: str = ""
+
+    @property
+    def used(self) -> bool:
+        return not self.reason
+
+    @property
+    def statement(self) -> str:
+        """What a model does with it."""
+        if self.reason:
+            return f"{self.signal} is not used: {self.reason}"
+        networks = [name for name, one in (("thermal", self.thermal), ("hygric", self.hygric)) if one]
+        return f"{self.signal} is a known input of the {' and the '.join(networks)} network"
+
+
+ACTUATORS: Mapping[str, tuple[str | None, str | None]] = {
+    "heater_power": ("logged_heater", None),
+    "heater_duty": ("logged_heater", None),
+    "fan_duty": ("fan_loss", "fan_exchange"),
+    "pump_duty": ("pump_loss", None),
+    "dehumidifier_duty": ("dehumidifier_heat", "dehumidifier_drying"),
+    "door_open": ("open_loss", "open_exchange"),
+}
+"""Signals of actuators, and their mechanisms in the thermal and the hygric network."""
+HEATERS = ("preheating", "heater_power", "heater_duty", "dehumidifier_duty")
+"""Signals of what heats a cabinet while it is on."""
+
+
+def actuators(record: Record) -> tuple[Actuator, ...]:
+    """The logged actuators of a record, in the order of `ACTUATORS`, used or not.
+
+    One is used where the readings have it on and off, above and below half of its span, ten times each: what never
+    changes is part of the network's own constants.  Of a heater's power and duty the power is used.
+    """
+    found = [_actuator(record[signal]) for signal in ACTUATORS if signal in record]
+    if any(one.signal == "heater_power" and one.used for one in found):
+        found = [
+            replace(one, reason="heater_power says what the heater does")
+            if one.signal == "heater_duty"
+            else one
+            for one in found
+        ]
+    return tuple(found)
+
+
+def _actuator(series: Series) -> Actuator:
+    thermal, hygric = ACTUATORS[series.signal]
+    value = series.value[~series.missing]
+    settings = {}
+    if thermal == "logged_heater":
+        power = series.signal == "heater_power" and len(value) > 0
+        settings = {
+            "signal": series.signal,
+            "full": max(float(np.quantile(value, TOP)), 1.0) if power else 1.0,
+        }
+    return Actuator(
+        series.signal,
+        None if thermal is None else (thermal, settings),
+        None if hygric is None else (hygric, {}),
+        0.5 * float(value.min() + value.max()) if len(value) else 0.5,
+        _why_not(value),
+    )
+
+
+def _why_not(value: np.ndarray) -> str:
+    """Why readings (n,) of an actuator cannot show what it does; empty where they can."""
+    if not len(value):
+        return "it has no reading"
+    if value.min() == value.max():
+        return "it never changes, and what it does is part of the model's constants"
+    above = int((value > 0.5 * (value.min() + value.max())).sum())
+    if min(above, len(value) - above) >= FEWEST:
+        return ""
+    return f"{above} readings above half of its span and {len(value) - above} below; at least {FEWEST} of either are needed"

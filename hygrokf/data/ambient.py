@@ -1,0 +1,148 @@
+"""Ambient series at any time, the noise of their readings, and the ambient that they most likely belong to.
+
+Readings with noise, used as an input, weaken what depends on them, as errors in a regressor do: with 0.05 K on the
+ambient temperature the resistance ratio and the time constants come out wrong by several times their standard error.
+The mean of the true course given all readings has no such effect; it is computed here under a local level,
+
+    x(t+Δ) = x(t) + N(0, q Δ),    reading = x + N(0, r),
+
+between whose smoothed values the course is linear (`paths`).  r and q come from the autocovariances γ of the readings'
+increments.  Where the weather's own increments are equally correlated at lags 1 and 2, instants have γ₁ − γ₂ = −r and
+γ₀ = q Δ + 2 r; means over intervals Δ have γ₀ − γ₂ = ⅔ q Δ + 2 r and γ₁ − γ₂ = ⅙ q Δ − r.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hygrokf.data.input_paths import centred, without_response
+from hygrokf.data.record import Record, Series
+from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
+
+AMBIENT_BRIDGE_H = 6.0
+"""[h] gaps of the ambient series up to this length are bridged linearly; over longer ones readings are left out."""
+FEWEST = 200
+"""Readings below which no noise is estimated."""
+
+
+def reading_noise(series: Series) -> tuple[float, float] | None:
+    """(q, r): variance of the level's increments per second and of a reading's noise; None where it cannot be told.
+
+    Raises nothing: irregular and short series, and means whose intervals do not adjoin, give None and are used as they
+    are.
+    """
+    there = ~series.missing
+    time, value = series.time[there], series.value[there]
+    if len(time) < FEWEST:
+        return None
+    step = np.diff(time)
+    usual = float(np.median(step))
+    regular = np.abs(step - usual) < 0.1 * usual
+    if regular.sum() < FEWEST // 2:
+        return None
+    increment = np.where(regular, np.diff(value), np.nan)
+    # a front that passes is no noise: increments beyond eight times the usual spread are left out
+    spread = 1.4826 * float(np.nanmedian(np.abs(increment - np.nanmedian(increment))))
+    if not spread > 0:
+        return None
+    increment = np.where(np.abs(increment) < 8.0 * spread, increment, np.nan)
+    products = [increment[lag:] * increment[: len(increment) - lag] for lag in range(3)]
+    if min(np.isfinite(product).sum() for product in products) < FEWEST // 2:
+        return None
+    gamma = [float(np.nanmean(product)) for product in products]
+    if series.interval_s > 0:
+        if abs(series.interval_s - usual) > 0.01 * usual:
+            return None
+        level = gamma[0] + 2.0 * gamma[1] - 3.0 * gamma[2]
+        noise = level / 6.0 - (gamma[1] - gamma[2])
+    else:
+        noise = gamma[2] - gamma[1]
+        level = gamma[0] - 2.0 * noise
+    # both autocovariances are uncertain by γ₀/√T: what is below three times that is no finding
+    if noise <= 3.0 * np.sqrt(2.0 / np.isfinite(increment).sum()) * gamma[0] or level <= 0:
+        return None
+    return level / usual, noise
+
+
+def smoothed(series: Series, noise: tuple[float, float] | None) -> Series:
+    """The mean of the true course at the readings' times, given all readings; gaps stay gaps."""
+    if noise is None or series.hold != "linear":
+        return series
+    from scipy.linalg import solveh_banded
+
+    there = ~series.missing
+    time, value = series.time[there], series.value[there]
+    if len(time) < 3:
+        return series
+    q, r = noise
+    coupling = r / (q * np.diff(time))
+    bands = np.zeros((2, len(time)))
+    bands[1] = 1.0
+    bands[1, :-1] += coupling
+    bands[1, 1:] += coupling
+    bands[0, 1:] = -coupling
+    result = series.value.copy()
+    result[there] = solveh_banded(bands, value)
+    return replace(series, value=result)
+
+
+def ambient_absolute_humidity(record: Record) -> Series | None:
+    """Vapour concentration of the ambient air [kg/m³] at the times of its humidity readings; None without any."""
+    if "ambient_absolute_humidity" in record:
+        return without_response(record["ambient_absolute_humidity"])
+    for name, convert in (
+        ("ambient_relative_humidity", absolute_humidity),
+        ("ambient_dew_point_temperature", absolute_humidity_from_dew_point),
+    ):
+        if name in record:
+            series = without_response(record[name])
+            outside = centred(without_response(record["ambient_temperature"]))
+            temperature = at_times(outside, centred(series).time, bridge_h(outside, AMBIENT_BRIDGE_H))
+            return Series(
+                signal="ambient_absolute_humidity",
+                time=series.time,
+                value=convert(series.value, temperature),
+                hold=series.hold,
+                interval_s=series.interval_s,
+                clock_uncertainty_s=series.clock_uncertainty_s,
+                source=series.source,
+            )
+    return None
+
+
+def bridge_h(series: Series, limit_h: float) -> float:
+    """Longest gap that is bridged [h]: the limit, but never less than the series' own usual step leaves open."""
+    steps = series.steps_s
+    if not len(steps):
+        return limit_h
+    return max(limit_h, (1.5 * middle(steps) - series.interval_s) / 3600.0)
+
+
+def middle(ordered: np.ndarray) -> float:
+    """Median of numbers (n,) that are in order, one at least: numpy's own takes longer to begin than this to end."""
+    return 0.5 * float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
+
+
+def at_times(series: Series, time: np.ndarray, bridge_h: float) -> np.ndarray:
+    """A series at other times [s] by its own hold; NaN outside it and inside gaps longer than `bridge_h` [h]."""
+    known, value = series.known
+    if len(known) == 0:
+        return np.full(len(time), np.nan)
+    linear = series.hold == "linear"
+    if linear:
+        result = np.interp(time, known, value, left=np.nan, right=np.nan)
+        if np.all(series.steps_s[-1:] <= bridge_h * 3600.0):  # the usual series has no gap at all
+            return result
+    after = np.minimum(known.searchsorted(time, side="left"), len(known) - 1)
+    before = np.maximum(known.searchsorted(time, side="right") - 1, 0)
+    if linear:
+        wide = known[after] - known[before] > bridge_h * 3600.0
+        return np.where(wide, np.nan, result)
+    # a mean holds over (end − interval, end]; a hole after it is bridged by the value before it
+    inside = (time > known[after] - max(series.interval_s, 1e-6)) & (time <= known[after])
+    result = np.where(inside, value[after], value[before])
+    gap = np.where(inside, 0.0, known[after] - series.interval_s - known[before])
+    outside = (time > known[-1] + bridge_h * 3600.0) | (time <= known[0] - max(series.interval_s, 1e-6))
+    return np.where((gap > bridge_h * 3600.0) | outside, np.nan, result)

@@ -1,0 +1,297 @@
+"""Columns of a table into readings: cells into numbers, stamps into seconds of UTC, every fault with its place."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import UTC
+from decimal import Decimal
+from numbers import Real
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hygrokf.data.record import EARLIEST_S, LATEST_S
+from hygrokf.data.timestamps import read_stamps, zone_named
+from hygrokf.errors import HygrokfError, suggestion
+
+if TYPE_CHECKING:
+    import pandas
+
+MISSING = (
+    "",
+    "NaN",
+    "nan",
+    "NAN",
+    "NA",
+    "na",
+    "N/A",
+    "n/a",
+    "#N/A",
+    "null",
+    "NULL",
+    "Null",
+)
+MISSING += ("None", "none", "<NA>", "-", "--", "---")
+"""What counts as a missing reading, besides what the case file lists."""
+
+_SHOWN = 5
+
+
+class TableFault(HygrokfError):
+    """A table that cannot be read; `faults` lists every reason."""
+
+    def __init__(self, faults: Sequence[str]) -> None:
+        self.faults = tuple(faults)
+        super().__init__("\n".join(self.faults))
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns of a file, in the order of the file.
+
+    time: [s] (N,) since 1970-01-01T00:00Z; finite, neither sorted nor unique yet.
+    values: column name -> (N,) as in the file; NaN = missing.
+    warnings: rows that were left out, and why.
+    sha256: of the file.
+    """
+
+    time: np.ndarray
+    values: dict[str, np.ndarray]
+    warnings: tuple[str, ...]
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Places:
+    """How messages name the rows of a table.
+
+    label: "line" of a text file, "row" counted from 1, "iloc" counted from 0.
+    numbers: rows of the frame, counted from 0 (K,) -> their numbers under that label.
+    here: where the reader states an option, as a phrase: " in this source" for a case file.
+    """
+
+    label: str
+    numbers: Callable[[np.ndarray], Sequence[int]]
+    here: str = " in this source"
+
+
+def table_of(
+    frame: pandas.DataFrame,
+    columns: Sequence[str],
+    stamps: pandas.Series | None,
+    stamps_named: str,
+    places: Places,
+    *,
+    timezone: str | None = None,
+    decimal: str = ".",
+    missing: Sequence[str] = (),
+    time_format: str | None = None,
+    ignore_offset: bool = False,
+    faults: Sequence[str] = (),
+    sha256: str = "",
+) -> Table:
+    """Readings of a frame: its columns as numbers, its stamps in UTC [s].
+
+    frame: rows in the order of the source. columns: names of the columns of numbers; those that the frame does not
+        have must be among the faults already.
+    stamps: of the rows, or None where they are among the faults already. stamps_named: in messages, such as
+        'column "time"'.
+    places: how messages name rows. timezone ... ignore_offset: see `hygrokf.data.table_readers.read_table`.
+    faults: found before, to be raised with those found here. sha256: of the file, where there is one.
+
+    Rows without stamp are left out and said. Raises TableFault with every fault found.
+    """
+    faults = list(faults)
+    zone = None
+    if timezone is not None:
+        try:
+            zone = zone_named(timezone)
+        except ValueError as unknown:
+            faults.append(str(unknown))
+            # Any zone will do to look for further faults.
+            zone = UTC
+    wanted = list(dict.fromkeys(columns))
+    values = {}
+    for name in wanted:
+        if name not in frame:
+            continue
+        numbers, texts = _numbers(frame[name], decimal, tuple(missing))
+        values[name] = numbers
+        if texts.any():
+            faults.append(_text_fault(name, frame[name], texts, places, decimal))
+    warnings: list[str] = []
+    time = np.full(len(frame), np.nan)
+    if stamps is not None:
+        read = read_stamps(stamps, zone, time_format=time_format, ignore_offset=ignore_offset)
+        time = read.time
+        if read.unreadable.any():
+            where = _where(np.flatnonzero(read.unreadable), stamps, places)
+            faults.append(
+                f"{stamps_named}: expected ISO 8601 stamps"
+                + (f' or "{time_format}"' if time_format else "")
+                + f", found {int(read.unreadable.sum())} of {len(frame)} rows otherwise: {where}"
+                + _stamp_remedy(stamps, read.unreadable, places.here)
+            )
+        if read.naive.any():
+            rows = np.flatnonzero(read.naive)
+            faults.append(
+                f"{stamps_named}: {len(rows)} of {len(frame)} stamps have no offset "
+                f"({_where(rows[:1], stamps, places)}); state their zone{places.here}: "
+                'timezone = "UTC", a fixed offset such as "+01:00", or a name such as "Europe/Berlin"'
+            )
+        elif zone is not None and not ignore_offset and _all_aware(stamps):
+            warnings.append(f'timezone = "{timezone}" is not used: the stamps carry offsets')
+        warnings += read.warnings
+        beyond = np.isfinite(time) & ~((time > EARLIEST_S) & (time < LATEST_S))
+        if beyond.any():
+            where = _where(np.flatnonzero(beyond), stamps, places)
+            faults.append(
+                f"{stamps_named}: expected stamps of our time, found {int(beyond.sum())} before 1850 or after 2200: "
+                f"{where}; correct or remove these rows"
+            )
+        given = stamps.notna().to_numpy()
+        lost = ~given & np.any([np.isfinite(one) for one in values.values()] or [~given], axis=0)
+        if lost.any():
+            count = int(lost.sum())
+            where = numbered(places.label, places.numbers(np.flatnonzero(lost)[:_SHOWN]), count)
+            rows = "1 row" if count == 1 else f"{count} rows"
+            warnings.append(f"{rows} without a stamp left out: {where}")
+    if faults:
+        raise TableFault(faults)
+    keep = np.isfinite(time)
+    if not keep.any():
+        raise TableFault(["expected readings, found no row with a stamp that can be used"])
+    return Table(
+        time[keep],
+        {name: array[keep] for name, array in values.items()},
+        tuple(warnings),
+        sha256,
+    )
+
+
+def column_fault(name: str, found: Sequence[str], holder: str) -> str:
+    """A missing column, with the columns there are; holder: what has them, such as "the file has"."""
+    shown = ", ".join(f'"{one}"' for one in found[:40]) + (" …" if len(found) > 40 else "")
+    return f'no column "{name}" ({holder} {shown}){suggestion(name, found)}'
+
+
+def _numbers(column: pandas.Series, decimal: str, missing: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of a column and where it holds text instead."""
+    import pandas as pd
+
+    nothing = np.zeros(len(column), dtype=bool)
+    if pd.api.types.is_numeric_dtype(column.dtype) and not pd.api.types.is_complex_dtype(column.dtype):
+        numbers = column.to_numpy(dtype=float, na_value=np.nan)
+        # An infinite reading is no reading.
+        return np.where(np.isinf(numbers), np.nan, numbers), nothing
+    if pd.api.types.is_datetime64_any_dtype(column.dtype) or pd.api.types.is_timedelta64_dtype(column.dtype):
+        return np.full(len(column), np.nan), column.notna().to_numpy()
+    plain = column.astype(object).map(_cell)
+    flags = plain.map({"true": 1.0, "false": 0.0, "True": 1.0, "False": 0.0, True: 1.0, False: 0.0})
+    if decimal != ".":
+        plain = plain.map(lambda one: one.replace(decimal, ".") if isinstance(one, str) else one)
+    absent = plain.isna() | plain.isin([*MISSING, *missing])
+    numbers = pd.to_numeric(plain.where(~absent, None), errors="coerce").astype(float)
+    numbers = numbers.where(numbers.notna(), flags.astype(float))
+    wrong = numbers.isna() & ~absent
+    values = numbers.to_numpy()
+    return np.where(np.isinf(values), np.nan, values), wrong.to_numpy()
+
+
+def _cell(one: object) -> object:
+    """A cell: a number, None where there is none, else text without blanks around it."""
+    import pandas as pd
+
+    if isinstance(one, str):
+        return one.strip()
+    if one is None or isinstance(one, Real | Decimal):
+        return one
+    return None if pd.api.types.is_scalar(one) and pd.isna(one) else str(one)
+
+
+def _text_fault(
+    name: str,
+    column: pandas.Series,
+    texts: np.ndarray,
+    places: Places,
+    decimal: str,
+) -> str:
+    """Text in a column of numbers: where, what, and the likely remedy."""
+    rows = np.flatnonzero(texts)
+    found = {"M": "dates", "m": "durations"}.get(column.dtype.kind, "text")
+    words = [str(one).strip() for one in column[texts].iloc[:1000]]
+    if any(re.fullmatch(r"-?\d+,\d+", word) for word in words) and decimal == ".":
+        remedy = f'state decimal = ","{places.here}'
+    elif any(re.fullmatch(r"-?\d{1,3}(,\d{3})+(\.\d+)?", word) for word in words):
+        remedy = "export without thousands separators"
+    elif found != "text":
+        remedy = "name another column"
+    elif name in words:
+        remedy = "the header is repeated among the rows: remove these lines"
+    elif list(rows) == [0]:
+        remedy = "if the line under the header holds units, remove it"
+    else:
+        listed = ", ".join(f'"{word}"' for word in dict.fromkeys(words[:_SHOWN]))
+        remedy = (
+            "correct them or, if this means that there is no reading, state "
+            f"missing = [{listed}]{places.here}"
+        )
+    return (
+        f'column "{name}": expected numbers, found {found} in {len(rows)} of {len(column)} rows: '
+        f"{_where(rows, column, places)}; {remedy}"
+    )
+
+
+def _where(rows: np.ndarray, column: pandas.Series, places: Places) -> str:
+    """The first few rows with what they hold, such as: line 7 "error", line 9 "error", …"""
+    shown = rows[:_SHOWN]
+    parts = [
+        f'{places.label} {number} "{str(column.iloc[row]).strip()[:40]}"'
+        for number, row in zip(places.numbers(shown), shown, strict=False)
+    ]
+    return ", ".join(parts) + (", …" if len(rows) > _SHOWN else "")
+
+
+def numbered(label: str, numbers: Sequence[int], total: int) -> str:
+    """The first few of `total` rows by number, such as: lines 7, 9, 12, 15, 16 …"""
+    listed = ", ".join(str(number) for number in numbers[:_SHOWN])
+    return f"{label}{'s' if total > 1 and label == 'line' else ''} {listed}" + (
+        " …" if total > _SHOWN else ""
+    )
+
+
+def _stamp_remedy(column: pandas.Series, unreadable: np.ndarray, here: str) -> str:
+    words = [str(one).strip() for one in column[unreadable].iloc[:200]]
+    if column.name in words:
+        return "; the header is repeated among the rows: remove these lines"
+    if all(re.fullmatch(r"\d+(\.\d*)?", word) for word in words):
+        return "; bare numbers are no stamps: export the time as text such as 2020-12-01T00:00Z"
+    for pattern, form in (
+        (r"\d{1,2}\.\d{1,2}\.\d{4} \d{1,2}:\d{2}:\d{2}", "%d.%m.%Y %H:%M:%S"),
+        (r"\d{1,2}\.\d{1,2}\.\d{4} \d{1,2}:\d{2}", "%d.%m.%Y %H:%M"),
+        (r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d{2}:\d{2}", "%d/%m/%Y %H:%M:%S"),
+        (r"\d{1,2}/\d{1,2}/\d{4} \d{1,2}:\d{2}", "%d/%m/%Y %H:%M"),
+    ):
+        if all(re.fullmatch(pattern, word) for word in words):
+            ask = " (or month first: %m/%d)" if "/" in form else ""
+            return f'; state time_format = "{form}"{ask}{here}'
+    if all(word.startswith("#") for word in words):
+        return '; if these are comments, state comment = "#"' + here
+    if unreadable.sum() < len(column) / 2:
+        return "; correct or remove these lines"
+    return '; state the form of the stamps, such as time_format = "%d.%m.%Y %H:%M"' + (here and f",{here}")
+
+
+def _all_aware(column: pandas.Series) -> bool:
+    """True where stamps are no local ones; only asked after read_stamps found none naive."""
+    import pandas as pd
+
+    if pd.api.types.is_datetime64_any_dtype(column.dtype):
+        return column.dt.tz is not None
+    first = column.dropna()
+    return (
+        len(first) > 0
+        and re.search(r"([zZ]|UTC|GMT|[+-]\d{2}(:?\d{2})?)\s*$", str(first.iloc[0])) is not None
+    )

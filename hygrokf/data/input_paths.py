@@ -1,0 +1,198 @@
+"""The path of an input between its readings: instants, interval means, and sensors that respond with a delay.
+
+An input is read as instants or as means over intervals; the filter needs it at every time.  Its path is taken as
+Brownian with readings that have noise,
+
+    u(t+Δ) = u(t) + N(0, q Δ),    reading = u, or the mean of u over its interval, + N(0, r),
+
+and the filter is given the mean of that path conditional on the readings around.  Given instants it is straight
+between them.  Given means it is a quadratic in every interval that keeps the interval's mean (the derivative of the
+cubic spline through the cumulated means); with the two means on either side of an edge the edge is known as well as
+with all of them to 1 % in variance (`edge_weights`), so that a path depends on the readings around it alone.  It is drawn
+by straight pieces of a quarter of an hour at most that keep the mean too.
+
+Joining the middles of intervals by straight lines instead, as is often done, smooths the input once more and makes the
+cabinet look faster: by 8 % (ten-minute means) and 22 % (hourly means) of a hygric time constant of half an hour.
+
+A sensor with the response time θ reads dy/dt = (u − y)/θ, so its input is u = y + θ dy/dt.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from functools import cache, lru_cache
+
+import numpy as np
+
+from hygrokf.data.record import Series
+
+AROUND = 2
+"""Means on each side of an edge that its value is taken from."""
+JOINED_S = 1.0
+"""[s] intervals whose edges are closer than this are adjacent."""
+PIECE_S = 900.0
+"""[s] longest straight piece of a path within an interval; two pieces at least."""
+SLOPE_REACH_S = 6 * 3600.0
+"""[s] readings further apart than this tell no slope."""
+
+
+def input_path(series: Series, noise: tuple[float, float] | None = None) -> Series:
+    """The path that readings most likely belong to, as a series of straight pieces.
+
+    `noise` (q [unit²/s], r [unit²]) of means that are to be smoothed; instants with noise are smoothed before
+    (`ambient.smoothed`).  Missing readings end a stretch; a mean without neighbours stands in the middle of its
+    interval, and so do means whose intervals overlap.
+    """
+    return series if series.hold == "linear" else _known_path(Same(series), noise)
+
+
+class Same:
+    """A series as a key of a cache: equal to itself alone.  It keeps the series alive, so that its identity is its own."""
+
+    def __init__(self, series: Series) -> None:
+        self.series = series
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Same) and self.series is other.series
+
+    def __hash__(self) -> int:
+        return id(self.series)
+
+
+@lru_cache(maxsize=32)
+def _known_path(key: Same, noise: tuple[float, float] | None) -> Series:
+    """The path through means; discovery asks for that of one series hundreds of times."""
+    return _through_means(key.series, noise)
+
+
+def without_response(series: Series) -> Series:
+    """What a sensor with a stated response time θ would read without it: y + θ dy/dt, the slope over both neighbours.
+
+    A series whose response time is 0 or not stated comes back as it is.
+    """
+    response = series.response_time_s or 0.0
+    time, value = series.known
+    if response <= 0 or len(time) < 2:
+        return series
+    place = np.arange(len(time))
+    before, after = np.maximum(place - 1, 0), np.minimum(place + 1, len(time) - 1)
+    before = np.where(time - time[before] > SLOPE_REACH_S, place, before)
+    after = np.where(time[after] - time > SLOPE_REACH_S, place, after)
+    span = time[after] - time[before]
+    slope = (value[after] - value[before]) / np.where(span > 0, span, np.inf)
+    result = series.value.copy()
+    result[~series.missing] = value + response * slope
+    return replace(series, value=result, response_time_s=0.0)
+
+
+def centred(series: Series) -> Series:
+    """Readings at the times that they belong to: interval means stand in the middle of their interval."""
+    if series.hold == "linear":
+        return series
+    return replace(series, time=series.time - 0.5 * series.interval_s, hold="linear", interval_s=0.0)
+
+
+def thinned(series: Series) -> Series:
+    """The series read half as often: every second instant, or means over two adjacent intervals."""
+    if series.interval_s <= 0:
+        return replace(series, time=series.time[::2], value=series.value[::2])
+    count = len(series) // 2
+    first, second = series.time[: 2 * count : 2], series.time[1 : 2 * count : 2]
+    joined = np.abs(second - first - series.interval_s) <= JOINED_S
+    mean = 0.5 * (series.value[: 2 * count : 2] + series.value[1 : 2 * count : 2])
+    return replace(series, time=second[joined], value=mean[joined], interval_s=2.0 * series.interval_s)
+
+
+def readings_ahead(interval_s: float, response_time_s: float) -> int:
+    """How many readings after a time its path depends on, beside the next one."""
+    return (AROUND if interval_s > 0 else 0) + (1 if response_time_s > 0 else 0)
+
+
+@cache
+def edge_weights(before: int, after: int, noise_share: float = 0.0) -> np.ndarray:
+    """Weights (before+after,) of adjacent interval means in the path's value at the edge between them.
+
+    `noise_share` r/(q Δ).  With two means on each side and no noise −1/8, 5/8, 5/8, −1/8.
+    """
+    return _weights(before + after, float(before), None, noise_share)
+
+
+@cache
+def mean_weights(before: int, after: int, noise_share: float) -> np.ndarray:
+    """Weights (before+1+after,) of adjacent means in the mean over one of the intervals, free of its reading's noise."""
+    return _weights(before + 1 + after, 0.0, before, noise_share)
+
+
+def _covariance(count: int) -> np.ndarray:
+    """Covariance (n, n) of the means over adjacent unit intervals of a Brownian path that starts at 0 with q = 1."""
+    place = np.arange(count)
+    result = np.minimum.outer(place, place) + 0.5
+    np.fill_diagonal(result, place + 1.0 / 3.0)
+    return result
+
+
+def _weights(count: int, edge: float, block: int | None, noise_share: float) -> np.ndarray:
+    """Weights of means over adjacent unit intervals in the value at an edge, or in one interval's own mean.
+
+    The start of the path is unknown: weights sum to 1 (ordinary kriging).
+    """
+    place = np.arange(count)
+    known = _covariance(count)
+    wanted = known[block] if block is not None else np.minimum(place + 0.5, edge)
+    system = np.ones((count + 1, count + 1))
+    system[:count, :count] = known + noise_share * np.eye(count)
+    system[count, count] = 0.0
+    return np.linalg.solve(system, np.append(wanted, 1.0))[:count]
+
+
+def _through_means(series: Series, noise: tuple[float, float] | None) -> Series:
+    time, value = series.known
+    width = series.interval_s
+    if len(time) < 2:
+        return centred(series)
+    gaps = np.diff(time) - width
+    share = 0.0 if noise is None else noise[1] / (noise[0] * width)
+    if np.any(gaps < -JOINED_S):  # running means: no partition, so no edges
+        return replace(centred(series), time=time - 0.5 * width, value=value)
+    times, values = [], []
+    for stretch in np.split(np.arange(len(time)), np.flatnonzero(gaps > JOINED_S) + 1):
+        ends, nodes = _stretch(time[stretch], value[stretch], width, share)
+        times.append(ends)
+        values.append(nodes)
+    joined, course = np.concatenate(times), np.concatenate(values)
+    kept = np.append(True, np.diff(joined) > JOINED_S)
+    return replace(series, time=joined[kept], value=course[kept], hold="linear", interval_s=0.0)
+
+
+def _stretch(time: np.ndarray, mean: np.ndarray, width: float, share: float) -> tuple[np.ndarray, np.ndarray]:
+    """Times [s] and values of the path's nodes: the edges of adjacent means (n,), and places between them."""
+    count = len(mean)
+    if count == 1:
+        return time - 0.5 * width, mean
+    edges = np.empty(count + 1)
+    for k in {*range(min(AROUND, count + 1)), *range(max(count + 1 - AROUND, 0), count + 1)}:
+        before, after = min(k, AROUND), min(count - k, AROUND)
+        edges[k] = edge_weights(before, after, share) @ mean[k - before : k + after]
+    inner = np.arange(AROUND, count + 1 - AROUND)
+    edges[inner] = sum(
+        w * mean[inner - AROUND + i] for i, w in enumerate(edge_weights(AROUND, AROUND, share))
+    )
+    own = mean if share == 0.0 else _denoised(mean, share)
+    # straight pieces through the quadratic itself would lose 1/n² of its area above the chord
+    pieces = max(2, math.ceil(width / PIECE_S))
+    place = np.arange(pieces) / pieces
+    peak = 1.5 * (own - 0.5 * (edges[1:] + edges[:-1])) / (1.0 - pieces**-2.0)
+    inside = edges[:-1, None] * (1.0 - place) + edges[1:, None] * place
+    inside += peak[:, None] * (4.0 * place * (1.0 - place))
+    times = (time - width)[:, None] + width * place
+    return np.append(times.ravel(), time[-1]), np.append(inside.ravel(), edges[-1])
+
+
+def _denoised(mean: np.ndarray, share: float) -> np.ndarray:
+    count = len(mean)
+    result = np.empty(count)
+    for k in range(count):
+        before, after = min(k, AROUND), min(count - 1 - k, AROUND)
+        result[k] = mean_weights(before, after, share) @ mean[k - before : k + after + 1]
+    return result

@@ -1,0 +1,333 @@
+"""What can be masked or repaired safely in readings, and the sentence that says so."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from hygrokf.data.record import Series
+from hygrokf.data.signals import in_words, signal_named
+from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text
+
+SATURATED = 0.995
+"""[-] relative humidity from which a reading is censored: the sensor cannot show more."""
+PILED = 5
+"""Times as many readings at the ceiling as below it."""
+PILE_WIDTHS = (0.0, 0.005, 0.01, 0.015)
+"""[-] ranges in which noise spreads the readings of saturated air."""
+
+FROZEN_MINIMUM = 6
+"""Identical readings in a row below which no sensor is called frozen."""
+
+QUIET_STEPS = 2.0
+"""Steps of the resolution within which readings count as quiet, for the frozen-sensor check."""
+
+QUIET_LEAST = {"temperature": 0.1, "fraction": 0.005}
+"""[SI unit] range that counts as quiet however fine the resolution, by dimension."""
+
+QUIET_SHARE = 0.005
+"""Least quiet range of other dimensions, as a share of the range of the series' readings."""
+
+_FEWEST_READINGS = 50
+
+
+def order_readings(
+    time: np.ndarray, values: dict[str, np.ndarray]
+) -> tuple[np.ndarray, dict[str, np.ndarray], tuple[str, ...]]:
+    """Readings in order of time, each stamp once; and warnings [s].
+
+    time: [s] (N,) finite, in any order, repeats allowed.
+    values: column -> (N,).
+
+    Of readings with the same stamp, equal ones are kept once and a missing one gives way. Where
+    they contradict each other nobody knows which is right: the reading is masked.
+    """
+    warnings = []
+    backward = np.diff(time) < 0.0
+    if backward.any():
+        first = int(np.argmax(backward))
+        step_back = f"{stamp_text(time[first + 1])} after {stamp_text(time[first])}"
+        order = np.argsort(time, kind="stable")
+        time = time[order]
+        values = {name: array[order] for name, array in values.items()}
+        if backward.mean() > 0.9:
+            warnings.append("unsorted stamps: the newest come first; turned round")
+        else:
+            warnings.append(
+                f"unsorted stamps: {int(backward.sum())} of {len(time)} are earlier than the one "
+                f"before, first {step_back}; sorted"
+            )
+    fresh = np.append(True, np.diff(time) > 0.0)
+    if fresh.all():
+        return time, values, tuple(warnings)
+    starts = np.flatnonzero(fresh)
+    counts = np.diff(np.append(starts, len(time)))
+    repeated = time[starts][counts > 1]
+    single = {}
+    contradictions = []
+    for name, array in values.items():
+        low = np.fmin.reduceat(array, starts)
+        high = np.fmax.reduceat(array, starts)
+        differing = low != high
+        differing &= np.isfinite(low)
+        single[name] = np.where(differing, np.nan, low)
+        if differing.any():
+            contradictions.append(f"{name}: {int(differing.sum())}")
+    sentence = (
+        f"duplicate stamps: {len(repeated)} occur more than once "
+        f"({period_text(repeated[0], repeated[-1])}); equal readings kept once"
+    )
+    if contradictions:
+        sentence += f", contradicting ones masked ({', '.join(contradictions)})"
+    return time[starts], single, (*warnings, sentence)
+
+
+def detect_resolution(values: np.ndarray) -> float:
+    """Spacing of the grid on which readings lie, in their own unit; 0 where there is none.
+
+    values: (N,) as in the file, before any conversion; NaN = missing.
+
+    The coarsest of 1, 2, 2.5, 5 times a power of ten, and of the halves of one, on whose
+    multiples (shifted by any constant) 99 % of the readings lie. Sentinels and single-precision
+    noise do not matter. Fewer than five different readings have no resolution to speak of.
+    """
+    finite = values[np.isfinite(values)]
+    if len(finite) > 5000:
+        finite = finite[:: len(finite) // 5000]
+    distinct, counts = np.unique(finite, return_counts=True)
+    if len(distinct) < 5:
+        return 0.0
+    distance = np.abs(finite - distinct[np.argmax(counts)])
+    noise = max(1e-9, 3e-7 * float(np.quantile(np.abs(finite), 0.95)))
+    for spacing in _SPACINGS:
+        away = np.abs(distance - spacing * np.round(distance / spacing))
+        if noise <= 0.1 * spacing and np.mean(away <= noise) >= 0.99:
+            return spacing
+    return 0.0
+
+
+_SPACINGS = tuple(
+    sorted(
+        {m * 10.0**e for e in range(-7, 4) for m in (1.0, 2.0, 2.5, 5.0)} | {2.0**-k for k in range(1, 9)},
+        reverse=True,
+    )
+)
+
+
+def out_of_range(series: Series) -> np.ndarray:
+    """(T,) True where a reading lies outside of the signal's physical range."""
+    row = signal_named(series.signal)
+    slack = 1e-9 * (row.high - row.low)
+    return (series.value < row.low - slack) | (series.value > row.high + slack)
+
+
+def mask_out_of_range(series: Series) -> tuple[Series, tuple[str, ...]]:
+    """Series without readings outside of the signal's physical range, and a warning.
+
+    series: any. Catches -273 degC, -99, 9999, a relative humidity of 150 %.
+    """
+    outside = out_of_range(series)
+    if not outside.any():
+        return series, ()
+    return _masked(series, outside), (range_sentence(series, outside, " masked"),)
+
+
+def range_sentence(series: Series, outside: np.ndarray, done: str = "") -> str:
+    """That readings lie outside of the physical range; outside: (T,) which, some. done: to them, as a phrase."""
+    row = signal_named(series.signal)
+    found = np.unique(series.value[outside])
+    shown = [found[0], found[-1]] if len(found) > 1 else [found[0]]
+    return (
+        f"{_label(series)}: {_readings(outside)} outside of {in_words(row.low, row)} … "
+        f"{in_words(row.high, row)}{done}, such as "
+        f"{' and '.join(in_words(one, row) for one in shown)} ({_period(series, outside)})"
+    )
+
+
+def mask_saturated(series: Series) -> tuple[Series, tuple[str, ...]]:
+    """Relative humidity with saturated readings treated, and a warning.
+
+    series: any; only relative humidities are touched.
+
+    A sensor at its ceiling is censored, not Gaussian. Cabinet humidity is an observation: its
+    readings of at least `SATURATED`, or at a ceiling of the sensor's own (the highest value of the
+    record, at 95 % or more, that piles up), are masked. Humidity of other places is an input:
+    outside air does saturate, so it is kept, and cut to 1.
+    """
+    if not series.signal.endswith("_relative_humidity"):
+        return series, ()
+    if not series.signal.startswith("cabinet_"):
+        above = series.value > 1.0 + 1e-9
+        if not above.any():
+            return series, ()
+        sentence = (
+            f"{_label(series)}: saturated humidity, {_readings(above)} above 100 % set to 100 % "
+            f"({_period(series, above)})"
+        )
+        return dataclasses.replace(series, value=np.minimum(series.value, 1.0)), (sentence,)
+    limit = min(SATURATED, _ceiling(series.value))
+    saturated = series.value >= limit - 1e-9
+    if not saturated.any():
+        return series, ()
+    step, _ = modal_step(series.time)
+    hours = f", {duration_text(saturated.sum() * step)} in all" if np.isfinite(step) else ""
+    sentence = (
+        f"{_label(series)}: saturated humidity, {_readings(saturated)} of at least "
+        f"{100.0 * limit:.4g} % masked{hours} ({_period(series, saturated)}); they are censored "
+        "and stay out of the likelihood"
+    )
+    return _masked(series, saturated), (sentence,)
+
+
+def _ceiling(humidity: np.ndarray) -> float:
+    """Lowest of the readings that pile up at the top, else infinity [-].
+
+    They pile up on one value, or, where the sensor has noise, in a narrow range: at least `PILED` times as many as in a
+    range of the same width, and of 1 % at least, below.
+    """
+    finite = humidity[np.isfinite(humidity)]
+    if not len(finite) or finite.max() < 0.95:
+        return np.inf
+    top = float(finite.max())
+    for width in PILE_WIDTHS:
+        edge = top - width - 1e-9
+        at_top = np.sum(finite >= edge)
+        below = np.sum((finite >= edge - max(width, 0.01)) & (finite < edge))
+        if at_top >= 20 and at_top > PILED * below:
+            return top - width
+    return np.inf
+
+
+def mask_frozen(series: Series) -> tuple[Series, tuple[str, ...]]:
+    """Series without the repeats of a frozen sensor, and a warning.
+
+    series: any.
+
+    A run of identical readings is called frozen if it has at least `FROZEN_MINIMUM` readings,
+    is more than twice as long as the 99th percentile of the record's own runs, and is longer than
+    the longest quiet stretch that the record shows elsewhere: readings that stay within a few steps
+    of the resolution (and at least `QUIET_LEAST`), but not all the same. So a coarse sensor in still
+    weather vouches for itself, and readings in the signal's idle range (calm, night, standstill, saturated air) are never
+    called frozen. The first reading of a run is kept. Where more than half of the readings would
+    go, the source repeats readings as a rule: nothing is masked and the warning says so.
+    """
+    row = signal_named(series.signal)
+    present = np.flatnonzero(np.isfinite(series.value))
+    value = series.value[present]
+    if len(value) < _FEWEST_READINGS or row.idle == (-np.inf, np.inf):
+        return series, ()
+    if value[0] == value.min() == value.max() and not _is_idle(row.idle, value[0]):
+        same = in_words(value[0], row)
+        doubt = f"all {len(value)} readings are {same}: perhaps a frozen sensor; nothing else vouches for it"
+        return series, (f"{_label(series)}: {doubt}",)
+    starts = np.flatnonzero(np.append(True, np.diff(value) != 0.0))
+    lengths = np.diff(np.append(starts, len(value)))
+    idle = np.zeros(len(starts), dtype=bool)
+    if row.idle is not None:
+        idle = (value[starts] >= row.idle[0]) & (value[starts] <= row.idle[1])
+    frozen_runs = _frozen_runs(value, starts, lengths, idle, _quiet_range(series, value))
+    if not len(frozen_runs):
+        return series, ()
+    frozen = np.zeros(len(series), dtype=bool)
+    for run in frozen_runs:
+        frozen[present[starts[run] + 1 : starts[run] + lengths[run]]] = True
+    longest = frozen_runs[np.argmax(lengths[frozen_runs])]
+    first = series.time[present[starts[longest]]]
+    last = series.time[present[starts[longest] + lengths[longest] - 1]]
+    what = (
+        f"{len(frozen_runs)} run{'s' if len(frozen_runs) > 1 else ''} of identical readings, the "
+        f"longest {duration_text(last - first)} at {in_words(value[starts[longest]], row)} "
+        f"({period_text(first, last)})"
+    )
+    if frozen.sum() > 0.5 * len(value):
+        doubt = f"perhaps a frozen sensor: {what}; not masked, since these are more than half"
+        return series, (f"{_label(series)}: {doubt} of the readings",)
+    return _masked(series, frozen), (f"{_label(series)}: frozen sensor, {what}; {_readings(frozen)} masked",)
+
+
+def _is_idle(idle: tuple[float, float] | None, value: float) -> bool:
+    return idle is not None and idle[0] <= value <= idle[1]
+
+
+def _quiet_range(series: Series, value: np.ndarray) -> float:
+    """Range within which a stretch of readings counts as quiet [SI unit].
+
+    Besides the steps of the resolution there is a least range, because the mean of readings on a
+    coarse grid lies on a fine one.
+    """
+    low, high = np.quantile(value, (0.005, 0.995))
+    dimension = signal_named(series.signal).dimension
+    least = QUIET_LEAST.get(dimension, QUIET_SHARE * float(high - low))
+    return max(QUIET_STEPS * series.resolution, least) * (1.0 + 1e-6)
+
+
+def _frozen_runs(
+    value: np.ndarray,
+    starts: np.ndarray,
+    lengths: np.ndarray,
+    idle: np.ndarray,
+    quiet: float,
+) -> np.ndarray:
+    """Indices of the runs that no quiet stretch elsewhere vouches for."""
+    ordinary = np.quantile(lengths[~idle], 0.99) if (~idle).any() else 0.0
+    shortest = max(FROZEN_MINIMUM, int(2.0 * ordinary) + 1)
+    gone = np.zeros(len(value), dtype=bool)
+    frozen: list[int] = []
+    while True:
+        left = ~idle & (lengths >= shortest)
+        left[frozen] = False
+        if not left.any():
+            break
+        length = int(lengths[left].max())
+        # A run must not vouch for itself, nor for another of about its length: both are cut in
+        # their middle, so that only their surroundings can.
+        cut = gone.copy()
+        rivals = ~idle & (lengths >= 0.8 * length)
+        cut[starts[rivals] + lengths[rivals] // 2] = True
+        if _quiet_stretch(value, length, quiet, cut):
+            break
+        for run in np.flatnonzero(left & (lengths == length)):
+            frozen.append(int(run))
+            gone[starts[run] : starts[run] + lengths[run]] = True
+    return np.array(sorted(frozen), dtype=int)
+
+
+def _quiet_stretch(value: np.ndarray, length: int, quiet: float, cut: np.ndarray) -> bool:
+    """Whether some window of `length` readings stays within `quiet`, not constant, not cut."""
+    count = len(value) - length + 1
+    if count <= 0:
+        return False
+    high = low = value
+    width = 1
+    while 2 * width <= length:
+        high = np.maximum(high[:-width], high[width:])
+        low = np.minimum(low[:-width], low[width:])
+        width *= 2
+    rest = length - width
+    high = np.maximum(high[:count], high[rest : rest + count])
+    low = np.minimum(low[:count], low[rest : rest + count])
+    total = np.append(0, np.cumsum(cut))
+    uncut = total[length : length + count] == total[:count]
+    spread = high - low
+    return bool(np.any((spread <= quiet) & (spread > 0.0) & uncut))
+
+
+def _masked(series: Series, where: np.ndarray) -> Series:
+    return dataclasses.replace(series, value=np.where(where, np.nan, series.value))
+
+
+def _label(series: Series) -> str:
+    return f"{series.signal} ({series.source})" if series.source else series.signal
+
+
+def _readings(where: np.ndarray) -> str:
+    count = int(np.sum(where))
+    return f"{count} reading{'s' if count != 1 else ''}"
+
+
+def _period(series: Series, where: np.ndarray) -> str:
+    moments = series.time[where]
+    if len(moments) <= 3:
+        return ", ".join(stamp_text(one) for one in moments)
+    return f"between {stamp_text(moments[0])} and {stamp_text(moments[-1])}"

@@ -1,0 +1,423 @@
+"""What was measured: series of readings, each on its own clock, in SI units."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from numbers import Real
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hygrokf.data.signals import LARGEST_FRACTION, SIGNALS, Signal, better_units
+from hygrokf.errors import suggestion
+
+if TYPE_CHECKING:
+    import pandas
+
+HOLDS = ("linear", "zero-order")
+
+
+@dataclass(frozen=True)
+class Series:
+    """The readings of one signal, at their own times.
+
+    signal: a name of the signal table.
+    time: [s] (T,) since 1970-01-01T00:00Z, strictly increasing; for means the END of the interval.
+    value: [SI unit of the signal table] (T,); NaN = missing.
+    hold: "linear" for instants, "zero-order" for means: the value holds over
+        (time - interval_s, time].
+    interval_s: [s] averaging interval; 0 for instants.
+    resolution: [SI unit] spacing of the readings' grid; 0 = none found.
+    accuracy: [SI unit] stated 95 % accuracy of the sensor; None: the signal table's default.
+    clock_uncertainty_s: [s] stated standard uncertainty of the source's clock; None: not stated.
+    source: file and column.
+    height_m: [m] above ground of what was read, for a wind whose file says so; None: not known.
+    response_time_s: [s] stated time in which the sensor follows a step by all but 1/e; None: not stated.
+
+    The arrays are copied and made read-only. Raises ValueError that lists everything wrong.
+    """
+
+    signal: str
+    time: np.ndarray
+    value: np.ndarray
+    hold: str = "linear"
+    interval_s: float = 0.0
+    resolution: float = 0.0
+    accuracy: float | None = None
+    clock_uncertainty_s: float | None = None
+    source: str = ""
+    height_m: float | None = None
+    response_time_s: float | None = None
+
+    def __post_init__(self) -> None:
+        faults: list[str] = []
+        row = SIGNALS.get(self.signal)
+        if row is None:
+            faults.append(f'unknown signal "{self.signal}"{suggestion(self.signal, SIGNALS)}')
+        time = _numbers("time", self.time, _SECONDS, faults)
+        value = _numbers("value", self.value, "numbers" if row is None else f"numbers in {row.unit}", faults)
+        if time is not None and value is not None:
+            faults += _reading_faults(time, value, row)
+        if self.hold not in HOLDS:
+            faults.append(f'hold must be one of {", ".join(HOLDS)}, found "{self.hold}"')
+        for name in ("interval_s", "resolution"):
+            number = getattr(self, name)
+            if not (math.isfinite(number) and number >= 0.0):
+                faults.append(f"{name} must be a finite number ≥ 0, found {number}")
+        for name in ("accuracy", "clock_uncertainty_s", "response_time_s"):
+            number = getattr(self, name)
+            if number is not None and not (math.isfinite(number) and number >= 0.0):
+                faults.append(f"{name} must be a finite number ≥ 0 or None, found {number}")
+        if self.height_m is not None and not (math.isfinite(self.height_m) and self.height_m > 0):
+            faults.append(f"height_m must be a finite number > 0 or None, found {self.height_m}")
+        if faults:
+            raise ValueError(f"series {self.signal}: " + "; ".join(faults))
+        for name, array in (("time", time), ("value", value)):
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    def __eq__(self, other: object) -> bool:
+        # The generated comparison would ask an array for its truth value.
+        if not isinstance(other, Series):
+            return NotImplemented
+        return all(
+            np.array_equal(getattr(self, field.name), getattr(other, field.name), equal_nan=True)
+            if field.name in ("time", "value")
+            else getattr(self, field.name) == getattr(other, field.name)
+            for field in dataclasses.fields(self)
+        )
+
+    __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def missing(self) -> np.ndarray:
+        """(T,) True where a reading is missing."""
+        return np.isnan(self.value)
+
+    @cached_property
+    def known(self) -> tuple[np.ndarray, np.ndarray]:
+        """Times [s] and values of the readings that are not missing."""
+        there = ~self.missing
+        return (self.time, self.value) if there.all() else (self.time[there], self.value[there])
+
+    def window(self, start_s: float, end_s: float) -> Series | None:
+        """The readings with start_s ≤ time ≤ end_s [s]; None where there is none."""
+        first = np.searchsorted(self.time, start_s, side="left")
+        last = np.searchsorted(self.time, end_s, side="right")
+        if last <= first:
+            return None
+        return dataclasses.replace(self, time=self.time[first:last], value=self.value[first:last])
+
+    @cached_property
+    def steps_s(self) -> np.ndarray:
+        """Distances [s] between readings that are not missing, from the smallest to the largest."""
+        time, _ = self.known
+        return np.sort(time[1:] - time[:-1])
+
+
+_SECONDS = "seconds since 1970-01-01T00:00Z as numbers"
+EARLIEST_S, LATEST_S = -3786825600.0, 7289654400.0
+"""[s] the beginning of 1850 and the end of 2200: no reading is older or younger."""
+
+
+def _reading_faults(time: np.ndarray, value: np.ndarray, row: Signal | None) -> list[str]:
+    """What is wrong with the times [s] and the readings of a signal."""
+    faults = []
+    if time.ndim != 1 or time.shape != value.shape:
+        faults.append(
+            f"time and value must be arrays of one dimension and one length, "
+            f"found shapes {time.shape} and {value.shape}"
+        )
+    elif not _increases(time):
+        if not np.isfinite(time).all():
+            faults.append("every time must be a finite number of seconds")
+        else:
+            first = int(np.argmax(time[1:] <= time[:-1])) + 1
+            faults.append(f"time must increase strictly; reading {first} does not")
+    elif len(time) and not (EARLIEST_S < time[0] and time[-1] < LATEST_S):
+        faults.append(_no_seconds(time))
+    if np.isinf(value).any():
+        faults.append("value must be finite, or NaN where a reading is missing")
+    elif row is not None and (other := _other_unit(value, row)):
+        faults.append(other)
+    return faults
+
+
+def _numbers(name: str, given: object, expected: str, faults: list[str]) -> np.ndarray | None:
+    """A copy as floating-point numbers, or None and a fault.
+
+    Dates are none: as plain numbers they would count nanoseconds or microseconds, in no zone.
+    """
+    if isinstance(given, np.ma.MaskedArray):
+        given = np.ma.filled(given.astype(float), np.nan)
+    try:
+        raw = np.asarray(given)
+        if raw.dtype.kind not in "mM":
+            return raw.astype(float)
+        found = raw.dtype.name
+    except (TypeError, ValueError):
+        others = (
+            (one for one in given if not isinstance(one, Real)) if isinstance(given, Iterable) else (given,)
+        )
+        found = type(next(iter(others), given)).__name__
+    remedy = _REMEDIES[name]
+    faults.append(f"{name}: expected {expected}, found {found}; convert, such as {remedy}, or hand a frame over to "
+                  "Record.from_frames")  # fmt: skip
+    return None
+
+
+_REMEDIES = {
+    "time": '(index - pandas.Timestamp("1970-01-01", tz="UTC")).total_seconds()',
+    "value": "column.to_numpy(float, na_value=numpy.nan)",
+}
+
+
+def _no_seconds(time: np.ndarray) -> str:
+    """That times (T,) lie beyond all dates, and what they would be counted in."""
+    for factor, unit in ((1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")):
+        if 0.0 < time[0] / factor and time[-1] / factor < LATEST_S:
+            remedy = f"they would fit as {unit}: divide them by {factor:g}"
+            break
+    else:
+        remedy = "correct them"
+    return f"time: expected seconds since 1970-01-01T00:00Z, found {time[0]:.6g} … {time[-1]:.6g}; {remedy}"
+
+
+def _other_unit(value: np.ndarray, row: Signal) -> str | None:
+    """That readings are in another unit than the signal's, where it is certain, or None.
+
+    value: [SI unit] (T,).  Most lie outside of the physical range, and within it in that unit.  Where all are the same
+    they may as well be what a dead sensor shows.
+    """
+    inside = (value >= row.low) & (value <= row.high)
+    if not len(value) or 2 * np.count_nonzero(inside) >= len(value):
+        return None
+    finite = value[np.isfinite(value)]
+    if not len(finite) or 2 * np.count_nonzero(inside) >= len(finite) or np.ptp(finite) == 0.0:
+        return None
+    if row.unit == "1" and np.median(finite) <= LARGEST_FRACTION:
+        return None
+    better = better_units(finite, row.unit, row)
+    if not better:
+        return None
+    unit = "fractions (unit 1)" if row.unit == "1" else row.unit
+    return (
+        f"value: expected {unit}, found readings of about {np.median(finite):.4g}, which would fit as "
+        f'{" or ".join(better)}; convert them, such as hygrokf.data.signals.to_si(value, "{better[0]}", "{row.name}"), or state '
+        "the unit to Record.from_frames"
+    )
+
+
+def _increases(time: np.ndarray) -> bool:
+    """Whether times (T,) are finite and increase strictly; between finite ends that increase nothing else can stand."""
+    if not len(time):
+        return True
+    ends = math.isfinite(time[0]) and math.isfinite(time[-1])
+    return ends and bool((time[1:] > time[:-1]).all())
+
+
+@dataclass(frozen=True)
+class Site:
+    """Where the record was taken.
+
+    latitude_deg: [deg] -90…90, north positive. longitude_deg: [deg] -180…360, east positive.
+    altitude_m: [m] above sea level, or None. Raises ValueError outside of these ranges.
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float | None = None
+
+    def __post_init__(self) -> None:
+        limits = (
+            ("latitude_deg", self.latitude_deg, -90.0, 90.0),
+            ("longitude_deg", self.longitude_deg, -180.0, 360.0),
+            ("altitude_m", self.altitude_m, -500.0, 9000.0),
+        )
+        faults = [
+            f"{name} must lie within {low:g} … {high:g}, found {number}"
+            for name, number, low, high in limits
+            if number is not None and not low <= number <= high
+        ]
+        if faults:
+            raise ValueError("site: " + "; ".join(faults))
+
+    @property
+    def in_north_america(self) -> bool:
+        """Whether summer time here is North America's, roughly: its beginning and end differ from Europe's."""
+        return self.latitude_deg > 0.0 and -170.0 < self.longitude_deg < -40.0
+
+
+@dataclass(frozen=True)
+class Record:
+    """All series of one enclosure; never resampled onto one grid.
+
+    name: of the enclosure.
+    series: one per signal.
+    site: where it stands, or None.
+    rated_power_W: [W] rated power, or None.
+    until_s: [s] end of the identification period since 1970-01-01T00:00Z; None: whole record.
+    warnings: what was masked or repaired, one sentence each.
+    provenance: (file name, SHA-256) of every file read.
+    compared: series of a second source, one per signal, that nothing is fitted to or driven by: `check` holds
+        them against those of the record, which shows wrong clocks.
+
+    Raises ValueError for a signal that occurs twice among the series, or twice among those compared.
+    """
+
+    name: str
+    series: tuple[Series, ...]
+    site: Site | None = None
+    rated_power_W: float | None = None
+    until_s: float | None = None
+    warnings: tuple[str, ...] = ()
+    provenance: tuple[tuple[str, str], ...] = ()
+    compared: tuple[Series, ...] = ()
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "series", tuple(self.series))
+        object.__setattr__(self, "compared", tuple(self.compared))
+        object.__setattr__(self, "warnings", tuple(self.warnings))
+        object.__setattr__(self, "provenance", tuple(self.provenance))
+        second = [one.signal for one in self.compared]
+        twice = sorted({name for names in (self.signals, second) for name in names if names.count(name) > 1})
+        if twice:
+            raise ValueError(f"record {self.name}: more than one series of {', '.join(twice)}")
+        if self.until_s is not None and not (
+            isinstance(self.until_s, Real) and EARLIEST_S < self.until_s < LATEST_S
+        ):
+            raise ValueError(
+                f"record {self.name}: until_s must be a number of seconds since 1970-01-01T00:00Z, "
+                f"found {self.until_s!r}"
+            )
+        if self.rated_power_W is not None and not 0.0 < self.rated_power_W < math.inf:
+            raise ValueError(
+                f"record {self.name}: rated_power_W must be a number above 0, found {self.rated_power_W}"
+            )
+
+    @classmethod
+    def from_frames(
+        cls,
+        frames: pandas.DataFrame | Mapping[str, pandas.DataFrame] | Sequence[pandas.DataFrame],
+        *,
+        signals: Mapping | None = None,
+        units: Mapping | None = None,
+        name: str = "record",
+        site: Site | Mapping[str, float] | None = None,
+        rated_power_kW: float | None = None,
+        identification: Mapping | None = None,
+        cabinet: bool = True,
+        ambient: bool = True,
+        **settings: object,
+    ) -> Record:
+        """Record of pandas frames, read, checked and masked as `read_case` does with files.
+
+        frames: one DataFrame, or several by name or in a list.  Each is a source with its own clock: its index holds the
+            times (a DatetimeIndex, text in ISO 8601, or a PeriodIndex, whose readings are means of the periods).
+        signals: {column: signal} where a column is not called by its signal.
+        units: {column: unit}, needed for every column that is a signal; docs/signals.md lists both.
+        name, rated_power_kW, site, identification: as in a case file, the last two as mappings, such as
+            identification={"until": "2020-12-01T00:00Z"}.
+        cabinet, ambient: whether there must be a cabinet signal, an ambient temperature; as for `read_case`.
+        settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0}, resolution, response_time.
+            Those of a source are one value for all frames or a mapping from their names: timezone, stamp, interval, hold,
+            clock_uncertainty, clock_correction, decimal, missing, time_format, ignore_offset, compare, and time, the
+            column that holds the times where the index does not.
+
+        Where several frames have columns of the same name, mappings from columns stand in mappings from frames:
+        units={"cabinet": {"T": "degC"}, "mast": {"T": "K"}}.
+
+        What was masked or repaired is in the record's `warnings`.  Raises hygrokf.CaseFault with all faults.
+        """
+        from hygrokf.cases.frames import record_from_frames
+
+        return record_from_frames(
+            frames,
+            name=name,
+            signals=signals,
+            units=units,
+            site=site,
+            rated_power_kW=rated_power_kW,
+            identification=identification,
+            cabinet=cabinet,
+            ambient=ambient,
+            settings=settings,
+        )
+
+    @cached_property
+    def signals(self) -> tuple[str, ...]:
+        """Names of the signals in the record."""
+        return tuple(one.signal for one in self.series)
+
+    def __contains__(self, signal: object) -> bool:
+        return signal in self.signals
+
+    def __getitem__(self, signal: str) -> Series:
+        for one in self.series:
+            if one.signal == signal:
+                return one
+        raise KeyError(
+            f"record {self.name} has no {signal}; it has {', '.join(self.signals) or 'no signals'}"
+        )
+
+    @property
+    def start_s(self) -> float:
+        """Start of the earliest reading (of its interval, for means) [s]; NaN if empty."""
+        starts = [one.time[0] - one.interval_s for one in self.series if len(one)]
+        return float(min(starts)) if starts else math.nan
+
+    @property
+    def end_s(self) -> float:
+        """Time of the latest reading [s]; NaN if empty."""
+        ends = [one.time[-1] for one in self.series if len(one)]
+        return float(max(ends)) if ends else math.nan
+
+    def window(self, start_s: float, end_s: float) -> Record:
+        """The readings with start_s ≤ time ≤ end_s [s].
+
+        A mean belongs to the window that holds the end of its interval. Series without a reading
+        in the window are left out. `until_s` is kept where it lies inside of the window.
+        """
+        if not start_s <= end_s:
+            raise ValueError(f"window: start {start_s} must not be after end {end_s}")
+        kept, second = (
+            tuple(part for one in all_of_them if (part := one.window(start_s, end_s)) is not None)
+            for all_of_them in (self.series, self.compared)
+        )
+        inside = self.until_s is not None and start_s < self.until_s < end_s
+        until_s = self.until_s if inside else None
+        return dataclasses.replace(self, series=kept, compared=second, until_s=until_s)
+
+    def identification(self) -> Record:
+        """The identification period: readings up to and including `until_s`."""
+        if self.until_s is None:
+            return self
+        return self.window(-math.inf, self.until_s)
+
+    def validation(self) -> Record:
+        """The validation period: readings after `until_s`; no series if there is no such period."""
+        if self.until_s is None:
+            return dataclasses.replace(self, series=())
+        return self.window(float(np.nextafter(self.until_s, math.inf)), math.inf)
+
+    def replace_series(self, *changed: Series, warnings: tuple[str, ...] = ()) -> Record:
+        """A record in which series are exchanged for others of the same signal.
+
+        changed: the new series. warnings: sentences to add to the record's own.
+        Raises KeyError for a signal that the record does not have.
+        """
+        new = {one.signal: one for one in changed}
+        for signal in new:
+            self[signal]
+        return dataclasses.replace(
+            self,
+            series=tuple(new.get(one.signal, one) for one in self.series),
+            warnings=self.warnings + warnings,
+        )

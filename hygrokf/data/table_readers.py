@@ -1,0 +1,348 @@
+"""Tables of readings from files: CSV (also compressed) and Parquet."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import hashlib
+import io
+import os
+import re
+import warnings as python_warnings
+import zlib
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hygrokf.data.columns import MISSING, Places, Table, TableFault, column_fault, numbered, table_of
+from hygrokf.errors import suggestion
+
+if TYPE_CHECKING:
+    import pandas
+
+SUFFIXES = (".csv", ".csv.gz", ".parquet")
+_HEADER_WITHIN = 200
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where the cells of a CSV file are."""
+
+    header_line: int
+    names: tuple[str, ...]
+
+
+def read_table(
+    path: str | os.PathLike[str],
+    columns: Sequence[str],
+    time_column: str,
+    *,
+    timezone: str | None = None,
+    separator: str = ",",
+    decimal: str = ".",
+    comment: str | None = None,
+    missing: Sequence[str] = (),
+    time_format: str | None = None,
+    ignore_offset: bool = False,
+) -> Table:
+    """Columns of numbers and their stamps from a file, stamps in UTC [s].
+
+    path: .csv, .csv.gz or .parquet (extra `parquet`).
+    columns: names of the columns of numbers.
+    time_column: name of the column of stamps; ISO 8601 unless `time_format` says else. Lines
+        above the one that holds this name are skipped.
+    timezone: of stamps without an offset: "+02:00", "UTC" or an IANA name.
+    separator, decimal: of a CSV file. comment: what starts a line to be skipped.
+    missing: texts that mean no reading, besides `MISSING`.
+    time_format: strptime format of the stamps.
+    ignore_offset: take stamps without the offset that they carry, in `timezone`.
+
+    Rows without stamp are left out and said. Raises TableFault with every fault found.
+    """
+    file = Path(path)
+    faults: list[str] = []
+    content = _content(file)
+    wanted = list(dict.fromkeys(columns))
+    if file.name.lower().endswith(".parquet"):
+        frame = _parquet_frame(content, wanted, time_column, faults)
+        places = Places("row", lambda rows: [int(row) + 1 for row in rows])
+    else:
+        source = _CsvSource(content, file.name, separator, decimal, comment, tuple(missing))
+        frame = source.frame(wanted, time_column, faults)
+        places = Places("line", source.line_numbers)
+    if len(frame) == 0 and not faults:
+        raise TableFault(["expected readings, found no row below the header"])
+    return table_of(
+        frame,
+        wanted,
+        frame[time_column] if time_column in frame else None,
+        f'column "{time_column}"',
+        places,
+        timezone=timezone,
+        decimal=decimal,
+        missing=missing,
+        time_format=time_format,
+        ignore_offset=ignore_offset,
+        faults=faults,
+        sha256=hashlib.sha256(content).hexdigest(),
+    )
+
+
+def _content(file: Path) -> bytes:
+    """All bytes of a file. Raises TableFault for what is no readable file."""
+    name = file.name.lower()
+    if not name.endswith(SUFFIXES):
+        if file.is_dir():
+            raise TableFault(["is a directory, not a file"])
+        raise TableFault([f"expected a file of the kind {', '.join(SUFFIXES)}, found {file.name}"])
+    try:
+        content = file.read_bytes()
+    except FileNotFoundError:
+        near = [one.name for one in file.parent.iterdir()] if file.parent.is_dir() else []
+        raise TableFault([f"no such file: {file}{suggestion(file.name, near)}"]) from None
+    except IsADirectoryError:
+        raise TableFault(["is a directory, not a file"]) from None
+    except OSError as refused:
+        raise TableFault([f"cannot be read: {refused.strerror or refused}"]) from None
+    if not content:
+        raise TableFault(["the file is empty"])
+    return content
+
+
+class _CsvSource:
+    """The bytes of one CSV file and what its lines mean."""
+
+    def __init__(
+        self,
+        content: bytes,
+        name: str,
+        separator: str,
+        decimal: str,
+        comment: str | None,
+        missing: tuple[str, ...],
+    ) -> None:
+        if name.lower().endswith(".gz") or content[:2] == b"\x1f\x8b":
+            try:
+                content = gzip.decompress(content)
+            except (OSError, EOFError, zlib.error) as broken:
+                raise TableFault([f"cannot be decompressed: {broken}"]) from None
+            if not content.strip():
+                raise TableFault(["the file is empty"])
+        if content[:4] in (b"PK\x03\x04", b"\xd0\xcf\x11\xe0"):
+            raise TableFault(["is an Excel file or a ZIP archive; export it as CSV text"])
+        if content[:4] == b"PAR1":
+            raise TableFault(["is a Parquet file; name it .parquet"])
+        self.content, self.encoding = _decodable(content)
+        self.separator, self.decimal, self.comment = separator, decimal, comment
+        self.missing = missing
+        self.layout = _Layout(0, ())
+
+    def _rows(self) -> Iterator[tuple[int, list[str]]]:
+        """Line number (of the row's last line) and cells of every row that is not blank."""
+        text = io.TextIOWrapper(io.BytesIO(self.content), self.encoding, newline="")
+        reader = csv.reader(text, delimiter=self.separator)
+        try:
+            for cells in reader:
+                if not any(cell.strip() for cell in cells) and len(cells) <= 1:
+                    continue
+                if self.comment and cells[0].lstrip().startswith(self.comment):
+                    continue
+                yield reader.line_num, cells
+        except csv.Error as broken:
+            raise TableFault([f"line {reader.line_num}: {broken}"]) from None
+
+    def _layout(self, time_column: str, faults: list[str]) -> _Layout | None:
+        """The header: the first line that names the time column."""
+        text = io.TextIOWrapper(io.BytesIO(self.content), self.encoding, newline="")
+        reader = csv.reader(text, delimiter=self.separator)
+        first: _Layout | None = None
+        mark = self.comment or "#"
+        while reader.line_num < _HEADER_WITHIN:
+            try:
+                cells = next(reader)
+            except (StopIteration, csv.Error):
+                break
+            names = [cell.strip() for cell in cells]
+            bare = [names[0].removeprefix(mark).strip(), *names[1:]] if names else []
+            for candidate in (names, bare):
+                if time_column in candidate:
+                    return _Layout(reader.line_num, tuple(candidate))
+            comment = bool(names) and names[0].startswith(mark)
+            if first is None and any(names) and not comment:
+                first = _Layout(reader.line_num, tuple(names))
+        if first is None:
+            faults.append("expected a header line, found only blank lines or comments")
+            return None
+        other = self._other_separator(time_column)
+        if other is not None:
+            shown = "\\t" if other == "\t" else other
+            comma = ' and, if numbers are written as 1,5, decimal = ","'
+            faults.append(
+                f'line {first.header_line}: the columns are separated by "{shown}", not by '
+                f'"{self.separator}": state separator = "{shown}"{comma if other != "," else ""} '
+                "in this source"
+            )
+            return None
+        holder = f"line {first.header_line} has"
+        faults.append(column_fault(time_column, first.names, holder))
+        return first
+
+    def _other_separator(self, time_column: str) -> str | None:
+        for other in (";", "\t", ",", "|"):
+            if other == self.separator:
+                continue
+            head = self.content[:65536].decode(self.encoding, errors="replace")
+            for line in head.splitlines()[:_HEADER_WITHIN]:
+                names = [cell.strip().strip('"').lstrip("# ") for cell in line.split(other)]
+                if len(names) > 1 and time_column in names:
+                    return other
+        return None
+
+    def frame(self, wanted: list[str], time_column: str, faults: list[str]) -> pandas.DataFrame:
+        """The wanted columns as pandas reads them; columns that are not there become faults."""
+        import pandas as pd
+
+        layout = self._layout(time_column, faults)
+        if layout is None:
+            return pd.DataFrame()
+        self.layout = layout
+        positions = {}
+        for name in dict.fromkeys([time_column, *wanted]):
+            count = layout.names.count(name)
+            if count == 1:
+                positions[name] = layout.names.index(name)
+            elif count > 1:
+                faults.append(f'line {layout.header_line}: column "{name}" occurs {count} times')
+            elif name != time_column:
+                holder = f"line {layout.header_line} has"
+                faults.append(column_fault(name, layout.names, holder))
+        if not positions:
+            return pd.DataFrame()
+        faults += self._width_faults(len(layout.names))
+        order = sorted(positions, key=positions.get)
+        try:
+            with python_warnings.catch_warnings():
+                python_warnings.simplefilter("ignore", pd.errors.ParserWarning)
+                return pd.read_csv(
+                    io.BytesIO(self.content),
+                    encoding=self.encoding,
+                    sep=self.separator,
+                    decimal=self.decimal,
+                    comment=self.comment if self.comment and len(self.comment) == 1 else None,
+                    header=None,
+                    skiprows=layout.header_line,
+                    usecols=[positions[name] for name in order],
+                    names=order,
+                    index_col=False,
+                    dtype={time_column: object},
+                    keep_default_na=False,
+                    na_values=[*MISSING, *self.missing],
+                    skipinitialspace=True,
+                    low_memory=False,
+                )
+        except pd.errors.EmptyDataError:
+            return pd.DataFrame({name: [] for name in order})
+        except (pd.errors.ParserError, UnicodeDecodeError) as broken:
+            open_quote = re.search(r"EOF inside string starting at row (\d+)", str(broken))
+            if open_quote is not None:
+                line = int(open_quote[1]) + 1
+                faults.append(f"line {line}: a quotation mark is opened and never closed")
+            else:
+                faults.append(f"cannot be read as CSV: {broken}")
+            return pd.DataFrame()
+
+    def _width_faults(self, width: int) -> list[str]:
+        """Rows with more cells than the header: their values would shift unseen."""
+        if b'"' not in self.content:
+            data = np.frombuffer(self.content, dtype=np.uint8)
+            ends = np.flatnonzero(data == 10)
+            marks = np.flatnonzero(data == ord(self.separator))
+            cells = np.diff(np.searchsorted(marks, np.append(ends, len(data))), prepend=0) + 1
+            if not np.any(cells[self.layout.header_line :] > width):
+                return []
+        wide, example = [], ""
+        for number, cells in self._rows():
+            if number <= self.layout.header_line or len(cells) <= width:
+                continue
+            if any(cell.strip() for cell in cells[width:]):
+                wide.append(number)
+                example = example or self.separator.join(cells)
+        if not wide:
+            return []
+        remedy = ""
+        if self.separator == "," and re.search(r"\d,\d+(,|$)", example):
+            remedy = "; numbers with a decimal comma need another separator or quotes: export again"
+        header = f"expected {width} cells as in the header (line {self.layout.header_line})"
+        return [f'{numbered("line", wide, len(wide))}: {header}, found more: "{example[:80]}"{remedy}']
+
+    def line_numbers(self, rows: np.ndarray) -> list[int]:
+        """Line numbers of rows of the frame."""
+        wanted = {int(row) for row in rows}
+        found, row = {}, 0
+        for number, _ in self._rows():
+            if number <= self.layout.header_line:
+                continue
+            if row in wanted:
+                found[row] = number
+                if len(found) == len(wanted):
+                    break
+            row += 1
+        return [found[int(row)] for row in rows if int(row) in found]
+
+
+def _decodable(content: bytes) -> tuple[bytes, str]:
+    """The bytes in an encoding that pandas reads, without byte-order mark, and its name."""
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        try:
+            return content.decode("utf-16").encode(), "utf-8"
+        except UnicodeDecodeError as broken:
+            raise TableFault([f"is no text: {broken}"]) from None
+    if b"\x00" in content:
+        line = content[: content.index(b"\x00")].count(b"\n") + 1
+        raise TableFault([f"line {line}: is no text (a zero byte); the file may be damaged"])
+    content = content.removeprefix(b"\xef\xbb\xbf")
+    if b"\r" in content and b"\n" not in content:
+        content = content.replace(b"\r", b"\n")
+    try:
+        content.decode("utf-8")
+    except UnicodeDecodeError:
+        return content, "cp1252" if _is_cp1252(content) else "latin-1"
+    return content, "utf-8"
+
+
+def _is_cp1252(content: bytes) -> bool:
+    try:
+        content.decode("cp1252")
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def _parquet_frame(
+    content: bytes, wanted: list[str], time_column: str, faults: list[str]
+) -> pandas.DataFrame:
+    import pandas as pd
+
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        raise TableFault(
+            ['reading .parquet needs the extra "parquet": pip install "hygrokf[parquet]"']
+        ) from None
+    try:
+        file = parquet.ParquetFile(pyarrow.BufferReader(content))
+        found = list(file.schema_arrow.names)
+        there = [name for name in dict.fromkeys([time_column, *wanted]) if name in found]
+        for name in dict.fromkeys([time_column, *wanted]):
+            if name not in found:
+                faults.append(column_fault(name, found, "the file has"))
+        if not there:
+            return pd.DataFrame()
+        return file.read(columns=there).to_pandas(ignore_metadata=True)
+    except pyarrow.ArrowException as broken:
+        reason = str(broken).splitlines()[0]
+        raise TableFault([f"cannot be read as Parquet: {reason}"]) from None

@@ -1,0 +1,456 @@
+"""Stamps of readings: text and zones into seconds of UTC, durations, steps, summer time."""
+
+from __future__ import annotations
+
+import math
+import re
+import warnings as python_warnings
+from dataclasses import dataclass
+from datetime import UTC, date, datetime, timedelta, timezone, tzinfo
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+from zoneinfo import ZoneInfo, ZoneInfoNotFoundError, available_timezones
+
+import numpy as np
+
+from hygrokf.errors import suggestion
+
+if TYPE_CHECKING:
+    import pandas
+
+_FIXED_OFFSET = re.compile(r"([+-])(\d{2}):?(\d{2})$")
+_ENDS_IN_OFFSET = re.compile(r"(?<=\d)\s*(?:[zZ]|[+-]\d{2}(?::?\d{2})?)\s*$")
+_DATE_ALONE = re.compile(r"\d{4}[-/]\d{1,2}[-/]\d{1,2}\s*$")
+_DURATION = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h|d)\s*$")
+_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
+_HOUR = 3600.0
+_CLOCK_CHANGES = (
+    "the clock follows summer time although its stamps are read at a fixed offset: state its zone, "
+    'such as timezone = "Europe/Berlin"'
+)
+_CLOCK_DOES_NOT_CHANGE = (
+    "the stamps carry summer-time offsets although the clock has no summer time: take them without "
+    "(ignore_offset = true, timezone = the clock's own fixed offset)"
+)
+
+
+def duration(text: str) -> float:
+    """Seconds of a duration such as "30s", "10min", "1h", "2d" [s].
+
+    text: a number and one of s, min, h, d. Raises ValueError for anything else.
+    """
+    found = _DURATION.match(text) if isinstance(text, str) else None
+    if found is None:
+        raise ValueError(f'expected a duration such as "30s", "10min" or "1h", found {text!r}')
+    return float(found[1]) * _SECONDS[found[2]]
+
+
+def signed_duration(text: str) -> float:
+    """Seconds of a duration that may have a sign, such as "-49min" or "+1h" [s]; raises ValueError as `duration` does."""
+    if isinstance(text, str) and text[:1] in ("-", "+"):
+        return (-1.0 if text[0] == "-" else 1.0) * duration(text[1:])
+    return duration(text)
+
+
+def duration_text(seconds: float) -> str:
+    """A duration in its handiest unit, such as "10 min" or "3.5 d".
+
+    seconds: [s] ≥ 0.
+    """
+    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+        if seconds >= 2.0 * size or (seconds >= size and seconds % size == 0.0):
+            return f"{float(f'{seconds / size:.3g}'):g} {unit}"
+    return f"{seconds:.3g} s"
+
+
+def stamp_text(seconds: float) -> str:
+    """A time in ISO 8601, UTC, such as "2020-12-01T00:00Z".
+
+    seconds: [s] since 1970-01-01T00:00Z; "-" for NaN.
+    """
+    if not math.isfinite(seconds):
+        return "-"
+    moment = datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=round(float(seconds)))
+    return moment.strftime("%Y-%m-%dT%H:%M:%SZ" if moment.second else "%Y-%m-%dT%H:%MZ")
+
+
+def period_text(start_s: float, end_s: float) -> str:
+    """A period such as "2020-01-01T00:00Z to 2020-01-02T00:00Z"; one stamp if it has no length.
+
+    start_s, end_s: [s] since 1970-01-01T00:00Z.
+    """
+    first, last = stamp_text(start_s), stamp_text(end_s)
+    return first if first == last else f"{first} to {last}"
+
+
+def zone_named(text: str) -> tzinfo:
+    """Time zone of a case file: a fixed offset ("+02:00"), "UTC", or an IANA name.
+
+    text: as written in the case file. Raises ValueError that says what is wrong with it.
+    """
+    if not isinstance(text, str) or not text.strip():
+        raise ValueError(f'timezone must be text such as "+01:00" or "Europe/Berlin", not {text!r}')
+    name = text.strip()
+    if name.upper() in ("UTC", "Z", "GMT"):
+        return UTC
+    fixed = _FIXED_OFFSET.match(name)
+    if fixed is not None:
+        size = timedelta(hours=int(fixed[2]), minutes=int(fixed[3]))
+        if size > timedelta(hours=14):
+            raise ValueError(f'timezone "{name}" is beyond 14 hours')
+        return timezone(size if fixed[1] == "+" else -size)
+    try:
+        return ZoneInfo(name)
+    except (ZoneInfoNotFoundError, ValueError, OSError):
+        raise ValueError(
+            f'unknown timezone "{name}": expected a fixed offset such as "+02:00", "UTC", or an '
+            f'IANA name such as "Europe/Berlin"{suggestion(name, available_timezones())}'
+        ) from None
+
+
+def moment(value: Any) -> float:
+    """Seconds of a moment of the case file [s since 1970-01-01T00:00Z].
+
+    value: ISO 8601 text with an offset, or what TOML makes of such a stamp.
+    Raises ValueError for text that is no stamp and for a stamp without offset.
+    """
+    example = '"2020-12-01T00:00:00Z"'
+    stamp = value
+    if isinstance(value, str):
+        try:
+            stamp = datetime.fromisoformat(value.strip())
+        except ValueError:
+            stamp = None
+    if not isinstance(stamp, datetime):
+        # A ValueError throughout: the text of a case file is wrong, not a caller's type.
+        raise ValueError(f'expected an ISO 8601 stamp such as {example}, found "{value}"')
+    if stamp.tzinfo is None:
+        raise ValueError(f'stamp "{value!s}" has no offset: add Z for UTC, or such as +01:00')
+    return stamp.timestamp()
+
+
+@dataclass(frozen=True)
+class Stamps:
+    """Stamps of a table in UTC.
+
+    time: [s] (N,) since 1970-01-01T00:00Z; NaN where there is none.
+    unreadable: (N,) True where the text is no stamp.
+    naive: (N,) True where a stamp has no offset and no zone was given for it.
+    warnings: what was left out or told apart at summer-time changes.
+    """
+
+    time: np.ndarray
+    unreadable: np.ndarray
+    naive: np.ndarray
+    warnings: tuple[str, ...] = ()
+
+
+def read_stamps(
+    column: pandas.Series,
+    zone: tzinfo | None = None,
+    *,
+    time_format: str | None = None,
+    ignore_offset: bool = False,
+) -> Stamps:
+    """Seconds of UTC from a column of stamps [s].
+
+    column: (N,) text or datetimes, in the order of the file.
+    zone: of stamps without an offset; None: there must be none.
+    time_format: strptime format; None: ISO 8601 (also with slashes or a blank).
+    ignore_offset: take the stamps without their offset, in `zone`.
+
+    At the end of summer time the doubled hour is told apart by its order where the file shows it
+    twice; stamps of that hour that cannot be told apart, and stamps of the hour that does not
+    exist in spring, are left out (NaN) and said in `warnings`.
+    """
+    import pandas as pd
+
+    if pd.api.types.is_datetime64_any_dtype(column.dtype):
+        text, parsed = column, column
+        missing = column.isna().to_numpy()
+        if ignore_offset and parsed.dt.tz is not None:
+            parsed = parsed.dt.tz_localize(None)
+        naive = np.full(len(column), parsed.dt.tz is None)
+    else:
+        text = column.astype(object)
+        missing = text.isna().to_numpy()
+        if ignore_offset:
+            text = _without_offset(text)
+        parsed, naive = _parse(text, time_format)
+    empty = parsed.isna().to_numpy()
+    unreadable = empty & ~missing
+    naive = naive & ~empty
+    if parsed.dt.tz is not None:
+        seconds = _seconds(parsed.dt.tz_convert("UTC").dt.tz_localize(None))
+    else:
+        seconds = _seconds(parsed)
+    nothing = np.zeros(len(column), dtype=bool)
+    if not naive.any():
+        return Stamps(seconds, unreadable, nothing)
+    if zone is None:
+        return Stamps(seconds, unreadable, naive)
+    local = np.where(naive, seconds, np.nan)
+    utc, warnings = _from_local(local, zone)
+    return Stamps(np.where(naive, utc, seconds), unreadable, nothing, warnings)
+
+
+def _parse(text: pandas.Series, time_format: str | None) -> tuple[pandas.Series, np.ndarray]:
+    """Datetimes (NaT where unreadable) and which of them carry no offset."""
+    import pandas as pd
+
+    if time_format is not None:
+        aware = "%z" in time_format
+        parsed = pd.to_datetime(text, format=time_format, errors="coerce", utc=aware)
+        return parsed, np.full(len(text), not aware)
+    parsed, naive = _parse_iso(text)
+    failed = (parsed.isna() & text.notna()).to_numpy()
+    if failed.any():
+        # 24:00 and a trailing "UTC" are common in exports and mean only one thing.
+        kept = text[failed].astype(str).str.strip()
+        midnight = kept.str.contains(r"[T ]24:00(?::00(?:\.0+)?)?(?:$|[Z+\- ])", regex=True)
+        plain = kept.str.replace(r"([T ])24:00", r"\g<1>00:00", regex=True)
+        plain = plain.str.replace(r"\s*(?:UTC|GMT)$", "Z", regex=True)
+        repaired, repaired_naive = _parse_iso(plain)
+        if repaired.notna().any():
+            repaired = repaired + pd.to_timedelta(midnight.to_numpy().astype(int), unit="D")
+            if (parsed.dt.tz is None) != (repaired.dt.tz is None) or parsed.dt.tz is not None:
+                parsed, repaired = _as_utc(parsed), _as_utc(repaired)
+            parsed = parsed.astype(repaired.dtype)
+            parsed[failed] = repaired
+            naive[failed] = repaired_naive
+    return parsed, naive
+
+
+def _parse_iso(text: pandas.Series) -> tuple[pandas.Series, np.ndarray]:
+    import pandas as pd
+
+    numbers = text.astype(str).str.fullmatch(r"\s*\d{1,4}\s*|\s*\d{9,}\s*|\s*\d+\.\d*\s*")
+    if numbers.any():
+        # Years, Excel days and Unix seconds must not pass as stamps.
+        text = text.where(~numbers, None)
+    try:
+        with python_warnings.catch_warnings():
+            # Offsets that change within a column are an error in pandas 3, a warning before.
+            python_warnings.simplefilter("error", FutureWarning)
+            parsed = pd.to_datetime(text, format="ISO8601", errors="coerce")
+    except (ValueError, FutureWarning):
+        parsed = pd.to_datetime(text, format="ISO8601", errors="coerce", utc=True)
+        offsets = text.map(_has_offset, na_action="ignore").eq(True)
+        return parsed, ~offsets.to_numpy()
+    return parsed, np.full(len(text), parsed.dt.tz is None)
+
+
+def _has_offset(text: str) -> bool:
+    return _DATE_ALONE.match(text.strip()) is None and _ENDS_IN_OFFSET.search(text) is not None
+
+
+def _without_offset(text: pandas.Series) -> pandas.Series:
+    return text.map(
+        lambda one: _ENDS_IN_OFFSET.sub("", one) if _has_offset(one) else one,
+        na_action="ignore",
+    )
+
+
+def _as_utc(parsed: pandas.Series) -> pandas.Series:
+    if parsed.dt.tz is None:
+        return parsed.dt.tz_localize("UTC")
+    return parsed.dt.tz_convert("UTC")
+
+
+def _seconds(naive: pandas.Series) -> np.ndarray:
+    """Seconds since 1970-01-01T00:00 of datetimes without zone [s]; NaN for NaT."""
+    microseconds = naive.to_numpy(dtype="datetime64[us]")
+    seconds = microseconds.astype(np.int64) / 1e6
+    seconds[np.isnat(microseconds)] = np.nan
+    return seconds
+
+
+def _from_local(local: np.ndarray, zone: tzinfo) -> tuple[np.ndarray, tuple[str, ...]]:
+    """UTC seconds of local wall-clock seconds, and warnings [s]."""
+    if not isinstance(zone, ZoneInfo):
+        return local - zone.utcoffset(None).total_seconds(), ()
+    import pandas as pd
+
+    index = pd.DatetimeIndex((local * 1e6).round().astype("datetime64[us]"))
+    shape = len(local)
+    # With a doubled hour, summer time (True) is the earlier moment.
+    first = index.tz_localize(zone, ambiguous=np.ones(shape, bool), nonexistent="NaT")
+    second = index.tz_localize(zone, ambiguous=np.zeros(shape, bool), nonexistent="NaT")
+    first_s = _seconds(first.tz_convert("UTC").tz_localize(None).to_series())
+    second_s = _seconds(second.tz_convert("UTC").tz_localize(None).to_series())
+    warnings = []
+    absent = np.isnan(first_s) & np.isfinite(local)
+    if absent.any():
+        moments = local[absent]
+        days = sorted({stamp_text(one)[:10] for one in moments})
+        warnings.append(
+            f"summer-time hole: {absent.sum()} stamps left out, because their hour does not exist "
+            f"in {zone} ({', '.join(days[:4])}{' …' if len(days) > 4 else ''}); if the clock does "
+            f'not follow summer time, state its fixed offset, such as timezone = "+01:00"'
+        )
+    doubtful = np.flatnonzero(first_s != second_s)
+    doubtful = doubtful[np.isfinite(first_s[doubtful])]
+    utc = first_s.copy()
+    told_apart, left_out = [], []
+    for group in _groups(local, doubtful):
+        order = _passes(local, group)
+        if order is None:
+            utc[group] = np.nan
+            left_out.append(group)
+        else:
+            utc[group[order]] = second_s[group[order]]
+            told_apart.append(group)
+    if told_apart:
+        days = sorted({stamp_text(local[group[0]])[:10] for group in told_apart})
+        warnings.append(
+            f"summer-time hole: {sum(map(len, told_apart))} stamps of the doubled hour told apart "
+            f"by their order ({', '.join(days)})"
+        )
+    if left_out:
+        days = sorted({stamp_text(local[group[0]])[:10] for group in left_out})
+        warnings.append(
+            f"summer-time hole: {sum(map(len, left_out))} stamps left out, because their hour "
+            f"comes twice in {zone} and the order of the file does not tell which is which "
+            f"({', '.join(days)}); stamps with an offset would"
+        )
+    return utc, tuple(warnings)
+
+
+def _groups(local: np.ndarray, doubtful: np.ndarray) -> list[np.ndarray]:
+    """Indices of doubtful stamps, one array for each change date."""
+    if not len(doubtful):
+        return []
+    breaks = np.flatnonzero(np.abs(np.diff(local[doubtful])) > 86400.0) + 1
+    return np.split(doubtful, breaks)
+
+
+def _passes(local: np.ndarray, group: np.ndarray) -> np.ndarray | None:
+    """Which stamps of a doubled hour belong to its second pass, or None if the order is mute."""
+    steps = np.diff(local[np.isfinite(local)])
+    newest_first = len(steps) > 0 and np.median(steps) < 0.0
+    ordered = local[group][::-1] if newest_first else local[group]
+    back = np.flatnonzero(np.diff(ordered) <= 0.0)
+    if len(back) != 1:
+        return None
+    second = np.arange(len(group)) > back[0]
+    return second[::-1] if newest_first else second
+
+
+def modal_step(time: np.ndarray) -> tuple[float, float]:
+    """Most frequent step of increasing stamps [s] and the share of steps equal to it [-].
+
+    time: [s] (T,). The share counts steps within 1 % of the modal one; (NaN, 0) below two stamps.
+    """
+    steps = np.diff(time)
+    steps = np.round(steps[steps > 0.0], 3)
+    if not len(steps):
+        return math.nan, 0.0
+    sizes, counts = np.unique(steps, return_counts=True)
+    step = float(sizes[np.argmax(counts)])
+    if counts.max() < 0.1 * len(steps):
+        # A jittering clock has no step that repeats; its middle is what it aims at.
+        step = float(np.median(steps))
+    return step, float(np.mean(np.abs(steps - step) <= 0.01 * step))
+
+
+BY_CHANCE = 0.1
+"""Number of single hours that are lost on dates of change by chance, as often as on other days, from which one says nothing."""
+
+
+def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
+    """Warnings about an hour that is missing or doubled on a date of summer-time change.
+
+    time: [s] (T,) stamps in UTC, sorted, duplicates still in.
+    The dates are those of Europe and of North America.  A record that loses single hours on other days as often says
+    nothing by losing one on such a date.
+    """
+    step, _ = modal_step(time)
+    if not step <= _HOUR:
+        return ()
+    steps = np.diff(time)
+    gaps = np.flatnonzero(np.abs(steps - (_HOUR + step)) < 0.01 * step)
+    gap_days: dict[str, list[date]] = {"spring": [], "autumn": []}
+    other = 0
+    for index in gaps:
+        day, season = _change_date(time[index] + step)
+        if season:
+            gap_days[season].append(day)
+        else:
+            other += 1
+    dates = np.arange(time[0], time[-1], 86400.0)
+    if other * sum(bool(_change_date(at)[1]) for at in dates) > BY_CHANCE * len(dates):
+        gap_days = {"spring": [], "autumn": []}
+    double_days: dict[str, list[date]] = {"spring": [], "autumn": []}
+    doubles = time[1:][steps == 0.0]
+    for number in np.unique(np.floor(doubles / 86400.0)):
+        of_day = doubles[np.floor(doubles / 86400.0) == number]
+        day, season = _change_date(of_day[0])
+        if season and abs(len(of_day) - _HOUR / step) < 1.5 and np.ptp(of_day) < _HOUR:
+            double_days[season].append(day)
+    warnings = []
+    moved = sorted(set(gap_days["spring"]) & set(double_days["spring"]))
+    if moved:
+        warnings.append(
+            f"summer-time hole: one hour is missing and the next comes twice on {_days(moved)}: the "
+            "export moved the readings of the hour that summer time skips"
+        )
+    for days in (gap_days["spring"], double_days["spring"]):
+        days[:] = [day for day in days if day not in moved]
+    for gap, double, reason in (
+        ("spring", "autumn", _CLOCK_CHANGES),
+        ("autumn", "spring", _CLOCK_DOES_NOT_CHANGE),
+    ):
+        facts = []
+        if gap_days[gap]:
+            facts.append(f"one hour is missing on {_days(gap_days[gap])}")
+        if double_days[double]:
+            facts.append(f"one hour comes twice on {_days(double_days[double])}")
+        if facts:
+            warnings.append(f"summer-time hole: {' and '.join(facts)}; perhaps {reason}")
+    return tuple(warnings)
+
+
+def _days(days: list[date]) -> str:
+    return ", ".join(day.isoformat() for day in days)
+
+
+def _change_date(seconds: float) -> tuple[date, str]:
+    """Date of a moment and "spring" or "autumn" if clocks change on it, else ""."""
+    day = (datetime(1970, 1, 1, tzinfo=UTC) + timedelta(seconds=float(seconds))).date()
+    if day.weekday() != 6:
+        return day, ""
+    if day.month == 3 and (day.day >= 25 or 8 <= day.day <= 14):
+        return day, "spring"
+    if (day.month == 10 and day.day >= 25) or (day.month == 11 and day.day <= 7):
+        return day, "autumn"
+    return day, ""
+
+
+def summer_time(time: np.ndarray, america: bool = False) -> np.ndarray:
+    """Whether summer time holds (T,) at instants [s] of UTC.
+
+    Europe: from 01:00 UTC of March's last Sunday to that of October's.  North America: from 08:00 UTC of March's second
+    Sunday to 07:00 UTC of November's first, the hours of its central zone.
+    """
+    years = np.asarray(time).astype("datetime64[s]").astype("datetime64[Y]").astype(int) + 1970
+    summer = np.zeros(len(time), dtype=bool)
+    for year in np.unique(years):
+        begin, end = _turns(int(year), america)
+        summer |= (time >= begin) & (time < end)
+    return summer
+
+
+@lru_cache(maxsize=64)
+def _turns(year: int, america: bool) -> tuple[float, float]:
+    """Beginning and end of summer time [s]."""
+    if america:
+        return _sunday(year, 3, 1) + 8.0 * _HOUR, _sunday(year, 11, 0) + 7.0 * _HOUR
+    return _sunday(year, 3, -1) + _HOUR, _sunday(year, 10, -1) + _HOUR
+
+
+def _sunday(year: int, month: int, which: int) -> float:
+    """Midnight UTC of a month's Sunday [s], counted from 0, or from its end with −1."""
+    first = np.datetime64(f"{year}-{month:02d}-01", "D")
+    days = np.arange(first, np.datetime64(first, "M") + 1, dtype="datetime64[D]")
+    sundays = days[(days.astype(int) + 4) % 7 == 0]  # 1 January 1970 was a Thursday
+    return float(sundays[which].astype("datetime64[s]").astype(int))

@@ -1,0 +1,391 @@
+"""What the simulation gets wrong: where, when and by how much, in plain words; worst first."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from hygrokf.discovery.changes import Step, change_p, drift_p, sharp_step
+from hygrokf.discovery.residuals import (
+    FEWEST_HOURS,
+    QUANTITIES,
+    UNITS,
+    Hours,
+    Residuals,
+    closed,
+    duration_h,
+    hourly,
+    reading_grid,
+    run_lengths,
+)
+from hygrokf.discovery.significance import Null, Prewhitened, benjamini_hochberg, centred, largest_p, linear_p
+from hygrokf.discovery.strata import Condition, conditions, dummies
+
+LEVEL = 0.05
+MATERIAL = 0.2
+"""[1] share of the free run's RMSE below which a misfit is not worth telling, however significant."""
+SENSORS = 0.6
+"""[1] share of a misfit's square that the sensors may explain; beyond it the misfit is theirs."""
+CONCORDANT = 0.05
+"""[1] p that the free run itself must reach where another view of the errors is the significant one."""
+CERTAIN = 1e-8
+UNSURE = 0.05
+DOUBTS = 3
+"""[1] p between which the noise is judged again without the condition's own effect, for so many conditions."""
+MOST = 8
+PASSES = 6
+SAME_HOURS = 0.4
+"""[1] hours in common over hours in either, beyond which two misfits of one direction tell the same."""
+SEEN = 0.5
+"""[1] share of its size by which a misfit counts as seen in an episode."""
+LASTING = 0.25
+"""[1] share of a step between two readings that the means before and after must show; twice that where a kick of the
+cabinet, soon forgotten, would explain the readings as well."""
+LASTING_KINDS = ("step", "drift", "season")
+NAMES = {"temperature": "temperature", "humidity": "absolute humidity"}
+
+
+@dataclass(frozen=True)
+class Misfit:
+    """Something that the free run gets wrong.
+
+    quantity: "temperature" or "humidity". where, when: the condition in words ("" = any).
+    size: [K], [g/m³] typical error under the condition less that elsewhere (less that in the hours around it where the
+        condition sets in sharply); direction: of the simulation.
+    duration_h: [h] for how long of an episode, or None.
+    n_episodes: in which it is seen, of n_possible. sensor_share: [1] of its square, explained by sensors' accuracy.
+    p, q: [1] chance of it without a cause, for itself and as adjusted share of false discoveries.
+    driver: signal that it goes with, or "". kind: of the condition. curve: reading − free run over the condition's bins.
+    spans: (start, end) [s] of its episodes, the largest error first.
+    """
+
+    quantity: str
+    where: str
+    when: str
+    size: float
+    direction: str
+    duration_h: float | None
+    n_episodes: int
+    n_possible: int
+    sensor_share: float
+    statement: str
+    p: float
+    q: float
+    driver: str
+    kind: str
+    curve: Mapping[str, object] = field(default_factory=dict)
+    spans: tuple[tuple[float, float], ...] = ()
+
+    @property
+    def once(self) -> bool:
+        """Whether there was a single occasion for it: nothing says that it would come again."""
+        return self.n_possible == 1 and self.kind not in LASTING_KINDS
+
+    @property
+    def unit(self) -> str:
+        """K or g/m³."""
+        return UNITS[self.quantity]
+
+    def to_json(self) -> dict:
+        """As it stands in `discovery.json`."""
+        return {
+            "quantity": self.quantity,
+            "where": self.where,
+            "when": self.when,
+            "size": self.size,
+            "unit": self.unit,
+            "direction": self.direction,
+            "duration_h": self.duration_h,
+            "n_episodes": self.n_episodes,
+            "n_possible": self.n_possible,
+            "sensor_share": self.sensor_share,
+            "statement": self.statement,
+            "p": self.p,
+            "p_adjusted": self.q,
+            "driver": self.driver or None,
+            "kind": self.kind,
+            "curve": dict(self.curve),
+            "spans": [list(span) for span in self.spans],
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping) -> Misfit:
+        """A misfit from what `to_json` gave."""
+        return cls(
+            **{
+                name: data[name]
+                for name in (
+                    "quantity", "where", "when", "size", "direction", "duration_h", "n_episodes", "n_possible",
+                    "sensor_share", "statement", "p", "kind", "curve",
+                )
+            },
+            q=data["p_adjusted"],
+            driver=data["driver"] or "",
+            spans=tuple((float(first), float(last)) for first, last in data["spans"]),
+        )  # fmt: skip
+
+
+# --- how surely ------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class _Answer:
+    """p over all views of the errors, p of the free run alone; the date of a change, or the step between two readings.
+
+    sharp: whether errors free of their memory say most.
+    """
+
+    p: float
+    p_run: float
+    date: int = -1
+    step: Step | None = None
+    sharp: bool = False
+
+
+@dataclass
+class _State:
+    """What is left of the errors of one quantity after the misfits found so far."""
+
+    error: np.ndarray
+    innovation: np.ndarray
+    step: Step | None
+    rmse: float
+    told: list[tuple[np.ndarray, float]] = field(default_factory=list)
+
+
+def _answers(state: _State, asked: Sequence[Condition], step_h: float) -> list[_Answer]:
+    """Every condition is asked of the free run, of the innovations and, where it sets in sharply, free of memory."""
+    views = [Null.of(state.error, step_h)]
+    if np.isfinite(state.innovation).sum() >= FEWEST_HOURS:
+        views.append(Null.of(state.innovation, step_h))
+    linear = [i for i, one in enumerate(asked) if one.law == "linear"]
+    p = np.ones((len(asked), len(views) + 1))
+    date = -1
+    for view, null in enumerate(views):
+        p[linear, view] = linear_p(null, [asked[i].basis for i in linear])
+    for i, one in enumerate(asked):
+        if one.law == "largest":
+            p[i, : len(views)] = [largest_p(null, one.basis)[0] for null in views]
+        elif one.law == "trend":
+            p[i, 0] = drift_p(views[0], one.basis)
+        elif one.law == "change":
+            p[i, 0], date = change_p(views[0], one.basis[:, 0].astype(int))
+            p[i, -1] = state.step.p if state.step is not None else 1.0
+    unsure = [i for i in linear if CERTAIN < p[i, 0] < UNSURE and asked[i].kind != "season"]
+    for i in sorted(unsure, key=lambda i: p[i, 0])[:DOUBTS]:
+        p[i, 0] = linear_p(views[0].without(asked[i].basis), [asked[i].basis])[0]
+    sudden = [i for i in linear if asked[i].sharp]
+    if sudden:
+        free = Prewhitened.of(state.error)
+        p[sudden, -1] = linear_p(Null.of(free.errors, step_h), [free.basis(asked[i].basis) for i in sudden])
+    result = []
+    for i, one in enumerate(asked):
+        looks = {"change": 2, "trend": 1}.get(one.law, len(views) + one.sharp)
+        best = int(np.argmin(p[i]))
+        last = best == len(views) and p[i, -1] < 1.0
+        step = state.step if one.law == "change" and last else None
+        chance = min(1.0, looks * float(p[i, best]))
+        result.append(_Answer(chance, float(p[i, 0]), date, step, last and one.sharp))
+    return result
+
+
+def _adjusted(answers: Mapping[str, Sequence[_Answer]], asked: Sequence[Condition]) -> dict[str, np.ndarray]:
+    """q (J,) by quantity: groups of conditions have equal shares of the level."""
+    groups = [one.group for one in asked]
+    weights = np.array([1.0 / groups.count(group) for group in groups])
+    p = np.array([one.p for found in answers.values() for one in found])
+    q = benjamini_hochberg(p, np.tile(weights, len(answers)))
+    return dict(zip(answers, q.reshape(len(answers), -1), strict=True))
+
+
+def misfits(residuals: Residuals, level: float = LEVEL) -> list[Misfit]:
+    """What the free run gets wrong in the identification period, worst (in units of its RMSE) first, at most eight.
+
+    level: [1] share of false discoveries.  Each condition (episodes, regimes, hours since a change, hour, season, level,
+    rate and lag of every driver, drift and step, saturation) is asked of the free run's errors and of the innovations.
+    The surest is described and taken out of the errors, then all is asked again: what one condition explains is not
+    told under another.  A misfit must be significant (weighted Benjamini–Hochberg: episodes, hour, calendar and drivers
+    have equal shares of the level), material (0.2 RMSE) and more than the sensors' accuracy explains.
+
+    A quantity with errors in fewer than 72 hours has no misfits.
+    """
+    hours = hourly(residuals)
+    asked = conditions(hours)
+    states = {
+        quantity: _State(
+            hours.error[quantity].copy(),
+            hours.innovation[quantity].copy(),
+            sharp_step(reading_grid(residuals, quantity)[2]),
+            residuals.rmse(quantity),
+        )
+        for quantity in QUANTITIES
+        if np.isfinite(hours.error[quantity]).sum() >= FEWEST_HOURS
+    }
+    found: list[Misfit] = []
+    spent: set[tuple[str, int]] = set()
+    answers: dict[str, list[_Answer]] = {}
+    changed = list(states)
+    for _ in range(PASSES):
+        for quantity in changed:
+            answers[quantity] = _answers(states[quantity], asked, hours.step_h)
+        q = _adjusted(answers, asked) if answers else {}
+        changed = []
+        for quantity, state in states.items():
+            for i in np.argsort([one.p for one in answers[quantity]], kind="stable"):
+                answer = answers[quantity][i]
+                if (quantity, i) in spent or q[quantity][i] > level:
+                    continue
+                if answer.p_run > CONCORDANT and answer.step is None:
+                    continue
+                spent.add((quantity, i))
+                one = _told(residuals, hours, quantity, state, asked, int(i), answer, float(q[quantity][i]))
+                if one is not None:
+                    found.append(one)
+                    changed.append(quantity)
+                    break
+        if not changed:
+            break
+    found.sort(key=lambda one: -one.size / states[one.quantity].rmse)
+    return found[:MOST]
+
+
+# --- what it is ------------------------------------------------------------------------------
+
+
+def _told(
+    residuals: Residuals,
+    hours: Hours,
+    quantity: str,
+    state: _State,
+    asked: Sequence[Condition],
+    number: int,
+    answer: _Answer,
+    q: float,
+) -> Misfit | None:
+    """The misfit in numbers and words, taken out of the state; None where it is immaterial or told already."""
+    condition = _strongest(asked[number], asked, state.error)
+    if condition.law == "change":
+        condition = _since(residuals, hours, quantity, condition, answer)
+    error = state.error
+    known = np.isfinite(error)
+    worst = condition.worst(error)
+    if worst is None:
+        return None
+    first, last, inside = worst
+    under = known & inside
+    elsewhere = float(error[known & ~inside & (condition.bins >= 0)].mean())
+    size = float(error[under].mean()) - elsewhere
+    if answer.step is not None:
+        least = LASTING if answer.step.clear else 2.0 * LASTING
+        if size * answer.step.size < least * answer.step.size**2:
+            return None
+        size = answer.step.size
+    if answer.sharp:
+        sudden = Prewhitened.of(error).size(condition.basis[:, 0])
+        if sudden * size <= 0:
+            return None
+        size = sudden
+    sensors = _rms(hours.sensor_error[quantity][inside])
+    share = min(1.0, (sensors / size) ** 2) if size else 1.0
+    if abs(size) < MATERIAL * state.rmse or share > SENSORS:
+        return None
+    for other, direction in state.told:
+        if direction * size > 0 and (inside & other).sum() > SAME_HOURS * (inside | other).sum():
+            return None
+    episodes = [(a, b) for a, b in run_lengths(closed(inside, hours.step_h)) if under[a:b].any()]
+    means = np.array([float(error[a:b][under[a:b]].mean()) - elsewhere for a, b in episodes])
+    seen = int((means * np.sign(size) >= SEEN * abs(size)).sum())
+    duration = None
+    if condition.kind == "episode":
+        duration = duration_h(np.sign(size) * (error - elsewhere), episodes, hours.step_h)
+    where, when = condition.phrase(first, last)
+    curve = condition.curve(error, hours.step_h)
+    state.told.append((inside, size))
+    if answer.sharp:
+        state.error = error - size * condition.basis[:, 0]
+    _take_out(
+        state,
+        condition,
+        [one for one in asked if one.driver == condition.driver and one.driver],
+        answer.sharp,
+    )
+    if answer.step is not None or condition.kind == "step":
+        state.step = None
+    direction = "too low" if size > 0 else "too high"
+    made = Misfit(
+        quantity, where, when, abs(size), direction, duration, seen, len(episodes), share, "", answer.p, q,
+        condition.driver, condition.kind, curve,
+        tuple(
+            (float(hours.time_s[a] - 1800.0 * hours.step_h), float(hours.time_s[b - 1] + 1800.0 * hours.step_h))
+            for a, b in (episodes[i] for i in np.argsort(-means * np.sign(size), kind="stable"))
+        ),
+    )  # fmt: skip
+    return replace(made, statement=_statement(made, sensors))
+
+
+def _strongest(condition: Condition, asked: Sequence[Condition], error: np.ndarray) -> Condition:
+    """Of all ways in which an error may go with a driver the one whose bins explain most of it."""
+    if not condition.driver:
+        return condition
+    kin = [one for one in asked if one.driver == condition.driver]
+    return max((part for one in kin for part in one.columns or (one,)), key=lambda one: one.explained(error))
+
+
+def _statement(one: Misfit, sensors: float) -> str:
+    noun = {"hour": "days", "step": "", "drift": "", "season": ""}.get(one.kind, "episodes")
+    count = f"{one.n_episodes} of {one.n_possible} {noun}; " if noun else ""
+    lasting = f" for {one.duration_h:.0f} h" if one.duration_h else ""
+    place = ", ".join(part for part in (one.when, one.where) if part)
+    return (
+        f"{place}, simulated {NAMES[one.quantity]} is {digits(one.size)} {one.unit} {one.direction}{lasting} "
+        f"({count}the sensors explain {digits(sensors)} {one.unit})"
+    )
+
+
+def digits(size: float) -> str:
+    """A size with the digits that it is known to."""
+    return f"{size:.1f}" if size >= 0.95 else f"{size:.2f}" if size < 0.1 else f"{size:.2g}"
+
+
+def _rms(values: np.ndarray) -> float:
+    there = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(there**2))) if len(there) else 0.0
+
+
+def _since(
+    residuals: Residuals, hours: Hours, quantity: str, condition: Condition, answer: _Answer
+) -> Condition:
+    """The step at its date as a condition: after it, against before."""
+    if answer.step is None:
+        date = hours.start_s + 3600.0 * hours.step_h * answer.date
+        words = f"since about {datetime.fromtimestamp(date, UTC):%-d %B %Y}"
+    else:
+        start, step, _ = reading_grid(residuals, quantity)
+        date = start + step * answer.step.place
+        words = f"since {datetime.fromtimestamp(date, UTC):%-d %B %Y %H:%M} UTC"
+    after = hours.time_s >= date
+    return Condition(
+        "step", "", after[:, None].astype(float), np.where(after, 0, 1), hours.time_s, lambda a, b: ("", words),
+        "date", flag=True,
+    )  # fmt: skip
+
+
+def _take_out(state: _State, condition: Condition, kin: Sequence[Condition], kept: bool) -> None:
+    """What the condition, and its driver in any other way, explains leaves the errors, unless they are to be kept.
+
+    From the innovations goes also what the changes of these explain.
+    """
+    basis = np.column_stack([condition.basis, dummies(condition.bins), *(one.basis for one in kin)])
+    changes = np.vstack([np.zeros((1, basis.shape[1])), np.diff(np.nan_to_num(basis), axis=0)])
+    for name, columns in (("error", basis), ("innovation", np.column_stack([basis, changes]))):
+        if kept and name == "error":
+            continue
+        values = getattr(state, name)
+        known = np.isfinite(values)
+        if known.sum() > columns.shape[1]:
+            x = centred(columns, known)
+            effect, *_ = np.linalg.lstsq(x[known], values[known], rcond=None)
+            setattr(state, name, values - x @ effect)

@@ -1,0 +1,241 @@
+"""From a record to its discovery: what the simulation gets wrong, the cause, the extended model, and what that gained."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+from hygrokf.data.record import Record
+from hygrokf.discovery import held_out
+from hygrokf.discovery.baseline import (
+    HYGRIC,
+    SEARCH_STEP,
+    SIMULATION_STEP,
+    THERMAL,
+    Scene,
+    part_of,
+    searching,
+    simulating,
+)
+from hygrokf.discovery.budget import SECONDS, Budget
+from hygrokf.discovery.candidate import Trial
+from hygrokf.discovery.cause import Cause
+from hygrokf.discovery.clocks import shifted
+from hygrokf.discovery.evidence import cause_entry, evidence
+from hygrokf.discovery.findings import misfits
+from hygrokf.discovery.library import LIBRARY
+from hygrokf.discovery.model_selection import Choice, choose, switches
+from hygrokf.discovery.own_causes import adopt, origins_of
+from hygrokf.discovery.repeats import REPEATED, repeated_text, without_repeats
+from hygrokf.discovery.residual_structure import remaining
+from hygrokf.discovery.residuals import Residuals, residuals
+from hygrokf.estimation.optimiser import climbed_on
+from hygrokf.identification.estimation import Estimated, Progress, Stage, judged, output_errors
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.procedure import Basis, assembled, identified
+from hygrokf.modelling.design import CASCADE
+from hygrokf.version import __version__
+
+REFUTED = (
+    "what the identification period showed was taken for a cause that the held-out period refutes: the model lacks something "
+    "else"
+)
+UNEXPLAINED_AT_MOST = 0.5
+"""Confidence of a cause under a verdict that says that the cause is not known."""
+
+
+@dataclass(frozen=True)
+class Discovery:
+    """The base fit, the extended one where a cause was accepted, and the plain data of `discovery.json`.
+
+    `before`, `after` are the residuals of both, for pictures.
+    """
+
+    base: Fit
+    extended: Fit | None
+    results: Mapping[str, object]
+    before: Residuals | None = None
+    after: Residuals | None = None
+
+    def to_json(self) -> dict:
+        return dict(self.results)
+
+
+def discover(
+    record: Record,
+    *,
+    library: Sequence[Cause] = LIBRARY,
+    starts: int = 4,
+    progress: Progress | None = None,
+    budget_s: float = SECONDS,
+) -> Discovery:
+    """Find what the identified model of a record lacks, and name the cause out of a library.
+
+    Everything is chosen on the identification period; the validation period refutes, and gives the reported gain.
+    `budget_s` [s] of wall-clock time: what was not tried by then is said (`not_tried`); `math.inf` for results that do not
+    depend on the machine.  Raises ValueError as `identify` does, and LibraryFault for causes of a user's that cannot take part.
+    """
+    budget = Budget(budget_s)
+    adopt(library)
+    say = progress or (lambda text: None)
+    record, repeated = without_repeats(record)
+    early = record.identification()
+    basis = identified(early, CASCADE, starts, True, say)
+    simulated = output_errors(early, basis.whole, basis.values)
+    base = assembled(record, basis, simulated, say=say)
+    names = (THERMAL, HYGRIC)[: len(basis.stages)]
+    scene = Scene(
+        early,
+        {
+            name: part_of(name, driven, stage)
+            for name, driven, stage in zip(names, basis.records, basis.stages, strict=True)
+        },
+        budget,
+    )
+    say("base model as a simulator")
+    simulator = assembled(record, _simulating(basis, scene), simulated, say=say)
+    choice = choose(scene, library, say)
+    scene = replace(scene, budget=Budget())
+    if choice.accepted:
+        say("held-out period")
+    tested = held_out.judged(scene, choice, record)
+    wider, extended, simulator_after = basis, None, simulator
+    while tested.choice.accepted:
+        say("extended model")
+        choice = tested.choice
+        wider = replace(basis, stages=_stages(basis, choice, not budget.spent, say))
+        ended = held_out.model_of(_ended(choice.scene, wider.stages), record, choice.accepted)
+        tested = tested.ending(ended)
+        if tested.choice is choice:
+            break
+    choice, moved = tested.choice, record
+    if choice.accepted:
+        for trial in choice.accepted:
+            if trial.variant.shift is not None:
+                moved = shifted(moved, trial.variant.shift)
+        extended = assembled(moved, wider, {}, say=say, rate_step=SIMULATION_STEP)
+        after = _simulating(wider, choice.scene)
+        simulator_after = assembled(moved, after, {}, say=say, rate_step=SIMULATION_STEP)
+    stages = wider.stages if choice.accepted else basis.stages
+    say("what is left")
+    before = residuals(base, record)
+    after = before if extended is None else residuals(extended, moved)
+    left = remaining((after, residuals(simulator_after, moved)))
+    results = _results(scene, before, left, base, extended, tested, stages, library, repeated, budget_s)
+    return Discovery(base, extended, results, before, after if extended is not None else None)
+
+
+def _simulating(basis: Basis, scene: Scene) -> Basis:
+    """The basis with parameters moved toward the least free-run error of each part."""
+    stages = []
+    for name, stage in zip((THERMAL, HYGRIC), basis.stages, strict=False):
+        values = simulating(replace(scene.parts[name], values=stage.estimate.values))
+        stages.append(replace(stage, estimate=replace(stage.estimate, values=values)))
+    return replace(basis, stages=tuple(stages))
+
+
+def _stages(basis: Basis, choice: Choice, profiles: bool, say: Progress) -> tuple[Stage, ...]:
+    """The stages with the accepted causes in them, climbed to the end and judged, by `profiles` or Wald bounds."""
+    found = []
+    for name, stage in zip((THERMAL, HYGRIC), basis.stages, strict=False):
+        part = choice.scene.parts[name]
+        if part.base is stage.base and part.record is basis.records[len(found)]:
+            found.append(stage)
+            continue
+        estimate = climbed_on(searching(part.base.model, part.run.timeline), part.values)
+        found.append(
+            judged(part.record, Estimated(part.base, part.run, estimate, SEARCH_STEP), profiles, say)
+        )
+    return tuple(found)
+
+
+def _ended(scene: Scene, stages: Sequence[Stage]) -> Scene:
+    """The scene with its parts as the stages have them in the end."""
+    parts = {
+        name: part_of(name, part.record, Estimated(stage.base, stage.run, stage.estimate))
+        for (name, part), stage in zip(scene.parts.items(), stages, strict=True)
+    }
+    return replace(scene, parts=parts)
+
+
+def verdict(accepted: Sequence[Trial], rest: Mapping | None, foreign: bool, repeated: bool) -> str:
+    """`none`, `named` or `unexplained`.
+
+    rest: structure that is left; foreign: whether nobody logs what makes it; repeated: whether readings were set
+    aside.  Both overrule what was accepted, the first but for switches: simulated ones lose their phase, and what their
+    cycles leave goes to one side too.
+    """
+    overruled = repeated or (foreign and not any(switches(trial) for trial in accepted))
+    if accepted and not overruled:
+        return "named"
+    return "none" if rest is None else "unexplained"
+
+
+def _results(
+    scene: Scene,
+    before: Residuals,
+    left: tuple[dict | None, bool],
+    base: Fit,
+    extended: Fit | None,
+    tested: held_out.Judged,
+    stages: Sequence[Stage],
+    library: Sequence[Cause],
+    repeated: Mapping[str, list],
+    budget_s: float,
+) -> dict:
+    choice = tested.choice
+    rest, foreign = left
+    if repeated:
+        rest = _remainder("readings", REPEATED, repeated_text(repeated))
+    elif rest is None and tested.refuted and not choice.accepted:
+        rest = _remainder(tested.refuted[0][1]["quantity"], "refuted", REFUTED)
+    said = verdict(choice.accepted, rest, foreign, bool(repeated))
+    known = {p.name for p in base.design.model.parameters}
+    causes = [
+        cause_entry(scene, trial, rivals, margin, gain, known, stages, library, choice.tried)
+        for trial, rivals, margin, gain in zip(
+            choice.accepted, choice.rivals, choice.margins, tested.gains, strict=True
+        )
+    ]
+    if said == "unexplained":
+        for one in causes:
+            one["confidence"] = min(one["confidence"], UNEXPLAINED_AT_MOST)
+    return {
+        "name": base.results["name"],
+        "version": __version__,
+        "synthetic": base.results["synthetic"],
+        "verdict": said,
+        "baseline": _scores(base),
+        "extended": None if extended is None else _scores(extended),
+        "misfits": [one.to_json() for one in misfits(before)],
+        "causes": causes,
+        "rejected": [
+            {
+                "cause": t.variant.cause,
+                "form": t.variant.form,
+                "evidence": evidence(scene, t, choice.tried),
+                "reason": reason,
+            }
+            for t, reason in choice.rejected
+        ],
+        "refuted": [
+            {"cause": t.variant.cause, "form": t.variant.form, "gain": gain} for t, gain in tested.refuted
+        ],
+        "unexplained": rest,
+        "not_tried": {"causes": list(choice.untried), "beside": choice.cut, "budget_s": budget_s},
+        "own_causes": {
+            cause.name: origins_of(cause) for cause in library if cause.mechanisms or cause.features
+        },
+    }
+
+
+def _remainder(quantity: str, kind: str, statement: str) -> dict:
+    """What is left without a condition that it goes with, as plain data."""
+    return {
+        "quantity": quantity, "kind": kind, "when": "", "driver": None, "lag_h": None,
+        "correlation": 0.0, "p": 0.0, "statement": statement,
+    }  # fmt: skip
+
+
+def _scores(fit: Fit) -> dict:
+    return {key: fit.results[key] for key in ("rmse", "baselines", "time_constants", "loglik", "n_obs")}

@@ -1,0 +1,382 @@
+"""Conditions that errors may go with: episodes, regimes, hours, season, level, rate and lag of drivers, dates.
+
+A condition is a basis that is tested, and bins in which its worst part is described.  All are made from inputs and
+from the simulation, never from the readings that are judged.  Shapes: n bins of an hour, k columns, m bins of a condition.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hygrokf.discovery.residuals import Hours, run_lengths, shown, words
+from hygrokf.evaluation.bootstrap import block_h
+
+LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)
+RATE_H = 3.0
+"""[h] over which a rate is taken: shorter ones are noise of the readings."""
+STANDSTILL_H = 6.0
+LONG_STANDSTILL_H = 24.0
+AFTERWARDS_H = 6.0
+"""[h] for which an episode's end is looked at."""
+SATURATED = 0.97
+"""[1] relative humidity from which readings are censored."""
+SINCE_H = (3.0, 6.0, 12.0, 24.0)
+LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
+RATES = (0.1, 0.3, 0.7, 0.9)
+RESTING = 0.15
+"""[1] share of the time at its least value from which a driver counts as resting there (night, calm, dry)."""
+MONTH_H = 240.0
+"""[h] of a month within the record from which it counts."""
+CANDIDATES_H = 12.0
+"""[h] between candidate dates of a step."""
+EDGE = 0.07
+"""[1] share of the record at either end in which no step is looked for."""
+SECTORS = 12
+SHORTEST_H = 6.0
+"""[h] for which a condition must hold to be asked about."""
+LARGEST_PART = 0.6
+"""[1] of the hours that a misfit may hold for: beyond, the rest is the exception."""
+GROUPS = {
+    "regime": "episodes", "episode": "episodes", "since": "episodes", "saturation": "episodes", "hour": "hour",
+    "season": "calendar", "drift": "calendar", "step": "calendar",
+    "level": "drivers", "rate": "drivers", "lag": "drivers",
+}  # fmt: skip
+"""Kind -> group; groups have equal shares of the false discoveries that are allowed."""
+
+Phrase = Callable[[int, int], tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class Condition:
+    """What errors may go with.
+
+    kind: one of `GROUPS`. driver: the signal, or "". basis: (n, k), NaN = unknown.
+    law: "linear" (all columns together), "largest" (the best column), "trend", "change" (column 0 lists candidate dates, evenly spaced from bin 0).
+    bins: (n,) number of the bin 0 … m − 1, −1 = none. x: (n,) what the bins are made from, in people's units; axis: label.
+    phrase: first and last bin -> (where, when). flag: bin 0 is the condition, bin 1 the rest.
+    circular: bins close a circle. sharp: sets in and ends within an hour. columns: conditions of single columns.
+    """
+
+    kind: str
+    driver: str
+    basis: np.ndarray
+    bins: np.ndarray
+    x: np.ndarray
+    phrase: Phrase
+    axis: str = ""
+    law: str = "linear"
+    flag: bool = False
+    circular: bool = False
+    sharp: bool = False
+    columns: tuple[Condition, ...] = ()
+
+    @property
+    def group(self) -> str:
+        """Group that shares a part of the false discoveries."""
+        return GROUPS[self.kind]
+
+    def worst(self, error: np.ndarray) -> tuple[int, int, np.ndarray] | None:
+        """First and last bin of the stretch of bins that stands out most from the rest, and its hours (n,) bool.
+
+        error: (n,), NaN = unknown.  None without errors on both sides.
+        """
+        there = np.isfinite(error) & (self.bins >= 0)
+        count = int(self.bins.max()) + 1
+        number = np.bincount(self.bins[there], minlength=count).astype(float)
+        total = np.bincount(self.bins[there], weights=error[there], minlength=count)
+        if self.flag:
+            return (0, 0, self.bins == 0) if number[0] and number[1:].sum() else None
+        all_n, all_e = number.sum(), total.sum()
+        best, chosen = 0.0, None
+        for first in range(count):
+            for length in range(1, count if self.circular else count - first + 1):
+                place = np.arange(first, first + length) % count
+                n, e = number[place].sum(), total[place].sum()
+                if not 0 < n <= LARGEST_PART * all_n:
+                    continue
+                gain = (e / n - (all_e - e) / (all_n - n)) ** 2 * n * (all_n - n)
+                if gain > best * (1.0 + 1e-9):
+                    best, chosen = gain, (first, first + length - 1, np.isin(self.bins, place))
+        return chosen
+
+    def explained(self, error: np.ndarray) -> float:
+        """Sum of squares of the error (n,) that the bins' means explain; hours without a bin count as one bin."""
+        there = np.isfinite(error)
+        number = np.bincount(self.bins[there] + 1).astype(float)
+        total = np.bincount(self.bins[there] + 1, weights=error[there])
+        return float((total**2 / np.maximum(number, 1.0)).sum())
+
+    def curve(self, error: np.ndarray, step_h: float) -> dict:
+        """Mean error by bin, in the error's own sign, with a 95 % band that counts blocks instead of hours."""
+        there = np.isfinite(error) & (self.bins >= 0)
+        block = np.arange(len(error)) // max(1, round(block_h(error, step_h) / step_h))
+        rows = []
+        for one in np.unique(self.bins[there]):
+            part = there & (self.bins == one)
+            mean = float(error[part].mean())
+            shares = np.bincount(block[part], weights=error[part] - mean)
+            half = 1.96 * math.sqrt(float((shares**2).sum())) / int(part.sum())
+            rows.append((float(np.nanmedian(self.x[part])), mean, mean - half, mean + half, int(part.sum())))
+        names = ("x", "error", "lower", "upper", "hours")
+        return {"axis": self.axis} | {name: [row[place] for row in rows] for place, name in enumerate(names)}
+
+
+def conditions(hours: Hours) -> list[Condition]:
+    """All conditions that a record can answer for: those that hold for at least six hours."""
+    made = [*_regimes(hours), *_preheating(hours), _hour(hours), *_calendar(hours)]
+    humidity = hours.drivers.get("cabinet_relative_humidity")
+    if humidity is not None:
+        saturated = np.nan_to_num(humidity) >= SATURATED
+        made.append(_flag("saturation", saturated, "while the simulated relative humidity is 97 % or more"))
+    for name, value in hours.drivers.items():
+        if name != "preheating":
+            made += _driver(hours, name, value)
+    return [one for one in made if not one.flag or _held(one, hours.step_h)]
+
+
+def _held(one: Condition, step_h: float) -> bool:
+    inside = float((one.bins == 0).sum()) * step_h
+    return SHORTEST_H <= inside <= len(one.bins) * step_h - SHORTEST_H
+
+
+def _flag(
+    kind: str, flag: np.ndarray, where: str, when: str = "", share: np.ndarray | None = None
+) -> Condition:
+    """A condition that holds or not; share: (n,) of each bin for which it does, where that is known."""
+    flag = np.asarray(flag, dtype=bool)
+    column = flag.astype(float) if share is None else share
+    return Condition(
+        kind, "", column[:, None], np.where(flag, 0, 1), column, lambda a, b: (where, when), where, flag=True, sharp=True
+    )  # fmt: skip
+
+
+def dummies(bins: np.ndarray) -> np.ndarray:
+    """Columns (n, m − 1) that are 1 in one bin each; NaN where there is no bin."""
+    labels = np.unique(bins[bins >= 0])
+    table = (bins[:, None] == labels[None, 1:]).astype(float)
+    table[bins < 0] = np.nan
+    return table
+
+
+# --- episodes --------------------------------------------------------------------------------
+
+
+def _filled(spans: Iterable[tuple[int, int]], count: int) -> np.ndarray:
+    flag = np.zeros(count, dtype=bool)
+    for first, last in spans:
+        flag[max(first, 0) : last] = True
+    return flag
+
+
+def _regimes(hours: Hours) -> list[Condition]:
+    """Standstill, its longer episodes, the hours after power-ups, hours since the last change."""
+    count, step, running = len(hours), hours.step_h, hours.operating
+    if running.all() or not running.any():
+        return []
+    made = [_flag("regime", ~running, "at standstill")]
+    stops = run_lengths(~running)
+    after = round(AFTERWARDS_H / step)
+    for least, long in ((STANDSTILL_H, "longer than 6 h"), (LONG_STANDSTILL_H, "longer than a day")):
+        chosen = [(a, b) for a, b in stops if step * (b - a) >= least]
+        if not chosen:
+            continue
+        made.append(_flag("episode", _filled(chosen, count), f"at standstills {long}"))
+        started = _filled([(b, b + after) for _, b in chosen], count) & running
+        made.append(_flag("episode", started, "in the first 6 h of operation", f"after standstills {long}"))
+    edges = (0.0, *SINCE_H, math.inf)
+    for flag, where, change in ((~running, "at standstill", "stop"), (running, "in operation", "start")):
+        since = np.full(count, np.nan)
+        for first, last in run_lengths(flag):
+            since[first:last] = step * np.arange(last - first)
+        bins = np.where(flag, np.digitize(since, SINCE_H), -1)
+
+        def phrase(a: int, b: int, where: str = where, change: str = change) -> tuple[str, str]:
+            if b == len(SINCE_H):
+                return where, f"more than {edges[a]:g} h after the {change}"
+            return where, f"{edges[a]:g} to {edges[b + 1]:g} h after the {change}"
+
+        basis = (bins[:, None] == np.arange(len(SINCE_H) + 1)).astype(float)
+        made.append(Condition("since", "", basis, bins, since, phrase, f"hours after the {change}"))
+    return made
+
+
+def _preheating(hours: Hours) -> list[Condition]:
+    """Pre-heating, after long standstills and after any, and what comes after it."""
+    count, step = len(hours), hours.step_h
+    heated = run_lengths(hours.preheating)
+    if not heated:
+        return []
+    stops = run_lengths(~hours.operating)
+    near = round(AFTERWARDS_H / step)
+    stood = [
+        max((step * (b - a) for a, b in stops if a <= first < b + near), default=0.0) for first, _ in heated
+    ]
+    long = [span for span, length in zip(heated, stood, strict=True) if length >= LONG_STANDSTILL_H]
+    stood_long = "after standstills longer than a day"
+    every = stood_long if len(long) == len(heated) else ""
+    made = [_flag("episode", hours.preheating, "during pre-heating", every, hours.heated)]
+    if 0 < len(long) < len(heated):
+        around = _filled([(a - 1, b + 1) for a, b in long], count)
+        share = np.where(around, hours.heated, 0.0)
+        made.append(_flag("episode", _filled(long, count), "during pre-heating", stood_long, share))
+    after = _filled([(last, last + near) for _, last in heated], count) & ~hours.preheating
+    made.append(_flag("episode", after, "in the first 6 h after pre-heating"))
+    return made
+
+
+# --- clock and calendar ----------------------------------------------------------------------
+
+
+def _hour(hours: Hours) -> Condition:
+    angle = 2.0 * math.pi * hours.hour / 24.0
+    basis = np.column_stack([wave(k * angle) for k in (1, 2, 3) for wave in (np.cos, np.sin)])
+    bins = np.floor(hours.hour).astype(int)
+    return Condition(
+        "hour", "", basis, bins, hours.hour, lambda a, b: ("", f"from {a % 24} to {(b + 1) % 24} h UTC"),
+        "hour of the day [UTC]", circular=True,
+    )  # fmt: skip
+
+
+def _calendar(hours: Hours) -> list[Condition]:
+    """Months, a straight drift, a step at an unknown date."""
+    count, step = len(hours), hours.step_h
+    month = hours.time_s.astype("datetime64[s]").astype("datetime64[M]").astype(int)
+    bins = month - month[0]
+    names = [f"{np.datetime64(int(one), 'M').item():%B %Y}" for one in range(month[0], month[-1] + 1)]
+
+    def months(a: int, b: int) -> tuple[str, str]:
+        return "", f"in {names[a]}" if a == b else f"from {names[a]} to {names[b]}"
+
+    def thirds(a: int, b: int) -> tuple[str, str]:
+        if a == b:
+            return "", ("in the first third of", "in the middle of", "in the last third of")[
+                a
+            ] + " the record"
+        return "", f"in the {'first' if a == 0 else 'last'} two thirds of the record"
+
+    made = []
+    if (np.bincount(bins) * step >= MONTH_H).sum() >= 3:
+        made.append(Condition("season", "", dummies(bins), bins, bins.astype(float), months, "month"))
+    days, third = step * np.arange(count) / 24.0, np.minimum(3 * np.arange(count) // count, 2)
+    trend = np.linspace(-1.0, 1.0, count)[:, None]
+    made.append(Condition("drift", "", trend, third, days, thirds, "days since the start", law="trend"))
+    width = max(1, round(CANDIDATES_H / step))
+    dates = width * np.arange(math.ceil(EDGE * count / width), math.floor((1.0 - EDGE) * count / width))
+    if len(dates):
+        basis, none = dates[:, None].astype(float), np.zeros(count, dtype=int)
+        made.append(Condition("step", "", basis, none, days, thirds, "days since the start", law="change"))
+    return made
+
+
+# --- drivers ---------------------------------------------------------------------------------
+
+
+def _driver(hours: Hours, name: str, value: np.ndarray) -> list[Condition]:
+    """Level (straight, and any curve), rate (rising and falling apart) and lag of one driver."""
+    if name.endswith("_direction"):
+        return [_direction(name, value)]
+    level = _binned("level", name, value, LEVELS, f"while the {words(name)} is")
+    if level is None:
+        return []
+    made = [level]
+    if level.bins.max() > 1:
+        made.append(replace(level, basis=np.column_stack([level.basis, dummies(level.bins)[:, 1:]])))
+    count, reach = len(value), max(1, round(RATE_H / hours.step_h))
+    rate = np.full(count, np.nan)
+    rate[reach:] = (value[reach:] - value[:-reach]) / (reach * hours.step_h)
+    changing = _binned("rate", name, rate, RATES, f"while the {words(name)}")
+    if changing is not None:
+        made.append(replace(changing, basis=np.column_stack([np.maximum(rate, 0.0), np.minimum(rate, 0.0)])))
+    columns = []
+    for lag in LAGS_H:
+        shift = round(lag / hours.step_h)
+        if shift < 1 or shift >= count or abs(shift * hours.step_h - lag) > 0.01:
+            continue
+        before = np.full(count, np.nan)
+        before[shift:] = value[:-shift]
+        one = _binned("lag", name, before, LEVELS, f"{lag:g} h after the {words(name)} was")
+        if one is not None:
+            columns.append(one)
+    if columns:
+        basis = np.column_stack([one.basis for one in columns])
+        made.append(replace(level, kind="lag", basis=basis, law="largest", columns=tuple(columns)))
+    return made
+
+
+def _direction(name: str, value: np.ndarray) -> Condition:
+    basis = np.column_stack([wave(k * value) for k in (1, 2) for wave in (np.cos, np.sin)])
+    degrees = np.degrees(value)
+    width = 360.0 / SECTORS
+    bins = np.where(np.isfinite(value), np.nan_to_num(degrees // width).astype(int) % SECTORS, -1)
+
+    def phrase(a: int, b: int) -> tuple[str, str]:
+        low, high = width * (a % SECTORS), width * (b % SECTORS + 1)
+        return f"while the {words(name)} is between {low:.0f} and {high:.0f}°", ""
+
+    return Condition("level", name, basis, bins, degrees, phrase, f"{words(name)} [°]", circular=True)
+
+
+def _binned(
+    kind: str, name: str, value: np.ndarray, quantiles: tuple[float, ...], opening: str
+) -> Condition | None:
+    """A condition by bins between quantiles of a value; its basis is the standardised value itself."""
+    known = value[np.isfinite(value)]
+    if len(known) < 48 or not known.std() > 1e-9 * max(1.0, float(np.abs(known).max())):
+        return None
+    rate = kind == "rate"
+    edges = _edges(known, quantiles, rate)
+    if len(edges) == 0:
+        return None
+    bins = np.where(np.isfinite(value), np.digitize(value, edges), -1)
+    marks, unit = shown(name, edges, rate)
+    unit = f" {unit}/h" if rate else f" {unit}" if unit else ""
+    last = len(edges)
+
+    def phrase(a: int, b: int) -> tuple[str, str]:
+        if rate:
+            return f"{opening} {_changing(marks, a, b, last, unit)}", ""
+        if a == 0:
+            return f"{opening} below {number(marks[b])}{unit}", ""
+        if b == last:
+            return f"{opening} above {number(marks[a - 1])}{unit}", ""
+        return f"{opening} between {number(marks[a - 1])} and {number(marks[b])}{unit}", ""
+
+    x, _ = shown(name, value, rate)
+    axis = f"{'change of ' if rate else ''}{words(name)} [{unit.strip() or '1'}]"
+    scaled = (value - known.mean()) / known.std()
+    return Condition(kind, name, scaled[:, None], bins, x, phrase, axis)
+
+
+def _changing(marks: np.ndarray, a: int, b: int, last: int, unit: str) -> str:
+    if a == 0 and marks[b] <= 0:
+        return f"falls by more than {number(-marks[b])}{unit}"
+    if b == last and marks[a - 1] >= 0:
+        return f"rises by more than {number(marks[a - 1])}{unit}"
+    low = "" if a == 0 else f"{number(marks[a - 1])}"
+    high = "" if b == last else f"{number(marks[b])}"
+    if low and high:
+        return f"changes by {low} to {high}{unit}"
+    return f"changes by less than {high}{unit}" if high else f"changes by more than {low}{unit}"
+
+
+def _edges(known: np.ndarray, quantiles: tuple[float, ...], rate: bool) -> np.ndarray:
+    least = float(known.min())
+    small = 1e-6 * float(known.std())
+    resting = not rate and float(np.mean(known <= least + small)) > RESTING
+    if not resting:
+        edges = np.unique(np.quantile(known, quantiles))
+        return edges[(edges > least) & (edges < known.max())]
+    above = known[known > least + small]
+    return np.unique(
+        np.concatenate([[0.5 * (least + float(above.min()))], np.quantile(above, quantiles[1:])])
+    )
+
+
+def number(value: float) -> str:
+    """A number with two digits that count, as people write it."""
+    text = f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2g}"
+    return ("0" if "e" in text else text).replace("-", "−")

@@ -1,0 +1,150 @@
+"""The compiled step of many runs of one model: `RUNS` runs at a time, each in a lane of the processor's vectors.
+
+`fleet_text` writes one function for a traced recursion.  What is kept stands in blocks of `RUNS` runs, (blocks, width,
+RUNS), what a step brings in columns, (width, runs): every load takes one number of each run of a block.  What depends
+on the parameters and on a step's length alone is kept between steps, and computed again for blocks that are marked as
+changed.  Lanes differ in their number of sub-steps and in which readings they have: all lanes compute, and the ones that
+it does not concern keep what they had.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+from hygrokf.engine.filter_codegen import LINEAR
+from hygrokf.engine.llvm_writer import RUNS, TRUTH, Writer, declarations, literal, vector
+from hygrokf.physics.expression import Expression
+
+if TYPE_CHECKING:
+    from hygrokf.engine.traced_filter import Recursion
+
+VECTOR, TRUTHS = vector(RUNS), vector(RUNS, TRUTH)
+ARGUMENTS = [("i64", "blocks")] + [
+    ("ptr", name)
+    for name in ("theta", "keys", "parts", "most", "changed", "known", "before", "now", "y", "state")
+]
+"""In columns: key leaves, sub-steps of each run, inputs before and now, readings.  In blocks: parameters, what is kept of
+them and the keys, moments.  Of every block: the most sub-steps, and whether its parameters or keys have changed."""
+
+
+def kept_nodes(recursion: Recursion) -> list[int]:
+    """Nodes that are kept between steps."""
+    return [*recursion.parameter_nodes, *recursion.key_nodes]
+
+
+def fleet_text(recursion: Recursion) -> str:
+    """LLVM text of a module with the function `fleet(blocks, theta, keys, …)`."""
+    return declarations() + _Emission(recursion).function()
+
+
+@dataclass
+class _Emission:
+    recursion: Recursion
+    writer: Writer = field(init=False)
+
+    def function(self) -> str:
+        w = self.writer = Writer("fleet", ARGUMENTS, RUNS)
+        slots = {e.index: w.slot(VECTOR) for e in self.recursion.state}
+        with w.loop("%blocks") as block:
+            changed = w.load("i32", w.at("i32", "%changed", block))
+            with w.when(w.value(f"icmp ne i32 {changed}, 0")):
+                self._keep(block)
+            for c, slot in enumerate(slots.values()):
+                w.store(VECTOR, self._load("state", block, len(slots), c), slot)
+            self._predict(slots, block)
+            self._correct(slots, block)
+            for c, slot in enumerate(slots.values()):
+                place = w.integer("add", w.integer("mul", block, len(slots)), c)
+                w.store(VECTOR, w.load(VECTOR, slot), w.at(VECTOR, "%state", place))
+        return w.text()
+
+    def _load(self, array: str, block: str, width: int, column: int) -> str:
+        w = self.writer
+        place = w.integer("add", w.integer("mul", block, width), column)
+        return w.load(VECTOR, w.at(VECTOR, f"%{array}", place))
+
+    def _column(self, array: str, block: str, column: int) -> str:
+        w = self.writer
+        place = w.integer("add", w.integer("mul", "%blocks", column), block)
+        return w.load(VECTOR, w.at(VECTOR, f"%{array}", place))
+
+    def _row(self, array: str, block: str, nodes: list[int]) -> dict[int, str]:
+        return {i: self._load(array, block, len(nodes), c) for c, i in enumerate(nodes)}
+
+    def _parameters_and_keys(self, block: str) -> dict[int, str]:
+        r = self.recursion
+        leaves = [e.index for e in (*r.p.values(), *r.given)]
+        return self._row("theta", block, leaves) | self._keys(block)
+
+    def _keys(self, block: str) -> dict[int, str]:
+        return {e.index: self._column("keys", block, c) for c, e in enumerate(self.recursion._key_leaves)}
+
+    def _keep(self, block: str) -> None:
+        r, w = self.recursion, self.writer
+        nodes = kept_nodes(r)
+        leaves = self._parameters_and_keys(block)
+        wanted = [Expression(r.graph, i) for i in nodes]
+        for c, (kind, name) in enumerate(w.block(r.graph, wanted, leaves, list(leaves))):
+            place = w.integer("add", w.integer("mul", block, len(nodes)), c)
+            w.store(VECTOR, w.as_vector(kind, name), w.at(VECTOR, "%known", place))
+
+    def _known(self, block: str) -> dict[int, str]:
+        return self._parameters_and_keys(block) | self._row("known", block, kept_nodes(self.recursion))
+
+    def _values(self, outputs: list[Expression], leaves: dict[int, str]) -> list[str]:
+        w = self.writer
+        made = w.block(self.recursion.graph, outputs, leaves, list(leaves))
+        return [w.as_vector(kind, name) for kind, name in made]
+
+    def _predict(self, slots: dict[int, str], block: str) -> None:
+        r, w = self.recursion, self.writer
+        parts = self._column("parts", block, 0)
+        most = w.value(f"sext i32 {w.load('i32', w.at('i32', '%most', block))} to i64")
+        with w.loop(most) as j:
+            here = w.splat(w.value(f"sitofp i64 {j} to double"))
+            still = w.value(f"fcmp olt {VECTOR} {here}, {parts}")
+            old = {i: w.load(VECTOR, slot) for i, slot in slots.items()}
+            leaves = old | self._known(block) | self._inputs_within(block, here, parts)
+            made = self._values(r.predict.outputs, leaves)
+            for (i, slot), value in zip(slots.items(), made, strict=True):
+                w.store(VECTOR, self._where(still, value, old[i]), slot)
+
+    def _where(self, truths: str, a: str, b: str) -> str:
+        return self.writer.value(f"select {TRUTHS} {truths}, {VECTOR} {a}, {VECTOR} {b}")
+
+    def _inputs_within(self, block: str, j: str, parts: str) -> dict[int, str]:
+        """Inputs at the start and the end of sub-step j of `parts`: those of a single sub-step exactly as they are."""
+        r, w = self.recursion, self.writer
+        one = w.splat(literal(1.0))
+        after = w.value(f"fadd {VECTOR} {j}, {one}")
+        whole = w.value(f"fcmp oge {VECTOR} {after}, {parts}")
+        left, right = (w.value(f"fdiv {VECTOR} {part}, {parts}") for part in (j, after))
+        result = {}
+        for c, name in enumerate(r.varying):
+            now = self._column("now", block, c)
+            result[r.end[name].index] = now
+            if r.system.inputs[name] == LINEAR:
+                before = self._column("before", block, c)
+                rise = w.value(f"fsub {VECTOR} {now}, {before}")
+                at = [
+                    w.value(f"fadd {VECTOR} {before}, {w.value(f'fmul {VECTOR} {rise}, {part}')}")
+                    for part in (left, right)
+                ]
+                result[r.start[name].index] = at[0]
+                result[r.end[name].index] = self._where(whole, now, at[1])
+        return result
+
+    def _correct(self, slots: dict[int, str], block: str) -> None:
+        r, w = self.recursion, self.writer
+        now = {r.now[name].index: self._column("now", block, c) for c, name in enumerate(r.varying)}
+        for c, update in enumerate(r.updates):
+            y = self._column("y", block, c)
+            there = w.value(f"fcmp ord {VECTOR} {y}, zeroinitializer")
+            bits = w.value(f"bitcast {TRUTHS} {there} to i{RUNS}")
+            with w.when(w.value(f"icmp ne i{RUNS} {bits}, 0")):
+                old = {i: w.load(VECTOR, slot) for i, slot in slots.items()}
+                leaves = old | self._known(block) | now | {r.reading.index: y}
+                made = self._values(update.outputs[: len(slots)], leaves)
+                for (i, slot), value in zip(slots.items(), made, strict=True):
+                    w.store(VECTOR, self._where(there, value, old[i]), slot)

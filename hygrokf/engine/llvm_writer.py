@@ -1,0 +1,219 @@
+"""Expression graphs written as LLVM text: straight-line blocks between hand-written loops.
+
+`Writer` holds the text of one function.  Blocks are emitted at the current place from a mapping of leaf nodes to
+values; loops and conditions are context managers whose counters live in stack slots (LLVM turns them into registers).
+Scalars are `double`; vectors have a lane for each of several parameters (tangents) or of several runs.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+
+from hygrokf.engine.jit import has_fused_multiply_add
+from hygrokf.physics.expression import Expression, Graph
+
+LANES = 8
+"""Lanes of tangents."""
+RUNS = 4
+"""Lanes of runs side by side: half as many need half as many registers, and there are few."""
+SCALAR = "double"
+VECTOR = f"<{LANES} x double>"
+TRUTH = "i1"
+
+_OPERATION = {"add": "fadd", "sub": "fsub", "mul": "fmul", "div": "fdiv"}
+
+
+def declarations() -> str:
+    """Declarations that every module needs."""
+    lines = []
+    for kind in (SCALAR, VECTOR, vector(RUNS)):
+        lines.append(f"declare {kind} @llvm.fma.{_suffix(kind)}({kind}, {kind}, {kind})")
+        lines += [f"declare {kind} @llvm.{name}.{_suffix(kind)}({kind})" for name in ("exp", "log", "sqrt")]
+    return "\n".join(lines) + "\n"
+
+
+def vector(lanes: int, of: str = SCALAR) -> str:
+    """The kind of so many numbers, or of so many truths."""
+    return f"<{lanes} x {of}>"
+
+
+def _suffix(kind: str) -> str:
+    return "f64" if kind == SCALAR else f"v{kind[1:].split()[0]}f64"
+
+
+class Writer:
+    """Text of one LLVM function `void name(arguments)`, with vectors of so many lanes."""
+
+    def __init__(self, name: str, arguments: Sequence[tuple[str, str]], lanes: int = LANES) -> None:
+        self._name = name
+        self.lanes = lanes
+        self.vector = vector(lanes)
+        self.truths = vector(lanes, TRUTH)
+        self._arguments = arguments
+        self._slots: list[str] = []
+        self._lines: list[str] = []
+        self._count = 0
+
+    def text(self) -> str:
+        # `noalias` is true by construction: callers pass separate arrays
+        kinds = {"ptr": "ptr noalias nocapture"}
+        arguments = ", ".join(f"{kinds.get(kind, kind)} %{name}" for kind, name in self._arguments)
+        body = "\n".join([*self._slots, *self._lines])
+        return f"define void @{self._name}({arguments}) {{\nentry:\n{body}\n  ret void\n}}\n"
+
+    # -- plain instructions ----------------------------------------------------------------------------------
+    def line(self, text: str) -> None:
+        self._lines.append("  " + text)
+
+    def value(self, text: str) -> str:
+        self._count += 1
+        name = f"%v{self._count}"
+        self._lines.append(f"  {name} = {text}")
+        return name
+
+    def slot(self, kind: str, initial: str | None = None) -> str:
+        """A stack slot (made in the entry block); set to `initial` here."""
+        self._count += 1
+        name = f"%s{self._count}"
+        self._slots.append(f"  {name} = alloca {kind}")
+        if initial is not None:
+            self.line(f"store {kind} {initial}, ptr {name}")
+        return name
+
+    def load(self, kind: str, pointer: str) -> str:
+        return self.value(f"load {kind}, ptr {pointer}, align {_align(kind)}")
+
+    def store(self, kind: str, value: str, pointer: str) -> None:
+        self.line(f"store {kind} {value}, ptr {pointer}, align {_align(kind)}")
+
+    def at(self, kind: str, base: str, index: str | int) -> str:
+        """Address of element `index` of an array of `kind`."""
+        return self.value(f"getelementptr {kind}, ptr {base}, i64 {index}")
+
+    def integer(self, operation: str, a: str | int, b: str | int) -> str:
+        return self.value(f"{operation} i64 {a}, {b}")
+
+    def real(self, operation: str, a: str, b: str) -> str:
+        return self.value(f"{operation} double {a}, {b}")
+
+    # -- control flow ----------------------------------------------------------------------------------------
+    def _label(self, name: str) -> str:
+        self._count += 1
+        return f"{name}{self._count}"
+
+    @contextmanager
+    def loop(self, count: str, *, backwards: bool = False) -> Iterator[str]:
+        """for i in range(count) (or reversed): yields the counter's value."""
+        counter = self.slot("i64", "0")
+        head, body, done = (self._label(x) for x in ("head", "body", "done"))
+        self.line(f"br label %{head}")
+        self._lines.append(f"{head}:")
+        i = self.load("i64", counter)
+        test = self.value(f"icmp slt i64 {i}, {count}")
+        self.line(f"br i1 {test}, label %{body}, label %{done}")
+        self._lines.append(f"{body}:")
+        if backwards:
+            last = self.integer("sub", count, 1)
+            yield self.integer("sub", last, i)
+        else:
+            yield i
+        self.store("i64", self.integer("add", i, 1), counter)
+        self.line(f"br label %{head}")
+        self._lines.append(f"{done}:")
+
+    @contextmanager
+    def when(self, condition: str) -> Iterator[None]:
+        """Run the block only if the i1 `condition` holds; values made inside must leave through slots or memory."""
+        body, done = self._label("then"), self._label("after")
+        self.line(f"br i1 {condition}, label %{body}, label %{done}")
+        self._lines.append(f"{body}:")
+        yield
+        self.line(f"br label %{done}")
+        self._lines.append(f"{done}:")
+
+    # -- blocks of the graph ---------------------------------------------------------------------------------
+    def block(
+        self,
+        graph: Graph,
+        outputs: Sequence[Expression],
+        leaves: Mapping[int, str],
+        vectors: Sequence[int] = (),
+    ) -> list[tuple[str, str]]:
+        """Compute `outputs` here from the values of `leaves`; returns (kind, value) for each.
+
+        `vectors` names the leaves that are vectors.
+        """
+        wide = set(vectors)
+        kinds: dict[int, str] = {i: self.vector if i in wide else SCALAR for i in leaves}
+        names: dict[int, str] = dict(leaves)
+        splats: dict[str, str] = {}
+
+        def operand(i: int, kind: str) -> str:
+            name = names[i]
+            if kind == kinds[i] or kinds[i] in (TRUTH, self.truths):
+                return name
+            if name not in splats:
+                splats[name] = self.splat(name)
+            return splats[name]
+
+        for i in graph.needed(outputs, leaves):
+            if i in names:
+                continue
+            node = graph.nodes[i]
+            operation = node[0]
+            if operation == "const":
+                names[i], kinds[i] = literal(node[1]), SCALAR
+                continue
+            if operation == "symbol":
+                raise KeyError(f"no value for the leaf {node[1]!r}")
+            kind = self.vector if any(kinds[j] in (self.vector, self.truths) for j in node[1:]) else SCALAR
+            kinds[i] = kind
+            a = [operand(j, kind) for j in node[1:]]
+            match operation:
+                case "add" | "sub" | "mul" | "div":
+                    names[i] = self.value(f"{_OPERATION[operation]} {kind} {a[0]}, {a[1]}")
+                case "neg":
+                    names[i] = self.value(f"fneg {kind} {a[0]}")
+                case "fma":
+                    names[i] = self._fma(kind, a)
+                case "lt":
+                    names[i] = self.value(f"fcmp olt {kind} {a[0]}, {a[1]}")
+                    kinds[i] = TRUTH if kind == SCALAR else self.truths
+                case "select":
+                    truth = kinds[node[1]]
+                    names[i] = self.value(f"select {truth} {a[0]}, {kind} {a[1]}, {kind} {a[2]}")
+                case _:
+                    names[i] = self.value(f"call {kind} @llvm.{operation}.{_suffix(kind)}({kind} {a[0]})")
+        result = []
+        for e in outputs:
+            result.append((kinds[e.index], names[e.index]))
+        return result
+
+    def _fma(self, kind: str, a: Sequence[str]) -> str:
+        if has_fused_multiply_add():
+            three = ", ".join(f"{kind} {value}" for value in a)
+            return self.value(f"call {kind} @llvm.fma.{_suffix(kind)}({three})")
+        return self.value(f"fadd {kind} {self.value(f'fmul {kind} {a[0]}, {a[1]}')}, {a[2]}")
+
+    def as_vector(self, kind: str, value: str) -> str:
+        """The value as a tangent vector (a structural zero tangent is a scalar constant)."""
+        return value if kind == self.vector else self.splat(value)
+
+    def splat(self, value: str) -> str:
+        """A double in every lane of a vector."""
+        first = self.value(f"insertelement {self.vector} poison, double {value}, i64 0")
+        return self.value(
+            f"shufflevector {self.vector} {first}, {self.vector} poison, <{self.lanes} x i32> zeroinitializer"
+        )
+
+
+def _align(kind: str) -> int:
+    """Alignment that numpy arrays of the kind have at the least."""
+    return 4 if kind == "i32" else 8
+
+
+def literal(value: float) -> str:
+    """A double in LLVM's exact hexadecimal form."""
+    return f"0x{struct.unpack('>Q', struct.pack('>d', value))[0]:016X}"

@@ -1,0 +1,240 @@
+"""The moments of a state across a step that is far longer than its sub-steps: a gap of months or of ten years.
+
+The compiled loops divide a step into sub-steps that the fastest rate allows.  A year takes a hundred thousand of them, and
+nearly all of them do nothing: the fast states follow the inputs, the slow ones move slowly.  Such a step is taken in two
+parts.  The first is *jumped*: with the Jacobian A held at the state x₀ where a piece of it begins and at the inputs where it
+ends, and the rest b(t) = f(x₀, u(t)) straight through its two Gauss nodes, the moment equations
+
+    dm/dt = A (m − x₀) + b(t),     dP/dt = A P + P A' + Q
+
+have closed solutions for any length H.  The matrices of a short step h = H/2^s are Taylor polynomials, doubled s times:
+with z = (m − x₀, 1, t), z(t+h) = (I + D) z(t) and N = ∫₀ʰ e^{Aσ} Q e^{A'σ} dσ,
+
+    D ← 2 D + D²,     N ← N + E N E',  E = I + D's upper left part.
+
+I + D is never formed while D is small, so that slow states keep all digits.  The second part, the last `TAIL` sub-steps, is
+left to the compiled loops.
+
+Where rates depend on parameters and regimes alone the jump is exact.  Elsewhere it goes in pieces, each at most half of the
+time that is left: of a state that follows the inputs each piece is a Newton step, and the tail removes what remains.  States
+that outlast the tail (random walks, slow disturbances) are linear, and their moments are exact here too.
+
+Source: Van Loan 1978, doi:10.1109/TAC.1978.1101743 (the integrals); Moler & Van Loan 2003, doi:10.1137/S00361445024180
+(scaling and squaring).  Shapes: B runs or directions side by side, n states.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hygrokf.engine.discretisation import NODES
+from hygrokf.engine.filter_codegen import LINEAR
+from hygrokf.engine.packing import pack, unpack
+from hygrokf.physics.expression import is_zero
+
+if TYPE_CHECKING:
+    from hygrokf.engine.traced_filter import Recursion
+
+MOST = 10_000
+"""Sub-steps up to which the loops take all of a step; of a longer one they take the last `TAIL`."""
+TAIL = 2_000
+"""Sub-steps at the end of a long step: at 0.35 of the fastest time constant each, 700 of these time constants."""
+ORDER = 13
+"""Degree of the polynomials for the short step, whose fastest rate times length is at most `SHORT`: rest 1e-18."""
+SHORT = 0.125
+
+
+@dataclass(frozen=True)
+class LongStep:
+    """One long step of a run: a jump of `hours` [h] from the inputs `before` to those at its `tail`, of `tail_h` [h].
+
+    States are packed moments (width,), as the compiled loops have them.
+    """
+
+    recursion: Recursion
+    before: Mapping[str, float]
+    tail: Mapping[str, float]
+    hours: float
+    tail_h: float
+
+    def take(self, values: Mapping[str, float], state: np.ndarray) -> np.ndarray:
+        """Take a state to the tail, in place; returns the transition (n, n) to there."""
+        moved, transition = self._moved(values, state[None])
+        state[:] = moved[0]
+        return transition[0]
+
+    def tangents(
+        self, values: Mapping[str, float], state: np.ndarray, dots: np.ndarray, seeds: np.ndarray
+    ) -> np.ndarray:
+        """Tangents (width, r) at the tail, given those before and the directions (d, r), by complex steps."""
+        moved = {
+            name: values[name] + 1e-30j * seed for name, seed in zip(self.recursion.p, seeds, strict=True)
+        }
+        found, _ = self._moved(moved, state + 1e-30j * dots.T)
+        return np.imag(found).T * 1e30
+
+    def back(
+        self, values: Mapping[str, float], state: np.ndarray, bar: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Adjoints (width,) of the state before and (d,) of the parameters, given those `bar` of the state at the tail."""
+        n, d, width = self.recursion.n, len(self.recursion.p), len(state)
+        # covariances pass through linearly: only means and parameters are followed one by one
+        dots, seeds = np.zeros((width, n + d)), np.zeros((d, n + d))
+        dots[:n, :n], seeds[:, n:] = np.eye(n), np.eye(d)
+        found = bar @ self.tangents(values, state, dots, seeds)
+        transition = self._moved(values, state[None])[1][0]
+        share = np.where(np.eye(n, dtype=bool), 1.0, 0.5)  # of a packed entry's adjoint, which stands for two
+        back = [
+            pack(transition.T @ (unpack(part, n) * share) @ transition / share)
+            for part in np.split(bar[n:], 2 * (width - n) // (n * (n + 1)))
+        ]
+        return np.concatenate([found[:n], *back]), found[n:]
+
+    def _moved(self, values: Mapping[str, object], packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Packed moments (B, width) at the tail, and the transition (B, n, n)."""
+        n, (count, width) = self.recursion.n, packed.shape
+        found = jumped(
+            self.recursion,
+            values,
+            self.before,
+            self.tail,
+            np.full(count, self.hours),
+            np.full(count, self.tail_h),
+            packed[:, :n],
+            [unpack(part, n) for part in np.split(packed[:, n:], 2 * (width - n) // (n * (n + 1)), axis=1)],
+        )
+        return np.concatenate([found.mean, *map(pack, found.covariances)], axis=1), found.transition
+
+
+@dataclass(frozen=True)
+class Jumped:
+    """Moments after a jump: `mean` (B, n), `covariances` (B, n, n) each, and the `transition` (B, n, n) of the state."""
+
+    mean: np.ndarray
+    covariances: tuple[np.ndarray, ...]
+    transition: np.ndarray
+
+
+def jumped(
+    recursion: Recursion,
+    values: Mapping[str, np.ndarray | float],
+    before: Mapping[str, np.ndarray | float],
+    after: Mapping[str, np.ndarray | float],
+    hours: np.ndarray,
+    rest_h: np.ndarray,
+    mean: np.ndarray,
+    covariances: Sequence[np.ndarray],
+) -> Jumped:
+    """The moments `hours` (B,) [h] later.
+
+    `values` of the parameters, `before` and `after` the inputs at both ends (numbers or (B,)), between which they run
+    straight; `rest_h` (B,) [h] what is left of the step after the jump; `covariances` (B, n, n) each: the first one gains
+    the noise, any other is carried only.  Real or complex numbers, so that complex steps give exact derivatives.  A model
+    that grows without limit ends in numbers that are not finite.
+    """
+    known = {f"p:{name}": value for name, value in values.items()}
+    noise = _matrix(recursion, recursion.noise, known, len(mean))
+    transition = np.broadcast_to(np.eye(recursion.n), (len(mean), recursion.n, recursion.n))
+    pieces = 1 if recursion.exact else max(1, math.ceil(math.log2(np.max(1.0 + hours / rest_h)) - 1e-9))
+    shrink = (1.0 + hours / rest_h) ** (-1.0 / pieces)
+    share = [(hours + rest_h) * (1.0 - shrink**k) / hours for k in range(pieces)] + [np.ones_like(hours)]
+    carried, holds = tuple(covariances), recursion.system.inputs
+    with np.errstate(over="ignore", invalid="ignore"):
+        for k in range(pieces):
+            first, last = (inputs_between(holds, before, after, share[i]) for i in (k, k + 1))
+            short = known | {f"m{i}": mean[:, i] for i in range(recursion.n)}
+            matrix = _matrix(recursion, recursion.jacobian, short | _at(last), len(mean))
+            rest = [
+                _vector(recursion, short | _at(inputs_between(holds, first, last, c)), len(mean))
+                for c in NODES
+            ]
+            change, gained = _doubled(matrix, rest, noise, (share[k + 1] - share[k]) * hours)
+            n = recursion.n
+            step = np.eye(n) + change[:, :n, :n]
+            mean = mean + change[:, :n, n]
+            carried = tuple(_symmetric(step @ p @ np.swapaxes(step, 1, 2)) for p in carried)
+            carried = (carried[0] + gained, *carried[1:])
+            transition = step @ transition
+    return Jumped(mean, carried, transition)
+
+
+def _doubled(
+    matrix: np.ndarray, rest: Sequence[np.ndarray], noise: np.ndarray, hours: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """D (B, n+2, n+2) of z = (x − x₀, 1, t) and the accumulated noise (B, n, n) over `hours`."""
+    n = matrix.shape[1]
+    slope = (rest[1] - rest[0]) / ((NODES[1] - NODES[0]) * hours)[:, None]
+    field = np.zeros((len(matrix), n + 2, n + 2), dtype=np.result_type(matrix, *rest))
+    field[:, :n, :n] = matrix
+    field[:, :n, n] = rest[0] - NODES[0] * hours[:, None] * slope
+    field[:, :n, n + 1] = slope
+    field[:, n + 1, n] = 1.0
+    reach = float(np.max(_rates(matrix) * hours))
+    if not math.isfinite(reach):
+        return np.full_like(field, np.nan), np.full_like(noise, np.nan)
+    doublings = max(0, math.ceil(math.log2(max(reach, SHORT) / SHORT)))
+    short = hours / 2.0**doublings
+    field = field * short[:, None, None]
+    inner, spread = field[:, :n, :n], noise * short[:, None, None]
+    change, gained = field, spread
+    for k in range(ORDER, 1, -1):  # D = X (I + X/2 (I + X/3 (…)))
+        change = field + (field @ change) / k
+    for k in range(2, ORDER + 1):
+        half = inner @ spread / k
+        spread = half + np.swapaxes(half, 1, 2)
+        gained = gained + spread
+    for _ in range(doublings):
+        half = change[:, :n, :n] @ gained
+        gained = 2.0 * gained + half + np.swapaxes(half, 1, 2) + half @ np.swapaxes(change[:, :n, :n], 1, 2)
+        change = 2.0 * change + change @ change
+    return change, _symmetric(gained)
+
+
+def _rates(matrix: np.ndarray) -> np.ndarray:
+    """Bound (B,) on the size of the eigenvalues: the diagonal, and pairs of states that act on each other."""
+    size = np.abs(matrix)
+    pairs = np.sqrt(size * np.swapaxes(size, 1, 2))
+    return pairs.sum(axis=2).max(axis=1)
+
+
+def inputs_between(
+    holds: Mapping[str, str],
+    before: Mapping[str, np.ndarray | float],
+    after: Mapping[str, np.ndarray | float],
+    share: np.ndarray | float,
+) -> dict[str, np.ndarray | float]:
+    """Inputs within a step: linear ones part of the way, others as they are over all of it."""
+    return {
+        name: before[name] + share * (value - before[name]) if holds[name] == LINEAR else value
+        for name, value in after.items()
+    }
+
+
+def _at(inputs: Mapping[str, np.ndarray | float]) -> dict[str, np.ndarray | float]:
+    return {f"{kind}:{name}": value for name, value in inputs.items() for kind in ("b", "g")}
+
+
+def _vector(recursion: Recursion, known: Mapping[str, object], count: int) -> np.ndarray:
+    """The rates f (B, n)."""
+    found = [np.broadcast_to(v, count) for v in recursion.graph.evaluate(recursion.rates, known)]
+    return np.stack(found, axis=1)
+
+
+def _matrix(recursion: Recursion, rows: list[list], known: Mapping[str, object], count: int) -> np.ndarray:
+    """A matrix of expressions as numbers (B, n, n)."""
+    n = recursion.n
+    places = [(i, j) for i in range(n) for j in range(n) if not is_zero(rows[i][j])]
+    found = recursion.graph.evaluate([rows[i][j] for i, j in places], known)
+    made = np.zeros((count, n, n), dtype=np.result_type(float, *found))
+    for (i, j), value in zip(places, found, strict=True):
+        made[:, i, j] = value
+    return made
+
+
+def _symmetric(matrix: np.ndarray) -> np.ndarray:
+    return 0.5 * (matrix + np.swapaxes(matrix, 1, 2))

@@ -1,0 +1,61 @@
+"""Sums of a Gaussian log-likelihood that a compiled loop keeps while it runs."""
+
+from __future__ import annotations
+
+import math
+
+from hygrokf.engine.llvm_writer import SCALAR, Writer, literal
+
+
+class RunningSums:
+    """Running sums Σ log S and Σ e²/S.
+
+    Σ log S is kept as a product; before that leaves the range its binary exponent is put aside.  No call stands inside
+    the time loop: one would push the whole state out of the registers at every instant.  A variance that is not
+    positive turns the product into NaN for good.
+    """
+
+    def __init__(self, w: Writer) -> None:
+        self.exponent = w.slot("i64", "0")
+        self.product = w.slot(SCALAR, literal(1.0))
+        self.quadratic = w.slot(SCALAR, literal(0.0))
+        self.number = w.slot("i64", "0")
+
+    def take(self, w: Writer, variance: str, quadratic: str) -> None:
+        """Count one reading with innovation variance S and e²/S."""
+        product = w.real("fmul", w.load(SCALAR, self.product), variance)
+        accumulate(w, quadratic, self.quadratic)
+        w.store("i64", w.integer("add", w.load("i64", self.number), 1), self.number)
+        w.store(SCALAR, product, self.product)
+        low = w.value(f"fcmp ult double {product}, {literal(1e-100)}")
+        high = w.value(f"fcmp ugt double {product}, {literal(1e100)}")
+        with w.when(w.value(f"or i1 {low}, {high}")):
+            self._set_exponent_aside(w, product)
+
+    def _set_exponent_aside(self, w: Writer, product: str) -> None:
+        bits = w.value(f"bitcast double {product} to i64")
+        exponent = w.integer("sub", w.integer("lshr", bits, 52), 1023)  # of a positive number
+        w.store("i64", w.integer("add", w.load("i64", self.exponent), exponent), self.exponent)
+        fraction = w.integer("or", w.integer("and", bits, 0x000FFFFFFFFFFFFF), 0x3FF0000000000000)
+        rest = w.value(f"bitcast i64 {fraction} to double")
+        above = w.value(f"fcmp ogt double {product}, {literal(0.0)}")
+        below = w.value(f"fcmp olt double {product}, {literal(math.inf)}")
+        sound = w.value(f"and i1 {above}, {below}")
+        w.store(
+            SCALAR, w.value(f"select i1 {sound}, double {rest}, double {literal(math.nan)}"), self.product
+        )
+
+    def write(self, w: Writer, out: str) -> None:
+        """out[0] = Σ log S, out[1] = Σ e²/S, out[2] = number of readings."""
+        fraction = w.value(f"call double @llvm.log.f64(double {w.load(SCALAR, self.product)})")
+        exponent = w.value(f"sitofp i64 {w.load('i64', self.exponent)} to double")
+        whole = w.real("fmul", exponent, literal(math.log(2.0)))
+        w.store(SCALAR, w.real("fadd", whole, fraction), out)
+        w.store(SCALAR, w.load(SCALAR, self.quadratic), w.at(SCALAR, out, 1))
+        number = w.value(f"sitofp i64 {w.load('i64', self.number)} to double")
+        w.store(SCALAR, number, w.at(SCALAR, out, 2))
+
+
+def accumulate(w: Writer, value: str, pointer: str) -> None:
+    """Add a number to the one at a pointer."""
+    w.store(SCALAR, w.real("fadd", w.load(SCALAR, pointer), value), pointer)

@@ -1,0 +1,181 @@
+"""The instants of a filter run: when something happens, what the inputs are, what was read.
+
+A `Timeline` holds arrays on one merged axis of instants.  It is not a grid: every reading and every change of an input
+stands at its own time, and between two instants each input follows its own hold.
+
+Shapes: T instants, m inputs that vary within steps, r regime inputs, k outputs.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+
+from hygrokf.engine.filter_codegen import REGIME
+from hygrokf.physics.model import Model
+
+
+@dataclass(frozen=True)
+class Timeline:
+    """Instants of one run.
+
+    `time` (T,) [h] from `origin_s` [s since 1970, UTC]; `key` (T,) the row of `steps` (distinct steps: length [h] and
+    regime inputs) that leads to each instant; `u` (T+1, m) inputs: the value at the instant for linear ones, over the
+    step that ends there for zero-order ones, its first row belonging to the instant before the first one; `y` (T, k) readings, NaN where there is none; `reset` (T,) bits of the
+    running means that begin anew at the instant; `whole` inputs of the whole run, also for a piece of it.
+    """
+
+    time: np.ndarray
+    key: np.ndarray
+    steps: np.ndarray
+    u: np.ndarray
+    y: np.ndarray
+    reset: np.ndarray
+    varying: tuple[str, ...]
+    regimes: tuple[str, ...]
+    outputs: tuple[str, ...]
+    origin_s: float = 0.0
+    whole: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    def __len__(self) -> int:
+        return len(self.time)
+
+    @cached_property
+    def corners(self) -> dict[str, np.ndarray]:
+        """Inputs that span the whole run's range: sub-steps are chosen by them, so that a piece takes the same ones as the whole."""
+        return _corners(self.whole)
+
+    @property
+    def n_readings(self) -> int:
+        return int(np.isfinite(self.y).sum())
+
+    def input(self, name: str) -> np.ndarray:
+        """One input (T,) as the filter sees it at every instant."""
+        if name in self.regimes:
+            return self.steps[self.key, 1 + self.regimes.index(name)]
+        return self.u[1:, self.varying.index(name)]
+
+    def reading(self, name: str) -> np.ndarray:
+        """One output's readings (T,), NaN where there is none."""
+        return self.y[:, self.outputs.index(name)]
+
+    def with_readings(self, y: np.ndarray) -> Timeline:
+        """The same run with other readings (T, k); NaN everywhere makes it a forecast."""
+        if y.shape != self.y.shape:
+            raise ValueError(f"expected readings of shape {self.y.shape}, found {y.shape}")
+        return replace(self, y=np.ascontiguousarray(y, dtype=float))
+
+    def with_inputs(self, inputs: Mapping[str, np.ndarray]) -> Timeline:
+        """The same run with other values (T,) of inputs that vary within steps; its range is that of both."""
+        u = self.u.copy()
+        for name, value in inputs.items():
+            u[1:, self.varying.index(name)] = value
+        made = replace(self, u=u)
+        return replace(made, whole={n: np.append(value, made.input(n)) for n, value in self.whole.items()})
+
+    def window(self, first: int, last: int) -> Timeline:
+        """Instants first … last−1; the step to the first one is kept, to be taken from an earlier state."""
+        part = slice(first, last)
+        return replace(
+            self,
+            time=self.time[part],
+            key=np.ascontiguousarray(self.key[part]),
+            u=np.ascontiguousarray(self.u[first : last + 1]),
+            y=np.ascontiguousarray(self.y[part]),
+            reset=np.ascontiguousarray(self.reset[part]),
+        )
+
+
+def timeline(
+    model: Model,
+    time: np.ndarray,
+    inputs: Mapping[str, np.ndarray],
+    readings: Mapping[str, np.ndarray],
+    resets: Mapping[str, np.ndarray] | None = None,
+    origin_s: float = 0.0,
+) -> Timeline:
+    """Instants for a model.
+
+    `time` (T,) [h], strictly increasing; `inputs[name]` (T,) and `readings[name]` (T,) as `Timeline` says (an output
+    without readings may be left out); `resets[name]` (T,) bool for outputs that are read as interval means.
+    Raises ValueError that lists every input that is missing or not finite.
+    """
+    time = np.asarray(time, dtype=float)
+    count = len(time)
+    faults = []
+    if count == 0 or not np.isfinite(time).all() or not (time[1:] > time[:-1]).all():
+        faults.append("time must hold at least one instant and increase strictly")
+    for name in model.inputs:
+        if name not in inputs:
+            faults.append(f"the input {name!r} of the model is missing; given are {sorted(inputs)}")
+        elif np.shape(inputs[name]) != (count,):
+            faults.append(f"{name}: expected {count} values, found shape {np.shape(inputs[name])}")
+        elif not np.isfinite(inputs[name]).all():
+            bad = int(np.flatnonzero(~np.isfinite(inputs[name]))[0])
+            faults.append(f"{name}: not finite at instant {bad}; inputs must be known everywhere")
+    for name in readings:
+        if name not in model.outputs:
+            faults.append(f"readings for {name!r}, but the model's outputs are {list(model.outputs)}")
+        elif np.shape(readings[name]) != (count,):
+            faults.append(f"{name}: expected {count} readings, found shape {np.shape(readings[name])}")
+    if faults:
+        raise ValueError("the run cannot be set up: " + "; ".join(faults))
+    varying = tuple(n for n in model.inputs if model.holds[n] != REGIME)
+    regimes = tuple(n for n in model.inputs if model.holds[n] == REGIME)
+    # a microsecond is below every clock: equal steps must not differ by the rounding of their end points
+    lengths = np.zeros(count)
+    lengths[1:] = np.round((time[1:] - time[:-1]) * 3.6e9) / 3.6e9
+    steps, key = _distinct(_columns([lengths, *(inputs[n] for n in regimes)], count))
+    flags = np.zeros(count, dtype=np.int32)
+    for bit, name in enumerate(model.averaged):
+        flags |= (np.asarray((resets or {}).get(name, np.zeros(count, bool)), bool) << bit).astype(np.int32)
+    return Timeline(
+        whole={n: np.asarray(inputs[n], float) for n in model.inputs},
+        time=time,
+        key=key,
+        steps=steps,
+        u=_led(_columns([inputs[n] for n in varying], count)),
+        y=_columns([readings.get(n, math.nan) for n in model.outputs], count),
+        reset=flags,
+        varying=varying,
+        regimes=regimes,
+        outputs=model.outputs,
+        origin_s=origin_s,
+    )
+
+
+def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distinct rows in their order, and which of them each row is (as numpy's `unique` has them, in a third of its time)."""
+    order = np.lexsort(rows.T[::-1])
+    placed = rows[order]
+    begins = np.append(True, (placed[1:] != placed[:-1]).any(axis=1))
+    key = np.empty(len(rows), dtype=np.int32)
+    key[order] = np.cumsum(begins) - 1
+    return np.ascontiguousarray(placed[begins]), key
+
+
+def _corners(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
+    """All inputs where one of them is largest or smallest, and at two dozen instants between."""
+    count = len(next(iter(inputs.values()), ()))
+    rows = set(np.linspace(0, count - 1, 24).astype(int).tolist())
+    for values in inputs.values():
+        rows |= {int(np.argmin(values)), int(np.argmax(values))}
+    chosen = np.array(sorted(rows))
+    return {name: values[chosen] for name, values in inputs.items()}
+
+
+def _led(rows: np.ndarray) -> np.ndarray:
+    """The rows with the first one in front once more."""
+    return np.concatenate([rows[:1], rows])
+
+
+def _columns(columns: Sequence[np.ndarray | float], count: int) -> np.ndarray:
+    """Columns (T,), or numbers, side by side (T, n)."""
+    found = np.empty((count, len(columns)))
+    for place, column in enumerate(columns):
+        found[:, place] = column
+    return found

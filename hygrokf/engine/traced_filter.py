@@ -1,0 +1,304 @@
+"""The extended Kalman filter of one traced model as compiled loops: value, score, sensitivities, trace.
+
+One step of the filter is traced once as two kinds of blocks, `predict` (a sub-step) and `update` (one scalar
+reading); everything else is made from them: the likelihood, its adjoint (score), its tangents (sensitivities of
+every innovation) and the trace of all moments.  Readings of one instant are taken one after the other, each
+linearised at the state that the one before left; a missing reading (NaN) is left out, so that a gap, a dead sensor
+and a forecast are one code path.  Every loop starts from a given Gaussian and returns the last one: the offline
+filter is a fold of the online step.
+
+Numbers of one record (`expression.Given`) stand behind the parameters and are no part of the code: recursions that
+differ in them alone share it.
+
+Values are computed where they first can be: with the parameters, with the distinct steps ("keys": sub-step length
+and regime), or at every instant.
+
+Shapes: T instants, n states, q = n (n+1)/2 packed covariance entries (lower triangle by rows), m inputs,
+k outputs, d parameters, L = `LANES`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import weakref
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from threading import Lock
+
+import numpy as np
+
+from hygrokf.engine.control_loop import Control
+from hygrokf.engine.discretisation import Step, congruence, step
+from hygrokf.engine.filter_codegen import CONSTANT, INSTANT, KEY, LINEAR, PARAMETER, REGIME, loop_text
+from hygrokf.engine.jit import Code
+from hygrokf.engine.packing import place
+from hygrokf.physics.expression import (
+    Expression,
+    Graph,
+    Matrix,
+    arguments,
+    depends_on,
+    dot,
+    is_zero,
+    jacobian,
+    where,
+)
+from hygrokf.physics.model import Model, System
+
+DIFFUSE_TOLERANCE = 1e-9
+"""Below this share of its start an infinite variance counts as resolved."""
+
+
+@dataclass
+class Block:
+    """Traced straight-line code: outputs from leaves."""
+
+    outputs: list[Expression]
+
+
+class Recursion:
+    """Compiled filter loops of one `System`.
+
+    With `diffuse` the moments carry a second covariance P∞ behind the first: the part of the prior covariance κ P∞
+    with κ → ∞ (exact-diffuse start, Durbin & Koopman 2012, section 5.2).
+    """
+
+    def __init__(self, system: System, diffuse: bool = False) -> None:
+        self.system = system
+        self.diffuse = diffuse
+        self.graph = Graph()
+        g = self.graph
+        n = len(system.states)
+        self.n, self.q = n, n * (n + 1) // 2
+        self.p = {name: g.symbol(f"p:{name}") for name in system.parameters}
+        self.varying = [name for name, hold in system.inputs.items() if hold != REGIME]
+        self.regimes = [name for name, hold in system.inputs.items() if hold == REGIME]
+        self.h = g.symbol("h")
+        regime = {name: g.symbol(f"g:{name}") for name in self.regimes}
+        self._key_leaves = [self.h, *regime.values()]
+        self.mean = [g.symbol(f"m{i}") for i in range(n)]
+        self.packed = [g.symbol(f"P{i}{j}") for i in range(n) for j in range(i + 1)]
+        self.covariance = self._square(self.packed)
+        self.infinite = [g.symbol(f"I{i}{j}") for i in range(n) for j in range(i + 1)] if diffuse else []
+        self.state = [*self.mean, *self.packed, *self.infinite]
+        self.start, self.end, self.now = {}, {}, {}
+        for name in self.varying:
+            self.end[name] = self.now[name] = g.symbol(f"b:{name}")
+            linear = system.inputs[name] == LINEAR
+            self.start[name] = g.symbol(f"a:{name}") if linear else self.end[name]
+        for table in (self.start, self.end, self.now):
+            table.update(regime)
+        self.reading = g.symbol("y")
+
+        self.noise = [[_lifted(g, v) for v in row] for row in system.noise(self.p)]
+        self.step: Step = step(
+            g,
+            lambda x, u: system.drift(x, u, self.p),
+            self.noise,
+            self.mean,
+            self.covariance,
+            self.start,
+            self.end,
+            self.h,
+        )
+        self.predict = Block([*self.step.mean, *self._lower(self.step.covariance)])
+        if diffuse:
+            carried = congruence(self.step.transition, self._square(self.infinite))
+            self.predict.outputs.extend(self._lower(carried))
+        self.rates = [g.lift(v) for v in system.drift(self.mean, self.now, self.p)]
+        self.jacobian = jacobian(self.rates, self.mean)
+        self.updates = [self._trace_update(function) for _, function in system.outputs]
+        self._transition_outputs = [g.lift(v) for row in self.step.transition for v in row]
+        self.given = [g.symbol(f"c:{i}") for i in range(len(g.given))]
+        self.constants = np.array(g.given, dtype=float)
+        self._structure = self._described()
+        self._making = Lock()
+
+    # -- tracing ---------------------------------------------------------------------------------------------
+    def _lower(self, matrix: Matrix) -> list[Expression]:
+        return [self.graph.lift(matrix[i][j]) for i in range(self.n) for j in range(i + 1)]
+
+    def _square(self, packed: Sequence[Expression]) -> Matrix:
+        return [[packed[place(i, j)] for j in range(self.n)] for i in range(self.n)]
+
+    def _trace_update(self, function: Callable) -> Block:
+        """Outputs: mean, packed covariance, innovation, its variance, log-likelihood term without its constant."""
+        g = self.graph
+        prediction, variance = function(self.mean, self.now, self.p)
+        prediction = g.lift(prediction)
+        row = jacobian([prediction], self.mean)[0]
+        cross = [dot(self.covariance[i], row) for i in range(self.n)]
+        spread = g.lift(_quadratic(row, self.covariance, cross) + variance)
+        inverse = 1.0 / spread
+        error = self.reading - prediction
+        gain = [0.0 if is_zero(c) else c * inverse for c in cross]
+        mean = [m if is_zero(k) else m + k * error for m, k in zip(self.mean, gain, strict=True)]
+        covariance = [
+            self.covariance[i][j]
+            if is_zero(gain[i]) or is_zero(cross[j])
+            else self.covariance[i][j] - (cross[i] * cross[j]) * inverse
+            for i in range(self.n)
+            for j in range(i + 1)
+        ]
+        quadratic = error * error * inverse
+        if not self.diffuse:
+            return Block([*mean, *covariance, error, spread, quadratic])
+        return self._diffuse_update(row, cross, error, spread, [*mean, *covariance], quadratic)
+
+    def _diffuse_update(
+        self,
+        row: list,
+        cross: list,
+        error: Expression,
+        spread: Expression,
+        usual: list,
+        quadratic: Expression,
+    ) -> Block:
+        """The exact-diffuse update where the reading sees an infinite variance, else the usual one."""
+        n = self.n
+        infinite = self._square(self.infinite)
+        m = [dot(infinite[i], row) for i in range(n)]
+        f = self.graph.lift(dot(row, m))
+        seen = f > DIFFUSE_TOLERANCE
+        inverse = 1.0 / where(seen, f, 1.0)
+        mean = [v + (m[i] * inverse) * error for i, v in enumerate(self.mean)]
+        lower = [(i, j) for i in range(n) for j in range(i + 1)]
+        covariance = [
+            self.covariance[i][j]
+            + m[i] * m[j] * inverse * inverse * spread
+            - (cross[i] * m[j] + m[i] * cross[j]) * inverse
+            for i, j in lower
+        ]
+        rest = [where(seen, infinite[i][j] - m[i] * m[j] * inverse, infinite[i][j]) for i, j in lower]
+        moments = [where(seen, a, b) for a, b in zip([*mean, *covariance], usual, strict=True)]
+        return Block([*moments, *rest, error, where(seen, f, spread), where(seen, 0.0, quadratic)])
+
+    @cached_property
+    def stage(self) -> list[int]:
+        """For every node, the earliest stage at which its value is known."""
+        key = {e.index for e in self._key_leaves}
+        result: list[int] = []
+        for i, node in enumerate(self.graph.nodes):
+            if node[0] == "const":
+                result.append(CONSTANT)
+            elif node[0] == "symbol":
+                at_key = i in key
+                early = node[1].startswith(("p:", "c:"))
+                result.append(PARAMETER if early else KEY if at_key else INSTANT)
+            else:
+                result.append(max(result[j] for j in arguments(node)))
+        return result
+
+    @cached_property
+    def exact(self) -> bool:
+        """Whether the rates depend on parameters and regimes alone, so that steps of any length are exact."""
+        varying = [f"m{i}" for i in range(self.n)] + [f"b:{name}" for name in self.varying]
+        return not any(depends_on(self.graph, v, varying) for row in self.jacobian for v in row)
+
+    def _boundary(self, outputs: Sequence[Expression], stage: int) -> tuple[list[int], list[int]]:
+        """Nodes of earlier stages that code of `stage` reads: (of the parameter stage, of the key stage)."""
+        stages = self.stage
+        found: set[int] = set()
+        for i in self.graph.needed(outputs):
+            if stages[i] == stage:
+                found.update(j for j in self._read_by(i) if stages[j] < stage)
+            elif any(e.index == i for e in outputs):
+                found.add(i)
+        known = sorted(found)
+        return (
+            [i for i in known if stages[i] == PARAMETER],
+            [i for i in known if stages[i] == KEY],
+        )
+
+    def _read_by(self, i: int) -> list[int]:
+        """Nodes whose numbers node i needs; a condition is no number, what it compares is carried in its place."""
+        found = []
+        for j in arguments(self.graph.nodes[i]):
+            found.extend(arguments(self.graph.nodes[j]) if self.graph.nodes[j][0] == "lt" else [j])
+        return found
+
+    @cached_property
+    def _blocks(self) -> list[Block]:
+        return [self.predict, *self.updates]
+
+    @cached_property
+    def key_nodes(self) -> list[int]:
+        """Nodes computed once for each distinct key, in the order of the key table."""
+        _ = self.stage
+        found: set[int] = set()
+        for block in self._blocks:
+            found.update(self._boundary(block.outputs, INSTANT)[1])
+        found.update(e.index for e in self._transition_outputs if self.stage[e.index] == KEY)
+        return sorted(found)
+
+    @cached_property
+    def parameter_nodes(self) -> list[int]:
+        """Nodes that depend on the parameters alone and are read later, parameters themselves included."""
+        found: set[int] = set()
+        for block in self._blocks:
+            found.update(self._boundary(block.outputs, INSTANT)[0])
+        keys = [Expression(self.graph, i) for i in self.key_nodes]
+        found.update(self._boundary(keys, KEY)[0])
+        found.update(e.index for b in self._blocks for e in b.outputs if self.stage[e.index] == PARAMETER)
+        found.update(e.index for e in self._transition_outputs if self.stage[e.index] == PARAMETER)
+        return sorted(found)
+
+    @cached_property
+    def estimated_nodes(self) -> list[int]:
+        """Those of `parameter_nodes` that move with a parameter: the others have no derivative."""
+        names = [f"p:{name}" for name in self.p]
+        return [i for i in self.parameter_nodes if depends_on(self.graph, Expression(self.graph, i), names)]
+
+    def _described(self) -> str:
+        """Digest of all that the compiled loops are made from: recursions that share it share their code."""
+        outputs = [[e.index for e in block.outputs] for block in self._blocks]
+        system = self.system
+        said = (
+            *(system.parameters, system.states, sorted(system.inputs.items()), list(system.inputs)),
+            *(system.resets, self.diffuse, self.graph.nodes, outputs),
+            [e.index for e in self._transition_outputs],
+        )
+        return hashlib.sha256(repr(said).encode()).hexdigest()
+
+    def code(self, kind: str, gain: bool = True, controls: tuple[Control, ...] = ()) -> Code:
+        """Compiled function of a kind: value, trace, adjoint, tangent; without gain the filter runs free.
+
+        "controlled": a free run whose `controls` follow it.
+        """
+        made = _codes.setdefault(self._structure, {})
+        if (kind, gain, controls) not in made:
+            with self._making:
+                if (kind, gain, controls) not in made:
+                    made[kind, gain, controls] = Code(loop_text(self, kind, gain, controls), [kind])
+        return made[kind, gain, controls]
+
+
+_codes: dict[str, dict[tuple[str, bool, tuple[Control, ...]], Code]] = {}
+
+
+def _quadratic(row: list, covariance: Matrix, cross: list):
+    """h P h'; a row with one entry squares it first, which shortens the chain from step to step."""
+    there = [i for i, v in enumerate(row) if not is_zero(v)]
+    if len(there) == 1:
+        (i,) = there
+        return (row[i] * row[i]) * covariance[i][i]
+    return dot(row, cross)
+
+
+def _lifted(graph: Graph, value: Expression | float) -> Expression | float:
+    return 0.0 if is_zero(value) else graph.lift(value)
+
+
+_filters: dict[tuple[int, bool], Recursion] = {}
+"""Filters of the models that live, by identity: a model is traced once."""
+
+
+def traced(model: Model, diffuse: bool = False) -> Recursion:
+    """The compiled filter of a model (traced and compiled at first use); diffuse: it carries an infinite covariance too."""
+    key = (id(model), diffuse)
+    found = _filters.get(key)
+    if found is None:
+        found = _filters.setdefault(key, Recursion(model.system, diffuse=diffuse))
+        weakref.finalize(model, _filters.pop, key, None).atexit = False
+    return found

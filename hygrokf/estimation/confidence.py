@@ -1,0 +1,527 @@
+"""How sure: exact observed information, a covariance that survives a wrong model, profile likelihood.
+
+Shapes: d free coordinates z (see `parameters`), T instants.
+
+- Wald: V_H = H⁻¹, H the observed information: minus the second derivative of ln L + ln prior, by central differences
+  of the exact score.
+- Sandwich: V_S = H⁻¹ J H⁻¹, J the long-run variance of the score: scores summed over blocks of a day and longer
+  than the slowest disturbance, with Bartlett weights over neighbouring blocks (Newey & West 1987), plus the prior's
+  information, which is no sum over instants.
+- Profile: bounds of one parameter where twice the drop of the profile log-likelihood reaches c χ²₁, with the factor
+  c = max(1, V_S/V_H) of that parameter (misspecification; Kent 1982, doi:10.1093/biomet/69.1.19).  Other parameters that
+  reach a limit of their search on the way pass it where it is a guard, and stay where it is physical.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hygrokf.engine.parallel import mapped
+from hygrokf.estimation.optimiser import BETTER, Estimate, Objective, bounded_step
+from hygrokf.physics.parameters import Parameter
+
+STEP_OF_SE = 0.02
+"""Central differences of the score move a coordinate by this share of its standard error."""
+FLAT_SE = 3.0
+"""[ln] a positive parameter with a larger standard error of its logarithm is called not identifiable."""
+AT_LIMIT = 1e-9
+"""A coordinate so near to a limit is at it."""
+WALK_STEPS = 40
+WALK_TOLERANCE = 2e-3
+"""Re-estimation along a profile ends when the next step promises less than this much log-likelihood."""
+MATERIAL = 0.05
+"""[1] of a profile's threshold: a limit at whose passing the score promises less does not hold the profile back."""
+
+
+@dataclass(frozen=True)
+class Uncertainty:
+    """Second-order picture of an estimate: `names` of the coordinates that are inside their bounds.
+
+    `hessian` (f, f) observed information; `wald`, `sandwich` (f, f) covariances of the coordinates; `factor` (f,) the
+    ratios of their diagonals, at least 1; `flat` names of directions that the data hardly pin down.  `curvature` (d, d)
+    the observed information of all coordinates, those at a bound included.  `parts` (PARTS, f) by how much each part of
+    the readings alone would move the coordinates, to first order.
+    """
+
+    names: tuple[str, ...]
+    hessian: np.ndarray
+    wald: np.ndarray
+    sandwich: np.ndarray
+    factor: np.ndarray
+    flat: tuple[str, ...]
+    trade_offs: tuple[tuple[str, str, float], ...]
+    curvature: np.ndarray
+    parts: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+
+    @property
+    def wider(self) -> np.ndarray:
+        """The Wald covariance (f, f), each standard deviation widened to the sandwich's where that is larger."""
+        root = np.sqrt(self.factor)
+        return self.wald * np.outer(root, root)
+
+    def place(self, name: str) -> int | None:
+        return self.names.index(name) if name in self.names else None
+
+
+@dataclass(frozen=True)
+class Limit:
+    """Another parameter that reached a limit of its search at one end of a profile.
+
+    `end` "lower" or "upper"; `parameter` and its `unit`; its `value` at that end and the `limit` of its search.
+    `effect`: "held" the limit is physical, and the parameter stays there; "lifted" it is a guard, and was passed; "open"
+    the parameter passed its guard as far as the walk goes before the profile closed: the end is open.
+    """
+
+    end: str
+    parameter: str
+    unit: str
+    value: float
+    limit: float
+    effect: str
+
+
+@dataclass(frozen=True)
+class Bounds:
+    """Confidence bounds of one value in its unit; infinite or zero where the data do not bound it.
+
+    `curve` (P, 2): values and twice the drop of the profile log-likelihood; `method` profile, wald, sandwich or none; `limited_by`
+    the limits of other parameters that its ends met; `better` all parameters' values at the most likely point of the
+    profile where that is more likely than the estimate (by `BETTER`): the estimate is no maximum, climb again from there.
+    """
+
+    value: float
+    lower: float
+    upper: float
+    level: float
+    method: str
+    statement: str
+    curve: np.ndarray
+    limited_by: tuple[Limit, ...] = ()
+    better: Mapping[str, float] | None = None
+
+
+def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
+    """Observed information, Wald and sandwich covariance at an estimate.
+
+    Raises ValueError where the likelihood has no curvature there because it is not finite.
+    """
+    coordinates, z = estimate.coordinates, estimate.z
+    inside = np.array([name not in estimate.at_bounds for name in coordinates.names])
+    _, _, information = objective.information(z)
+    if not np.isfinite(information).all():
+        raise ValueError(
+            "expected a finite likelihood around the estimate, found none: the model runs away with "
+            + ", ".join(f"{name} = {estimate.values[name]:.3g}" for name in coordinates.names)
+            + "; leave out the mechanism that does, or mask the readings that it cannot follow"
+        )
+    steps = STEP_OF_SE / np.sqrt(np.maximum(np.diag(information), 1e-12))
+    steps = np.clip(steps, 1e-7, 0.05)
+    curvature = _curvature(objective, z, steps)
+    hessian = curvature[np.ix_(inside, inside)]
+    names = tuple(n for n, there in zip(coordinates.names, inside, strict=True) if there)
+    wald = positive_inverse(hessian)
+    prior = coordinates.log_prior(z)[2][inside]
+    scores = objective.scores(z)[:, inside]
+    variance = long_run_variance(scores, objective.likelihood.timeline.time, block_h(estimate.values))
+    sandwich = wald @ (variance + np.diag(prior)) @ wald
+    factor = np.maximum(1.0, np.diag(sandwich) / np.diag(wald))
+    return Uncertainty(
+        names,
+        hessian,
+        wald,
+        sandwich,
+        factor,
+        _flat(coordinates, names, wald),
+        _trade_offs(names, wald),
+        curvature,
+        part_shifts(scores, objective.likelihood.timeline.y, wald),
+    )
+
+
+PARTS = 4
+"""Parts of a record, with equally many readings, that are held against each other."""
+
+
+def part_shifts(scores: np.ndarray, readings: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """Coordinates (PARTS, d) that each part of the readings alone would give, less the common ones, to first order.
+
+    `scores` (T, d) of the instants at the common maximum, `readings` (T, k), `covariance` (d, d) of the whole: a part with
+    the share w of the readings has the information w/V, so its own maximum is V s/w away.  With the right model the
+    parts' variance is V/w.
+    """
+    count = np.cumsum(np.isfinite(readings).sum(axis=1))
+    part = np.minimum((count * PARTS) // max(int(count[-1]) + 1, 1), PARTS - 1)
+    sums = np.zeros((PARTS, scores.shape[1]))
+    np.add.at(sums, part, scores)
+    return PARTS * (sums - sums.mean(axis=0)) @ covariance
+
+
+def parts_scale(found: Uncertainty, name: str) -> float:
+    """Square of Birge's ratio [1]: scatter of the parts' estimates over what their bounds say; about 1 where those hold."""
+    place = found.place(name)
+    if place is None or not len(found.parts):
+        return 1.0
+    expected = PARTS * found.wald[place, place] * found.factor[place]
+    return float(np.sum(found.parts[:, place] ** 2) / ((PARTS - 1) * expected))
+
+
+def _curvature(objective: Objective, z: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Minus the second derivatives (d, d) of the objective at z (d,), by central differences of its score."""
+
+    def rows(places: range) -> np.ndarray:
+        # a likelihood keeps its working memory between calls: each thread has one of its own
+        own = Objective(replace(objective.likelihood), objective.coordinates)
+        found = np.empty((len(places), len(z)))
+        for row, i in enumerate(places):
+            up, down = z.copy(), z.copy()
+            up[i] += steps[i]
+            down[i] -= steps[i]
+            found[row] = -(own.score(up)[1] - own.score(down)[1]) / (2.0 * steps[i])
+        return found
+
+    middle = len(z) // 2
+    found = np.concatenate(mapped(rows, (range(middle), range(middle, len(z)))))
+    return 0.5 * (found + found.T)
+
+
+def block_h(values: Mapping[str, float]) -> float:
+    """Blocks of the long-run variance: a day, or four correlation times of the slowest disturbance."""
+    times = [v for name, v in values.items() if name.endswith("_disturbance_time")]
+    return min(max([24.0, *(4.0 * t for t in times)]), 240.0)
+
+
+def positive_inverse(matrix: np.ndarray) -> np.ndarray:
+    """Inverse of a symmetric matrix; directions without positive curvature get a huge variance, not a negative one."""
+    scale, values, vectors = _scaled(matrix)
+    return (vectors / values) @ vectors.T / scale[:, None] / scale[None, :]
+
+
+def positive(matrix: np.ndarray) -> np.ndarray:
+    """A symmetric matrix made positive: directions without positive curvature get hardly any."""
+    scale, values, vectors = _scaled(matrix)
+    return (vectors * values) @ vectors.T * scale[:, None] * scale[None, :]
+
+
+def _scaled(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Roots (d,) of a symmetric matrix' diagonal, and eigenvalues, at least 1e-10, and vectors of the matrix divided by them."""
+    size = np.abs(np.diag(matrix))
+    scale = np.sqrt(np.where(size > 1e-150, size, 1.0))
+    values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale[None, :])
+    return scale, np.maximum(values, 1e-10), vectors
+
+
+def long_run_variance(scores: np.ndarray, time: np.ndarray, block_h: float, lags: int = 2) -> np.ndarray:
+    """Variance (d, d) of the sum of serially dependent scores (T, d) at `time` [h]."""
+    block = ((time - time[0]) / block_h).astype(int)
+    sums = np.zeros((block[-1] + 1, scores.shape[1]))
+    np.add.at(sums, block, scores)
+    sums = sums - sums.mean(axis=0)
+    result = sums.T @ sums
+    for lag in range(1, min(lags, len(sums) - 1) + 1):
+        weight = 1.0 - lag / (lags + 1.0)
+        cross = sums[lag:].T @ sums[:-lag]
+        result += weight * (cross + cross.T)
+    return result
+
+
+def _flat(coordinates, names: tuple[str, ...], covariance: np.ndarray) -> tuple[str, ...]:
+    by_name = {p.name: p for p in coordinates.free}
+    flat = []
+    for name, se in zip(names, np.sqrt(np.diag(covariance)), strict=True):
+        p = by_name[name]
+        width = FLAT_SE if p.positive else 0.5 * (p.upper - p.lower)
+        if se > width:
+            flat.append(name)
+    return tuple(flat)
+
+
+def _trade_offs(names: tuple[str, ...], covariance: np.ndarray) -> tuple[tuple[str, str, float], ...]:
+    """Pairs whose estimates are correlated by more than 0.95."""
+    sd = np.sqrt(np.diag(covariance))
+    correlation = covariance / np.outer(sd, sd)
+    found = [
+        (names[i], names[j], float(correlation[i, j]))
+        for i in range(len(names))
+        for j in range(i)
+        if abs(correlation[i, j]) > 0.95
+    ]
+    return tuple(sorted(found, key=lambda pair: -abs(pair[2])))
+
+
+def wald_bounds(
+    estimate: Estimate, found: Uncertainty, name: str, level: float = 0.95, covariance: str = "wider"
+) -> Bounds:
+    """Bounds from a covariance, symmetric in the parameter's coordinate: "wald", "sandwich" or the "wider" of the two."""
+    value = estimate.values[name]
+    place = found.place(name)
+    if place is None:
+        return Bounds(value, -math.inf, math.inf, level, "none", "at a bound or fixed", np.empty((0, 2)))
+    p = next(q for q in estimate.coordinates.parameters if q.name == name)
+    variances = {"wald": found.wald[place, place], "sandwich": found.sandwich[place, place]}
+    variances["wider"] = max(variances.values())
+    se, method = math.sqrt(variances[covariance]), "wald" if covariance == "wider" else covariance
+    z = p.to_coordinate(value)
+    reach = normal_quantile(level) * se
+    if p.positive and se > FLAT_SE:
+        return Bounds(value, 0.0, math.inf, level, method, "not identifiable", np.empty((0, 2)))
+    ends = [p.from_coordinate(min(max(z + s * reach, -700.0), 700.0)) for s in (-1.0, 1.0)]
+    return Bounds(value, ends[0], ends[1], level, method, "", np.empty((0, 2)))
+
+
+def standard_error(estimate: Estimate, found: Uncertainty, name: str) -> float:
+    """Standard error in the parameter's unit (delta method), from the wider of the two covariances.
+
+    NaN at a bound, and for a positive parameter that the data leave open.
+    """
+    place = found.place(name)
+    if place is None:
+        return math.nan
+    p = next(q for q in estimate.coordinates.parameters if q.name == name)
+    variance = max(found.wald[place, place], found.sandwich[place, place])
+    if p.positive and math.sqrt(variance) > FLAT_SE:
+        return math.nan
+    return abs(p.slope(estimate.values[name])) * math.sqrt(variance)
+
+
+def profile(
+    objective: Objective,
+    estimate: Estimate,
+    found: Uncertainty,
+    name: str,
+    level: float = 0.95,
+    progress: Callable[[str], None] | None = None,
+) -> Bounds:
+    """Profile-likelihood bounds of one free parameter [its unit], all others re-estimated along the way.
+
+    `objective` the penalised likelihood whose maximum `estimate` is, `found` its `uncertainty`.  The bounds are the values
+    at which
+        2 (l(θ̂) − max over the others of l) = c χ²₁,    c = max(1, V_S/V_H) of the parameter, at the confidence `level`.
+    An end that the data do not close is returned as 0 or infinity (positive parameters: "≤ x", "≥ x" or not
+    identifiable; others: the parameter's own bound).
+
+    Another parameter that reaches a limit of its search on the way would turn the profile into a cliff.  A physical limit
+    (`Parameter.physical`) holds: beyond it there is no model.  A guard is lifted (`Parameter.beyond_guards`); where the
+    parameter passes it as far as that goes before the profile closes, the end is open.  `limited_by` says which did.
+    What is at a limit in the estimate already stays there unless it wants back.
+    """
+    coordinates = estimate.coordinates
+    p = next(q for q in coordinates.free if q.name == name)
+    index = coordinates.names.index(name)
+    place = found.place(name)
+    factor = float(found.factor[place]) if place is not None else 1.0
+    threshold = factor * normal_quantile(level) ** 2
+    se = math.sqrt(found.wald[place, place]) if place is not None else 0.3
+    walk = _Walk(objective, estimate, found, index)
+    points = [(p.from_coordinate(estimate.z[index]), 0.0)]
+    ends: list[float | None] = []
+    limits: list[Limit] = []
+    for side, direction in (("lower", -1.0), ("upper", 1.0)):
+        if progress is not None:
+            progress(f"profile of {name}, {side} end")
+        first = min(max(se, 1e-4), 1.5) * math.sqrt(threshold)
+        end, more = _end(walk, p, index, direction, threshold, first)
+        points.extend(more)
+        if end is not None:
+            reached = walk.limits(side, end - estimate.z[index], threshold)
+            limits.extend(reached)
+            end = None if any(limit.effect == "open" for limit in reached) else end
+        ends.append(end)
+    curve = np.array(sorted(points))
+    lower = (0.0 if p.positive else p.lower) if ends[0] is None else p.from_coordinate(ends[0])
+    upper = (math.inf if p.positive else p.upper) if ends[1] is None else p.from_coordinate(ends[1])
+    said = describe(p.unit, lower, upper, ends, limits)
+    return Bounds(
+        estimate.values[name], lower, upper, level, "profile", said, curve, tuple(limits), walk.better()
+    )
+
+
+def describe(unit: str, lower: float, upper: float, ends: list, limits: Sequence[Limit] = ()) -> str:
+    """What the bounds say where they do not close on both sides, and which parameter's limit left them open."""
+    open_ = [limit for limit in limits if limit.effect == "open"]
+    because = "".join(
+        f"; the {limit.end} end stays open: there {limit.parameter} is {_of_unit(limit.value, limit.unit)}, "
+        f"far beyond its limit {_of_unit(limit.limit, limit.unit)}"
+        for limit in open_
+    )
+    if ends[0] is None and ends[1] is None:
+        return "not identifiable from this record" + because
+    if ends[0] is None:
+        return f"≤ {_of_unit(upper, unit)}{because}"
+    return f"≥ {_of_unit(lower, unit)}{because}" if ends[1] is None else ""
+
+
+def limit_remarks(name: str, bounds: Bounds) -> list[str]:
+    """Which limits of other parameters a profile's closed ends met, one sentence each; `name` the profiled parameter."""
+    said = {
+        "lifted": "beyond the limit {limit} of its search",
+        "held": "its physical limit",
+    }
+    return [
+        f"the {limit.end} bound of {name} has {limit.parameter} = {_of_unit(limit.value, limit.unit)}, "
+        + said[limit.effect].format(limit=_of_unit(limit.limit, limit.unit))
+        for limit in bounds.limited_by
+        if limit.effect in said
+    ]
+
+
+def _of_unit(value: float, unit: str) -> str:
+    return f"{value:.3g}" + ("" if unit == "1" else f" {unit}")
+
+
+class _Walk:
+    """Re-estimation of the other coordinates with one held: quasi-Newton steps that begin with the observed information.
+
+    The steps stay within the limits, guards lifted: what the score pushes against a limit is held there, and the others
+    are solved without it.
+    """
+
+    def __init__(self, objective: Objective, estimate: Estimate, found: Uncertainty, index: int) -> None:
+        self.objective, self.estimate, self.index = objective, estimate, index
+        self.free = estimate.coordinates.free
+        self.others = np.arange(len(self.free)) != index
+        bounds = np.array([p.beyond_guards() for p in self.free])
+        own = estimate.coordinates
+        self.lower = np.where(estimate.z <= own.lower + AT_LIMIT, own.lower, bounds[:, 0])
+        self.upper = np.where(estimate.z >= own.upper - AT_LIMIT, own.upper, bounds[:, 1])
+        self.curvature = positive(found.curvature)
+        self.path = np.zeros(len(self.free))
+        inside = np.array([p.name in found.names and i != index for i, p in enumerate(self.free)])
+        if found.place(own.names[index]) is not None and inside.any():
+            block = positive_inverse(found.curvature[np.ix_(inside, inside)])
+            self.path[inside] = -block @ found.curvature[inside, index]
+        self.last = {0.0: (estimate.z, np.zeros_like(estimate.z))}
+        self.best = (-BETTER, estimate.z)
+
+    def drop(self, offset: float) -> float:
+        """Twice the drop of the profile log-likelihood at this offset of the coordinate."""
+        near = min(self.last, key=lambda known: abs(known - offset))
+        z = self.last[near][0] + self.path * (offset - near)
+        z = np.clip(z, self.lower, self.upper)
+        z[self.index] = self.estimate.z[self.index] + offset
+        curvature, informed = self.curvature, False
+        value, gradient = self._score(z)
+        for _ in range(WALK_STEPS):
+            outwards = ((z <= self.lower) & (gradient <= 0)) | ((z >= self.upper) & (gradient >= 0))
+            step, promised = bounded_step(
+                curvature, gradient, self.others & ~outwards, z, self.lower, self.upper, 1e-9
+            )
+            if promised < WALK_TOLERANCE:
+                break
+            for _ in range(8):
+                trial = z + step
+                new, new_gradient = self._score(trial)
+                if new > value:
+                    break
+                step = 0.3 * step
+            else:
+                if informed:
+                    break
+                # the curvature of the estimate misleads here: the expected information of this place replaces it
+                curvature, informed = self.objective.information(z)[2], True
+                continue
+            curvature = _bfgs(curvature, step, gradient - new_gradient)
+            z, value, gradient = trial, new, new_gradient
+        self.last[offset] = z, gradient
+        self.best = min(self.best, (self.estimate.objective - value, z), key=lambda pair: pair[0])
+        return 2.0 * (self.estimate.objective - value)
+
+    def better(self) -> dict[str, float] | None:
+        """Values that are more likely than the estimate, if the walk met any."""
+        drop, z = self.best
+        return None if drop >= -BETTER else self.objective.coordinates.values(z)
+
+    def limits(self, end: str, offset: float, threshold: float) -> list[Limit]:
+        """Limits of other coordinates that matter at this offset, those of the estimate left out."""
+        z, gradient = self.last[min(self.last, key=lambda known: abs(known - offset))]
+        own = self.estimate.coordinates
+        found = []
+        for i, p in enumerate(self.free):
+            above = z[i] > own.upper[i] - AT_LIMIT
+            at, lifted = (own.upper[i], self.upper[i]) if above else (own.lower[i], self.lower[i])
+            same = abs(self.estimate.z[i] - at) <= AT_LIMIT
+            if i == self.index or same or not (above or z[i] < own.lower[i] + AT_LIMIT):
+                continue
+            unit = 1.0 if p.positive else p.upper - p.lower
+            pushed = 2.0 * (gradient[i] if above else -gradient[i]) * unit > MATERIAL * threshold
+            at_the_end = abs(z[i] - lifted) <= AT_LIMIT and pushed
+            physical = abs(p.from_coordinate(lifted) - p.physical[int(above)]) <= AT_LIMIT
+            if at_the_end:
+                effect = "held" if physical else "open"
+            elif abs(z[i] - at) > AT_LIMIT:
+                effect = "lifted"
+            else:
+                continue
+            value, limit = p.from_coordinate(float(z[i])), p.upper if above else p.lower
+            found.append(Limit(end, p.name, p.unit, value, limit, effect))
+        return found
+
+    def _score(self, z: np.ndarray) -> tuple[float, np.ndarray]:
+        try:
+            value, gradient = self.objective.score(z)
+        except FloatingPointError:
+            return -math.inf, np.zeros_like(z)
+        return (value, gradient) if math.isfinite(value) else (-math.inf, np.zeros_like(z))
+
+
+def _bfgs(curvature: np.ndarray, s: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """The curvature (d, d) that after a step s changes the score by −y (Broyden, Fletcher, Goldfarb, Shanno)."""
+    along = curvature @ s
+    if float(s @ y) <= 1e-12 or float(s @ along) <= 0.0:
+        return curvature
+    return curvature - np.outer(along, along) / float(s @ along) + np.outer(y, y) / float(s @ y)
+
+
+def _end(
+    walk: _Walk, p: Parameter, index: int, direction: float, threshold: float, first: float
+) -> tuple[float | None, list[tuple[float, float]]]:
+    """The coordinate where the profile crosses the threshold on one side; None where it does not before the bound."""
+    z = walk.estimate.z[index]
+    limit = (p.to_coordinate(p.upper) if direction > 0 else p.to_coordinate(p.lower)) - z
+    limit = abs(limit)
+    points: list[tuple[float, float]] = []
+
+    def root(offset: float) -> float:
+        drop = walk.drop(direction * offset)
+        points.append((p.from_coordinate(z + direction * offset), drop))
+        return math.sqrt(max(drop, 0.0)) - math.sqrt(threshold)
+
+    if limit < 1e-9:
+        return None, points
+    inner, value_inner = 0.0, -math.sqrt(threshold)
+    outer = min(first, limit)
+    value_outer = root(outer)
+    for _ in range(12):
+        if value_outer >= 0 or outer >= limit:
+            break
+        slope = (value_outer - value_inner) / (outer - inner)
+        reach = outer - value_outer / slope * 1.05 if slope > 0 else 2.0 * outer
+        inner, value_inner = outer, value_outer
+        outer = min(max(reach, 1.1 * outer), 3.0 * outer, limit)
+        value_outer = root(outer)
+    if value_outer < 0:
+        return None, points
+    for _ in range(12):
+        if abs(value_outer) < 0.01 or outer - inner < 1e-3 * outer:
+            break
+        share = -value_inner / (value_outer - value_inner)
+        middle = inner + min(max(share, 0.05), 0.95) * (outer - inner)
+        value = root(middle)
+        if abs(value) < 0.01:
+            return z + direction * middle, points
+        if value < 0:
+            inner, value_inner = middle, value
+        else:
+            outer, value_outer = middle, value
+    share = -value_inner / (value_outer - value_inner)
+    return z + direction * (inner + share * (outer - inner)), points
+
+
+def normal_quantile(level: float) -> float:
+    """Two-sided standard normal quantile of a confidence level."""
+    from statistics import NormalDist
+
+    return NormalDist().inv_cdf(0.5 + 0.5 * level)

@@ -1,0 +1,158 @@
+"""Bounds of any parameter, and time constants of any model, from a likelihood and its estimate.
+
+What `identify` reports for a cabinet's two constants is made of these; here they serve a model of one's own.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.estimation.confidence import (
+    Bounds,
+    Uncertainty,
+    normal_quantile,
+    profile,
+    uncertainty,
+    wald_bounds,
+)
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import Estimate, Objective
+
+METHODS = ("profile", "wald", "sandwich")
+COORDINATE_STEP = 1e-5
+"""Central differences of the Jacobian move a coordinate by so much: the error is of the order of its square."""
+ALIKE = 1e-6
+"""[1] product of an eigenvalue's left and right vector, each of length 1, below which two eigenvalues are one."""
+
+
+def covariances(likelihood: Likelihood, estimate: Estimate) -> Uncertainty:
+    """Observed information, Wald and sandwich covariance of an estimate that `maximise` made of this likelihood.
+
+    Raises ValueError where the likelihood is not finite around the estimate.
+    """
+    return uncertainty(Objective(likelihood, estimate.coordinates), estimate)
+
+
+def confidence_bounds(
+    likelihood: Likelihood,
+    estimate: Estimate,
+    names: Sequence[str] | None = None,
+    method: str = "profile",
+    level: float = 0.95,
+) -> dict[str, Bounds]:
+    """Bounds of free parameters [each in its unit] by one method; `names` of all free parameters where not given.
+
+    `method`: "profile" re-estimates all others along the way, with the threshold widened where the sandwich is
+    (`confidence.profile`); "wald" from the observed information; "sandwich" from the covariance that a wrong model leaves
+    right.  The last two are symmetric in the parameter's coordinate: in the logarithm, if it is positive.
+
+    Raises ValueError for an unknown method or level, and for names that are not free parameters.
+    """
+    free = estimate.coordinates.names
+    wanted = free if names is None else tuple(names)
+    unknown = [name for name in wanted if name not in free]
+    if unknown:
+        raise ValueError(f"names: expected free parameters, {', '.join(free)}, found {', '.join(unknown)}")
+    if method not in METHODS:
+        raise ValueError(f"method: expected one of {', '.join(METHODS)}, found {method!r}")
+    if not 0.0 < level < 1.0:
+        raise ValueError(f"level: expected a probability between 0 and 1, found {level}")
+    known = covariances(likelihood, estimate)
+    if method == "profile":
+        objective = Objective(likelihood, estimate.coordinates)
+        return {name: profile(objective, estimate, known, name, level) for name in wanted}
+    return {name: wald_bounds(estimate, known, name, level, method) for name in wanted}
+
+
+@dataclass(frozen=True)
+class TimeConstant:
+    """One time constant of a linear, or linearised, model [h], with bounds by the delta method.
+
+    `value` τ = −1/Re λ of an eigenvalue λ of the Jacobian; infinite where Re λ ≥ 0: what does not decay.  `lower` and
+    `upper` at the `level`, symmetric in ln τ; NaN where two eigenvalues coincide.  `period` 2π/|Im λ| of an oscillation,
+    else infinite.  `states` the shares [1] of the states in the mode (participation factors), largest first.
+    """
+
+    value: float
+    lower: float
+    upper: float
+    level: float
+    period: float
+    states: Mapping[str, float]
+
+
+def system_time_constants(
+    likelihood: Likelihood,
+    estimate: Estimate,
+    level: float = 0.95,
+    state: Mapping[str, float] | None = None,
+    inputs: Mapping[str, float] | None = None,
+    known: Uncertainty | None = None,
+) -> tuple[TimeConstant, ...]:
+    """Time constants of a model at its estimate, slowest first; of a pair of conjugate eigenvalues one.
+
+        A v = λ v,    dλ/dz_j = w' (dA/dz_j) v / (w' v),    Var ln τ = g' V g,  g_j = −d Re λ/dz_j / Re λ,
+
+    with the Jacobian A (n, n) [1/h], its left and right eigenvectors w and v, and the covariance V of the coordinates z, the
+    wider of Wald and sandwich.  Parameters at a bound are taken as known.
+
+    A linear model has one Jacobian.  One that is not is linearised at `state` and `inputs`; what they leave out is the
+    mean of the filtered states, and the median of the input, over the record.  `known`: the estimate's uncertainty, if it
+    has been computed.  Raises ValueError for names that the model does not have.
+
+    Source: Golub & Van Loan, Matrix Computations, section 7.2.2 (derivatives of eigenvalues); Pérez-Arriaga, Verghese &
+    Schweppe 1982 (participation factors).
+    """
+    from scipy.linalg import eig
+
+    at_state, at_inputs = _point(likelihood, estimate, state or {}, inputs or {})
+    known = known or covariances(likelihood, estimate)
+    coordinates, z = estimate.coordinates, estimate.z
+
+    def matrix(point: np.ndarray) -> np.ndarray:
+        return likelihood.jacobian(coordinates.values(point), at_state, at_inputs).astype(float)
+
+    slopes = []
+    for name in known.names:
+        step = np.where(np.array(coordinates.names) == name, COORDINATE_STEP, 0.0)
+        slopes.append((matrix(z + step) - matrix(z - step)) / (2.0 * COORDINATE_STEP))
+    values, left, right = eig(matrix(z), left=True, right=True)
+    rounding = len(values) * np.finfo(float).eps * float(np.abs(values).max(initial=0.0))
+    found = []
+    for k in np.flatnonzero(values.imag >= 0.0):
+        w, v = left[:, k].conj(), right[:, k]
+        overlap = w @ v
+        rate = float(values[k].real)
+        shares = np.abs(w * v)
+        participation = dict(zip(likelihood.model.states, (shares / shares.sum()).tolist(), strict=True))
+        ordered = dict(sorted(participation.items(), key=lambda pair: -pair[1]))
+        period = 2.0 * math.pi / float(values[k].imag) if values[k].imag > 0.0 else math.inf
+        if rate >= -rounding:
+            found.append(TimeConstant(math.inf, math.inf, math.inf, level, period, ordered))
+            continue
+        value, reach = -1.0 / rate, math.nan
+        if abs(overlap) > ALIKE:
+            slope = np.array([-((w @ s @ v) / overlap).real / rate for s in slopes])
+            reach = normal_quantile(level) * math.sqrt(max(float(slope @ known.wider @ slope), 0.0))
+        bounds = [value * math.exp(min(sign * reach, 700.0)) for sign in (-1.0, 1.0)]
+        found.append(TimeConstant(value, bounds[0], bounds[1], level, period, ordered))
+    return tuple(sorted(found, key=lambda one: -one.value))
+
+
+def _point(
+    likelihood: Likelihood, estimate: Estimate, state: Mapping[str, float], inputs: Mapping[str, float]
+) -> tuple[np.ndarray, dict[str, float]]:
+    """State (n,) and inputs at which a model is linearised."""
+    model, timeline = likelihood.model, likelihood.timeline
+    for kind, given, there in (("state", state, model.states), ("inputs", inputs, model.inputs)):
+        unknown = sorted(set(given) - set(there))
+        if unknown:
+            raise ValueError(f"{kind}: expected names of {', '.join(there)}, found {', '.join(unknown)}")
+    mean = likelihood.trace(estimate.values).mean.mean(axis=0)
+    point = np.array([state.get(name, float(m)) for name, m in zip(model.states, mean, strict=True)])
+    known = {name: float(np.median(timeline.input(name))) for name in model.inputs}
+    return point, {**known, **inputs}

@@ -1,0 +1,595 @@
+"""Log-likelihood of the innovations, its score, its sensitivities: pure functions of the parameters.
+
+    ln L(θ) = −½ Σ_k (ln 2πS_k + e_k²/S_k),    e_k the innovation of reading k, S_k its variance.
+
+Shapes: T instants, n states, k outputs, d parameters (all of the model, in its order).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+
+import numpy as np
+
+from hygrokf.data.timestamps import duration_text, stamp_text
+from hygrokf.engine.control_loop import Control
+from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
+from hygrokf.engine.llvm_writer import LANES
+from hygrokf.engine.long_steps import MOST, TAIL, LongStep, inputs_between
+from hygrokf.engine.packing import pack, trace_width, unpack
+from hygrokf.engine.timeline import Timeline
+from hygrokf.engine.traced_filter import Recursion, traced
+from hygrokf.physics.expression import is_zero
+from hygrokf.physics.model import Model
+
+CHUNK = 4096
+"""Instants for which sensitivities are held in memory at a time."""
+INITIAL = ("prior", "stationary", "diffuse")
+GAPS = 1_000
+"""Steps of one run that may be long ones: more are no gaps, but a rate far above what the readings resolve."""
+
+
+class RatesFault(FloatingPointError, ValueError):
+    """Parameters whose rates no step can carry; the message names the state, or the steps, and the remedy."""
+
+
+@dataclass(frozen=True)
+class Gaussian:
+    """A normal distribution of the state: mean (n,), covariance (n, n), at `time_h`; also a checkpoint of a filter."""
+
+    mean: np.ndarray
+    covariance: np.ndarray
+    time_h: float = 0.0
+
+
+@dataclass(frozen=True)
+class Sensitivities:
+    """Innovations and their derivatives, summed up: log-likelihood, score (r,), expected information (r, r).
+
+    `scores` (T, r) holds each instant's share of the score, if it was asked for; r directions.
+    """
+
+    loglik: float
+    score: np.ndarray
+    information: np.ndarray
+    scores: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Trace:
+    """All moments of one filter run.
+
+    `prior_mean` (T, n), `prior_covariance` (T, n, n) before the readings of an instant, `mean`, `covariance` after;
+    `prediction` (T, k) and `variance` (T, k) of every output, each given the readings taken before it;
+    `transition` (T, n, n) the derivative of the state with respect to the one at the instant before;
+    `last` the Gaussian to go on from.
+    """
+
+    prior_mean: np.ndarray
+    prior_covariance: np.ndarray
+    prediction: np.ndarray
+    variance: np.ndarray
+    mean: np.ndarray
+    covariance: np.ndarray
+    transition: np.ndarray
+    loglik: float
+    last: Gaussian
+
+
+@dataclass(frozen=True)
+class _Steps:
+    """How the steps are taken with some parameter values.
+
+    `keys` (distinct steps, 1 + regimes) with the length of a sub-step [h], `parts` their number; `long` the instants whose
+    step is a long one, of which the loops take the last `tail_h` [h].
+    """
+
+    keys: np.ndarray
+    parts: np.ndarray
+    long: tuple[int, ...] = ()
+    tail_h: float = 0.0
+
+    def pieces(self, part: slice) -> list[slice]:
+        """Stretches of instants that the loops take in one go: a long step begins a new one."""
+        cuts = [part.start, *(k for k in self.long if part.start < k < part.stop), part.stop]
+        return [slice(a, b) for a, b in pairwise(cuts)]
+
+
+@dataclass(frozen=True)
+class Likelihood:
+    """The likelihood of one model on one timeline.
+
+    `initial`: "prior" (each mechanism's own), "stationary" (steady state at the first inputs), "diffuse" (exact, for
+    the states named in `diffuse_states`, by default all; the others keep their prior), or a `Gaussian`.
+    `rate_step`: largest product of the fastest rate and a sub-step, where other than that of the discretisation's range:
+    a search may take longer sub-steps, at the price of its last digits.  `fastest`: the model's fastest rate [1/h] where it
+    is stated instead of bounded from the timeline's inputs: then no step depends on what else the run holds.
+    """
+
+    model: Model
+    timeline: Timeline
+    initial: str | Gaussian = "prior"
+    diffuse_states: tuple[str, ...] = ()
+    rate_step: float | None = None
+    fastest: float | None = None
+
+    def __post_init__(self) -> None:
+        unknown = sorted(set(self.diffuse_states) - set(self.model.states))
+        if unknown:
+            raise ValueError(f"diffuse_states: unknown {unknown}; the model has {list(self.model.states)}")
+        if not isinstance(self.initial, Gaussian) and self.initial not in INITIAL:
+            raise ValueError(f"initial: expected one of {INITIAL} or a Gaussian, found {self.initial!r}")
+
+    @property
+    def _diffuse(self) -> bool:
+        return self.initial == "diffuse"
+
+    @property
+    def recursion(self) -> Recursion:
+        return traced(self.model, self._diffuse)
+
+    # -- numbers that the compiled loops start from ----------------------------------------------------------
+    def theta(self, values: Mapping[str, float]) -> np.ndarray:
+        """Parameter values (d,) in the model's order, and behind them the record's own numbers."""
+        known = [values[p.name] for p in self.model.parameters]
+        return np.array([*known, *self.recursion.constants], dtype=float)
+
+    def rate(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None = None) -> float:
+        """Bound on the model's fastest rate [1/h] over the record, or over these inputs; or the stated one."""
+        if self.fastest is not None:
+            return self.fastest
+        return max((0.0, *self._bounds(values, inputs)))
+
+    def _bounds(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None) -> list[float]:
+        """Bound on the rate of each state [1/h] (n,)."""
+        r = self.recursion
+        known = {f"p:{name}": v for name, v in values.items()}
+        if self._rate_moves:
+            corners = self.timeline.corners if inputs is None else inputs
+            mean, _ = self.model.initial(values, corners)
+            known |= {f"m{i}": np.asarray(v) for i, v in enumerate(mean)}
+            known |= {f"{kind}:{name}": v for name, v in corners.items() for kind in ("b", "g")}
+        places, pairs = self._rate_entries
+        found = r.graph.evaluate([r.jacobian[i][j] for i, j in places], known)
+        entry = dict(zip(places, found, strict=True))
+        bounds = []
+        for i in range(r.n):
+            total = abs(entry.get((i, i), 0.0))
+            for a, b in pairs[i]:
+                total = total + np.sqrt(np.abs(entry[a] * entry[b]))
+            bounds.append(float(np.max(total)))
+        return bounds
+
+    @cached_property
+    def _rate_moves(self) -> bool:
+        """Whether the rates depend on more than the parameters."""
+        r = self.recursion
+        needed = r.graph.needed([r.graph.lift(r.jacobian[i][j]) for i, j in self._rate_entries[0]])
+        symbols = [r.graph.nodes[i][1] for i in needed if r.graph.nodes[i][0] == "symbol"]
+        return not all(name.startswith(("p:", "c:")) for name in symbols)
+
+    @cached_property
+    def _rate_entries(self) -> tuple[list, list]:
+        """Places of the Jacobian that bound its eigenvalues: the diagonal, and pairs of which both exist."""
+        r = self.recursion
+        there = [[not is_zero(v) for v in row] for row in r.jacobian]
+        pairs = [
+            [((i, j), (j, i)) for j in range(r.n) if j != i and there[i][j] and there[j][i]]
+            for i in range(r.n)
+        ]
+        places = {(i, i) for i in range(r.n) if there[i][i]}
+        places |= {place for row in pairs for pair in row for place in pair}
+        return sorted(places), pairs
+
+    def _steps(self, values: Mapping[str, float]) -> _Steps:
+        """Sub-steps of every step; raises RatesFault where the rates are not finite, or too fast for the readings."""
+        steps = self.timeline.steps
+        limit = self.rate_step or (CONSTANT_RATES if self.recursion.exact else VARYING_RATES).rate_step
+        rate = self.rate(values)
+        if not math.isfinite(rate):
+            raise RatesFault(self._not_finite(values))
+        if self._longest * rate <= limit:
+            return _Steps(steps, self._single)
+        keys = steps.copy()
+        parts = np.maximum(np.ceil(steps[:, 0] * (rate / limit) - 1e-9), self._single)
+        far = parts > MOST
+        long: tuple[int, ...] = ()
+        tail_h = TAIL * limit / rate
+        if far.any():
+            long = tuple(np.flatnonzero(far[self.timeline.key]).tolist())
+            if len(long) > GAPS:
+                raise RatesFault(self._too_fast(rate, long))
+            keys[far, 0], parts[far] = tail_h, TAIL
+        keys[:, 0] /= np.maximum(parts, 1)
+        return _Steps(keys, parts.astype(np.int32), long, tail_h)
+
+    def steps_per_instant(self, values: Mapping[str, float]) -> float:
+        """Filter steps that one pass takes with these values, over the instants of the record: at least about 1."""
+        steps = self._steps(values)
+        taken = np.bincount(self.timeline.key, minlength=len(steps.parts)) @ steps.parts
+        return float(taken) / len(self.timeline)
+
+    def _not_finite(self, values: Mapping[str, float]) -> str:
+        """The states without a finite rate, and the parameters that their rates depend on."""
+        if self.fastest is not None:
+            return f"fastest: expected a finite rate [1/h], found {self.fastest}"
+        r = self.recursion
+        lost = [i for i, bound in enumerate(self._bounds(values, None)) if not math.isfinite(bound)]
+        rows = [r.graph.lift(r.jacobian[a][b]) for a, b in self._rate_entries[0] if a in lost or b in lost]
+        symbols = [r.graph.nodes[k][1] for k in r.graph.needed(rows) if r.graph.nodes[k][0] == "symbol"]
+        own = ", ".join(f"{n[2:]} = {values[n[2:]]:.3g}" for n in symbols if n.startswith("p:"))
+        return (
+            f"expected finite rates, found others of {', '.join(self.model.states[i] for i in lost)}"
+            f"{' with ' + own if own else ''}: narrow the bounds of these parameters, or correct the inputs that the "
+            "states follow"
+        )
+
+    def _too_fast(self, rate: float, long: tuple[int, ...]) -> str:
+        t = self.timeline
+        hours = np.sort(t.steps[t.key[list(long)], 0])
+        return (
+            f"expected at most {GAPS} gaps that the model's fastest time constant, {duration_text(3600.0 / rate)}, divides "
+            f"into more than {MOST} parts, found {len(long)} (of {duration_text(3600.0 * hours[0])} to "
+            f"{duration_text(3600.0 * hours[-1])}, the first until "
+            f"{stamp_text(t.origin_s + 3600.0 * t.time[long[0]])}): the readings do not resolve so fast a model; narrow the "
+            "bounds of its parameters, or leave out the part that is so fast"
+        )
+
+    @cached_property
+    def _longest(self) -> float:
+        return float(self.timeline.steps[:, 0].max())
+
+    @cached_property
+    def _single(self) -> np.ndarray:
+        """One sub-step for every key, none where no time passes."""
+        return (self.timeline.steps[:, 0] > 0).astype(np.int32)
+
+    def first_inputs(self) -> dict[str, float]:
+        t = self.timeline
+        named = {name: float(t.u[1, i]) for i, name in enumerate(t.varying)}
+        return named | {name: float(t.steps[t.key[0], 1 + i]) for i, name in enumerate(t.regimes)}
+
+    def first_gaussian(self, values: Mapping[str, float]) -> Gaussian:
+        """Moments of the state before the first reading (the finite part, for a diffuse start)."""
+        n = len(self.model.states)
+        state = np.asarray(self.first_state(values), dtype=float)
+        return Gaussian(state[:n], unpack(state[n : n + n * (n + 1) // 2], n), float(self.timeline.time[0]))
+
+    def first_state(self, values: Mapping[str, object]) -> np.ndarray:
+        """Packed moments before the first reading; complex values give complex moments (for derivatives)."""
+        if isinstance(self.initial, Gaussian):
+            return np.concatenate([self.initial.mean, pack(np.asarray(self.initial.covariance))])
+        mean, variance = self.model.initial(values, self.first_inputs())
+        if self.initial == "prior":
+            n = len(mean)
+            places = np.cumsum(np.arange(1, n + 1)) - 1  # of the diagonal in the packed triangle
+            packed = np.zeros(n * (n + 1) // 2, dtype=np.result_type(*variance))
+            packed[places] = variance
+            return np.concatenate([mean, packed])
+        mean = np.array(mean)
+        covariance = np.diag(np.array(variance))
+        if self.initial == "stationary":
+            mean, covariance = self._stationary(values, mean)
+        if not self._diffuse:
+            return np.concatenate([mean, pack(covariance)])
+        chosen = self.diffuse_states or self.model.states
+        infinite = np.array([float(name in chosen) for name in self.model.states])
+        covariance = covariance * np.outer(1.0 - infinite, 1.0 - infinite)
+        return np.concatenate([mean * (1.0 - infinite), pack(covariance), pack(np.diag(infinite))])
+
+    def _stationary(self, values: Mapping[str, object], mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Steady state at the first inputs and the covariance that solves A P + P A' + Q = 0."""
+        n = len(mean)
+        u = self.first_inputs()
+        for _ in range(5):  # one step where the model is linear
+            matrix = self.jacobian(values, mean, u)
+            rates = np.array(self.model.evaluate(list(mean), u, values).rates)
+            mean = mean - np.linalg.solve(matrix, rates)
+        noise = np.array(self.model.noise(values))
+        matrix = self.jacobian(values, mean, u)
+        if np.linalg.eigvals(matrix).real.max() >= 0:
+            raise ValueError(
+                "initial='stationary': the model has no stationary state; use 'prior', 'diffuse' or a Gaussian"
+            )
+        eye = np.eye(n)
+        flat = np.linalg.solve(np.kron(matrix, eye) + np.kron(eye, matrix), -noise.reshape(-1))
+        return mean, flat.reshape(n, n)
+
+    def jacobian(self, values: Mapping, mean: np.ndarray, u: Mapping) -> np.ndarray:
+        """Derivatives (n, n) [1/h] of the states' rates by the states, at a state `mean` (n,) and inputs `u`."""
+        r = self.recursion
+        known = {f"p:{name}": v for name, v in values.items()}
+        known |= {f"m{i}": v for i, v in enumerate(mean)}
+        known |= {f"{kind}:{name}": v for name, v in u.items() for kind in ("b", "g")}
+        return np.array([[v for v in r.graph.evaluate(row, known)] for row in r.jacobian])
+
+    def _first_state_slopes(self, values: Mapping[str, float]) -> np.ndarray:
+        """Derivatives (d, w) of the first moments, by complex steps (exact to rounding)."""
+        width = len(self.first_state(values))
+        result = np.zeros((len(self.model.parameters), width))
+        if isinstance(self.initial, Gaussian):
+            return result
+        for i, p in enumerate(self.model.parameters):
+            moved = dict(values)
+            moved[p.name] = values[p.name] + 1e-30j
+            result[i] = np.imag(self.first_state(moved)) * 1e30
+        return result
+
+    def _common(self, values: Mapping[str, float], steps: _Steps, state: np.ndarray, part: slice) -> tuple:
+        t = self.timeline
+        key, y, reset = t.key[part], t.y[part], t.reset[part]
+        table = np.empty(max(1, len(steps.keys) * len(self.recursion.key_nodes)))
+        return (
+            len(key),
+            len(steps.keys),
+            self.theta(values),
+            steps.keys,
+            steps.parts,
+            table,
+            key,
+            self._inputs(steps, part),
+            y,
+            reset,
+            state,
+            state.copy(),
+        )
+
+    def _inputs(self, steps: _Steps, part: slice) -> np.ndarray:
+        """Inputs of these instants; the compiled loop also reads the row in front of the first: views, no copies.
+
+        Where the first step is a long one, the row in front is that at the beginning of its tail.
+        """
+        t = self.timeline
+        if part.start not in steps.long:
+            return t.u[1:][part]
+        rows = t.u[part.start : part.stop + 1].copy()
+        tail = self._long(steps, part.start).tail
+        rows[0] = [tail[name] for name in t.varying]
+        return rows[1:]
+
+    @property
+    def _whole(self) -> slice:
+        return slice(0, len(self.timeline))
+
+    def _long(self, steps: _Steps, k: int) -> LongStep:
+        """The long step to instant k."""
+        t = self.timeline
+        hours, *held = t.steps[t.key[k]].tolist()
+        before, after = (
+            dict(zip((*t.regimes, *t.varying), (*held, *t.u[row].tolist()), strict=True))
+            for row in (k, k + 1)
+        )
+        tail = inputs_between(self.model.holds, before, after, 1.0 - steps.tail_h / hours)
+        return LongStep(self.recursion, before, tail, hours - steps.tail_h, steps.tail_h)
+
+    @cached_property
+    def _store(self) -> np.ndarray:
+        """Moments that the backward pass needs; kept between calls (fresh memory costs more than the filter)."""
+        r = self.recursion
+        return np.empty((2 * len(self.timeline), len(r.state)))
+
+    @staticmethod
+    def _loglik(out: np.ndarray) -> float:
+        return -0.5 * float(out[0] + out[1] + out[2] * math.log(2.0 * math.pi))
+
+    # -- verbs -----------------------------------------------------------------------------------------------
+    def value(self, values: Mapping[str, float]) -> float:
+        """ln L; −inf where the filter breaks down (a variance that is not positive)."""
+        state = np.ascontiguousarray(self.first_state(values), dtype=float)
+        steps = self._steps(values)
+        value = sum(self._run(values, steps, part, state) for part in steps.pieces(self._whole))
+        return value if math.isfinite(value) else -math.inf
+
+    def _run(self, values: Mapping[str, float], steps: _Steps, part: slice, state: np.ndarray) -> float:
+        """ln L of a piece; `state` is taken through it."""
+        if part.start in steps.long:
+            self._long(steps, part.start).take(values, state)
+        out = np.zeros(3)
+        self.recursion.code("value")("value", *self._common(values, steps, state, part), out)
+        return self._loglik(out)
+
+    def controlled(
+        self,
+        values: Mapping[str, float],
+        controls: Mapping[Control, tuple[float, float]],
+        idle: np.ndarray,
+    ) -> np.ndarray:
+        """Positions (T, c) of controls in the step to each instant, in a free run that they drive themselves.
+
+        `controls` → their two levels; `idle` (T,) whether the turbine stands still; inputs that the controls set are those of
+        the instant before the first alone.
+        """
+        n, count = len(self.model.states), len(self.timeline)
+        state = np.ascontiguousarray(self.first_state(values), dtype=float)
+        state[n:] = 0.0
+        found = np.zeros((count, len(controls)))
+        levels, still = np.array(list(controls.values()), dtype=float), np.asarray(idle, dtype=float)
+        columns = [self.timeline.varying.index(one.input) for one in controls]
+        # the loop writes the positions into the inputs
+        own = replace(self, timeline=replace(self.timeline, u=self.timeline.u.copy()))
+        own.timeline.u[0, columns] = np.round(own.timeline.u[0, columns])
+        code = self.recursion.code("controlled", False, tuple(controls))
+        steps = self._steps(values)
+        for part in steps.pieces(self._whole):
+            if part.start in steps.long:
+                own.timeline.u[part.start + 1, columns] = own.timeline.u[part.start, columns]
+                own._long(steps, part.start).take(values, state)
+            common = own._common(values, steps, state, part)
+            code("controlled", *common, still[part], levels, found[part])
+            own.timeline.u[part.stop, columns] = found[part.stop - 1]
+        return found
+
+    def score(self, values: Mapping[str, float]) -> tuple[float, np.ndarray]:
+        """ln L and its exact derivatives (d,) with respect to all parameters, by one backward pass."""
+        state = np.ascontiguousarray(self.first_state(values), dtype=float)
+        steps = self._steps(values)
+        pieces = steps.pieces(self._whole)
+        states = [state]
+        for part in pieces[:-1]:
+            state = state.copy()
+            self._run(values, steps, part, state)
+            states.append(state)
+        loglik, theta_bar, state_bar = 0.0, np.zeros(len(self.recursion.p)), np.zeros(len(state))
+        for part, state in zip(reversed(pieces), reversed(states), strict=True):
+            entered = state.copy()
+            if part.start in steps.long:
+                self._long(steps, part.start).take(values, entered)
+            share, slopes = self._pulled_back(values, steps, part, entered, state_bar)
+            loglik, theta_bar = loglik + share, theta_bar + slopes
+            if part.start in steps.long:
+                state_bar, slopes = self._long(steps, part.start).back(values, state, state_bar)
+                theta_bar = theta_bar + slopes
+        return loglik, theta_bar + self._first_state_slopes(values) @ state_bar
+
+    def _pulled_back(
+        self,
+        values: Mapping[str, float],
+        steps: _Steps,
+        part: slice,
+        state: np.ndarray,
+        state_bar: np.ndarray,
+    ) -> tuple[float, np.ndarray]:
+        """ln L of a piece and its derivatives (d,); `state_bar` is taken back through it, in place."""
+        r = self.recursion
+        width = len(state)
+        out, theta_bar = np.zeros(3), np.zeros(len(r.p))
+        store = self._store
+        key_bar = np.zeros(max(1, len(steps.keys) * len(r.key_nodes)))
+        buffer = np.empty((max(int(steps.parts.max(initial=1)), len(r.updates)) + 1, width))
+        common = self._common(values, steps, state, part)
+        r.code("adjoint")("adjoint", *common, out, store, key_bar, theta_bar, state_bar, buffer)
+        return self._loglik(out), theta_bar
+
+    # where the filter breaks down and the value is −∞, these sums are no numbers either
+    @np.errstate(invalid="ignore", divide="ignore", over="ignore")
+    def sensitivities(
+        self, values: Mapping[str, float], directions: np.ndarray, each: bool = False, gain: bool = True
+    ) -> Sensitivities:
+        """Score and expected information along directions (d, r) of the parameters.
+
+            I = Σ_k ∂e_k ∂e_k'/S_k + ½ ∂S_k ∂S_k'/S_k²
+        Without `gain` the filter runs free (no reading corrects the state): the output error's derivatives.
+        """
+        count = directions.shape[1]
+        states, dots, seeds = self._tangent_start(values, directions)
+        score, information, loglik = np.zeros(count), np.zeros((count, count)), 0.0
+        scores = np.zeros((len(self.timeline), count)) if each else None
+        steps = self._steps(values)
+        for start in range(0, len(self.timeline), CHUNK):
+            part = slice(start, min(start + CHUNK, len(self.timeline)))
+            e, s, de, ds, value = self._tangent_part(values, steps, part, states, dots, seeds, gain)
+            de, ds = de[..., :count], ds[..., :count]
+            share = -(e / s)[..., None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[..., None] * ds
+            loglik += value
+            score += share.sum(axis=(0, 1))
+            if scores is not None:
+                scores[part] = share.sum(axis=1)
+            a = (de / np.sqrt(s)[..., None]).reshape(-1, count)
+            b = (ds / (math.sqrt(2.0) * s)[..., None]).reshape(-1, count)
+            information += a.T @ a + b.T @ b
+        return Sensitivities(loglik, score, information, scores)
+
+    def _tangent_start(self, values: Mapping[str, float], directions: np.ndarray) -> tuple[list, list, list]:
+        """First moments, their tangents and the directions, in blocks of `LANES`."""
+        count = directions.shape[1]
+        blocks = range(0, max(count, 1), LANES)
+        padded = np.zeros((directions.shape[0], len(blocks) * LANES))
+        padded[:, :count] = directions
+        first = np.ascontiguousarray(self.first_state(values), dtype=float)
+        slopes = self._first_state_slopes(values).T @ padded
+        states = [first.copy() for _ in blocks]
+        dots = [np.ascontiguousarray(slopes[:, b : b + LANES]) for b in blocks]
+        seeds = [np.ascontiguousarray(padded[:, b : b + LANES]) for b in blocks]
+        return states, dots, seeds
+
+    def slopes(self, values: Mapping[str, float], directions: np.ndarray) -> np.ndarray:
+        """Slopes (T, k, r) of the innovations along directions (d, r) of the parameters."""
+        states, dots, seeds = self._tangent_start(values, directions)
+        steps = self._steps(values)
+        _, _, de, _, _ = self._tangent_part(values, steps, self._whole, states, dots, seeds, True)
+        return de[..., : directions.shape[1]]
+
+    def residuals(self, values: Mapping[str, float], directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Free-run residuals (T, k), NaN without reading, and their slopes (T, k, r) along directions (d, r)."""
+        states, dots, seeds = self._tangent_start(values, directions)
+        steps = self._steps(values)
+        e, _, de, _, _ = self._tangent_part(values, steps, self._whole, states, dots, seeds, False)
+        return np.where(np.isfinite(self.timeline.y), e, np.nan), de[..., : directions.shape[1]]
+
+    def _tangent_part(
+        self,
+        values: Mapping[str, float],
+        steps: _Steps,
+        part: slice,
+        states: list,
+        dots: list,
+        seeds: list,
+        gain: bool,
+    ) -> tuple:
+        r = self.recursion
+        count, outputs = part.stop - part.start, len(r.updates)
+        derivatives: list[tuple[np.ndarray, np.ndarray]] = []
+        for state, dot, seed in zip(states, dots, seeds, strict=True):
+            e, s, loglik = np.zeros((count, outputs)), np.ones((count, outputs)), 0.0
+            de, ds = np.zeros((count, outputs, LANES)), np.zeros((count, outputs, LANES))
+            key_dot = np.empty(max(1, len(steps.keys) * len(r.key_nodes)) * LANES)
+            for piece in steps.pieces(part):
+                if piece.start in steps.long:
+                    long = self._long(steps, piece.start)
+                    dot[:] = long.tangents(values, state, dot, seed)
+                    long.take(values, state)
+                own = slice(piece.start - part.start, piece.stop - part.start)
+                out, common = np.zeros(3), self._common(values, steps, state, piece)
+                rows = (e[own], s[own], de[own], ds[own])
+                r.code("tangent", gain)("tangent", *common, out, seed, dot, key_dot, *rows)
+                loglik += self._loglik(out)
+            derivatives.append((de, ds))
+        return (
+            e,
+            s,
+            np.concatenate([d[0] for d in derivatives], axis=2),
+            np.concatenate([d[1] for d in derivatives], axis=2),
+            loglik,
+        )
+
+    def trace(self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None) -> Trace:
+        """Run the filter and keep all moments; without `gain` readings are looked at but not used.
+
+        `start` begins from a given Gaussian at the instant before the timeline's first (a checkpoint).
+        """
+        r = self.recursion
+        n, outputs = r.n, len(r.updates)
+        if start is None:
+            state = np.ascontiguousarray(self.first_state(values), dtype=float)
+        else:
+            state = np.concatenate([start.mean, pack(start.covariance)])
+        rows = np.empty((len(self.timeline), trace_width(n, outputs, self._diffuse)))
+        width = len(state)
+        q = n * (n + 1) // 2
+        steps, loglik = self._steps(values), 0.0
+        for part in steps.pieces(self._whole):
+            long = part.start in steps.long
+            through = self._long(steps, part.start).take(values, state) if long else None
+            out, common = np.zeros(3), self._common(values, steps, state, part)
+            r.code("trace", gain)("trace", *common, out, rows[part])
+            loglik += self._loglik(out)
+            if through is not None:
+                rows[part.start, 2 * width + 2 * outputs :] = (
+                    rows[part.start, 2 * width + 2 * outputs :].reshape(n, n) @ through
+                ).ravel()
+        before, after = rows[:, :width], rows[:, width + 2 * outputs : 2 * width + 2 * outputs]
+        return Trace(
+            prior_mean=before[:, :n],
+            prior_covariance=unpack(before[:, n : n + q], n),
+            prediction=rows[:, width : width + 2 * outputs : 2],
+            variance=rows[:, width + 1 : width + 2 * outputs : 2],
+            mean=after[:, :n],
+            covariance=unpack(after[:, n : n + q], n),
+            transition=rows[:, 2 * width + 2 * outputs :].reshape(-1, n, n),
+            loglik=loglik,
+            last=Gaussian(state[:n].copy(), unpack(state[n : n + q], n), float(self.timeline.time[-1])),
+        )

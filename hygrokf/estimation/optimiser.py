@@ -1,0 +1,462 @@
+"""Maximum likelihood: bounded Fisher scoring from several starts.
+
+In the coordinates z (see `parameters`) the penalised log-likelihood l(z) = ln L + ln prior is climbed with the exact
+score g and the expected information I of the innovations' sensitivities,
+
+    (I + λ diag I) δ = g,
+
+λ by Levenberg and Marquardt; coordinates at a bound that the score pushes outwards are held there.  A climb ends with its
+budget of filter steps: where a time constant becomes far shorter than the interval between the readings, every pass
+takes many sub-steps.
+
+Models that contain one another are fitted from their parents: the likelihood has several maxima, and the larger model must
+not end below the smaller one.
+Shapes: d free parameters.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.physics.parameters import Coordinates, Parameter
+
+GAIN_TOLERANCE = 1e-5
+"""A climb has converged when the next full step promises less than this much log-likelihood."""
+MAXIMUM_PASSES = 60
+BUDGET = 3_000.0
+"""Filter steps per instant of the record after which a climb ends, wherever it is; the fit of the demo's cabinet takes 76 at most."""
+BETTER = 0.1
+"""Log-likelihood by which another point shows that an estimate is no maximum; climbs converge far below it."""
+NOISE_SPREAD = 5.0
+"""[ln] width of the range over which further starts vary a noise parameter: a factor of 12 up or down."""
+OTHER_SPREAD = 3.0
+"""[ln] the same for another positive parameter: a factor of 4.5."""
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Where one climb ended: coordinates z (d,), penalised log-likelihood, whether it converged, and why it stopped."""
+
+    z: np.ndarray
+    objective: float
+    converged: bool
+    message: str
+    passes: int
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """The best optimum of several climbs.
+
+    `values` all parameters; `loglik` without the prior; `others` the distinct optima found besides (objective, values);
+    `at_bounds` free parameters that ended at a bound.
+    """
+
+    coordinates: Coordinates
+    z: np.ndarray
+    values: dict[str, float]
+    loglik: float
+    objective: float
+    converged: bool
+    message: str
+    at_bounds: tuple[str, ...]
+    others: tuple[tuple[float, dict[str, float]], ...] = ()
+
+
+class _BudgetSpent(Exception):
+    """A climb has taken all the filter steps that it may."""
+
+
+class Objective:
+    """Penalised log-likelihood of the free coordinates, with score and information."""
+
+    def __init__(self, likelihood: Likelihood, coordinates: Coordinates) -> None:
+        self.likelihood = likelihood
+        self.coordinates = coordinates
+        self._place = coordinates.place()
+        self._count = len(coordinates.parameters)
+
+    def value(self, z: np.ndarray) -> float:
+        try:
+            value = self.likelihood.value(self.coordinates.values(z))
+        except FloatingPointError:
+            return -math.inf
+        return value + self.coordinates.log_prior(z)[0]
+
+    def score(self, z: np.ndarray) -> tuple[float, np.ndarray]:
+        """l and its gradient (d,)."""
+        value, gradient = self.likelihood.score(self.coordinates.values(z))
+        prior, slope, _ = self.coordinates.log_prior(z)
+        return value + prior, gradient[self._place] * self.coordinates.slopes(z) + slope
+
+    def information(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        """l, its gradient (d,) and the expected information (d, d), the prior's included."""
+        return self._sensitivities(z, each=False)[:3]
+
+    def _sensitivities(self, z: np.ndarray, each: bool) -> tuple:
+        directions = np.zeros((self._count, len(z)))
+        directions[self._place, np.arange(len(z))] = self.coordinates.slopes(z)
+        found = self.likelihood.sensitivities(self.coordinates.values(z), directions, each=each)
+        prior, slope, curvature = self.coordinates.log_prior(z)
+        information = found.information + np.diag(curvature)
+        return found.loglik + prior, found.score + slope, information, found.scores
+
+    def scores(self, z: np.ndarray) -> np.ndarray:
+        """Each instant's share (T, d) of the score, without the prior."""
+        return self.information_and_scores(z)[3]
+
+    def information_and_scores(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
+        """`information`, and each instant's share (T, d) of the score, without the prior."""
+        return self._sensitivities(z, each=True)
+
+
+class _Metered:
+    """An objective during one climb: counts its filter steps, and keeps the best point that it met."""
+
+    def __init__(self, objective: Objective, budget: float) -> None:
+        self.coordinates = objective.coordinates
+        self._objective = objective
+        self._budget = self._left = budget
+        self.evaluations = 0
+        self.best = (-math.inf, np.empty(0))
+
+    def value(self, z: np.ndarray) -> float:
+        self._spend(z)
+        return self._kept(z, (self._objective.value(z),))[0]
+
+    def score(self, z: np.ndarray) -> tuple[float, np.ndarray]:
+        self._spend(z)
+        return self._kept(z, self._objective.score(z))
+
+    def information(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
+        self._spend(z)
+        return self._kept(z, self._objective.information(z))
+
+    def _spend(self, z: np.ndarray) -> None:
+        try:
+            steps = self._objective.likelihood.steps_per_instant(self.coordinates.values(z))
+        except FloatingPointError:  # no rates, no steps
+            steps = 1.0
+        self.evaluations += 1
+        self._left -= steps
+        if self._left < 0.0:
+            raise _BudgetSpent(
+                f"stopped after its budget of {self._budget:.0f} filter steps an instant; one pass takes {steps:.0f} here, and many "
+                "mean a time constant far shorter than the interval between the readings: narrow its bounds"
+            )
+
+    def _kept(self, z: np.ndarray, found: tuple) -> tuple:
+        if found[0] > self.best[0]:
+            self.best = (found[0], z.copy())
+        return found
+
+
+def climb(
+    objective: Objective,
+    start: np.ndarray,
+    passes: int = MAXIMUM_PASSES,
+    tolerance: float = GAIN_TOLERANCE,
+    budget: float = BUDGET,
+) -> Optimum:
+    """Bounded Fisher scoring from one start (d,).
+
+    Far from the optimum the expected information can mislead; where scoring sticks, a quasi-Newton climb by the
+    score alone leads on, and scoring finishes.  After `budget` filter steps per instant of the record the climb ends with
+    the best point that it met, not converged.
+    """
+    metered = _Metered(objective, budget)
+    try:
+        return _climb(metered, start, passes, tolerance)
+    except _BudgetSpent as spent:
+        value, z = metered.best
+        return Optimum(z if z.size else start, value, False, str(spent), metered.evaluations)
+
+
+def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float) -> Optimum:
+    found = _scoring(objective, start, passes, tolerance)
+    for _ in range(3):
+        if found.converged or not math.isfinite(found.objective) or passes < MAXIMUM_PASSES:
+            break
+        again = _scoring(objective, _quasi_newton(objective, found.z), passes, tolerance)
+        if again.objective <= found.objective + tolerance:
+            break
+        found = again
+    return found
+
+
+def _quasi_newton(objective: _Metered, start: np.ndarray) -> np.ndarray:
+    from scipy.optimize import minimize
+
+    def downhill(z: np.ndarray) -> tuple[float, np.ndarray]:
+        try:
+            value, gradient = objective.score(z)
+        except FloatingPointError:
+            return 1e300, np.zeros_like(z)
+        if not (math.isfinite(value) and np.all(np.isfinite(gradient))):
+            return 1e300, np.zeros_like(z)
+        return -value, -gradient
+
+    bounds = list(zip(objective.coordinates.lower, objective.coordinates.upper, strict=True))
+    found = minimize(
+        downhill, start, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": 300, "maxcor": 20}
+    )
+    return found.x
+
+
+def _scoring(objective: _Metered, start: np.ndarray, passes: int, tolerance: float) -> Optimum:
+    lower, upper = objective.coordinates.lower, objective.coordinates.upper
+    z = np.clip(start, lower, upper)
+    damping = 1e-3
+    value, gradient, information = objective.information(z)
+    if not math.isfinite(value):
+        return Optimum(z, -math.inf, False, "the likelihood is not finite at the start", 0)
+    for done in range(1, passes + 1):
+        free = ~(((z <= lower) & (gradient <= 0)) | ((z >= upper) & (gradient >= 0)))
+        if not free.any():
+            return Optimum(z, value, True, "converged: every free parameter is at a bound", done)
+        if bounded_step(information, gradient, free, z, lower, upper, 1e-9)[1] < tolerance:
+            return Optimum(z, value, True, "converged", done)
+        for _ in range(25):
+            step, promised = bounded_step(information, gradient, free, z, lower, upper, damping)
+            if promised > 0:
+                trial = objective.value(z + step)
+                if trial - value > 0.05 * promised:
+                    damping = max(damping / (10.0 if trial - value > 0.5 * promised else 2.0), 1e-9)
+                    break
+                if promised < 0.1 * tolerance:
+                    return Optimum(z, value, True, "converged to rounding", done)
+            damping = max(damping, 1e-6) * 6.0
+        else:
+            return Optimum(
+                z, value, False, "no step improves the likelihood, yet its score is not zero", done
+            )
+        new = z + step
+        z = new
+        value, gradient, information = objective.information(z)
+    return Optimum(z, value, False, f"stopped after {passes} passes", passes)
+
+
+def bounded_step(
+    information: np.ndarray,
+    gradient: np.ndarray,
+    free: np.ndarray,
+    z: np.ndarray,
+    lower: np.ndarray,
+    upper: np.ndarray,
+    damping: float,
+) -> tuple[np.ndarray, float]:
+    """The damped step within the bounds and a trust box, and the gain that the quadratic model promises for it.
+
+    Of three ways to stay in the box the one that promises most: every coordinate that would leave it held at its edge
+    and the others solved again; the whole step shortened; the steepest ascent.  Shortened alone, a flat direction, whose
+    full step is without end, would shrink the steps of all others to nothing and so feign convergence.
+    """
+    reach = np.maximum(1.5, 0.5 * np.abs(z))
+    low, high = np.maximum(lower - z, -reach), np.minimum(upper - z, reach)
+    held, moving = np.zeros_like(z), free.copy()
+    shortened = np.zeros_like(z)
+    while moving.any():
+        rest = gradient - information @ np.where(moving, 0.0, held)
+        held[moving] = _damped_step(information[np.ix_(moving, moving)], rest[moving], damping)
+        if moving.sum() == free.sum():
+            shortened = np.clip(held / max(1.0, float(np.max(np.abs(held) / reach))), lower - z, upper - z)
+        beyond = moving & ((held < low) | (held > high))
+        if not beyond.any():
+            break
+        held[beyond] = np.clip(held[beyond], low[beyond], high[beyond])
+        moving &= ~beyond
+
+    tried = []
+    diagonal = np.maximum(np.diag(information), 1e-300)
+    steepest = np.where(free, gradient / (diagonal * (1.0 + damping)), 0.0)
+    for direction in (held, shortened, np.clip(steepest, low, high)):
+        # the box is convex: any share of the way stays in it, and the best share promises no loss
+        slope, curvature = float(gradient @ direction), float(direction @ information @ direction)
+        share = min(max(slope / max(curvature, 1e-300), 0.0), 1.0)
+        tried.append((share * slope - 0.5 * share**2 * curvature, share * direction))
+    promised, step = max(tried, key=lambda pair: pair[0])
+    return step, promised
+
+
+def _damped_step(information: np.ndarray, gradient: np.ndarray, damping: float) -> np.ndarray:
+    diagonal = np.maximum(np.diag(information), 1e-12 * max(float(np.max(np.diag(information))), 1e-300))
+    root = 1.0 / np.sqrt(diagonal)
+    scaled = information * root[:, None] * root[None, :] + damping * np.eye(len(gradient))
+    try:
+        return root * np.linalg.solve(scaled, root * gradient)
+    except np.linalg.LinAlgError:
+        return root * np.linalg.lstsq(scaled, root * gradient, rcond=1e-12)[0]
+
+
+def starts(coordinates: Coordinates, values: Mapping[str, float] | None, count: int) -> list[np.ndarray]:
+    """The stated start and `count`−1 more: the noise parameters differ in each, all others in every second one.
+
+    They fill their ranges evenly by an additive recurrence with the generalised golden ratio (Roberts 2018): the k-th
+    start has the shares ½ + k φ^−j mod 1, φ^(d+1) = φ + 1.
+    """
+    first = coordinates.start(values)
+    noisy = np.array([p.noise for p in coordinates.free], dtype=bool)
+    width = np.array([_start_width(p) for p in coordinates.free])
+    ratio = 2.0
+    for _ in range(50):
+        ratio = (1.0 + ratio) ** (1.0 / (len(first) + 1.0))
+    steps = ratio ** -np.arange(1.0, len(first) + 1.0)
+    result = [first]
+    for k in range(1, count):
+        varied = noisy if k % 2 and noisy.any() else np.ones_like(noisy)
+        z = first + np.where(varied, width * ((0.5 + k * steps) % 1.0 - 0.5), 0.0)
+        result.append(np.clip(z, coordinates.lower, coordinates.upper))
+    return result
+
+
+def _start_width(p: Parameter) -> float:
+    """Width of the range of starts in a parameter's coordinate; what a prior knows is not searched for further away."""
+    if p.noise:
+        return NOISE_SPREAD
+    if p.prior is not None and p.prior.logarithmic == p.positive:
+        return 4.0 * p.prior.sd
+    return OTHER_SPREAD if p.positive else 0.5 * (p.upper - p.lower)
+
+
+def nested_starts(
+    coordinates: Coordinates, values: Mapping[str, float] | None, parent: Estimate
+) -> list[np.ndarray]:
+    """Starts (d,) of a model at the maximum of one that it contains.
+
+    What the parent does not have is at its stated start, and in a second start at its null value where it has one.
+    """
+    own = [p for p in coordinates.free if p.name not in parent.values]
+    known = {**(values or {}), **parent.values}
+    result = [coordinates.start(known)]
+    if own and all(p.null is not None for p in own):
+        result.append(coordinates.start({**known, **{p.name: p.null for p in own}}))
+    return result
+
+
+def least_objective(coordinates: Coordinates, parents: Sequence[Estimate]) -> float:
+    """Penalised log-likelihood that the maximum of a model cannot be below, given those of models that it contains."""
+    floors = [-math.inf]
+    for parent in parents:
+        own = [p for p in coordinates.free if p.prior is not None and p.name not in parent.values]
+        floors.append(
+            parent.objective + sum(p.prior.log_density(p.start if p.null is None else p.null) for p in own)
+        )
+    return max(floors)
+
+
+def maximise(
+    likelihood: Likelihood,
+    values: Mapping[str, float] | None = None,
+    fixed: Mapping[str, float] | None = None,
+    count: int = 4,
+    progress: Callable[[str], None] | None = None,
+    more_starts: Sequence[Mapping[str, float]] = (),
+    search: Likelihood | None = None,
+    parents: Sequence[Estimate] = (),
+    budget: float = BUDGET,
+) -> Estimate:
+    """Maximum likelihood from several starts; other optima are reported, not hidden.
+
+    `values` start values of some parameters, `fixed` those to be held, `count` starts (see `starts`), `more_starts` further
+    complete starts.  Short climbs from every start, on a shorter stretch of the record if `search` gives one, are followed
+    to the end on the whole for those that lead to different places.
+
+    `parents`: estimates, on the same readings, of models that this one contains, exactly or as a limit.  Climbs begin from
+    each of them too (see `nested_starts`), and an estimate that is less likely than a parent's is never called converged.
+    `budget`: filter steps per instant of the record that each climb may take.
+    """
+    coordinates = Coordinates(likelihood.model.parameters, fixed)
+    objective = Objective(likelihood, coordinates)
+    scout = objective if search is None else Objective(search, coordinates)
+    candidates = starts(coordinates, values, count)
+    candidates += [coordinates.start(v) for v in more_starts]
+    nested = [z for parent in parents for z in nested_starts(coordinates, values, parent)]
+    candidates += nested
+    short = []
+    for k, z in enumerate(candidates):
+        if progress is not None:
+            progress(f"start {k + 1} of {len(candidates)}")
+        several = len(candidates) > 1
+        short.append(
+            climb(scout, z, passes=15 if several else 25, tolerance=1e-2, budget=budget)
+            if several or search
+            else Optimum(z, 0.0, False, "", 0)
+        )
+    short.sort(key=lambda o: -o.objective)
+    optima: list[Optimum] = []
+    if progress is not None:
+        progress("climb")
+    for k, o in enumerate(short):
+        # worth following to the end: the best, and others that may still overtake it
+        if k > 0 and (len(optima) >= 3 or o.objective < short[0].objective - 50.0 or not _far(o, short[0])):
+            continue
+        done = climb(objective, o.z, budget=budget)
+        if all(_far(done, kept) for kept in optima):
+            optima.append(done)
+    least = least_objective(coordinates, parents)
+    if max(o.objective for o in optima) < least - BETTER:
+        optima += [climb(objective, z, budget=budget) for z in nested]
+    return refused_below(least, estimate_of(likelihood, coordinates, optima))
+
+
+def refused_below(least: float, found: Estimate) -> Estimate:
+    """The estimate, not called converged where it is below what a model that it contains has reached."""
+    short = least - found.objective
+    if not short > BETTER:
+        return found
+    message = (
+        f"not converged: a model that this one contains is more likely, by {short:.2f} in ln L; give start values nearer to "
+        "that model, more starts or wider bounds"
+    )
+    return replace(found, converged=False, message=message)
+
+
+def climbed_on(
+    likelihood: Likelihood, values: Mapping[str, float], passes: int = MAXIMUM_PASSES - 1
+) -> Estimate:
+    """The estimate that a bounded number of passes of scoring leads to from values near a maximum.
+
+    No quasi-Newton climb follows where scoring sticks: on a likelihood with edges it goes on for hundreds of passes.
+    """
+    coordinates = Coordinates(likelihood.model.parameters)
+    found = climb(Objective(likelihood, coordinates), coordinates.start(values), passes)
+    return estimate_of(likelihood, coordinates, [found])
+
+
+def estimate_of(likelihood: Likelihood, coordinates: Coordinates, optima: list[Optimum]) -> Estimate:
+    """The best of some optima, the others beside it."""
+    optima = sorted(optima, key=lambda o: -o.objective)
+    best = optima[0]
+    values_ = coordinates.values(best.z)
+    margin = 1e-9
+    at = tuple(
+        p.name
+        for p, z, a, b in zip(coordinates.free, best.z, coordinates.lower, coordinates.upper, strict=True)
+        if z <= a + margin or z >= b - margin
+    )
+    message = (
+        best.message
+        if best.converged
+        else f"not converged: {best.message}; try more starts or other start values"
+    )
+    return Estimate(
+        coordinates=coordinates,
+        z=best.z,
+        values=values_,
+        loglik=likelihood.value(values_),
+        objective=best.objective,
+        converged=best.converged,
+        message=message,
+        at_bounds=at,
+        others=tuple((o.objective, coordinates.values(o.z)) for o in optima[1:] if o.converged),
+    )
+
+
+def _far(a: Optimum, b: Optimum) -> bool:
+    """Whether two optima differ by more than unfinished climbing explains."""
+    return abs(a.objective - b.objective) > 0.5 or float(np.max(np.abs(a.z - b.z))) > 0.7

@@ -1,0 +1,130 @@
+"""Output-error fit (`--criterion simulation`): the paper's own criterion, the free run against the readings.
+
+Minimises ½ Σ_j n_j ln(SSE_j/n_j) over the outputs j by Gauss–Newton; bounds from a sandwich with long-run variance, as
+free-run residuals are serially dependent.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.estimation.confidence import long_run_variance, normal_quantile, positive_inverse
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.physics.parameters import Coordinates
+
+TRANSIENT_H = 24.0
+"""[h] residuals at the start that are left out: the state there is a guess, and its decay is no evidence."""
+FEWEST_BLOCKS = 40
+
+
+@dataclass(frozen=True)
+class OutputError:
+    """Estimates by simulation: all parameters' `values`, covariance of the coordinates `names`, residual sd by output.
+
+    `at_bounds` those that ended at a bound of their range; `unseen` the sensors' constant errors, which are 0 in `values`:
+    in a free run they cannot be told from the model's own parameters, and this criterion has no prior for them.
+    """
+
+    values: dict[str, float]
+    names: tuple[str, ...]
+    covariance: np.ndarray
+    residual_sd: tuple[float, ...]
+    converged: bool
+    at_bounds: tuple[str, ...] = ()
+    unseen: tuple[str, ...] = ()
+
+    def bounds(self, name: str, positive: bool, level: float = 0.95) -> tuple[float, float]:
+        """Symmetric bounds in the parameter's coordinate; open where the estimate ended at a bound of its range."""
+        if name in self.at_bounds:
+            return (0.0 if positive else -math.inf), math.inf
+        i = self.names.index(name)
+        reach = normal_quantile(level) * math.sqrt(max(self.covariance[i, i], 0.0))
+        if positive:
+            return self.values[name] * math.exp(-min(reach, 50.0)), self.values[name] * math.exp(
+                min(reach, 50.0)
+            )
+        return self.values[name] - reach, self.values[name] + reach
+
+
+def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: int = 40) -> OutputError:
+    """Free-run least squares from start `values`; noise parameters are held, sensor errors are 0.
+
+    The first day (of short records the first quarter) is run but not counted.
+    """
+    model, time = likelihood.model, likelihood.timeline.time
+    counted = time - time[0] >= min(TRANSIENT_H, 0.25 * (time[-1] - time[0]))
+    held = {p.name: values[p.name] for p in model.parameters if p.noise}
+    unseen = tuple(p.name for p in model.parameters if p.prior is not None)
+    coordinates = Coordinates(model.parameters, held | dict.fromkeys(unseen, 0.0))
+    z = coordinates.start(values)
+    place, count = coordinates.place(), len(model.parameters)
+
+    def residuals(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        directions = np.zeros((count, len(z)))
+        directions[place, np.arange(len(z))] = coordinates.slopes(z)
+        e, slopes = likelihood.residuals(coordinates.values(z), directions)
+        return np.where(counted[:, None], e, np.nan), slopes
+
+    def objective(e: np.ndarray) -> float:
+        total = 0.0
+        for column in e.T:
+            seen = column[np.isfinite(column)]
+            total += (
+                0.5 * len(seen) * math.log(float(seen @ seen) / max(len(seen), 1) + 1e-300)
+                if len(seen)
+                else 0.0
+            )
+        return total
+
+    e, slopes = residuals(z)
+    value, damping, converged = objective(e), 1e-3, False
+    for _ in range(passes):
+        gradient, matrix, _ = _normal_equations(e, slopes)
+        free = ~(((z <= coordinates.lower) & (gradient < 0)) | ((z >= coordinates.upper) & (gradient > 0)))
+        moved = False
+        for _ in range(12):
+            scale = 1.0 / np.sqrt(np.maximum(np.diag(matrix)[free], 1e-300))
+            scaled = matrix[np.ix_(free, free)] * scale[:, None] * scale + damping * np.eye(int(free.sum()))
+            step = np.zeros_like(z)
+            step[free] = scale * np.linalg.solve(scaled, scale * gradient[free])
+            step /= max(1.0, float(np.max(np.abs(step) / np.maximum(1.5, 0.5 * np.abs(z)))))
+            new = np.clip(z + step, coordinates.lower, coordinates.upper)
+            trial, trial_slopes = residuals(new)
+            trial_value = objective(trial)
+            if math.isfinite(trial_value) and trial_value < value:
+                moved = True
+                break
+            damping = max(damping, 1e-6) * 8.0
+        if not moved or value - trial_value < 1e-4:
+            if moved:
+                z, e, slopes = new, trial, trial_slopes
+            converged = True
+            break
+        z, e, slopes, value, damping = new, trial, trial_slopes, trial_value, damping / 8.0
+    _, matrix, scores = _normal_equations(e, slopes)
+    inverse = positive_inverse(matrix)
+    # two days outlast the disturbances; a short record needs shorter blocks, or too few of them are left to count
+    block_h = min(max((time[-1] - time[0]) / FEWEST_BLOCKS, 12.0), 48.0)
+    spread = long_run_variance(scores, time, block_h, lags=1)
+    sd = tuple(float(np.sqrt(np.nanmean(c**2))) if np.isfinite(c).any() else math.nan for c in e.T)
+    ends = (z <= coordinates.lower + 1e-9) | (z >= coordinates.upper - 1e-9)
+    at = tuple(name for name, there in zip(coordinates.names, ends, strict=True) if there)
+    covariance = inverse @ spread @ inverse
+    return OutputError(coordinates.values(z), coordinates.names, covariance, sd, converged, at, unseen)
+
+
+def _normal_equations(e: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Descent direction (r,), Gauss–Newton matrix (r, r) and each instant's share (T, r) of the direction."""
+    shares = np.zeros((len(e), slopes.shape[2]))
+    matrix = np.zeros((slopes.shape[2], slopes.shape[2]))
+    for j in range(e.shape[1]):
+        there = np.isfinite(e[:, j])
+        if not there.any():
+            continue
+        weight = 1.0 / max(float(np.mean(e[there, j] ** 2)), 1e-300)
+        shares[there] -= weight * e[there, j, None] * slopes[there, j]
+        matrix += weight * slopes[there, j].T @ slopes[there, j]
+    return shares.sum(axis=0), matrix, shares

@@ -1,0 +1,172 @@
+"""Smoothed states, and every model as a `filterpy` object.
+
+Shapes: T instants, n states, k outputs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
+
+if TYPE_CHECKING:
+    from filterpy.kalman import ExtendedKalmanFilter
+
+
+def smooth(
+    likelihood: Likelihood, values: Mapping[str, float], covariance: bool = True
+) -> tuple[np.ndarray, np.ndarray]:
+    """Smoothed means (T, n) and covariances (T, n, n): every state given all readings.
+
+    Modified Bryson–Frazier recursion, which inverts no covariance: with C_j = I − K_j H_j of the readings j of an
+    instant and Φ the transition to it, backwards
+        λ⁻ = C' λ − H' e/S,   Λ⁻ = C' Λ C + H' H/S  (reading by reading),   λ = Φ' λ⁻,   Λ = Φ' Λ⁻ Φ,
+        m^s = m⁻ − P⁻ λ⁻,     P^s = P⁻ − P⁻ Λ⁻ P⁻.
+    A running mean that begins anew carries nothing over its reset.  Without `covariance` the second array is empty.
+    Source: Bierman 1973, doi:10.1016/0005-1098(73)90051-4.
+    """
+    found = likelihood.trace(values)
+    through, push, weight = _readings(likelihood, values, found)
+    n = found.mean.shape[1]
+    back = np.swapaxes(found.transition, 1, 2).copy()
+    back[1:] *= _carried(likelihood)[:-1, :, None]
+    vectors = np.empty_like(found.mean)
+    matrices = np.empty_like(found.covariance) if covariance else np.empty((0, n, n))
+    vector, matrix = np.zeros(n), np.zeros((n, n))
+    for k in range(len(vectors) - 1, -1, -1):
+        b = through[k]
+        vector = b @ vector + push[k]
+        vectors[k] = vector
+        vector = back[k] @ vector
+        if covariance:
+            matrix = b @ matrix @ b.T + weight[k]
+            matrices[k] = matrix
+            matrix = back[k] @ matrix @ back[k].T
+    mean = found.prior_mean - np.einsum("tij,tj->ti", found.prior_covariance, vectors)
+    if not covariance:
+        return mean, matrices
+    prior = found.prior_covariance
+    return mean, prior - prior @ matrices @ prior
+
+
+def _readings(
+    likelihood: Likelihood, values: Mapping[str, float], found: Trace
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the readings of each instant do to the backward recursion: C' (T, n, n), −H' e/S (T, n), H' H/S (T, n, n)."""
+    model, t = likelihood.model, likelihood.timeline
+    count, n = found.prior_mean.shape
+    u = {name: t.input(name) for name in model.inputs}
+    mean, covariance = found.prior_mean, found.prior_covariance
+    through = np.broadcast_to(np.eye(n), (count, n, n)).copy()
+    push, weight = np.zeros((count, n)), np.zeros((count, n, n))
+    for j, name in enumerate(model.outputs):
+        there = np.isfinite(t.y[:, j])
+
+        def shown(state: list, name: str = name) -> np.ndarray:
+            return np.broadcast_to(np.asarray(model.evaluate(state, u, values).outputs[name][0]), count)
+
+        columns = [mean[:, i] for i in range(n)]
+        row = np.empty((count, n))
+        for i in range(n):
+            moved = list(columns)
+            moved[i] = columns[i] + 1e-30j
+            row[:, i] = np.imag(shown(moved)) * 1e30
+        spread = found.variance[:, j]
+        error = np.where(there, t.y[:, j] - found.prediction[:, j], 0.0)
+        row = np.where(there[:, None], row, 0.0)
+        gain = np.einsum("tij,tj->ti", covariance, row) / spread[:, None]
+        # λ⁻ = C₁'(C₂'(…λ…) − H₂' e₂/S₂) − H₁' e₁/S₁: later readings are seen through the earlier ones
+        pulled = np.einsum("tij,tj->ti", through, row)
+        push -= pulled * (error / spread)[:, None]
+        weight += pulled[:, :, None] * pulled[:, None, :] / spread[:, None, None]
+        through = through - pulled[:, :, None] * gain[:, None, :]
+        mean = mean + gain * error[:, None]
+        covariance = covariance - gain[:, :, None] * gain[:, None, :] * spread[:, None, None]
+    return through, push, weight
+
+
+def _carried(likelihood: Likelihood) -> np.ndarray:
+    """(T, n) 1 where a state is carried on from an instant, 0 where it begins anew."""
+    states, resets = likelihood.model.states, likelihood.recursion.system.resets
+    result = np.ones((len(likelihood.timeline), len(states)))
+    for bit, state in enumerate(resets):
+        result[(likelihood.timeline.reset & (1 << bit)) != 0, state] = 0.0
+    return result
+
+
+def filterpy_filter(likelihood: Likelihood, values: Mapping[str, float]) -> ExtendedKalmanFilter:
+    """The model as a `filterpy.kalman.ExtendedKalmanFilter`, standing before the first instant of the timeline.
+
+    It has two verbs beside filterpy's own: `advance(k)` predicts to instant k, `observe(k)` takes its readings one
+    after the other (missing ones are left out) and returns the log-likelihood of them.  All matrix algebra is
+    filterpy's; the nonlinear prediction, its Jacobian F and the noise Q come from the model.
+    """
+    from filterpy.kalman import ExtendedKalmanFilter
+
+    class ModelFilter(ExtendedKalmanFilter):
+        """filterpy's filter with this model's prediction."""
+
+        def predict_x(self, u: object = None) -> None:
+            self.x = self._next
+
+        def advance(self, k: int) -> None:
+            self._next, self.F, self.Q = transition(likelihood, values, k, self.x)
+            self.predict()
+
+        def observe(self, k: int) -> float:
+            total = 0.0
+            for j, z in enumerate(likelihood.timeline.y[k]):
+                if np.isfinite(z):
+                    prediction, row, variance = observation(likelihood, values, k, j, self.x)
+                    self.update(
+                        np.array([z]),
+                        lambda x, row=row: row[None, :],
+                        lambda x, prediction=prediction: np.array([prediction]),
+                        R=np.array([[variance]]),
+                    )
+                    spread, error = float(self.S[0, 0]), float(self.y[0])
+                    total -= 0.5 * (np.log(2.0 * np.pi * spread) + error * error / spread)
+            for bit, state in enumerate(likelihood.recursion.system.resets):
+                if likelihood.timeline.reset[k] & (1 << bit):
+                    self.x[state] = 0.0
+                    self.P[state, :] = 0.0
+                    self.P[:, state] = 0.0
+            return total
+
+    made = ModelFilter(dim_x=len(likelihood.model.states), dim_z=1)
+    first = likelihood.first_gaussian(values)
+    made.x, made.P = first.mean.copy(), first.covariance.copy()
+    return made
+
+
+def transition(
+    likelihood: Likelihood, values: Mapping[str, float], k: int, mean: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Predicted mean (n,), its derivative F (n, n) and the accumulated noise Q (n, n) of the step to instant k."""
+    part = likelihood.timeline.window(k, k + 1)
+    part = part.with_readings(np.full_like(part.y, np.nan))
+    n = len(mean)
+    start = Gaussian(mean, np.zeros((n, n)))
+    # the same sub-steps, whichever rate they were made for
+    found = replace(likelihood, timeline=part).trace(values, start=start)
+    return found.prior_mean[0].copy(), found.transition[0].copy(), found.prior_covariance[0].copy()
+
+
+def observation(
+    likelihood: Likelihood, values: Mapping[str, float], k: int, j: int, mean: np.ndarray
+) -> tuple[float, np.ndarray, float]:
+    """Prediction of output j at instant k, its slopes (n,) by complex steps, and the variance of its noise."""
+    model, t = likelihood.model, likelihood.timeline
+    u = {name: float(t.input(name)[k]) for name in model.inputs}
+    name = model.outputs[j]
+    prediction, variance = model.evaluate(list(mean), u, values).outputs[name]
+    row = np.empty(len(mean))
+    for i in range(len(mean)):
+        moved = [complex(v) for v in mean]
+        moved[i] += 1e-30j
+        row[i] = np.imag(model.evaluate(moved, u, values).outputs[name][0]) * 1e30
+    return float(np.real(prediction)), row, float(variance)

@@ -1,0 +1,4 @@
+"""What a model with known parameters is worth: free run, forecasts, scores, tests of the innovations, effects of actuators.
+
+Estimates nothing; the wings judge by it too.
+"""

@@ -1,0 +1,475 @@
+"""What the innovations say about the model: whiteness, distribution, and what they still owe to the inputs.
+
+An innovation divided by its own standard deviation, e/√S, is white and of unit variance where the model is right,
+whatever the steps between the readings.  So autocorrelation and spectrum are taken over the *sequence of readings*: a
+lag is a number of readings, and a gap counts as one step.  Hours are lags times the median step.
+
+Shapes: T instants, n readings of one output, L lags.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+SMALL = 0.1
+"""[1] correlations below this explain less than 1 % of the variance and are called small."""
+FEWEST = 30
+"""Readings below which there is no diagnosis."""
+POINTS = 400
+"""Longest list in the result; longer ones keep, of each stretch, the value farthest from zero."""
+SPECTRUM_POINTS = 120
+"""Bands of the periodogram, evenly spread over the logarithm of the frequency."""
+LARGEST_ORDER = 48
+"""Largest order of the autoregression that whitens an input."""
+BEYOND = 3.0
+NOTE = (
+    "standardised innovations e/√S of the identification period; lags count readings, a gap counts as one step, hours "
+    "are lags times the median step; inputs are whitened by an autoregression before they are correlated (Haugh 1976); "
+    "a correlation counts only where it exceeds its limit under equal and under unequal variance; all tests share one "
+    "error rate (Holm 1979)"
+)
+
+
+def diagnose(
+    time_h: np.ndarray,
+    standardised: Mapping[str, np.ndarray],
+    inputs: Mapping[str, np.ndarray],
+    *,
+    level: float = 0.05,
+    longest_h: float = 24.0,
+) -> dict:
+    """Whiteness of standardised innovations [1] and their correlation with every input, as plain JSON data.
+
+    time_h: [h] (T,) instants, increasing.
+    standardised: output -> (T,) e/√S [1]; NaN where there is no reading.
+    inputs: input -> (T,) values at the same instants [any unit]; NaN where unknown.
+    level: [1] probability of any false alarm among all tests, 0 … 1.
+    longest_h: [h] longest lag; none is longer than a tenth of the readings.
+
+    Result: `outputs` by name (moments, `ljung_box`, `autocorrelation`, `cumulative_periodogram`, `periodogram`,
+    `daily_cycle`, `cross_correlation` by input, `statements`), `tests` (name, output, p, p adjusted by Holm's method,
+    rejected), `statements`, `level`, `note`.  Correlations come with `limit` (each lag by itself) and `limit_all` (all
+    lags together).  A positive lag of a cross-correlation: the innovation comes after the input.
+
+    An output with fewer than 30 readings, or one that does not vary, has a statement only.
+    Raises ValueError that lists everything wrong with the arguments.
+
+    Source: Ljung & Box 1978, doi:10.1093/biomet/65.2.297; Bartlett 1955 (cumulative periodogram, Kolmogorov–Smirnov);
+    Haugh 1976, doi:10.1080/01621459.1976.10480354; Holm 1979.
+    """
+    time = np.asarray(time_h, dtype=float)
+    _check(time, standardised, inputs, level, longest_h)
+    tests: list[_Test] = []
+    outputs: dict[str, dict] = {}
+    for name, values in standardised.items():
+        e = np.where(np.isfinite(values), np.asarray(values, dtype=float), np.nan)
+        there = np.isfinite(e)
+        outputs[name], found = _output(name, time[there], e[there], _at(inputs, there), level, longest_h)
+        tests += found
+    adjusted = _holm([one.p for one in tests])
+    rows = []
+    said: dict[str, list[str]] = {name: list(one.pop("said")) for name, one in outputs.items()}
+    told: set[tuple[str, str]] = set()
+    for one, p in zip(tests, adjusted, strict=True):
+        rejected = p < level
+        rows.append(
+            {"output": one.output, "test": one.name, "p": one.p, "p_adjusted": p, "rejected": rejected}
+        )
+        if rejected and (one.output, one.subject) not in told:
+            said[one.output].append(one.words)
+            told.add((one.output, one.subject))
+        if one.entry is not None:
+            one.entry["p_adjusted"] = p
+    for name, one in outputs.items():
+        count = sum(row["output"] == name for row in rows)
+        if count and not said[name]:
+            said[name].append(f"{name} innovations: none of {count} tests speaks against white noise")
+        one["statements"] = said[name]
+    return {
+        "level": level,
+        "note": NOTE,
+        "outputs": outputs,
+        "tests": rows,
+        "statements": [sentence for sentences in said.values() for sentence in sentences],
+    }
+
+
+@dataclass(frozen=True)
+class _Test:
+    """One test: what it is called, its p, what to say if it rejects, and where its adjusted p goes.
+
+    Of several tests of one subject that reject, the first speaks.
+    """
+
+    output: str
+    subject: str
+    name: str
+    p: float
+    words: str
+    entry: dict | None = field(default=None, compare=False)
+
+
+def _check(time: np.ndarray, standardised: Mapping, inputs: Mapping, level: float, longest_h: float) -> None:
+    faults = []
+    if time.ndim != 1:
+        faults.append(f"time_h must have one dimension, found shape {time.shape}")
+    elif not np.isfinite(time).all() or np.any(np.diff(time) <= 0):
+        faults.append("time_h must be finite and increase strictly")
+    for kind, group in (("standardised", standardised), ("inputs", inputs)):
+        for name, values in group.items():
+            if np.shape(values) != time.shape:
+                faults.append(f"{kind} {name!r} must have shape {time.shape}, found {np.shape(values)}")
+    if not 0.0 < level < 1.0:
+        faults.append(f"level must lie between 0 and 1, found {level}")
+    if not 0.0 < longest_h < math.inf:
+        faults.append(f"longest_h must be a number above 0, found {longest_h}")
+    if faults:
+        raise ValueError("diagnose: " + "; ".join(faults))
+
+
+def _at(inputs: Mapping[str, np.ndarray], there: np.ndarray) -> dict[str, np.ndarray]:
+    return {name: np.asarray(values, dtype=float)[there] for name, values in inputs.items()}
+
+
+def _output(
+    name: str,
+    time: np.ndarray,
+    e: np.ndarray,
+    inputs: Mapping[str, np.ndarray],
+    level: float,
+    longest_h: float,
+) -> tuple[dict, list[_Test]]:
+    n = len(e)
+    if n < FEWEST:
+        words = f"{name} innovations: {n} reading{'' if n == 1 else 's'}, too few for a diagnosis ({FEWEST})"
+        return {"n": n, "said": [words]}, []
+    if float(np.ptp(e)) <= 1e-12 * max(1.0, float(np.max(np.abs(e)))):
+        return {"n": n, "said": [f"{name} innovations do not vary: nothing to diagnose"]}, []
+    step = float(np.median(np.diff(time)))
+    lags = int(min(max(round(longest_h / step), 1), n // 10))
+    result: dict = {"n": n, "step_h": step, "lags": lags, "said": []}
+    tests = [
+        *_moments(name, e, result),
+        *_autocorrelation(name, e, step, lags, level, result),
+        *_spectrum(name, e, step, level, result),
+        *_daily_cycle(name, time, e, result),
+    ]
+    result["cross_correlation"] = {}
+    for source, values in inputs.items():
+        found, test = _cross_correlation(name, source, e, values, step, lags, level)
+        result["cross_correlation"][source] = found
+        if test is not None:
+            tests.append(test)
+    return result, tests
+
+
+# --- one series ------------------------------------------------------------------------------
+
+
+def _moments(name: str, e: np.ndarray, result: dict) -> list[_Test]:
+    """Mean, variance, skewness, excess kurtosis (0 for a normal distribution), share beyond ±3."""
+    from scipy.stats import jarque_bera
+
+    n = len(e)
+    mean, variance = float(e.mean()), float(e.var())
+    z = (e - mean) / math.sqrt(variance)
+    skewness, kurtosis = float(np.mean(z**3)), float(np.mean(z**4) - 3.0)
+    beyond = float(np.mean(np.abs(e) > BEYOND))
+    expected = _two_sided(BEYOND)
+    normality = jarque_bera(e)
+    result |= {
+        "mean": mean,
+        "variance": variance,
+        "skewness": skewness,
+        "excess_kurtosis": kurtosis,
+        "beyond_3": beyond,
+        "beyond_3_expected": expected,
+        "jarque_bera": {"statistic": float(normality.statistic), "p": float(normality.pvalue)},
+    }
+    # the variance of a sample variance follows the kurtosis found, so heavy tails alone raise no alarm here
+    spread = math.sqrt(max(kurtosis + 2.0, 1e-12) / n) * variance
+    wide = "wider" if variance > 1 else "narrower"
+    tails = "heavier" if kurtosis > 0 else "lighter"
+    shape = f"tails {tails} than normal" if abs(kurtosis) >= abs(skewness) else "skewed"
+    return [
+        _Test(
+            name,
+            "mean",
+            "mean",
+            _two_sided(mean * math.sqrt(n / variance)),
+            f"{name} innovations have a mean of {_signed(mean)} standard deviations instead of 0"
+            f"{' (small)' if abs(mean) < SMALL else ': the prediction is biased'}",
+        ),
+        _Test(
+            name,
+            "variance",
+            "variance",
+            _two_sided((variance - 1.0) / spread),
+            f"{name} innovations are {100 * abs(math.sqrt(variance) - 1):.0f} % {wide} than the filter says "
+            f"(variance {variance:.2f} instead of 1): its one-step band is "
+            f"{'too narrow' if variance > 1 else 'too wide'}",
+        ),
+        _Test(
+            name,
+            "normality",
+            "normality",
+            float(normality.pvalue),
+            f"{name} innovations are not normal ({shape}: excess kurtosis {_signed(kurtosis)}, skewness {_signed(skewness)}): "
+            f"{100 * beyond:.2f} % lie beyond ±3, where {100 * expected:.2f} % are expected",
+        ),
+    ]
+
+
+def _autocorrelation(
+    name: str, e: np.ndarray, step: float, lags: int, level: float, result: dict
+) -> list[_Test]:
+    from statsmodels.tsa.stattools import acf, q_stat
+
+    n = len(e)
+    values = np.asarray(acf(e, nlags=lags, fft=True))[1:]
+    statistic, p = q_stat(values, n)
+    hour = int(min(max(round(1.0 / step), 1), lags))
+    chosen = sorted({1, hour, int(min(max(round(6.0 / step), 1), lags)), lags})
+    result["ljung_box"] = [
+        {"lag": k, "lag_h": k * step, "statistic": float(statistic[k - 1]), "p": float(p[k - 1])}
+        for k in chosen
+    ]
+    limit_all = _simultaneous(level, lags) / math.sqrt(n)
+    kept = _extremes(values)
+    result["autocorrelation"] = {
+        "lag_h": _plain((kept + 1) * step),
+        "value": _plain(values[kept]),
+        "limit": _two_sided_quantile(level) / math.sqrt(n),
+        "limit_all": limit_all,
+    }
+    tests = []
+    for k in dict.fromkeys((lags, hour)):
+        worst = int(np.argmax(np.abs(values[:k])))
+        span = f"{k * step:.3g} h"
+        tests.append(
+            _Test(
+                name,
+                "whiteness",
+                f"autocorrelation up to {span}",
+                float(p[k - 1]),
+                f"{name} innovations are autocorrelated over lags up to {span} (Ljung–Box {_p(float(p[k - 1]))}), most "
+                f"at lag {(worst + 1) * step:.3g} h ({_against(values[worst], limit_all)}){_size(values[worst])}",
+            )
+        )
+    return tests
+
+
+def _spectrum(name: str, e: np.ndarray, step: float, level: float, result: dict) -> list[_Test]:
+    """Periodogram over the sequence of readings and its cumulative form with the Kolmogorov–Smirnov test."""
+    from scipy.stats import chi2, kstest, kstwo
+
+    n = len(e)
+    power = np.abs(np.fft.rfft(e - e.mean())[1 : (n + 1) // 2]) ** 2
+    power = power / power.mean()
+    m = len(power)
+    frequency = np.arange(1, m + 1) / (n * step)
+    cumulative = np.cumsum(power) / m
+    # under whiteness the first m−1 of them are the order statistics of as many uniform numbers
+    tested = kstest(cumulative[:-1], "uniform")
+    distance, p = float(tested.statistic), float(tested.pvalue)
+    limit = float(kstwo.isf(level, m - 1))
+    offset = cumulative - np.arange(1, m + 1) / m
+    worst = int(np.argmax(np.abs(offset)))
+    kept = np.unique(np.linspace(0, m - 1, min(m, POINTS)).astype(int))
+    result["cumulative_periodogram"] = {
+        "frequency_per_h": _plain(frequency[kept]),
+        "value": _plain(cumulative[kept]),
+        "statistic": distance,
+        "limit": limit,
+        "p": p,
+    }
+    edges = np.unique(np.round(np.geomspace(1, m + 1, min(SPECTRUM_POINTS, m) + 1)).astype(int)) - 1
+    count = np.diff(edges)
+    result["periodogram"] = {
+        "frequency_per_h": _plain(np.add.reduceat(frequency, edges[:-1]) / count),
+        "power": _plain(np.add.reduceat(power, edges[:-1]) / count),
+        "lower": _plain(chi2.ppf(level / 2.0, 2 * count) / (2 * count)),
+        "upper": _plain(chi2.isf(level / 2.0, 2 * count) / (2 * count)),
+    }
+    side = "too much" if offset[worst] > 0 else "too little"
+    words = (
+        f"{name} innovations are not white: their cumulative periodogram leaves its band (distance {distance:.3f}, "
+        f"limit {limit:.3f}), with {side} power at periods longer than {1.0 / frequency[worst]:.2g} h"
+    )
+    return [_Test(name, "whiteness", "cumulative periodogram", p, words)]
+
+
+def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray, result: dict) -> list[_Test]:
+    """Least-squares sine of 24 h at the readings' own times, where the record is long enough to tell it from a mean."""
+    result["daily_cycle"] = None
+    n = len(e)
+    angle = 2.0 * math.pi * time / 24.0
+    table = np.column_stack([np.ones(n), np.cos(angle), np.sin(angle)])
+    if time[-1] - time[0] < 48.0 or np.linalg.matrix_rank(table) < 3:
+        return []
+    found, *_ = np.linalg.lstsq(table, e, rcond=None)
+    rest = float(np.sum((e - table @ found) ** 2))
+    explained = 1.0 - rest / float(np.sum((e - e.mean()) ** 2))
+    amplitude = float(math.hypot(found[1], found[2]))
+    # the ratio F with (2, n−3) degrees of freedom has the closed form of a power
+    p = float((1.0 - min(max(explained, 0.0), 1.0)) ** ((n - 3) / 2.0))
+    result["daily_cycle"] = {"amplitude": amplitude, "explained": explained, "p": p}
+    words = (
+        f"{name} innovations keep a daily cycle of {amplitude:.2f} standard deviations ({_p(p)}), "
+        f"{100 * explained:.1f} % of their variance: sun, ventilation or people follow the same clock"
+    )
+    return [_Test(name, "daily cycle", "daily cycle", p, words)]
+
+
+# --- against the inputs ----------------------------------------------------------------------
+
+
+def whitened(values: np.ndarray) -> tuple[np.ndarray, int]:
+    """An input (n,) [any unit] as the prediction error (n,) of its own autoregression, and the order of it.
+
+    The order, up to 48, is chosen by AIC over the Levinson–Durbin recursion.  NaN stays NaN and spreads over the
+    readings that are predicted from it; so do the first ones.
+    """
+    from statsmodels.tsa.stattools import acovf, levinson_durbin
+
+    known = np.isfinite(values)
+    centred = np.where(known, values - float(np.mean(values[known])), 0.0)
+    n = len(values)
+    largest = int(min(LARGEST_ORDER, max(n // 10, 1)))
+    covariance = np.asarray(acovf(centred, fft=True, nlag=largest))
+    _, _, _, spread, phi = levinson_durbin(covariance, nlags=largest, isacov=True)
+    spread = np.concatenate([[covariance[0]], spread[1:]])
+    criterion = n * np.log(np.maximum(spread, 1e-12 * covariance[0])) + 2.0 * np.arange(largest + 1)
+    order = int(np.argmin(criterion))
+    kernel = np.concatenate([[1.0], -phi[1 : order + 1, order]])
+    error = np.convolve(centred, kernel)[:n]
+    spoilt = np.convolve((~known).astype(float), np.ones(order + 1))[:n] > 0.5
+    spoilt[:order] = True
+    return np.where(spoilt, np.nan, error), order
+
+
+def _cross_correlation(
+    name: str, source: str, e: np.ndarray, values: np.ndarray, step: float, lags: int, level: float
+) -> tuple[dict, _Test | None]:
+    words = source.replace("_", " ")
+    known = values[np.isfinite(values)]
+    if len(known) < FEWEST or float(np.ptp(known)) <= 1e-9 * max(1.0, float(np.max(np.abs(known)))):
+        return {"statement": f"{words}: does not vary, or is hardly known, at the readings"}, None
+    u, order = whitened(values)
+    there = np.isfinite(u)
+    n = int(there.sum())
+    total = float(np.sum(u[there] ** 2))
+    if n < FEWEST or total <= 0.0:
+        return {"statement": f"{words}: foretold by its own past without error, nothing to correlate"}, None
+    u = np.where(there, u - float(u[there].mean()), 0.0)
+    centred = e - e.mean()
+    product = _lagged_products(centred, u, lags)
+    r = product / math.sqrt(float(centred @ centred) * float(u @ u))
+    # unequal variances (a few large jumps of an input) are judged by the products' own scatter
+    scatter = np.sqrt(np.maximum(_lagged_products(centred**2, u**2, lags), 1e-300))
+    z = np.minimum(np.abs(r) * math.sqrt(n), np.abs(product) / scatter)
+    lag = np.arange(-lags, lags + 1)
+    worst = int(np.argmax(z))
+    single = _two_sided(float(z[worst]))
+    p = float(-math.expm1(len(lag) * math.log1p(-single))) if single < 1.0 else 1.0
+    limit_all = _simultaneous(level, len(lag)) / math.sqrt(n)
+    kept = _extremes(r)
+    at = float(lag[worst] * step)
+    value = float(r[worst])
+    sentence = (
+        f"{name} innovations are correlated with the {words} at lag {_lag(at)} "
+        f"({_against(value, limit_all)}){_size(value) or _direction(at, words)}"
+    )
+    found = {
+        "lag_h": _plain(lag[kept] * step),
+        "value": _plain(r[kept]),
+        "limit": _two_sided_quantile(level) / math.sqrt(n),
+        "limit_all": limit_all,
+        "order": order,
+        "largest": {"lag_h": at, "value": value, "words": sentence},
+        "p": p,
+    }
+    return found, _Test(name, f"input {source}", f"correlation with {words}", p, sentence, found)
+
+
+def _lagged_products(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:
+    """Σ_t a[t] b[t−k] for k = −lags … lags."""
+    n = len(a)
+    size = 1 << (n + lags).bit_length()
+    product = np.fft.irfft(np.fft.rfft(a, size) * np.conj(np.fft.rfft(b, size)), size)
+    return np.concatenate([product[-lags:], product[: lags + 1]])
+
+
+def _direction(lag_h: float, words: str) -> str:
+    if lag_h < 0:
+        return f": the readings move before the {words} does, so doubt the clocks or the hold first"
+    return ""
+
+
+# --- numbers ---------------------------------------------------------------------------------
+
+
+def _holm(p: list[float]) -> list[float]:
+    """p values adjusted so that the chance of any false rejection is the level (Holm's step-down)."""
+    order = np.argsort(p)
+    adjusted = np.empty(len(p))
+    running = 0.0
+    for rank, i in enumerate(order):
+        running = max(running, (len(p) - rank) * p[i])
+        adjusted[i] = min(running, 1.0)
+    return [float(value) for value in adjusted]
+
+
+def _two_sided(z: float) -> float:
+    return math.erfc(abs(z) / math.sqrt(2.0))
+
+
+def _two_sided_quantile(level: float) -> float:
+    from statistics import NormalDist
+
+    return NormalDist().inv_cdf(1.0 - level / 2.0)
+
+
+def _simultaneous(level: float, count: int) -> float:
+    """Quantile that `count` independent normal numbers all keep with probability 1 − level (Šidák)."""
+    return _two_sided_quantile(-math.expm1(math.log1p(-level) / count))
+
+
+def _extremes(values: np.ndarray) -> np.ndarray:
+    """Indices of at most `POINTS` values: of each stretch the one farthest from zero."""
+    width = math.ceil(len(values) / POINTS)
+    if width == 1:
+        return np.arange(len(values))
+    padded = np.full(math.ceil(len(values) / width) * width, -1.0)
+    padded[: len(values)] = np.abs(values)
+    return padded.reshape(-1, width).argmax(axis=1) + width * np.arange(len(padded) // width)
+
+
+def _plain(values: np.ndarray) -> list[float]:
+    return [float(f"{value:.6g}") for value in np.asarray(values, dtype=float)]
+
+
+def _p(p: float) -> str:
+    return "p < 0.001" if p < 0.001 else f"p = {p:.3f}"
+
+
+def _lag(hours: float) -> str:
+    return "0" if hours == 0 else f"{hours:.3g} h".replace("-", "−")
+
+
+def _signed(value: float) -> str:
+    return f"{value:.2f}".replace("-", "−")
+
+
+def _against(r: float, limit: float) -> str:
+    """A correlation and its limit, with as many digits as it takes to tell them apart."""
+    digits = 2 if round(abs(r), 2) != round(limit, 2) else 3
+    return f"r = {r:.{digits}f}, limit {limit:.{digits}f}".replace("-", "−")
+
+
+def _size(r: float) -> str:
+    return f", small: {100 * r * r:.1f} % of the variance" if abs(r) < SMALL else ""

@@ -1,0 +1,192 @@
+"""Scores of an identified model: errors by regime, the sceptic's baselines, the sensors' share, band coverage."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from hygrokf.data.record import Record
+from hygrokf.estimation.confidence import normal_quantile
+from hygrokf.evaluation.simulation import QUANTITIES, Prediction, forecasts, measured
+from hygrokf.modelling.design import Design, accuracy_of
+from hygrokf.modelling.inputs import Run
+from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
+
+SCORED = ("temperature_K", "absolute_humidity_g_m3")
+PERIODS = ("identification", "validation")
+
+
+def period_masks(run: Run, until_s: float | None) -> dict[str, np.ndarray]:
+    """Instants (T,) of the identification and of the validation period."""
+    seconds = run.timeline.origin_s + run.timeline.time * 3600.0
+    early = np.ones(len(seconds), bool) if until_s is None else seconds <= until_s
+    return {"identification": early, "validation": ~early}
+
+
+def rmse(error: np.ndarray, operating: np.ndarray) -> dict:
+    """Root mean squared error in operation, at standstill, in total, with the numbers; None without readings."""
+    result: dict = {"n": {}}
+    for regime, chosen in (
+        ("operation", operating),
+        ("standstill", ~operating),
+        ("total", np.ones_like(operating)),
+    ):
+        part = error[chosen & np.isfinite(error)]
+        result[regime] = float(np.sqrt(np.mean(part**2))) if len(part) else None
+        result["n"][regime] = len(part)
+    return result
+
+
+def scores(run: Run, predicted: Prediction, until_s: float | None) -> dict:
+    """The paper's Table III for both quantities and both periods; stretches with unknown inputs are left out."""
+    known = measured(run)
+    result: dict = {}
+    for period, chosen in period_masks(run, until_s).items():
+        result[period] = {}
+        for quantity in SCORED:
+            pair = predicted.of(quantity)
+            error = np.full(len(run.scored), np.nan) if pair is None else known[quantity] - pair[0]
+            result[period][quantity] = rmse(np.where(chosen & run.scored, error, np.nan), run.operating)
+    return result
+
+
+def readings_sd(run: Run, until_s: float | None) -> dict:
+    """Standard deviation of the scored readings by period and quantity [K, g/m³]; None without readings.
+
+    A free run that errs by more is worse than the readings' own mean.
+    """
+    known = measured(run)
+    result: dict = {}
+    for period, chosen in period_masks(run, until_s).items():
+        result[period] = {}
+        for quantity in SCORED:
+            part = known[quantity][chosen & run.scored & np.isfinite(known[quantity])]
+            result[period][quantity] = float(np.std(part)) if len(part) else None
+    return result
+
+
+def guesses(run: Run, until_s: float | None) -> dict[str, dict[str, np.ndarray]]:
+    """What a sceptic would put in the place of a model: readings (T,) by rule and quantity.
+
+    `ambient`: c = c_amb; `ambient_pressure_balance`: c = c_amb T_amb/T_conv,a with the measured temperature;
+    `no_dynamics`: T_amb plus a heat release fitted by least squares to the identification period, without any
+    heat storage.
+    """
+    t = run.timeline
+    known = measured(run)
+    masks = period_masks(run, until_s)
+    found: dict[str, dict[str, np.ndarray]] = {}
+    if "ambient_absolute_humidity" in t.varying:
+        ambient = t.input("ambient_absolute_humidity")
+        found["ambient"] = {"absolute_humidity_g_m3": ambient}
+        ratio = t.input("ambient_temperature") / known["temperature_K"]
+        found["ambient_pressure_balance"] = {"absolute_humidity_g_m3": ambient * ratio}
+    static = _static(run, known["temperature_K"], masks["identification"])
+    if static is not None:
+        found["no_dynamics"] = {"temperature_K": static}
+    return found
+
+
+def baselines(run: Run, until_s: float | None) -> dict:
+    """Errors of the sceptic's `guesses` by period, rule and quantity, as `rmse` gives them."""
+    known, rules = measured(run), guesses(run, until_s)
+    result: dict = {}
+    for period, chosen in period_masks(run, until_s).items():
+        result[period] = {
+            name: {
+                quantity: rmse(np.where(chosen & run.scored, known[quantity] - value, np.nan), run.operating)
+                for quantity, value in guess.items()
+            }
+            for name, guess in rules.items()
+        }
+    return result
+
+
+def _static(run: Run, temperature: np.ndarray, chosen: np.ndarray) -> np.ndarray | None:
+    t = run.timeline
+    ambient = t.input("ambient_temperature")
+    columns = [np.ones(len(t)), ambient - 283.15]
+    for name in t.varying:
+        if name == "operating" or name.startswith("power_") or name == "preheating":
+            columns.append(t.input(name))
+            if name == "operating":
+                columns.append(t.input(name) * (ambient - 283.15))
+    features = np.column_stack(columns)
+    usable = chosen & run.scored & np.isfinite(temperature)
+    if usable.sum() < 5 * features.shape[1]:
+        return None
+    found, *_ = np.linalg.lstsq(features[usable], (temperature - ambient)[usable], rcond=None)
+    return ambient + features @ found
+
+
+def sensor_share(record: Record, run: Run, found: Mapping) -> dict:
+    """Share of the mean squared error in total that the sensors' stated accuracy explains (accuracy = 95 % bound).
+
+    For absolute humidity the errors of the humidity and of the temperature sensor add in quadrature
+    (2 % relative humidity is 0.26 g/m³ at 15 °C).
+    """
+    known = measured(run)
+    variance: dict[str, float] = {}
+    temperature = (
+        accuracy_of(record["cabinet_temperature"]) / 1.96 if "cabinet_temperature" in record else 0.0
+    )
+    if temperature:
+        variance["temperature_K"] = temperature**2
+    if "cabinet_relative_humidity" in record and np.isfinite(known["absolute_humidity_g_m3"]).any():
+        humidity = accuracy_of(record["cabinet_relative_humidity"]) / 1.96
+        there = np.isfinite(known["absolute_humidity_g_m3"])
+        moist, warm = known["relative_humidity"][there], float(np.nanmean(known["temperature_K"]))
+        saturated = np.full(len(moist), 1e3 * absolute_humidity(1.0, warm))
+        np.divide(known["absolute_humidity_g_m3"][there], moist, out=saturated, where=moist > 0)
+        slope = 1e3 * absolute_humidity_slope_temperature(moist, warm)
+        variance["absolute_humidity_g_m3"] = float(
+            np.mean((saturated * humidity) ** 2 + (slope * temperature) ** 2)
+        )
+    result: dict = {}
+    for period in PERIODS:
+        result[period] = {
+            q: None if not found[period][q]["total"] else min(1.0, v / found[period][q]["total"] ** 2)
+            for q, v in variance.items()
+        }
+    return result
+
+
+def coverage(reading: np.ndarray, value: np.ndarray, sd: np.ndarray, level: float = 0.95) -> dict:
+    """Share of readings inside the band, and the factor by which the band would have to be scaled to hold `level`."""
+    z = np.abs(reading - value) / sd
+    z = z[np.isfinite(z)]
+    if len(z) == 0:
+        return {"nominal": level, "coverage": None, "n": 0, "scale": None}
+    reach = normal_quantile(level)
+    return {
+        "nominal": level,
+        "coverage": float(np.mean(z <= reach)),
+        "n": len(z),
+        "scale": float(np.quantile(z, level) / reach),
+    }
+
+
+def bands(
+    design: Design,
+    values: Mapping[str, float],
+    run: Run,
+    predicted: Prediction,
+    until_s: float | None,
+    rate_step: float | None = None,
+) -> dict:
+    """Coverage of the 1 h, 6 h, 24 h and free-run bands on the validation period (the whole record without one)."""
+    masks = period_masks(run, until_s)
+    late = masks["validation"] if masks["validation"].any() else masks["identification"]
+    known = measured(run)
+    result: dict = {}
+    found = forecasts(design, values, run, int(np.flatnonzero(late)[0]), rate_step=rate_step)
+    for lead, by_quantity in found.items():
+        result[f"{lead:g}h"] = {q: coverage(*rows) for q, rows in by_quantity.items()}
+    chosen = late & run.scored
+    result["free_run"] = {
+        q: coverage(known[q][chosen], pair[0][chosen], pair[1][chosen])
+        for q in QUANTITIES
+        if (pair := predicted.of(q)) is not None
+    }
+    return result

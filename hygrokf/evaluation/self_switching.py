@@ -1,0 +1,172 @@
+"""Simulations that drive their own switches: a heater or a fan follows what the simulated logger would show.
+
+A filter takes a switch's course from the readings, because they are what the controller saw.  A simulation must not: it
+has no readings, and where a record has some it would be told by them what it is to foretell.  So the mean of the state
+is stepped through the run, the switch decides at every step, and its course, as the share of each step that it was on,
+takes the place of the one by readings.
+
+Shapes: T instants, N runs or members side by side, n states.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hygrokf.engine.control_loop import Control
+from hygrokf.engine.filter_codegen import LINEAR
+from hygrokf.engine.timeline import Timeline
+from hygrokf.estimation.likelihood import Gaussian, Likelihood
+from hygrokf.modelling.design import Design
+from hygrokf.modelling.inputs import Run
+from hygrokf.physics.model import Model
+from hygrokf.physics.switches import SWITCHES, Switch, Throttle
+
+DECIDE_H = 1.0 / 12.0
+"""[h] after which a simulated switch looks at its reading again at the latest."""
+DECIDED_H = 720.0
+"""[h] at the end of a longer step in which it does: what it did months ago in a gap, a cabinet of hours has forgotten."""
+
+
+def switches_of(design: Design) -> dict[str, Switch | Throttle]:
+    """A design's switches by their input, as far as its model predicts the reading that they follow."""
+    return {
+        name: switch
+        for name, settings in design.features.items()
+        if name in SWITCHES and (switch := SWITCHES[name](**settings)).reads in design.model.outputs
+    }
+
+
+def all_on(t: Timeline, switches: Mapping[str, Switch | Throttle]) -> Timeline:
+    """The run with its switches on throughout: its range, by which sub-steps are chosen, has them off and on."""
+    return t.with_inputs({name: np.ones(len(t)) for name in switches})
+
+
+def cut(hours: float) -> tuple[np.ndarray, np.ndarray]:
+    """Lengths [h] of the pieces of a step in which switches decide, and the shares of it at which they end.
+
+    Of a step longer than `DECIDED_H` the first piece is all but the last `DECIDED_H`.
+    """
+    parts = max(math.ceil(min(hours, DECIDED_H) / DECIDE_H - 1e-9), 1)
+    if hours <= DECIDED_H:
+        return np.full(parts, hours / parts), np.arange(1, parts + 1) / parts
+    shares = 1.0 - DECIDED_H / hours * (1.0 - np.arange(parts + 1) / parts)
+    return np.append(hours - DECIDED_H, np.full(parts, DECIDED_H / parts)), shares
+
+
+@dataclass
+class Switchboard:
+    """Switches of N simulations of one model: `flags` input → (N,) 1 where it is on.
+
+    `values` of the parameters, numbers or (N,) each.
+    """
+
+    model: Model
+    values: Mapping[str, np.ndarray | float]
+    switches: Mapping[str, Switch | Throttle]
+    flags: dict[str, np.ndarray]
+
+    def decide(
+        self, mean: np.ndarray, inputs: Mapping[str, np.ndarray | float], idle: np.ndarray | bool
+    ) -> None:
+        """Look at what the loggers would show at states (N, n) under inputs, and switch."""
+        # of a single one in numbers: numpy takes three times as long for arrays of one
+        columns = mean[0].tolist() if len(mean) == 1 else list(mean.T)
+        made = self.model.evaluate(columns, inputs | self.flags, self.values)
+        for name, switch in self.switches.items():
+            if switch.reads in self.model.averaged:  # the running mean grows by the reading over its interval
+                place = self.model.states.index(f"mean_{switch.reads}")
+                reading = made.rates[place] * self.model.averaged[switch.reads]
+            else:
+                reading = made.outputs[switch.reads][0]
+            self.flags[name] = switch.after(self.flags[name], reading, idle)
+
+
+def self_switched(
+    design: Design,
+    values: Mapping[str, float],
+    runs: Sequence[Run],
+    starts: Sequence[Gaussian] | None = None,
+) -> list[Run]:
+    """Runs whose switches follow their own simulation instead of readings; as they are where the model has none.
+
+    `starts` the state that each run begins from, else the model's own.
+    """
+    switches = switches_of(design)
+    if not switches:
+        return list(runs)
+    begun = starts or [None] * len(runs)
+    return [_self_switched(design.model, values, switches, *pair) for pair in zip(runs, begun, strict=True)]
+
+
+def _self_switched(
+    model: Model,
+    values: Mapping[str, float],
+    switches: Mapping[str, Switch | Throttle],
+    one: Run,
+    start: Gaussian | None,
+) -> Run:
+    t = one.timeline
+    pieces = _pieces(model, one)
+    rate = Likelihood(model, all_on(t, switches)).rate(values)
+    first = start or Likelihood(model, t).first_gaussian(values)
+    controls = {_control(model, name, switch): switch.levels for name, switch in switches.items()}
+    likelihood = Likelihood(model, pieces.timeline, initial=first, fastest=rate)
+    found = likelihood.controlled(values, controls, pieces.idle)
+    shares = {control.input: pieces.over(found[:, i]) for i, control in enumerate(controls)}
+    return replace(one, timeline=t.with_inputs(shares))
+
+
+def _control(model: Model, name: str, switch: Switch | Throttle) -> Control:
+    """A switch as the compiled loop has it."""
+    mean_h = model.averaged.get(switch.reads, 0.0)
+    if isinstance(switch, Throttle):
+        return Control(name, switch.reads, mean_h, proportional=True)
+    return Control(name, switch.reads, mean_h, proportional=False, rising=switch.rising, idle=switch.idle)
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """A run cut into S sub-steps: its `timeline`, `owner` (the instant that each leads to) of `count`, and `idle` (S,)."""
+
+    timeline: Timeline
+    hours: np.ndarray
+    owner: np.ndarray
+    idle: np.ndarray
+    count: int
+
+    def over(self, position: np.ndarray) -> np.ndarray:
+        """The mean (T,) of a position (S,) over each step."""
+        total = np.bincount(self.owner, self.hours, self.count)
+        on = np.bincount(self.owner, self.hours * position, self.count)
+        at = np.zeros(self.count)
+        at[self.owner] = position  # of a step that takes no time
+        return np.divide(on, total, out=at, where=total > 0.0)
+
+
+def _pieces(model: Model, one: Run) -> _Pieces:
+    t = one.timeline
+    kinds = [cut(length) for length in t.steps[:, 0].tolist()]
+    count = np.array([len(hours) for hours, _ in kinds])
+    owner = np.repeat(np.arange(len(t)), count[t.key])
+    kind = t.key[owner]
+    inner = np.arange(len(owner)) - np.repeat(np.cumsum(count[t.key]) - count[t.key], count[t.key])
+    begin = np.cumsum(count) - count
+    hours, share = (np.concatenate([one[i] for one in kinds])[begin[kind] + inner] for i in (0, 1))
+    before, now = t.u[:-1][owner], t.u[1:][owner]
+    linear = np.array([model.holds[name] == LINEAR for name in t.varying])
+    u = np.where(linear, before + share[:, None] * (now - before), now)
+    steps, key = np.unique(np.column_stack([hours, t.steps[kind, 1:]]), axis=0, return_inverse=True)
+    made = replace(
+        t,
+        time=np.interp(np.arange(len(owner)) + 1.0, np.cumsum(count[t.key]), t.time),
+        key=key.reshape(-1).astype(t.key.dtype),
+        steps=np.ascontiguousarray(steps),
+        u=np.ascontiguousarray(np.vstack([t.u[:1], u])),
+        y=np.full((len(owner), t.y.shape[1]), np.nan),
+        reset=np.zeros(len(owner), dtype=t.reset.dtype),
+    )
+    return _Pieces(made, hours, owner, ~one.operating[owner], len(t))

@@ -1,0 +1,298 @@
+"""Free run, forecasts and derived quantities of an identified model, with their uncertainty.
+
+Shapes: T instants, n states, k outputs, d parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
+from hygrokf.evaluation.self_switching import self_switched
+from hygrokf.modelling.design import Design
+from hygrokf.modelling.inputs import Run
+from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
+
+QUANTITIES = ("temperature_K", "relative_humidity", "absolute_humidity_g_m3")
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """What the logger is expected to show: value and standard deviation of the reading (T,) each.
+
+    `temperature` [K], `relative_humidity` [1], `absolute_humidity` [g/m³] as computed from the other two readings; None
+    where the model lacks the quantity.
+    """
+
+    temperature: tuple[np.ndarray, np.ndarray] | None
+    relative_humidity: tuple[np.ndarray, np.ndarray] | None
+    absolute_humidity: tuple[np.ndarray, np.ndarray] | None
+
+    def of(self, quantity: str) -> tuple[np.ndarray, np.ndarray] | None:
+        """By the names used in reports: temperature_K, relative_humidity, absolute_humidity_g_m3."""
+        return getattr(self, quantity.removesuffix("_K").removesuffix("_g_m3"))
+
+
+def measured(run: Run) -> dict[str, np.ndarray]:
+    """Readings (T,) by quantity; absolute humidity from relative humidity and temperature of the same instant."""
+    t = run.timeline
+    nothing = np.full(len(t), np.nan)
+    temperature = t.reading("cabinet_temperature") if "cabinet_temperature" in t.outputs else None
+    if temperature is None and "cabinet_temperature" in t.varying:
+        temperature = t.input("cabinet_temperature")
+    result = {"temperature_K": nothing if temperature is None else temperature}
+    result["relative_humidity"] = nothing
+    result["absolute_humidity_g_m3"] = nothing
+    if "cabinet_relative_humidity" in t.outputs:
+        humidity = t.reading("cabinet_relative_humidity")
+        result["relative_humidity"] = humidity
+        if temperature is not None:
+            result["absolute_humidity_g_m3"] = 1e3 * absolute_humidity(humidity, _filled(t.time, temperature))
+    elif "cabinet_absolute_humidity" in t.outputs:
+        result["absolute_humidity_g_m3"] = t.reading("cabinet_absolute_humidity")
+    return result
+
+
+def _filled(time: np.ndarray, value: np.ndarray) -> np.ndarray:
+    """Readings interpolated over at most half an hour, NaN beyond."""
+    there = np.isfinite(value)
+    if there.sum() < 2:
+        return value
+    known = time[there]
+    after = np.clip(np.searchsorted(known, time), 0, len(known) - 1)
+    before = np.clip(np.searchsorted(known, time, side="right") - 1, 0, len(known) - 1)
+    near = (known[after] - known[before] <= 0.55) & (time >= known[0]) & (time <= known[-1])
+    return np.where(near, np.interp(time, known, value[there]), np.nan)
+
+
+def project(
+    design: Design,
+    values: Mapping[str, float],
+    run: Run,
+    mean: np.ndarray,
+    covariance: np.ndarray | None,
+    function: Callable,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Value (T,) and variance (T,) of a function of the model's equations, to first order in the state's covariance.
+
+    `function(equations, x, u)` -> (T,); the slopes come from complex steps.  Without a covariance the variance is zero.
+    """
+    t = run.timeline
+    model = design.model
+    u = {name: t.input(name) for name in model.inputs}
+    n = len(model.states)
+
+    # the oracle's constants are floats, so inputs broadcast against (T,) states
+    def at(state: list) -> np.ndarray:
+        equations = model.evaluate(state, u, values)
+        return np.broadcast_to(
+            np.asarray(function(equations, dict(zip(model.states, state, strict=True)), u)), len(t)
+        )
+
+    columns = [mean[:, i] for i in range(n)]
+    value = np.real(at(columns))
+    if covariance is None:
+        return value, np.zeros_like(value)
+    slopes = np.empty((len(t), n))
+    for i in range(n):
+        moved = list(columns)
+        moved[i] = columns[i] + 1e-30j
+        slopes[:, i] = np.imag(at(moved)) * 1e30
+    return value, np.einsum("ti,tij,tj->t", slopes, covariance, slopes)
+
+
+def air_temperature(equations, x, u):
+    """T_conv,a [K] of the model."""
+    return equations.quantities["cabinet_air_temperature"]
+
+
+def air_humidity(equations, x, u):
+    """c_conv,a [g/m³] of the model, equation (5)."""
+    return x["vapour"] * u["ambient_temperature"] / equations.quantities["cabinet_air_temperature"]
+
+
+def predicted_readings(design: Design, values: Mapping[str, float], run: Run, trace: Trace) -> Prediction:
+    """What the logger is expected to show, before the readings of each instant.
+
+    The spread of the absolute humidity is that of the vapour itself and of both readings' white noise: errors of the
+    predicted temperature change both readings and leave the vapour as it is.
+    """
+    model = design.model
+    found = {
+        name: (trace.prediction[:, i], np.sqrt(trace.variance[:, i])) for i, name in enumerate(model.outputs)
+    }
+    for name in model.averaged:
+        found[name] = _between_means(design, values, run, trace, name, found[name])
+    temperature = found.get("cabinet_temperature")
+    relative = found.get("cabinet_relative_humidity")
+    absolute = found.get("cabinet_absolute_humidity")
+    warm = temperature[0] if temperature is not None else None
+    if warm is None and "cabinet_temperature" in model.inputs:
+        warm = run.timeline.input("cabinet_temperature")
+    if relative is not None and warm is not None:
+        value = 1e3 * absolute_humidity(relative[0], warm)
+        by_humidity = (
+            1e3 * absolute_humidity(1.0, warm) * _noise(design, values, run, "cabinet_relative_humidity")
+        )
+        by_temperature = (
+            1e3
+            * absolute_humidity_slope_temperature(relative[0], warm)
+            * _noise(design, values, run, "cabinet_temperature")
+        )
+        state = model.states.index("vapour")
+        ratio = run.timeline.input("ambient_temperature") / warm  # equation (5)
+        vapour = ratio * np.sqrt(np.maximum(trace.prior_covariance[:, state, state], 0.0))
+        absolute = (value, np.sqrt(vapour**2 + by_humidity**2 + by_temperature**2))
+    return Prediction(temperature, relative, absolute)
+
+
+def _between_means(
+    design: Design,
+    values: Mapping[str, float],
+    run: Run,
+    trace: Trace,
+    name: str,
+    pair: tuple[np.ndarray, np.ndarray],
+) -> tuple[np.ndarray, np.ndarray]:
+    """A reading of an interval mean where there is one; elsewhere, amid its interval, what an instant would show."""
+    state, interval = design.model.states.index(f"mean_{name}"), design.model.averaged[name]
+
+    def instant(equations, x, u):
+        return equations.rates[state] * interval
+
+    value, variance = project(design, values, run, trace.prior_mean, trace.prior_covariance, instant)
+    sd = np.sqrt(np.maximum(variance, 0.0) + _noise(design, values, run, name) ** 2)
+    read = np.isfinite(run.timeline.reading(name))
+    return np.where(read, pair[0], value), np.where(read, pair[1], sd)
+
+
+def _noise(design: Design, values: Mapping[str, float], run: Run, output: str) -> float:
+    """Standard deviation of a single reading's white noise, resolution included; 0 for what is no output."""
+    model = design.model
+    if output not in model.outputs:
+        return 0.0
+    u = {name: float(run.timeline.input(name)[0]) for name in model.inputs}
+    mean, _ = model.initial(values, u)
+    return float(np.sqrt(model.evaluate(mean, u, values).outputs[output][1]))
+
+
+def free_run(
+    design: Design,
+    values: Mapping[str, float],
+    run: Run,
+    covariance: tuple[Sequence[str], np.ndarray] | None = None,
+    rate_step: float | None = None,
+) -> Prediction:
+    """The model driven by its inputs alone, from the start of the run to its end, with the predictive spread.
+
+    Switches follow what the simulation itself would show (`switching`), and the spread takes their course as given.
+    `covariance` (names, (r, r) in the parameters' units) adds the parameters' uncertainty to first order;
+    `rate_step` as in `Likelihood`.
+    """
+    run = self_switched(design, values, [run])[0]
+    blind = run.timeline.with_readings(np.full_like(run.timeline.y, np.nan))
+    likelihood = Likelihood(design.model, blind, rate_step=rate_step)
+    made = predicted_readings(design, values, run, likelihood.trace(values))
+    if covariance is None:
+        return made
+    names, matrix = covariance
+    place = {p.name: i for i, p in enumerate(design.model.parameters)}
+    directions = np.zeros((len(place), len(names)))
+    directions[[place[name] for name in names], np.arange(len(names))] = 1.0
+    # with readings of zero the free run's residuals are minus the predictions, at every instant
+    zeros = run.timeline.with_readings(np.zeros_like(run.timeline.y))
+    zero = Likelihood(design.model, zeros, rate_step=rate_step)
+    _, slopes = zero.residuals(values, directions)
+    rows = {name: -slopes[:, j] for j, name in enumerate(design.model.outputs)}
+    warm = rows.get("cabinet_temperature")
+    moist = rows.get("cabinet_relative_humidity")
+    vapour = rows.get("cabinet_absolute_humidity")
+    if made.absolute_humidity is not None and moist is not None:
+        humidity, kelvin = made.relative_humidity[0], _temperature(made, run)
+        vapour = (made.absolute_humidity[0] / humidity)[:, None] * moist
+        if warm is not None:
+            vapour = vapour + 1e3 * absolute_humidity_slope_temperature(humidity, kelvin)[:, None] * warm
+    return Prediction(
+        *(
+            _wider(pair, jacobian, matrix)
+            for pair, jacobian in (
+                (made.temperature, warm),
+                (made.relative_humidity, moist),
+                (made.absolute_humidity, vapour),
+            )
+        )
+    )
+
+
+def _temperature(made: Prediction, run: Run) -> np.ndarray:
+    if made.temperature is not None:
+        return made.temperature[0]
+    return run.timeline.input("cabinet_temperature")
+
+
+def _wider(pair: tuple | None, jacobian: np.ndarray | None, matrix: np.ndarray) -> tuple | None:
+    """A prediction with the variance J V J' of its parameters added."""
+    if pair is None or jacobian is None:
+        return pair
+    extra = np.einsum("ti,ti->t", jacobian @ matrix, jacobian)
+    return pair[0], np.sqrt(pair[1] ** 2 + np.maximum(extra, 0.0))
+
+
+def forecasts(
+    design: Design,
+    values: Mapping[str, float],
+    run: Run,
+    first: int,
+    leads_h: tuple[float, ...] = (1.0, 6.0, 24.0),
+    count: int = 250,
+    rate_step: float | None = None,
+) -> dict[float, dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
+    """Forecasts from filtered states at `count` instants after instant `first`: (reading, prediction, sd) by lead.
+
+    Inputs are those of the record (a perfect weather forecast), readings after the start are not used.
+    """
+    t = run.timeline
+    likelihood = Likelihood(design.model, t, rate_step=rate_step)
+    trace, fastest = likelihood.trace(values), likelihood.rate(values)
+    known = measured(run)
+    there = np.flatnonzero(np.isfinite(t.y).any(axis=1) & run.scored)
+    there = there[there >= first]
+    result: dict[float, dict[str, list]] = {lead: {q: [] for q in QUANTITIES} for lead in leads_h}
+    if len(there) < 10:
+        return {}
+    starts = there[np.unique(np.linspace(0, len(there) - 1, min(count, len(there))).astype(int))]
+    step = float(np.median(np.diff(t.time[there])))
+    ends = np.searchsorted(t.time, t.time[starts] + max(leads_h) + step, side="right")
+    starts, ends = starts[ends - starts >= 3], ends[ends - starts >= 3]
+    states = [Gaussian(trace.mean[start], trace.covariance[start]) for start in starts]
+    pieces = []
+    for start, last in zip(starts, ends, strict=True):
+        part = t.window(start + 1, last)
+        part = part.with_readings(np.full_like(part.y, np.nan))
+        pieces.append(Run(part, run.operating[start + 1 : last], run.scored[start + 1 : last]))
+    pieces = self_switched(design, values, pieces, states)
+    for start, last, piece, state in zip(starts, ends, pieces, states, strict=True):
+        part = piece.timeline
+        ahead = Likelihood(design.model, part, rate_step=rate_step, fastest=fastest).trace(
+            values, start=state
+        )
+        made = predicted_readings(design, values, piece, ahead)
+        for lead in leads_h:
+            for quantity in QUANTITIES:
+                pair = made.of(quantity)
+                if pair is None:
+                    continue
+                seen = known[quantity][start + 1 : last]
+                usable = np.flatnonzero(np.isfinite(seen) & piece.scored)
+                if len(usable) == 0:
+                    continue
+                at = usable[np.argmin(np.abs(part.time[usable] - t.time[start] - lead))]
+                if abs(part.time[at] - t.time[start] - lead) <= 0.6 * step:
+                    result[lead][quantity].append((seen[at], pair[0][at], pair[1][at]))
+    return {
+        lead: {q: tuple(np.array(rows).T) for q, rows in found.items() if rows}
+        for lead, found in result.items()
+    }

@@ -1,0 +1,171 @@
+"""Offsets between the clocks of a record's sources: how far the readings tell them, and what they do to an estimate.
+
+The cabinet's clock is the reference; another source's stamps may be late by δ_j [s] with a prior N(0, σ_j²) from the
+grain of its stamps.  Shifting that source changes every innovation by δ_j ∂e/∂δ_j, found by moving its series once.  With
+the slopes of the innovations by the parameters, to first order (Gauss–Newton),
+
+    [ I_θθ  I_θδ        ] [Δθ]   [0  ]
+    [ I_δθ  I_δδ + 1/σ² ] [Δδ] = [s_δ],
+
+so that Δθ is what the most likely offsets do to the parameters, and the inverse matrix has their uncertainty with the
+offsets', which the readings know better than the prior wherever the source drives the cabinet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from hygrokf.data.record import Record, Series
+from hygrokf.estimation.confidence import Uncertainty, positive_inverse
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import Estimate
+from hygrokf.modelling.design import HUMIDITIES, TEMPERATURE, Design
+from hygrokf.modelling.inputs import Run, run
+
+ONE_SYSTEM_S = 30.0
+"""[s] prior standard deviation of an offset between signals of one source: stamps are often full minutes."""
+TWO_SYSTEMS_S = 60.0
+"""[s] prior standard deviation of the offset between two sources, where their clocks' uncertainty is not stated."""
+STEP_S = 30.0
+"""[s] by which a source is moved to see what its offset does."""
+DRIVERS = (
+    "ambient_temperature",
+    "ambient_relative_humidity",
+    "ambient_absolute_humidity",
+    "ambient_dew_point_temperature",
+    "active_power",
+)
+"""Signals whose clock matters to a time constant."""
+
+
+@dataclass(frozen=True)
+class ClockOffset:
+    """One source's clock beside the cabinet's: prior standard deviation `prior_s` [s], and by readings and prior together
+    how late its stamps are, `offset_s` ± `sd_s` [s]."""
+
+    source: str
+    prior_s: float
+    offset_s: float
+    sd_s: float
+
+
+@dataclass(frozen=True)
+class ClockOffsets:
+    """All of them; `shift` how the parameters' coordinates would move with the most likely offsets, `variance` what the
+    offsets' uncertainty adds to the coordinates' variances."""
+
+    sources: tuple[ClockOffset, ...] = ()
+    shift: Mapping[str, float] = field(default_factory=dict)
+    variance: Mapping[str, float] = field(default_factory=dict)
+
+
+NO_OFFSETS = ClockOffsets()
+
+
+def prior_s(one: Series, reference: Series) -> float:
+    """Standard uncertainty [s] of the offset between two series before the readings are asked."""
+    stated = [s.clock_uncertainty_s for s in (one, reference) if s.clock_uncertainty_s is not None]
+    if stated:
+        return float(np.hypot(*stated)) if len(stated) == 2 else float(stated[0])
+    return ONE_SYSTEM_S if _system(one) == _system(reference) else TWO_SYSTEMS_S
+
+
+def _system(series: Series) -> str:
+    return series.source.split(",")[0]
+
+
+def clock_offsets(
+    early: Record,
+    base: Design,
+    made: Run,
+    estimate: Estimate,
+    found: Uncertainty,
+    rate_step: float | None = None,
+) -> ClockOffsets:
+    """Offsets of the sources that drive a design's run on a record, at its estimate; none that is known exactly."""
+    reference = next((early[name] for name in (TEMPERATURE, *HUMIDITIES) if name in early), None)
+    if reference is None:
+        return NO_OFFSETS
+    groups: dict[str, list[Series]] = {}
+    for series in early.series:
+        if series.signal in DRIVERS and prior_s(series, reference) > 0:
+            groups.setdefault(_system(series), []).append(series)
+    likelihood = Likelihood(base.model, made.timeline, rate_step=rate_step)
+    weights, errors, slopes = _innovations(likelihood, estimate, found)
+    moved, names = [], []
+    for name, group in groups.items():
+        shifted = early.replace_series(*(replace(s, time=s.time - STEP_S) for s in group))
+        other = run(base, shifted)
+        there = _matched(made, other)
+        if there is None:
+            continue
+        trace = Likelihood(base.model, other.timeline, rate_step=rate_step).trace(estimate.values)
+        change = (other.timeline.y - trace.prediction)[there[1]] - errors[there[0]]
+        column = np.zeros_like(errors)
+        column[there[0]] = np.nan_to_num(change) / STEP_S
+        moved.append(column)
+        names.append(name)
+    if not moved:
+        return NO_OFFSETS
+    prior = np.array([max(prior_s(s, reference) for s in groups[name]) for name in names])
+    return _solved(found, names, prior, weights, errors, slopes, np.stack(moved, axis=-1))
+
+
+def _innovations(
+    likelihood: Likelihood, estimate: Estimate, found: Uncertainty
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """1/S and innovations (T, k), 0 without reading, and the innovations' slopes (T, k, f) by the coordinates."""
+    coordinates = estimate.coordinates
+    trace = likelihood.trace(estimate.values)
+    there = np.isfinite(likelihood.timeline.y)
+    directions = np.zeros((len(coordinates.parameters), len(found.names)))
+    slope = dict(zip(coordinates.names, coordinates.slopes(estimate.z), strict=True))
+    place = {p.name: i for i, p in enumerate(coordinates.parameters)}
+    for column, name in enumerate(found.names):
+        directions[place[name], column] = slope[name]
+    slopes = likelihood.slopes(estimate.values, directions)
+    errors = np.where(there, likelihood.timeline.y - trace.prediction, 0.0)
+    return np.where(there, 1.0 / trace.variance, 0.0), errors, np.where(there[..., None], slopes, 0.0)
+
+
+def _matched(made: Run, other: Run) -> tuple[np.ndarray, np.ndarray] | None:
+    """Rows of two runs at which the same readings stand, where they differ in the times of their inputs alone."""
+    one, two = made.timeline, other.timeline
+    first = np.round((one.origin_s + 3600.0 * one.time) * 1e3)
+    second = np.round((two.origin_s + 3600.0 * two.time) * 1e3)
+    read = np.isfinite(one.y).any(axis=1)
+    _, left, right = np.intersect1d(first[read], second, assume_unique=True, return_indices=True)
+    return (np.flatnonzero(read)[left], right) if len(left) else None
+
+
+def _solved(
+    found: Uncertainty,
+    names: list[str],
+    prior: np.ndarray,
+    weights: np.ndarray,
+    errors: np.ndarray,
+    slopes: np.ndarray,
+    moved: np.ndarray,
+) -> ClockOffsets:
+    """The equations of the module's text; `moved` (T, k, m) slopes of the innovations by the offsets."""
+    flat = moved.reshape(-1, len(names))
+    weighted = flat * weights.reshape(-1, 1)
+    cross = slopes.reshape(-1, slopes.shape[-1]).T @ weighted
+    information = np.block([[found.hessian, cross], [cross.T, flat.T @ weighted + np.diag(1.0 / prior**2)]])
+    covariance = positive_inverse(information)
+    score = -(errors.reshape(-1) @ weighted)
+    step = covariance[:, len(found.names) :] @ score
+    added = np.maximum(np.diag(covariance)[: len(found.names)] - np.diag(found.wald), 0.0)
+    deviations = np.sqrt(np.diag(covariance)[len(found.names) :])
+    offsets = step[len(found.names) :]
+    return ClockOffsets(
+        tuple(
+            ClockOffset(name, float(before), float(offset), float(sd))
+            for name, before, offset, sd in zip(names, prior, offsets, deviations, strict=True)
+        ),
+        dict(zip(found.names, step.tolist(), strict=False)),
+        dict(zip(found.names, added.tolist(), strict=True)),
+    )

@@ -1,0 +1,128 @@
+"""The headline interval of a time constant: what it is composed of, in the order in which it grows.
+
+All in logarithms of the time constant.  It begins with the profile likelihood's bounds of the chosen form, (a, b) below and
+above the value.  Each further source adds a variance v, and the interval becomes
+
+    value · exp(−√(a² + z² Σv)) … value · exp(√(b² + z² Σv)),    z the normal quantile of the level:
+
+- parts: (B − 1) σ², where quarters of the record scatter more than their bounds say (Birge's ratio B > 1);
+- forms: what the other forms add to the variance about the value, Σ_i p_i (σ_i² + (ln τ_i − ln τ)²) − σ², p_i their shares
+  of the evidence;
+- free run: ½ (d² − σ² − σ_F²), d the distance to the free run's own estimate, where the two contradict each other at the
+  interval's level (variance between two methods, DerSimonian and Laird 1986);
+- clocks: the variance that offsets within their uncertainty add, and the square of what the most likely offsets would do;
+- sampling: s²/3, where half as many ambient readings move the estimate by s: what lies between the readings is wrong by an
+  amount within ±s, equally likely.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from hygrokf.estimation.confidence import normal_quantile
+
+
+@dataclass(frozen=True)
+class Source:
+    """One source of uncertainty: `variance` [1] of the logarithm that it adds, and in words what it rests on."""
+
+    name: str
+    variance: float
+    text: str
+
+    def to_json(self) -> dict:
+        return {"source": self.name, "sd_ln": math.sqrt(self.variance), "text": self.text}
+
+
+@dataclass(frozen=True)
+class Alternative:
+    """An estimate of the logarithm of a time constant: by a form, a part, a method."""
+
+    name: str
+    log_value: float
+    variance: float
+    weight: float = 1.0
+
+
+@dataclass(frozen=True)
+class Composed:
+    """The headline interval [the value's unit] and its sources; `steps` the interval after each of them."""
+
+    lower: float
+    upper: float
+    sources: tuple[Source, ...]
+    steps: tuple[tuple[str, float, float], ...]
+
+    def to_json(self) -> list[dict]:
+        rows = [{"source": "profile", "lower_h": self.steps[0][1], "upper_h": _finite(self.steps[0][2])}]
+        for source, (_, lower, upper) in zip(self.sources, self.steps[1:], strict=True):
+            rows.append({**source.to_json(), "lower_h": lower, "upper_h": _finite(upper)})
+        return rows
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None
+
+
+def from_parts(scale: float, variance: float) -> Source:
+    """`scale` Birge's ratio of the parts' scatter, `variance` of the logarithm by the bounds."""
+    return Source(
+        "parts",
+        max(scale - 1.0, 0.0) * variance,
+        f"quarters of the record scatter {math.sqrt(max(scale, 0.0)):.1f} times as much as their bounds say",
+    )
+
+
+def from_forms(log_value: float, variance: float, forms: Sequence[Alternative]) -> Source:
+    """What other forms add to the variance about the value."""
+    total = sum(f.weight * (f.variance + (f.log_value - log_value) ** 2) for f in forms)
+    others = [f for f in forms if f.weight >= 0.01 and abs(f.log_value - log_value) > 1e-9]
+    said = ", ".join(
+        f"{f.name} {100.0 * math.expm1(f.log_value - log_value):+.0f} % ({100.0 * f.weight:.0f} % of the evidence)"
+        for f in others
+    )
+    return Source("forms", max(total - variance, 0.0), said or "no other form has evidence")
+
+
+def from_free_run(log_value: float, variance: float, free: Alternative, level: float = 0.95) -> Source:
+    """What the free run's own estimate says, where it contradicts the likelihood's at the interval's level."""
+    apart, both = free.log_value - log_value, variance + free.variance
+    contradicts = apart**2 > normal_quantile(level) ** 2 * both
+    return Source(
+        "free run",
+        0.5 * (apart**2 - both) if contradicts else 0.0,
+        f"the free run alone gives {100.0 * math.expm1(apart):+.0f} %",
+    )
+
+
+def from_clocks(variance: float, shift: float, said: str) -> Source:
+    """Offsets of clocks: their uncertainty, and what the most likely ones would change."""
+    return Source("clocks", variance + shift**2, said)
+
+
+def from_sampling(shift: float, step_h: float) -> Source:
+    """Half as many ambient readings move the estimate by `shift`."""
+    return Source(
+        "sampling",
+        shift**2 / 3.0,
+        f"ambient readings every {120.0 * step_h:.0f} instead of {60.0 * step_h:.0f} min change it by "
+        f"{100.0 * math.expm1(shift):+.1f} %",
+    )
+
+
+def composed(value: float, lower: float, upper: float, level: float, sources: Sequence[Source]) -> Composed:
+    """The interval that a profile's bounds and further sources give; an open side stays open."""
+    z, total = normal_quantile(level), 0.0
+    steps = [("profile", lower, upper)]
+    for source in sources:
+        total += source.variance
+        steps.append((source.name, _moved(value, lower, -z, total), _moved(value, upper, z, total)))
+    return Composed(steps[-1][1], steps[-1][2], tuple(sources), tuple(steps))
+
+
+def _moved(value: float, bound: float, z: float, variance: float) -> float:
+    if bound <= 0 or math.isinf(bound):
+        return bound
+    return value * math.exp(math.copysign(math.hypot(math.log(bound / value), z * math.sqrt(variance)), z))

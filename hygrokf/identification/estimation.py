@@ -1,0 +1,259 @@
+"""One likelihood from its design to bounds: estimate, form, uncertainty, profiles, sensitivities.
+
+A cascade has two stages (thermal, hygric), a joint identification one.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hygrokf.data.actuators import ACTUATORS
+from hygrokf.data.input_paths import thinned
+from hygrokf.data.record import Record, Series
+from hygrokf.engine.parallel import mapped
+from hygrokf.estimation.confidence import Bounds, Uncertainty, profile, uncertainty, wald_bounds
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import (
+    Estimate,
+    Objective,
+    climb,
+    climbed_on,
+    least_objective,
+    maximise,
+    refused_below,
+)
+from hygrokf.estimation.output_error import OutputError, fit_output_error
+from hygrokf.estimation.smoother import smooth
+from hygrokf.evaluation.simulation import air_temperature, project
+from hygrokf.identification.clock_offsets import NO_OFFSETS, ClockOffsets, clock_offsets
+from hygrokf.identification.forms import ADOPTED, Form, ended, weighed
+from hygrokf.modelling.design import CASCADE, Design, design, reading_step_h
+from hygrokf.modelling.inputs import Run, run
+
+LEVEL = 0.95
+TIME_CONSTANTS = ("thermal_time_constant", "hygric_k")
+SEARCH_DAYS = 30.0
+"""[d] stretch of the record on which starts and forms are tried."""
+Progress = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Stage:
+    """One identified likelihood.
+
+    `bounds` of its time constants, by the profile likelihood; `clock` what the clocks of other sources do to them;
+    `sampling` their change (ln) with half as many ambient readings; `forms` that competed, the chosen one among them;
+    `response_stated` whether the response time of the humidity's sensor is stated.
+    """
+
+    base: Design
+    run: Run
+    estimate: Estimate
+    uncertainty: Uncertainty
+    bounds: Mapping[str, Bounds]
+    clock: ClockOffsets = NO_OFFSETS
+    sampling: Mapping[str, float] | None = None
+    forms: tuple[Form, ...] = ()
+    response_stated: bool = False
+
+    @property
+    def likelihood(self) -> Likelihood:
+        return Likelihood(self.base.model, self.run.timeline)
+
+
+@dataclass(frozen=True)
+class Estimated:
+    """One likelihood with its maximum, not yet judged.
+
+    `rate_step`: as in `Likelihood`, for the estimate and for what judges it.
+    """
+
+    base: Design
+    run: Run
+    estimate: Estimate
+    rate_step: float | None = None
+
+    @property
+    def likelihood(self) -> Likelihood:
+        return Likelihood(self.base.model, self.run.timeline, rate_step=self.rate_step)
+
+
+def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say: Progress) -> Stage:
+    """Estimate one likelihood on the identification period `early` in the form that it calls for; say how sure it is."""
+    found, forms = formed(early, estimated(early, base, starts, say), say)
+    return judged(early, found, profiles, say, forms)
+
+
+def formed(early: Record, found: Estimated, say: Progress) -> tuple[Estimated, tuple[Form, ...]]:
+    """The form that the evidence of a record chooses, and all forms with their weights.
+
+    A form with `ADOPTED` of the evidence becomes the base, its share is divided among what competes with it in turn, and
+    so on until none is adopted.  One whose own parameters end at an end of their range, there or beside a form adopted
+    later, is not: something else is at work.
+    """
+    say("forms of the model")
+    forms = weighed(early, found.base, found.run, found.estimate, TIME_CONSTANTS, _search(found.likelihood))
+    chosen = next((form for form in forms if form.adoptable and form.weight > ADOPTED), None)
+    if chosen is None:
+        return found, forms
+    made = run(chosen.design, early)
+    estimate = maximise(Likelihood(chosen.design.model, made.timeline), chosen.estimate.values, count=1)
+    least = least_objective(estimate.coordinates, (found.estimate,))
+    last, further = formed(early, Estimated(chosen.design, made, refused_below(least, estimate)), say)
+    if ended(last.estimate, found.estimate):
+        return found, forms
+    return last, (*(form for form in forms if form is not chosen), *(form.within(chosen) for form in further))
+
+
+def estimated(early: Record, base: Design, starts: int, say: Progress) -> Estimated:
+    """Maximum likelihood of one design."""
+    made = run(base, early)
+    likelihood = Likelihood(base.model, made.timeline)
+    estimate = maximise(likelihood, count=starts, progress=say, search=_search(likelihood))
+    return Estimated(base, made, estimate)
+
+
+def judged(
+    early: Record, found: Estimated, profiles: bool, say: Progress, forms: tuple[Form, ...] = ()
+) -> Stage:
+    """Uncertainty, bounds of the time constants, and their sensitivity to clocks and sampling.
+
+    Where a profile meets a higher likelihood than the estimate's, the estimate is climbed on from there first.
+    """
+    spread, bounds = _bounded(found, profiles, say)
+    better = next((b.better for b in bounds.values() if b.better is not None), None)
+    if better is not None:
+        say("climb from a better point of the profile")
+        found = replace(found, estimate=climbed_on(found.likelihood, better))
+        spread, bounds = _bounded(found, profiles, say)
+    base = found.base
+    return Stage(
+        base,
+        found.run,
+        found.estimate,
+        spread,
+        bounds,
+        clock_offsets(early, base, found.run, found.estimate, spread, found.rate_step),
+        _sampling(early, found, tuple(bounds), say),
+        forms,
+        base.humidity in early and early[base.humidity].response_time_s is not None,
+    )
+
+
+def _bounded(found: Estimated, profiles: bool, say: Progress) -> tuple[Uncertainty, dict[str, Bounds]]:
+    """Uncertainty of an estimate, and bounds of its time constants."""
+    estimate = found.estimate
+    objective = Objective(found.likelihood, estimate.coordinates)
+    say("observed information")
+    spread = uncertainty(objective, estimate)
+    return spread, {
+        name: profile(objective, estimate, spread, name, LEVEL, say)
+        if profiles
+        else wald_bounds(estimate, spread, name, LEVEL)
+        for name in TIME_CONSTANTS
+        if name in estimate.coordinates.names
+    }
+
+
+def _search(likelihood: Likelihood) -> Likelihood | None:
+    """The likelihood of a shorter stretch, for trying starts and forms; None where the record is short."""
+    t = likelihood.timeline
+    if t.time[-1] <= 2.0 * 24.0 * SEARCH_DAYS:
+        return None
+    return Likelihood(likelihood.model, t.window(0, int(np.searchsorted(t.time, 24.0 * SEARCH_DAYS))))
+
+
+def _moved(early: Record, old: Estimated, passes: int) -> dict[str, float]:
+    """The estimate on a record that was changed a little, climbed from the old one."""
+    estimate = old.estimate
+    likelihood = Likelihood(old.base.model, run(old.base, early).timeline, rate_step=old.rate_step)
+    found = climb(Objective(likelihood, estimate.coordinates), estimate.z, passes=passes, tolerance=0.05)
+    return estimate.coordinates.values(found.z)
+
+
+def _sampling(
+    early: Record, old: Estimated, names: tuple[str, ...], say: Progress
+) -> dict[str, float] | None:
+    """Change of the log time constants with ambient readings half as often.
+
+    What the ambient does between its readings is reconstructed; this says how much that could matter.
+    """
+    sparse = [thinned(s) for s in early.series if s.signal.startswith("ambient_")]
+    if not sparse or not all(len(s) > 2 for s in sparse):
+        return None
+    say("ambient sampling")
+    values = _moved(early.replace_series(*sparse), old, 8)
+    shifts = {name: math.log(values[name] / old.estimate.values[name]) for name in names}
+    return {"step_h": reading_step_h(sparse[0]) / 2.0, **shifts}
+
+
+def smoothed_temperature(
+    base: Design, made: Run, values: Mapping[str, float], early: Record, humidity: str
+) -> Series:
+    """The cabinet air temperature given all its readings [K], at the run's instants and the times of the humidity.
+
+    `base` a thermal design with its run on `early` and its parameters; `humidity` the signal of the cabinet's humidity.
+
+    The hygric model divides by e_s(T): with raw readings their noise would weaken that dependence, as errors in a
+    regressor do, and end up in the humidity sensor's bias; the smoothed temperature is free of it.  A slow humidity sensor
+    carries the temperature between the readings, which ambient and power tell better than the chord.
+    """
+    t = made.timeline
+    mean, _ = smooth(Likelihood(base.model, t), values, covariance=False)
+    air, _ = project(base, values, made, mean, None, air_temperature)
+    seconds = t.origin_s + 3600.0 * t.time
+    raw = early["cabinet_temperature"]
+    moist = early[humidity]
+    time = np.union1d(seconds, moist.time[~moist.missing])
+    time = time[(time >= seconds[0]) & (time <= seconds[-1])]
+    return replace(raw, time=time, value=np.interp(time, seconds, air), hold="linear", interval_s=0.0)
+
+
+def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> dict[str, OutputError]:
+    """Output-error estimates: the thermal model on temperature, the hygric one on the measured temperature."""
+    plain = _plain(base, values)
+    fitted: dict[str, Design] = {}
+    if "thermal_network" in [name for name, _ in base.mechanisms]:
+        fitted["thermal_time_constant"] = replace(
+            base,
+            mechanisms=tuple(m for m in base.mechanisms if m[0] in _THERMAL_PLAIN),
+            humidity=None,
+            averaged={k: v for k, v in base.averaged.items() if k == "cabinet_temperature"},
+            priors={},  # what other turbines say is no part of this criterion
+        )
+    if base.humidity is not None and "cabinet_temperature" in early:
+        fitted["hygric_k"] = _with_sensors_of(base, design(early, kind=CASCADE, coloured=False))
+
+    def free(one: Design) -> OutputError:
+        return fit_output_error(Likelihood(one.model, run(one, early).timeline), plain(one))
+
+    return dict(zip(fitted, mapped(free, fitted.values()), strict=True))
+
+
+_THERMAL_PLAIN = (
+    "thermal_network",
+    "heat_release",
+    "natural_convection",
+    "thermal_diffusion",
+    "temperature_sensor",
+    *(thermal for thermal, _ in ACTUATORS.values() if thermal is not None),
+)
+
+
+def _with_sensors_of(base: Design, other: Design) -> Design:
+    """The other design with the sensors that the base has, their response included."""
+    sensors = {name: settings for name, settings in base.mechanisms if name.endswith("humidity_sensor")}
+    return replace(
+        other, mechanisms=tuple((name, sensors.get(name, settings)) for name, settings in other.mechanisms)
+    )
+
+
+def _plain(base: Design, values: Mapping[str, float]) -> Callable[[Design], dict[str, float]]:
+    def of(other: Design) -> dict[str, float]:
+        return {p.name: values.get(p.name, p.start) for p in other.model.parameters}
+
+    return of

@@ -1,0 +1,292 @@
+"""Forms of one part of the model that compete with its base, and how much of the evidence each of them has.
+
+A time constant belongs to a form: with a second thermal mass, natural convection, a second disturbance or a sensor that
+responds slowly the same readings give another one.  Each form here is the base with one mechanism more, fitted from the
+base's own maximum (so that it is never worse), and has the evidence
+
+    ln Z = ln L̂/c + Σ ln min(1, √(2π) σ_j / w_j),
+
+over its further parameters j with the posterior standard deviations σ_j (each given those before it) and the widths w_j
+of their ranges, in their coordinates: Laplace's approximation with priors that are flat over the ranges.  At a bound that
+the score g_j points beyond, 1/(|g_j| w_j) takes the factor's place.  c ≥ 1 is the base's ratio of the sandwich variance to
+the plain one: under a model that is not quite right, 2 ln L̂ is too large by that factor.
+
+Weights are the shares of Z, all forms equally likely beforehand.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hygrokf.data.record import Record
+from hygrokf.engine.parallel import mapped
+from hygrokf.estimation.confidence import block_h, long_run_variance, positive_inverse
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import Estimate, Objective, climb, estimate_of
+from hygrokf.modelling.design import TEMPERATURE, Design, extended
+from hygrokf.modelling.inputs import Run, run
+from hygrokf.physics.mechanisms.thermal import STILL_K
+from hygrokf.physics.parameters import Coordinates
+
+BASE = "base"
+CONVECTION = "natural convection"
+SECOND_MASS = "second mass"
+RESPONSE = "sensor response"
+SECOND = {
+    "heat_disturbance": "second heat disturbance",
+    "vapour_disturbance": "second vapour disturbance",
+}
+"""Coloured disturbances, and the names of the forms in which another one on another time scale stands beside them."""
+OTHER_TIMES = (0.2, 5.0)
+"""[1] correlation times of a second disturbance to start from, as multiples of the first one's."""
+LONGEST_RESPONSE_H = 1.0 / 3.0
+"""[h] longest response of a humidity sensor that is not stated: behind filters 5 to 15 min are usual."""
+ADOPTED = 0.99
+"""[1] share of the evidence with which a form becomes the base; with 0.95 a slow second disturbance took the place of sensors
+that drift, which then were not found."""
+PASSES = 15
+"""Passes of scoring after which a form's climb ends, wherever it is."""
+TOLERANCE = 0.02
+"""Promised gain in ln L at which it ends: a fiftieth of what would change a weight by much."""
+SEARCH_STEP = 0.85
+"""Largest product of the fastest rate and a sub-step while a form is compared; its last digits do not matter."""
+SCOUT_GAIN = -3.0
+"""Change of ln L on the shorter stretch below which a form is not followed on the whole record."""
+UNSTATED = {
+    "cabinet_relative_humidity": "humidity_sensor",
+    "cabinet_absolute_humidity": "absolute_humidity_sensor",
+}
+"""Signals whose sensor's response is estimated where it is not stated, and their mechanisms."""
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A form to be tried: `design`, where to start beside the base's maximum, and whether it may become the base."""
+
+    name: str
+    design: Design
+    starts: tuple[Mapping[str, float], ...]
+    adoptable: bool
+
+
+@dataclass(frozen=True)
+class Form:
+    """A form on one record.
+
+    `estimate` its maximum; `gain` in the penalised ln L over the base; `weight` its share of the evidence [1];
+    `covariance` (f, f) of the coordinates `names` that are inside their bounds, from the wider of expected information and
+    sandwich.
+    """
+
+    name: str
+    design: Design
+    estimate: Estimate
+    gain: float
+    weight: float
+    names: tuple[str, ...]
+    covariance: np.ndarray
+    adoptable: bool = False
+
+    def within(self, chosen: Form) -> Form:
+        """This form as one of those into which the share of an adopted one is divided."""
+        name = chosen.name if self.name == BASE else f"{chosen.name} + {self.name}"
+        return replace(self, name=name, gain=chosen.gain + self.gain, weight=chosen.weight * self.weight)
+
+    def variance(self, slopes: Mapping[str, float]) -> float:
+        """Variance of a combination of coordinates with these slopes (delta method); those at a bound have none."""
+        inside = [name for name in slopes if name in self.names]
+        places = [self.names.index(name) for name in inside]
+        slope = np.array([slopes[name] for name in inside])
+        return float(slope @ self.covariance[np.ix_(places, places)] @ slope) if inside else 0.0
+
+
+@dataclass(frozen=True)
+class _Curvature:
+    """Score and covariance at a maximum, by the expected information of one pass; `factor` as in `Uncertainty`."""
+
+    names: tuple[str, ...]
+    covariance: np.ndarray
+    factor: np.ndarray
+    score: Mapping[str, float]
+
+    @property
+    def widest(self) -> np.ndarray:
+        root = np.sqrt(self.factor)
+        return self.covariance * np.outer(root, root)
+
+
+@dataclass(frozen=True)
+class _Short:
+    """The base's likelihood of a shorter stretch, and its maximum there."""
+
+    likelihood: Likelihood
+    objective: float
+
+    @classmethod
+    def of(cls, likelihood: Likelihood, base: Estimate) -> _Short:
+        found = climb(Objective(likelihood, base.coordinates), base.z, passes=8, tolerance=1e-2)
+        return cls(likelihood, found.objective)
+
+
+def candidates(base: Design, early: Record, made: Run, values: Mapping[str, float]) -> list[Candidate]:
+    """The forms that a design with these parameters may be compared with on a record; none that it has already."""
+    names = [name for name, _ in base.mechanisms]
+    found: list[Candidate] = []
+    if "thermal_network" in names:
+        difference = _difference_K(made)
+        if "natural_convection" not in names and difference > STILL_K:
+            wider = extended(base, [("natural_convection", {"difference_K": difference})])
+            found.append(Candidate(CONVECTION, wider, ({"convection_exponent": 0.1},), True))
+        if "wall_thermal_mass" not in names:
+            wider = extended(base, [("wall_thermal_mass", {})])
+            start = {"wall_conductance": 0.1, "wall_time_constant": 5.0, "wall_position": 0.9}
+            found.append(Candidate(SECOND_MASS, wider, (start,), False))
+    for signal, sensor in UNSTATED.items():
+        if base.humidity != signal or signal not in early or early[signal].response_time_s is not None:
+            continue
+        settings = dict(base.mechanisms)[sensor]
+        if settings.get("longest_response_h") is None:
+            responding = {**settings, "longest_response_h": LONGEST_RESPONSE_H}
+            wider = replace(
+                base,
+                mechanisms=tuple((m, responding if m == sensor else s) for m, s in base.mechanisms),
+            )
+            found.append(Candidate(RESPONSE, wider, ({f"{signal}_response": 0.1},), True))
+    return found + [
+        _second(base, first, values) for first in SECOND if first in names and f"second_{first}" not in names
+    ]
+
+
+def _second(base: Design, first: str, values: Mapping[str, float]) -> Candidate:
+    """A second disturbance of a kind, from a faster and a slower one.
+
+    A real disturbance rarely has one time scale alone, and what is left over would be taken for the cabinet's dynamics.
+    """
+    time, sd = values[f"{first}_time"], values[f"{first}_sd"]
+    settings = {**dict(base.mechanisms)[first], "start_h": OTHER_TIMES[0] * time}
+    starts = tuple(
+        {f"second_{first}_time": factor * time, f"second_{first}_sd": 0.4 * sd} for factor in OTHER_TIMES
+    )
+    return Candidate(SECOND[first], extended(base, [(f"second_{first}", settings)]), starts, True)
+
+
+def _difference_K(made: Run) -> float:
+    """Median difference [K] between cabinet and ambient, over the readings."""
+    inside = made.timeline.reading(TEMPERATURE)
+    apart = np.abs(inside - made.timeline.input("ambient_temperature"))
+    return float(np.nanmedian(apart)) if np.isfinite(apart).any() else 0.0
+
+
+def weighed(
+    early: Record,
+    base: Design,
+    made: Run,
+    estimate: Estimate,
+    constants: Sequence[str],
+    scout: Likelihood | None = None,
+) -> tuple[Form, ...]:
+    """The base and the forms that compete with it on the identification period `early`, with their weights.
+
+    `made` the base's run, `constants` the parameters that the weights are wanted for (their misfit tempers the
+    evidence); `scout`: the base's likelihood of a shorter stretch, on which a form is tried first.
+    """
+    likelihood = Likelihood(base.model, made.timeline)
+    at_base = _curvature(Objective(likelihood, estimate.coordinates), estimate)
+    places = [at_base.names.index(name) for name in constants if name in at_base.names]
+    temper = max([1.0, *(float(at_base.factor[i]) for i in places)])
+    forms = [Form(BASE, base, estimate, 0.0, 1.0, at_base.names, at_base.widest)]
+    evidence = [0.0]
+
+    short = None if scout is None else _Short.of(scout, estimate)
+
+    def tried(one: Candidate) -> tuple[Form, float] | None:
+        timeline = run(one.design, early).timeline
+        likelihood = Likelihood(one.design.model, timeline, rate_step=SEARCH_STEP)
+        found = _fitted(one, likelihood, estimate, short)
+        if found is None:
+            return None
+        at = _curvature(Objective(likelihood, found.coordinates), found)
+        gain = found.objective - estimate.objective
+        further = [p.name for p in found.coordinates.free if p.name not in estimate.coordinates.names]
+        adoptable = one.adoptable and not ended(found, estimate)
+        form = Form(one.name, one.design, found, gain, 0.0, at.names, at.widest, adoptable)
+        return form, gain / temper + _occam(found, at, further, temper)
+
+    for answer in mapped(tried, candidates(base, early, made, estimate.values)):
+        if answer is not None:
+            forms.append(answer[0])
+            evidence.append(answer[1])
+    share = np.exp(np.array(evidence) - max(evidence))
+    weights = (share / share.sum()).tolist()
+    return tuple(replace(form, weight=weight) for form, weight in zip(forms, weights, strict=True))
+
+
+def ended(found: Estimate, base: Estimate) -> set[str]:
+    """Names of an estimate's parameters beside the base's that are at an end of their range: something else is at work.
+
+    A disturbance's may be: the ends of its time are what step and length of the record resolve.
+    """
+    return {
+        p.name
+        for p in found.coordinates.free
+        if not p.noise and p.name in found.at_bounds and p.name not in base.coordinates.names
+    }
+
+
+def _fitted(one: Candidate, whole: Likelihood, base: Estimate, short: _Short | None) -> Estimate | None:
+    """A form's maximum from its starts; None where the shorter stretch speaks against it."""
+    coordinates = Coordinates(one.design.model.parameters)
+    starts = [coordinates.start({**base.values, **start}) for start in one.starts]
+    if short is not None:
+        cut = replace(whole, timeline=whole.timeline.window(0, _until(whole, short.likelihood)))
+        tried = [climb(Objective(cut, coordinates), z, passes=12, tolerance=1e-2) for z in starts]
+        best = max(tried, key=lambda found: found.objective)
+        if best.objective - short.objective < SCOUT_GAIN:
+            return None
+        starts = [best.z]
+    found = [climb(Objective(whole, coordinates), z, passes=PASSES, tolerance=TOLERANCE) for z in starts]
+    return estimate_of(whole, coordinates, found)
+
+
+def _until(whole: Likelihood, scout: Likelihood) -> int:
+    """Instants of the whole run within the scout's stretch."""
+    return int(np.searchsorted(whole.timeline.time, scout.timeline.time[-1], side="right"))
+
+
+def _curvature(objective: Objective, estimate: Estimate) -> _Curvature:
+    coordinates, z = estimate.coordinates, estimate.z
+    inside = np.array([name not in estimate.at_bounds for name in coordinates.names])
+    _, score, information, scores = objective.information_and_scores(z)
+    chosen = np.ix_(inside, inside)
+    covariance = positive_inverse(information[chosen])
+    prior = np.diag(coordinates.log_prior(z)[2][inside])
+    spread = long_run_variance(
+        scores[:, inside], objective.likelihood.timeline.time, block_h(estimate.values)
+    )
+    sandwich = covariance @ (spread + prior) @ covariance
+    factor = np.maximum(1.0, np.diag(sandwich) / np.diag(covariance))
+    names = tuple(n for n, there in zip(coordinates.names, inside, strict=True) if there)
+    by_name = dict(zip(coordinates.names, score.tolist(), strict=True))
+    return _Curvature(names, covariance, factor, by_name)
+
+
+def _occam(estimate: Estimate, found: _Curvature, further: Sequence[str], temper: float) -> float:
+    """Logarithm of the share of their ranges that the readings leave to the further parameters."""
+    coordinates = estimate.coordinates
+    width = dict(zip(coordinates.names, (coordinates.upper - coordinates.lower).tolist(), strict=True))
+    inside = [name for name in further if name in found.names]
+    total = 0.0
+    if inside:
+        places = [found.names.index(name) for name in inside]
+        block = temper * found.covariance[np.ix_(places, places)]
+        deviations = np.diag(np.linalg.cholesky(block + 1e-12 * np.diag(np.diag(block))))
+        for name, sd in zip(inside, deviations, strict=True):
+            total += math.log(min(1.0, math.sqrt(2.0 * math.pi) * float(sd) / width[name]))
+    for name in set(further) - set(inside):
+        steepness = abs(found.score[name]) / temper * width[name]
+        total -= math.log(max(1.0, steepness))
+    return total

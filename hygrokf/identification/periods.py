@@ -1,0 +1,364 @@
+"""Quasi-stationary periods of a record: stretches over which temperatures and power hardly change.
+
+A *cell* is a stretch of the power's clock of at least ten minutes; a *period* is a run of cells over which cabinet and
+ambient temperature and power stay within their tolerances; an *episode* is what belongs to one spell of weather,
+within which periods are no independent readings.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.data.actuators import HEATERS
+from hygrokf.data.record import Record, Series
+from hygrokf.modelling.design import TEMPERATURE, reading_step_h
+from hygrokf.modelling.inputs import at_times
+
+AMBIENT = "ambient_temperature"
+POWER = "active_power"
+OPERATION = "operation"
+STANDSTILL = "standstill"
+TEMPERATURE_TOLERANCE_K = 0.5
+"""[K] ambient and cabinet temperature stay within ± this over a period (paper, text before equation 1)."""
+POWER_TOLERANCE = 0.025
+"""[1] the power stays within ± this share of the rated power over a period."""
+CELL_S = 600.0
+"""[s] the power is judged by its means over about this long at least, as the paper's SCADA data are."""
+ENOUGH = (30, 10)
+"""Periods and episodes that a length of period must yield before a shorter one is tried."""
+KEPT = 0.75
+"""[1] a longer length must keep this share of the classes of power and of ambient temperature of the shortest."""
+EPISODE_GAP_H = 12.0
+"""[h] a pause of this length between periods begins an episode."""
+EPISODE_LONGEST_H = 72.0
+"""[h] an episode is cut before it lasts longer than this."""
+LAGS = (1, 2, 3, 6)
+"""Blocks by which the instruments of the rough time constant lie in the past."""
+FEWEST_BLOCKS = 100
+"""Blocks that the rough time constant needs."""
+
+
+@dataclass(frozen=True)
+class Periods:
+    """Quasi-stationary periods (N,), one point each, in order of time; no two overlap.
+
+    `start_s`, `end_s` [s] since 1970-01-01T00:00Z; means over the period: `power` P/P_rated [1], `difference_K`
+    T_conv,a − T_amb, `ambient_K` T_amb; `change_K` of T_conv,a from start to end; `episode` numbers from 0.
+    """
+
+    start_s: np.ndarray
+    end_s: np.ndarray
+    power: np.ndarray
+    difference_K: np.ndarray
+    ambient_K: np.ndarray
+    change_K: np.ndarray
+    episode: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.power)
+
+    @property
+    def n_episodes(self) -> int:
+        """Number of episodes."""
+        return len(np.unique(self.episode))
+
+    @property
+    def rate_K_h(self) -> np.ndarray:
+        """Mean rate of change of T_conv,a over each period [K/h]."""
+        return self.change_K * 3600.0 / (self.end_s - self.start_s)
+
+    def classes(self, value: np.ndarray, width: float) -> int:
+        """Classes of this width of a value (N,) that are met in at least two episodes."""
+        met = np.unique(np.column_stack([np.floor(value / width), self.episode]), axis=0)
+        return int((np.unique(met[:, 0], return_counts=True)[1] > 1).sum())
+
+
+@dataclass(frozen=True)
+class Choice:
+    """Periods of the chosen length `window_h` [h], and `reason`: why they are no longer ("" = they need not be)."""
+
+    window_h: float
+    periods: Periods
+    reason: str
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Consecutive cells (N,): bounds [s], means, and what decides whether a cell can be part of a period.
+
+    `ranges` lowest and highest value of (cabinet, ambient, power), in units of what a period may span; `change_K` and
+    `ambient_change_K` of the cabinet and ambient temperature from start to end; `running` share of the cell with
+    P > 0; `regime` 1 in operation, 0 at standstill, -1 mixed; `usable` known throughout, with no logged heater on.
+    """
+
+    start: np.ndarray
+    end: np.ndarray
+    cabinet: np.ndarray
+    ambient: np.ndarray
+    power: np.ndarray
+    running: np.ndarray
+    ranges: tuple[tuple[np.ndarray, np.ndarray], ...]
+    change_K: np.ndarray
+    ambient_change_K: np.ndarray
+    regime: np.ndarray
+    usable: np.ndarray
+
+
+def known(record: Record, name: str) -> bool:
+    """Whether a record has at least two readings of a signal."""
+    return name in record and int(np.isfinite(record[name].value).sum()) > 1
+
+
+def _bridge_h(series: Series) -> float:
+    """Longest hole that one missing reading leaves [h]; a longer one is a gap."""
+    return max(2.5 * reading_step_h(series) - series.interval_s / 3600.0, 0.0)
+
+
+def cell_edges(series: Series, first: float, last: float) -> np.ndarray:
+    """Bounds of cells on a series' own clock [s], thinned to about `CELL_S`."""
+    time = series.time[~series.missing]
+    edges = np.unique(np.concatenate([time, time - series.interval_s]))
+    edges = edges[(edges >= first) & (edges <= last)]
+    if len(edges) == 0:
+        return edges
+    # Rounding keeps a clock of about ten minutes whole where its stamps are a few seconds off.
+    return edges[np.unique(np.round((edges - edges[0]) / CELL_S), return_index=True)[1]]
+
+
+def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> Cells:
+    """The cells between the edges: exact means and ranges of each course, which runs by its own hold."""
+    edges = edges if len(edges) > 1 else np.empty(0)
+    first, last = (edges[0], edges[-1]) if len(edges) else (math.inf, -math.inf)
+    heaters = [name for name in HEATERS if name in record]
+    knots = [edges]
+    for name in (TEMPERATURE, AMBIENT, *((POWER,) if scale_W else ()), *heaters):
+        for shift in {0.0, record[name].interval_s}:
+            knot = record[name].time - shift
+            knots.append(knot[(knot > first) & (knot < last)])
+    fine = np.unique(np.concatenate(knots))
+    middle, length = 0.5 * (fine[:-1] + fine[1:]), np.diff(fine)
+    begin, span = np.searchsorted(fine, edges[:-1]), np.diff(edges)
+
+    def mean(value: np.ndarray) -> np.ndarray:
+        return np.add.reduceat(value * length, begin) / span if len(begin) else np.empty(0)
+
+    def course(name: str) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
+        """Mean, range and change of a temperature in each cell [K]; NaN where it is unknown."""
+        series, bridge_h = record[name], _bridge_h(record[name])
+        value = at_times(series, middle, bridge_h)
+        low = high = value
+        if series.hold == "linear":
+            ends = at_times(series, fine, bridge_h)
+            low, high = np.minimum(ends[:-1], ends[1:]), np.maximum(ends[:-1], ends[1:])
+        change = np.diff(at_times(series, edges, bridge_h))
+        if not len(begin):
+            return np.empty(0), (np.empty(0), np.empty(0)), np.empty(0)
+        return mean(value), (np.minimum.reduceat(low, begin), np.maximum.reduceat(high, begin)), change
+
+    cabinet, cabinet_range, change = course(TEMPERATURE)
+    ambient, ambient_range, ambient_change = course(AMBIENT)
+    usable = np.isfinite(sum((*cabinet_range, *ambient_range), cabinet + ambient))
+    power, running = np.zeros(len(span)), np.zeros(len(span))
+    if scale_W:
+        relative = at_times(record[POWER], middle, _bridge_h(record[POWER])) / scale_W
+        power, running = mean(relative), mean((relative > 0).astype(float))
+        usable &= np.isfinite(power)
+    for name in heaters:
+        # As in `drivers.run`, a duty that nobody wrote down is none.
+        usable &= ~(mean((np.nan_to_num(at_times(record[name], middle, 24.0)) > 0).astype(float)) > 0)
+    width_K, width = 2.0 * TEMPERATURE_TOLERANCE_K, 2.0 * POWER_TOLERANCE
+    ranges = (
+        (cabinet_range[0] / width_K, cabinet_range[1] / width_K),
+        (ambient_range[0] / width_K, ambient_range[1] / width_K),
+        (power / width, power / width),
+    )
+    regime = np.where(running > 1.0 - 1e-9, 1, np.where(running < 1e-9, 0, -1))
+    return Cells(
+        edges[:-1],
+        edges[1:],
+        cabinet,
+        ambient,
+        power,
+        running,
+        ranges,
+        change,
+        ambient_change,
+        regime,
+        usable,
+    )
+
+
+def earliest_starts(cells: Cells, longest_h: float) -> np.ndarray:
+    """First cell (N,) of the longest stationary run that ends with each cell; N where the cell is in no run.
+
+    The reach doubles: level k knows the ranges over 2^k cells, and a run takes every level that it can, from the
+    highest down.
+    """
+    count = len(cells.start)
+    if count == 0:
+        return np.empty(0, int)
+    place = np.arange(count)
+    slack = 1.0 + 1e-6  # 0.1 K readings that differ by 1 K do so to rounding only
+    fine = cells.usable & (cells.regime >= 0)
+    for low, high in cells.ranges:
+        fine &= np.nan_to_num(high - low, nan=np.inf) <= slack
+    broken = ~fine
+    broken[1:] |= (cells.regime[1:] != cells.regime[:-1]) | (cells.start[1:] > cells.end[:-1])
+    # A run may not reach back beyond the cell after the last unusable one, or the last change of regime.
+    barrier = np.maximum.accumulate(np.where(broken, place + (~fine).astype(int), 0))
+    typical_h = float(np.quantile(cells.end - cells.start, 0.1)) / 3600.0
+    levels = max(1, math.ceil(math.log2(longest_h / typical_h + 2.0)))
+    table = [[(np.nan_to_num(low), np.nan_to_num(high)) for low, high in cells.ranges]]
+    for k in range(levels - 1):
+        half = 2**k
+        above = []
+        for low, high in table[-1]:
+            above.append(
+                (np.minimum(low[:-half], low[half:]), np.maximum(high[:-half], high[half:]))
+                if len(low) > half
+                else (low, high)
+            )
+        table.append(above)
+    start = place.copy()
+    reached = [(low.copy(), high.copy()) for low, high in table[0]]
+    for k in reversed(range(levels)):
+        back = start - 2**k
+        possible = np.flatnonzero(back >= barrier)
+        if len(possible) == 0:
+            continue
+        grown, fits = [], np.ones(len(possible), bool)
+        for (low, high), (more_low, more_high) in zip(reached, table[k], strict=True):
+            new_low = np.minimum(low[possible], more_low[back[possible]])
+            new_high = np.maximum(high[possible], more_high[back[possible]])
+            grown.append((new_low, new_high))
+            fits &= new_high - new_low <= slack
+        chosen = possible[fits]
+        start[chosen] = back[chosen]
+        for (low, high), (new_low, new_high) in zip(reached, grown, strict=True):
+            low[chosen], high[chosen] = new_low[fits], new_high[fits]
+    return np.where(fine, start, count)
+
+
+def periods_of_length(cells: Cells, earliest: np.ndarray, regime: str, window_h: float) -> Periods:
+    """Periods of at least this length [h] that do not overlap, laid from the end backwards."""
+    wanted = cells.regime == (1 if regime == OPERATION else 0)
+    begin = np.searchsorted(cells.start, cells.end - window_h * 3600.0 + 1e-3, side="right") - 1
+    possible = wanted & (begin >= earliest)
+    before = np.maximum.accumulate(np.where(possible, np.arange(len(possible)), -1))
+    pairs, last = [], len(possible) - 1
+    while last >= 0 and before[last] >= 0:
+        end = int(before[last])
+        pairs.append((int(begin[end]), end))
+        last = int(begin[end]) - 1
+    first, final = np.array(pairs[::-1], int).reshape(-1, 2).T
+    length = cells.end - cells.start
+
+    def total(value: np.ndarray) -> np.ndarray:
+        running = np.concatenate([[0.0], np.cumsum(np.nan_to_num(value))])
+        return running[final + 1] - running[first]
+
+    span = total(length)
+
+    def mean(value: np.ndarray) -> np.ndarray:
+        return total(value * length) / span if len(span) else span
+
+    return Periods(
+        start_s=cells.start[first],
+        end_s=cells.end[final],
+        power=mean(cells.power),
+        difference_K=mean(cells.cabinet - cells.ambient),
+        ambient_K=mean(cells.ambient),
+        change_K=total(cells.change_K),
+        episode=_episodes(cells.start[first], cells.end[final]),
+    )
+
+
+def _episodes(start: np.ndarray, end: np.ndarray) -> np.ndarray:
+    """Number of the episode (N,) of each period: a spell without a long pause, cut where it lasts too long."""
+    numbers, number = [], -1
+    begun = ended = -math.inf
+    for a, b in zip(start.tolist(), end.tolist(), strict=True):
+        if a - ended >= EPISODE_GAP_H * 3600.0 or b - begun > EPISODE_LONGEST_H * 3600.0:
+            number, begun = number + 1, a
+        ended = b
+        numbers.append(number)
+    return np.array(numbers, int)
+
+
+def choose_length(
+    cells: Cells, earliest: np.ndarray, regime: str, shortest_h: float, longest_h: float
+) -> Choice:
+    """Periods of the longest length up to `longest_h` [h] that still leaves enough of them.
+
+    Enough are `ENOUGH` periods and episodes that keep `KEPT` of the classes of power (tenths of the rated) and of
+    ambient temperature (5 K) which the shortest length meets. Lengths are multiples of the cells', by steps of a
+    quarter; where none is enough it is the shortest.
+    """
+    cell_h = float(np.median(cells.end - cells.start)) / 3600.0 if len(cells.start) else shortest_h
+    steps = max(1, math.ceil(math.log(longest_h / shortest_h) / math.log(1.25)))
+    lengths = np.geomspace(shortest_h, longest_h, steps + 1)
+    lengths = np.round(np.unique(np.ceil(lengths / cell_h - 1e-3)) * cell_h, 6)
+    shortest = periods_of_length(cells, earliest, regime, float(lengths[0]))
+    if len(shortest) < ENOUGH[0] or shortest.n_episodes < ENOUGH[1]:
+        return Choice(float(lengths[0]), shortest, "even the shortest yields few periods")
+    spread = (shortest.classes(shortest.power, 0.1), shortest.classes(shortest.ambient_K, 5.0))
+    reason = ""
+    for length in lengths[:0:-1]:
+        found = periods_of_length(cells, earliest, regime, float(length))
+        kept = (found.classes(found.power, 0.1), found.classes(found.ambient_K, 5.0))
+        if len(found) < ENOUGH[0] or found.n_episodes < ENOUGH[1]:
+            reason = f"{length:.3g} h would leave {len(found)} periods in {found.n_episodes} episodes"
+        elif any(a < KEPT * b for a, b in zip(kept, spread, strict=True)):
+            lost = "power" if kept[0] < KEPT * spread[0] else "ambient temperature"
+            reason = f"{length:.3g} h would lose more than a quarter of the range of {lost}"
+        else:
+            return Choice(float(length), found, reason)
+    return Choice(float(lengths[0]), shortest, reason)
+
+
+def rough_time_constant(cells: Cells) -> float | None:
+    """(R_AT+R_IC) C [h] from all blocks of the record by two-stage least squares; None where they do not tell.
+
+    The mean of equations (2) and (3) over a block of length h is exact, with Δ the change over it:
+        T_conv,a − T_amb = f_ΔT − τ ΔT_conv,a/h + (1−ρ) τ ΔT_amb/h.
+    Coloured disturbances of f_ΔT move T_conv,a too; power and ambient temperature of earlier blocks do not know them
+    and stand in for ΔT_conv,a. It serves the choice of a length and the settling of periods; the likelihood knows better.
+    """
+    if len(cells.start) < FEWEST_BLOCKS:
+        return None
+    known = cells.usable & np.isfinite(cells.change_K + cells.ambient_change_K)
+    hours = (cells.end - cells.start) / 3600.0
+    drivers = [cells.running, cells.running * cells.power, cells.running * cells.power**2, cells.ambient]
+    past = []
+    for driver in (drivers[0], drivers[1], drivers[3]):
+        for lag in LAGS:
+            earlier = np.full(len(driver), np.nan)
+            earlier[lag:] = np.where(known, driver, np.nan)[:-lag]
+            past.append(earlier)
+    table = np.column_stack([*drivers, cells.ambient_change_K / hours, -cells.change_K / hours, *past])
+    there = known & np.isfinite(table).all(axis=1)
+    if there.sum() < FEWEST_BLOCKS:
+        return None
+    table = table[there] - table[there].mean(axis=0)
+    spread = table.std(axis=0)
+    if spread[5] <= 0.0:
+        return None
+    varies = spread > 1e-9
+    table[:, varies] /= spread[varies]
+    exogenous, change = table[:, :5][:, varies[:5]], table[:, 5]
+    instruments = np.column_stack([exogenous, table[:, 6:][:, varies[6:]]])
+    stand_in = instruments @ np.linalg.lstsq(instruments, change, rcond=1e-8)[0]
+    design = np.column_stack([exogenous, change])
+    staged = np.column_stack([exogenous, stand_in])
+    response = (cells.cabinet - cells.ambient)[there]
+    response = response - response.mean()
+    inverse = np.linalg.pinv(staged, rcond=1e-8)
+    solution = inverse @ response
+    scores = inverse * (response - design @ solution)
+    days = np.floor((cells.start[there] - cells.start[0]) / (48 * 3600.0))
+    sums = np.add.reduceat(scores[-1], np.unique(days, return_index=True)[1])
+    value, se = solution[-1] / spread[5], math.sqrt(float(sums @ sums)) / spread[5]
+    return float(value) if value > 3.0 * se > 0.0 else None

@@ -1,0 +1,510 @@
+"""From a record to a `Fit`: the whole identification, in the order in which it is reported."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hygrokf.cases.doubts import all_doubts, doubted
+from hygrokf.data.record import Record
+from hygrokf.engine.parallel import mapped
+from hygrokf.estimation.confidence import limit_remarks, normal_quantile, standard_error, wald_bounds
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.output_error import OutputError
+from hygrokf.evaluation.actuator_effects import actuator_effects
+from hygrokf.evaluation.scoring import bands, baselines, readings_sd, scores, sensor_share
+from hygrokf.evaluation.simulation import free_run, measured
+from hygrokf.identification.estimation import (
+    LEVEL,
+    TIME_CONSTANTS,
+    Progress,
+    Stage,
+    estimated,
+    formed,
+    identify_stage,
+    judged,
+    output_errors,
+    smoothed_temperature,
+)
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.time_constants import by_simulation, hygric_entry, thermal_entry
+from hygrokf.identification.verdict import PARTS, with_verdicts
+from hygrokf.modelling.design import CASCADE, JOINT, Design, design, merged
+from hygrokf.modelling.inputs import IDENTIFIED_ON, Run, run
+from hygrokf.physics.parameters import Parameter, Prior
+from hygrokf.version import __version__
+
+if TYPE_CHECKING:
+    from hygrokf.identification.steady_state import HeatRelease
+
+STARTS = 5
+DEFAULT_KIND = CASCADE
+"""Decided by trial: docs/decisions/0002-joint-or-cascade.md."""
+FEWEST = 50
+"""Readings below which nothing is identified."""
+WELL_KNOWN = 0.1
+"""[1] standard error over value below which a parameter is well known, whatever it is correlated with."""
+CRITERIA = ("likelihood", "simulation")
+
+
+def identify(
+    record: Record,
+    *,
+    criterion: str = "likelihood",
+    kind: str = DEFAULT_KIND,
+    starts: int = STARTS,
+    profiles: bool = True,
+    progress: Progress | None = None,
+    prior: Callable[[Design], Mapping[str, Prior]] | None = None,
+) -> Fit:
+    """Identify the thermal and, where there is humidity, the hygric model of a record.
+
+    Everything is chosen and estimated on the identification period; the validation period is only scored.
+    `criterion`: "likelihood" (innovations) or "simulation" (free run, as in the paper) gives the reported values; both
+    sets of time constants are always shown.  `kind`: "joint" or "cascade".  `prior`: priors of parameters for a design,
+    from other turbines of the type (`TurbineType.prior`).  Raises ValueError for unknown options and
+    for records from which nothing can be identified.
+    """
+    if kind not in (JOINT, CASCADE):
+        raise ValueError(f"kind: expected {JOINT!r} or {CASCADE!r}, found {kind!r}")
+    if criterion not in CRITERIA:
+        raise ValueError(f"criterion: expected one of {CRITERIA}, found {criterion!r}")
+    say = progress or (lambda text: None)
+    early = record.identification()
+    basis = identified(early, kind, starts, profiles, say, prior)
+    say("output-error fit")
+    return assembled(record, basis, output_errors(early, basis.whole, basis.values), criterion, say)
+
+
+@dataclass(frozen=True)
+class Basis:
+    """What was identified on a record's identification period: one stage, or the two of a cascade.
+
+    `records` the record that drove each stage; `regression` the heat release over quasi-stationary periods.
+    """
+
+    kind: str
+    stages: tuple[Stage, ...]
+    records: tuple[Record, ...]
+    regression: HeatRelease
+
+    @property
+    def whole(self) -> Design:
+        """The joint design of all stages."""
+        return merged([stage.base for stage in self.stages])
+
+    @property
+    def values(self) -> dict[str, float]:
+        return {name: value for stage in self.stages for name, value in stage.estimate.values.items()}
+
+
+def identified(
+    early: Record,
+    kind: str,
+    starts: int,
+    profiles: bool,
+    say: Progress,
+    prior: Callable[[Design], Mapping[str, Prior]] | None = None,
+) -> Basis:
+    """Estimate and judge every stage on the identification period `early`."""
+    from hygrokf.identification.steady_state import heat_release_regression
+
+    expect_readings(early)
+    say("heat-release regression")
+    regression = heat_release_regression(early)
+    orders = _orders(regression)
+
+    def base_of(part: str) -> Design:
+        base = design(early, kind=part, **orders)
+        if prior is None:
+            return base
+        known = {name: (p.mean, p.sd, p.logarithmic) for name, p in prior(base).items()}
+        return replace(base, priors=known)
+
+    first = base_of(JOINT if kind == JOINT else "thermal")
+    found, forms = formed(early, estimated(early, first, starts, say), say)
+
+    second = None if kind == JOINT else base_of(CASCADE)
+
+    def own() -> tuple[Record, Stage]:
+        return early, judged(early, found, profiles, say, forms)
+
+    def moist() -> tuple[Record, Stage]:
+        say("smoothed cabinet temperature")
+        values = found.estimate.values
+        driven = early.replace_series(
+            smoothed_temperature(found.base, found.run, values, early, second.humidity)
+        )
+        return driven, identify_stage(driven, second, starts, profiles, say)
+
+    # the hygric stage needs the thermal estimate, not its bounds
+    jobs = [own] if second is None or second.humidity is None else [own, moist]
+    driven, stages = zip(*mapped(lambda job: job(), jobs), strict=True)
+    return Basis(kind, tuple(stages), tuple(driven), regression)
+
+
+def expect_readings(early: Record) -> None:
+    """Say what is missing where nothing can be identified.
+
+    early: the identification period.  Raises ValueError with every temperature that has too few readings.
+    """
+    missing = [
+        f"{name}: expected at least {FEWEST} readings in the identification period, found {found}"
+        for name in ("cabinet_temperature", "ambient_temperature")
+        if (found := int(np.isfinite(early[name].value).sum()) if name in early else 0) < FEWEST
+    ]
+    if missing:
+        raise ValueError(
+            "; ".join(missing)
+            + ": both temperatures are needed, also for the humidity; check the case with `hygrokf check`"
+        )
+
+
+def _orders(regression) -> dict:
+    """Design settings from the regression: start values, and an order of at least two.
+
+    Cross-validation drops terms that do not help to predict a few dozen stationary periods; left out of the likelihood
+    they become a disturbance that follows the power, and bias the time constant (6 % on simulated plants).  So the
+    likelihood keeps the quadratic term and both ambient slopes; where the data do not need them they come out near 0.
+    """
+    settings: dict = {"heat_start": regression.start()}
+    if regression.operation is not None and regression.operation.coefficients:
+        settings["power_order"] = max(2, regression.operation.order)
+    return settings
+
+
+def assembled(
+    record: Record,
+    basis: Basis,
+    simulated: Mapping[str, OutputError],
+    criterion: str = "likelihood",
+    say: Progress = lambda text: None,
+    rate_step: float | None = None,
+) -> Fit:
+    """A fit from its stages: free run, scores, bands, tables, on the whole record; `rate_step` as in `Likelihood`."""
+    stages, whole, values, regression, kind = (
+        list(basis.stages),
+        basis.whole,
+        basis.values,
+        basis.regression,
+        basis.kind,
+    )
+    say("free run and scores")
+    if criterion == "simulation":
+        for found in simulated.values():
+            values |= {n: found.values[n] for n in (*found.names, *found.unseen) if n in values}
+    errors = {
+        p.name: standard_error(stage.estimate, stage.uncertainty, p.name)
+        for stage in stages
+        for p in stage.estimate.coordinates.parameters
+    }
+    made = run(whole, record)
+    spread = _covariance(stages, whole, simulated if criterion == "simulation" else {}, values)
+    predicted = free_run(whole, values, made, spread, rate_step)
+    thermal = next((e for stage in stages if (e := thermal_entry(stage, simulated))), None)
+    moist = next((e for stage in stages if (e := hygric_entry(stage, simulated))), None)
+    if criterion == "simulation":
+        thermal, moist = by_simulation(thermal), by_simulation(moist)
+    table = scores(made, predicted, record.until_s)
+    lines = list(dict.fromkeys(line for stage in stages for line in stage.base.statements))
+    if criterion == "simulation" and any(found.unseen for found in simulated.values()):
+        lines.append(
+            "the free run's least error is the criterion: constant errors of the cabinet's sensors are taken as 0, "
+            "and what there is of them is in the model's parameters"
+        )
+    lines += [e["disagreement"] for e in (thermal, moist) if e and e["disagreement"]]
+    lines += [line for stage in stages for line in _remarks(stage)]
+    n = sum(stage.run.timeline.n_readings for stage in stages)
+    d = sum(len(stage.estimate.z) for stage in stages)
+    loglik = sum(stage.estimate.loglik for stage in stages)
+    first = stages[0]
+    doubts = all_doubts(record)
+    results: dict = {
+        "name": record.name,
+        "version": __version__,
+        "created": datetime.now(UTC).isoformat(timespec="seconds"),
+        "synthetic": "synthetic" in record.name.lower(),
+        "criterion": criterion,
+        "kind": kind,
+        "rated_power_kW": None if record.rated_power_W is None else record.rated_power_W / 1e3,
+        "site": None if record.site is None else asdict(record.site),
+        "period": _period(record, first),
+        "design": whole.to_json(),
+        "statements": lines,
+        "warnings": list(record.warnings),
+        "doubts": list(doubts),
+        "doubted": doubted(doubts),
+        "provenance": [list(p) for p in record.provenance],
+        "parameters": _rows(
+            stages,
+            values,
+            errors,
+            simulated if criterion == "simulation" else {},
+            {"thermal_time_constant": thermal, "hygric_k": moist},
+        ),
+        "covariance": {"names": list(spread[0]), "matrix": spread[1].tolist()},
+        "time_constants": {n: e for n, e in (("thermal", thermal), ("hygric", moist)) if e is not None},
+        "loglik": loglik,
+        "aic": 2.0 * d - 2.0 * loglik,
+        "bic": d * math.log(max(n, 1)) - 2.0 * loglik,
+        "n_obs": n,
+        "converged": all(stage.estimate.converged for stage in stages),
+        "message": "; ".join(dict.fromkeys(stage.estimate.message for stage in stages)),
+        "other_optima": [
+            {"objective": o, **{k: v[k] for k in TIME_CONSTANTS if k in v}}
+            for stage in stages
+            for o, v in stage.estimate.others
+        ],
+        "at_bounds": [name for stage in stages for name in stage.estimate.at_bounds],
+        "flat": [name for stage in stages for name in stage.uncertainty.flat],
+        "trade_offs": [list(t) for stage in stages for t in stage.uncertainty.trade_offs],
+        "rmse": table,
+        "baselines": baselines(made, record.until_s),
+        "readings_sd": readings_sd(made, record.until_s),
+        "sensor_share": sensor_share(record, made, table),
+        "bands": bands(whole, values, made, predicted, record.until_s, rate_step),
+        "heat_release": regression.to_json(),
+        "actuators": actuator_effects(whole, values, errors, made, record),
+    }
+    say("innovations")
+    series = _series(whole, values, made, predicted, record, rate_step)
+    results["innovations"] = _diagnosis(made, series, record)
+    results["identified_on"] = _identified_on(whole, made, record)
+    return Fit(record.name, whole, values, with_verdicts(results), series)
+
+
+def _period(record: Record, stage: Stage) -> dict:
+    def stamp(seconds: float | None) -> str | None:
+        return None if seconds is None else datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
+
+    return {
+        "start": stamp(record.start_s),
+        "until": stamp(record.until_s),
+        "end": stamp(record.end_s),
+        "n_instants": len(stage.run.timeline),
+        "n_readings": stage.run.timeline.n_readings,
+    }
+
+
+def shared_error(
+    pair: Sequence[Parameter], values: Sequence[float], errors: Sequence[float], correlation: float
+) -> str:
+    """What a high correlation of two estimates means: `errors` are their standard errors, in the values' units.
+
+    Where both are well known it takes nothing away; else only a combination is identified.  A difference (a ratio of
+    positive parameters) is better known than either where their errors are of like size.
+    """
+    a, b = (p.name for p in pair)
+    if not all(se < WELL_KNOWN * abs(value) for se, value in zip(errors, values, strict=True)):
+        return f"{a} and {b} trade off against each other (correlation {correlation:.2f}): only a combination is identified"
+    # positive parameters are estimated by their logarithms, and correlated so
+    sizes = [se / value if p.positive else se for p, se, value in zip(pair, errors, values, strict=True)]
+    better = "a combination"
+    if pair[0].positive == pair[1].positive and max(sizes) < 2.0 * abs(correlation) * min(sizes):
+        ratio, sum_ = ("ratio", "product") if pair[0].positive else ("difference", "sum")
+        better = f"their {ratio if correlation > 0 else sum_}"
+    return (
+        f"{a} and {b} share one error (correlation {correlation:.2f}): {better} is known better than either"
+    )
+
+
+def _remarks(stage: Stage) -> list[str]:
+    """Directions that the data do not pin down, in words."""
+    lines = []
+    estimate, found = stage.estimate, stage.uncertainty
+    if "resistance_ratio" in estimate.at_bounds and estimate.values["resistance_ratio"] > 0.99:
+        lines.append(
+            "resistance_ratio is at its bound 1: the readings show no fast feed-through of the ambient temperature, "
+            "R_IC cannot be told from 0"
+        )
+    others = [name for name in estimate.at_bounds if name != "resistance_ratio"]
+    if others:
+        lines.append(f"at a bound, so without standard error: {', '.join(others)}")
+    for name, bounds in stage.bounds.items():
+        lines += limit_remarks(name, bounds)
+    if found.flat:
+        lines.append(f"not pinned down by this record: {', '.join(found.flat)}")
+    for a, b, r in found.trade_offs:
+        pair = [p for name in (a, b) for p in stage.base.model.parameters if p.name == name]
+        errors = [standard_error(estimate, found, p.name) for p in pair]
+        lines.append(shared_error(pair, [estimate.values[p.name] for p in pair], errors, r))
+    if not estimate.converged:
+        lines.append(estimate.message)
+    return lines
+
+
+def _covariance(
+    stages: list[Stage],
+    whole: Design,
+    simulated: Mapping[str, OutputError],
+    values: Mapping[str, float],
+) -> tuple[tuple[str, ...], np.ndarray]:
+    """Covariance of the whole model's estimated parameters in their units.
+
+    It is the sandwich of every stage, or of the output error.
+    """
+    blocks: list[tuple[tuple[str, ...], np.ndarray]] = []
+    known = {p.name for p in whole.model.parameters}
+    for stage in stages:
+        slopes = {p.name: p.slope(values[p.name]) for p in stage.base.model.parameters}
+        taken = {name for found in simulated.values() for name in (*found.names, *found.unseen)}
+        names = tuple(n for n in stage.uncertainty.names if n not in taken and n in known)
+        place = [stage.uncertainty.place(n) for n in names]
+        scale = np.array([slopes[n] for n in names])
+        # the wider of the two pictures on the diagonal, the sandwich's correlations
+        matrix = stage.uncertainty.sandwich[np.ix_(place, place)]
+        wald = np.diag(stage.uncertainty.wald)[place]
+        grow = np.sqrt(np.maximum(1.0, wald / np.maximum(np.diag(matrix), 1e-300)))
+        blocks.append((names, matrix * np.outer(grow * scale, grow * scale)))
+        for found in simulated.values():
+            if set(found.names) <= set(slopes):
+                scale = np.array([slopes[n] for n in found.names])
+                blocks.append((found.names, found.covariance * np.outer(scale, scale)))
+    names = tuple(n for part, _ in blocks for n in part)
+    result = np.zeros((len(names), len(names)))
+    first = 0
+    for part, matrix in blocks:
+        result[first : first + len(part), first : first + len(part)] = matrix
+        first += len(part)
+    return names, result
+
+
+def _rows(
+    stages: list[Stage],
+    values: Mapping[str, float],
+    errors: Mapping[str, float],
+    simulated: Mapping[str, OutputError],
+    entries: Mapping[str, dict | None],
+) -> dict:
+    """The parameter table; bounds of what the output error estimated come from its own sandwich.
+
+    Parameters behind a reported time constant have its bounds: one number, one statement.
+    """
+    rows = {name: row for stage in stages for name, row in _parameters(stage, values, errors).items()}
+    positive = {p.name: p.positive for stage in stages for p in stage.base.model.parameters}
+    for found in simulated.values():
+        for name in found.names:
+            if name in rows:
+                lower, upper = found.bounds(name, positive[name])
+                se = 0.5 * (upper - lower) / normal_quantile(LEVEL)
+                row = {"lower": lower, "upper": upper, "se": se}
+                rows[name] |= {key: v if math.isfinite(v) else None for key, v in row.items()}
+                rows[name] |= {"value": found.values[name], "at_bound": name in found.at_bounds}
+        for name in set(found.unseen) & rows.keys():
+            rows[name] |= {"value": 0.0, "se": None, "lower": None, "upper": None}
+            rows[name] |= {"prior": None, "fixed": True, "at_bound": False}
+    for name, entry in entries.items():
+        if entry is not None:
+            scale = values[name] / entry["value_h"]
+            upper = None if entry["upper_h"] is None else entry["upper_h"] * scale
+            rows[name] |= {"lower": entry["lower_h"] * scale, "upper": upper}
+    return rows
+
+
+def _parameters(stage: Stage, values: Mapping[str, float], errors: Mapping[str, float]) -> dict:
+    rows = {}
+    parts = [part for part, name in zip(PARTS, TIME_CONSTANTS, strict=True) if name in stage.bounds]
+    for p in stage.base.model.parameters:
+        b = stage.bounds.get(p.name) or wald_bounds(stage.estimate, stage.uncertainty, p.name)
+        se = errors.get(p.name, math.nan)
+        rows[p.name] = {
+            "value": values[p.name],
+            "unit": p.unit,
+            "se": None if not math.isfinite(se) else se,
+            "lower": b.lower if math.isfinite(b.lower) else None,
+            "upper": b.upper if math.isfinite(b.upper) else None,
+            "meaning": p.meaning,
+            "prior": None if p.prior is None else dict(zip(("mean", "sd"), p.prior.in_unit(), strict=True)),
+            "fixed": p.name in stage.estimate.coordinates.fixed,
+            "at_bound": p.name in stage.estimate.at_bounds,
+            "at_guard": p.name in stage.estimate.at_bounds and p.guarded(values[p.name]),
+            "parts": parts,
+        }
+    return rows
+
+
+def _series(
+    base: Design, values: Mapping, whole: Run, predicted, record: Record, rate_step: float | None
+) -> dict[str, np.ndarray]:
+    t = whole.timeline
+    known = measured(whole)
+    nothing = np.full(len(t), np.nan)
+
+    def pair(quantity: str) -> tuple[np.ndarray, np.ndarray]:
+        return predicted.of(quantity) or (nothing, nothing)
+
+    trace = Likelihood(base.model, t, rate_step=rate_step).trace(values)
+    standard = (t.y - trace.prediction) / np.sqrt(trace.variance)
+
+    def innovation(*names: str) -> np.ndarray:
+        for name in names:
+            if name in t.outputs:
+                return standard[:, t.outputs.index(name)]
+        return nothing
+
+    def given(name: str) -> np.ndarray:
+        return t.input(name) if name in (*t.varying, *t.regimes) else nothing
+
+    power = given("power_1") if "power_1" in t.varying else np.where(whole.operating, 1.0, 0.0)
+    return {
+        "time_s": t.origin_s + t.time * 3600.0,
+        "temperature_measured": known["temperature_K"],
+        "relative_humidity_measured": known["relative_humidity"],
+        "absolute_humidity_measured": known["absolute_humidity_g_m3"],
+        "temperature_simulated": pair("temperature_K")[0],
+        "temperature_sd": pair("temperature_K")[1],
+        "relative_humidity_simulated": pair("relative_humidity")[0],
+        "relative_humidity_sd": pair("relative_humidity")[1],
+        "absolute_humidity_simulated": pair("absolute_humidity_g_m3")[0],
+        "absolute_humidity_sd": pair("absolute_humidity_g_m3")[1],
+        "temperature_innovation": innovation("cabinet_temperature"),
+        "humidity_innovation": innovation("cabinet_relative_humidity", "cabinet_absolute_humidity"),
+        "ambient_temperature": given("ambient_temperature"),
+        "ambient_absolute_humidity": given("ambient_absolute_humidity"),
+        "power": power,
+        "operating": whole.operating.astype(float),
+        "preheating": given("preheating") if "preheating" in t.varying else np.zeros(len(t)),
+        "scored": whole.scored.astype(float),
+        "until_s": np.array(math.nan if record.until_s is None else record.until_s),
+        "start_s": np.array(record.start_s),
+    }
+
+
+def _identified_on(design: Design, whole: Run, record: Record) -> dict:
+    """0.1 and 99.9 % quantiles of the inputs over the instants that the model was identified on."""
+    t = whole.timeline
+    chosen = whole.scored.copy()
+    if record.until_s is not None:
+        chosen &= t.origin_s + t.time * 3600.0 <= record.until_s
+    if not chosen.any():
+        return {}
+    return {
+        key: np.quantile(t.input(name)[chosen], [0.001, 0.999]).tolist()
+        for name, key in IDENTIFIED_ON.items()
+        if name in design.model.inputs
+    }
+
+
+def _diagnosis(whole: Run, series: Mapping[str, np.ndarray], record: Record) -> dict:
+    """Whiteness of the innovations on the identification period."""
+    from hygrokf.evaluation.innovation_tests import diagnose
+
+    chosen = np.ones(len(whole.timeline), bool)
+    if record.until_s is not None:
+        chosen = series["time_s"] <= record.until_s
+    standard = {
+        name: series[key][chosen]
+        for name, key in (("temperature", "temperature_innovation"), ("humidity", "humidity_innovation"))
+        if np.isfinite(series[key]).any()
+    }
+    inputs = {
+        name: series[name][chosen]
+        for name in ("ambient_temperature", "ambient_absolute_humidity", "power", "preheating")
+        if np.isfinite(series[name]).any() and np.nanstd(series[name][chosen]) > 0
+    }
+    return diagnose(whole.timeline.time[chosen], standard, inputs)

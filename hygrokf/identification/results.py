@@ -1,0 +1,184 @@
+"""A fit on disk: `fit.json` and `series.npz` in one directory, each written whole or not at all."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import os
+import re
+import tomllib
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from hygrokf.data.files import (
+    BESIDE_DISCOVERY,
+    DISCOVERY,
+    DISCOVERY_SERIES,
+    FIT,
+    REPORT,
+    write_bytes_whole,
+    write_text_whole,
+)
+from hygrokf.errors import HygrokfError
+from hygrokf.identification.fit import Fit
+from hygrokf.modelling.derived_inputs import feature_faults
+from hygrokf.modelling.design import Design
+from hygrokf.modelling.registry import absent
+from hygrokf.version import __version__
+
+
+class ResultFault(HygrokfError):
+    """A result file that cannot be read, in one message."""
+
+
+class LibraryAbsent(ResultFault):
+    """A fit whose model has mechanisms of a user's file or of a package that are not loaded."""
+
+
+def write_fit(fit: Fit, directory: str | os.PathLike[str]) -> Path:
+    """Write `fit.json` and `series.npz`; returns the path of fit.json.
+
+    Pages and a discovery of earlier results in the directory are removed first: they would belong to other numbers.
+    Raises OSError as the system gives it.
+    """
+    directory = Path(directory)
+    text, buffer = dump(fit.to_json()), io.BytesIO()
+    np.savez_compressed(buffer, **fit.series)
+    directory.mkdir(parents=True, exist_ok=True)
+    for name in (REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES):
+        (directory / name).unlink(missing_ok=True)
+    write_bytes_whole(directory / "series.npz", buffer.getvalue())
+    return write_text_whole(directory / FIT, text)
+
+
+def dump(data: Mapping) -> str:
+    """JSON text; numbers that JSON cannot hold (NaN, ±∞) become null."""
+    return json.dumps(_plain(data), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, np.ndarray):
+        return _plain(value.tolist())
+    if isinstance(value, np.generic):
+        return _plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def read_fit(path: str | os.PathLike[str]) -> Fit:
+    """A fit from fit.json (or its directory); raises ResultFault with the reason and what to do.
+
+    A model with mechanisms of a user's needs them loaded before (`load_library`); else it is LibraryAbsent.
+    """
+    path = Path(path)
+    file = path / FIT if path.is_dir() else path
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ResultFault(
+            f"{file}: expected a result of `hygrokf fit`, found no such file; run `hygrokf fit` first"
+        ) from None
+    except (OSError, ValueError, RecursionError) as fault:
+        if _is_case(file):
+            raise ResultFault(
+                f"{file} is a case file, expected a result of `hygrokf fit`; the fit comes first, as in "
+                "`hygrokf evaluate FIT CASE`"
+            ) from None
+        reason = getattr(fault, "strerror", None) or fault
+        raise ResultFault(
+            f"{file}: expected JSON written by `hygrokf fit`, found {reason}; run `hygrokf fit` again"
+        ) from None
+    needed = {"name", "version", "design", "parameters", "covariance", "time_constants"}
+    missing = sorted(needed - set(data)) if isinstance(data, dict) else sorted(needed)
+    if missing:
+        raise ResultFault(
+            f"{file}: not a result of `hygrokf fit`: it lacks {', '.join(missing)}; "
+            "name the fit.json that `hygrokf fit` wrote"
+        )
+    if _release(data["version"]) > _release(__version__):
+        raise ResultFault(
+            f"{file}: written by hygrokf {data['version']}, this is {__version__}; "
+            "install that version, or run `hygrokf fit` again"
+        )
+    try:
+        lacking = absent(data["design"].get("origins", {}))
+        if lacking:
+            raise LibraryAbsent(f"{file}: {'; '.join(lacking)}")
+        fit = Fit.from_json(data)
+        faults = _faults(fit)
+    except (AttributeError, KeyError, TypeError, ValueError) as fault:
+        faults = [f"{type(fault).__name__} {fault}"]
+    if faults:
+        raise ResultFault(
+            f"{file}: damaged, or written by another version of hygrokf than {__version__}: "
+            f"{'; '.join(faults)}; run `hygrokf fit` again"
+        )
+    return fit
+
+
+def _is_case(file: Path) -> bool:
+    """Whether a file is TOML that names sources, as a case file does."""
+    try:
+        return not {"source", "weather", "identification"}.isdisjoint(
+            tomllib.loads(file.read_text("utf-8-sig"))
+        )
+    except (OSError, ValueError, RecursionError):
+        return False
+
+
+def _release(version: object) -> tuple[int, ...]:
+    """Major and minor number of a version; what is none counts as the oldest."""
+    found = re.match(r"(\d+)\.(\d+)", version) if isinstance(version, str) else None
+    return (int(found[1]), int(found[2])) if found else (0, 0)
+
+
+def _faults(fit: Fit) -> list[str]:
+    """What keeps a fit from being used: values and covariance must be those of its model."""
+    faults = []
+    for p in fit.design.model.parameters:
+        value = fit.values.get(p.name)
+        if not _is_number(value):
+            faults.append(f"parameter {p.name}: expected a number, found {value!r}")
+        elif not p.lower * (1 - 1e-9 * math.copysign(1, p.lower)) <= value <= p.upper * (1 + 1e-9):
+            faults.append(f"parameter {p.name}: expected {p.lower:g} … {p.upper:g} {p.unit}, found {value:g}")
+    names, matrix = fit.covariance
+    unknown = sorted(set(names) - {p.name for p in fit.design.model.parameters})
+    if unknown:
+        faults.append(f"covariance of unknown parameters {', '.join(unknown)}")
+    if matrix.shape != (len(names), len(names)) or not np.all(np.isfinite(matrix)):
+        finite = int(np.isfinite(matrix).sum())
+        faults.append(f"covariance: expected {len(names)} × {len(names)} finite numbers, found {finite}")
+    if len(set(names)) < len(names):
+        faults.append("covariance: expected every parameter once, found some twice")
+    return faults + _design_faults(fit.design)
+
+
+def _design_faults(design: Design) -> list[str]:
+    """Constants by which a design makes inputs of a record, where they cannot be used."""
+    faults = []
+    scale, order, mean = design.power_scale_W, design.power_order, design.power_mean
+    if scale is not None and not (_is_number(scale) and scale > 0):
+        faults.append(f"design.power_scale_W: expected a number above 0 or null, found {scale!r}")
+    if type(order) is not int or order < 0:
+        faults.append(f"design.power_order: expected a whole number from 0 on, found {order!r}")
+    elif not all(map(_is_number, mean)) or len(mean) not in (0, order + 1):
+        faults.append(f"design.power_mean: expected {order + 1} numbers or none, found {list(mean)!r}")
+    for kind in ("averaged", "ambient_noise"):
+        for name, found in getattr(design, kind).items():
+            numbers, words = (found, "2 numbers") if kind == "ambient_noise" else ((found,), "1 number")
+            if len(numbers) != int(words[0]) or not all(_is_number(one) and one > 0 for one in numbers):
+                faults.append(f"design.{kind}.{name}: expected {words} above 0, found {found!r}")
+    faults += [f"design.features.{fault}" for fault in feature_faults(design.features)]
+    return faults
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

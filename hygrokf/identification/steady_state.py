@@ -1,0 +1,483 @@
+"""Heat release by operating point from quasi-stationary periods: equation (1) and Fig. 4 of the paper."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.data.record import Record
+from hygrokf.identification.periods import (
+    AMBIENT,
+    ENOUGH,
+    OPERATION,
+    POWER,
+    POWER_TOLERANCE,
+    STANDSTILL,
+    Cells,
+    Choice,
+    Periods,
+    cell_edges,
+    cells_between,
+    choose_length,
+    earliest_starts,
+    known,
+    rough_time_constant,
+)
+from hygrokf.modelling.design import TEMPERATURE, power_scale, reading_step_h
+from hygrokf.physics.mechanisms.thermal import heat_release
+from hygrokf.physics.parameters import Parameter
+
+TIME_CONSTANTS = 3.0
+"""[1] periods are this many thermal time constants long, where there are enough of them."""
+SHORTEST_H = 1.0
+"""[h] no period is shorter, nor shorter than two steps of the slowest series."""
+LONGEST_H = 12.0
+"""[h] no period is longer: over a day the sun and the weather turn."""
+FEWEST = (8, 5)
+"""Periods and episodes below which there is no regression."""
+EPISODES_A_PARAMETER = 3
+"""Episodes that each coefficient needs."""
+LEAST_AMBIENT_K = 2.0
+"""[K] spread of the ambient temperature without which a slope over it is not tried."""
+WORSE = 2.0
+"""[1] periods are not settled by a time constant that makes their error larger by more than this factor.
+
+Some growth is right: a slow cabinet smooths the disturbances of its heat release, and settling undoes it.
+"""
+JSON_POINTS = 2000
+"""Points that the plain data hold at most."""
+
+
+@dataclass(frozen=True)
+class Coefficient:
+    """A coefficient of the heat release: `value` by least squares, `se` clustered by episode, `robust` by Huber."""
+
+    value: float
+    se: float
+    robust: float
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """One form tried by leave-one-episode-out cross-validation.
+
+    `error_K` [K] root mean square error over the episodes left out; `excess`, `excess_se` [K²] mean square error above
+    the best form's, and the standard error of this difference over episodes.
+    """
+
+    order: int
+    ambient: bool
+    error_K: float
+    excess: float
+    excess_se: float
+    chosen: bool
+
+
+@dataclass(frozen=True)
+class Regression:
+    """The regression of one regime, "operation" or "standstill".
+
+    `window_h` [h] length of the periods; `order` of the polynomial in P/P_rated; `ambient` whether there is a slope
+    over T_amb; `coefficients` by parameter name of `mechanisms.thermal.heat_release`; `points` the periods,
+    `settled_K` (N,) the difference T_conv,a − T_amb that is fitted and `fitted_K` (N,) the fit; `transient_K` [K] root
+    mean square of what the periods' own warming or cooling makes of the difference (None without a time constant),
+    `settled` whether it is taken off; `r2` [1]; `residual_sd_K` [K].
+    """
+
+    regime: str
+    n_points: int
+    n_episodes: int
+    window_h: float
+    order: int
+    ambient: bool
+    coefficients: Mapping[str, Coefficient]
+    candidates: tuple[Candidate, ...]
+    r2: float
+    residual_sd_K: float
+    transient_K: float | None
+    settled: bool
+    points: Periods
+    settled_K: np.ndarray
+    fitted_K: np.ndarray
+    statement: str
+
+    def to_json(self) -> dict:
+        """Everything as plain data; of the points at most `JSON_POINTS`, thinned evenly."""
+        kept = slice(None, None, max(1, math.ceil(len(self.points) / JSON_POINTS)))
+        points = {
+            name: getattr(self.points, name)[kept].tolist()
+            for name in ("start_s", "end_s", "power", "difference_K", "ambient_K", "episode")
+        }
+        points |= {"settled_K": self.settled_K[kept].tolist(), "fitted_K": self.fitted_K[kept].tolist()}
+        return {
+            "n_points": self.n_points,
+            "n_episodes": self.n_episodes,
+            "window_h": self.window_h,
+            "order": self.order,
+            "ambient": self.ambient,
+            "coefficients": {name: dict(vars(one)) for name, one in self.coefficients.items()},
+            "cross_validation": [dict(vars(one)) for one in self.candidates],
+            "r2": self.r2,
+            "residual_sd_K": self.residual_sd_K,
+            "transient_K": self.transient_K,
+            "settled": self.settled,
+            "points": points,
+            "statement": self.statement,
+        }
+
+
+@dataclass(frozen=True)
+class HeatRelease:
+    """Heat release of both regimes; a regime is None where there is nothing to fit, and `statement` says why.
+
+    `reference_K` [K] ambient temperature that the slopes count from; `scale_W` [W] power that counts as 1 (None
+    without power: the whole record is standstill); `time_constant_h` [h] thermal time constant by which the length
+    of the periods was chosen, given or roughly estimated, None where it could not be.
+    """
+
+    operation: Regression | None
+    standstill: Regression | None
+    reference_K: float | None
+    scale_W: float | None
+    time_constant_h: float | None
+    statement: str
+
+    def start(self) -> dict[str, float]:
+        """Start values of the heat release's parameters by name, within their bounds; empty without a regression."""
+        values: dict[str, float] = {}
+        for regression in (self.operation, self.standstill):
+            if regression is not None:
+                for parameter in _parameters(regression.regime, regression.order, regression.ambient):
+                    value = regression.coefficients[parameter.name].value
+                    values[parameter.name] = min(max(value, parameter.lower), parameter.upper)
+        return values
+
+    def to_json(self) -> dict:
+        """Everything as plain data."""
+        return {
+            OPERATION: None if self.operation is None else self.operation.to_json(),
+            STANDSTILL: None if self.standstill is None else self.standstill.to_json(),
+            "reference_K": self.reference_K,
+            "scale_W": self.scale_W,
+            "time_constant_h": self.time_constant_h,
+            "statement": self.statement,
+        }
+
+
+def heat_release_regression(
+    record: Record,
+    *,
+    scale_W: float | None = None,
+    reference_K: float | None = None,
+    time_constant_h: float | None = None,
+    largest_order: int = 3,
+    settle: bool = True,
+) -> HeatRelease:
+    """Heat release f_ΔT = Q R_AT [K] in operation and at standstill, by regression over quasi-stationary periods.
+
+        T_conv,a − T_amb = a₀ + a₁ p + … + a_K p^K + a_T (T_amb − T_ref) in operation,  b₀ + b_T (T_amb − T_ref) else
+
+    record: its identification period is used, never what follows; every series on its own clock.
+    scale_W: [W] power that counts as p = 1; None: `design.power_scale`.
+    reference_K: [K] T_ref; None: the mean of the ambient readings, as in `design.design`.
+    time_constant_h: [h] thermal time constant, where one is known; None: a rough one is estimated.
+    largest_order: [1] 0 … 3, largest K tried.
+    settle: whether what a period still warms or cools is taken off its difference; False: the paper's regression.
+
+    Periods (`periods.Periods`) are three time constants long, so that what a period's own change ΔT_conv,a makes of
+    its mean difference, −τ ΔT_conv,a/window by equation (2), is a third of a kelvin at most. Where that yields fewer
+    than 30 periods in 10 episodes, or loses a quarter of the range of power or ambient temperature, shorter ones are
+    taken, down to an hour or two steps of the slowest series. As short ones are not settled, this share is taken off
+    the difference before the regression where `settle` is True and cross-validation does not speak against it.
+    Standard errors are clustered by episode; they know neither the sensors' accuracy nor a form left out. Times at which
+    a logged heater is on are left out. Between the powers that periods reach the form is an interpolation.
+
+    A regime with too few periods is None, and the statement says so. Raises ValueError for arguments out of range.
+    Source: equation (1), Fig. 3 and Fig. 4 of the paper.
+    """
+    faults = [
+        f"{name} must be a number above 0, found {value}"
+        for name, value in (
+            ("scale_W", scale_W), ("reference_K", reference_K), ("time_constant_h", time_constant_h),
+        )
+        if value is not None and not 0.0 < value < math.inf
+    ]  # fmt: skip
+    if largest_order not in (0, 1, 2, 3):
+        faults.append(f"largest_order must be 0, 1, 2 or 3, found {largest_order}")
+    if faults:
+        raise ValueError("heat_release_regression: " + "; ".join(faults))
+    early = record.identification()
+    missing = [name for name in (TEMPERATURE, AMBIENT) if not known(early, name)]
+    if missing:
+        said = f"no readings of {' and '.join(missing)}: no heat release from stationary periods"
+        return HeatRelease(None, None, reference_K, scale_W, time_constant_h, said)
+    if reference_K is None:
+        reference_K = float(np.nanmean(early[AMBIENT].value))
+    statements = []
+    if not known(early, POWER):
+        scale_W = None
+        statements.append("no power in the record: all of it counts as standstill")
+    elif scale_W is None:
+        scale_W = power_scale(early)
+        if scale_W is None:
+            statements.append("the power never rises above zero: all of the record counts as standstill")
+    used = [early[name] for name in (TEMPERATURE, AMBIENT, *((POWER,) if scale_W else ()))]
+    slowest_h = max(max(reading_step_h(one), one.interval_s / 3600.0) for one in used)
+    first, last = max(one.time[0] - one.interval_s for one in used), min(one.time[-1] for one in used)
+    rough = time_constant_h is None
+    if rough:
+        blocks = np.arange(first, last, 3600.0 * max(1.0, slowest_h))
+        time_constant_h = rough_time_constant(cells_between(early, scale_W, blocks))
+    cells = cells_between(early, scale_W, cell_edges(used[-1] if scale_W else used[0], first, last))
+    shortest_h = max(SHORTEST_H, 2.0 * slowest_h)
+    wanted_h = LONGEST_H if time_constant_h is None else min(TIME_CONSTANTS * time_constant_h, LONGEST_H)
+    wanted_h = max(wanted_h, shortest_h)
+    earliest = earliest_starts(cells, wanted_h)
+    made: dict[str, Regression | None] = {OPERATION: None, STANDSTILL: None}
+    for regime in (OPERATION, STANDSTILL) if scale_W else (STANDSTILL,):
+        choice = choose_length(cells, earliest, regime, shortest_h, wanted_h)
+        if len(choice.periods) < FEWEST[0] or choice.periods.n_episodes < FEWEST[1]:
+            statements.append(_too_few(cells, regime, choice))
+            continue
+        fit = _regression(
+            regime, choice, reference_K, time_constant_h, largest_order, settle,
+            _lead(wanted_h, shortest_h, time_constant_h, rough, choice.reason),
+        )  # fmt: skip
+        made[regime] = fit
+        statements.append(fit.statement)
+    return HeatRelease(
+        made[OPERATION], made[STANDSTILL], reference_K, scale_W, time_constant_h, "; ".join(statements)
+    )
+
+
+# --- regression -----------------------------------------------------------------------------
+
+
+def _parameters(regime: str, order: int, ambient: bool) -> tuple[Parameter, ...]:
+    """Parameters of the mechanism, in the order of `_regressors`."""
+    running = regime == OPERATION
+    made = heat_release(
+        order=order, ambient=ambient, standstill_ambient=ambient, operation=running, standstill=not running
+    )
+    return made.parameters
+
+
+def _regressors(points: Periods, order: int, ambient: bool, reference_K: float) -> np.ndarray:
+    columns = [points.power**k for k in range(order + 1)]
+    return np.column_stack([*columns, points.ambient_K - reference_K] if ambient else columns)
+
+
+def _left_out(regressors: np.ndarray, response: np.ndarray, episode: np.ndarray) -> np.ndarray | None:
+    """Sums of squares [K²] (G,) of each episode by the fit to all others; None where an episode is indispensable."""
+    if np.linalg.matrix_rank(regressors) < regressors.shape[1]:
+        return None
+    basis = np.linalg.qr(regressors)[0]
+    residual = response - basis @ (basis.T @ response)
+    sums = []
+    for rows in np.split(np.arange(len(response)), np.flatnonzero(np.diff(episode)) + 1):
+        # (I − H_gg)⁻¹ e_g through the small matrix of the coefficients.
+        part = basis[rows]
+        inner = np.eye(part.shape[1]) - part.T @ part
+        if np.linalg.eigvalsh(inner)[0] < 1e-6:
+            return None
+        outside = residual[rows] + part @ np.linalg.solve(inner, part.T @ residual[rows])
+        sums.append(float(outside @ outside))
+    return np.array(sums)
+
+
+def _supported_order(points: Periods, largest: int) -> int:
+    """Largest order K of which each of K+1 equal parts of the power's range is met in enough episodes.
+
+    Periods crowd at standstill's edge and at rated power, as the wind between them is never still: without such a
+    rule a curve through both ends swings wide in the middle, where cross-validation has nothing to hold it to.
+    """
+    low, high = points.power.min(), points.power.max()
+    for order in range(largest, 0, -1):
+        part = np.minimum(((points.power - low) / (high - low) * (order + 1)).astype(int), order)
+        met = [len(np.unique(points.episode[part == k])) for k in range(order + 1)]
+        if min(met) >= EPISODES_A_PARAMETER:
+            return order
+    return 0
+
+
+def _forms(regime: str, points: Periods, largest_order: int) -> list[tuple[int, bool]]:
+    """Forms (order, ambient slope) that the spread of the periods allows, the constant first."""
+    orders = 0
+    if regime == OPERATION and np.ptp(np.quantile(points.power, [0.02, 0.98])) >= 2.0 * POWER_TOLERANCE:
+        orders = _supported_order(points, largest_order)
+    warm = np.ptp(np.quantile(points.ambient_K, [0.05, 0.95])) >= LEAST_AMBIENT_K
+    forms = [
+        (order, ambient) for order in range(orders + 1) for ambient in ((False, True) if warm else (False,))
+    ]
+    most = points.n_episodes // EPISODES_A_PARAMETER
+    return [form for form in forms if form == (0, False) or form[0] + 1 + form[1] <= most]
+
+
+def _cross_validate(
+    points: Periods, response: np.ndarray, forms: list[tuple[int, bool]], reference_K: float
+) -> tuple[Candidate, ...]:
+    """Every form, and as chosen the simplest whose error is within a standard error of the best one's.
+
+    The standard error is that of the difference of both errors over episodes: what all forms miss alike, such as the
+    disturbance of the day, does not hide a slope.
+    """
+    tried = {}
+    for form in forms:
+        sums = _left_out(_regressors(points, *form, reference_K), response, points.episode)
+        if sums is not None:
+            tried[form] = sums
+    best = min(tried.values(), key=lambda sums: float(sums.sum()))
+    counts = np.unique(points.episode, return_counts=True)[1]
+    n, episodes = len(points), points.n_episodes
+    rows = {}
+    for form, sums in tried.items():
+        excess = float((sums - best).sum()) / n
+        apart = sums - best - counts * excess
+        se = math.sqrt(episodes / (episodes - 1.0) * float(apart @ apart)) / n
+        rows[form] = (math.sqrt(float(sums.sum()) / n), excess, se)
+    within = [form for form, (_, excess, se) in rows.items() if excess <= se + 1e-12]
+    chosen = min(within, key=lambda form: (form[0] + form[1], rows[form][0]))
+    return tuple(Candidate(*form, *row, form == chosen) for form, row in rows.items())
+
+
+def _regression(
+    regime: str,
+    choice: Choice,
+    reference_K: float,
+    time_constant_h: float | None,
+    largest_order: int,
+    settle: bool,
+    lead: str,
+) -> Regression:
+    """Least squares with errors clustered by episode, and Huber's M-estimate beside it."""
+    from statsmodels.regression.linear_model import OLS
+    from statsmodels.robust.robust_linear_model import RLM
+
+    points, forms = choice.periods, _forms(regime, choice.periods, largest_order)
+    response, transient_K, settled = points.difference_K, None, False
+    candidates = _cross_validate(points, response, forms, reference_K)
+    if time_constant_h is not None:
+        lag = time_constant_h * points.rate_K_h
+        transient_K = float(np.sqrt(np.mean(lag**2)))
+        if settle:
+            others = _cross_validate(points, response + lag, forms, reference_K)
+            settled = min(c.error_K for c in others) <= WORSE * min(c.error_K for c in candidates)
+            if settled:
+                response, candidates = response + lag, others
+    chosen = next(c for c in candidates if c.chosen)
+    regressors = _regressors(points, chosen.order, chosen.ambient, reference_K)
+    fit = OLS(response, regressors).fit(cov_type="cluster", cov_kwds={"groups": points.episode})
+    sd = math.sqrt(float(fit.scale))
+    robust = fit.params
+    if sd > 1e-6:  # without scatter there is nothing to be robust against, and its scale is 0
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            huber = RLM(response, regressors).fit().params
+        if np.isfinite(huber).all():
+            robust = huber
+    names = [parameter.name for parameter in _parameters(regime, chosen.order, chosen.ambient)]
+    coefficients = {
+        name: Coefficient(float(value), float(se), float(other))
+        for name, value, se, other in zip(names, fit.params, fit.bse, robust, strict=True)
+    }
+    words = [
+        f"{regime}: {_many(len(points), 'quasi-stationary period')} of {choice.window_h:.3g} h in "
+        f"{_many(points.n_episodes, 'episode')} ({lead})",
+        _form_said(regime, points, chosen, sd, max(c.order for c in candidates) < largest_order),
+        *_transient_said(transient_K, settled, settle),
+        *_doubts(points, coefficients),
+    ]
+    return Regression(
+        regime=regime,
+        n_points=len(points),
+        n_episodes=points.n_episodes,
+        window_h=choice.window_h,
+        order=chosen.order,
+        ambient=chosen.ambient,
+        coefficients=coefficients,
+        candidates=candidates,
+        r2=0.0 if regressors.shape[1] == 1 else float(fit.rsquared),
+        residual_sd_K=sd,
+        transient_K=transient_K,
+        settled=settled,
+        points=points,
+        settled_K=response,
+        fitted_K=regressors @ fit.params,
+        statement="; ".join(words),
+    )
+
+
+# --- words ----------------------------------------------------------------------------------
+
+
+def _many(count: int, noun: str) -> str:
+    return f"{count} {noun}{'' if count == 1 else 's'}"
+
+
+def _lead(wanted_h: float, shortest_h: float, time_constant_h: float | None, rough: bool, reason: str) -> str:
+    """Why the periods are as long as they are."""
+    if time_constant_h is None:
+        wanted = f"the time constant is not known: as long as there are enough, up to {wanted_h:.3g} h"
+    else:
+        source = "a rough" if rough else "the given"
+        wanted = f"{wanted_h:.3g} h wanted by {source} time constant of {time_constant_h:.2g} h"
+        if wanted_h == shortest_h:
+            wanted = f"the shortest that is taken; {source} time constant is {time_constant_h:.2g} h"
+    return f"{wanted}; {reason}" if reason else wanted
+
+
+def _too_few(cells: Cells, regime: str, choice: Choice) -> str:
+    hours = float((cells.end - cells.start)[cells.regime == (regime == OPERATION)].sum()) / 3600.0
+    if hours <= 0.0:
+        return f"{regime}: none in the record"
+    return (
+        f"{regime}: {_many(len(choice.periods), 'quasi-stationary period')} of {choice.window_h:.3g} h in "
+        f"{_many(choice.periods.n_episodes, 'episode')} within {hours:.0f} h are too few for a regression, which takes "
+        f"{FEWEST[0]} in {FEWEST[1]}: the heat release is left to the likelihood"
+    )
+
+
+def _form_said(regime: str, points: Periods, chosen: Candidate, sd: float, limited: bool) -> str:
+    shape = ("constant", "linear in the power", "quadratic in the power", "cubic in the power")[chosen.order]
+    slope = "with a slope" if chosen.ambient else "without a slope"
+    text = f"the difference is {shape}, {slope} over the ambient temperature (by cross-validation); residual {sd:.2g} K"
+    if regime == OPERATION and chosen.order == 0:
+        low, high = np.quantile(points.power, [0.02, 0.98])
+        if high - low < 2.0 * POWER_TOLERANCE:
+            text += f"; the power hardly varies ({low:.2f} … {high:.2f} of rated), so its slope is unknown"
+            return text
+    if regime == OPERATION and limited:
+        text += "; higher orders were not tried, as too few episodes reach every part of the range of power"
+    return text
+
+
+def _transient_said(transient_K: float | None, settled: bool, settle: bool) -> list[str]:
+    if transient_K is None:
+        return []
+    if settled:
+        return [f"{transient_K:.2g} K by warming and cooling within the periods is taken off"]
+    if settle:
+        return [
+            "by the time constant, warming and cooling within the periods would make far more than they show: nothing is taken off"
+        ]
+    return [f"{transient_K:.2g} K of it by warming and cooling within the periods"]
+
+
+def _doubts(points: Periods, coefficients: Mapping[str, Coefficient]) -> list[str]:
+    said = []
+    apart = [
+        f"{name} {c.value:.3g} ± {c.se:.2g} against {c.robust:.3g}"
+        for name, c in coefficients.items()
+        if abs(c.value - c.robust) > 2.0 * c.se + 1e-9
+    ]
+    if apart:
+        said.append(
+            f"least squares and the robust fit differ by more than two standard errors: {', '.join(apart)}"
+        )
+    if points.n_episodes < 2 * ENOUGH[1]:
+        said.append(f"with {points.n_episodes} episodes the standard errors are optimistic")
+    return said

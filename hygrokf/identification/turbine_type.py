@@ -1,0 +1,338 @@
+"""What several turbines of one type have in common: type-level parameters, their spread from turbine to turbine.
+
+Random effects, parameter by parameter, with y_i the estimate of turbine i on its scale (ln θ for positive parameters, θ
+otherwise), v_i its squared standard error and K turbines:
+
+    y_i = μ + b_i + e_i,    b_i ~ N(0, τ²),    e_i ~ N(0, v_i),    w_i = 1/(τ² + v_i),    μ = Σ w_i y_i / Σ w_i,
+
+τ² by restricted maximum likelihood, bounds of μ after Hartung & Knapp (Student's t with K−1 degrees of freedom), and for
+the next turbine's own value the prediction μ ± t √(τ² + se²) with K−2 degrees of freedom, of fewer than four turbines
+K−1: with one degree of freedom the prediction would say nothing.
+
+Sources: Viechtbauer 2005, doi:10.3102/10769986030003261 (REML); Hartung & Knapp 2001, doi:10.1002/sim.1009; Higgins,
+Thompson & Spiegelhalter 2009, doi:10.1111/j.1467-985X.2008.00552.x (prediction).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from hygrokf.data.files import write_text_whole
+from hygrokf.errors import HygrokfError
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.verdict import PARAMETER_OF, REJECT, verdicts
+from hygrokf.modelling.design import Design
+from hygrokf.physics.parameters import Parameter, Prior
+from hygrokf.version import __version__
+
+FEWEST = 2
+"""Turbines of which a type can be made."""
+OWN = ("_bias", "_offset", "_noise")
+"""Ends of the names of parameters that belong to a logger, not to a type of turbine."""
+AMBIENT_SLOPES = {
+    "heat_release_operation": "heat_release_operation_ambient",
+    "heat_release_standstill": "heat_release_standstill_ambient",
+}
+"""Levels of the heat release that hold at the design's reference temperature, and their slopes over it."""
+POWERS = tuple(range(1, 6))
+
+
+class TypeFault(HygrokfError, ValueError):
+    """Fits of which no type can be made, or a type file that cannot be read: all reasons in one message."""
+
+
+@dataclass(frozen=True)
+class Pooled:
+    """One parameter over K turbines, on its scale (`logarithmic`: ln θ).
+
+    `mean`, `se` (Hartung & Knapp) of the type; `lower`, `upper` its 95 % bounds; `spread` τ between turbines; `next_sd`
+    the sd of a normal law whose 95 % are those of the prediction for the next turbine.
+    """
+
+    unit: str
+    logarithmic: bool
+    mean: float
+    se: float
+    lower: float
+    upper: float
+    spread: float
+    next_sd: float
+    turbines: int
+
+    def expect_sound(self, name: str) -> None:
+        """Raises ValueError for what is no number, for widths below zero, and for a mean that no parameter can have."""
+        numbers = (self.mean, self.se, self.lower, self.upper, self.spread, self.next_sd)
+        if any(
+            isinstance(one, bool) or not isinstance(one, (int, float)) or not math.isfinite(one)
+            for one in numbers
+        ):
+            raise ValueError(f"{name} with {numbers}: expected finite numbers")
+        if min(self.se, self.spread, self.next_sd) < 0.0 or not self.lower <= self.mean <= self.upper:
+            raise ValueError(f"{name}: expected lower ≤ mean ≤ upper and se, spread, next_sd of 0 or more")
+        if self.logarithmic and max(map(abs, (self.lower, self.upper))) > 300.0:
+            raise ValueError(f"{name}: a logarithm of {self.mean:g} is no parameter's")
+
+    def in_unit(self) -> dict:
+        """Value, bounds of the type, and of the next turbine's own value, in the parameter's unit."""
+        reach = 1.959964 * self.next_sd
+        ends = (self.mean, self.lower, self.upper, self.mean - reach, self.mean + reach)
+        if self.logarithmic:
+            ends = tuple(math.exp(v) for v in ends)
+        return dict(zip(("value", "lower", "upper", "next_lower", "next_upper"), ends, strict=True))
+
+
+@dataclass(frozen=True)
+class TurbineType:
+    """Parameters of a type of turbine, with their spread from turbine to turbine, and the design that they belong to."""
+
+    name: str
+    design: Design
+    turbines: tuple[str, ...]
+    parameters: Mapping[str, Pooled]
+
+    def prior(self, design: Design | None = None) -> dict[str, Prior]:
+        """Priors of the next turbine's parameters, for a design of it (this type's own without one).
+
+        The levels of the heat release are moved to the design's reference temperature.  Pass the bound method to
+        `identify(record, prior=TurbineType.prior)`.  Parameters that the design has and the type has not go without.
+        """
+        wanted = self.design if design is None else design
+        shift = reference_K(wanted) - reference_K(self.design)
+        ratio = _scale_ratio(wanted, self.design)
+        known = {p.name for p in wanted.model.parameters}
+        found = {}
+        for name, pooled in self.parameters.items():
+            if name not in known:
+                continue
+            mean, variance = pooled.mean, pooled.next_sd**2
+            slope = self.parameters.get(AMBIENT_SLOPES.get(name, ""))
+            if slope is not None:
+                mean, variance = mean + shift * slope.mean, variance + (shift * slope.next_sd) ** 2
+            factor = ratio ** _power_of(name)
+            found[name] = Prior(mean * factor, math.sqrt(variance) * factor, pooled.logarithmic)
+        return found
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The type's value of every parameter of its design, in its unit; those without one at their start."""
+        found = {p.name: p.start for p in self.design.model.parameters}
+        return found | {name: p.in_unit()["value"] for name, p in self.parameters.items() if name in found}
+
+    def to_json(self) -> dict:
+        return {
+            "name": self.name,
+            "version": __version__,
+            "turbines": list(self.turbines),
+            "design": self.design.to_json(),
+            "type_parameters": {
+                name: {**asdict(p), **{"in_unit": p.in_unit()}} for name, p in self.parameters.items()
+            },
+        }
+
+    @classmethod
+    def from_json(cls, data: Mapping) -> TurbineType:
+        """A type from what `to_json` gave."""
+        parameters = {
+            name: Pooled(**{key: value for key, value in row.items() if key != "in_unit"})
+            for name, row in data["type_parameters"].items()
+        }
+        for name, row in parameters.items():
+            row.expect_sound(name)
+        return cls(
+            str(data["name"]), Design.from_json(data["design"]), tuple(map(str, data["turbines"])), parameters
+        )
+
+
+def pooled(fits: Sequence[Fit], name: str = "") -> TurbineType:
+    """The type of several turbines from their fits, each counted with its own covariance.
+
+    The design is that of the first fit.  Parameters of loggers (offsets, noise of a reading) are left out, as are those
+    that a fit took over from another (marked as fixed), time constants that are not to be believed, and those that fewer than two of the fits know with a standard error.  Raises TypeFault where fewer than two fits are given,
+    where the same turbine is given twice, or where nothing is left.
+    """
+    from hygrokf.estimation.confidence import normal_quantile
+
+    faults = []
+    if len(fits) < FEWEST:
+        faults.append(
+            f"expected the fits of at least {FEWEST} turbines, found {len(fits)}: fit more turbines"
+        )
+    names = [fit.name for fit in fits]
+    twice = sorted({one for one in names if names.count(one) > 1})
+    if twice:
+        faults.append(
+            f"expected every turbine once, found several fits of {', '.join(twice)}: leave the others out"
+        )
+    if faults:
+        raise TypeFault("; ".join(faults))
+    base = fits[0].design
+    known = {p.name: p for p in base.model.parameters if not p.name.endswith(OWN)}
+    estimates: dict[str, list[tuple[float, float]]] = {name: [] for name in known}
+    for fit in fits:
+        # what a fit took over from another turbine is no second witness
+        taken = {n for n, row in fit.results.get("parameters", {}).items() if row.get("fixed")}
+        # nor is a number that is not to be believed
+        taken |= {PARAMETER_OF[part] for part, one in verdicts(fit.results).items() if one.verdict == REJECT}
+        for parameter, value, variance in _on(base, fit):
+            if (
+                parameter in known
+                and parameter not in taken
+                and (pair := _on_scale(known[parameter], value, variance)) is not None
+            ):
+                estimates[parameter].append(pair)
+    found = {}
+    for parameter, pairs in estimates.items():
+        if len(pairs) < FEWEST:
+            continue
+        y, v = np.array(pairs).T
+        mean, se, spread = random_effects(y, v)
+        reach = student(0.95, len(y) - 1) * se
+        ahead = student(0.95, min(len(y) - 1, max(len(y) - 2, 2))) * math.hypot(spread, se)
+        found[parameter] = Pooled(
+            unit=known[parameter].unit,
+            logarithmic=known[parameter].positive,
+            mean=mean,
+            se=se,
+            lower=mean - reach,
+            upper=mean + reach,
+            spread=spread,
+            next_sd=ahead / normal_quantile(0.95),
+            turbines=len(y),
+        )
+    if not found:
+        raise TypeFault(
+            "expected parameters that at least two of the fits know with a standard error, found none: are these fits of "
+            "one type of turbine?"
+        )
+    return TurbineType(name or f"type of {', '.join(names)}", base, tuple(names), found)
+
+
+def random_effects(y: np.ndarray, v: np.ndarray) -> tuple[float, float, float]:
+    """Mean μ, its standard error after Hartung & Knapp, and spread τ by REML of estimates y (K,) with variances v (K,).
+
+    The standard error is not let fall below that of the usual random-effects mean: with few turbines that agree by
+    chance, Hartung and Knapp's would be far too small.  Raises ValueError for fewer than two estimates or variances
+    that are not above zero.
+    """
+    y, v = np.asarray(y, dtype=float), np.asarray(v, dtype=float)
+    if len(y) < FEWEST or not np.all(v > 0) or not np.all(np.isfinite(y)):
+        raise ValueError(
+            f"expected at least {FEWEST} finite estimates with variances above 0, found {y} and {v}"
+        )
+    tau2 = restricted_maximum_likelihood(y, v)
+    w = 1.0 / (tau2 + v)
+    mean = float(w @ y / w.sum())
+    scale = max(float(w @ (y - mean) ** 2) / (len(y) - 1.0), 1.0)
+    return mean, math.sqrt(scale / float(w.sum())), math.sqrt(tau2)
+
+
+def restricted_maximum_likelihood(y: np.ndarray, v: np.ndarray) -> float:
+    """τ² (≥ 0) that maximises the restricted likelihood −½ [Σ ln(τ²+v) + ln Σw + Σ w (y−μ)²].
+
+    The maximum is looked for on a grid of τ over six decades and zero, then by golden section: it may have two.
+    """
+    from scipy.optimize import minimize_scalar
+
+    def loss(tau: float) -> float:
+        w = 1.0 / (tau * tau + v)
+        mean = w @ y / w.sum()
+        return float(-np.log(w).sum() + math.log(w.sum()) + w @ (y - mean) ** 2)
+
+    top = max(2.0 * float(np.ptp(y)), 1e-12)
+    grid = np.concatenate([[0.0], np.geomspace(1e-6, 1.0, 80) * top])
+    values = [loss(tau) for tau in grid]
+    best = int(np.argmin(values))
+    low, high = grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)]
+    found = minimize_scalar(loss, bounds=(low, high), method="bounded", options={"xatol": 1e-9 * top})
+    return float(found.x) ** 2 if found.fun < values[0] else 0.0
+
+
+def student(level: float, freedom: float) -> float:
+    """Two-sided quantile of Student's t."""
+    from scipy.stats import t
+
+    return float(t.ppf(0.5 + 0.5 * level, freedom))
+
+
+# --- one design's parameters in another's terms ----------------------------------------------
+
+
+def reference_K(design: Design) -> float:
+    """The ambient temperature [K] at which the levels of the heat release hold."""
+    for name, settings in design.mechanisms:
+        if name == "heat_release":
+            return float(settings.get("reference_K", 283.15))
+    return 283.15
+
+
+def _power_of(name: str) -> int:
+    """The power of the relative power that a coefficient belongs to, 0 for other parameters."""
+    return next((k for k in POWERS if name == f"heat_release_power_{k}"), 0)
+
+
+def _scale_ratio(wanted: Design, given: Design) -> float:
+    """By what a coefficient of the relative power grows from one design's scale of the power to another's."""
+    if wanted.power_scale_W is None or given.power_scale_W is None:
+        return 1.0
+    return wanted.power_scale_W / given.power_scale_W
+
+
+def _on(base: Design, fit: Fit) -> list[tuple[str, float, float]]:
+    """(name, value, variance) of a fit's parameters in the terms of another design: reference temperature, power scale."""
+    names, matrix = fit.covariance
+    change = np.eye(len(names))
+    shift, ratio = reference_K(base) - reference_K(fit.design), _scale_ratio(base, fit.design)
+    values = np.array([fit.values[name] for name in names])
+    for i, name in enumerate(names):
+        slope = AMBIENT_SLOPES.get(name)
+        if slope in names:
+            change[i, names.index(slope)] = shift
+        change[i] *= ratio ** _power_of(name)
+    return list(zip(names, change @ values, np.diag(change @ matrix @ change.T), strict=True))
+
+
+def _on_scale(parameter: Parameter, value: float, variance: float) -> tuple[float, float] | None:
+    """Estimate and variance on the parameter's scale; None where there is no usable standard error."""
+    if not (math.isfinite(value) and variance > 0) or (parameter.positive and value <= 0):
+        return None
+    if not parameter.positive:
+        return value, variance
+    return (math.log(value), variance / value**2) if variance < 9.0 * value**2 else None
+
+
+# --- on disk ---------------------------------------------------------------------------------
+
+
+def write_type(found: TurbineType, path: str | os.PathLike[str]) -> Path:
+    """Write a type as JSON, whole or not at all.  Raises OSError as the system gives it."""
+    return write_text_whole(
+        path, json.dumps(found.to_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
+    )
+
+
+def read_type(path: str | os.PathLike[str]) -> TurbineType:
+    """A type from its file.  Raises TypeFault with the reason and what to do."""
+    again = "name a file that `hygrokf transfer` or `write_type` wrote"
+    try:
+        return TurbineType.from_json(json.loads(Path(path).read_text(encoding="utf-8")))
+    except FileNotFoundError:
+        raise TypeFault(f"{path}: expected a type of turbine, found no such file; {again}") from None
+    except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError) as fault:
+        reason = getattr(fault, "strerror", None) or f"{type(fault).__name__} {fault}"
+        raise TypeFault(f"{path}: expected a type of turbine, found {reason}; {again}") from None
+
+
+def is_type(path: str | os.PathLike[str]) -> bool:
+    """Whether a JSON file holds a type of turbine rather than a fit."""
+    try:
+        data = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
+        return False
+    return isinstance(data, dict) and "type_parameters" in data

@@ -1,0 +1,112 @@
+"""Numbers, names and texts as they are printed, the same on every page and at the terminal."""
+
+from __future__ import annotations
+
+import math
+
+from hygrokf.data.lookup import one_line
+
+NONE = "–"
+UNBOUNDED = "not identifiable"
+QUANTITIES = {
+    "temperature_K": ("temperature", "K"),
+    "absolute_humidity_g_m3": ("absolute humidity", "g/m³"),
+    "relative_humidity": ("relative humidity", "1"),
+}
+SCORED = ("temperature_K", "absolute_humidity_g_m3")
+BASELINES = {
+    "temperature_K": {"no_dynamics": "heat release without heat storage"},
+    "absolute_humidity_g_m3": {
+        "ambient": "c = c_amb",
+        "ambient_pressure_balance": "c = c_amb T_amb/T_conv,a",
+    },
+}
+"""Rules that need no model, by the quantity that they foretell."""
+RULES = {key: words for group in BASELINES.values() for key, words in group.items()}
+
+
+def plain_number(value: float, digits: int = 3) -> str:
+    """A number with so many significant digits, without an exponent where that reads better."""
+    if not math.isfinite(value):
+        return NONE
+    if value == 0:
+        return "0"
+    if 1e-5 <= abs(value) < 1e6:
+        decimals = max(digits - 1 - math.floor(math.log10(abs(value))), 0)
+        return minus(f"{value:.{min(decimals, 8)}f}")
+    return minus(f"{value:.{digits - 1}e}")
+
+
+def fixed(value: float, decimals: int = 2) -> str:
+    """A number with so many decimals."""
+    return minus(f"{value:.{decimals}f}") if math.isfinite(value) else NONE
+
+
+def signed(value: float, decimals: int = 2) -> str:
+    """A difference with its sign and so many decimals."""
+    return minus(f"{value:+.{decimals}f}") if math.isfinite(value) else NONE
+
+
+def minus(text: str) -> str:
+    return text.replace("-", "−", 1) if text.startswith("-") else text
+
+
+def percent(share: float, decimals: int = 0) -> str:
+    """A share [1] in per cent."""
+    return f"{100.0 * share:.{decimals}f} %" if math.isfinite(share) else NONE
+
+
+def decimals_for(spread: float) -> int:
+    """Decimals that show a spread with one digit, with two where the first is 1 or 2."""
+    return (
+        2
+        if not (math.isfinite(spread) and spread > 0)
+        else min(max(math.ceil(0.4 - math.log10(spread)), 0), 8)
+    )
+
+
+WIDE = 4.0
+"""[1] upper over lower end from which an interval is told as a factor, and its ends with digits of their own."""
+
+
+def ends(value: float, low: float, high: float) -> tuple[str, str]:
+    """A number and its interval with the digits that it is known to: ("1.49", "1.44 … 1.54"), ("0.169", "0.017 … 1.6")."""
+    if high > WIDE * low:
+        return plain_number(value), f"{plain_number(low, 2)} … {plain_number(high, 2)}"
+    decimals = decimals_for(0.5 * (high - low))
+    return fixed(value, decimals), f"{fixed(low, decimals)} … {fixed(high, decimals)}"
+
+
+def interval(value: float, low: float, high: float, unit: str = "h") -> tuple[str, str, bool]:
+    """A number and its interval as they are printed, and whether it is closed: ("1.49 h", "1.44 … 1.54", True).
+
+    Open on one side: ("≤ 0.35 h", "best 0.1 h", False), without any end: ("not identifiable", "best 9 h", False).  A lower
+    end of 0 is none.
+    """
+    low = low if low > 0 else math.nan
+    if math.isfinite(value) and math.isfinite(low) and math.isfinite(high):
+        shown, span = ends(value, low, high)
+        return f"{shown} {unit}", span, True
+    best = f"best {plain_number(value)} {unit}" if math.isfinite(value) else ""
+    if math.isfinite(high):
+        return f"≤ {plain_number(high)} {unit}", best, False
+    if math.isfinite(low):
+        return f"≥ {plain_number(low)} {unit}", best, False
+    return UNBOUNDED, best, False
+
+
+def text_of(value: object) -> str:
+    """A string on one line, without control characters; anything else that is not null as text."""
+    return "" if value is None else one_line(value if isinstance(value, str) else str(value))
+
+
+def texts(value: object) -> list[str]:
+    """A list of strings, null and empty ones left out."""
+    items = value if isinstance(value, (list, tuple)) else []
+    return [text for one in items if (text := text_of(one).strip())]
+
+
+def sentence(text: str) -> str:
+    """A text with a capital and a full stop; a name with underscores in front stays as it is."""
+    text = text[:1].upper() + text[1:] if not text.split(" ")[0].count("_") else text
+    return text if text.endswith((".", "!", "?")) else text + "."

@@ -1,0 +1,216 @@
+"""The store as the tracker would find it: reached, whole, with room to grow, and up to date.  Nothing is written."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+import time
+from collections.abc import Iterator
+from collections.abc import Mapping as MappingOf
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok, several
+from hygrokf.live.storage.database import StoreUnready
+from hygrokf.live.storage.retention import signals_of
+from hygrokf.live.storage.schema import VERSION
+from hygrokf.live.storage.store import Store, StoreFault, open_store
+from hygrokf.live.turbines import Turbine, digest
+
+DAY_S = 86400.0
+REACH = "check the store's URL, its server or folder, and this user's rights; of a damaged one restore a copy"
+LEAST_FREE = 100_000_000
+"""[bytes] on the disk, below which the store may be full at any time."""
+SOON_D = 30.0
+"""[d] until the disk is full, from which on it is time to make room."""
+
+
+@dataclass
+class Kept:
+    """What the store has: turbine -> signals that ever came; when the newest reading was received [s]."""
+
+    signals: dict[str, set[str]] = field(default_factory=dict)
+    received_s: float = -math.inf
+
+
+def store_checks(
+    url: str, turbines: MappingOf[str, Turbine], retention_s: float, played_back: bool, kept: Kept
+) -> Iterator[Check]:
+    """The store at a URL; what it has of the turbines goes to `kept`.  The age of what is `played_back` says nothing."""
+    try:
+        store = open_store(url, read_only=True)
+    except StoreUnready as found:
+        yield from _before_the_start(url, found.version)
+        return
+    except StoreFault as error:
+        yield fault("store", *_parted(str(error)))
+        return
+    try:
+        yield from _contents(store, turbines, retention_s, played_back, kept)
+    except StoreFault as error:
+        yield fault("store", *_parted(str(error)))
+    except store.database.errors as error:
+        yield fault(
+            "store",
+            f"{url} cannot be read ({' '.join(str(error).split())})",
+            "restore a copy, or name a new store",
+        )
+    finally:
+        store.close()
+
+
+def _parted(words: str) -> tuple[str, str]:
+    """What a fault says, and what to do: after a semicolon or in a sentence of its own."""
+    found, _, remedy = words.partition("; ")
+    return found, remedy or REACH
+
+
+def _before_the_start(url: str, version: int) -> Iterator[Check]:
+    if version:
+        yield doubt(
+            "store",
+            f"{url} has version {version} of the tables, this is version {VERSION}",
+            "make a copy; the next start of the tracker brings it to this version",
+        )
+    elif url.startswith("sqlite:") and not os.access(path_of(url).parent, os.W_OK):
+        yield fault(
+            "store", f"nothing can be written in {path_of(url).parent}", "check the folder's permissions"
+        )
+    else:
+        yield ok("store", f"{url} does not exist yet; the first start of the tracker makes it")
+
+
+def path_of(url: str) -> Path:
+    """The file of an SQLite store."""
+    return Path(url.removeprefix("sqlite:").removeprefix("//"))
+
+
+def _contents(
+    store: Store, turbines: MappingOf[str, Turbine], retention_s: float, played_back: bool, kept: Kept
+) -> Iterator[Check]:
+    damages = store.database.faults()
+    if damages:
+        yield fault(
+            "store", f"{store.url} is damaged ({'; '.join(damages)})", "put it aside and restore a copy"
+        )
+        return
+    size = store.database.size()
+    yield ok("store", f"{store.url} is reached and whole; version {VERSION}, {_bytes(size)}")
+    if not store.database.may_write():
+        yield fault("store", "this user may not write into it", "give the user of the tracker the right to")
+    spans = _look(store, turbines, kept)
+    if store.url.startswith("sqlite:"):
+        free = shutil.disk_usage(path_of(store.url).parent).free
+        yield _room(size, free, max(spans.values(), default=0.0), retention_s)
+    yield from _claims(store, turbines)
+    yield from _turbines(store, turbines)
+    yield from _estimates(store, turbines, played_back)
+
+
+def _look(store: Store, turbines: MappingOf[str, Turbine], kept: Kept) -> dict[str, float]:
+    """Note what each turbine has; over how long a time [s] its readings go."""
+    spans = {}
+    for name in turbines:
+        kept.signals[name] = set(signals_of(store, name))
+        rows = store.rows(
+            "SELECT time, received FROM observation WHERE turbine = ? ORDER BY time DESC LIMIT 1", (name,)
+        )
+        for newest, received in rows:
+            kept.received_s = max(kept.received_s, received)
+            oldest = store.rows("SELECT MIN(time) FROM observation WHERE turbine = ?", (name,))[0][0]
+            spans[name] = newest - oldest
+    return spans
+
+
+def _room(size: int, free: int, span_s: float, retention_s: float) -> Check:
+    """Whether what is still to come before old rows go has room on the disk."""
+    a_day = size * DAY_S / max(span_s, DAY_S)
+    coming = a_day * max(retention_s - span_s, 0.0) / DAY_S
+    said = f"{_bytes(free)} free on its disk; it grows by some {_bytes(a_day)} a day"
+    remedy = "make room, keep less (retention), or move the store"
+    if free < LEAST_FREE:
+        return fault("store", said, remedy)
+    if coming > free:
+        days = free / a_day
+        found = f"{said}, and fills it in {days:.0f} d, before retention ends its growth"
+        return (
+            (fault if days < 1.0 else doubt)("store", found, remedy) if days < SOON_D else ok("store", found)
+        )
+    return ok("store", said)
+
+
+def _claims(store: Store, turbines: MappingOf[str, Turbine]) -> Iterator[Check]:
+    holders: dict[str, list[str]] = {}
+    for (kind, name), who in store.database.claims().items():
+        if kind == "turbine" and name in turbines:
+            holders.setdefault(who, []).append(name)
+    for who, names in holders.items():
+        yield ok("store", f"{who} tracks {several(sorted(names))} now")
+    if not holders:
+        yield ok("store", "nobody tracks these turbines now")
+
+
+def _turbines(store: Store, turbines: MappingOf[str, Turbine]) -> Iterator[Check]:
+    """Turbines that are in the store or in the tracker's file alone, or were tracked with another model."""
+    known = dict(store.rows("SELECT name, model FROM turbine"))
+    claimed = {name for kind, name in store.database.claims() if kind == "turbine"}
+    left = sorted(set(known) - set(turbines) - claimed)
+    if left:
+        yield doubt(
+            "store",
+            f"nobody tracks {several(left)}, which it has",
+            "add a [[turbine]], or delete what the store has of them by hand",
+        )
+    new = [name for name in turbines if name not in known]
+    if new:
+        yield ok("store", f"it does not have {several(new)} yet: their first readings begin them")
+    changed = [
+        name for name, one in turbines.items() if known.get(name, digest(one.plan)) != digest(one.plan)
+    ]
+    if changed:
+        yield doubt(
+            "store",
+            f"{several(changed)} had another model, or readings in another form, when last tracked",
+            "nothing, where that is meant: the next start filters their readings anew",
+        )
+
+
+def _estimates(store: Store, turbines: MappingOf[str, Turbine], played_back: bool) -> Iterator[Check]:
+    newest = {
+        name: at
+        for name in turbines
+        for (at,) in store.rows("SELECT MAX(time) FROM estimate WHERE turbine = ?", (name,))
+        if at is not None
+    }
+    if not newest:
+        yield doubt(
+            "store", "it has no estimate yet", "start the tracker, and look at its log where none comes"
+        )
+        return
+    if played_back:
+        yield ok("store", f"it has estimates of {several(newest)}")
+        return
+    ages = {name: time.time() - at for name, at in sorted(newest.items(), key=lambda one: one[1])}
+    old = {name: age for name, age in ages.items() if age > turbines[name].stale_s}
+    fresh = {name: age for name, age in ages.items() if name not in old}
+    if old:
+        yield doubt(
+            "store",
+            f"newest estimates are old: {_aged(old)}",
+            "look whether the tracker runs and readings come",
+        )
+    if fresh:
+        yield ok("store", f"newest estimates: {_aged(fresh)}")
+
+
+def _aged(ages: MappingOf[str, float]) -> str:
+    """Turbines with the age of what is newest of them [s], the oldest first."""
+    return several(f"{name} {lasting(age)} ago" for name, age in ages.items())
+
+
+def _bytes(count: float) -> str:
+    for unit, size in (("GB", 1e9), ("MB", 1e6), ("kB", 1e3)):
+        if count >= size:
+            return f"{count / size:.3g} {unit}"
+    return f"{count:.0f} bytes"

@@ -1,0 +1,314 @@
+"""One connection to an OPC UA server: a subscription, what comes of it, and the history of its nodes.
+
+It reads: no value is written and no method is called.  It lives in one asyncio loop, and is thrown away when it is lost.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import socket
+import time
+from collections.abc import AsyncIterator, Iterable, Sequence
+from contextlib import suppress
+from datetime import UTC, datetime
+
+from hygrokf.data.timestamps import stamp_text
+from hygrokf.live.sources.opcua_samples import (
+    ConnectionFault,
+    HistoryFault,
+    Node,
+    Rates,
+    Sample,
+    library,
+    name_of,
+    sample_of,
+    words_of,
+)
+from hygrokf.live.sources.opcua_security import Security, User
+
+ANSWER_S = 5.0
+"""[s] within which a server answers."""
+HISTORY_S = 30.0
+"""[s] within which it answers to a question after its history."""
+WATCH_S = 5.0
+"""[s] between two questions whether the server is still there."""
+KEEP_ALIVE_S = 10.0
+"""[s] after which the server says that the subscription lives, where nothing has changed."""
+LIFETIME_S = 120.0
+"""[s] for which the server keeps session and subscription of a client that is gone."""
+HELD = 20_000
+"""Samples that wait to be taken, at most."""
+AT_ONCE = 500
+"""Nodes of one request to subscribe."""
+PAGE = 1_000
+"""Samples of one node's history that are asked for at once."""
+NO_FILTER = ("BadMonitoredItemFilterUnsupported", "BadMonitoredItemFilterInvalid", "BadFilterNotAllowed")
+
+
+class Connection:
+    """A session and its subscription.
+
+    `open`, `subscribe`, then `samples` and `history` for as long as `check` has nothing to say, and `close` in any case.
+    """
+
+    def __init__(
+        self, url: str, rates: Rates, security: Security | None = None, user: User | None = None
+    ) -> None:
+        self.url = url
+        self.unfiltered = False
+        """Whether the server tells changes only, and not a value that is measured twice."""
+        self.dropped: set[Node] = set()
+        """Nodes of which samples found no room here; the caller empties it."""
+        self._rates, self._security, self._user = rates, security, user
+        self._ua = library().ua
+        self._client = None
+        self._subscription = None
+        self._handles: dict[int, Node] = {}
+        self._ids: dict[Node, object] = {}
+        self._held: list[tuple[Node, object, float]] = []
+        self._came = asyncio.Event()
+        self._lost = ""
+        self._stale_s = math.inf
+
+    # -- the session -----------------------------------------------------------------------------------------------
+    async def open(self) -> None:
+        """Connect, sign on and make an empty subscription.  Raises ConnectionFault."""
+        try:
+            self._client = await self._made()
+            await self._client.connect()
+            await self._subscribed()
+            self._client.uaclient.protocol.timeout = HISTORY_S
+        except Exception as fault:  # asyncua raises nearly everything, also out of what it cannot decode
+            words = await self._explained(fault)
+            await self.close()
+            raise ConnectionFault(words) from None
+
+    async def _made(self):
+        """A client with this connection's security and user, which is not connected yet."""
+        asyncua = library()
+        from asyncua.crypto import security_policies
+        from asyncua.crypto.uacrypto import CertProperties
+
+        client = asyncua.Client(self.url, timeout=ANSWER_S, watchdog_intervall=WATCH_S)
+        client.name = client.description = f"hygrokf on {socket.gethostname()}"
+        client.session_timeout = int(1e3 * LIFETIME_S)
+        client.connection_lost_callback = self._note_loss
+        s = self._security
+        if s is not None:
+            client.application_uri = s.application_uri
+            await client.set_security(
+                getattr(security_policies, f"SecurityPolicy{s.policy}"),
+                CertProperties(s.certificate, "der"),
+                CertProperties(s.key, "der"),
+                server_certificate=CertProperties(s.server_certificate, "der"),
+                mode=self._ua.MessageSecurityMode[s.mode],
+            )
+        if self._user is not None:
+            client.set_user(self._user.name)
+            client.set_password(self._user.password)
+        return client
+
+    async def _subscribed(self) -> None:
+        """Make the subscription: without asyncua's own renewal, which would not read back what it missed."""
+        from asyncua.common.subscription import Subscription
+
+        wanted = self._ua.CreateSubscriptionParameters()
+        wanted.RequestedPublishingInterval = 1e3 * self._rates.publishing_s
+        wanted.RequestedMaxKeepAliveCount = math.ceil(KEEP_ALIVE_S / self._rates.publishing_s)
+        wanted.RequestedLifetimeCount = math.ceil(LIFETIME_S / self._rates.publishing_s)
+        wanted.MaxNotificationsPerPublish = HELD
+        wanted.PublishingEnabled = True
+        self._subscription = Subscription(self._client.uaclient.session, wanted, self)
+        granted = await self._subscription.init()
+        self._subscription.last_publish_at = time.monotonic()
+        self._stale_s = 2e-3 * granted.RevisedPublishingInterval * granted.RevisedMaxKeepAliveCount + ANSWER_S
+
+    async def close(self) -> None:
+        """End session and subscription, as far as the server still answers."""
+        client, self._client = self._client, None
+        if client is None:
+            return
+        protocol = client.uaclient.protocol
+        with suppress(Exception):
+            await asyncio.wait_for(client.disconnect(), ANSWER_S)
+        if protocol is not None and protocol.transport is not None:
+            protocol.transport.abort()  # asyncua keeps the socket of a server that fell silent
+        await asyncio.sleep(0.0)
+
+    def check(self) -> None:
+        """Raises ConnectionFault where the connection is lost, or the server does not publish any more."""
+        silent_s = time.monotonic() - self._subscription.last_publish_at
+        if not self._lost and silent_s > self._stale_s:
+            self._lost = f"the server has not published for {silent_s:.0f} s"
+        if self._lost:
+            raise ConnectionFault(self._lost)
+
+    async def server_time(self) -> float:
+        """The server's own clock [s].  Raises ConnectionFault."""
+        try:
+            node = self._client.get_node(self._ua.NodeId(self._ua.ObjectIds.Server_ServerStatus_CurrentTime))
+            found = await node.read_value()
+            return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
+        except Exception as fault:
+            raise ConnectionFault(words_of(fault)) from None
+
+    async def _note_loss(self, fault: Exception) -> None:
+        self._lost = self._lost or f"the connection is lost ({words_of(fault)})"
+
+    async def _explained(self, fault: Exception) -> str:
+        """Why a connection was not made, with what the server says of itself to one who does not sign on."""
+        words = words_of(fault)
+        if isinstance(fault, ConnectionRefusedError | socket.gaierror | ConnectionFault):
+            return words
+        words = await self._mismatch() or words
+        if self._security is not None and self._security.valid_until < time.time():
+            words += f"; this client's certificate was valid until {stamp_text(self._security.valid_until)}: make a new one"
+        return words
+
+    async def _mismatch(self) -> str:
+        """What of policy, mode and certificate the server has otherwise; empty where that is not found out."""
+        s, client = self._security, library().Client(self.url, timeout=0.4 * ANSWER_S)
+        try:
+            offers = await client.connect_and_get_server_endpoints()
+        except Exception:  # it answers nobody who is not secured, or nobody at all
+            return ""
+        wanted = "no security" if s is None else f"{s.policy} {s.mode}"
+        offered = {_security_name(o): o.ServerCertificate or b"" for o in offers}
+        if wanted not in offered:
+            return f"the server has no connection with {wanted}; it offers {', '.join(sorted(offered)) or 'none'}"
+        if s is not None and not offered[wanted].startswith(s.server_certificate):
+            return (
+                "the server's certificate is not the one in server_certificate: find out whether it was replaced, "
+                "and state the new one only then"
+            )
+        return ""
+
+    # -- the subscription ------------------------------------------------------------------------------------------
+    async def subscribe(self, nodes: Sequence[Node]) -> dict[Node, str]:
+        """Subscribe to nodes; those that the server refused, with its word for why.  Raises ConnectionFault."""
+        try:
+            refused = await self._identified(nodes)
+            for filtered in (True, False):
+                asked = [
+                    node
+                    for node in nodes
+                    if node in self._ids and (filtered or refused.get(node) in NO_FILTER)
+                ]
+                for start in range(0, len(asked), AT_ONCE):
+                    part = asked[start : start + AT_ONCE]
+                    results = await self._subscription.create_monitored_items(
+                        [self._item(node, filtered) for node in part]
+                    )
+                    for node, result in zip(part, results, strict=True):
+                        refused.pop(node, None)
+                        if isinstance(result, self._ua.StatusCode):
+                            refused[node] = result.name
+                        self.unfiltered |= not filtered
+        except Exception as fault:
+            raise ConnectionFault(words_of(fault)) from None
+        return refused
+
+    async def _identified(self, nodes: Iterable[Node]) -> dict[Node, str]:
+        """Look up the ids of nodes, whose namespaces have other numbers after a restart of some servers."""
+        ua, refused = self._ua, {}
+        found = {node: ua.NodeId.from_string(node.id) for node in nodes}
+        named = [one for one in found.values() if getattr(one, "NamespaceUri", None)]
+        namespaces = await self._client.get_namespace_array() if named else []
+        for node, one in found.items():
+            uri = getattr(one, "NamespaceUri", None)
+            if uri and uri not in namespaces:
+                refused[node] = "the server has no such namespace"
+                continue
+            self._ids[node] = ua.NodeId(one.Identifier, namespaces.index(uri), one.NodeIdType) if uri else one
+        return refused
+
+    def _item(self, node: Node, filtered: bool):
+        """A request for a node; `filtered` by time stamps as well, so that a value measured twice comes twice."""
+        ua = self._ua
+        wanted = ua.MonitoringParameters()
+        wanted.ClientHandle = len(self._handles) + 1
+        wanted.SamplingInterval = 1e3 * self._rates.sampling_s
+        wanted.QueueSize = self._rates.queue
+        wanted.DiscardOldest = True
+        if filtered:
+            wanted.Filter = ua.DataChangeFilter(Trigger=ua.DataChangeTrigger.StatusValueTimestamp)
+        item = ua.MonitoredItemCreateRequest()
+        item.ItemToMonitor = ua.ReadValueId(NodeId=self._ids[node], AttributeId=ua.AttributeIds.Value)
+        item.MonitoringMode = ua.MonitoringMode.Reporting
+        item.RequestedParameters = wanted
+        self._handles[wanted.ClientHandle] = node
+        return item
+
+    def datachange_notification(self, node, value, data) -> None:
+        """Called by asyncua; only notes what came."""
+        one = self._handles[data.subscription_data.client_handle]
+        if len(self._held) < HELD:
+            self._held.append((one, data.monitored_item.Value or self._ua.DataValue(), time.time()))
+        else:
+            self.dropped.add(one)
+        self._came.set()
+
+    def status_change_notification(self, notification) -> None:
+        """Called by asyncua where the server says something of the subscription itself: that it is over."""
+        self._lost = self._lost or f"the server ended the subscription ({notification.Status.name})"
+
+    async def samples(self, patience_s: float) -> list[Sample]:
+        """What came since the last call; waits `patience_s` [s] for a first one."""
+        with suppress(TimeoutError):
+            await asyncio.wait_for(self._came.wait(), patience_s)
+        self._came.clear()
+        held, self._held = self._held, []
+        return [sample_of(*one) for one in held]
+
+    # -- history ---------------------------------------------------------------------------------------------------
+    async def history(self, node: Node, since_s: float, until_s: float) -> AsyncIterator[Sample]:
+        """Samples of a node after a time and up to another [s], by time.  Raises HistoryFault, ConnectionFault."""
+        ua = self._ua
+        details = ua.ReadRawModifiedDetails(NumValuesPerNode=PAGE, ReturnBounds=False, IsReadModified=False)
+        details.EndTime = datetime.fromtimestamp(until_s, UTC)
+        while True:
+            details.StartTime = datetime.fromtimestamp(since_s, UTC)
+            page, more = await self._page(node, details)
+            timed = (s for s in page if s.time is not None and since_s < s.time <= until_s)
+            new = sorted(timed, key=lambda s: s.time)
+            for sample in new:
+                yield sample
+            if not new or (len(page) < PAGE and not more):
+                return
+            since_s = new[-1].time
+
+    async def _page(self, node: Node, details) -> tuple[list[Sample], bool]:
+        """A page of a node's history, and whether the server has more.
+
+        The next page is asked for by time: servers have few continuation points, and pages of many nodes are open at once.
+        """
+        ua = self._ua
+        value = ua.HistoryReadValueId(NodeId=self._ids[node])
+        wanted = ua.HistoryReadParameters(details, ua.TimestampsToReturn.Both, False, [value])
+        try:
+            (found,) = await self._client.uaclient.history_read(wanted)
+            more = found.ContinuationPoint
+            if more:
+                value.ContinuationPoint = more
+                wanted.ReleaseContinuationPoints = True
+                with suppress(ua.UaStatusCodeError):
+                    await self._client.uaclient.history_read(wanted)
+            found.StatusCode.check()
+        except ua.UaStatusCodeError as fault:
+            raise HistoryFault(name_of(fault)) from None
+        except TimeoutError:
+            self.check()
+            raise HistoryFault(f"no answer within {HISTORY_S:g} s") from None
+        except Exception as fault:
+            raise ConnectionFault(words_of(fault)) from None
+        now = time.time()
+        return [
+            sample_of(node, one, now) for one in getattr(found.HistoryData, "DataValues", None) or ()
+        ], bool(more)
+
+
+def _security_name(offer) -> str:
+    """Policy and mode of an endpoint, as they are written in the tracker's file."""
+    policy = offer.SecurityPolicyUri.rpartition("#")[2].replace("_", "")
+    return "no security" if policy == "None" else f"{policy} {offer.SecurityMode.name}"

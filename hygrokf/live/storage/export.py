@@ -1,0 +1,229 @@
+"""The store's history as files: observations, estimates, properties and alarms, in CSV or Parquet, with times as such."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO
+
+import numpy as np
+
+from hygrokf.data.files import writing_whole
+from hygrokf.data.signals import SIGNALS
+from hygrokf.errors import HygrokfError
+from hygrokf.live.storage.schema import READABLE_COLUMNS
+from hygrokf.live.storage.store import Store
+
+FORMATS = ("csv", "parquet")
+CHUNK = 20_000
+"""Rows that are held at once."""
+
+
+class ExportFault(HygrokfError):
+    """What cannot be exported, in words for the one who asked for it."""
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a file: its name there, the store's column, and "text", "number", "time" [s], "flag" or "unit".
+
+    A "unit" is the SI unit of the signal that stands in the store's column.
+    """
+
+    name: str
+    source: str
+    kind: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """A file: its name, where its rows come from, its columns, the key that orders them, and which rows lie in a time.
+
+    `within` are conditions on (since, until) [s].
+    """
+
+    name: str
+    source: str
+    columns: tuple[Column, ...]
+    key: tuple[str, ...]
+    within: tuple[str, str] = ("time >= ?", "time < ?")
+
+
+def _columns(*rows: str) -> tuple[Column, ...]:
+    """Columns from "name kind" or "name source kind"."""
+    parts = [row.split() for row in rows]
+    return tuple(Column(one[0], one[-2], one[-1]) for one in parts)
+
+
+TABLES = (
+    Table(
+        "observation", "observation",
+        _columns(
+            "turbine text", "signal text", "time_utc time time", "value_si value number", "unit signal unit",
+            "received_utc received time", "late flag", "contradicted flag",
+        ),
+        ("turbine", "signal", "time"),
+    ),
+    Table(
+        "estimate", "estimate_readable",
+        _columns("turbine text", "time_utc time time", "final flag", *(f"{name} number" for name in READABLE_COLUMNS)),
+        ("turbine", "time"),
+    ),
+    Table(
+        "property", "property",
+        _columns(
+            "turbine text", "name text", "time_utc time time", "value number", "lower_bound number", "upper_bound number",
+            "reference number", "unit text", "observable flag",
+        ),
+        ("turbine", "name", "time"),
+    ),
+    Table(
+        "alarm", "alarm",
+        _columns(
+            "id text", "turbine text", "kind text", "severity text", "began_utc began time", "ended_utc ended time",
+            "acknowledged_utc acknowledged time", "acknowledged_by text", "statement text", "remedy text",
+        ),
+        ("turbine", "began", "id"),
+        ("(ended IS NULL OR ended >= ?)", "began < ?"),
+    ),
+)  # fmt: skip
+"""What is exported."""
+
+
+def export(
+    store: Store,
+    out: Path,
+    form: str = "csv",
+    turbine: str | None = None,
+    since: float = -math.inf,
+    until: float = math.inf,
+) -> dict[str, int]:
+    """Write the tables of one turbine or of all to `out`, as TABLE.csv or TABLE.parquet; how many rows each has.
+
+    Rows are those of since ≤ time < until [s since 1970, UTC]; alarms are those that stood at some time of it.  Memory
+    does not grow with the store, and the files appear together when all are written.  Raises ExportFault, StoreFault and
+    OSError.
+    """
+    if form not in FORMATS:
+        raise ExportFault(f"expected a format of {', '.join(FORMATS)}, found {form!r}")
+    known = [name for (name,) in store.rows("SELECT name FROM turbine ORDER BY name")]
+    if turbine is not None and turbine not in known:
+        raise ExportFault(
+            f"{store.url}: expected a turbine of {', '.join(known) or 'none yet'}, found {turbine!r}"
+        )
+    if not since < until:
+        raise ExportFault("expected a time that begins before it ends; exchange since and until")
+    writer = _csv_writer if form == "csv" else _parquet_writer
+    out.mkdir(parents=True, exist_ok=True)
+    counts: dict[str, int] = {}
+    with ExitStack() as files:
+        for table in TABLES:
+            file = files.enter_context(writing_whole(out / f"{table.name}.{form}"))
+            counts[table.name] = 0
+            write, close = writer(file, table.columns)
+            for rows in chunks(store, table, turbine, since, until):
+                write(
+                    [
+                        _values(c.kind, column)
+                        for c, column in zip(table.columns, zip(*rows, strict=True), strict=True)
+                    ]
+                )
+                counts[table.name] += len(rows)
+            close()
+    return counts
+
+
+def chunks(
+    store: Store, table: Table, turbine: str | None, since: float, until: float
+) -> Iterator[list[tuple]]:
+    """Rows of a table in the order of its key, `CHUNK` at once; each chunk begins after the last row of the one before.
+
+    No query stays open: the tracker goes on writing, and its log does not grow because someone reads.
+    """
+    conditions, values = [], []
+    for condition, value in zip(table.within, (since, until), strict=True):
+        if math.isfinite(value):
+            conditions.append(condition)
+            values.append(value)
+    if turbine is not None:
+        conditions.append("turbine = ?")
+        values.append(turbine)
+    names = ", ".join([*table.key, *(column.source for column in table.columns)])
+    order, width = ", ".join(table.key), len(table.key)
+    after: tuple = ()
+    while True:
+        following = [f"({order}) > ({', '.join('?' * width)})"] if after else []
+        where = " AND ".join([*conditions, *following]) or "1 = 1"
+        rows = store.rows(
+            f"SELECT {names} FROM {table.source} WHERE {where} ORDER BY {order} LIMIT {CHUNK}",
+            (*values, *after),
+        )
+        if rows:
+            yield [row[width:] for row in rows]
+        if len(rows) < CHUNK:
+            return
+        after = rows[-1][:width]
+
+
+def _values(kind: str, column: Sequence) -> list | np.ndarray:
+    """A column's values as they stand in a file; times as milliseconds, which is as near as the filter tells them apart."""
+    if kind == "time":
+        seconds = np.array([math.nan if v is None else v for v in column], dtype=float)
+        there = np.isfinite(seconds)
+        milliseconds = np.round(np.where(there, seconds, 0.0) * 1e3).astype("datetime64[ms]")
+        return np.where(there, milliseconds, np.datetime64("NaT", "ms"))
+    if kind == "flag":
+        return [bool(v) for v in column]
+    if kind == "unit":
+        return [SIGNALS[v].unit if v in SIGNALS else None for v in column]
+    return list(column)
+
+
+Write = Callable[[list], None]
+
+
+def _csv_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, Callable[[], None]]:
+    """UTF-8 with a header; times as ISO 8601, flags as true and false, nothing where there is nothing."""
+    text = io.TextIOWrapper(file, encoding="utf-8", newline="", write_through=True)
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow([one.name for one in columns])
+
+    def said(kind: str, values: list | np.ndarray) -> list:
+        if kind == "time":
+            return [
+                "" if one == "NaT" else f"{one}Z" for one in np.datetime_as_string(values, unit="ms").tolist()
+            ]
+        return [("false", "true")[v] for v in values] if kind == "flag" else values
+
+    def write(values: list) -> None:
+        rows.writerows(zip(*(said(c.kind, v) for c, v in zip(columns, values, strict=True)), strict=True))
+
+    return write, text.detach
+
+
+def _parquet_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, Callable[[], None]]:
+    """One row group a chunk."""
+    try:
+        import pyarrow
+        from pyarrow import parquet
+    except ImportError:
+        raise ExportFault("Parquet files need pyarrow: pip install 'hygrokf[parquet]'") from None
+    kinds = {"time": pyarrow.timestamp("ms", tz="UTC"), "number": pyarrow.float64(), "flag": pyarrow.bool_()}
+    schema = pyarrow.schema([(one.name, kinds.get(one.kind, pyarrow.string())) for one in columns])
+    made = parquet.ParquetWriter(file, schema)
+
+    def write(values: list) -> None:
+        arrays = [
+            pyarrow.array(v, type=pyarrow.timestamp("ms")).cast(t)
+            if c.kind == "time"
+            else pyarrow.array(v, type=t)
+            for c, v, t in zip(columns, values, schema.types, strict=True)
+        ]
+        made.write_batch(pyarrow.record_batch(arrays, schema=schema))
+
+    return write, made.close

@@ -1,0 +1,385 @@
+"""Where observations, estimates, states and the source's place are kept, together or not at all.
+
+A `Batch` is what one round of the tracker found; `Store.commit` writes it in one transaction, so that after a crash
+everything is as it was after some whole batch, and the source goes on from there.
+"""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from hygrokf.estimation.likelihood import Gaussian
+from hygrokf.live.condition import Condition, Quantity
+from hygrokf.live.forecast import Forecast
+from hygrokf.live.plan import BEFORE
+from hygrokf.live.properties import Property
+from hygrokf.live.storage.database import Database
+from hygrokf.live.storage.database import StoreFault as StoreFault
+from hygrokf.live.storage.postgres import SCHEMES, open_postgres
+from hygrokf.live.storage.schema import TABLES
+from hygrokf.live.storage.sqlite import open_sqlite
+from hygrokf.live.tracker import Point, Reading
+
+
+@dataclass(frozen=True)
+class Observation:
+    """A reading of a turbine, when it was received [s], and whether it came too late to be used."""
+
+    turbine: str
+    reading: Reading
+    received: float
+    late: bool = False
+
+
+@dataclass(frozen=True)
+class Alarm:
+    """An alarm: `began`, `ended`, `acknowledged` [s]; `severity` "notice", "warning" or "alarm"."""
+
+    id: str
+    turbine: str
+    kind: str
+    severity: str
+    began: float
+    statement: str
+    remedy: str
+    ended: float | None = None
+    acknowledged: float | None = None
+    acknowledged_by: str | None = None
+
+
+@dataclass
+class Batch:
+    """What one round found.
+
+    `estimates` turbine → (condition, how many of its instants are final, time [s] from which on it overtakes what was
+    provisional); `memories` (turbine, name) → plain data that a
+    turbine's tracker goes on from; `counters` (turbine, name) → increase; `place` source → where it is to go on;
+    `forecasts` turbine → what takes the place of the one before; `weather` readings of a weather forecast.
+    """
+
+    observations: list[Observation] = field(default_factory=list)
+    points: dict[str, Point] = field(default_factory=dict)
+    estimates: dict[str, tuple[Condition, int, float]] = field(default_factory=dict)
+    properties: list[tuple[str, float, Sequence[Property]]] = field(default_factory=list)
+    alarms: list[Alarm] = field(default_factory=list)
+    memories: dict[tuple[str, str], object] = field(default_factory=dict)
+    counters: dict[tuple[str, str], int] = field(default_factory=dict)
+    place: dict[str, str] = field(default_factory=dict)
+    forecasts: dict[str, Forecast | None] = field(default_factory=dict)
+    weather: list[Observation] = field(default_factory=list)
+
+    @property
+    def empty(self) -> bool:
+        return not any(vars(self).values())
+
+
+_QUANTITIES = (
+    ("temperature_K", "temperature_sd"),
+    ("relative_humidity", "relative_humidity_sd"),
+    ("absolute_humidity_g_m3", "absolute_humidity_sd"),
+    ("dew_point_K", "dew_point_sd"),
+    ("frost_point_K", "frost_point_sd"),
+    ("margin_K", "margin_sd"),
+)
+ESTIMATE_COLUMNS = (
+    "turbine", "time", "final", *(name for pair in _QUANTITIES for name in pair), "condensation"
+)  # fmt: skip
+_READINGS = """
+WITH RECURSIVE known (signal) AS (
+    SELECT MIN(signal) FROM observation WHERE turbine = ?
+    UNION ALL
+    SELECT (SELECT MIN(o.signal) FROM observation o WHERE o.turbine = ? AND o.signal > known.signal)
+    FROM known WHERE known.signal IS NOT NULL)
+SELECT o.signal, o.time, o.value, o.contradicted FROM known CROSS JOIN observation o
+WHERE o.turbine = ? AND o.signal = known.signal AND o.late = 0 AND o.time >= COALESCE(
+    (SELECT b.time FROM observation b WHERE b.turbine = ? AND b.signal = known.signal AND b.time < ? AND b.late = 0
+    ORDER BY b.time DESC LIMIT 1 OFFSET ?), -1e18)
+ORDER BY o.signal, o.time
+"""
+"""What `Store.readings` asks: signal by signal a step in the index, however long the history is."""
+FORGOTTEN_S = 3 * 86400.0
+"""[s] after its time for which a weather forecast is kept."""
+FORECAST_COLUMNS = ("turbine", "time", "made", *ESTIMATE_COLUMNS[3:], "above_limit")
+
+
+class Store:
+    """One store, in whatever database; it may be used by one thread at a time.
+
+    What comes from outside (disk, network, another process) is raised as StoreFault, and may be gone when the store is
+    opened anew; a wrong statement or value is raised as the driver's own error.
+    """
+
+    def __init__(self, database: Database) -> None:
+        self.database = database
+
+    @property
+    def url(self) -> str:
+        return self.database.url
+
+    # -- plain statements -------------------------------------------------------------------------------------
+    def _text(self, statement: str) -> str:
+        return self.database.text(statement)
+
+    def rows(self, statement: str, parameters: Sequence = ()) -> list[tuple]:
+        """Rows of a query; parameters stand as question marks in every store."""
+        return self.database.rows(statement, parameters)
+
+    def transaction(self) -> AbstractContextManager:
+        """A cursor whose statements take effect together, when the block ends, or not at all."""
+        return self.database.transaction()
+
+    def claim(self, kind: str, names: Iterable[str]) -> None:
+        """Be the only tracker of turbines or sources, until the store is closed; StoreFault names who holds one of them."""
+        self.database.claim(kind, names)
+
+    # -- writing ----------------------------------------------------------------------------------------------
+    def commit(self, batch: Batch) -> None:
+        """Write a batch, whole or not at all."""
+        with self.transaction() as cursor:
+            self._many(
+                cursor,
+                "INSERT INTO observation (turbine, signal, time, value, received, late, contradicted) "
+                "VALUES (?, ?, ?, ?, ?, ?, 0) ON CONFLICT (turbine, signal, time) DO UPDATE SET contradicted = "
+                "CASE WHEN observation.value = excluded.value OR excluded.late = 1 THEN observation.contradicted ELSE 1 END",
+                [
+                    (o.turbine, o.reading.signal, o.reading.time, o.reading.value, o.received, int(o.late))
+                    for o in batch.observations
+                ],
+            )
+            self._many(
+                cursor,
+                "INSERT INTO point (turbine, time, state) VALUES (?, ?, ?) "
+                "ON CONFLICT (turbine) DO UPDATE SET time = excluded.time, state = excluded.state",
+                [(turbine, p.time, state_text(p.state)) for turbine, p in batch.points.items()],
+            )
+            names = ", ".join(ESTIMATE_COLUMNS)
+            marks = ", ".join("?" * len(ESTIMATE_COLUMNS))
+            changed = ", ".join(f"{n} = excluded.{n}" for n in ESTIMATE_COLUMNS[2:])
+            self._many(
+                cursor,
+                "DELETE FROM estimate WHERE turbine = ? AND time >= ? AND final = 0",
+                [(turbine, since) for turbine, (_, _, since) in batch.estimates.items()],
+            )
+            self._many(
+                cursor,
+                f"INSERT INTO estimate ({names}) VALUES ({marks}) "
+                f"ON CONFLICT (turbine, time) DO UPDATE SET {changed}",
+                [
+                    row
+                    for turbine, (found, final, _) in batch.estimates.items()
+                    for row in estimate_rows(turbine, found, final)
+                ],
+            )
+            self._many(
+                cursor,
+                "INSERT INTO property (turbine, time, name, unit, value, lower_bound, upper_bound, reference, observable) "
+                "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (turbine, name, time) DO UPDATE SET "
+                "value = excluded.value, lower_bound = excluded.lower_bound, upper_bound = excluded.upper_bound, "
+                "observable = excluded.observable",
+                [
+                    (turbine, at, p.name, p.unit, p.value, p.lower, p.upper, p.reference, int(p.observable))
+                    for turbine, at, found in batch.properties
+                    for p in found
+                ],
+            )
+            self._many(
+                cursor,
+                "INSERT INTO alarm (id, turbine, kind, severity, began, ended, acknowledged, acknowledged_by, statement, "
+                "remedy) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET severity = excluded.severity, "
+                "ended = excluded.ended, statement = excluded.statement, remedy = excluded.remedy",
+                [
+                    (a.id, a.turbine, a.kind, a.severity, a.began, a.ended, a.acknowledged, a.acknowledged_by,
+                     a.statement, a.remedy)
+                    for a in batch.alarms
+                ],
+            )  # fmt: skip
+            self._many(
+                cursor,
+                "INSERT INTO memory (turbine, name, content) VALUES (?, ?, ?) "
+                "ON CONFLICT (turbine, name) DO UPDATE SET content = excluded.content",
+                [(turbine, name, json.dumps(data)) for (turbine, name), data in batch.memories.items()],
+            )
+            self._many(
+                cursor,
+                "INSERT INTO counter (turbine, name, count) VALUES (?, ?, ?) "
+                "ON CONFLICT (turbine, name) DO UPDATE SET count = counter.count + excluded.count",
+                [(turbine, name, count) for (turbine, name), count in batch.counters.items() if count],
+            )
+            self._many(
+                cursor,
+                "INSERT INTO source (url, place) VALUES (?, ?) ON CONFLICT (url) DO UPDATE SET place = excluded.place",
+                list(batch.place.items()),
+            )
+            for turbine, made in batch.forecasts.items():
+                cursor.execute(self._text("DELETE FROM forecast WHERE turbine = ?"), (turbine,))
+                if made is None:
+                    continue
+                columns = FORECAST_COLUMNS
+                self._many(
+                    cursor,
+                    f"INSERT INTO forecast ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})",
+                    forecast_rows(turbine, made),
+                )
+            if batch.weather:  # what a forecast said of the past is of no use
+                old = min(o.received for o in batch.weather) - FORGOTTEN_S
+                cursor.execute(self._text("DELETE FROM weather WHERE time < ?"), (old,))
+            self._many(
+                cursor,
+                "INSERT INTO weather (turbine, signal, time, value, received) VALUES (?, ?, ?, ?, ?) "
+                "ON CONFLICT (turbine, signal, time) DO UPDATE SET value = excluded.value, received = excluded.received "
+                "WHERE excluded.received >= weather.received",
+                [
+                    (o.turbine, o.reading.signal, o.reading.time, o.reading.value, o.received)
+                    for o in batch.weather
+                ],
+            )
+
+    def _many(self, cursor, statement: str, rows: Sequence[tuple]) -> None:
+        if rows:
+            cursor.executemany(self._text(statement), rows)
+
+    def add_turbines(self, models: Mapping[str, str]) -> None:
+        """Turbines with the digest of the model that they are tracked with.
+
+        A turbine that was tracked with another model begins anew from its observations: its point is another model's.
+        """
+        with self.transaction() as cursor:
+            for name, digest in models.items():
+                cursor.execute(self._text("SELECT model FROM turbine WHERE name = ?"), (name,))
+                known = cursor.fetchone()
+                if known and known[0] != digest:
+                    for table in ("point", "memory"):
+                        cursor.execute(self._text(f"DELETE FROM {table} WHERE turbine = ?"), (name,))
+                cursor.execute(
+                    self._text(
+                        "INSERT INTO turbine (name, model, added) VALUES (?, ?, ?) "
+                        "ON CONFLICT (name) DO UPDATE SET model = excluded.model"
+                    ),
+                    (name, digest, time.time()),
+                )
+
+    def acknowledge(self, alarm: str, by: str, at: float) -> bool:
+        """Mark an alarm as seen; False where there is no such alarm, or it was acknowledged before."""
+        with self.transaction() as cursor:
+            cursor.execute(
+                self._text(
+                    "UPDATE alarm SET acknowledged = ?, acknowledged_by = ? WHERE id = ? AND acknowledged IS NULL"
+                ),
+                (at, by, alarm),
+            )
+            return cursor.rowcount == 1
+
+    # -- reading ----------------------------------------------------------------------------------------------
+    def point(self, turbine: str) -> Point | None:
+        found = self.rows("SELECT time, state FROM point WHERE turbine = ?", (turbine,))
+        return Point(found[0][0], state_of(found[0][1])) if found else None
+
+    def readings(self, turbine: str, since: float) -> list[Reading]:
+        """Readings of a turbine that the filter may use: those from a time [s] on, and each signal's last `BEFORE` readings
+        before it.
+
+        NaN where two contradict each other.
+        """
+        found = self.rows(_READINGS, (turbine, turbine, turbine, turbine, since, BEFORE - 1))
+        return [Reading(signal, at, float("nan") if wrong else value) for signal, at, value, wrong in found]
+
+    def course(
+        self, turbine: str, signals: Sequence[str], since: float, until: float
+    ) -> list[tuple[str, float, float]]:
+        """(signal, time [s], value) of some signals from `since` to `until` [s], by signal and time."""
+        return self.rows(
+            f"SELECT signal, time, value FROM observation WHERE turbine = ? AND signal IN ({', '.join('?' * len(signals))}) "
+            "AND time >= ? AND time <= ? AND contradicted = 0 ORDER BY signal, time",
+            (turbine, *signals, since, until),
+        )
+
+    def weather(self, turbine: str, since: float) -> list[tuple[str, float, float]]:
+        """(signal, time [s], value) of the weather forecast for a turbine, or else for all, by signal and time."""
+        statement = (
+            "SELECT signal, time, value FROM weather WHERE turbine = ? AND time >= ? ORDER BY signal, time"
+        )
+        return self.rows(statement, (turbine, since)) or self.rows(statement, ("", since))
+
+    def memory(self, turbine: str, name: str) -> object:
+        found = self.rows("SELECT content FROM memory WHERE turbine = ? AND name = ?", (turbine, name))
+        return json.loads(found[0][0]) if found else None
+
+    def memories(self, turbine: str) -> dict[str, object]:
+        """All that a turbine's tracker goes on from, by name."""
+        found = self.rows("SELECT name, content FROM memory WHERE turbine = ?", (turbine,))
+        return {name: json.loads(content) for name, content in found}
+
+    def place(self, url: str) -> str | None:
+        """Where a source is to go on; None for one that was never read."""
+        found = self.rows("SELECT place FROM source WHERE url = ?", (url,))
+        return found[0][0] if found else None
+
+    def counters(self) -> dict[tuple[str, str], int]:
+        return {
+            (turbine, name): int(n)
+            for turbine, name, n in self.rows("SELECT turbine, name, count FROM counter")
+        }
+
+    def size(self) -> dict[str, int]:
+        """Rows of every table."""
+        return {table: int(self.rows(f"SELECT COUNT(*) FROM {table}")[0][0]) for table in TABLES}
+
+    def close(self) -> None:
+        self.database.close()
+
+
+def state_text(state: Gaussian) -> str:
+    """A Gaussian as JSON, of which every bit comes back."""
+    return json.dumps({"mean": state.mean.tolist(), "covariance": np.asarray(state.covariance).tolist()})
+
+
+def state_of(text: str) -> Gaussian:
+    data = json.loads(text)
+    return Gaussian(np.array(data["mean"], dtype=float), np.array(data["covariance"], dtype=float))
+
+
+def estimate_rows(turbine: str, found: Condition, final: int) -> Iterable[tuple]:
+    """Rows of the estimate table, in the order of `ESTIMATE_COLUMNS`; what is no number is NULL."""
+    count = len(found.time_s)
+    columns: list[list] = [[turbine] * count, found.time_s.tolist(), [int(i < final) for i in range(count)]]
+    for name, _ in _QUANTITIES:
+        quantity: Quantity | None = getattr(found, name)
+        columns += [[None] * count] * 2 if quantity is None else [_plain(quantity.value), _plain(quantity.sd)]
+    columns.append([None] * count if found.condensation is None else _plain(found.condensation))
+    return list(zip(*columns, strict=True))
+
+
+def forecast_rows(turbine: str, made: Forecast) -> Iterable[tuple]:
+    """Rows of the forecast table, in the order of `FORECAST_COLUMNS`."""
+    return [
+        (row[0], row[1], made.made_s, *row[3:], above)
+        for row, above in zip(estimate_rows(turbine, made.condition, 0), _plain(made.above), strict=True)
+    ]
+
+
+def _plain(values: np.ndarray) -> list[float | None]:
+    return [v if v == v else None for v in values.tolist()]
+
+
+# -- opening ---------------------------------------------------------------------------------------------------------
+def open_store(url: str, read_only: bool = False) -> Store:
+    """The store at `sqlite:PATH` or `postgresql://USER@HOST/NAME`, made where there is none, brought to this version.
+
+    With `read_only` it must be there, of this version, and nothing can be written.  Raises StoreFault, in words, where it
+    is no store, is damaged or cannot be reached.  Nothing is overwritten.
+    """
+    if url.startswith(SCHEMES):
+        return Store(open_postgres(url, read_only))
+    if url.startswith("sqlite:"):
+        return Store(open_sqlite(Path(url.removeprefix("sqlite:").removeprefix("//")), read_only))
+    scheme = url.partition(":")[0] if ":" in url else url
+    raise StoreFault(
+        f"expected a store as sqlite:PATH or postgresql://USER@HOST/NAME, found one that begins with {scheme[:40]!r}"
+    )

@@ -1,0 +1,292 @@
+"""The live page: files of the page itself, what it shows as JSON, events, metrics.
+
+Everything is read from the store over a connection of the page's own, so that the tracker never waits for a page.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+import sqlite3
+import threading
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+from hygrokf.live.service import Service
+from hygrokf.live.storage.store import Store, StoreFault, open_store
+from hygrokf.live.web.access import Access, client_of, guarded
+from hygrokf.live.web.events import EventStream, Hub
+from hygrokf.live.web.metrics import exposition
+from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
+from hygrokf.live.web.views import alarms_view, fleet_view, health_view, turbine_view
+from hygrokf.version import __version__
+
+if TYPE_CHECKING:
+    from starlette.requests import Request
+    from starlette.responses import Response
+
+LOG = logging.getLogger("hygrokf.page")
+STATIC = Path(__file__).parent / "static"
+DAY_S = 86400.0
+DAYS = (1, 3, 7, 14)
+"""Days of a turbine's course that may be asked for."""
+KEPT_S = 10.0
+"""[s] for which the fleet's rows serve although nothing changed."""
+LARGEST = 4096
+"""[bytes] of what is posted."""
+LONGEST_NAME, LONGEST_ID = 60, 300
+"""Characters of who acknowledges, and of an alarm's id."""
+T = TypeVar("T")
+
+
+class Reader:
+    """The page's own connection to the store, used by one thread at a time and opened anew after a failure.
+
+    The tracker opens the store first: only one of them makes its tables.
+    """
+
+    def __init__(self, service: Service) -> None:
+        self._service = service
+        self._lock = threading.Lock()
+        self._store: Store | None = None
+        self._failed = False
+
+    def read(self, view: Callable[[Store], T]) -> T:
+        """What `view` makes of the store.  Raises StoreFault where the store is not reached."""
+        with self._lock:
+            if self._service.store is None:
+                raise StoreFault("the tracker has not opened its store yet")
+            try:
+                if self._store is None:
+                    self._store = open_store(self._service.store_url)
+                found = view(self._store)
+            except Exception as fault:
+                self._close()
+                if not of_the_store(fault):
+                    raise
+                if not self._failed:
+                    LOG.warning("the page does not reach the store", extra={"fault": str(fault).strip()})
+                self._failed = True
+                raise StoreFault("the store is not reached; the tracker's log says why") from fault
+            self._failed = False
+            return found
+
+    def close(self) -> None:
+        """Give the connection back; the next read opens another one."""
+        with self._lock:
+            self._close()
+
+    def _close(self) -> None:
+        if self._store is not None:
+            self._store.close()
+            self._store = None
+
+
+def of_the_store(fault: Exception) -> bool:
+    """Whether a fault is the database's, whichever it is, and not the program's."""
+    return isinstance(fault, StoreFault | sqlite3.Error | OSError) or type(fault).__module__.startswith(
+        "psycopg"
+    )
+
+
+class Page:
+    """The page's endpoints over a tracker's service and the hub that its commits are told to."""
+
+    def __init__(self, service: Service, hub: Hub, settings: PageSettings) -> None:
+        self.service = service
+        self.hub = hub
+        self.access = Access(settings)
+        self.reader = Reader(service)
+        self._fleet: tuple[int, float, list[dict]] = (-1, 0.0, [])
+
+    def app(self) -> Callable:
+        """The ASGI application.  Raises PageFault where packages are missing."""
+        try:
+            from starlette.applications import Starlette
+        except ImportError:
+            raise PageFault(NEEDED) from None
+        from starlette.middleware import Middleware
+        from starlette.middleware.gzip import GZipMiddleware
+        from starlette.responses import FileResponse
+        from starlette.routing import Mount, Route
+        from starlette.staticfiles import StaticFiles
+
+        def index(request: Request) -> Response:
+            return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
+
+        class Files(StaticFiles):
+            def file_response(self, *given: object, **named: object) -> Response:
+                made = super().file_response(*given, **named)
+                made.headers["Cache-Control"] = "no-cache"  # asked for again, and not sent where unchanged
+                return made
+
+        routes = [
+            Route("/", index),
+            Mount("/static", Files(directory=STATIC)),
+            Route("/api/fleet", self.fleet),
+            Route("/api/turbine/{name:path}", self.turbine),
+            Route("/api/alarms", self.alarms),
+            Route("/api/alarms/acknowledge", self.acknowledge, methods=["POST"]),
+            Route("/api/health", self.health),
+            Route("/api/login", self.login, methods=["POST"]),
+            Route("/api/logout", self.logout, methods=["POST"]),
+            Route("/events", EventStream(self.hub)),
+            Route("/metrics", self.metrics),
+            Route("/healthz", self.healthz),
+        ]
+        made = Starlette(
+            routes=routes,
+            middleware=[Middleware(GZipMiddleware, minimum_size=1000, compresslevel=5)],
+            exception_handlers={
+                kind: lambda request, fault: refusal(503, str(fault)) for kind in (StoreFault, PageFault)
+            },
+        )
+        return guarded(made, self.access)
+
+    # -- what is shown ------------------------------------------------------------------------------------------
+    def fleet(self, request: Request) -> Response:
+        now = self.service.now
+        return reply({"now": now, "turbines": self.rows(now)})
+
+    def rows(self, now: float) -> list[dict]:
+        """The fleet's rows; read anew after a change."""
+        generation, at, rows = self._fleet
+        current = self.hub.generation
+        if generation != current or not 0.0 <= now - at < KEPT_S:
+            known = {name: one.verdicts for name, one in self.service.turbines.items()}
+            rows = self.reader.read(lambda store: fleet_view(store, list(known), now, known))
+            self._fleet = (current, now, rows)
+        return rows
+
+    def turbine(self, request: Request) -> Response:
+        name, days = request.path_params["name"], request.query_params.get("days", "3")
+        if name not in self.service.turbines:
+            return refusal(404, "no such turbine is tracked")
+        if not days.isdecimal() or int(days) not in DAYS:
+            return refusal(400, f"days must be one of {', '.join(map(str, DAYS))}")
+        now = self.service.now
+        verdicts = self.service.turbines[name].verdicts
+        since = now - int(days) * DAY_S
+        found = self.reader.read(lambda store: turbine_view(store, name, since, now, verdicts))
+        return reply({"now": now, **found})
+
+    def alarms(self, request: Request) -> Response:
+        now = self.service.now
+        found = self.reader.read(lambda store: alarms_view(store, since=now - max(DAYS) * DAY_S))
+        return reply({"now": now, "alarms": found})
+
+    def health(self, request: Request) -> Response:
+        counters, open_ = self.reader.read(lambda store: (store.counters(), open_alarms(store)))
+        own = {
+            "now": self.service.now,
+            "version": __version__,
+            "token": bool(self.access.settings.token),
+            "turbines": len(self.service.turbines),
+            "open_alarms": open_,
+        }
+        return reply({**own, **health_view(self._sources(), self.service.health, counters)})
+
+    def _sources(self) -> dict[str, tuple[str, str]]:
+        return {url: one.state for url, one in self.service.streams.items()}
+
+    # -- what is changed ----------------------------------------------------------------------------------------
+    async def acknowledge(self, request: Request) -> Response:
+        from starlette.concurrency import run_in_threadpool
+
+        given = await posted(request)
+        alarm, by = given.get("id"), given.get("by")
+        by = by.strip() if isinstance(by, str) else ""
+        if not isinstance(alarm, str) or not 0 < len(alarm) <= LONGEST_ID:
+            return refusal(400, "expected the id of an alarm")
+        if not 0 < len(by) <= LONGEST_NAME or not by.isprintable():
+            return refusal(400, f"expected a name of 1 to {LONGEST_NAME} characters")
+        done = await run_in_threadpool(
+            self.reader.read,
+            lambda store: store.acknowledge(alarm, by, self.service.now) and alarm_turbine(store, alarm),
+        )
+        if done is False:
+            return refusal(409, "there is no such alarm, or it was acknowledged before")
+        LOG.info("an alarm was acknowledged", extra={"alarm": alarm, "by": by})
+        self.hub.changed([done])
+        return reply({"turbine": done})
+
+    async def login(self, request: Request) -> Response:
+        token = (await posted(request)).get("token")
+        if not self.access.settings.token:
+            return reply({})
+        refused = self.access.judged(client_of(request.scope), token if isinstance(token, str) else "")
+        if refused is not None:
+            status, words, headers = refused
+            # a browser that is told of "Bearer" here would ask by itself
+            return refusal(status, words, {k: v for k, v in headers.items() if k != "WWW-Authenticate"})
+        return reply({}, {"Set-Cookie": self.access.sessions.begun()})
+
+    async def logout(self, request: Request) -> Response:
+        return reply({}, {"Set-Cookie": self.access.sessions.ended()})
+
+    # -- what machines ask --------------------------------------------------------------------------------------
+    def metrics(self, request: Request) -> Response:
+        from starlette.responses import Response
+
+        now = self.service.now
+        try:
+            rows, counters = self.rows(now), self.reader.read(Store.counters)
+        except StoreFault:
+            rows, counters = None, {}
+        text, kind = exposition(now, self.service.health, self._sources(), len(self.hub), rows, counters)
+        return Response(text, headers={"Content-Type": kind})
+
+    def healthz(self, request: Request) -> Response:
+        """200 while readings can become estimates; 503 with the reason, which names no place and no turbine."""
+        fault = ""
+        states = [state for state, _ in self._sources().values()]
+        if self.service.ending.is_set():
+            fault = "the tracker is ending"
+        elif self.service.health.store:
+            fault = "the tracker does not reach its store"
+        elif states and all(state == "lost" for state in states):
+            fault = "every source is lost"
+        else:
+            try:
+                self.reader.read(lambda store: store.rows("SELECT 1"))
+            except StoreFault as found:
+                fault = str(found)
+        return refusal(503, fault) if fault else reply({"ok": True})
+
+
+def open_alarms(store: Store) -> int:
+    """How many alarms are open."""
+    return int(store.rows("SELECT COUNT(*) FROM alarm WHERE ended IS NULL")[0][0])
+
+
+def alarm_turbine(store: Store, alarm: str) -> str:
+    """The turbine of an alarm."""
+    return store.rows("SELECT turbine FROM alarm WHERE id = ?", (alarm,))[0][0]
+
+
+async def posted(request: Request) -> dict:
+    """The JSON object that was posted; an empty one where it is none, or too large."""
+    body = b""
+    async for part in request.stream():
+        body += part
+        if len(body) > LARGEST:
+            return {}
+    try:
+        found = json.loads(body)
+    except (ValueError, RecursionError):
+        return {}
+    return found if isinstance(found, dict) else {}
+
+
+def reply(content: Mapping, headers: Mapping[str, str] | None = None, status: int = 200) -> Response:
+    """Plain data as JSON."""
+    from starlette.responses import Response
+
+    text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    return Response(text, status, {"Content-Type": "application/json", **(headers or {})})
+
+
+def refusal(status: int, words: str, headers: Mapping[str, str] | None = None) -> Response:
+    """Why something is not done."""
+    return reply({"fault": words}, headers, status)

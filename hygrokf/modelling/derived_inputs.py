@@ -1,0 +1,313 @@
+"""Inputs that a mechanism acts through, made from a record's own signals: sun, wind, calendar, dates, switches.
+
+A design names its features with their settings, so that an extended model can be driven by any record:
+`{"after_step": {"date_s": 1.6e9}}`.  `time` (T,) [s] are the instants of a run; a feature that holds over steps is
+taken in the middle of the step that ends at each instant.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Mapping
+from functools import lru_cache
+
+import numpy as np
+
+from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
+from hygrokf.data.input_paths import Same, input_path
+from hygrokf.data.record import Record, Series, Site
+from hygrokf.engine.filter_codegen import LINEAR, ZERO_ORDER
+from hygrokf.physics.switches import SWITCHES, Switch, Throttle
+
+DAY_S = 86400.0
+SOLAR_CONSTANT = 1361.0
+"""[W/m²] irradiance outside the atmosphere."""
+RATE_WINDOW_S = 5400.0
+READING_BRIDGE_H = 2.0
+"""[h] a switch that follows a reading is interpolated over gaps up to this length and stays as it is in longer ones."""
+
+
+def elapsed(record: Record, time: np.ndarray, start_s: float, end_s: float) -> np.ndarray:
+    """Share [1] of the time from `start_s` to `end_s` that has passed; above 1 after the end."""
+    return (time - start_s) / (end_s - start_s)
+
+
+def after_step(record: Record, time: np.ndarray, date_s: float, days: float = 0.0) -> np.ndarray:
+    """0 before a date [s], 1 after it; a straight ramp over `days` where the change takes time."""
+    if days <= 0:
+        return (time > date_s).astype(float)
+    return np.clip((time - date_s) / (days * DAY_S), 0.0, 1.0)
+
+
+def door_open(record: Record, time: np.ndarray, spans: list) -> np.ndarray:
+    """1 within spans (start, end) [s], 0 outside."""
+    inside = np.zeros(len(time))
+    for start, end in spans:
+        inside[(time > start) & (time <= end)] = 1.0
+    return inside
+
+
+def wind_tenth(record: Record, time: np.ndarray) -> np.ndarray:
+    """Wind speed in units of 10 m/s; gaps take the record's mean."""
+    return _signal(record, "wind_speed", time) / 10.0
+
+
+def sunshine(record: Record, time: np.ndarray) -> np.ndarray:
+    """Irradiance on a horizontal plane [kW/m²]: measured, else that of a clear sky at the site."""
+    if "global_horizontal_irradiance" in record:
+        return _signal(record, "global_horizontal_irradiance", time) / 1e3
+    if record.site is None:
+        raise ValueError(
+            "the model needs the sun: expected global_horizontal_irradiance or [site] in the case, found neither"
+        )
+    return clear_sky(time, record.site) / 1e3
+
+
+def sunlit_wall(record: Record, time: np.ndarray, azimuth_deg: float) -> np.ndarray:
+    """Irradiance of a vertical wall [kW/m²] that looks toward `azimuth_deg` (clockwise from north).
+
+    Beam and sky are split by the clearness index (Erbs, Klein and Duffie 1982), the sky is isotropic, the ground
+    reflects a fifth.  Below six degrees of height the beam counts as at six: trees and hills stand before it.
+    """
+    horizontal = 1e3 * sunshine(record, time)
+    sine, azimuth = sun_place(time, _site(record))
+    kt = np.clip(horizontal / np.maximum(SOLAR_CONSTANT * sine, 1.0), 0.0, 1.0)
+    middle = 0.9511 + kt * (-0.1604 + kt * (4.388 + kt * (-16.638 + kt * 12.336)))
+    share = np.where(kt <= 0.22, 1.0 - 0.09 * kt, np.where(kt <= 0.8, middle, 0.165))
+    beam = (1.0 - share) * horizontal / np.maximum(sine, 0.1)
+    facing = np.sqrt(1.0 - np.clip(sine, -1.0, 1.0) ** 2) * np.cos(azimuth - np.radians(azimuth_deg))
+    return 1e-3 * (beam * np.maximum(facing, 0.0) + (0.5 * share + 0.1) * horizontal)
+
+
+def night_sky(record: Record, time: np.ndarray) -> np.ndarray:
+    """How much the night sky draws heat, 0 to 1: 0 by day; by night how clear the day before was.
+
+    Clearness is measured irradiance over that of a clear sky, both over the last 24 h; 1 where it is not measured.
+    """
+    site = _site(record)
+    sine, _ = sun_place(time, site)
+    dark = (sine <= 0.0).astype(float)
+    if "global_horizontal_irradiance" not in record:
+        return dark
+    hours = np.arange(float(time[0]) - DAY_S, float(time[-1]) + 3600.0, 1800.0)
+    clear = clear_sky(hours, site)
+    seen = np.minimum(_signal(record, "global_horizontal_irradiance", hours), 1.2 * clear)
+    window = np.ones(48)
+    sums = [np.convolve(one, window)[: len(hours)] for one in (seen, clear)]
+    clearness = np.clip(sums[0] / np.maximum(sums[1], 1.0), 0.0, 1.0)
+    return dark * np.interp(time, hours, clearness)
+
+
+def wind_square(record: Record, time: np.ndarray) -> np.ndarray:
+    """Square of the wind speed in units of (10 m/s)²; gaps take the record's mean speed."""
+    return wind_tenth(record, time) ** 2
+
+
+def heavy_rain(record: Record, time: np.ndarray, above: float) -> np.ndarray:
+    """What the rain signal has above a threshold, in its own unit; gaps count as dry."""
+    series = record["rain"]
+    value = np.nan_to_num(at_times(series, time, bridge_h(series, AMBIENT_BRIDGE_H)))
+    return np.maximum(value - above, 0.0)
+
+
+def scheduled(
+    record: Record, time: np.ndarray, start_h: float, hours: float, workdays: bool = False
+) -> np.ndarray:
+    """1 for so many `hours` from `start_h` [h, UTC] on, every day or from Monday to Friday; 0 else."""
+    begun = time - 3600.0 * start_h
+    day = np.floor(begun / DAY_S)
+    inside = begun - DAY_S * day < 3600.0 * hours
+    # 1 January 1970 was a Thursday
+    return (inside & (~np.array(workdays) | ((day + 3) % 7 < 5))).astype(float)
+
+
+def fading(record: Record, time: np.ndarray, date_s: float, days: float) -> np.ndarray:
+    """0 before a date [s], then 1 and falling by 1/e in so many days."""
+    return np.where(time > date_s, np.exp(-np.maximum(time - date_s, 0.0) / (days * DAY_S)), 0.0)
+
+
+def since(record: Record, time: np.ndarray, date_s: float, days: float) -> np.ndarray:
+    """0 before a date [s], then toward 1, by all but 1/e in so many days."""
+    return 1.0 - np.exp(-np.maximum(time - date_s, 0.0) / (days * DAY_S))
+
+
+def ambient_temperature_rate(record: Record, time: np.ndarray) -> np.ndarray:
+    """Rate of the ambient temperature [K/h]; see `rate`."""
+    return rate(record["ambient_temperature"], time)
+
+
+def ambient_vapour_rate(record: Record, time: np.ndarray) -> np.ndarray:
+    """Rate of the ambient absolute humidity [g/(m³ h)]; see `rate`."""
+    return 1e3 * rate(ambient_absolute_humidity(record), time)
+
+
+def rate(series: Series, time: np.ndarray) -> np.ndarray:
+    """Rate of a series [1/h] at `time` (T,) [s]: slope of a straight line through 1.5 h of it, 0 in longer gaps.
+
+    A difference of neighbouring readings would be mostly their noise.
+    """
+    step = RATE_WINDOW_S / 10.0
+    lag = step * np.arange(-5, 6)
+    value = at_times(input_path(series), time[:, None] + lag[None, :], bridge_h(series, AMBIENT_BRIDGE_H))
+    return np.nan_to_num(value @ (lag / float(lag @ lag)) * 3600.0)
+
+
+def standstill(record: Record, time: np.ndarray) -> np.ndarray:
+    """1 while the turbine feeds no power, 0 in operation."""
+    return 1.0 - operating(record, time)
+
+
+def cooling(record: Record, time: np.ndarray, on_K: float, off_K: float) -> np.ndarray:
+    """A cooling stage by the cabinet's readings; see `switches`."""
+    return _switched(record, time, SWITCHES["cooling"](on_K, off_K))
+
+
+def heating(
+    record: Record, time: np.ndarray, reads: str, on: float, off: float, idle: bool = True
+) -> np.ndarray:
+    """A heater by the cabinet's readings; see `switches`.  `reads` the signal, `idle` at standstill alone."""
+    return _switched(record, time, SWITCHES["heating"](reads, on, off, idle))
+
+
+def throttled(record: Record, time: np.ndarray, reads: str, start: float, full: float) -> np.ndarray:
+    """A controller in proportion to one of the cabinet's readings; see `switches`.  `reads` the signal."""
+    return _switched(record, time, Throttle(reads, start, full))
+
+
+def drying(record: Record, time: np.ndarray, on: float, off: float) -> np.ndarray:
+    """A drier by the cabinet's readings; see `switches`."""
+    return _switched(record, time, SWITCHES["drying"](on, off))
+
+
+FEATURES: Mapping[str, tuple[Callable, str]] = {
+    "elapsed": (elapsed, LINEAR),
+    "sunshine": (sunshine, LINEAR),
+    "sunlit_wall": (sunlit_wall, LINEAR),
+    "night_sky": (night_sky, LINEAR),
+    "ambient_temperature_rate": (ambient_temperature_rate, LINEAR),
+    "ambient_vapour_rate": (ambient_vapour_rate, LINEAR),
+    "wind_tenth": (wind_tenth, LINEAR),
+    "wind_square": (wind_square, LINEAR),
+    "heavy_rain": (heavy_rain, ZERO_ORDER),
+    "fading": (fading, ZERO_ORDER),
+    "since": (since, LINEAR),
+    "standstill": (standstill, ZERO_ORDER),
+    "after_step": (after_step, ZERO_ORDER),
+    "door_open": (door_open, ZERO_ORDER),
+    "cooling": (cooling, ZERO_ORDER),
+    "heating": (heating, ZERO_ORDER),
+    "throttled_heating": (throttled, ZERO_ORDER),
+    "venting": (throttled, ZERO_ORDER),
+    "scheduled": (scheduled, ZERO_ORDER),
+    "open_hours": (scheduled, ZERO_ORDER),
+    "drying": (drying, ZERO_ORDER),
+}
+"""Features by the name of the input that they give, with its hold."""
+
+
+def feature(record: Record, name: str, settings: Mapping, time: np.ndarray) -> np.ndarray:
+    """Values (T,) of a feature at the instants `time` (T,) [s] of a run."""
+    function, hold = FEATURES[name]
+    if hold == ZERO_ORDER:
+        time = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
+    return function(record, time, **settings)
+
+
+def feature_faults(features: Mapping[str, Mapping]) -> list[str]:
+    """What keeps stored features from being made: unknown names, settings that are missing or unknown."""
+    faults = []
+    for name, settings in features.items():
+        if name not in FEATURES:
+            faults.append(f"{name}: expected one of {', '.join(FEATURES)}")
+            continue
+        known = dict(list(inspect.signature(FEATURES[name][0]).parameters.items())[2:])
+        needed = {key for key, one in known.items() if one.default is one.empty}
+        if not isinstance(settings, Mapping) or not needed <= set(settings) <= set(known):
+            faults.append(f"{name}: expected the settings {', '.join(known) or 'none'}, found {settings!r}")
+    return faults
+
+
+def operating(record: Record, time: np.ndarray) -> np.ndarray:
+    """Whether the turbine feeds power (T,) at `time` [s]; False where the power is unknown or there is none."""
+    if "active_power" not in record:
+        return np.zeros(len(time), bool)
+    return _feeds(record["active_power"], time)
+
+
+def _feeds(power: Series, time: np.ndarray) -> np.ndarray:
+    return np.nan_to_num(at_times(power, time, 1.0), nan=0.0) > 0.0
+
+
+def sun_place(time: np.ndarray, site: Site) -> tuple[np.ndarray, np.ndarray]:
+    """Sine of the sun's height (T,) [1] and its azimuth (T,) [rad] clockwise from north, at `time` (T,) [s].
+
+    By Spencer's series (1971), good to a quarter of a degree.
+    """
+    day = np.floor(time / DAY_S)
+    date = day.astype("datetime64[D]")
+    first = date.astype("datetime64[Y]").astype("datetime64[D]")
+    angle = 2.0 * np.pi * ((date - first).astype(float) + (time / DAY_S - day) - 0.5) / 365.0
+    declination = (
+        0.006918 - 0.399912 * np.cos(angle) + 0.070257 * np.sin(angle) - 0.006758 * np.cos(2 * angle)
+        + 0.000907 * np.sin(2 * angle) - 0.002697 * np.cos(3 * angle) + 0.00148 * np.sin(3 * angle)
+    )  # fmt: skip
+    equation_min = 229.18 * (
+        0.000075 + 0.001868 * np.cos(angle) - 0.032077 * np.sin(angle)
+        - 0.014615 * np.cos(2 * angle) - 0.040849 * np.sin(2 * angle)
+    )  # fmt: skip
+    solar = (time / DAY_S - day) * 24.0 + site.longitude_deg / 15.0 + equation_min / 60.0
+    hour_angle = np.radians(15.0 * (solar - 12.0))
+    latitude = np.radians(site.latitude_deg)
+    height = np.sin(latitude) * np.sin(declination)
+    height = height + np.cos(latitude) * np.cos(declination) * np.cos(hour_angle)
+    east = -np.cos(declination) * np.sin(hour_angle)
+    north = np.cos(latitude) * np.sin(declination) - np.sin(latitude) * np.cos(declination) * np.cos(
+        hour_angle
+    )
+    return height, np.arctan2(east, north)
+
+
+def clear_sky(time: np.ndarray, site: Site) -> np.ndarray:
+    """Global irradiance of a clear sky [W/m²] at `time` (T,) [s]: 1098 cos z exp(−0.057/cos z) (Haurwitz 1945)."""
+    sine, _ = sun_place(time, site)
+    up = np.maximum(sine, 1e-3)
+    return np.where(sine > 0.0, 1098.0 * up * np.exp(-0.057 / up), 0.0)
+
+
+def _site(record: Record) -> Site:
+    if record.site is None:
+        raise ValueError("the model needs the sun's place: expected [site] in the case, found none")
+    return record.site
+
+
+def _signal(record: Record, name: str, time: np.ndarray) -> np.ndarray:
+    """A signal at instants; unknown values take the record's mean."""
+    if name not in record:
+        raise ValueError(f"the model reads {name}, which the record does not have; add the signal")
+    series = record[name]
+    value = at_times(input_path(series), time, bridge_h(series, AMBIENT_BRIDGE_H))
+    return np.where(np.isnan(value), np.nanmean(series.value), value)
+
+
+def _switched(record: Record, time: np.ndarray, switch: Switch | Throttle) -> np.ndarray:
+    """State (T,) of a switch by the record's readings; a run without any reading of the cabinet has it off.
+
+    That run can only be simulated, and a simulation drives its switches itself (`switching`).
+    """
+    if not any(signal.startswith("cabinet_") for signal in record.signals):
+        return np.zeros(len(time))
+    if switch.reads not in record:
+        raise ValueError(
+            f"the model switches by {switch.reads}, which the record does not have; add the signal"
+        )
+    power = Same(record["active_power"]) if "active_power" in record else None
+    value, idle = _followed(Same(record[switch.reads]), power, time.tobytes())
+    return switch.course(value, idle)
+
+
+@lru_cache(maxsize=8)
+def _followed(reads: Same, power: Same | None, time: bytes) -> tuple[np.ndarray, np.ndarray]:
+    """What a switch follows at `time` (T,) [s]: the reading (T,) and the standstills (T,); a search asks for it hundreds of times."""
+    at = np.frombuffer(time)
+    idle = np.ones(len(at), bool) if power is None else ~_feeds(power.series, at)
+    return at_times(input_path(reads.series), at, READING_BRIDGE_H), idle

@@ -1,0 +1,404 @@
+"""Which model a record calls for: a `Design` is a model with the constants that turn any record into its inputs.
+
+A design is made from the identification period alone and then used, unchanged, on every record: the same one later, a
+sister turbine, a forecast.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields, replace
+from functools import cached_property
+from weakref import WeakValueDictionary
+
+import numpy as np
+
+from hygrokf.data.actuators import actuators
+from hygrokf.data.ambient import ambient_absolute_humidity, bridge_h, reading_noise
+from hygrokf.data.record import Record, Series
+from hygrokf.data.signals import SIGNALS, signal_named
+from hygrokf.engine.filter_codegen import LINEAR, REGIME, ZERO_ORDER
+from hygrokf.modelling.derived_inputs import FEATURES
+from hygrokf.modelling.registry import origins
+from hygrokf.physics.mechanisms import LIBRARY
+from hygrokf.physics.mechanisms.hygric import SHORTEST_H
+from hygrokf.physics.model import Mechanism, Model, compose
+from hygrokf.physics.parameters import Prior
+
+STEPPED = ("W", "1", "rad/s")
+"""Units of signals that are taken to hold over steps (power, duties, speeds of machines); humidities are not among them."""
+HOLDS = {
+    **{
+        one.name: ZERO_ORDER if one.unit in STEPPED and "humidity" not in one.name else LINEAR
+        for one in SIGNALS.values()
+    },
+    "ambient_temperature": LINEAR,
+    "ambient_absolute_humidity": LINEAR,
+    "exchange_factor": LINEAR,
+    "cabinet_temperature": LINEAR,
+    "operating": ZERO_ORDER,
+    "preheating": ZERO_ORDER,
+    "rain": ZERO_ORDER,
+    "power_unknown": REGIME,
+    **{f"power_{k}": ZERO_ORDER for k in range(1, 6)},
+    **{name: hold for name, (_, hold) in FEATURES.items()},
+}
+"""Holds of inputs between their own times: those of the base models, every other signal, and features."""
+TEMPERATURE = "cabinet_temperature"
+HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
+BRIDGE_H = 1.0
+"""[h] gaps of the power up to this length are bridged by the value before them; over longer ones it is unknown."""
+SETTLING_H = 12.0
+"""[h] after a long gap of the ambient series readings are left out for this long, until the state has forgotten it."""
+FEWEST = 50
+"""Readings of a humidity below which it is no humidity to identify."""
+PARTS = ("thermal", "hygric")
+"""The two networks of a model."""
+JOINT = "joint"
+CASCADE = "cascade"
+
+
+_models: WeakValueDictionary[tuple, Model] = WeakValueDictionary()
+"""Models in use, by what makes them."""
+
+
+@dataclass(frozen=True)
+class Design:
+    """A model and how its inputs come from a record.
+
+    `mechanisms` pairs (name, settings) of the library; `averaged` outputs read as interval means, with the interval
+    [h]; `power_scale_W` the power that counts as 1; `power_order` the largest power of it; `power_mean` the means of
+    the features (operating, p, …) that stand for an unknown power; `humidity` the humidity signal that is observed;
+    `ambient_noise` (q, r) of ambient signals whose readings are smoothed before use (see `ambient`); `features` inputs
+    that are made from the record's signals, with their settings; `priors` (mean, sd, logarithmic) of parameters, from
+    other turbines (see `turbine_type`).
+    """
+
+    mechanisms: tuple[tuple[str, dict], ...]
+    averaged: Mapping[str, float] = field(default_factory=dict)
+    power_scale_W: float | None = None
+    power_order: int = 0
+    power_mean: tuple[float, ...] = ()
+    humidity: str | None = None
+    ambient_noise: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    statements: tuple[str, ...] = ()
+    holds: Mapping[str, str] = field(default_factory=dict)
+    features: Mapping[str, dict] = field(default_factory=dict)
+    priors: Mapping[str, tuple[float, float, bool]] = field(default_factory=dict)
+
+    @cached_property
+    def model(self) -> Model:
+        """The model; designs that call for the same one share it, as tracing and compiling it costs time and memory."""
+        features = {name: FEATURES[name][1] for name in self.features if name in FEATURES}
+        holds = {**HOLDS, **features, **self.holds}
+        said = [
+            [settings for _, settings in self.mechanisms],
+            sorted(holds.items()),
+            dict(self.averaged),
+            sorted(self.priors.items()),
+        ]
+        key = (tuple(LIBRARY[name] for name, _ in self.mechanisms), json.dumps(said))
+        found = _models.get(key)
+        if found is None:
+            made: list[Mechanism] = [
+                _informed(LIBRARY[name](**settings), self.priors) for name, settings in self.mechanisms
+            ]
+            found = _models[key] = compose(made, holds, self.averaged)
+        return found
+
+    def to_json(self) -> dict:
+        """Everything that makes the design again, as plain data; `origins` of what is not the package's own."""
+        own = origins([*(name for name, _ in self.mechanisms), *self.features])
+        said = {one.name: getattr(self, one.name) for one in fields(self)}
+        return said | ({"origins": own} if own else {})
+
+    @classmethod
+    def from_json(cls, data: Mapping) -> Design:
+        known = {name: value for name, value in data.items() if name != "origins"}
+        known["mechanisms"] = tuple((name, dict(settings)) for name, settings in known["mechanisms"])
+        known["power_mean"] = tuple(known["power_mean"])
+        known["statements"] = tuple(known["statements"])
+        known["ambient_noise"] = {name: tuple(pair) for name, pair in known["ambient_noise"].items()}
+        known["priors"] = {name: tuple(prior) for name, prior in known.get("priors", {}).items()}
+        return cls(**known)
+
+
+def _informed(mechanism: Mechanism, priors: Mapping[str, tuple[float, float, bool]]) -> Mechanism:
+    """The mechanism with priors of its parameters."""
+    if not any(p.name in priors for p in mechanism.parameters):
+        return mechanism
+    known = tuple(
+        replace(p, prior=Prior(*priors[p.name])) if p.name in priors else p for p in mechanism.parameters
+    )
+    return replace(mechanism, parameters=known)
+
+
+RESOLVED = 0.02
+"""Share of the readings' step below which a time constant cannot be told from none."""
+
+
+def reading_step_h(series: Series) -> float:
+    """Median distance of readings [h]."""
+    time = series.time[~series.missing]
+    return float(np.median(np.diff(time))) / 3600.0 if len(time) > 1 else 1.0
+
+
+def accuracy_of(series: Series) -> float:
+    """Stated accuracy, else the signal table's default, else 0 [SI unit]."""
+    if series.accuracy is not None:
+        return series.accuracy
+    return signal_named(series.signal).default_accuracy or 0.0
+
+
+def observed_humidity(record: Record) -> str | None:
+    """The humidity signal of the cabinet that a likelihood uses: the logger's own relative humidity if there is one."""
+    vapour = ambient_absolute_humidity(record)
+    if vapour is None or np.isfinite(vapour.value).sum() < FEWEST:
+        return None
+    for name in HUMIDITIES:
+        if name in record and np.isfinite(record[name].value).sum() >= FEWEST:
+            return name
+    return None
+
+
+def power_scale(record: Record) -> float | None:
+    """Power that counts as 1 [W]: the rated power, else the record's 99.9 % quantile; None without power."""
+    if "active_power" not in record:
+        return None
+    value = record["active_power"].value
+    value = value[np.isfinite(value)]
+    if len(value) < 10:
+        return None
+    top = float(np.quantile(value, 0.999))
+    return record.rated_power_W or (top if top > 0 else None)
+
+
+def design(
+    record: Record,
+    *,
+    kind: str = JOINT,
+    power_order: int = 2,
+    operation_ambient: bool = True,
+    standstill_ambient: bool = True,
+    heat_start: Mapping[str, float] | None = None,
+    coloured: bool = True,
+) -> Design:
+    """The base model that a record calls for.
+
+    `kind`: "joint" (thermal and hygric state in one filter), "thermal" (temperature alone), or "cascade" (the hygric
+    model on the measured temperature).  `coloured=False` leaves the coloured disturbances out.
+    """
+    statements: list[str] = []
+    chosen: list[tuple[str, dict]] = []
+    averaged: dict[str, float] = {}
+    seen = observed_humidity(record)
+    humidity = seen if kind != "thermal" else None
+    scale = power_scale(record) if kind != CASCADE else None
+    mean: tuple[float, ...] = ()
+    reference = float(np.nanmean(record["ambient_temperature"].value))
+    acting = [one for one in actuators(record) if one.used]
+    if kind != CASCADE:
+        chosen.append(("thermal_network", {}))
+        release, mean, said = _release(
+            record, scale, power_order, operation_ambient, standstill_ambient, reference, heat_start or {}
+        )
+        chosen.append(("heat_release", release))
+        statements += said
+        chosen += [
+            (name, dict(settings)) for name, settings in (one.thermal for one in acting if one.thermal)
+        ]
+        temperature = record[TEMPERATURE]
+        if coloured:
+            chosen.append(("heat_disturbance", _correlation_bounds(temperature, record)))
+        chosen.append(("thermal_diffusion", {}))
+        chosen.append(("temperature_sensor", _sensor(temperature)))
+        if temperature.interval_s > 0:
+            averaged[TEMPERATURE] = temperature.interval_s / 3600.0
+        power_order = release["order"] if release["operation"] else 0
+    else:
+        chosen.append(("measured_air", {"accuracy": accuracy_of(record[TEMPERATURE])}))
+        power_order = 0
+    if humidity is not None:
+        series = record[humidity]
+        shortest = RESOLVED * reading_step_h(series)
+        chosen.append(("hygric_exchange", {"shortest_h": shortest} if shortest > SHORTEST_H else {}))
+        chosen += [(name, dict(settings)) for name, settings in (one.hygric for one in acting if one.hygric)]
+        if coloured:
+            chosen.append(("vapour_disturbance", _correlation_bounds(series, record)))
+        chosen.append(("hygric_diffusion", {}))
+        relative = humidity == "cabinet_relative_humidity"
+        settings = _sensor(series, 1.0 if relative else 1e3)
+        chosen.append(("humidity_sensor" if relative else "absolute_humidity_sensor", settings))
+        if series.interval_s > 0:
+            averaged[humidity] = series.interval_s / 3600.0
+    elif seen is None:
+        statements.append("no humidity readings of both inside and outside: the hygric model is left out")
+    return Design(
+        mechanisms=tuple(chosen),
+        averaged=averaged,
+        power_scale_W=scale,
+        power_order=power_order,
+        power_mean=mean,
+        humidity=humidity,
+        ambient_noise=ambient_noise(record),
+        statements=tuple(statements),
+    )
+
+
+def ambient_noise(record: Record) -> dict[str, tuple[float, float]]:
+    """Noise of the ambient readings that a model uses; for humidity that of the absolute humidity computed from them."""
+    found = {"ambient_temperature": reading_noise(record["ambient_temperature"])}
+    vapour = ambient_absolute_humidity(record)
+    if vapour is not None:
+        found["ambient_absolute_humidity"] = reading_noise(vapour)
+    return {name: pair for name, pair in found.items() if pair is not None}
+
+
+def _sensor(series: Series, scale: float = 1.0) -> dict[str, float]:
+    """Settings of a sensor's mechanism; `scale` from SI to the output's unit."""
+    settings = {"accuracy": scale * accuracy_of(series), "resolution": scale * float(series.resolution)}
+    if series.response_time_s:
+        settings["response_h"] = series.response_time_s / 3600.0
+    return settings
+
+
+def _correlation_bounds(series: Series, record: Record) -> dict[str, float]:
+    """Bounds of a disturbance's correlation time: what the readings' step and the record's length can resolve."""
+    step = reading_step_h(series)
+    length = (record.end_s - record.start_s) / 3600.0
+    shortest = max(step, 0.1)
+    return {"shortest_h": shortest, "longest_h": max(min(length / 10.0, 200.0), 4.0 * shortest)}
+
+
+def _release(
+    record: Record,
+    scale: float | None,
+    order: int,
+    ambient: bool,
+    standstill_ambient: bool,
+    reference: float,
+    start: Mapping[str, float],
+) -> tuple[dict, tuple[float, ...], list[str]]:
+    """Settings of the heat release, the mean features, and what is to be said about it."""
+    statements = []
+    settings: dict = {"reference_K": reference, "start": dict(start)}
+    if "preheating" in record and np.nanmax(record["preheating"].value, initial=0.0) > 0:
+        settings["preheating"] = True
+    if scale is None:
+        settings |= {
+            "operation": False,
+            "standstill": True,
+            "standstill_ambient": standstill_ambient,
+            "order": 0,
+        }
+        statements.append("no power in the record: all of it counts as standstill")
+        return settings, (), statements
+    series = record["active_power"]
+    value = series.value[~series.missing] / scale
+    running = value > 0
+    operation, standstill = bool(running.mean() > 0.01), bool((~running).mean() > 0.01)
+    if not standstill:
+        statements.append(
+            "hardly any standstill in the record: the heat release at standstill is that of operation"
+        )
+    if not operation:
+        statements.append("hardly any operation in the record: its heat release cannot be identified")
+        settings |= {
+            "operation": False,
+            "standstill": True,
+            "standstill_ambient": standstill_ambient,
+            "order": 0,
+        }
+        return settings, (), statements
+    distinct = float(np.ptp(np.quantile(value[running], [0.02, 0.98])))
+    if distinct < 0.05 and order > 0:
+        order = 0
+        statements.append("the power hardly varies: the heat release has no slope over it")
+    features = power_features(value, order)
+    settings |= {
+        "order": order,
+        "ambient": ambient,
+        "operation": True,
+        "standstill": standstill,
+        "standstill_ambient": standstill_ambient,
+    }
+    if _longest_gap_h(series, record) > bridge_h(series, BRIDGE_H):
+        chosen = features if standstill else np.column_stack([np.zeros(len(value)), features[:, 1:]])
+        settings["gap_covariance"] = np.cov(chosen.T, bias=True).reshape(order + 1, order + 1).tolist()
+        settings["gap_time_h"] = _correlation_time_h(series)
+    return settings, tuple(features.mean(axis=0)), statements
+
+
+def power_features(relative_power: np.ndarray, order: int) -> np.ndarray:
+    """Features (T, order+1) of the relative power [1]: operating, and operating · p^k."""
+    running = (relative_power > 0).astype(float)
+    return np.column_stack([running, *(running * relative_power**k for k in range(1, order + 1))])
+
+
+def _longest_gap_h(power: Series, record: Record) -> float:
+    """Longest time without known power within the span of the cabinet's readings [h]."""
+    spans = [record[n] for n in (TEMPERATURE, *HUMIDITIES) if n in record]
+    first, last = min(s.time[0] for s in spans), max(s.time[-1] for s in spans)
+    known = power.time[~power.missing]
+    begin, end = np.append(-np.inf, known), np.append(known - power.interval_s, np.inf)
+    return float(np.max(np.minimum(end, last) - np.maximum(begin, first))) / 3600.0
+
+
+def _correlation_time_h(series: Series) -> float:
+    """Lag at which the autocorrelation falls below 1/e [h]."""
+    value = series.value - np.nanmean(series.value)
+    step = float(np.median(np.diff(series.time))) / 3600.0
+    value = np.where(np.isfinite(value), value, 0.0)
+    variance = float(value @ value)
+    if variance <= 0:
+        return 24.0
+    for lag in range(1, min(len(value) // 2, int(240 / step))):
+        if float(value[lag:] @ value[:-lag]) < variance / np.e:
+            return max(lag * step, 0.5)
+    return 240.0
+
+
+def extended(
+    base: Design,
+    additions: Sequence[tuple[str, dict]],
+    holds: Mapping[str, str] | None = None,
+    features: Mapping[str, dict] | None = None,
+) -> Design:
+    """The design with more mechanisms of the library, and the features that they read."""
+    return replace(
+        base,
+        mechanisms=(*base.mechanisms, *additions),
+        holds={**base.holds, **(holds or {})},
+        features={**base.features, **(features or {})},
+    )
+
+
+def read_as(base: Design, record: Record) -> Design:
+    """The design for a record whose loggers average otherwise: interval means belong to the readings, not the cabinet.
+
+    Outputs that the record does not have are predicted for instants.
+    """
+    averaged = {
+        name: record[name].interval_s / 3600.0
+        for name in base.model.outputs
+        if name in record and record[name].interval_s > 0
+    }
+    return base if averaged == base.averaged else replace(base, averaged=averaged)
+
+
+def merged(parts: Sequence[Design]) -> Design:
+    """One joint design from those of a cascade: the hygric part's air temperature comes from the thermal part."""
+    first = parts[0]
+    for part in parts[1:]:
+        first = replace(
+            first,
+            mechanisms=(*first.mechanisms, *(m for m in part.mechanisms if m[0] != "measured_air")),
+            averaged={**first.averaged, **part.averaged},
+            humidity=first.humidity or part.humidity,
+            statements=tuple(dict.fromkeys((*first.statements, *part.statements))),
+            holds={**first.holds, **part.holds},
+            features={**first.features, **part.features},
+            priors={**first.priors, **part.priors},
+        )
+    return first

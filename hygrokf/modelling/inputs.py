@@ -1,0 +1,264 @@
+"""From a record to the instants of a run: inputs by their holds, readings at their own times, gaps as gaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h, smoothed
+from hygrokf.data.input_paths import input_path, without_response
+from hygrokf.data.record import Record, Series
+from hygrokf.engine.filter_codegen import LINEAR
+from hygrokf.engine.timeline import Timeline, timeline
+from hygrokf.modelling.derived_inputs import feature
+from hygrokf.modelling.design import BRIDGE_H, HUMIDITIES, SETTLING_H, TEMPERATURE, Design, power_features
+from hygrokf.physics.mechanisms.hygric import exchange_factor
+
+IDENTIFIED_ON = {
+    "ambient_temperature": "ambient_temperature_K",
+    "ambient_absolute_humidity": "ambient_absolute_humidity_g_m3",
+    "power_1": "power_share",
+}
+"""Inputs whose range of the identification period a fit keeps, and the keys of its `identified_on`."""
+
+
+@dataclass(frozen=True)
+class Run:
+    """A timeline and what is known about its instants.
+
+    `operating` (T,) True where the turbine feeds power (a record without power counts as standstill); `scored` (T,)
+    False where an input is unknown or was until shortly before.
+    """
+
+    timeline: Timeline
+    operating: np.ndarray
+    scored: np.ndarray
+
+
+def _changes(series: Series, first: float, last: float) -> np.ndarray:
+    """Times at which a series' course has a corner or a jump [s]."""
+    time = series.time
+    if series.interval_s > 0:
+        time = np.concatenate([time, time - series.interval_s])
+    return time[(time >= first) & (time <= last)]
+
+
+def longest_gap_h(signal: str) -> float:
+    """Longest gap [h] of a driver that is bridged, where its own usual step is not longer."""
+    return {"active_power": BRIDGE_H, "preheating": 24.0}.get(signal, AMBIENT_BRIDGE_H)
+
+
+def run(design: Design, record: Record) -> Run:
+    """The instants of a record for a design.
+
+    The run spans the cabinet's readings as far as ambient series exist.  Interval means of the ambient give the path that
+    keeps them (`paths`); of interval means of the cabinet that overlap, the later ones are left out.  Raises ValueError where nothing is left, and where the record averages otherwise than the
+    design (`read_as` makes one that fits).
+    """
+    model = design.model
+    outputs = [name for name in model.outputs if name in record]
+    _same_intervals(design, record, outputs)
+    inputs_of = set(model.inputs)
+    vapour = ambient_absolute_humidity(record) if "ambient_absolute_humidity" in inputs_of else None
+    ambient = {"ambient_temperature": without_response(record["ambient_temperature"])}
+    if vapour is not None:
+        ambient["ambient_absolute_humidity"] = vapour
+    ambient = {
+        name: input_path(smoothed(series, noise), noise)
+        for name, series in ambient.items()
+        for noise in [design.ambient_noise.get(name)]
+    }
+    if TEMPERATURE in inputs_of:
+        ambient[TEMPERATURE] = input_path(without_response(record[TEMPERATURE]))
+    observed = [record[name] for name in (TEMPERATURE, *HUMIDITIES) if name in record]
+    spans = observed or list(ambient.values())
+    known = [s.known[0] for s in ambient.values()]
+    if not all(len(time) for time in known):
+        empty = ", ".join(
+            "the ambient humidity" if name == "ambient_absolute_humidity" else name
+            for name, time in zip(ambient, known, strict=True)
+            if not len(time)
+        )
+        raise ValueError(f"no reading of {empty} can be used: without it no model runs; check the source")
+    first = max(min(s.time[0] - s.interval_s for s in spans), *(time[0] for time in known))
+    last = min(max(s.time[-1] for s in spans), *(time[-1] for time in known))
+    if not first < last:
+        what = "the cabinet's readings and the ambient series" if observed else "the ambient series"
+        raise ValueError(
+            f"{what} have no stretch of time in common (a single reading is none): "
+            "check the spans with `hygrokf check`"
+        )
+    switched = [
+        record[name]
+        for name in ("active_power", "preheating")
+        if name in record and (name != "active_power" or design.power_order or "operating" in inputs_of)
+    ]
+    further = [record[name] for name in sorted(inputs_of & set(record.signals) - {*ambient, "preheating"})]
+    times = [_changes(s, first, last) for s in (*ambient.values(), *switched, *further)]
+    times += [_changes(record[name], first, last) for name in outputs]
+    time = np.sort(np.concatenate([(first, last), *times]))
+    time = time[np.append(True, time[1:] > time[:-1])]
+    values, unknown_ambient = _ambient_inputs(ambient, time, inputs_of)
+    if "preheating" in inputs_of:
+        duty = (
+            _over_steps(
+                record["preheating"], time, bridge_h(record["preheating"], longest_gap_h("preheating"))
+            )
+            if "preheating" in record
+            else np.zeros(len(time))
+        )
+        values["preheating"] = np.nan_to_num(duty)
+    power, operating, unknown_power = _power_inputs(design, record, time)
+    values |= power
+    for name in sorted(inputs_of & set(design.features)):
+        values[name] = feature(record, name, design.features[name], time)
+    for name in sorted(inputs_of - set(values)):  # further signals that an added mechanism reads
+        values[name] = _further(record, name, time, model.holds[name])
+    near = _spread(time, unknown_ambient, SETTLING_H)
+    readings, resets = {}, {}
+    for name in outputs:
+        series = record[name]
+        at = np.full(len(time), np.nan)
+        place = np.searchsorted(time, series.time)
+        inside = (series.time >= first) & (series.time <= last)
+        scale = 1e3 if name == "cabinet_absolute_humidity" else 1.0
+        at[place[inside]] = series.value[inside] * scale
+        at[near] = np.nan
+        readings[name] = at
+        if name in design.averaged:
+            start = _beginnings(series, first)
+            readings[name][place[inside & np.isnan(start)]] = np.nan
+            begin = np.zeros(len(time), bool)
+            begin[np.searchsorted(time, start[inside & np.isfinite(start)])] = True
+            resets[name] = begin
+    made = timeline(model, (time - first) / 3600.0, values, readings, resets, origin_s=first)
+    scored = ~near & ~_spread(time, unknown_power, SETTLING_H)
+    return Run(made, operating, scored)
+
+
+def _same_intervals(design: Design, record: Record, outputs: list[str]) -> None:
+    faults = [
+        f"{name}: the design reads means over {3600.0 * stated:g} s, the record has {3600.0 * found:g} s"
+        for name in outputs
+        if abs((stated := design.averaged.get(name, 0.0)) - (found := record[name].interval_s / 3600.0))
+        > 1e-9
+    ]
+    if faults:
+        raise ValueError("; ".join(faults) + " (0 s: instants); use `read_as(design, record)`")
+
+
+def _beginnings(series: Series, first: float) -> np.ndarray:
+    """Times at which the intervals of averaged readings begin [s]; NaN for readings that cannot be predicted.
+
+    Those are the missing ones, those of an interval that begins before the run, and those of an interval that begins
+    before the one taken before it ends: a running mean serves one interval at a time.
+    """
+    start = np.where(
+        series.missing | (series.time - series.interval_s < first), np.nan, series.time - series.interval_s
+    )
+    free = -np.inf
+    for i in np.flatnonzero(np.isfinite(start)):
+        if start[i] < free - 1e-3:  # a millisecond is rounding, no overlap
+            start[i] = np.nan
+            continue
+        start[i] = max(start[i], free)
+        free = series.time[i]
+    return start
+
+
+def _ambient_inputs(
+    ambient: dict[str, Series], time: np.ndarray, wanted: set[str]
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    values, unknown = {}, np.zeros(len(time), bool)
+    middle = 0.5 * (time[:-1] + time[1:])
+    for name, series in ambient.items():
+        longest = bridge_h(series, AMBIENT_BRIDGE_H)
+        both = at_times(series, np.concatenate([time, middle]), longest)
+        value, between = both[: len(time)], both[len(time) :]
+        missing = np.isnan(value)
+        unknown |= missing
+        # where all loggers were down no instant lies inside the gap: it is the step over it that is unknown
+        unknown[1:] |= np.isnan(between)
+        there = ~missing
+        if not there.any():
+            raise ValueError(
+                f"{name}: no reading within the span of the cabinet's readings; check both with `hygrokf check`"
+            )
+        scale = 1e3 if name == "ambient_absolute_humidity" else 1.0
+        if missing.any():
+            # within a gap that is not bridged the last value holds: what comes later must not change what was filtered
+            place = np.searchsorted(np.flatnonzero(there), np.arange(len(time)), side="right") - 1
+            value = value[there][np.maximum(place, 0)]
+        values[name] = value * scale
+    if "exchange_factor" in wanted:
+        values["exchange_factor"] = exchange_factor(values["ambient_temperature"])
+    return values, unknown
+
+
+def _power_inputs(
+    design: Design, record: Record, time: np.ndarray
+) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
+    """Power features, where the turbine operates, and where its power is unknown."""
+    nothing = np.zeros(len(time), bool)
+    if design.power_scale_W is None or "active_power" not in record:
+        if design.power_mean:  # the model knows a power, this record does not
+            values = dict(zip(_feature_names(design), design.power_mean, strict=True))
+            return (
+                {n: np.full(len(time), v) for n, v in values.items()} | {"power_unknown": np.ones(len(time))},
+                nothing,
+                ~nothing,
+            )
+        return {}, nothing, nothing
+    series = record["active_power"]
+    relative = (
+        _over_steps(series, time, bridge_h(series, longest_gap_h("active_power"))) / design.power_scale_W
+    )
+    unknown = np.isnan(relative)
+    features = power_features(np.where(unknown, 0.0, relative), design.power_order)
+    features[unknown] = np.array(design.power_mean) if design.power_mean else 0.0
+    values = dict(zip(_feature_names(design), features.T, strict=True))
+    wanted = set(design.model.inputs)
+    values = {name: v for name, v in values.items() if name in wanted}
+    if "power_unknown" in wanted:
+        values["power_unknown"] = unknown.astype(float)
+    return values, (relative > 0) & ~unknown, unknown
+
+
+def _feature_names(design: Design) -> list[str]:
+    return ["operating", *(f"power_{k}" for k in range(1, design.power_order + 1))]
+
+
+def _over_steps(series: Series, time: np.ndarray, longest_h: float) -> np.ndarray:
+    """What a series is over the step that ends at each instant; NaN outside it and in longer gaps.
+
+    Instants are joined by straight lines, whose mean over a step is the value in its middle.
+    """
+    if series.hold == "linear":
+        time = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
+    return at_times(series, time, longest_h)
+
+
+def _further(record: Record, name: str, time: np.ndarray, hold: str) -> np.ndarray:
+    """Any other signal as an input; unknown values take the record's mean."""
+    if name not in record:
+        wanted = name
+        if name == "ambient_absolute_humidity":
+            wanted = "an ambient humidity (relative, absolute or dew point)"
+        raise ValueError(
+            f"the model reads {wanted}, which the record does not have (it has {', '.join(record.signals)}): "
+            "add the signal, or use a model without it"
+        )
+    series = record[name]
+    longest = bridge_h(series, AMBIENT_BRIDGE_H)
+    path = input_path(without_response(series))
+    value = at_times(path, time, longest) if hold == LINEAR else _over_steps(series, time, longest)
+    return np.where(np.isnan(value), np.nanmean(series.value), value)
+
+
+def _spread(time: np.ndarray, flag: np.ndarray, hours: float) -> np.ndarray:
+    """Instants at which the flag holds or held within the last `hours`."""
+    if not flag.any():
+        return flag
+    last = np.where(flag, time, -np.inf)
+    return time - np.maximum.accumulate(last) <= hours * 3600.0

@@ -1,0 +1,292 @@
+"""What else heats or cools the cabinet."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from hygrokf.physics.expression import Given
+from hygrokf.physics.model import Mechanism
+from hygrokf.physics.parameters import Parameter
+
+
+def solar_gain(lagged: bool = False, flag: str = "sunshine") -> Mechanism:
+    """Sun on cabinet, tower or wall: f += a G, with `lagged` through a mass; a [K/(kW/m²)], G [kW/m²].
+
+    dG'/dt = (G − G')/θ, θ [h].  `flag` "sunshine" on a horizontal plane, "sunlit_wall" on a wall that faces somewhere.
+    """
+
+    def contributions(p, x, u, q):
+        return {"heat_release": p.solar_heat * (x.stored_sun if lagged else getattr(u, flag))}
+
+    lag = Parameter(
+        "solar_time", "h", 2.0, 0.25, 24.0, positive=True, meaning="lag of the mass that it warms"
+    )
+    return Mechanism(
+        name="solar_gain",
+        parameters=(
+            Parameter(
+                "solar_heat", "K/(kW/m2)", 1.0, 1e-3, 100.0, positive=True, null=0.0,
+                meaning="heat release for each kW/m² of sun",
+            ),
+            *((lag,) if lagged else ()),
+        ),
+        states=("stored_sun",) if lagged else (),
+        inputs=(flag,),
+        contributions=contributions,
+        drift=(
+            (lambda p, x, u, q, s: {"stored_sun": (getattr(u, flag) - x.stored_sun) / p.solar_time})
+            if lagged
+            else None
+        ),
+        initial=(lambda p, u: {"stored_sun": (getattr(u, flag), 0.01)}) if lagged else None,
+        settings={"lagged": lagged, "flag": flag},
+        meaning="heat of the sun",
+        leaves="a cabinet that is too warm on clear days, in the afternoon",
+        source="sol-air temperature (ASHRAE Fundamentals) with a first-order wall",
+    )  # fmt: skip
+
+
+def _driven_heat(
+    name: str,
+    parameter: str,
+    flag: str,
+    text: str,
+    leaves: str,
+    full: float = 1.0,
+    settings: dict | None = None,
+) -> Mechanism:
+    """Heat release in proportion to an input: f += a · flag/full, a ≥ 0 [K]."""
+    scale = Given(1.0 / full)
+    return Mechanism(
+        name=name,
+        parameters=(
+            Parameter(
+                parameter, "K", 0.0, 0.0, 80.0, null=0.0, physical=(0.0, math.inf), meaning=f"heat release {text}"
+            ),
+        ),
+        inputs=(flag,),
+        contributions=lambda p, x, u, q: {"heat_release": getattr(p, parameter) * (scale * getattr(u, flag))},
+        settings=settings or {},
+        meaning=f"heat release {text}",
+        leaves=leaves,
+        source="balance of heat",
+    )  # fmt: skip
+
+
+def unreported_heater(flag: str = "heating") -> Mechanism:
+    """Heat of a heater that no signal reports, while it runs (input `heating`, or `throttled_heating`) [K]."""
+    return _driven_heat(
+        "unreported_heater", "heater_heat", flag, "while the unreported heater runs",
+        "a cabinet that is too warm in the simulation when it is cold or damp", settings={"flag": flag},
+    )  # fmt: skip
+
+
+def scheduled_heat() -> Mechanism:
+    """Heat that follows the clock (input `scheduled`): lamps, people at work, a load on a timer [K]."""
+    return _driven_heat(
+        "scheduled_heat", "scheduled_heat", "scheduled", "in the hours in which it is on",
+        "a temperature error in the same hours of every day, or of every workday",
+    )  # fmt: skip
+
+
+def logged_heater(signal: str = "heater_duty", full: float = 1.0) -> Mechanism:
+    """Heat of a heater that is logged: f += a · signal/full [K].
+
+    `signal` "heater_duty" [1] or "heater_power" [W]; `full` its value at which the release is a, in the signal's unit.
+    """
+    at = "at full duty" if signal == "heater_duty" else f"at {full:.4g} W"
+    return _driven_heat(
+        "logged_heater", "logged_heater_heat", signal, f"of the logged heater {at}",
+        "a cabinet that is too warm while the heater runs", full, {"signal": signal, "full": full},
+    )  # fmt: skip
+
+
+def dehumidifier_heat() -> Mechanism:
+    """Heat that a logged dehumidifier releases (input `dehumidifier_duty`): its own power and that of condensing [K]."""
+    return _driven_heat(
+        "dehumidifier_heat", "dehumidifier_heat", "dehumidifier_duty", "of the logged dehumidifier at full duty",
+        "a cabinet that is too warm while the dehumidifier runs",
+    )  # fmt: skip
+
+
+def drying_heat() -> Mechanism:
+    """Heat that a drier which no signal reports releases (input `drying`): its own power and that of condensing [K]."""
+    return _driven_heat(
+        "drying_heat", "drying_heat", "drying", "while the unreported drier runs",
+        "a cabinet that is too warm in the simulation when it is damp",
+    )  # fmt: skip
+
+
+def release_drift(order: int = 0, operation: bool = False, flag: str = "elapsed") -> Mechanism:
+    """Heat release that drifts with the calendar: f += a · flag · f₀ [K], f₀ the base model's own in operation.
+
+    `order`, `operation`: those of the base's heat release (f₀ = a₀ + Σ a_k p^k while the turbine operates; without
+    operation its heat at standstill).  `flag` "elapsed": share of the record that has passed; "since": a course that
+    saturates from a date on.
+    """
+    powers = [f"power_{k}" for k in range(1, order + 1)] if operation else []
+
+    def own(p, u):
+        if not operation:
+            return p.heat_release_standstill
+        total = p.heat_release_operation * u.operating
+        for name in powers:
+            total = total + getattr(p, f"heat_release_{name}") * getattr(u, name)
+        return total
+
+    return Mechanism(
+        name="release_drift",
+        parameters=(
+            Parameter(
+                "heat_drift", "1", 0.0, -0.95, 10.0, null=0.0, physical=(-1.0, math.inf),
+                meaning="relative change of the heat release in the end",
+            ),
+        ),
+        inputs=(flag, *(("operating", *powers) if operation else ())),
+        contributions=lambda p, x, u, q: {"heat_release": p.heat_drift * getattr(u, flag) * own(p, u)},
+        settings={"order": order, "operation": operation, "flag": flag},
+        meaning="heat release that drifts with the calendar",
+        leaves="a temperature error that grows with the calendar, in operation",
+        source="balance of heat",
+    )  # fmt: skip
+
+
+def _loss(
+    name: str, parameter: str, flag: str, lower: float, text: str, leaves: str, settings: dict | None = None
+) -> Mechanism:
+    """Conductance between cabinet air and ambient beside 1/R_AT, in its units: g · flag."""
+    return Mechanism(
+        name=name,
+        parameters=(
+            Parameter(
+                parameter, "1", 0.0, lower, 50.0, null=0.0, physical=(0.0 if lower == 0 else -1.0, math.inf),
+                meaning=f"conductance to the ambient beside 1/R_AT, {text}",
+            ),
+        ),
+        inputs=(flag,),
+        conductance=lambda p, u: getattr(p, parameter) * getattr(u, flag),
+        settings=settings or {},
+        meaning=f"heat lost to the ambient, {text}",
+        leaves=leaves,
+        source="conductance parallel to R_AT",
+    )  # fmt: skip
+
+
+def _taken(name: str, parameter: str, flag: str, text: str, leaves: str) -> Mechanism:
+    """Heat taken from the converter, whose temperature above the ambient's is that of the air over ρ: f −= g · flag · (T_a − T_amb)."""
+
+    def contributions(p, x, u, q):
+        above = q.cabinet_air_temperature - u.ambient_temperature
+        return {"heat_release": -getattr(p, parameter) * getattr(u, flag) * above}
+
+    made = _loss(name, parameter, flag, 0.0, text, leaves)
+    return replace(made, inputs=("ambient_temperature", flag), conductance=None, contributions=contributions)
+
+
+def wind_loss(flag: str = "wind_tenth") -> Mechanism:
+    """Heat loss that grows with the wind: g at 10 m/s (input `wind_tenth`, or its square `wind_square`)."""
+    return _loss(
+        "wind_loss", "wind_conductance", flag, -0.6, "at 10 m/s of wind",
+        "a cabinet that is too warm in calm and too cold in wind", {"flag": flag},
+    )  # fmt: skip
+
+
+def stepped_loss() -> Mechanism:
+    """Heat loss that changes at a date (input `after_step`)."""
+    return _loss(
+        "stepped_loss", "conductance_change", "after_step", -0.9, "from the date on",
+        "a temperature error that begins at a date and grows with the heat release",
+    )  # fmt: skip
+
+
+def fan_loss() -> Mechanism:
+    """Heat loss through the air that a logged fan moves (input `fan_duty`), in proportion to its duty."""
+    return _loss(
+        "fan_loss", "fan_conductance", "fan_duty", 0.0, "at full duty of the logged fan",
+        "a cabinet that is too warm in the simulation while the fan runs",
+    )  # fmt: skip
+
+
+def pump_loss() -> Mechanism:
+    """Heat that a logged pump's coolant takes from the converter (input `pump_duty`): f −= g · pump_duty · (T_a − T_amb).
+
+    The coolant is taken to leave it at the ambient temperature.
+    """
+    return _taken(
+        "pump_loss", "pump_conductance", "pump_duty", "at full duty of the logged pump",
+        "a cabinet that is too warm in the simulation while the pump runs",
+    )  # fmt: skip
+
+
+def open_loss() -> Mechanism:
+    """Heat loss while a door is open (input `door_open`)."""
+    return _loss(
+        "open_loss", "door_conductance", "door_open", 0.0, "while the door is open",
+        "stretches of hours in which the temperature falls toward the ambient's",
+    )  # fmt: skip
+
+
+def cooling_loss() -> Mechanism:
+    """Heat loss while a cooling stage runs (input `cooling`), taken from the converter: f −= g · cooling · (T_a − T_amb).
+
+    A stage that cools the air lets it jump at once, yet when a stage switches between two readings is not known: jumps at
+    wrong times cost more likelihood than their lack (2 ln L 397 this way and 79 as `fan_loss`, on a plant that does jump).
+    """
+    return _taken(
+        "cooling_loss", "cooling_conductance", "cooling", "while the cooling stage runs",
+        "a cabinet that is too warm in the simulation above a threshold",
+    )  # fmt: skip
+
+
+def vent_loss(flag: str = "venting") -> Mechanism:
+    """Heat loss through a vent that opens in proportion to a reading (input `venting`), or by the clock (`open_hours`)."""
+    return _loss(
+        "vent_loss", "vent_conductance", flag, 0.0, "while the vent is open",
+        "a cabinet that is too warm in the simulation while the vent is open", {"flag": flag},
+    )  # fmt: skip
+
+
+def lagged_ambient() -> Mechanism:
+    """The air around the cabinet lags the ambient series: a share w of a first-order lag, f += w (L − T_amb) [K].
+
+    dL/dt = (T_amb − L)/θ,    θ [h].
+    """
+    return Mechanism(
+        name="lagged_ambient",
+        parameters=(
+            Parameter(
+                "ambient_lag_share", "1", 0.0, -0.2, 1.2, null=0.0,
+                meaning="share of the air around the cabinet that lags the ambient series",
+            ),
+            Parameter("ambient_lag_time", "h", 3.0, 0.25, 24.0, positive=True, meaning="its lag"),
+        ),
+        states=("ambient_lag",),
+        inputs=("ambient_temperature",),
+        contributions=lambda p, x, u, q: {
+            "heat_release": p.ambient_lag_share * (x.ambient_lag - u.ambient_temperature)
+        },
+        drift=lambda p, x, u, q, s: {"ambient_lag": (u.ambient_temperature - x.ambient_lag) / p.ambient_lag_time},
+        initial=lambda p, u: {"ambient_lag": (u.ambient_temperature, 4.0)},
+        meaning="air around the cabinet that lags the ambient series",
+        leaves="a temperature error that follows the rate of the ambient temperature",
+        source="first-order mixing of the air in the tower",
+    )  # fmt: skip
+
+
+def leading_ambient() -> Mechanism:
+    """The ambient series is smoothed by a first-order lag θ, the air around the cabinet is not: f += θ dT_amb/dt [K].
+
+    θ [h]; the rate is the input `ambient_temperature_rate` [K/h].
+    """
+    return Mechanism(
+        name="leading_ambient",
+        parameters=(
+            Parameter("ambient_lead", "h", 0.0, -2.0, 24.0, null=0.0, meaning="time by which the series is smoothed"),
+        ),
+        inputs=("ambient_temperature_rate",),
+        contributions=lambda p, x, u, q: {"heat_release": p.ambient_lead * u.ambient_temperature_rate},
+        meaning="the ambient temperature is smoothed, the air around the cabinet is not",
+        leaves="a temperature error that follows the rate of the ambient temperature",
+        source="inverse of a first-order lag",
+    )  # fmt: skip

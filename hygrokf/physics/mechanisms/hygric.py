@@ -1,0 +1,99 @@
+"""The moisture network of the paper (Fig. 5) and its disturbances."""
+
+from __future__ import annotations
+
+from hygrokf.physics.mechanisms.thermal import PAPER, ornstein_uhlenbeck
+from hygrokf.physics.model import Mechanism
+from hygrokf.physics.parameters import Parameter
+
+REFERENCE_TEMPERATURE = 273.0
+"""[K] the paper's reference of the diffusion coefficient, equation (4)."""
+DIFFUSION_EXPONENT = 0.8
+
+
+def exchange_factor(ambient_temperature):
+    """T_amb^0.8 / (273 K)^1.8 [1/K]: the ambient's part of the rate in equation (4); `ambient_temperature` [K]."""
+    return ambient_temperature**DIFFUSION_EXPONENT / REFERENCE_TEMPERATURE ** (1.0 + DIFFUSION_EXPONENT)
+
+
+def hygric_time_constant(k, cabinet_temperature, ambient_temperature):
+    """R_D*·V* [h] at given temperatures [K]: k (273 K)^1.8 / (T_conv,a T_amb^0.8), from equation (4)."""
+    return k / (cabinet_temperature * exchange_factor(ambient_temperature))
+
+
+SHORTEST_H = 0.005
+
+
+def hygric_exchange(shortest_h: float = SHORTEST_H) -> Mechanism:
+    """Vapour exchange with the ambient air: equation (4) of the paper as a balance of vapour mass.
+
+        dc*/dt = T_conv,a T_amb^0.8 /(k (273 K)^1.8) · (1 + Σ exchange) (c_amb − c* + w) + vapour_release,
+    c* [g/m³] the equivalent concentration (the cabinet air's at ambient temperature), w the vapour disturbance.
+    The factor T_amb^0.8 is held linear between the ambient readings.  `shortest_h` bounds k [h] to what readings resolve.
+    """
+
+    def drift(p, x, u, q, s):
+        rate = q.cabinet_air_temperature * u.exchange_factor / p.hygric_k * (1.0 + s.exchange)
+        drive = u.ambient_absolute_humidity - x.vapour + s.ambient_vapour
+        return {"vapour": rate * drive + s.vapour_release}
+
+    def initial(p, u):
+        return {"vapour": (u.ambient_absolute_humidity, (0.3 * u.ambient_absolute_humidity) ** 2)}
+
+    return Mechanism(
+        name="hygric_exchange",
+        parameters=(
+            Parameter(
+                "hygric_k", "h", 0.5, shortest_h, 200.0, positive=True,
+                meaning="R_D*·V* at 273 K inside and outside, the k of equation (4)",
+            ),
+        ),
+        states=("vapour",),
+        amounts=("vapour",),
+        inputs=("ambient_temperature", "ambient_absolute_humidity", "exchange_factor"),
+        drift=drift,
+        initial=initial,
+        settings={"shortest_h": shortest_h},
+        meaning="vapour exchanged through gaps with the ambient air",
+        source=f"{PAPER}, equations (4) and (5)",
+    )  # fmt: skip
+
+
+def vapour_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 6.0) -> Mechanism:
+    """A coloured disturbance of the vapour flow, as an Ornstein–Uhlenbeck error w [g/m³] of the ambient air.
+
+    `shortest_h`, `longest_h` bound its correlation time [h] to what the readings can resolve.
+    """
+    return ornstein_uhlenbeck(
+        "vapour_disturbance", "ambient_vapour", "g/m3", 0.3, start_h, (shortest_h, longest_h), (1e-4, 20.0),
+        {"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
+        "coloured disturbance of the vapour flow, as an error of the ambient air",
+        "slowly wandering humidity residuals; a hygric time constant that is too long",
+    )  # fmt: skip
+
+
+def second_vapour_disturbance(
+    longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 1.0
+) -> Mechanism:
+    """A second coloured disturbance of the vapour flow on another time scale, where one is not enough."""
+    return ornstein_uhlenbeck(
+        "second_vapour_disturbance", "ambient_vapour", "g/m3", 0.1, start_h, (shortest_h, longest_h), (1e-4, 20.0),
+        {"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
+        "second coloured disturbance of the vapour flow, as an error of the ambient air",
+        "innovations that are not white although one coloured disturbance is there",
+    )  # fmt: skip
+
+
+def hygric_diffusion() -> Mechanism:
+    """White vapour-flow noise on the equivalent concentration [g/(m³ √h)]."""
+    return Mechanism(
+        name="hygric_diffusion",
+        parameters=(
+            Parameter(
+                "hygric_diffusion", "g/m3/h^0.5", 0.05, 1e-5, 10.0, positive=True, null=0.0, noise=True,
+                meaning="intensity of the white disturbance of the vapour concentration",
+            ),
+        ),
+        diffusion=lambda p: {"vapour": p.hygric_diffusion * p.hygric_diffusion},
+        meaning="white disturbance of the vapour flow",
+    )  # fmt: skip

@@ -1,0 +1,515 @@
+"""What else brings vapour into the cabinet air, takes it out, or stores it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+from hygrokf.physics.expression import exp, sqrt
+from hygrokf.physics.mechanisms.sensors import saturation_pressure
+from hygrokf.physics.model import Mechanism
+from hygrokf.physics.parameters import Parameter
+from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR
+
+REFERENCE_K = 293.15
+"""[K] temperature at which a sorption time constant is stated."""
+ACTIVATION_K = 5300.0
+"""[K] activation energy of diffusion over the gas constant, 44 kJ/mol: epoxies and polyamides have 40 … 55."""
+GAB_C, GAB_K = 8.0, 0.75
+"""[1] constants of the isotherm; papers, polyamides and laminates have C from 4 to 15 and K from 0.65 to 0.85."""
+GAB_SLOPE = 2.31952
+"""[1] slope of that isotherm, in monolayers for each unit of relative humidity, at 50 %."""
+GAB_ENDS = (6.0, 12.134375)
+"""[1] slopes of that isotherm at 0 and at 100 %, beyond which it goes on straight."""
+ROUNDED = 0.003
+"""[1] relative humidity over which these two ends are rounded."""
+VAPOUR_DISTURBANCES = ("vapour_disturbance", "second_vapour_disturbance")
+PLATE = 4.85
+"""[g/m³] vapour over water at the freezing point: what a cold-plate drier leaves."""
+BULK = {"sorbed_water": (1.0, 1.0)}
+SLAB = {"sorbed_water": (0.892, 1.2), "sorbed_skin": (0.108, 62.7)}
+"""Where the water is: state -> (share of it, how many times faster than the time constant).  Those of a slab come within
+13 % (root mean square) of tanh(√s)/√s, the uptake that Fick's law has, from 0.3 to 100 times the slab's own frequency."""
+DROP = 0.01
+"""[g/m³] film over which the size of a film, m or -m, is rounded."""
+EDGE = 0.05
+"""[g/m³] over which the change between condensing and drying is rounded."""
+
+
+def _humidity(x, u, temperature):
+    """Relative humidity [1] that the cabinet's vapour has at a temperature [K], over water."""
+    pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
+    return pressure / saturation_pressure(temperature)
+
+
+def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
+    """Hygroscopic material in the cabinet: takes up water by the relative humidity at its temperature, gives it back on heating.
+
+        dwᵢ/dt = rᵢ (aᵢ W g(h) − wᵢ)/θ(T),    g(h) = φ(h)/φ′(½),    φ(h) = C K h/((1 − K h)(1 − K h + C K h)),
+        θ(T) = θ₂₀ exp(5300 K (1/T − 1/293.15 K))  (θ₂₀ throughout without `activated`),    vapour release −Σ dwᵢ/dt,
+    Σ wᵢ [g/m³] water held per volume of cabinet air, h the relative humidity at the air's temperature T, W [g/m³] the
+    moisture capacity: water for each unit of relative humidity, the isotherm's slope at 50 %; θ₂₀ [h] the time constant
+    at 20 °C; C = 8 and K = 0.75; beyond 0 and 100 % φ is straight.  A record shows the slope; the content itself depends on the isotherm by ± 20 %. Thin
+    material is one content with a = r = 1. A `slab`, into which water diffuses from its faces, has a skin that answers
+    first and a slow rest, and θ = 4 L²/(π² D), that of its slowest mode; a record of some weeks tells W/√θ better than
+    either.
+    """
+    places = SLAB if slab else BULK
+
+    def share(h):
+        """The isotherm [1]; of slope 1 at 50 %."""
+        return _gab(h) / GAB_SLOPE
+
+    def rates(p, x, u, q):
+        air = q.cabinet_air_temperature
+        time = p.sorption_time
+        if activated:
+            time = time * exp(ACTIVATION_K * (1.0 / air - 1.0 / REFERENCE_K))
+        content = p.sorption_capacity * share(_humidity(x, u, air))
+        return {n: (part * content - getattr(x, n)) * (pace / time) for n, (part, pace) in places.items()}
+
+    def initial(p, u):
+        wet = u.ambient_absolute_humidity * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
+        content = p.sorption_capacity * share(wet / saturation_pressure(u.ambient_temperature + 6.0))
+        return {
+            n: (part * content, 0.1 * (part * content) * (part * content)) for n, (part, _) in places.items()
+        }
+
+    return Mechanism(
+        name="moisture_sorption",
+        parameters=(
+            Parameter(
+                "sorption_capacity", "g/m3", 8.0, 1e-3, 10000.0, positive=True, null=0.0,
+                meaning="moisture capacity at 50 %: water for each unit of relative humidity, per volume of cabinet air",
+            ),
+            Parameter(
+                "sorption_time", "h", *((40.0, 4.0, 4000.0) if slab else (10.0, 1.0, 400.0)), positive=True,
+                meaning="time constant of its uptake at 20 °C",
+            ),
+        ),
+        states=tuple(places),
+        amounts=tuple(places),
+        inputs=("ambient_temperature", "ambient_absolute_humidity"),
+        contributions=lambda p, x, u, q: {"vapour_release": -sum(rates(p, x, u, q).values())},
+        drift=lambda p, x, u, q, s: rates(p, x, u, q),
+        initial=initial,
+        settings={"activated": activated, "slab": slab},
+        meaning="water taken up and given back by hygroscopic material",
+        leaves="too little vapour when the cabinet warms after a long damp standstill, too much while it stands",
+        source="isotherm of Guggenheim, Anderson and de Boer; linear driving force (Glueckauf 1955); slab: Crank (1975)",
+    )  # fmt: skip
+
+
+def _gab(h):
+    """Isotherm of Guggenheim, Anderson and de Boer, in monolayers; beyond 0 and 100 % it goes on straight.
+
+    It has poles at -19 and 133 %, and beyond them the wrong sign: nothing holds the humidity of a free run between.
+    """
+    below = 0.5 * (sqrt(h * h + ROUNDED * ROUNDED) - h)
+    above = 0.5 * (h - 1.0 + sqrt((h - 1.0) * (h - 1.0) + ROUNDED * ROUNDED))
+    wet = GAB_K * (h + below - above)
+    inner = GAB_C * wet / ((1.0 - wet) * (1.0 - wet + GAB_C * wet))
+    return inner - GAB_ENDS[0] * below + GAB_ENDS[1] * above
+
+
+def condensation(sky: bool = False) -> Mechanism:
+    """A film of water on a surface colder than the dew point, which evaporates later.
+
+        dT_s/dt = (T_amb − δ s + κ (T_a − T_amb) − T_s)/θ_s,    x = c* − e_s(T_s)/(R_v T_amb),
+        dm/dt = β max(0, x) − β max(0, −x) · m/(|m| + 1 g/m³);    vapour release −dm/dt,
+    m ≥ 0 [g/m³] the film per volume of cabinet air, θ_s [h] the lag of the surface, δ [K] how far it cools below the air by
+    radiation: always (s = 1), or with `sky` while the clear night sky draws heat (input `night_sky`).  The last gram stands
+    in drops whose area shrinks with them.  The edges of max are rounded over 0.05 g/m³.
+    """
+
+    def rate(p, x, u, q):
+        limit = saturation_pressure(x.surface_temperature) / (
+            u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
+        )
+        excess = x.vapour - limit
+        round_ = sqrt(excess * excess + EDGE * EDGE)
+        onto, dry = 0.5 * (excess + round_), 0.5 * (round_ - excess)
+        # the filter's film may be a little less than nothing; what is wet of it then draws it back
+        wet = x.film / (1.0 + sqrt(x.film * x.film + DROP * DROP))
+        return p.condensation_rate * (onto - dry * wet)
+
+    def surface(p, x, u, q):
+        toward = u.ambient_temperature + p.surface_share * (q.cabinet_air_temperature - u.ambient_temperature)
+        below = p.surface_undercooling * (u.night_sky if sky else 1.0)
+        return (toward - below - x.surface_temperature) / p.surface_time
+
+    return Mechanism(
+        name="condensation",
+        parameters=(
+            Parameter(
+                "condensation_rate", "1/h", 0.3, 1e-4, 4.0, positive=True, null=0.0,
+                meaning="vapour transfer to the film, per volume of cabinet air",
+            ),
+            Parameter("surface_time", "h", 3.0, 0.3, 72.0, positive=True, meaning="lag of the cold surface"),
+            Parameter(
+                "surface_share", "1", 0.05, 0.0, 0.9, physical=(0.0, 1.0),
+                meaning="how far the cold surface follows the cabinet air instead of the ambient",
+            ),
+            Parameter(
+                "surface_undercooling", "K", 1.0, 0.0, 12.0, physical=(0.0, math.inf),
+                meaning="how far the surface cools below its surroundings by radiation",
+            ),
+        ),
+        states=("film", "surface_temperature"),
+        amounts=("film",),
+        inputs=("ambient_temperature", *(("night_sky",) if sky else ())),
+        contributions=lambda p, x, u, q: {"vapour_release": -rate(p, x, u, q)},
+        drift=lambda p, x, u, q, s: {"film": rate(p, x, u, q), "surface_temperature": surface(p, x, u, q)},
+        initial=lambda p, u: {"film": (0.0, 0.0), "surface_temperature": (u.ambient_temperature + 1.0, 4.0)},
+        settings={"sky": sky},
+        meaning="condensate on a cold surface",
+        leaves="humidity capped at a cold surface's dew point, then too little vapour when it warms",
+        source="mass transfer by the Lewis analogy; film and surface of first order",
+    )  # fmt: skip
+
+
+def internal_moisture_source(when: str = "always") -> Mechanism:
+    """A source of vapour in the cabinet [g/(m³ h)]: `when` "always", at "standstill", "fading" from a date
+    on, or "scheduled" by the clock.
+    """
+    inputs = () if when == "always" else (when,)
+    return Mechanism(
+        name="internal_moisture_source",
+        parameters=(
+            Parameter(
+                "moisture_source", "g/m3/h", 0.1, 1e-4, 50.0, positive=True, null=0.0,
+                meaning="vapour released per volume of cabinet air",
+            ),
+        ),
+        inputs=inputs,
+        contributions=lambda p, x, u, q: {
+            "vapour_release": p.moisture_source * (getattr(u, when) if inputs else 1.0)
+        },
+        settings={"when": when},
+        meaning="water that evaporates inside",
+        leaves="absolute humidity above the ambient's, the more the slower the exchange",
+        source="balance of vapour mass",
+    )  # fmt: skip
+
+
+def wet_surface() -> Mechanism:
+    """A wet surface as warm as the cabinet air, which gives vapour or takes it: vapour release k (c_sat(T_a) − c).
+
+    k [1/h] the air that it saturates each hour, per volume of cabinet; c_sat, c [g/m³] of saturated and of the cabinet's air:
+    open water, a wet wall, soil, plants.
+    """
+
+    def contributions(p, x, u, q):
+        air = q.cabinet_air_temperature
+        saturated = saturation_pressure(air) / (air * (1e-3 * GAS_CONSTANT_VAPOUR))
+        lacking = saturated - x.vapour * u.ambient_temperature / air
+        return {"vapour_release": p.evaporation_rate * lacking}
+
+    return Mechanism(
+        name="wet_surface",
+        parameters=(
+            Parameter(
+                "evaporation_rate", "1/h", 0.05, 1e-4, 100.0, positive=True, null=0.0,
+                meaning="air that a wet surface saturates each hour, per volume of cabinet air",
+            ),
+        ),
+        inputs=("ambient_temperature",),
+        contributions=contributions,
+        meaning="water that evaporates from a wet surface",
+        leaves="absolute humidity above the ambient's, the more the warmer and drier the cabinet is",
+        source="Dalton's law of evaporation",
+    )  # fmt: skip
+
+
+def rain_ingress(flag: str = "rain") -> Mechanism:
+    """Rain that enters, is held wet, and evaporates with a delay; `flag` "rain", or "heavy_rain" above a threshold.
+
+    dr/dt = a · rain − r/θ,    vapour release r/θ,    r [g/m³], θ [h].
+    """
+    return Mechanism(
+        name="rain_ingress",
+        parameters=(
+            Parameter(
+                "rain_intake", "g/m3/h", 1.0, 1e-4, 500.0, positive=True, null=0.0,
+                meaning="water that enters per volume of cabinet air while the rain signal is 1",
+            ),
+            Parameter("rain_drying_time", "h", 6.0, 0.5, 100.0, positive=True, meaning="time to evaporate"),
+        ),
+        states=("rain_water",),
+        amounts=("rain_water",),
+        inputs=(flag,),
+        contributions=lambda p, x, u, q: {"vapour_release": x.rain_water / p.rain_drying_time},
+        drift=lambda p, x, u, q, s: {
+            "rain_water": p.rain_intake * getattr(u, flag) - x.rain_water / p.rain_drying_time
+        },
+        initial=lambda p, u: {"rain_water": (0.0, 0.0)},
+        settings={"flag": flag},
+        meaning="rain water that enters and evaporates",
+        leaves="humidity above the simulated for hours after rain",
+        source="balance of water with a first-order delay",
+    )  # fmt: skip
+
+
+def _above_plate(x, u, temperature):
+    """Vapour of the cabinet air above that over a plate at the freezing point [g/m³], never below 0; rounded over 0.05."""
+    inside = x.vapour * u.ambient_temperature / temperature
+    above = inside - PLATE
+    return 0.5 * (above + sqrt(above * above + EDGE * EDGE))
+
+
+def dehumidifier() -> Mechanism:
+    """A drier that follows the humidity above a set-point: vapour release −d · max(0, h − h₀) · (c − 4.85 g/m³).
+
+    d [1/h] the air dried each hour, per volume of cabinet and unit of relative humidity; c [g/m³] the cabinet's vapour;
+    4.85 g/m³ that over a plate at the freezing point.  The edge of max is rounded over 1 %.
+    """
+
+    def contributions(p, x, u, q):
+        above = _humidity(x, u, q.cabinet_air_temperature) - p.dehumidifier_setpoint
+        effort = 0.5 * p.dehumidifier_rate * (above + sqrt(above * above + 1e-4))
+        return {"vapour_release": -effort * _above_plate(x, u, q.cabinet_air_temperature)}
+
+    return Mechanism(
+        name="dehumidifier",
+        parameters=(
+            Parameter(
+                "dehumidifier_rate", "1/h", 2.0, 1e-4, 2000.0, positive=True, null=0.0,
+                meaning="air dried each hour, per volume of cabinet and unit of relative humidity above the set-point",
+            ),
+            Parameter(
+                "dehumidifier_setpoint", "1", 0.6, 0.2, 0.98, physical=(0.0, 1.0),
+                meaning="relative humidity above which it dries",
+            ),
+        ),
+        inputs=("ambient_temperature",),
+        contributions=contributions,
+        meaning="drying above a set-point",
+        leaves="simulated humidity too high in its upper range, right below it",
+        source="proportional cold-plate drier; balance of vapour mass",
+    )  # fmt: skip
+
+
+def switched_drying(plate: bool = True) -> Mechanism:
+    """A drier that is on or off (input `drying`): vapour release −d · drying · c, d [1/h] the air dried each hour.
+
+    c [g/m³] the cabinet's vapour (a desiccant takes all of it); with `plate` what of it exceeds the 4.85 g/m³ over a plate
+    at the freezing point.
+    """
+
+    def contributions(p, x, u, q):
+        air = q.cabinet_air_temperature
+        vapour = _above_plate(x, u, air) if plate else x.vapour * u.ambient_temperature / air
+        return {"vapour_release": -p.drying_rate * u.drying * vapour}
+
+    return Mechanism(
+        name="switched_drying",
+        parameters=(
+            Parameter(
+                "drying_rate", "1/h", 0.1, 1e-5, 50.0, positive=True, null=0.0,
+                meaning="air dried each hour, per volume of cabinet air, while the drier runs",
+            ),
+        ),
+        inputs=("ambient_temperature", "drying"),
+        contributions=contributions,
+        settings={"plate": plate},
+        meaning="drying while the drier runs",
+        leaves="simulated humidity too high above a set-point, with hysteresis",
+        source="balance of vapour mass",
+    )  # fmt: skip
+
+
+def _exchange(
+    name: str,
+    parameter: str,
+    flag: str,
+    upper: float,
+    text: str,
+    leaves: str,
+    settings: dict | None = None,
+    lower: float = -0.95,
+) -> Mechanism:
+    """Exchange of vapour multiplied by 1 + b · flag, b > −1; b ≥ 0 with a `lower` of 0."""
+    return Mechanism(
+        name=name,
+        parameters=(
+            Parameter(
+                parameter, "1", 0.0, lower, upper, null=0.0, physical=(0.0 if lower == 0 else -1.0, math.inf),
+                meaning=f"relative change of the vapour exchange, {text}",
+            ),
+        ),
+        inputs=(flag,),
+        contributions=lambda p, x, u, q: {"exchange": getattr(p, parameter) * getattr(u, flag)},
+        settings=settings or {},
+        meaning=f"vapour exchange, {text}",
+        leaves=leaves,
+        source="resistance R_D* of equation (4) divided by the factor",
+    )  # fmt: skip
+
+
+def fan_exchange() -> Mechanism:
+    """Vapour exchange through the air that a logged fan moves: 1 + b · `fan_duty`."""
+    return _exchange(
+        "fan_exchange", "fan_exchange", "fan_duty", 500.0, "at full duty of the logged fan",
+        "humidity that follows the ambient's faster while the fan runs", lower=0.0,
+    )  # fmt: skip
+
+
+def dehumidifier_drying() -> Mechanism:
+    """A dehumidifier that is logged: vapour release −d · `dehumidifier_duty` · c.
+
+    d [1/h] the air dried each hour at full duty, per volume of cabinet air; c [g/m³] the cabinet's vapour.
+    """
+
+    def contributions(p, x, u, q):
+        vapour = x.vapour * u.ambient_temperature / q.cabinet_air_temperature
+        return {"vapour_release": -p.logged_drying_rate * u.dehumidifier_duty * vapour}
+
+    return Mechanism(
+        name="dehumidifier_drying",
+        parameters=(
+            Parameter(
+                "logged_drying_rate", "1/h", 0.0, 0.0, 50.0, null=0.0, physical=(0.0, math.inf),
+                meaning="air dried each hour, per volume of cabinet air, at full duty of the logged dehumidifier",
+            ),
+        ),
+        inputs=("ambient_temperature", "dehumidifier_duty"),
+        contributions=contributions,
+        meaning="drying by the logged dehumidifier",
+        leaves="simulated humidity too high while the dehumidifier runs",
+        source="balance of vapour mass",
+    )  # fmt: skip
+
+
+def wind_exchange(flag: str = "wind_tenth") -> Mechanism:
+    """Vapour exchange that grows with the wind: 1 + b v/(10 m/s), or with `flag` "wind_square" 1 + b (v/(10 m/s))²."""
+    return _exchange(
+        "wind_exchange", "wind_exchange_gain", flag, 50.0, "at 10 m/s of wind",
+        "humidity that follows the ambient's faster in wind than in calm", {"flag": flag},
+    )  # fmt: skip
+
+
+def stepped_exchange(flows: bool = False) -> Mechanism:
+    """Vapour exchange that changes at a date: 1 + b after it (input `after_step`).
+
+    The base's coloured disturbance is an error of the air that is breathed, and counts less where less is breathed.  With
+    `flows` it is a flow of vapour into the cabinet, and stays: ambient_vapour −= w b/(1 + b).
+    """
+    made = _exchange(
+        "stepped_exchange", "exchange_change", "after_step", 50.0, "from the date on",
+        "humidity that follows the ambient's faster or slower from a date on", {"flows": flows},
+    )  # fmt: skip
+    if not flows:
+        return made
+
+    def contributions(p, x, u, q):
+        change = p.exchange_change * u.after_step
+        flow = sum(getattr(x, name, 0.0) for name in VAPOUR_DISTURBANCES)
+        return {"exchange": change, "ambient_vapour": -flow * change / (1.0 + change)}
+
+    return replace(made, contributions=contributions)
+
+
+def open_exchange() -> Mechanism:
+    """Vapour exchange while a door is open: 1 + b (input `door_open`)."""
+    return _exchange(
+        "open_exchange", "door_exchange", "door_open", 500.0, "while the door is open",
+        "stretches of hours in which the humidity is the ambient's",
+    )  # fmt: skip
+
+
+def cooled_exchange() -> Mechanism:
+    """Vapour exchange while the cooling stage runs: 1 + b (input `cooling`)."""
+    return _exchange(
+        "cooled_exchange", "cooling_exchange", "cooling", 50.0, "while the cooling stage runs",
+        "humidity that follows the ambient's faster while the cabinet is warm",
+    )  # fmt: skip
+
+
+def vent_exchange(flag: str = "venting") -> Mechanism:
+    """Vapour exchange through a vent: 1 + b · flag, which opens in proportion to a reading (`venting`) or by the clock
+    (`open_hours`).
+    """
+    return _exchange(
+        "vent_exchange", "vent_exchange", flag, 500.0, "while the vent is open",
+        "humidity that follows the ambient's faster while the vent is open", {"flag": flag}, lower=0.0,
+    )  # fmt: skip
+
+
+def breathed_air(form: str = "vapour") -> Mechanism:
+    """The air that the cabinet breathes is off the ambient series: ambient_vapour += o g.
+
+    g by `form`: "vapour" 1 g/m³; "temperature" c_amb (a thermometer that is off by 1 K makes 6 %); "humidity" the
+    saturation concentration at ambient temperature.
+    """
+    unit = "g/m3" if form == "vapour" else "1"
+    bound = 10.0 if form == "vapour" else 0.6
+
+    def scale(u):
+        if form == "vapour":
+            return 1.0
+        if form == "temperature":
+            return u.ambient_absolute_humidity
+        kelvin = u.ambient_temperature
+        return saturation_pressure(kelvin) / (kelvin * (1e-3 * GAS_CONSTANT_VAPOUR))
+
+    return Mechanism(
+        name="breathed_air",
+        parameters=(
+            Parameter(
+                "breathed_offset", unit, 0.0, -bound, bound, null=0.0,
+                meaning={
+                    "vapour": "what the breathed air holds more than the ambient series says",
+                    "temperature": "share by which the ambient series understates the vapour of the breathed air",
+                    "humidity": "what the relative humidity of the ambient series lacks",
+                }[form],
+            ),
+        ),
+        inputs=("ambient_absolute_humidity", *(("ambient_temperature",) if form == "humidity" else ())),
+        contributions=lambda p, x, u, q: {"ambient_vapour": p.breathed_offset * scale(u)},
+        settings={"form": form},
+        meaning="the breathed air differs from the ambient series",
+        leaves="an offset of the absolute humidity",
+        source="the ambient sensors' own errors",
+    )  # fmt: skip
+
+
+def breathed_lag() -> Mechanism:
+    """A share w of the breathed air lags the ambient series: ambient_vapour += w (L − c_amb), dL/dt = (c_amb − L)/θ."""
+    return Mechanism(
+        name="breathed_lag",
+        parameters=(
+            Parameter("breathed_lag_share", "1", 0.0, -0.2, 1.2, null=0.0, meaning="share that lags the series"),
+            Parameter("breathed_lag_time", "h", 3.0, 0.25, 24.0, positive=True, meaning="its lag"),
+        ),
+        states=("breathed_vapour",),
+        amounts=("breathed_vapour",),
+        inputs=("ambient_absolute_humidity",),
+        contributions=lambda p, x, u, q: {
+            "ambient_vapour": p.breathed_lag_share * (x.breathed_vapour - u.ambient_absolute_humidity)
+        },
+        drift=lambda p, x, u, q, s: {
+            "breathed_vapour": (u.ambient_absolute_humidity - x.breathed_vapour) / p.breathed_lag_time
+        },
+        initial=lambda p, u: {"breathed_vapour": (u.ambient_absolute_humidity, 0.25)},
+        meaning="the breathed air lags the ambient series",
+        leaves="an error that follows the rate of the ambient humidity",
+        source="first-order mixing of the air in the tower",
+    )  # fmt: skip
+
+
+def breathed_lead() -> Mechanism:
+    """The ambient series is smoothed by a first-order lag θ, the breathed air is not: ambient_vapour += θ dc_amb/dt.
+
+    θ [h]; the rate is the input `ambient_vapour_rate` [g/(m³ h)].
+    """
+    return Mechanism(
+        name="breathed_lead",
+        parameters=(
+            Parameter("breathed_lead", "h", 0.0, -2.0, 24.0, null=0.0, meaning="time by which the series is smoothed"),
+        ),
+        inputs=("ambient_vapour_rate",),
+        contributions=lambda p, x, u, q: {"ambient_vapour": p.breathed_lead * u.ambient_vapour_rate},
+        meaning="the ambient humidity is smoothed, the breathed air is not",
+        leaves="an error that follows the rate of the ambient humidity",
+        source="inverse of a first-order lag",
+    )  # fmt: skip

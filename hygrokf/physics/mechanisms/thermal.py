@@ -1,0 +1,384 @@
+"""The thermal network of the paper (Fig. 2), its heat release and its disturbances."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from hygrokf.physics.expression import Given, exp, log
+from hygrokf.physics.model import Mechanism
+from hygrokf.physics.parameters import Parameter, Prior
+
+PAPER = "Field-measurement based hygrothermal modelling of the converter-cabinet climate in wind turbines"
+
+
+def thermal_network() -> Mechanism:
+    """Converter mass between the cabinet air and the ambient: equations (2) and (3) of the paper.
+
+    With τ = (R_AT+R_IC) C [h] and ρ = R_AT/(R_AT+R_IC) [1],
+        dT_conv/dt = (T_amb − T_conv + f_ΔT/ρ)/τ,    T_conv,a = ρ T_conv + (1−ρ) T_amb,
+    f_ΔT [K] the sum of all heat releases. R_AT, R_IC and C alone do not show in the data.
+
+    Where other mechanisms bring conductances g beside 1/R_AT, R_AT/(1+g) takes the place of R_AT: with e = 1 + (1−ρ) g
+        dT_conv/dt = ((T_amb − T_conv)(1+g)/e + f_ΔT/ρ)/τ,    T_conv,a = (ρ T_conv + (1−ρ)(1+g) T_amb)/e.
+    """
+
+    def relief(p, g):
+        return 1.0 + (1.0 - p.resistance_ratio) * g
+
+    def quantities(p, x, u, g):
+        rest = (1.0 - p.resistance_ratio) * (1.0 + g)
+        air = p.resistance_ratio * x.converter_temperature + rest * u.ambient_temperature
+        return {"cabinet_air_temperature": air / relief(p, g)}
+
+    def drift(p, x, u, q, s):
+        cooled = (u.ambient_temperature - x.converter_temperature) * (
+            (1.0 + q.air_conductance) / relief(p, q.air_conductance)
+        )
+        drive = cooled + s.heat_release / p.resistance_ratio
+        return {"converter_temperature": drive * (1.0 + s.thermal_pace) / p.thermal_time_constant}
+
+    return Mechanism(
+        name="thermal_network",
+        parameters=(
+            Parameter(
+                "thermal_time_constant", "h", 2.0, 0.02, 200.0, positive=True,
+                meaning="(R_AT+R_IC) C",
+            ),
+            Parameter(
+                "resistance_ratio", "1", 0.9, 0.2, 1.0, physical=(0.0, 1.0),
+                meaning="R_AT/(R_AT+R_IC); 1 where the air follows the converter mass alone",
+            ),
+        ),
+        states=("converter_temperature",),
+        inputs=("ambient_temperature",),
+        quantities=quantities,
+        drift=drift,
+        initial=lambda p, u: {"converter_temperature": (u.ambient_temperature + 5.0, 25.0)},
+        meaning="heat stored in the converter and lost to the ambient",
+        source=f"{PAPER}, equations (2) and (3)",
+    )  # fmt: skip
+
+
+def measured_air(accuracy: float = 0.0, step: bool = False) -> Mechanism:
+    """The cabinet air temperature taken from its readings (linear between them) instead of a model: the cascade.
+
+    `accuracy` [K] (95 %) of the sensor gives a constant error of these readings with that prior; none with 0.  An error
+    of 0.15 K changes the relative humidity by 1 % and with it the exchange that explains the readings: bounds that
+    leave it out are too narrow.  `step` adds one from a date on (input `after_step`).
+    """
+    errors = []
+    if accuracy > 0:
+        errors.append(
+            Parameter(
+                "cabinet_temperature_offset", "K", 0.0, -4 * accuracy, 4 * accuracy, null=0.0,
+                prior=Prior(0.0, accuracy / 1.96),
+                meaning="constant error of the cabinet temperature that the hygric part runs on",
+            )
+        )  # fmt: skip
+    if step:
+        errors.append(
+            Parameter(
+                "cabinet_temperature_step", "K", 0.0, -30.0, 30.0, null=0.0,
+                meaning="error of the cabinet temperature that the hygric part runs on, from the date on",
+            )
+        )  # fmt: skip
+
+    def quantities(p, x, u, g):
+        air = u.cabinet_temperature
+        if accuracy > 0:
+            air = air - p.cabinet_temperature_offset
+        if step:
+            air = air - p.cabinet_temperature_step * u.after_step
+        return {"cabinet_air_temperature": air}
+
+    return Mechanism(
+        name="measured_air",
+        parameters=tuple(errors),
+        inputs=("cabinet_temperature", "ambient_temperature", *(("after_step",) if step else ())),
+        quantities=quantities,
+        settings={"accuracy": accuracy, "step": step},
+        meaning="cabinet air temperature as an input",
+    )
+
+
+def heat_release(
+    order: int = 2,
+    ambient: bool = True,
+    standstill_ambient: bool = True,
+    operation: bool = True,
+    standstill: bool = True,
+    preheating: bool = False,
+    reference_K: float = 283.15,
+    gap_covariance: Sequence[Sequence[float]] | None = None,
+    gap_time_h: float = 24.0,
+    start: dict | None = None,
+) -> Mechanism:
+    """Heat release by operating point, f_ΔT = Q R_AT [K], a polynomial for operation and one for standstill.
+
+    In operation (P > 0), with p = P/P_rated:  a₀ + a₁ p + … + a_K p^K + a_T (T_amb − T_ref);
+    at standstill (P ≤ 0):                     b₀ + b_T (T_amb − T_ref);
+    known pre-heating adds `preheating_heat` times its duty.  Inputs are zero-order over the interval of the power.
+    Over long gaps of the power the features take their mean and a random heat release with their covariance
+    `gap_covariance` (features operating, p, …, p^K) and correlation time `gap_time_h` [h] is added.
+    """
+    given = start or {}
+    origin, fade = Given(reference_K), Given(1.0 / gap_time_h)
+    spread = [[Given(value) for value in row] for row in gap_covariance or ()]
+    both = operation and standstill
+    parameters: list[Parameter] = []
+
+    def parameter(name: str, unit: str, value: float, bound: float, meaning: str) -> None:
+        parameters.append(
+            Parameter(name, unit, given.get(name, value), -bound, bound, null=0.0, meaning=meaning)
+        )
+
+    powers = [f"power_{k}" for k in range(1, order + 1)] if operation else []
+    if operation:
+        parameter("heat_release_operation", "K", 3.0, 60.0, "heat release at zero power in operation")
+        for k, name in enumerate(powers, start=1):
+            parameter(f"heat_release_{name}", "K", 0.0, 200.0, f"coefficient of (P/P_rated)^{k}")
+        if ambient:
+            parameter("heat_release_operation_ambient", "K/K", 0.0, 2.0, "slope over the ambient temperature")
+    if standstill:
+        parameter("heat_release_standstill", "K", 2.0, 60.0, "heat release at standstill")
+        if standstill_ambient:
+            parameter(
+                "heat_release_standstill_ambient", "K/K", 0.0, 2.0, "slope over the ambient temperature"
+            )
+    if preheating:
+        parameter("preheating_heat", "K", 5.0, 80.0, "heat release of the known pre-heating")
+
+    def contributions(p, x, u, q):
+        warm = u.ambient_temperature - origin
+        total = 0.0
+        if operation:
+            share = u.operating if both else 1.0
+            active = p.heat_release_operation
+            if ambient:
+                active = active + p.heat_release_operation_ambient * warm
+            total = total + share * active
+            for name in powers:
+                total = total + getattr(p, f"heat_release_{name}") * getattr(u, name)
+        if standstill:
+            idle = p.heat_release_standstill
+            if standstill_ambient:
+                idle = idle + p.heat_release_standstill_ambient * warm
+            total = total + ((1.0 - u.operating) * idle if both else idle)
+        if preheating:
+            total = total + p.preheating_heat * u.preheating
+        if gap_covariance is not None:
+            total = total + u.power_unknown * x.unknown_heat
+        return {"heat_release": total}
+
+    def unknown_variance(p):
+        slopes = (
+            [p.heat_release_operation - (p.heat_release_standstill if standstill else 0.0)] if both else [0.0]
+        )
+        slopes += [getattr(p, f"heat_release_{name}") for name in powers]
+        total = 0.0
+        for row, a in zip(spread, slopes, strict=True):
+            for value, b in zip(row, slopes, strict=True):
+                total = total + value * a * b
+        return total
+
+    gap = gap_covariance is not None
+    return Mechanism(
+        name="heat_release",
+        parameters=tuple(parameters),
+        states=("unknown_heat",) if gap else (),
+        inputs=(
+            "ambient_temperature",
+            *(("operating",) if both else ()),
+            *powers,
+            *(("preheating",) if preheating else ()),
+            *(("power_unknown",) if gap else ()),
+        ),
+        contributions=contributions,
+        drift=(lambda p, x, u, q, s: {"unknown_heat": -(x.unknown_heat * fade)}) if gap else None,
+        diffusion=(lambda p: {"unknown_heat": unknown_variance(p) * 2.0 * fade}) if gap else None,
+        initial=(lambda p, u: {"unknown_heat": (0.0, unknown_variance(p))}) if gap else None,
+        settings={
+            "order": order, "ambient": ambient, "standstill_ambient": standstill_ambient,
+            "operation": operation, "standstill": standstill, "preheating": preheating,
+            "reference_K": reference_K, "gap_time_h": gap_time_h,
+            "gap_covariance": None if gap_covariance is None else [list(map(float, r)) for r in gap_covariance],
+            "start": dict(given),
+        },
+        meaning="heat that the converter releases into the cabinet",
+        source=f"{PAPER}, equation (1) and Fig. 4",
+    )  # fmt: skip
+
+
+def ornstein_uhlenbeck(
+    name: str,
+    target: str,
+    unit: str,
+    sd: float,
+    time_h: float,
+    bounds_h: tuple[float, float],
+    sd_range: tuple[float, float],
+    settings: dict,
+    meaning: str,
+    leaves: str,
+) -> Mechanism:
+    """A coloured disturbance w of a named sum: dw = −w/θ dt + sd √(2/θ) dW, correlation time θ within `bounds_h` [h]."""
+
+    def variance(p):
+        value = getattr(p, f"{name}_sd")
+        return value * value
+
+    shortest, longest = bounds_h
+    return Mechanism(
+        name=name,
+        parameters=(
+            Parameter(
+                f"{name}_sd", unit, sd, *sd_range, positive=True, null=0.0, noise=True,
+                meaning=f"standard deviation of the {meaning}",
+            ),
+            Parameter(
+                f"{name}_time", "h", min(max(time_h, shortest), longest), shortest, longest, positive=True, noise=True,
+                meaning="its correlation time",
+            ),
+        ),
+        states=(name,),
+        contributions=lambda p, x, u, q: {target: getattr(x, name)},
+        drift=lambda p, x, u, q, s: {name: -getattr(x, name) / getattr(p, f"{name}_time")},
+        diffusion=lambda p: {name: 2.0 * variance(p) / getattr(p, f"{name}_time")},
+        initial=lambda p, u: {name: (0.0, variance(p))},
+        settings=settings,
+        meaning=meaning,
+        leaves=leaves,
+    )  # fmt: skip
+
+
+def heat_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 6.0) -> Mechanism:
+    """A coloured disturbance of the heat release: an Ornstein–Uhlenbeck process w_T [K].
+
+    Sun, wind, doors, ventilation and everything else that the network does not know leave such a trace; a model
+    without it takes the trace for the cabinet's own time constant.  `shortest_h`, `longest_h` bound the correlation
+    time [h] to what the readings can resolve.
+    """
+    return ornstein_uhlenbeck(
+        "heat_disturbance", "heat_release", "K", 1.0, start_h, (shortest_h, longest_h), (1e-3, 50.0),
+        {"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
+        "coloured disturbance of the heat flow, as Q R_AT",
+        "slowly wandering residuals; a time constant that is too long",
+    )  # fmt: skip
+
+
+def second_heat_disturbance(
+    longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 1.0
+) -> Mechanism:
+    """A second coloured disturbance of the heat release on another time scale, where one is not enough."""
+    return ornstein_uhlenbeck(
+        "second_heat_disturbance", "heat_release", "K", 0.3, start_h, (shortest_h, longest_h), (1e-3, 50.0),
+        {"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
+        "second coloured disturbance of the heat flow, as Q R_AT",
+        "innovations that are not white although one coloured disturbance is there",
+    )  # fmt: skip
+
+
+def thermal_diffusion() -> Mechanism:
+    """White heat-flow noise on the converter temperature [K/√h]."""
+    return Mechanism(
+        name="thermal_diffusion",
+        parameters=(
+            Parameter(
+                "thermal_diffusion", "K/h^0.5", 0.1, 1e-4, 20.0, positive=True, null=0.0, noise=True,
+                meaning="intensity of the white disturbance of the converter temperature",
+            ),
+        ),
+        diffusion=lambda p: {"converter_temperature": p.thermal_diffusion * p.thermal_diffusion},
+        meaning="white disturbance of the heat flow",
+    )  # fmt: skip
+
+
+def wall_thermal_mass() -> Mechanism:
+    """A second thermal mass: walls and fittings between the cabinet air and the ambient.
+
+        dT_w/dt = (T_w∞ − T_w)/θ_w,    T_w∞ = T_amb + λ (T_conv,a − T_amb),    f += g (T_w − T_w∞)  [K],
+    g the conductance between air and mass in units of 1/R_AT, θ_w [h] its time constant, λ [1] where it stands: 1 for
+    fittings in the cabinet air, 0 for an outer wall that the ambient alone warms.  It stores heat and loses none of its
+    own, so that steady states stay as they are; g = 0 is the network of the paper exactly.
+    """
+
+    def rest(p, u, q):
+        return u.ambient_temperature + p.wall_position * (q.cabinet_air_temperature - u.ambient_temperature)
+
+    return Mechanism(
+        name="wall_thermal_mass",
+        parameters=(
+            Parameter(
+                "wall_conductance", "1", 0.3, 1e-4, 20.0, positive=True, null=0.0,
+                meaning="R_AT/R_w between the cabinet air and the second mass",
+            ),
+            Parameter(
+                "wall_time_constant", "h", 10.0, 0.5, 500.0, positive=True,
+                meaning="R_w C_w of the second mass",
+            ),
+            Parameter(
+                "wall_position", "1", 0.5, 0.0, 1.0, physical=(0.0, 1.0),
+                meaning="where the second mass stands between the ambient (0) and the cabinet air (1)",
+            ),
+        ),
+        states=("wall_temperature",),
+        inputs=("ambient_temperature",),
+        contributions=lambda p, x, u, q: {
+            "heat_release": p.wall_conductance * (x.wall_temperature - rest(p, u, q))
+        },
+        drift=lambda p, x, u, q, s: {
+            "wall_temperature": (rest(p, u, q) - x.wall_temperature) / p.wall_time_constant
+        },
+        initial=lambda p, u: {"wall_temperature": (u.ambient_temperature + 5.0, 25.0)},
+        meaning="heat stored in walls and fittings of the cabinet",
+        source=f"{PAPER}, section on the thermal model (tried there and left out)",
+        leaves="a slow tail after every change of the heat release or the ambient; two poles instead of one",
+    )  # fmt: skip
+
+
+STILL_K = 0.5
+"""[K] temperature difference below which natural convection goes on as with this one: the air is never quite at rest."""
+
+
+def natural_convection(difference_K: float = 8.0) -> Mechanism:
+    """Conductance to the ambient that grows with the temperature difference: G = (ΔT/ΔT₀)ⁿ/R_AT, ΔT = T_conv,a − T_amb.
+
+        f −= ((ΔT/ΔT₀)ⁿ − 1) ΔT  [K],    ΔT₀ = `difference_K` [K],
+    n = 0 the network of the paper.  Laminar natural convection has n = 0.25, turbulent one 0.33.  The thermal time
+    constant τ of the network is then that of small changes at ΔT₀: R·C = (1+n) τ there, and at other differences small
+    changes decay with τ (ΔT₀/ΔT)ⁿ (`small_signal`).
+    """
+    reference = Given(2.0 * math.log(difference_K))
+
+    def contributions(p, x, u, q):
+        apart = q.cabinet_air_temperature - u.ambient_temperature
+        size = log(apart * apart + STILL_K**2) - reference
+        return {
+            "heat_release": (1.0 - exp(0.5 * p.convection_exponent * size)) * apart,
+            "thermal_pace": 1.0 / (1.0 + p.convection_exponent) - 1.0,
+        }
+
+    return Mechanism(
+        name="natural_convection",
+        parameters=(
+            Parameter(
+                "convection_exponent", "1", 0.1, 0.0, 0.5, null=0.0,
+                meaning="growth of the conductance with the temperature difference",
+            ),
+        ),
+        inputs=("ambient_temperature",),
+        contributions=contributions,
+        settings={"difference_K": difference_K},
+        meaning="natural convection around the cabinet",
+        leaves="a cabinet that is too warm in the simulation at high heat release and decays faster there",
+        source="Nusselt number of natural convection, Nu ∝ Ra^0.25 (laminar) to Ra^0.33 (turbulent)",
+    )  # fmt: skip
+
+
+def small_signal(time_constant: float, exponent: float, difference_K: float, at_K):
+    """Time constant [h] with which a small change decays at temperature differences `at_K` [K]; see `natural_convection`.
+
+    `time_constant` [h] that at `difference_K` [K], `exponent` n.
+    """
+    return time_constant * (difference_K / at_K) ** exponent

@@ -1,0 +1,116 @@
+"""Properties of the cabinet as slowly varying states: what a tracker watches while it runs.
+
+Each is a random walk, dx = r/√24 dW with the rate r for a day: after d days without readings it is uncertain by r √d.
+"""
+
+from __future__ import annotations
+
+from hygrokf.physics.expression import exp
+from hygrokf.physics.mechanisms.sensors import saturation_pressure
+from hygrokf.physics.mechanisms.thermal import PAPER
+from hygrokf.physics.model import Mechanism
+from hygrokf.physics.parameters import Parameter
+from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR
+
+
+def _random_walk(
+    name: str,
+    state: str,
+    unit: str,
+    rate: float,
+    bounds: tuple[float, float],
+    contributions,
+    meaning: str,
+    **words,
+) -> Mechanism:
+    parameter = f"{state}_rate"
+    return Mechanism(
+        name=name,
+        parameters=(
+            Parameter(
+                parameter, f"{unit}/d^0.5", rate, *bounds, positive=True, null=0.0, noise=True,
+                meaning=f"how fast it wanders: {meaning}",
+            ),
+        ),
+        states=(state,),
+        contributions=contributions,
+        drift=lambda p, x, u, q, s: {state: 0.0 * getattr(x, state)},
+        diffusion=lambda p: {state: getattr(p, parameter) * getattr(p, parameter) / 24.0},
+        # what the fit knows of it is the fit's own standard error, far below a day's wandering
+        initial=lambda p, u: {state: (0.0, getattr(p, parameter) * getattr(p, parameter))},
+        settings={"rate": rate},
+        meaning=meaning,
+        **words,
+    )  # fmt: skip
+
+
+def wandering_time_constant(rate: float = 0.02) -> Mechanism:
+    """The thermal time constant as a state: τ(t) = τ e^x, x a random walk of `rate` [1/√d]."""
+    return _random_walk(
+        "wandering_time_constant", "log_thermal_change", "1", rate, (1e-4, 1.0),
+        lambda p, x, u, q: {"thermal_pace": exp(-x.log_thermal_change) - 1.0},
+        "logarithm of the thermal time constant over that of the fit",
+        leaves="innovations after every change of power that grow with a change of the cabinet",
+        source=f"{PAPER}, equation (2) with R C that varies",
+    )  # fmt: skip
+
+
+def wandering_exchange(rate: float = 0.02) -> Mechanism:
+    """The hygric time constant as a state: k(t) = k e^x, x a random walk of `rate` [1/√d]."""
+    return _random_walk(
+        "wandering_exchange", "log_hygric_change", "1", rate, (1e-4, 1.0),
+        lambda p, x, u, q: {"exchange": exp(-x.log_hygric_change) - 1.0},
+        "logarithm of k of equation (4) over that of the fit",
+        leaves="humidity that follows the ambient's faster or slower than it did",
+        source=f"{PAPER}, equation (4) with R_D* that varies",
+    )  # fmt: skip
+
+
+def wandering_release(rate: float = 0.1) -> Mechanism:
+    """An offset of the heat release as a state: f + x [K], x a random walk of `rate` [K/√d]."""
+    return _random_walk(
+        "wandering_release", "release_change", "K", rate, (1e-3, 5.0),
+        lambda p, x, u, q: {"heat_release": x.release_change},
+        "change of the heat release since the fit",
+        leaves="a temperature that is off by the same amount for days",
+        source="balance of heat",
+    )  # fmt: skip
+
+
+def wandering_temperature_reading(rate: float = 1e-4) -> Mechanism:
+    """An offset of the temperature reading as a state: T + x [K], x a random walk of `rate` [K/√d]."""
+    return _random_walk(
+        "wandering_temperature_reading", "temperature_reading_change", "K", rate, (1e-6, 5.0),
+        lambda p, x, u, q: {"cabinet_temperature_reading": x.temperature_reading_change},
+        "change of the temperature sensor's offset since the fit",
+        leaves="a temperature reading that is off by the same amount for days, and humidity that does not follow it",
+        source="the sensor's own error",
+    )  # fmt: skip
+
+
+def wandering_humidity_reading(rate: float = 0.005) -> Mechanism:
+    """An offset of the humidity reading as a state: h + x [1], x a random walk of `rate` [1/√d]."""
+    return _random_walk(
+        "wandering_humidity_reading", "humidity_reading_change", "1", rate, (1e-6, 0.2),
+        lambda p, x, u, q: {"cabinet_relative_humidity_reading": x.humidity_reading_change},
+        "change of the humidity sensor's offset since the fit",
+        leaves="a humidity reading that is off by the same amount for days",
+        source="the sensor's own error",
+    )  # fmt: skip
+
+
+def wandering_humidity_scale(rate: float = 0.01) -> Mechanism:
+    """The scale of the humidity reading as a state: h (1 + x), x a random walk of `rate` [1/√d]."""
+
+    def contributions(p, x, u, q):
+        pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
+        humidity = pressure / saturation_pressure(q.cabinet_air_temperature)
+        return {"cabinet_relative_humidity_reading": x.humidity_scale_change * humidity}
+
+    return _random_walk(
+        "wandering_humidity_scale", "humidity_scale_change", "1", rate, (1e-7, 0.5), contributions,
+        "change of the humidity sensor's scale since the fit",
+        inputs=("ambient_temperature",),
+        leaves="a humidity reading that is too flat or too steep for days",
+        source="the sensor's own error",
+    )  # fmt: skip

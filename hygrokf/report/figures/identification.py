@@ -1,0 +1,307 @@
+"""Figures of what was identified: heat release by operating point, profile likelihood of the time constants."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hygrokf.data.lookup import entry, number, numbers
+from hygrokf.report.figures.drawing import (
+    INK,
+    MEASURED,
+    SIMULATED,
+    WARM_TO_COLD,
+    NothingToShow,
+    logarithmic,
+    new_figure,
+    styled,
+    upright,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+KELVIN = 273.15
+THRESHOLD = 3.8415
+"""95 % quantile of χ² with one degree of freedom."""
+POINTS = 500
+"""Points of one cloud; more of them only hide each other."""
+
+
+# --- heat release ----------------------------------------------------------------------------
+
+
+def figure_heat_release(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
+    """Quasi-stationary periods and the regression over them, operation and standstill (Fig. 4 of the paper)."""
+    found = {name: _Points(fit, name) for name in ("operation", "standstill")}
+    shown = [one for one in found.values() if one.there]
+    if not shown:
+        said = entry(fit, "heat_release", "statement")
+        why = f" ({said})" if isinstance(said, str) and said else ""
+        raise NothingToShow(f"There are too few quasi-stationary periods for a regression{why}.")
+    with styled():
+        figure = new_figure(2.9)
+        grid = figure.add_gridspec(1, len(shown), wspace=0.2, left=0.065, right=0.915, top=0.9, bottom=0.15)
+        ambient = np.concatenate([one.ambient for one in shown])
+        low, high = np.quantile(ambient, [0.02, 0.98])
+        edges = _round_edges(float(low), float(high))
+        highest = max(float(np.nanmax(one.difference)) for one in shown)
+        lowest = min(0.0, *(float(np.nanmin(one.difference)) for one in shown))
+        for column, one in enumerate(shown):
+            axes = figure.add_subplot(grid[column])
+            (_operation if one.regime == "operation" else _standstill)(axes, one, edges, fit)
+            axes.set_ylim(lowest - 0.3, highest + 0.08 * (highest - lowest))
+            if column == 0:
+                upright(axes, "cabinet − ambient [K]")
+            axes.set_title(f"{one.regime}: {one.count} stationary periods, {one.episodes} episodes")
+            if one is shown[-1]:
+                _line_key(axes, bool(_likelihood(fit)[0]))
+        _colour_scale(figure, edges)
+    return figure
+
+
+class _Points:
+    """Points and coefficients of one regime of the heat-release regression."""
+
+    def __init__(self, fit: Mapping, regime: str) -> None:
+        data = entry(fit, "heat_release", regime)
+        self.regime = regime
+        self.power, self.difference, ambient, self.fitted = (
+            numbers(data, "points", name) for name in ("power", "difference_K", "ambient_K", "fitted_K")
+        )
+        self.ambient = ambient - KELVIN
+        lengths = {len(self.power), len(self.difference), len(self.ambient)}
+        good = len(lengths) == 1 and len(self.power) > 0
+        if good:
+            kept = np.isfinite(self.power) & np.isfinite(self.difference) & np.isfinite(self.ambient)
+            good = bool(kept.any())
+            self.power, self.difference, self.ambient = (
+                self.power[kept],
+                self.difference[kept],
+                self.ambient[kept],
+            )
+        self.there = good
+        self.count = (
+            f"{number(data, 'n_points'):.0f}" if math.isfinite(number(data, "n_points")) else len(self.power)
+        )
+        episodes = number(data, "n_episodes")
+        self.episodes = f"{episodes:.0f}" if math.isfinite(episodes) else "–"
+        self.reference = number(fit, "heat_release", "reference_K") - KELVIN
+        found = entry(data, "coefficients")
+        self.coefficients = {
+            name: number(found, name, "value") for name in (found if isinstance(found, Mapping) else ())
+        }
+
+    def thinned(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        kept = np.unique(np.linspace(0, len(self.power) - 1, min(POINTS, len(self.power))).astype(int))
+        return self.power[kept], self.difference[kept], self.ambient[kept]
+
+
+def released(coefficients: Mapping[str, float], regime: str, power: object, warmer: object) -> object:
+    """Heat release [K] at relative power [1] and ambient temperature above the reference [K]; NaN where unknown."""
+    base = coefficients.get(f"heat_release_{regime}", math.nan)
+    total = base + coefficients.get(f"heat_release_{regime}_ambient", 0.0) * warmer
+    if regime == "operation":
+        for name, value in coefficients.items():
+            order = name.removeprefix("heat_release_power_")
+            if order != name and order.isdigit():
+                total = total + value * power ** int(order)
+    return total + 0.0 * power
+
+
+def _likelihood(fit: Mapping) -> tuple[dict[str, float], float]:
+    """Coefficients of the final estimate and their reference temperature [°C]."""
+    found = entry(fit, "parameters")
+    values = {
+        name: number(row, "value")
+        for name, row in (found.items() if isinstance(found, Mapping) else ())
+        if str(name).startswith("heat_release_")
+    }
+    reference = math.nan
+    mechanisms = entry(fit, "design", "mechanisms")
+    for one in mechanisms if isinstance(mechanisms, (list, tuple)) else ():
+        if isinstance(one, (list, tuple)) and len(one) == 2 and one[0] == "heat_release":
+            reference = number(one[1], "reference_K") - KELVIN
+    return values, reference
+
+
+def _round_edges(low: float, high: float) -> np.ndarray:
+    """Six classes of ambient temperature [°C] with round edges."""
+    step = next((s for s in (1.0, 2.0, 2.5, 5.0, 10.0) if 6 * s >= high - low), 20.0)
+    first = step * math.floor(low / step)
+    return first + step * np.arange(7)
+
+
+def _classes(value: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    return np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(WARM_TO_COLD) - 1)
+
+
+def _cloud(axes: Axes, x: np.ndarray, y: np.ndarray, ambient: np.ndarray, edges: np.ndarray) -> None:
+    place = _classes(ambient, edges)
+    for i, colour in enumerate(WARM_TO_COLD):
+        axes.plot(
+            x[place == i], y[place == i], ".", color=colour, markersize=5.0, alpha=0.7, markeredgewidth=0
+        )
+
+
+def _operation(axes: Axes, one: _Points, edges: np.ndarray, fit: Mapping) -> None:
+    power, difference, ambient = one.thinned()
+    _cloud(axes, power, difference, ambient, edges)
+    p = np.linspace(min(0.0, float(power.min())), max(1.0, float(power.max())), 60)
+    inside = [e for e in np.quantile(one.ambient, [0.1, 0.5, 0.9])]
+    values, reference = _likelihood(fit)
+    for degrees in sorted({round(float(e)) for e in inside}):
+        colour = WARM_TO_COLD[int(_classes(np.array([degrees]), edges)[0])]
+        curve = released(one.coefficients, "operation", p, degrees - one.reference)
+        axes.plot(p, curve, color=colour, linewidth=1.6)
+        axes.plot(
+            p,
+            released(values, "operation", p, degrees - reference),
+            color=colour,
+            linewidth=1.0,
+            dashes=(4, 2),
+        )
+        if math.isfinite(float(curve[-1])):
+            axes.annotate(
+                f"{degrees} °C", (p[-1], curve[-1]), xytext=(3, 0), textcoords="offset points", va="center",
+                color=colour, fontweight="bold", fontsize=7.0, annotation_clip=False,
+            )  # fmt: skip
+    axes.set_xlabel("power / rated [1]")
+
+
+def _standstill(axes: Axes, one: _Points, edges: np.ndarray, fit: Mapping) -> None:
+    _, difference, ambient = one.thinned()
+    _cloud(axes, ambient, difference, ambient, edges)
+    x = np.linspace(float(ambient.min()), float(ambient.max()), 2)
+    values, reference = _likelihood(fit)
+    axes.plot(x, released(one.coefficients, "standstill", 0.0, x - one.reference), color=INK, linewidth=1.6)
+    axes.plot(x, released(values, "standstill", 0.0, x - reference), color=INK, linewidth=1.0, dashes=(4, 2))
+    axes.set_xlabel("ambient temperature [°C]")
+
+
+def _line_key(axes: Axes, estimated: bool) -> None:
+    from matplotlib.lines import Line2D
+
+    handles = [Line2D([], [], color=INK, linewidth=1.6, label="regression over the points")]
+    if estimated:
+        handles.append(
+            Line2D([], [], color=INK, linewidth=1.0, dashes=(4, 2), label="final estimate, all data")
+        )
+    axes.legend(handles=handles, loc="best", handlelength=2.2)
+
+
+def _colour_scale(figure: Figure, edges: np.ndarray) -> None:
+    from matplotlib.patches import Rectangle
+
+    axes = figure.add_axes((0.955, 0.15, 0.012, 0.66))
+    for i, colour in enumerate(WARM_TO_COLD):
+        axes.add_patch(Rectangle((0, edges[i]), 1, edges[i + 1] - edges[i], color=colour))
+    axes.set_xlim(0, 1)
+    axes.set_ylim(edges[0], edges[-1])
+    axes.set_yticks(edges, [f"{e:g}" for e in edges])
+    axes.yaxis.tick_right()
+    axes.set_xticks([])
+    axes.grid(False)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+    axes.set_title("ambient\n[°C]", fontweight="normal", fontsize=7.0, loc="center")
+
+
+# --- time constants --------------------------------------------------------------------------
+
+
+def figure_profiles(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
+    """Profile likelihood of both time constants, with bounds and the estimate by simulation beside it."""
+    shown = [name for name in ("thermal", "hygric") if number(fit, "time_constants", name, "value_h") > 0]
+    if not shown:
+        raise NothingToShow("No time constant was identified, so there is no profile to show.")
+    with styled():
+        figure = new_figure(2.5)
+        grid = figure.add_gridspec(1, 2, wspace=0.2, left=0.06, right=0.985, top=0.9, bottom=0.17)
+        for column, name in enumerate(shown):
+            axes = figure.add_subplot(grid[column])
+            _profile(axes, fit["time_constants"][name])
+            axes.set_title(
+                "thermal time constant (R_AT+R_IC)·C" if name == "thermal" else "hygric time constant R_D*·V*"
+            )
+            axes.set_xlabel("time constant [h]")
+            if column == 0:
+                upright(axes, "2 × drop of log-likelihood")
+    return figure
+
+
+def _profile(axes: Axes, found: Mapping) -> None:
+    # the likelihood's own bounds, where they stand beside the headline interval
+    own = entry(found, "profile") if number(found, "profile", "value_h") > 0 else found
+    value, low, high = (number(own, name) for name in ("value_h", "lower_h", "upper_h"))
+    threshold = number(found, "threshold")
+    threshold = threshold if threshold > 0 else THRESHOLD
+    top = 2.1 * threshold
+    curve = entry(found, "curve")
+    rows = [numbers({"": row}, "") for row in curve] if isinstance(curve, (list, tuple)) else []
+    points = np.array(
+        sorted(tuple(row) for row in rows if len(row) == 2 and np.isfinite(row).all() and row[0] > 0)
+    )
+    points = points.reshape(-1, 2)
+    simulated = tuple(number(found, "simulation", name) for name in ("value_h", "lower_h", "upper_h"))
+    ends = [v for v in (value, low, high, *simulated) if math.isfinite(v) and value / 8 < v < value * 8]
+    shown = points[points[:, 1] <= top]
+    left = min([*ends, *shown[:, 0]]) / 1.04
+    right = max([*ends, *shown[:, 0]]) * 1.04
+    lower = low if math.isfinite(low) and low > 0 else left / 10
+    upper = high if math.isfinite(high) else right * 10
+    axes.axvspan(lower, upper, color=MEASURED, alpha=0.09, linewidth=0)
+    if len(points) >= 3:
+        x, y = _smooth_profile(points, value)
+        axes.plot(x, y, color=MEASURED, linewidth=1.5)
+        axes.plot(points[:, 0], points[:, 1], "o", color=MEASURED, markersize=3.0)
+    axes.axhline(threshold, color=INK, linewidth=0.8, dashes=(4, 2))
+    level = number(found, "level")
+    factor = number(found, "factor")
+    label = f"{100 * level:.0f} %" if math.isfinite(level) else "threshold"
+    if factor > 1.005:
+        label += f", widened × {factor:.2f}"
+    axes.text(
+        0.99, threshold + 0.02 * top, label, transform=axes.get_yaxis_transform(), ha="right", va="bottom"
+    )
+    axes.axvline(value, color=MEASURED, linewidth=0.8)
+    if math.isfinite(simulated[0]):
+        height = 1.62 * threshold
+        reach = [s if math.isfinite(s) else simulated[0] for s in simulated]
+        axes.plot(reach[1:], [height, height], color=SIMULATED, linewidth=1.6)
+        axes.plot(reach[:1], [height], "D", color=SIMULATED, markersize=4.0)
+        middle = min(max(simulated[0], left), right)
+        side = (
+            "left"
+            if middle < left * (right / left) ** 0.3
+            else "right"
+            if middle > left * (right / left) ** 0.7
+            else "center"
+        )
+        axes.annotate(
+            "by simulation (free run)", (middle, height), xytext=(0, 6), textcoords="offset points", ha=side,
+            color=SIMULATED, fontweight="bold", fontsize=7.0,
+            bbox={"facecolor": "white", "alpha": 0.75, "pad": 0.6, "linewidth": 0},
+        )  # fmt: skip
+    axes.set_ylim(0.0, top)
+    axes.set_xlim(left, right)
+    if right / left > 3.0:
+        logarithmic(axes, "x")
+    else:
+        axes.locator_params(axis="x", nbins=6)
+    axes.annotate(
+        f"{value:.3g} h", (value, top), xytext=(3, -3), textcoords="offset points", va="top", color=MEASURED,
+        fontweight="bold",
+    )  # fmt: skip
+
+
+def _smooth_profile(points: np.ndarray, value: float) -> tuple[np.ndarray, np.ndarray]:
+    """The curve through few points: the signed root of the drop is nearly straight over the logarithm."""
+    side = np.sign(np.log(points[:, 0] / value))
+    root = side * np.sqrt(np.maximum(points[:, 1], 0.0))
+    x = np.geomspace(points[0, 0], points[-1, 0], 120)
+    return x, np.interp(np.log(x), np.log(points[:, 0]), root) ** 2

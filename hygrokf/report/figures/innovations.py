@@ -1,0 +1,260 @@
+"""The page of innovations: whiteness in time and in frequency, what they owe to the inputs, their distribution."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from statistics import NormalDist
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hygrokf.data.lookup import array, columns, entry, instants, number, one_line, scalar
+from hygrokf.report.figures.drawing import (
+    INK,
+    MEASURED,
+    QUIET,
+    SIMULATED,
+    NothingToShow,
+    calendar,
+    days,
+    empty,
+    envelope,
+    logarithmic,
+    new_figure,
+    styled,
+)
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+QUANTILES = 160
+"""Points of the quantile plot, evenly spread over the normal distribution's quantiles."""
+INPUTS = 4
+"""Inputs that are shown; of more of them those with the smallest p."""
+LEVEL = 0.95
+
+
+def figure_innovations(fit: Mapping, series: Mapping[str, np.ndarray], output: str = "temperature") -> Figure:
+    """Standardised innovations [1] of one output, "temperature" or "humidity", over the identification period."""
+    found = entry(fit, "innovations", "outputs", output)
+    time = instants(series)
+    value = array(series, f"{output}_innovation")
+    until = scalar(series, "until_s")
+    known = np.isfinite(value) & (time <= until if math.isfinite(until) else True)
+    if not isinstance(found, Mapping) or not known.any():
+        raise NothingToShow(
+            f"There are no innovations of the {output}: nothing of it was observed by the filter."
+        )
+    if not isinstance(entry(found, "autocorrelation"), Mapping):
+        said = entry(found, "statements")
+        why = said[0] if isinstance(said, list) and said and isinstance(said[0], str) else "too few readings"
+        raise NothingToShow(f"No diagnosis: {why}.")
+    with styled():
+        figure = new_figure(5.3)
+        top = figure.add_gridspec(1, 3, wspace=0.24, left=0.065, right=0.995, top=0.955, bottom=0.745)
+        cross = _shown_inputs(found)
+        middle = figure.add_gridspec(
+            1, max(len(cross), 1), wspace=0.13, left=0.065, right=0.995, top=0.605, bottom=0.42
+        )
+        last = figure.add_gridspec(1, 3, wspace=0.24, left=0.065, right=0.995, top=0.32, bottom=0.065)
+        _autocorrelation(figure.add_subplot(top[0]), found)
+        _cumulative(figure.add_subplot(top[1]), found)
+        _periodogram(figure.add_subplot(top[2]), found)
+        _cross_correlations(figure, middle, cross)
+        figure.text(
+            0.065, 0.645, "Cross-correlation of the innovations with …", fontweight="bold", fontsize=8.0
+        )
+        e = value[known]
+        _histogram(figure.add_subplot(last[0]), e)
+        _quantiles(figure.add_subplot(last[1]), e)
+        _course(figure.add_subplot(last[2]), time, np.where(known, value, np.nan))
+    return figure
+
+
+def _limits(axes: Axes, data: Mapping) -> float:
+    """Both confidence limits of a correlation; returns the wider one."""
+    single, together = number(data, "limit"), number(data, "limit_all")
+    if math.isfinite(single):
+        axes.axhspan(-single, single, color=QUIET, alpha=0.16, linewidth=0)
+    for sign in (-1.0, 1.0):
+        if math.isfinite(together):
+            axes.axhline(sign * together, color=INK, linewidth=0.7, dashes=(4, 2))
+    return together if math.isfinite(together) else 0.0
+
+
+def _stems(axes: Axes, lag: np.ndarray, value: np.ndarray, limit: float) -> None:
+    beyond = np.abs(value) > limit
+    axes.axhline(0.0, color=QUIET, linewidth=0.6)
+    for chosen, colour, width in ((~beyond, MEASURED, 0.7), (beyond, SIMULATED, 1.3)):
+        x, y = lag[chosen], value[chosen]
+        gap = np.full(len(x), np.nan)
+        axes.plot(
+            np.column_stack([x, x, gap]).ravel(),
+            np.column_stack([np.zeros(len(x)), y, gap]).ravel(),
+            color=colour,
+            linewidth=width,
+        )
+
+
+def _reach(limit: float, *values: np.ndarray) -> float:
+    largest = max((float(np.nanmax(np.abs(v), initial=0.0)) for v in values), default=0.0)
+    return min(max(1.9 * limit, 1.15 * largest, 0.02), 1.02)
+
+
+def _autocorrelation(axes: Axes, found: Mapping) -> None:
+    data = entry(found, "autocorrelation")
+    lag, value = columns(data, "lag_h", "value")
+    axes.set_title("Autocorrelation")
+    if len(lag) < 2 or not lag[-1] > 0:
+        return empty(axes, "no autocorrelation in fit.json")
+    limit = _limits(axes, data)
+    _stems(axes, lag, value, limit)
+    reach = _reach(limit, value)
+    axes.set_ylim(-reach, reach)
+    axes.set_xlim(0.0, float(lag[-1]) * 1.02)
+    axes.locator_params(axis="y", nbins=5)
+    _hours(axes, 0.0, float(lag[-1]))
+    axes.set_xlabel("lag [h]")
+
+
+def _hours(axes: Axes, low: float, high: float, ticks: float = 8.5) -> None:
+    for step in (1.0, 3.0, 6.0, 12.0, 24.0):
+        if (high - low) / step <= ticks:
+            if (high - low) / step >= 2:
+                axes.set_xticks(np.arange(math.ceil(low / step), math.floor(high / step) + 1) * step)
+            break
+
+
+def _cumulative(axes: Axes, found: Mapping) -> None:
+    data = entry(found, "cumulative_periodogram")
+    frequency, value = columns(data, "frequency_per_h", "value")
+    axes.set_title("Cumulative periodogram")
+    if len(frequency) < 2 or not frequency[-1] > 0:
+        return empty(axes, "no cumulative periodogram in fit.json")
+    limit, end = number(data, "limit"), float(frequency[-1])
+    line = np.array([0.0, end])
+    axes.fill_between(line, line / end - limit, line / end + limit, color=QUIET, alpha=0.16, linewidth=0)
+    axes.plot(line, line / end, color=QUIET, linewidth=0.6)
+    outside = number(data, "statistic") > limit
+    axes.plot(frequency, value, color=SIMULATED if outside else MEASURED, linewidth=1.2)
+    axes.set_xlim(0.0, end)
+    axes.set_ylim(0.0, 1.0)
+    axes.set_xlabel("frequency [1/h]")
+    p = number(data, "p")
+    words = "p < 0.001" if p < 0.001 else f"p = {p:.2f}"
+    axes.text(0.04, 0.95, f"Kolmogorov–Smirnov\n{words}", transform=axes.transAxes, va="top", fontsize=7.0)
+
+
+def _periodogram(axes: Axes, found: Mapping) -> None:
+    data = entry(found, "periodogram")
+    frequency, power, lower, upper = columns(data, "frequency_per_h", "power", "lower", "upper")
+    axes.set_title("Periodogram (white = 1)")
+    if len(frequency) < 2 or not 0.0 < frequency[0] < frequency[-1] or np.any(np.diff(frequency) <= 0):
+        return empty(axes, "no periodogram in fit.json")
+    period = 1.0 / frequency
+    axes.fill_between(period, np.maximum(lower, 1e-3), upper, color=QUIET, alpha=0.16, linewidth=0)
+    axes.axhline(1.0, color=QUIET, linewidth=0.6)
+    axes.plot(period, np.maximum(power, 1e-3), color=MEASURED, linewidth=0.9)
+    axes.set_ylim(max(0.05, 0.7 * float(np.nanmin(power))), 1.4 * max(float(np.nanmax(power)), 4.0))
+    axes.set_xlim(float(period[0]), float(period[-1]))
+    logarithmic(axes, "y")
+    axes.set_xlim(min(float(period[0]), 2000.0), float(period[-1]))
+    _periods(axes)
+    axes.set_xlabel("period [h]")
+
+
+def _periods(axes: Axes) -> None:
+    from matplotlib.ticker import NullFormatter, NullLocator
+
+    axes.set_xscale("log")
+    ticks = [
+        p for p in (0.1, 0.5, 2.0, 6.0, 24.0, 168.0, 720.0) if axes.get_xlim()[1] <= p <= axes.get_xlim()[0]
+    ]
+    axes.set_xticks(ticks, [f"{p:g}" for p in ticks])
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_minor_formatter(NullFormatter())
+
+
+def _shown_inputs(found: Mapping) -> list[tuple[str, Mapping]]:
+    data = entry(found, "cross_correlation")
+    rows = [
+        (str(name), one)
+        for name, one in (data.items() if isinstance(data, Mapping) else ())
+        if len(columns(one, "lag_h", "value")[0]) > 1
+    ]
+    first = sorted(
+        rows, key=lambda row: math.inf if math.isnan(number(row[1], "p")) else number(row[1], "p")
+    )[:INPUTS]
+    return [row for row in rows if row in first]
+
+
+def _cross_correlations(figure: Figure, grid, rows: list[tuple[str, Mapping]]) -> None:
+    if not rows:
+        empty(figure.add_subplot(grid[0]), "no input varies, or none is known: no cross-correlation")
+        return
+    reach = max(
+        _reach(limit if (limit := number(one, "limit_all")) > 0 else 0.0, columns(one, "lag_h", "value")[1])
+        for _, one in rows
+    )
+    for column, (name, one) in enumerate(rows):
+        axes = figure.add_subplot(grid[column])
+        lag, value = columns(one, "lag_h", "value")
+        limit = _limits(axes, one)
+        _stems(axes, lag, value, limit)
+        axes.set_ylim(-reach, reach)
+        axes.set_xlim(1.02 * float(lag[0]), 1.02 * float(lag[-1]))
+        _hours(axes, float(lag[0]), float(lag[-1]), 5.0)
+        axes.set_title(one_line(name).replace("_", " "), fontweight="normal", fontsize=7.5)
+        axes.set_xlabel("lag [h]" if column else "lag [h]; > 0: after the input")
+        axes.locator_params(axis="y", nbins=5)
+        axes.axvline(0.0, color=QUIET, linewidth=0.6)
+        if column:
+            axes.tick_params(labelleft=False)
+
+
+def _histogram(axes: Axes, e: np.ndarray) -> None:
+    edges = np.linspace(-4.5, 4.5, 46)
+    count, _ = np.histogram(np.clip(e, -4.499, 4.499), edges)
+    width = edges[1] - edges[0]
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    axes.fill_between(middle, 0.0, count / (len(e) * width), step="mid", color=MEASURED, alpha=0.3)
+    x = np.linspace(-4.5, 4.5, 120)
+    axes.plot(x, np.exp(-0.5 * x**2) / math.sqrt(2.0 * math.pi), color=INK, linewidth=0.9)
+    axes.set_title("Histogram and standard normal")
+    axes.set_xlim(-4.5, 4.5)
+    axes.set_ylim(0.0, None)
+    axes.set_xlabel("e/√S [1]; the ends hold all beyond")
+
+
+def _quantiles(axes: Axes, e: np.ndarray) -> None:
+    """Quantiles of the innovations against those of the standard normal, with a pointwise 95 % band."""
+    n = len(e)
+    normal = NormalDist()
+    ends = normal.inv_cdf((n - 0.5) / n) if n > 1 else 0.0
+    wanted = np.linspace(-ends, ends, QUANTILES)
+    place = np.unique(np.clip([math.floor(n * normal.cdf(v)) for v in wanted], 0, n - 1))
+    share = (place + 0.5) / n
+    x = np.array([normal.inv_cdf(float(p)) for p in share])
+    # standard error of an order statistic: √(p(1−p)/n) over the density
+    spread = np.sqrt(share * (1 - share) / n) / (np.exp(-0.5 * x**2) / math.sqrt(2.0 * math.pi))
+    reach = normal.inv_cdf(0.5 + 0.5 * LEVEL)
+    axes.fill_between(x, x - reach * spread, x + reach * spread, color=QUIET, alpha=0.16, linewidth=0)
+    axes.plot(x, x, color=QUIET, linewidth=0.6)
+    axes.plot(x, np.sort(e)[place], ".", color=MEASURED, markersize=2.6, markeredgewidth=0)
+    axes.set_title("Quantiles of e/√S")
+    axes.set_xlabel("standard normal [1]")
+
+
+def _course(axes: Axes, time: np.ndarray, value: np.ndarray) -> None:
+    known = np.isfinite(value)
+    span = (float(time[known][0]), float(time[known][-1]))
+    t, v = envelope(time, value, span, 200)
+    axes.plot(days(t), v, color=MEASURED, linewidth=0.5, marker="o" if len(t) == 1 else None, markersize=3)
+    for level in (-3.0, 3.0):
+        axes.axhline(level, color=INK, linewidth=0.7, dashes=(4, 2))
+    reach = max(4.5, 1.1 * float(np.max(np.abs(value[known]))))
+    axes.set_ylim(-min(reach, 12.0), min(reach, 12.0))
+    calendar(axes, span, 5)
+    axes.set_title("Course (±3 dashed)")

@@ -1,0 +1,199 @@
+"""What all sets of values share: where the model comes from, the record's periods, and what it can tell."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+
+import numpy as np
+
+from hygrokf.data.record import Record
+from hygrokf.estimation.confidence import Uncertainty
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import Estimate, Objective
+from hygrokf.evaluation.simulation import measured
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.procedure import expect_readings
+from hygrokf.identification.turbine_type import TurbineType
+from hygrokf.identification.verdict import Reason, handed_on, inherited
+from hygrokf.modelling.design import Design, read_as
+from hygrokf.modelling.inputs import Run, run
+from hygrokf.physics.parameters import Coordinates
+from hygrokf.transfer.groups import OF_THE_RECORD, UNKNOWN, Difference, group_of
+
+EARLY_SHARE = 0.75
+
+
+@dataclass(frozen=True)
+class Origin:
+    """What is taken elsewhere: a design, its values, and how sure they are (covariance of `names`, in their units).
+
+    `rmse` [K] and [g/m³]: the free run's errors where it comes from, by quantity, if known.  `kind` "fit" or "type".
+    `files`: hashes of the files that a fit was made from; `turbines`: names of those that a type was made of; `verdicts`
+    on a fit's numbers, as handed on.
+    """
+
+    name: str
+    kind: str
+    design: Design
+    values: Mapping[str, float]
+    names: tuple[str, ...]
+    covariance: np.ndarray
+    rmse: Mapping[str, float] = field(default_factory=dict)
+    files: frozenset[str] = frozenset()
+    turbines: tuple[str, ...] = ()
+    verdicts: Mapping[str, Mapping] = field(default_factory=dict)
+
+    def reasons(self, part: str) -> tuple[Reason, ...]:
+        """What speaks against a number that is taken over from here."""
+        return tuple(
+            replace(reason, text=f"on {self.name}: {reason.text}")
+            for name, _, verdict in handed_on(self.verdicts)
+            for reason in verdict.reasons
+            if name == part
+        )
+
+    @classmethod
+    def of(cls, source: Fit | TurbineType) -> Origin:
+        """From a fit, or from a type: then the covariance is that of the next turbine's own values."""
+        if isinstance(source, TurbineType):
+            values = source.values
+            names = tuple(n for n in source.parameters if n in values)
+            slopes = [values[n] if source.parameters[n].logarithmic else 1.0 for n in names]
+            sd = [source.parameters[n].next_sd * slope for n, slope in zip(names, slopes, strict=True)]
+            return cls(
+                source.name,
+                "type",
+                source.design,
+                values,
+                names,
+                np.diag(np.square(sd)),
+                turbines=source.turbines,
+            )
+        names, matrix = source.covariance
+        scored = source.results.get("rmse", {}).get("identification", {})
+        known = {q: row["total"] for q, row in scored.items() if row.get("total")}
+        values = {p.name: source.values[p.name] for p in source.design.model.parameters}
+        files = frozenset(digest for _, digest in source.results.get("provenance", ()))
+        handed = inherited(source.results)
+        return cls(source.name, "fit", source.design, values, names, matrix, known, files, verdicts=handed)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """What all four sets share."""
+
+    origin: Origin
+    record: Record
+    early: Record
+    base: Design
+    run: Run
+    early_run: Run
+    held: dict[str, float]
+    groups: dict[str, str]
+
+    @property
+    def likelihood(self) -> Likelihood:
+        return Likelihood(self.base.model, self.early_run.timeline)
+
+    @property
+    def cabinet(self) -> tuple[str, ...]:
+        """Parameters of the cabinet that this record can tell something about."""
+        return tuple(n for n, g in self.groups.items() if g not in OF_THE_RECORD and n not in self.held)
+
+
+def scene_of(origin: Origin, record: Record) -> tuple[Scene, list[str]]:
+    """The record's periods, its run, and which parameters it can say nothing about."""
+    statements = []
+    if record.until_s is None:
+        cabinet = [record[n] for n in ("cabinet_temperature", *_HUMIDITIES) if n in record]
+        first, last = min(s.time[0] for s in cabinet), max(s.time[-1] for s in cabinet)
+        record = replace(record, until_s=float(first + EARLY_SHARE * (last - first)))
+        statements.append(
+            f"no `until` is stated: estimated on the first three quarters, up to {stamp(record.until_s)}"
+        )
+    statements += _kinship(origin, record)
+    base = replace(read_as(origin.design, record), priors={})
+    groups = group_of(base.model)
+    early = record.identification()
+    expect_readings(early)
+    early_run = run(base, early)
+    if not any(np.isfinite(one[early_run.scored]).any() for one in measured(early_run).values()):
+        raise ValueError(
+            "nothing to judge by: no reading of the cabinet in the identification period at a time when all inputs are known "
+            "(a model that reads the power needs the power); check the case with `hygrokf check`"
+        )
+    unknown = [n for n, g in groups.items() if g not in OF_THE_RECORD and n not in origin.names]
+    if origin.kind == "type" and unknown:
+        groups |= dict.fromkeys(unknown, UNKNOWN)
+        statements.append(
+            f"the type does not know {', '.join(unknown)}: estimated on this record, not judged"
+        )
+    coordinates = Coordinates(base.model.parameters)
+    objective = Objective(Likelihood(base.model, early_run.timeline), coordinates)
+    information = np.diag(objective.information(coordinates.start(origin.values))[2])
+    held = {}
+    for p, known in zip(coordinates.free, information, strict=True):
+        width = p.to_coordinate(p.upper) - p.to_coordinate(p.lower)
+        if not known * width**2 > 1.0:
+            held[p.name] = origin.values[p.name]
+    if held:
+        statements.append(f"this record says nothing about {', '.join(held)}: kept as they were")
+    ratio = None
+    if record.rated_power_W and origin.design.power_scale_W:
+        ratio = record.rated_power_W / origin.design.power_scale_W
+    if ratio is not None and abs(ratio - 1.0) > 0.02:
+        statements.append(
+            f"this turbine's rated power is {ratio:.2f} times that of the fit: another type? The heat release counts power "
+            "in the fit's scale"
+        )
+    return Scene(origin, record, early, base, run(base, record), early_run, held, groups), statements
+
+
+def _kinship(origin: Origin, record: Record) -> list[str]:
+    """A remark where the record is, or seems to be, one that the model was made from."""
+    files = frozenset(digest for _, digest in record.provenance)
+    if files and files == origin.files:
+        return [
+            "the files of this record are those of the fit: if its columns are too, both estimates are of the same readings, "
+            "and nothing is tried by this"
+        ]
+    if record.name in origin.turbines:
+        return [f"the type was made of {record.name} among others: its own record says little about the type"]
+    return []
+
+
+_HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
+
+
+def stamp(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
+
+
+def difference(origin: Origin, own: Estimate, spread: Uncertainty, names: Sequence[str]) -> Difference:
+    """Own less original values of the named parameters in their coordinates; both covariances add up.
+
+    A parameter that the origin knows without standard error (at a bound there) counts as known as well as here.  Those at
+    a bound here are left out.
+    """
+    free = {p.name: p for p in own.coordinates.free}
+    kept = [n for n in names if n in spread.names]
+    place = [spread.names.index(n) for n in kept]
+    # the exact information's correlations, widened to the sandwich where that is wider
+    grow = np.sqrt(spread.factor[place])
+    covariance = spread.wald[np.ix_(place, place)] * np.outer(grow, grow)
+    old = np.zeros_like(covariance)
+    known = {n: i for i, n in enumerate(origin.names)}
+    slopes = np.array([free[n].slope(origin.values[n]) for n in kept])
+    for i, a in enumerate(kept):
+        if a not in known:
+            old[i, i] = covariance[i, i]
+            continue
+        for j, b in enumerate(kept):
+            if b in known:
+                old[i, j] = origin.covariance[known[a], known[b]] / (slopes[i] * slopes[j])
+    value = np.array(
+        [free[n].to_coordinate(own.values[n]) - free[n].to_coordinate(origin.values[n]) for n in kept]
+    )
+    return Difference(tuple(kept), value, covariance + old)
