@@ -202,11 +202,11 @@ def test_a_broker_that_is_killed_and_comes_back_loses_nothing(
 CHILD = """
 import sys, time
 from pathlib import Path
-from hygrokf.live.broker import Broker
-from hygrokf.live.mqtt import Mqtt
+from hygrokf.live.sources.broker import Broker
+from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.service import Service
-from hygrokf.live.store import Store
-from hygrokf.live.streams import record_mapping
+from hygrokf.live.storage.store import Store
+from hygrokf.live.sources.streams import record_mapping
 from live_case import live_record, live_turbine
 from test_mqtt import without_preheating
 

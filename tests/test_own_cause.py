@@ -34,7 +34,7 @@ PAGE = Path(__file__).resolve().parents[1] / "docs" / "own_cause.md"
 WORDS = {"meaning": "it warms", "remedy": "look", "separate_by": "measure"}
 FILE = """
 import hygrokf
-from hygrokf.expression import exp
+from hygrokf.physics.expression import exp
 
 def parameter(name, null=0.0, **more):
     return hygrokf.Parameter(name, "K", 1.0, -50.0, 50.0, null=null, meaning="an effect", **more)

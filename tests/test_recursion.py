@@ -485,9 +485,9 @@ def test_models_that_differ_in_a_records_numbers_share_their_code() -> None:
         values = {p.name: p.start for p in model.parameters} | {"heat_release_operation_ambient": -0.1}
         found.append((Likelihood(model, timeline(model, time, inputs, readings)), values))
     (one, values), (other, _) = found
-    assert traced(one) is not traced(other)
+    assert traced(one.model) is not traced(other.model)
     for kind in ("value", "adjoint", "tangent", "trace"):
-        assert traced(one).code(kind) is traced(other).code(kind)
+        assert traced(one.model).code(kind) is traced(other.model).code(kind)
     assert one.value(values) != other.value(values)
     same = values | {"cabinet_temperature_noise": math.sqrt(values["cabinet_temperature_noise"] ** 2 + 0.04)}
     # f + a (T − 280) is (f + 10 a) + a (T − 290), and the noises add in quadrature

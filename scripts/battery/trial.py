@@ -42,7 +42,7 @@ def sources_hash() -> str:
 def load(engine: str) -> None:
     """Load an engine before processes are forked: all of them run, and name, the sources as they are now."""
     sources_hash()
-    import_module(f"hygrokf.discovery.{'discover' if engine == 'discover' else 'choice'}")
+    import_module(f"hygrokf.discovery.{'procedure' if engine == 'discover' else 'model_selection'}")
 
 
 def case_key(case: Case, engine: str) -> str:

@@ -305,7 +305,7 @@ MEMORY = """
 import gc, sys
 from pathlib import Path
 from benchmarks import track_cases as cases
-from hygrokf.live.fleet import Delivery, Fleet
+from hygrokf.live.turbines import Delivery, Fleet
 def resident():
     gc.collect()
     line = next(l for l in Path("/proc/self/status").read_text().splitlines() if l.startswith("VmRSS"))
