@@ -26,6 +26,7 @@ from hygrokf.data.signals import difference_to_si, to_si, unit_mistaken
 from hygrokf.data.table_readers import read_table
 from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text, summer_time_holes
 from hygrokf.errors import HygrokfError, suggestion
+from hygrokf.physics.holds import LINEAR
 from hygrokf.weather.joining import follows, joined
 from hygrokf.weather.reading import read_weather_file
 
@@ -342,7 +343,7 @@ def _no_step(source: StatedSource, step: float, regular: float) -> str:
 def _end_of_interval(time: np.ndarray, length: float, stamp: str, hold: str) -> tuple[np.ndarray, float]:
     """Times as a Series has them, and the interval's length [s]."""
     shift = {"instant": 0.0, "start": length, "middle": 0.5 * length, "end": 0.0}[stamp]
-    if hold == "linear":
+    if hold == LINEAR:
         # A mean to be joined by straight lines stands in the middle of its interval.
         return time + (0.0 if stamp == "instant" else shift - 0.5 * length), 0.0
     return time + shift, length

@@ -19,6 +19,7 @@ import numpy as np
 
 from hygrokf.data.input_paths import centred, without_response
 from hygrokf.data.record import Record, Series
+from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 
 AMBIENT_BRIDGE_H = 6.0
@@ -68,7 +69,7 @@ def reading_noise(series: Series) -> tuple[float, float] | None:
 
 def smoothed(series: Series, noise: tuple[float, float] | None) -> Series:
     """The mean of the true course at the readings' times, given all readings; gaps stay gaps."""
-    if noise is None or series.hold != "linear":
+    if noise is None or series.hold != LINEAR:
         return series
     from scipy.linalg import solveh_banded
 
@@ -130,7 +131,7 @@ def at_times(series: Series, time: np.ndarray, bridge_h: float) -> np.ndarray:
     known, value = series.known
     if len(known) == 0:
         return np.full(len(time), np.nan)
-    linear = series.hold == "linear"
+    linear = series.hold == LINEAR
     if linear:
         result = np.interp(time, known, value, left=np.nan, right=np.nan)
         if np.all(series.steps_s[-1:] <= bridge_h * 3600.0):  # the usual series has no gap at all

@@ -26,6 +26,7 @@ from functools import cache, lru_cache
 import numpy as np
 
 from hygrokf.data.record import Series
+from hygrokf.physics.holds import LINEAR
 
 AROUND = 2
 """Means on each side of an edge that its value is taken from."""
@@ -44,7 +45,7 @@ def input_path(series: Series, noise: tuple[float, float] | None = None) -> Seri
     (`ambient.smoothed`).  Missing readings end a stretch; a mean without neighbours stands in the middle of its
     interval, and so do means whose intervals overlap.
     """
-    return series if series.hold == "linear" else _known_path(Same(series), noise)
+    return series if series.hold == LINEAR else _known_path(Same(series), noise)
 
 
 class Same:
@@ -88,9 +89,9 @@ def without_response(series: Series) -> Series:
 
 def centred(series: Series) -> Series:
     """Readings at the times that they belong to: interval means stand in the middle of their interval."""
-    if series.hold == "linear":
+    if series.hold == LINEAR:
         return series
-    return replace(series, time=series.time - 0.5 * series.interval_s, hold="linear", interval_s=0.0)
+    return replace(series, time=series.time - 0.5 * series.interval_s, hold=LINEAR, interval_s=0.0)
 
 
 def thinned(series: Series) -> Series:
@@ -162,7 +163,7 @@ def _through_means(series: Series, noise: tuple[float, float] | None) -> Series:
         values.append(nodes)
     joined, course = np.concatenate(times), np.concatenate(values)
     kept = np.append(True, np.diff(joined) > JOINED_S)
-    return replace(series, time=joined[kept], value=course[kept], hold="linear", interval_s=0.0)
+    return replace(series, time=joined[kept], value=course[kept], hold=LINEAR, interval_s=0.0)
 
 
 def _stretch(time: np.ndarray, mean: np.ndarray, width: float, share: float) -> tuple[np.ndarray, np.ndarray]:

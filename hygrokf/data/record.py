@@ -14,11 +14,12 @@ import numpy as np
 
 from hygrokf.data.signals import LARGEST_FRACTION, SIGNALS, Signal, better_units
 from hygrokf.errors import suggestion
+from hygrokf.physics.holds import LINEAR, ZERO_ORDER
 
 if TYPE_CHECKING:
     import pandas
 
-HOLDS = ("linear", "zero-order")
+HOLDS = (LINEAR, ZERO_ORDER)
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ from hygrokf.data.signals import SIGNALS
 from hygrokf.discovery.baseline import HYGRIC, THERMAL, Part, Scene
 from hygrokf.discovery.cause import Cause, Variant
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.engine.filter_codegen import LINEAR, ZERO_ORDER
 from hygrokf.engine.timeline import Timeline
 from hygrokf.errors import suggestion
 from hygrokf.estimation.likelihood import Likelihood
@@ -30,6 +29,7 @@ from hygrokf.modelling.derived_inputs import FEATURES, feature_faults
 from hygrokf.modelling.design import CASCADE, HOLDS, design, extended
 from hygrokf.modelling.inputs import run
 from hygrokf.modelling.registry import name_faults
+from hygrokf.physics.holds import LINEAR, ZERO_ORDER
 from hygrokf.physics.mechanisms import FURTHER, LOGGED
 from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
 from hygrokf.physics.model import SUMS, Mechanism

@@ -12,9 +12,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
-from hygrokf.engine.filter_codegen import LINEAR
 from hygrokf.engine.llvm_writer import RUNS, TRUTH, Writer, declarations, literal, vector
 from hygrokf.physics.expression import Expression
+from hygrokf.physics.holds import LINEAR
 
 if TYPE_CHECKING:
     from hygrokf.engine.traced_filter import Recursion

@@ -16,13 +16,11 @@ from hygrokf.engine.llvm_writer import SCALAR, VECTOR, Writer, declarations, lit
 from hygrokf.engine.packing import place, trace_width
 from hygrokf.engine.running_sums import RunningSums, accumulate
 from hygrokf.physics.expression import Expression, forward, reverse
+from hygrokf.physics.holds import LINEAR
 
 if TYPE_CHECKING:
     from hygrokf.engine.traced_filter import Block, Recursion
 
-LINEAR = "linear"
-ZERO_ORDER = "zero-order"
-REGIME = "regime"
 CONSTANT, PARAMETER, KEY, INSTANT = range(4)
 """Stages: when a value is first known."""
 

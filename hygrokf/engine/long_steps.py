@@ -33,9 +33,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.engine.discretisation import NODES
-from hygrokf.engine.filter_codegen import LINEAR
 from hygrokf.engine.packing import pack, unpack
 from hygrokf.physics.expression import is_zero
+from hygrokf.physics.holds import LINEAR
 
 if TYPE_CHECKING:
     from hygrokf.engine.traced_filter import Recursion

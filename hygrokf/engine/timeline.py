@@ -15,7 +15,7 @@ from functools import cached_property
 
 import numpy as np
 
-from hygrokf.engine.filter_codegen import REGIME
+from hygrokf.physics.holds import REGIME
 from hygrokf.physics.model import Model
 
 

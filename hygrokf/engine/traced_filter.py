@@ -30,7 +30,7 @@ import numpy as np
 
 from hygrokf.engine.control_loop import Control
 from hygrokf.engine.discretisation import Step, congruence, step
-from hygrokf.engine.filter_codegen import CONSTANT, INSTANT, KEY, LINEAR, PARAMETER, REGIME, loop_text
+from hygrokf.engine.filter_codegen import CONSTANT, INSTANT, KEY, PARAMETER, loop_text
 from hygrokf.engine.jit import Code
 from hygrokf.engine.packing import place
 from hygrokf.physics.expression import (
@@ -44,6 +44,7 @@ from hygrokf.physics.expression import (
     jacobian,
     where,
 )
+from hygrokf.physics.holds import LINEAR, REGIME
 from hygrokf.physics.model import Model, System
 
 DIFFUSE_TOLERANCE = 1e-9

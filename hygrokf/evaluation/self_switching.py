@@ -17,11 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.engine.control_loop import Control
-from hygrokf.engine.filter_codegen import LINEAR
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run
+from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.model import Model
 from hygrokf.physics.switches import SWITCHES, Switch, Throttle
 

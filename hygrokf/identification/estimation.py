@@ -33,6 +33,7 @@ from hygrokf.identification.clock_offsets import NO_OFFSETS, ClockOffsets, clock
 from hygrokf.identification.forms import ADOPTED, Form, ended, weighed
 from hygrokf.modelling.design import CASCADE, Design, design, reading_step_h
 from hygrokf.modelling.inputs import Run, run
+from hygrokf.physics.holds import LINEAR
 
 LEVEL = 0.95
 TIME_CONSTANTS = ("thermal_time_constant", "hygric_k")
@@ -210,7 +211,7 @@ def smoothed_temperature(
     moist = early[humidity]
     time = np.union1d(seconds, moist.time[~moist.missing])
     time = time[(time >= seconds[0]) & (time <= seconds[-1])]
-    return replace(raw, time=time, value=np.interp(time, seconds, air), hold="linear", interval_s=0.0)
+    return replace(raw, time=time, value=np.interp(time, seconds, air), hold=LINEAR, interval_s=0.0)
 
 
 def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> dict[str, OutputError]:

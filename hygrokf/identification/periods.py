@@ -16,6 +16,7 @@ from hygrokf.data.actuators import HEATERS
 from hygrokf.data.record import Record, Series
 from hygrokf.modelling.design import TEMPERATURE, reading_step_h
 from hygrokf.modelling.inputs import at_times
+from hygrokf.physics.holds import LINEAR
 
 AMBIENT = "ambient_temperature"
 POWER = "active_power"
@@ -150,7 +151,7 @@ def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> C
         series, bridge_h = record[name], _bridge_h(record[name])
         value = at_times(series, middle, bridge_h)
         low = high = value
-        if series.hold == "linear":
+        if series.hold == LINEAR:
             ends = at_times(series, fine, bridge_h)
             low, high = np.minimum(ends[:-1], ends[1:]), np.maximum(ends[:-1], ends[1:])
         change = np.diff(at_times(series, edges, bridge_h))

@@ -12,11 +12,11 @@ from hygrokf.data.ambient import AMBIENT_BRIDGE_H
 from hygrokf.data.input_paths import readings_ahead
 from hygrokf.data.record import Site
 from hygrokf.data.signals import SIGNALS
-from hygrokf.engine.filter_codegen import ZERO_ORDER
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import HOLDS, SETTLING_H, Design, extended
+from hygrokf.physics.holds import ZERO_ORDER
 from hygrokf.physics.mechanisms.hygric import exchange_factor
 from hygrokf.physics.model import Model
 from hygrokf.physics.psychrometrics import absolute_humidity

@@ -16,7 +16,7 @@ import numpy as np
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
 from hygrokf.data.input_paths import Same, input_path
 from hygrokf.data.record import Record, Series, Site
-from hygrokf.engine.filter_codegen import LINEAR, ZERO_ORDER
+from hygrokf.physics.holds import LINEAR, ZERO_ORDER
 from hygrokf.physics.switches import SWITCHES, Switch, Throttle
 
 DAY_S = 86400.0

@@ -18,9 +18,9 @@ from hygrokf.data.actuators import actuators
 from hygrokf.data.ambient import ambient_absolute_humidity, bridge_h, reading_noise
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS, signal_named
-from hygrokf.engine.filter_codegen import LINEAR, REGIME, ZERO_ORDER
 from hygrokf.modelling.derived_inputs import FEATURES
 from hygrokf.modelling.registry import origins
+from hygrokf.physics.holds import LINEAR, REGIME, ZERO_ORDER
 from hygrokf.physics.mechanisms import LIBRARY
 from hygrokf.physics.mechanisms.hygric import SHORTEST_H
 from hygrokf.physics.model import Mechanism, Model, compose

@@ -9,10 +9,10 @@ import numpy as np
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h, smoothed
 from hygrokf.data.input_paths import input_path, without_response
 from hygrokf.data.record import Record, Series
-from hygrokf.engine.filter_codegen import LINEAR
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.modelling.derived_inputs import feature
 from hygrokf.modelling.design import BRIDGE_H, HUMIDITIES, SETTLING_H, TEMPERATURE, Design, power_features
+from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.mechanisms.hygric import exchange_factor
 
 IDENTIFIED_ON = {
@@ -234,7 +234,7 @@ def _over_steps(series: Series, time: np.ndarray, longest_h: float) -> np.ndarra
 
     Instants are joined by straight lines, whose mean over a step is the value in its middle.
     """
-    if series.hold == "linear":
+    if series.hold == LINEAR:
         time = 0.5 * (time + np.concatenate([time[:1], time[:-1]]))
     return at_times(series, time, longest_h)
 

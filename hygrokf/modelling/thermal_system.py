@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.engine.filter_codegen import ZERO_ORDER
 from hygrokf.modelling.design import Design
+from hygrokf.physics.holds import ZERO_ORDER
 from hygrokf.physics.model import Mechanism, Model, compose
 
 if TYPE_CHECKING:

@@ -1,0 +1,92 @@
+"""The extended Kalman filter in plain numpy: the place to read the filter, to check it against and to port it from.
+
+Between two instants the moments of the state follow
+
+    dm/dt = f(m, u(t)),    dP/dt = A P + P A' + Q,    A = ∂f/∂x at m,
+
+and each reading y = h(x) + e, e ~ N(0, R), corrects them by K = P H'/S, S = H P H' + R, H = ∂h/∂x at m.  The compiled
+filter (`engine.traced_filter`) does the same with closed-form steps and is some ten thousand times as fast.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from hygrokf.estimation.likelihood import Gaussian, Likelihood
+from hygrokf.physics.holds import LINEAR
+
+TOLERANCE = 1e-12
+"""Relative error of the integration over one step."""
+
+
+def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tuple[float, list[Gaussian]]:
+    """The log-likelihood of all readings, and the state (n,) with its covariance (n, n) after each instant.
+
+    `values` maps every parameter of the model to a number in its unit; the first state is the likelihood's own, which
+    must be proper (`initial` other than "diffuse"; ValueError).  Source: Jazwinski 1970, theorem 8.1.
+    """
+    model, line = likelihood.model, likelihood.timeline
+    if likelihood.initial == "diffuse":
+        raise ValueError("expected a proper first state, found the diffuse one; state `initial`")
+    first = likelihood.first_gaussian(values)
+    m, P, total, states = first.mean.copy(), first.covariance.copy(), 0.0, []
+    for k, readings in enumerate(line.y):
+        m, P = predicted(likelihood, values, k, m, P)
+        u = {name: float(line.input(name)[k]) for name in model.inputs}
+        for name, y in zip(model.outputs, readings, strict=True):
+            if np.isfinite(y):  # a reading that is missing corrects nothing
+                h, R = (float(np.real(part)) for part in model.evaluate(list(m), u, values).outputs[name])
+                H = _jacobian(lambda x, name=name, u=u: [model.evaluate(x, u, values).outputs[name][0]], m)[0]
+                e, S = y - h, H @ P @ H + R
+                K = P @ H / S
+                m, P = m + K * e, P - np.outer(K, K) * S
+                total -= 0.5 * (math.log(2.0 * math.pi * S) + e * e / S)
+        for bit, state in enumerate(model.system.resets):  # running means that begin anew
+            if line.reset[k] & (1 << bit):
+                m[state], P[state, :], P[:, state] = 0.0, 0.0, 0.0
+        states.append(Gaussian(m.copy(), P.copy(), float(line.time[k])))
+    return total, states
+
+
+def predicted(
+    likelihood: Likelihood, values: Mapping[str, float], k: int, m: np.ndarray, P: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Mean (n,) and covariance (n, n) at instant k from those at the instant before, by numerical integration."""
+    from scipy.integrate import solve_ivp
+
+    model, line, n = likelihood.model, likelihood.timeline, len(m)
+    length, Q = float(line.steps[line.key[k], 0]), np.array(model.system.noise(values), dtype=float)
+    regimes = dict(zip(line.regimes, line.steps[line.key[k], 1:], strict=True))
+
+    def inputs(share: float) -> dict[str, float]:
+        ends = zip(line.varying, line.u[k], line.u[k + 1], strict=True)
+        return regimes | {
+            name: a + share * (b - a) if model.holds[name] == LINEAR else b for name, a, b in ends
+        }
+
+    def slopes(t: float, moments: np.ndarray) -> np.ndarray:
+        u, x, C = inputs(t / length), moments[:n], moments[n:].reshape(n, n)
+        A = _jacobian(lambda x: model.evaluate(x, u, values).rates, x)
+        f = np.array(model.evaluate(list(x), u, values).rates, dtype=float)
+        return np.concatenate([f, (A @ C + C @ A.T + Q).ravel()])
+
+    if length == 0.0:
+        return m, P
+    start = np.concatenate([m, P.ravel()])
+    end = solve_ivp(
+        slopes, (0.0, length), start, "DOP853", [length], rtol=TOLERANCE, atol=TOLERANCE * (1e-3 + abs(start))
+    ).y[:, -1]
+    return end[:n], end[n:].reshape(n, n)
+
+
+def _jacobian(function: Callable[[list[complex]], Sequence], x: np.ndarray) -> np.ndarray:
+    """∂function/∂x (len(function), n) by complex steps, exact to rounding."""
+    columns = []
+    for i in range(len(x)):
+        moved = [complex(v) for v in x]
+        moved[i] += 1e-30j
+        columns.append(np.imag(np.array(function(moved), dtype=complex)) * 1e30)
+    return np.stack(columns, axis=1)
