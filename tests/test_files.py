@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import subprocess
 import sys
+from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -81,3 +83,23 @@ def test_permissions_and_links_survive(tmp_path):
     assert link.is_symlink()
     assert real.read_text() == "new"
     assert real.stat().st_mode & 0o777 == 0o640
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no named pipes here")
+def test_a_pipe_is_written_to_and_stays_a_pipe(tmp_path: Path) -> None:
+    pipe = tmp_path / "pipe"
+    os.mkfifo(pipe)
+    reader = subprocess.Popen(["cat", str(pipe)], stdout=subprocess.PIPE)
+    write_text_whole(pipe, "time,value\n")
+    assert reader.communicate(timeout=10)[0] == b"time,value\n"
+    assert pipe.is_fifo()
+    assert [one.name for one in tmp_path.iterdir()] == ["pipe"]
+
+
+@pytest.mark.parametrize("redirected", [False, True], ids=["a pipe", "a file"])
+def test_standard_output_is_written_to(tmp_path: Path, redirected: bool) -> None:
+    code = "import sys; from hygrokf.data.files import write_text_whole as w; print('a', flush=True); w('/dev/stdout', 'b\\n')"
+    to = tmp_path / "shown"
+    with open(to, "wb") if redirected else nullcontext(subprocess.PIPE) as stdout:
+        done = subprocess.run([sys.executable, "-c", code], stdout=stdout, check=True)
+    assert (to.read_bytes() if redirected else done.stdout) == b"a\nb\n"

@@ -6,7 +6,7 @@ import os
 import sys
 from pathlib import Path
 
-from hygrokf.data.files import DISCOVERY, FIT, RESULTS
+from hygrokf.data.files import DISCOVERY, FIT, RESULTS, is_stream
 from hygrokf.errors import HygrokfError
 
 
@@ -89,7 +89,13 @@ def expect_own_directory(out: Path, own: str) -> None:
 
 
 def expect_file(path: Path) -> None:
-    """The same for a file: its directory must be there."""
+    """The same for a file: its directory must be there.  A pipe or device needs to be writable."""
+    if is_stream(path):
+        if not os.access(path, os.W_OK):
+            raise UserFault(
+                f"--out {path}: expected a pipe or device that can be written, found it write-protected"
+            )
+        return
     if path.is_dir():
         raise UserFault(f"--out {path}: expected a file to write, found a directory; name a file in it")
     if not path.parent.is_dir():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import secrets
+import stat
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -49,8 +50,12 @@ def writing_whole(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
     The bytes go to a temporary file in the same directory, are forced to the disk and renamed
     over the target. If anything fails on the way, the temporary file is removed and the target
-    stays as it was. Raises OSError as the system gives it.
+    stays as it was. A pipe or device cannot be replaced: the bytes are streamed to it. Raises OSError as the system gives it.
     """
+    if is_stream(path):
+        with open(path, "ab") as stream:
+            yield stream
+        return
     target = Path(os.path.realpath(path))
     temporary = target.with_name(f".{target.name}.{secrets.token_hex(6)}.part")
     # O_EXCL with mode 0o666 leaves the permissions to the user's umask, as open() would.
@@ -69,6 +74,16 @@ def writing_whole(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
             temporary.unlink()
         raise
     _force_directory(target.parent)
+
+
+def is_stream(path: str | os.PathLike[str]) -> bool:
+    """Whether a path leads to a pipe, a terminal or another device, such as /dev/stdout, and not to a file of its own."""
+    if os.path.abspath(path).startswith(("/dev/", "/proc/")):
+        return os.path.exists(path)
+    with suppress(OSError):
+        mode = os.stat(path).st_mode
+        return not (stat.S_ISREG(mode) or stat.S_ISDIR(mode))
+    return False
 
 
 def write_text_whole(path: str | os.PathLike[str], text: str) -> Path:
