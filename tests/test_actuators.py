@@ -30,7 +30,7 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.identification.fit import Fit
 from hygrokf.live.plan import plan
 from hygrokf.modelling.design import CASCADE, design
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 from hygrokf.modelling.thermal_system import thermal_system
 from hygrokf.physics.mechanisms import LIBRARY
 from hygrokf.report.fit_page import report_page, report_text
@@ -197,7 +197,7 @@ def test_with_nulls_the_model_is_the_one_without() -> None:
     bases = [design(one, kind="thermal") for one in (record, plain)]
     values = {p.name: p.start for p in bases[0].model.parameters}
     both = [
-        Likelihood(base.model, run(base, one).timeline).value(values)
+        Likelihood(base.model, prepare_run(base, one).timeline).value(values)
         for base, one in zip(bases, (record, plain), strict=True)
     ]
     assert both[0] == pytest.approx(both[1], abs=1e-9)
@@ -229,7 +229,7 @@ def test_a_climate_has_actuators_off_or_as_the_power_s_record_has_them(all_logge
     made, said = driven(fit, weather, replace(record, until_s=None))
     assert "fan_duty at its own hours, as the record of the power has it" in said
     assert made["fan_duty"] is record["fan_duty"]
-    run(fit.design, made)
+    prepare_run(fit.design, made)
 
 
 def test_discovery_takes_what_is_logged_as_known() -> None:

@@ -29,9 +29,9 @@ from hygrokf.discovery.clocks import Shift
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.model_selection import NO_BETTER, _reason, choose, verdict_on, with_trial
 from hygrokf.discovery.procedure import verdict as verdict_of
-from hygrokf.evaluation.simulation import free_run
+from hygrokf.evaluation.simulation import simulate
 from hygrokf.modelling.design import Design, extended, merged
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.mechanisms import condensation, humidity_ceiling, humidity_drift, temperature_step
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.psychrometrics import saturation_pressure_water
@@ -481,7 +481,7 @@ def test_a_thermometer_off_by_a_constant_is_simulated_as_it_is_read() -> None:
     values = {**part.values, "thermometer_offset": kelvin}
 
     def humidity(base: Design, at: dict, record: Record) -> np.ndarray:
-        return free_run(base, at, run(base, record)).relative_humidity[0]
+        return simulate(base, at, prepare_run(base, record)).relative_humidity[0]
 
     told = humidity(wider, values, part.record)
     air = part.record["cabinet_temperature"]
@@ -492,7 +492,7 @@ def test_a_thermometer_off_by_a_constant_is_simulated_as_it_is_read() -> None:
     both = {**thermal.values, **values}
     joint, plain = merged([thermal.base, wider]), merged([thermal.base, part.base])
     ratio = humidity(joint, both, made.record) / humidity(plain, both, made.record)
-    simulated = free_run(joint, both, run(joint, made.record)).temperature[0]
+    simulated = simulate(joint, both, prepare_run(joint, made.record)).temperature[0]
     expected = saturation_pressure_water(simulated) / saturation_pressure_water(simulated - kelvin)
     assert np.median(ratio) == pytest.approx(np.median(expected), rel=0.005)
 

@@ -25,7 +25,7 @@ from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.commands.main import main
 from hygrokf.data.files import RESULTS
 from hygrokf.identification.results import read_fit
-from hygrokf.identification.tables import evaluation, evaluation_text, simulated, simulation_summary
+from hygrokf.identification.tables import evaluate, evaluation_text, simulated, simulation_summary
 from hygrokf.version import __version__
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -397,7 +397,7 @@ def test_fit_says_whose_fit_it_replaces(folder, told, monkeypatch):
 
 def test_evaluate_prints_the_scores(folder, told):
     fit, record = read_fit(folder / "result"), read_case(folder / "case.toml")
-    found = evaluation(fit, record)
+    found = evaluate(fit, record)
     assert told(EVALUATE) == Said(0, evaluation_text(found) + "\n", "")
     shown = json.loads(told(f"{EVALUATE} --json").out)
     assert shown == json.loads(json.dumps(found))

@@ -14,7 +14,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.evaluation.innovation_tests import diagnose
 from hygrokf.identification.fit import Fit
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.cold_surface import Surface
 from hygrokf.physics.psychrometrics import saturation_pressure_water
 
@@ -65,7 +65,7 @@ def flat_record(days: float, heat_h: float | None, vapour_h: float | None, seed:
 def judged(record: Record) -> Fit:
     """The known model with the diagnosis of its innovations on a record, as a fit's results have it."""
     fit = known_fit(**QUIET)
-    t = run(fit.design, record).timeline
+    t = prepare_run(fit.design, record).timeline
     trace = Likelihood(fit.design.model, t).trace(fit.values)
     standard = (t.y - trace.prediction) / np.sqrt(trace.variance)
     settled = t.time > 48.0

@@ -8,7 +8,7 @@ from other_make import ROWS, make_plant
 from other_make.as_record import to_record
 
 from hygrokf.identification.procedure import identify
-from hygrokf.identification.tables import evaluation
+from hygrokf.identification.tables import evaluate
 
 SEEDS = range(41000, 41004)
 """The first four of the table's twelve plants."""
@@ -21,7 +21,7 @@ def shares() -> dict[tuple[str, str, str], float]:
     for seed in SEEDS:
         fit = identify(to_record(make_plant(seed, ROWS["instants"], 90.0)))
         for ambient in ("instants", "means60"):
-            told = evaluation(fit, to_record(make_plant(seed, ROWS[ambient], 90.0)))
+            told = evaluate(fit, to_record(make_plant(seed, ROWS[ambient], 90.0)))
             for lead, quantities in told["bands"].items():
                 for quantity, row in quantities.items():
                     found.setdefault((ambient, lead, quantity), []).append(row["coverage"])

@@ -19,9 +19,9 @@ from hygrokf.data.record import Record
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import identify
 from hygrokf.identification.results import ResultFault, write_fit
-from hygrokf.identification.tables import evaluation
+from hygrokf.identification.tables import evaluate
 from hygrokf.report.comparison_page import comparison_page, summary, write_comparison
-from hygrokf.transfer.comparison import Column, column, compared, comparison_csv, comparison_text
+from hygrokf.transfer.comparison import Column, compare, comparison_column, comparison_csv, comparison_text
 
 HOUR = 3600.0
 
@@ -49,7 +49,7 @@ def made_column(
 
 def test_scores_are_plain_root_mean_squares() -> None:
     one, two = made_column("a", 1), made_column("b", 2, scale=1.15)
-    found = compared([one, two]).results
+    found = compare([one, two]).results
     for period, mask in one.masks.items():
         for regime, chosen in (("operation", one.operating), ("standstill", ~one.operating), ("total", True)):
             error = one.errors["temperature_K"]
@@ -69,27 +69,27 @@ def test_scores_are_plain_root_mean_squares() -> None:
 
 def test_only_common_instants_are_compared_and_other_readings_are_told() -> None:
     one, late = made_column("a", 1), made_column("b", 2, shift_s=600 * HOUR)
-    row = compared([one, late]).results["differences"][0]["scores"]["whole"]["temperature_K"]["total"]
+    row = compare([one, late]).results["differences"][0]["scores"]["whole"]["temperature_K"]["total"]
     a, b = one.errors["temperature_K"][600:], late.errors["temperature_K"][:600]
     there = np.isfinite(a) & np.isfinite(b)
     assert row["n"] == there.sum()
     assert row["value"] == pytest.approx(np.sqrt(np.mean(a[there] ** 2)) - np.sqrt(np.mean(b[there] ** 2)))
-    apart = compared([one, made_column("b", 2, shift_s=0.5 * HOUR)]).results["differences"][0]
+    apart = compare([one, made_column("b", 2, shift_s=0.5 * HOUR)]).results["differences"][0]
     assert apart["same_readings"] == {} and apart["scores"]["whole"] == {}
-    other = compared([one, made_column("b", 2, readings=2)]).results["differences"][0]
+    other = compare([one, made_column("b", 2, readings=2)]).results["differences"][0]
     assert other["same_readings"] == {"temperature_K": False}
 
 
 def test_columns_that_cannot_be_told_apart_or_scored_are_refused() -> None:
     with pytest.raises(ValueError, match="several called a"):
-        compared([made_column("a", 1), made_column("a", 2)])
+        compare([made_column("a", 1), made_column("a", 2)])
     empty = replace(made_column("a", 1), errors={}, rules={})
     with pytest.raises(ValueError, match="nothing to score"):
-        compared([empty])
+        compare([empty])
 
 
 def test_the_table_holds_every_number_of_the_json() -> None:
-    found = compared([made_column("a", 1), made_column("b", 2, scale=1.15)]).results
+    found = compare([made_column("a", 1), made_column("b", 2, scale=1.15)]).results
     rows = list(csv.DictReader(io.StringIO(comparison_csv(found))))
     kinds = [row["kind"] for row in rows]
     # two columns, three periods, three regimes
@@ -111,7 +111,7 @@ def test_the_table_holds_every_number_of_the_json() -> None:
 
 
 def test_page_is_written_again_from_the_json(tmp_path: Path) -> None:
-    found = compared([made_column("<a>", 1), made_column("b", 2, scale=1.4)])
+    found = compare([made_column("<a>", 1), made_column("b", 2, scale=1.4)])
     page = write_comparison(found, tmp_path).read_text(encoding="utf-8")
     assert "&lt;a&gt; simulates the temperature" in page and page.count("<svg") == 3
     assert write_comparison(None, tmp_path).read_text(encoding="utf-8") == page
@@ -161,8 +161,8 @@ def test_a_column_is_what_evaluate_says(turbines: tuple[Path, Path, Fit]) -> Non
     from hygrokf.cases.case_file import read_case
 
     record: Record = read_case(turbines[1])
-    found = compared([column(turbines[2], record, "x")]).results["columns"][0]["scores"]
-    theirs = evaluation(turbines[2], record)
+    found = compare([comparison_column(turbines[2], record, "x")]).results["columns"][0]["scores"]
+    theirs = evaluate(turbines[2], record)
     for period in ("identification", "validation"):
         for quantity in ("temperature_K", "absolute_humidity_g_m3"):
             for regime in ("operation", "standstill", "total"):
@@ -181,8 +181,8 @@ def test_a_column_without_a_score_says_why_and_long_names_stay_apart(
     names = [
         f"the turbine in the far north-east corner, {name}" for name in ("as it is", "without its power")
     ]
-    found = compared(
-        [column(turbines[2], one, name) for one, name in zip((record, idle), names, strict=True)]
+    found = compare(
+        [comparison_column(turbines[2], one, name) for one, name in zip((record, idle), names, strict=True)]
     )
     assert any("nothing to score" in said for said in found.results["columns"][1]["statements"])
     text = comparison_text(found.results)

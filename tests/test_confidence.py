@@ -34,7 +34,7 @@ from hygrokf.estimation.optimiser import Estimate, Objective, maximise
 from hygrokf.identification.estimation import estimated, judged
 from hygrokf.identification.procedure import identified
 from hygrokf.modelling.design import design, extended
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Parameter, Prior
@@ -435,7 +435,7 @@ def cabinet(kind: str = "thermal", days: float = 30.0, **given: object) -> tuple
     made = plant(5, days=days, **given)
     record = to_record(made)
     chosen = design(record, kind=kind)
-    return fitted(Likelihood(chosen.model, run(chosen, record).timeline)), made.truth, chosen
+    return fitted(Likelihood(chosen.model, prepare_run(chosen, record).timeline)), made.truth, chosen
 
 
 def holds(bounds: Bounds, truth: float) -> bool:

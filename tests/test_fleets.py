@@ -32,7 +32,7 @@ from hygrokf.fleet.table import columns_of, table_csv, table_parquet
 from hygrokf.fleet.tasks import TASKS, Compared, perform
 from hygrokf.fleet.text import fleet_text
 from hygrokf.identification.results import dump, read_fit
-from hygrokf.identification.turbine_type import pooled, read_type
+from hygrokf.identification.turbine_type import pool_types, read_type
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"
 DAYS, TURBINES = 5.0, 5
@@ -548,7 +548,7 @@ def test_fits_of_a_fleet_give_the_type_of_its_turbines(
     kind = read_type(out / "type.json")
     assert kind.turbines == WHOLE
     fits = [replace(read_fit(serial[0] / "turbines" / name), name=name) for name in WHOLE]
-    expected = pooled(fits, "any").parameters["thermal_time_constant"]
+    expected = pool_types(fits, "any").parameters["thermal_time_constant"]
     assert kind.parameters["thermal_time_constant"] == expected
     assert "The type of turbine" in (out / "report.html").read_text(encoding="utf-8")
 
@@ -719,7 +719,7 @@ def test_a_turbine_that_departs_is_no_part_of_the_type(
             return {"turbines": list(taken), "type_parameters": {}}
 
     monkeypatch.setattr(running, "read_fit", lambda folder: SimpleFit(folder.name))
-    monkeypatch.setattr(running, "pooled", lambda fits, name: taken.extend(f.name for f in fits) or Kind())
+    monkeypatch.setattr(running, "pool_types", lambda fits, name: taken.extend(f.name for f in fits) or Kind())
     monkeypatch.setattr(running, "write_type", lambda kind, file: file)
     rows = departing_rows()
 

@@ -31,7 +31,7 @@ from hygrokf.identification.composition import (
 from hygrokf.identification.estimation import estimated, smoothed_temperature
 from hygrokf.identification.forms import CONVECTION, RESPONSE, SECOND, SECOND_MASS, candidates
 from hygrokf.modelling.design import Design, design
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 from hygrokf.modelling.thermal_system import state_space
 from hygrokf.physics.mechanisms import LIBRARY, natural_convection
 from hygrokf.physics.mechanisms.thermal import STILL_K, small_signal
@@ -202,7 +202,7 @@ def test_without_lag_convection_or_second_mass_the_base_stays(slow_sensor):
 def test_no_form_that_a_design_has_already_is_a_candidate():
     record, _ = plant_record("instants", 31003, days=12.0)
     base = design(record, kind="thermal")
-    made = run(base, record)
+    made = prepare_run(base, record)
     values = {p.name: p.start for p in base.model.parameters}
     left = [CONVECTION, SECOND_MASS, SECOND["heat_disturbance"]]
     for name in left.copy():
@@ -246,7 +246,7 @@ def test_an_offset_of_a_source_is_found_and_what_it_does_is_foreseen(thermal_par
     late = record.replace_series(
         *(replace(s, time=s.time + 90.0) for s in record.series if s.source.startswith("scada"))
     )
-    made = run(found.base, late)
+    made = prepare_run(found.base, late)
     objective = Objective(Likelihood(found.base.model, made.timeline), found.estimate.coordinates)
     moved = climb(objective, found.estimate.z, passes=30)
     there = replace(

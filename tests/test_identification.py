@@ -138,11 +138,11 @@ def test_joint_and_cascade_agree(record, fit):
 def test_white_noise_alone_is_wrong_and_proud(record, made):
     """The warning that everything rests on: without coloured disturbances τ comes out far too long."""
     from hygrokf.estimation.optimiser import maximise
-    from hygrokf.modelling.inputs import run
+    from hygrokf.modelling.inputs import prepare_run
 
     early = record.identification()
     white = design(early, kind="thermal", coloured=False)
-    found = maximise(Likelihood(white.model, run(white, early).timeline), count=2)
+    found = maximise(Likelihood(white.model, prepare_run(white, early).timeline), count=2)
     assert found.values["thermal_time_constant"] > 1.5 * made.truth.tau_h
 
 

@@ -25,10 +25,10 @@ from hygrokf.estimation import likelihood as module
 from hygrokf.estimation.batch_filter import SideBySide
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, RatesFault, Trace
 from hygrokf.estimation.smoother import smooth, transition
-from hygrokf.evaluation.simulation import free_run
+from hygrokf.evaluation.simulation import simulate
 from hygrokf.live.plan import Plan
 from hygrokf.live.tracker import Tracker, whole
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.cold_surface import Surface
 from hygrokf.physics.mechanisms import wandering_exchange, wandering_release, wandering_time_constant
 from hygrokf.physics.mechanisms.network import linear_network
@@ -364,9 +364,9 @@ def test_a_switch_decides_after_a_gap_as_without_one() -> None:
     base, values = heated(record)
     long = apart(record, 730.0)
     begun = time.process_time()
-    found = free_run(base, values, run(base, long))
+    found = simulate(base, values, prepare_run(base, long))
     assert time.process_time() - begun < 10.0
-    plain = free_run(base, values, run(base, record))
+    plain = simulate(base, values, prepare_run(base, record))
     days_after = slice(-144 * 2, None)
     assert np.mean(found.temperature[0][days_after]) == pytest.approx(
         np.mean(plain.temperature[0][days_after]), abs=0.5
@@ -393,7 +393,7 @@ def test_ordinary_records_have_no_long_step(joint: object, short: Record) -> Non
     """A month's gap is divided into sub-steps as it always was."""
     assert gapped(joint, 720.0).likelihood._steps(joint.values).long == ()
     model = planned(short)
-    t = run(model.design, short).timeline
+    t = prepare_run(model.design, short).timeline
     assert Likelihood(model.model, t, fastest=model.fastest)._steps(model.values).long == ()
 
 

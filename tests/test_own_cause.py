@@ -27,7 +27,7 @@ from hygrokf.identification.results import LibraryAbsent, ResultFault, read_fit
 from hygrokf.modelling import registry as additions
 from hygrokf.modelling.derived_inputs import FEATURES
 from hygrokf.modelling.design import Design, design, extended
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
 
 PAGE = Path(__file__).resolve().parents[1] / "docs" / "own_cause.md"
@@ -118,7 +118,7 @@ def test_the_extended_model_is_the_base_at_the_null_value_on_another_record(
     values = {p.name: p.start for p in base.model.parameters}
     for gain, same in ((0.0, True), (3.0, False)):
         before, after = (
-            hygrokf.Likelihood(one.model, run(one, record).timeline).value(
+            hygrokf.Likelihood(one.model, prepare_run(one, record).timeline).value(
                 {**values, "transformer_gain": gain}
             )
             for one in (base, wider)
@@ -153,7 +153,7 @@ def test_every_signal_of_the_table_can_be_an_input() -> None:
     adopt([cause_of("everything", thermal=everything, **WORDS)])
     wider = extended(base, [("everything", {})])
     assert set(names) <= set(wider.model.inputs)
-    t = run(wider, record).timeline
+    t = prepare_run(wider, record).timeline
     np.testing.assert_allclose(t.input("heater_duty")[1:], _means(record["heater_duty"].value))
     np.testing.assert_allclose(t.input("tower_temperature"), record["tower_temperature"].value)
 
@@ -409,7 +409,7 @@ def test_an_own_feature_is_an_input(tmp_path: Path) -> None:
         features={"glow": {"share": 2.0}},
     )
     assert wider.model.holds["glow"] == "linear"
-    np.testing.assert_allclose(run(wider, record).timeline.input("glow"), 2.0 * record["rain"].value)
+    np.testing.assert_allclose(prepare_run(wider, record).timeline.input("glow"), 2.0 * record["rain"].value)
     assert set(wider.to_json()["origins"]) == {"stove", "glow"}
     dry = replace(record, series=tuple(s for s in record.series if s.signal != "rain"))
     assert cause.variants(Scene(dry, trial_scene().parts)) == []
@@ -426,7 +426,7 @@ def test_a_function_that_fails_on_a_record_is_a_fault_of_its_file(
         LibraryFault,
         match=r"own\.py: cause 'glowing': feature 'glow' fails: KeyError: .*no rain",
     ):
-        run(wider, dry)
+        prepare_run(wider, dry)
     text = "C = hygrokf.Cause('odd', 'a', 'b', 'c', lambda s: [hygrokf.Variant('odd', 'f', " \
         "{'thermal': (('oven', {}),)})] if 'rain' in s.record else s.none, mechanisms={'oven': " \
         "made(lambda p, x, u, q: {'heat_release': p.oven_heat}, ('oven_heat',), 'oven', ())})"  # fmt: skip

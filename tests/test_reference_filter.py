@@ -11,13 +11,13 @@ from plants.as_record import to_record
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.reference_filter import reference_filter
 from hygrokf.modelling.design import design
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 
 
 def case(kind: str, count: int, rate_step: float | None) -> tuple[Likelihood, dict[str, float]]:
     record = to_record(plant(11, days=6))
     made = design(record, kind=kind)
-    line = run(made, record).timeline.window(0, count)
+    line = prepare_run(made, record).timeline.window(0, count)
     y = line.y.copy()
     y[np.random.default_rng(3).random(y.shape) < 0.2] = np.nan
     values = {p.name: p.start for p in made.model.parameters}

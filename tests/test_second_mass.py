@@ -13,7 +13,7 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import maximise
 from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.modelling.design import design, extended
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.mechanisms import wall_thermal_mass
 from hygrokf.physics.model import extend
 
@@ -25,7 +25,7 @@ def criterion_gain(seed: int, wall: bool) -> float:
     """BIC of the paper's model minus that with a second mass, on one plant: above 0 the second mass is worth having."""
     record = to_record(plant(seed, days=DAYS, wall=wall))
     base = design(record, kind="thermal", heat_start=heat_release_regression(record).start())
-    made = run(base, record)
+    made = prepare_run(base, record)
     plain = maximise(Likelihood(base.model, made.timeline), count=1)
     wider = Likelihood(extended(base, [("wall_thermal_mass", {})]).model, made.timeline)
     starts = {p.name: p.start for p in wider.model.parameters} | plain.values | {"wall_conductance": 0.05}
@@ -58,7 +58,7 @@ def test_a_second_mass_in_forty_plants() -> None:
 def test_without_conductance_the_network_is_the_papers() -> None:
     record = to_record(plant(610, days=10.0))
     base = design(record, kind="thermal")
-    made = run(base, record)
+    made = prepare_run(base, record)
     values = {p.name: p.start for p in base.model.parameters}
     wider = extend(base.model, wall_thermal_mass())
     nested = values | {"wall_conductance": 0.0, "wall_time_constant": 10.0, "wall_position": 0.5}
@@ -74,7 +74,7 @@ def test_the_second_mass_leaves_steady_states_alone_and_adds_a_pole() -> None:
     model = extend(base.model, wall_thermal_mass())
     p = {q.name: q.start for q in model.parameters}
     p |= {"wall_conductance": 0.5, "wall_time_constant": 10.0, "resistance_ratio": 0.8, "wall_position": 1.0}
-    likelihood = Likelihood(model, run(base, record).timeline)
+    likelihood = Likelihood(model, prepare_run(base, record).timeline)
     u = likelihood.first_inputs()
     mean, _ = likelihood._stationary(p, np.array(model.initial(p, u)[0]))
     state = dict(zip(model.states, mean, strict=True))

@@ -20,14 +20,14 @@ from hygrokf.evaluation.simulation import (
     QUANTITIES,
     air_humidity,
     air_temperature,
-    forecasts,
-    free_run,
+    forecast,
     measured,
     predicted_readings,
     project,
+    simulate,
 )
 from hygrokf.modelling.design import Design, design
-from hygrokf.modelling.inputs import Run, run
+from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.psychrometrics import absolute_humidity, relative_humidity
 
 EXACT = {"sensor_errors": "none", "missing": 0.0, "ambient_humidity": "absolute", "disturbance": "none"}
@@ -109,8 +109,8 @@ def test_free_run_is_the_plants_own_trajectory(exact):
     humidities are compared, the ambient one is read as such.
     """
     made, record, base, values = exact
-    driven = run(base, record)
-    found = free_run(base, values, driven)
+    driven = prepare_run(base, record)
+    found = simulate(base, values, driven)
     truth = undisturbed(made)
     seconds = driven.timeline.origin_s + 3600.0 * driven.timeline.time
     settled = driven.timeline.time > 24.0
@@ -126,10 +126,10 @@ def test_free_run_is_the_plants_own_trajectory(exact):
 def test_free_run_is_the_differential_equation(noisy):
     """Against scipy's integrator from the same start, over 60 h of odd clocks, equations (2) to (5) written here."""
     record, base = noisy
-    driven = run(base, record)
+    driven = prepare_run(base, record)
     t = driven.timeline
     values = parameters(base)
-    found = free_run(base, values, driven)
+    found = simulate(base, values, driven)
     last = int(np.searchsorted(t.time, 60.0))
     reference = dict(base.mechanisms)["heat_release"]["reference_K"]
     u = {name: t.input(name) for name in base.model.inputs}
@@ -172,23 +172,23 @@ def test_free_run_is_the_differential_equation(noisy):
 
 def test_free_run_looks_at_no_reading(noisy):
     record, base = noisy
-    driven = run(base, record)
+    driven = prepare_run(base, record)
     other = replace(driven, timeline=driven.timeline.with_readings(driven.timeline.y + 3.0))
     for quantity in QUANTITIES:
-        a, b = (free_run(base, parameters(base), one).of(quantity) for one in (driven, other))
+        a, b = (simulate(base, parameters(base), one).of(quantity) for one in (driven, other))
         assert_allclose(a, b, rtol=0, atol=0)
 
 
 def test_quantities_that_a_model_lacks_are_none(noisy):
     record, _ = noisy
     thermal = design(record, kind="thermal")
-    found = free_run(thermal, parameters(thermal), run(thermal, record))
+    found = simulate(thermal, parameters(thermal), prepare_run(thermal, record))
     assert found.of("relative_humidity") is None
     assert found.of("absolute_humidity_g_m3") is None
     assert found.of("temperature_K") is found.temperature
     cascade = design(record, kind="cascade")
-    driven = run(cascade, record)
-    found = free_run(cascade, parameters(cascade), driven)
+    driven = prepare_run(cascade, record)
+    found = simulate(cascade, parameters(cascade), driven)
     assert found.temperature is None
     warm = driven.timeline.input("cabinet_temperature")
     assert_allclose(found.absolute_humidity[0], 1e3 * absolute_humidity(found.relative_humidity[0], warm))
@@ -206,11 +206,11 @@ def test_absolute_humidity_may_be_what_is_read(noisy):
     )
     other = replace(record, series=(*(s for s in record.series if s.signal != moist.signal), grams))
     base = design(other)
-    driven = run(base, other)
-    found = free_run(base, parameters(base), driven)
+    driven = prepare_run(base, other)
+    found = simulate(base, parameters(base), driven)
     assert found.relative_humidity is None
-    usual = free_run(noisy[1], parameters(noisy[1]), run(noisy[1], record))
-    at = np.isin(driven.timeline.time, run(noisy[1], record).timeline.time)
+    usual = simulate(noisy[1], parameters(noisy[1]), prepare_run(noisy[1], record))
+    at = np.isin(driven.timeline.time, prepare_run(noisy[1], record).timeline.time)
     assert at.all()
     assert_allclose(found.absolute_humidity[0], usual.absolute_humidity[0], atol=2e-3)
 
@@ -229,9 +229,9 @@ def test_readings_of_means_are_the_integrals_of_the_instants():
     record = to_record(plant(23, days=8, logger_mean=True, missing=0.3))
     base = design(record)
     assert base.averaged
-    driven = run(base, record)
+    driven = prepare_run(base, record)
     values = parameters(base)
-    found = free_run(base, values, driven)
+    found = simulate(base, values, driven)
     seconds = driven.timeline.origin_s + 3600.0 * driven.timeline.time
 
     # the same cabinet read each half minute as instants
@@ -242,8 +242,8 @@ def test_readings_of_means_are_the_integrals_of_the_instants():
     ]
     fine_record = record.replace_series(*fine_series)
     fine = replace(base, averaged={})
-    fine_run = run(fine, fine_record)
-    course = free_run(fine, values, fine_run)
+    fine_run = prepare_run(fine, fine_record)
+    course = simulate(fine, values, fine_run)
     fine_seconds = fine_run.timeline.origin_s + 3600.0 * fine_run.timeline.time
     for name, quantity, tolerance in (
         ("cabinet_temperature", "temperature_K", 2e-3),
@@ -341,7 +341,7 @@ def test_free_run_bands_hold_on_the_model_itself():
     )
     grams = 1e3 * absolute_humidity(humidity, warm)
 
-    found = free_run(base, values, driven, (names, covariance))
+    found = simulate(base, values, driven, (names, covariance))
     low, high = binom.ppf([0.0005, 0.9995], count, 0.95)
     for quantity, reading in zip(QUANTITIES, (warm, humidity, grams), strict=True):
         value, sd = (part[-1] for part in found.of(quantity))
@@ -349,7 +349,7 @@ def test_free_run_bands_hold_on_the_model_itself():
         assert low <= inside <= high, quantity
         assert np.std(reading - value) == pytest.approx(sd, rel=0.12), quantity
     # the parameters' share is no decoration: without it the temperature's band is too narrow
-    bare = free_run(base, values, driven)
+    bare = simulate(base, values, driven)
     assert bare.temperature[1][-1] < 0.95 * found.temperature[1][-1]
 
 
@@ -378,7 +378,7 @@ def constant_timeline(base: Design, hours: float):
 def test_parameters_spread_is_that_of_slightly_different_parameters(noisy):
     """J V J' against the spread over 200 free runs with drawn parameters (small, so that first order is all)."""
     record, base = noisy
-    driven = run(base, record.window(record.start_s, record.start_s + 3 * 86400.0))
+    driven = prepare_run(base, record.window(record.start_s, record.start_s + 3 * 86400.0))
     values = parameters(base)
     names = ("thermal_time_constant", "heat_release_power_1", "hygric_k", "cabinet_relative_humidity_bias")
     sd = np.array([0.02, 0.1, 0.005, 0.002])
@@ -388,10 +388,10 @@ def test_parameters_spread_is_that_of_slightly_different_parameters(noisy):
     random = np.random.default_rng(41)
     drawn = random.multivariate_normal(np.zeros(4), matrix, 200)
     runs = [
-        free_run(base, values | {n: values[n] + s for n, s in zip(names, shift, strict=True)}, driven)
+        simulate(base, values | {n: values[n] + s for n, s in zip(names, shift, strict=True)}, driven)
         for shift in drawn
     ]
-    plain, wide = free_run(base, values, driven), free_run(base, values, driven, (names, matrix))
+    plain, wide = simulate(base, values, driven), simulate(base, values, driven, (names, matrix))
     for quantity in QUANTITIES:
         spread = np.std([one.of(quantity)[0] for one in runs], axis=0)
         extra = np.sqrt(np.maximum(wide.of(quantity)[1] ** 2 - plain.of(quantity)[1] ** 2, 0.0))
@@ -406,11 +406,11 @@ def test_parameters_spread_is_that_of_slightly_different_parameters(noisy):
 
 def test_a_forecast_is_the_filter_with_its_later_readings_hidden(noisy):
     record, base = noisy
-    driven = run(base, record)
+    driven = prepare_run(base, record)
     t = driven.timeline
     values = parameters(base)
     first = int(np.searchsorted(t.time, 200.0))
-    found = forecasts(base, values, driven, first, leads_h=(1.0, 6.0), count=40)
+    found = forecast(base, values, driven, first, leads_h=(1.0, 6.0), count=40)
     seen = np.isfinite(t.y).any(axis=1) & driven.scored
     starts = np.flatnonzero(seen)
     starts = starts[starts >= first]
@@ -441,16 +441,16 @@ def test_a_forecast_is_the_filter_with_its_later_readings_hidden(noisy):
 
 def test_too_few_readings_give_no_forecast(noisy):
     record, base = noisy
-    driven = run(base, record)
-    assert forecasts(base, parameters(base), driven, len(driven.timeline) - 9) == {}
+    driven = prepare_run(base, record)
+    assert forecast(base, parameters(base), driven, len(driven.timeline) - 9) == {}
 
 
 def test_forecasts_leave_unscored_stretches_out(noisy):
     record, base = noisy
-    driven = run(base, record.window(record.start_s, record.start_s + 4 * 86400.0))
+    driven = prepare_run(base, record.window(record.start_s, record.start_s + 4 * 86400.0))
     scored = driven.timeline.time < 60.0
-    found = forecasts(base, parameters(base), replace(driven, scored=scored), 0, (1.0,), 10_000)
-    usual = forecasts(base, parameters(base), driven, 0, (1.0,), 10_000)
+    found = forecast(base, parameters(base), replace(driven, scored=scored), 0, (1.0,), 10_000)
+    usual = forecast(base, parameters(base), driven, 0, (1.0,), 10_000)
     share = len(found[1.0]["temperature_K"][0]) / len(usual[1.0]["temperature_K"][0])
     assert share == pytest.approx(60.0 / driven.timeline.time[-1], abs=0.02)
 
@@ -460,7 +460,7 @@ def test_forecasts_leave_unscored_stretches_out(noisy):
 
 def test_projections_have_the_slopes_of_finite_differences(noisy):
     record, base = noisy
-    driven = run(base, record.window(record.start_s, record.start_s + 86400.0))
+    driven = prepare_run(base, record.window(record.start_s, record.start_s + 86400.0))
     values = parameters(base)
     trace = Likelihood(base.model, driven.timeline).trace(values)
     for function in (air_temperature, air_humidity):
@@ -492,7 +492,7 @@ def test_measured_absolute_humidity_uses_a_temperature_no_further_than_half_an_h
     value[single] = np.nan
     holed = record.replace_series(replace(warm, value=value))
     base = design(holed)
-    driven = run(base, holed)
+    driven = prepare_run(base, holed)
     found = measured(driven)
     seconds = driven.timeline.origin_s + 3600.0 * driven.timeline.time
     amid = (seconds > record.start_s + 20.6 * 3600) & (seconds < record.start_s + 24.4 * 3600)
@@ -512,7 +512,7 @@ def test_measured_absolute_humidity_uses_a_temperature_no_further_than_half_an_h
 def test_predictions_start_from_any_state(noisy):
     """A prediction from a given Gaussian begins there: the checkpoint of a filter."""
     record, base = noisy
-    driven = run(base, record)
+    driven = prepare_run(base, record)
     values = parameters(base)
     trace = Likelihood(base.model, driven.timeline).trace(values)
     part = driven.timeline.window(501, 700)
@@ -527,7 +527,7 @@ def test_records_without_readings_are_predicted_all_the_same(noisy):
     alone = Record(
         "drivers", tuple(s for s in record.series if not s.signal.startswith("cabinet")), rated_power_W=2e6
     )
-    driven = run(base, alone)
-    found = free_run(base, parameters(base), driven)
+    driven = prepare_run(base, alone)
+    found = simulate(base, parameters(base), driven)
     assert np.isfinite(found.temperature[0]).all()
     assert np.isnan(measured(driven)["temperature_K"]).all()

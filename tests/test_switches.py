@@ -12,9 +12,9 @@ from plants.plant import plant
 from hygrokf.data.record import Record, Series
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.evaluation.self_switching import DECIDE_H, self_switched, switches_of
-from hygrokf.evaluation.simulation import forecasts, free_run
+from hygrokf.evaluation.simulation import forecast, simulate
 from hygrokf.modelling.design import Design, design, extended, merged
-from hygrokf.modelling.inputs import Run, run
+from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.switches import Switch, Throttle, cooling_stage, drier, heater, two_point
 
 HOUR = 3600.0
@@ -116,9 +116,9 @@ def test_a_simulation_drives_its_own_thermostat() -> None:
     """
     record = weather()
     base, values = heated(record)
-    made = run(base, record)
+    made = prepare_run(base, record)
     assert made.timeline.input("heating").max() == 0.0
-    found = free_run(base, values, made).temperature[0]
+    found = simulate(base, values, made).temperature[0]
     own = self_switched(base, values, [made])[0]
     duty = own.timeline.input("heating")
     idle = ~made.operating
@@ -132,7 +132,7 @@ def test_a_simulation_drives_its_own_thermostat() -> None:
     # what is fed back is the course, and the simulation with it has the thermostat's temperatures at the steps
     again = self_switched(base, values, [own])[0]
     np.testing.assert_array_equal(again.timeline.input("heating"), duty)
-    without = free_run(base, {**values, "heater_heat": 0.0}, made).temperature[0]
+    without = simulate(base, {**values, "heater_heat": 0.0}, made).temperature[0]
     assert without[late].min() < 281.0
 
 
@@ -140,13 +140,13 @@ def test_readings_of_the_cabinet_change_nothing_in_a_simulation() -> None:
     """A record without the cabinet gives the same course, and so do readings that would have switched otherwise."""
     record, blind = weather(), weather(cabinet=False)
     base, values = heated(record)
-    with_readings = free_run(base, values, run(base, record)).temperature[0]
-    without = free_run(base, values, run(base, blind)).temperature[0]
+    with_readings = simulate(base, values, prepare_run(base, record)).temperature[0]
+    without = simulate(base, values, prepare_run(base, blind)).temperature[0]
     np.testing.assert_allclose(with_readings, without, atol=1e-9)
     cold = record.replace_series(
         replace(record["cabinet_temperature"], value=np.full(len(record["cabinet_temperature"].time), 270.0))
     )
-    np.testing.assert_allclose(free_run(base, values, run(base, cold)).temperature[0], without, atol=1e-9)
+    np.testing.assert_allclose(simulate(base, values, prepare_run(base, cold)).temperature[0], without, atol=1e-9)
 
 
 def test_a_record_that_lacks_the_reading_alone_is_told() -> None:
@@ -157,14 +157,14 @@ def test_a_record_that_lacks_the_reading_alone_is_told() -> None:
         series=(*weather(cabinet=False).series, replace(record["cabinet_temperature"], signal="cabinet_relative_humidity", value=np.full(len(record["cabinet_temperature"].time), 0.5))),
     )  # fmt: skip
     with pytest.raises(ValueError, match="switches by cabinet_temperature, which the record does not have"):
-        run(base, moist)
+        prepare_run(base, moist)
 
 
 def test_runs_side_by_side_are_each_their_own() -> None:
     """Windows of different lengths, begun from states of their own, as one by one."""
     record = weather()
     base, values = heated(record)
-    made = run(base, record)
+    made = prepare_run(base, record)
     t = made.timeline
     trace = Likelihood(base.model, t).trace(values)
     pieces, states = [], []
@@ -185,20 +185,20 @@ def test_forecasts_do_not_know_the_readings_that_come() -> None:
     """Readings after the start of a forecast change what it is compared with, and not the forecast."""
     record = weather()
     base, values = heated(record)
-    made = run(base, record)
+    made = prepare_run(base, record)
     middle = len(made.timeline) // 3
     late = made.timeline.time > made.timeline.time[middle] + 1e-6
     hot = made.timeline.u.copy()
     hot[1:, made.timeline.varying.index("heating")][late] = 1.0
     other = replace(made, timeline=replace(made.timeline, u=hot))
-    plain, told = (forecasts(base, values, one, middle, (1.0,), count=1) for one in (made, other))
+    plain, told = (forecast(base, values, one, middle, (1.0,), count=1) for one in (made, other))
     assert plain[1.0]["temperature_K"][1] == pytest.approx(told[1.0]["temperature_K"][1], abs=1e-12)
 
 
 def test_a_model_without_switches_is_left_alone() -> None:
     record = to_record(plant(77, days=8.0))
     base = design(record, kind="thermal")
-    made = run(base, record)
+    made = prepare_run(base, record)
     assert self_switched(base, {}, [made]) == [made] and not switches_of(base)
 
 
@@ -215,8 +215,8 @@ def test_a_switch_whose_reading_the_model_does_not_foretell_stays_with_the_readi
 def test_steps_between_decisions_are_bounded() -> None:
     record = weather(step=3600.0)
     base, values = heated(record)
-    coarse = free_run(base, values, run(base, record)).temperature[0]
-    fine = free_run(base, values, run(base, weather())).temperature[0][::6]
+    coarse = simulate(base, values, prepare_run(base, record)).temperature[0]
+    fine = simulate(base, values, prepare_run(base, weather())).temperature[0][::6]
     n = min(len(coarse), len(fine))
     idle = np.arange(n) < 95
     assert abs(np.mean((coarse[:n] - fine[:n])[idle])) < 0.3
@@ -244,13 +244,13 @@ def test_a_heater_in_any_state_holds_its_cabinet(proportional: bool) -> None:
         (("unreported_heater", {"flag": flag}),),
         features=features,
     )
-    made = run(wider, record)
+    made = prepare_run(wider, record)
     own = self_switched(wider, values, [made])[0]
     duty = own.timeline.input(flag)
     late = made.timeline.time > 24.0
     assert duty[late & made.operating].mean() > 0.02 and 0.0 <= duty.min() <= duty.max() <= 1.0
-    found = free_run(wider, values, made).temperature[0]
-    cold = free_run(wider, {**values, "heater_heat": 0.0}, made).temperature[0]
+    found = simulate(wider, values, made).temperature[0]
+    cold = simulate(wider, {**values, "heater_heat": 0.0}, made).temperature[0]
     assert found[late].min() > cold[late].min() + 2.0
     if proportional:
         inside = late & (duty > 0.05) & (duty < 0.95)

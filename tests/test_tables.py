@@ -15,13 +15,13 @@ import pytest
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.data.record import Record, Series
-from hygrokf.evaluation.simulation import Prediction, free_run
+from hygrokf.evaluation.simulation import Prediction, simulate
 from hygrokf.identification import tables
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.results import dump
-from hygrokf.identification.tables import evaluation, evaluation_text, simulation_csv, simulation_summary
+from hygrokf.identification.tables import evaluate, evaluation_text, simulation_csv, simulation_summary
 from hygrokf.modelling.design import design
-from hygrokf.modelling.inputs import Run, run
+from hygrokf.modelling.inputs import Run, prepare_run
 
 HOUR = 3600.0
 DAY = 86400.0
@@ -91,7 +91,7 @@ def text(fit, record) -> str:
 
 @pytest.fixture(scope="module")
 def found(fit, record) -> dict:
-    return evaluation(fit, record)
+    return evaluate(fit, record)
 
 
 # --- the simulation file ---------------------------------------------------------------------
@@ -105,8 +105,8 @@ def test_the_file_is_the_free_run_in_everyday_units(fit, record, text):
         *(f"cabinet_{name}{end}" for name in names for end in ("", "_sd")),
         "inputs_known",
     ]
-    whole = run(fit.design, record)
-    ran = free_run(fit.design, fit.values, whole, fit.covariance)
+    whole = prepare_run(fit.design, record)
+    ran = simulate(fit.design, fit.values, whole, fit.covariance)
     np.testing.assert_allclose(times, whole.timeline.origin_s + HOUR * whole.timeline.time, atol=1e-3)
     columns = [
         ran.temperature[0] - 273.15,
@@ -131,7 +131,7 @@ def test_parameters_that_are_less_sure_widen_the_bands(fit, record, text):
     _, _, wider = parsed(simulation_csv(replace(fit, results=spread(9.0)), record))
     _, _, cells = parsed(text)
     np.testing.assert_array_equal(wider[:, 0], cells[:, 0])
-    idle = ~run(fit.design, record).operating
+    idle = ~prepare_run(fit.design, record).operating
     assert np.mean(wider[idle, 1] > cells[idle, 1] + 0.3) > 0.7
     assert np.all(wider[:, 1] >= cells[:, 1])
 
@@ -291,7 +291,7 @@ def test_what_fit_and_record_do_not_share_is_said(fit, record):
     idle = without(record, "preheating")
     (sentence,) = simulation_summary(fit, idle)["statements"]
     assert sentence == "the fit knows pre-heating, the record brings none: it is taken as off throughout"
-    assert f"note: {sentence}" in evaluation_text(evaluation(fit, idle))
+    assert f"note: {sentence}" in evaluation_text(evaluate(fit, idle))
     (sentence,) = simulation_summary(made(idle), record)["statements"]
     assert sentence.startswith("the record brings pre-heating, which the fit does not know")
 
@@ -381,7 +381,7 @@ def test_the_text_shows_every_score_under_its_label(found):
 
 
 def test_a_record_without_a_validation_period_has_one_block(fit, record):
-    lines = evaluation_text(evaluation(fit, replace(record, until_s=None))).splitlines()
+    lines = evaluation_text(evaluate(fit, replace(record, until_s=None))).splitlines()
     assert "identification" in lines
     assert "validation" not in lines
     assert "coverage of the 95 % bands" in lines
@@ -389,7 +389,7 @@ def test_a_record_without_a_validation_period_has_one_block(fit, record):
 
 def test_a_thermal_fit_scores_the_temperature_alone(record):
     dry = without(record, "cabinet_relative_humidity", "ambient_relative_humidity")
-    found = evaluation(made(dry), dry)
+    found = evaluate(made(dry), dry)
     assert found["rmse"]["validation"]["temperature_K"]["total"] > 0
     assert found["rmse"]["validation"]["absolute_humidity_g_m3"]["total"] is None
     assert set(found["baselines"]["validation"]) == {"no_dynamics"}
@@ -413,7 +413,7 @@ def test_a_thermal_fit_scores_the_temperature_alone(record):
 )
 def test_nothing_to_score_is_said_with_its_reasons(fit, record, change):
     changed = change(record)
-    shown = evaluation_text(evaluation(fit, changed))
+    shown = evaluation_text(evaluate(fit, changed))
     assert shown.startswith(
         "made on synthetic-turbine-4: root mean squared error of the free run\n\nnothing to score"
     )

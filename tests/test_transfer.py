@@ -16,12 +16,12 @@ from plants.plant import plant
 from transfer_pairs import Pair, changed, pair, record_of
 
 from hygrokf.data.record import Record
-from hygrokf.evaluation.simulation import free_run
+from hygrokf.evaluation.simulation import simulate
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import identify
 from hygrokf.identification.results import read_fit, write_fit
-from hygrokf.identification.tables import evaluation
-from hygrokf.identification.turbine_type import pooled
+from hygrokf.identification.tables import evaluate
+from hygrokf.identification.turbine_type import pool_types
 from hygrokf.report.transfer_page import folders, rewrite_transfer, transfer_text, write_transfer
 from hygrokf.transfer.groups import HEAT, HYGRIC, THERMAL
 from hygrokf.transfer.procedure import Transfer, transfer_fit, transfer_json
@@ -75,7 +75,7 @@ def test_re_estimating_gains_where_something_differs(other: Transfer) -> None:
 def test_as_it_is_is_what_evaluate_says(origin: Fit, other: Transfer) -> None:
     """The same free run as `hygrokf evaluate`, on the instants that all columns score."""
     record = sister((HEAT,))
-    theirs = evaluation(origin, record)["rmse"]["validation"]["temperature_K"]
+    theirs = evaluate(origin, record)["rmse"]["validation"]["temperature_K"]
     ours = other.results["rmse"]["temperature_K"]["as_is"]
     assert ours["n"]["total"] == theirs["n"]["total"] and ours["total"] == pytest.approx(
         theirs["total"], rel=1e-9
@@ -104,7 +104,7 @@ def test_the_adapted_fit_keeps_what_travels_and_can_be_used(
 
 def test_a_type_takes_the_place_of_a_fit(origin: Fit, other: Transfer) -> None:
     third = identify(sister((), SEED + 2), starts=1, profiles=False)
-    made = pooled([origin, third, other.own])
+    made = pool_types([origin, third, other.own])
     found = transfer_fit(made, sister((), SEED + 3), fits=False)
     assert found.results["from"]["kind"] == "type" and found.verdict == "transfers"
     assert found.results["structure"] == {}  # a type has no record of its own to be compared with
@@ -187,7 +187,7 @@ def test_the_fits_own_record_and_a_types_own_turbine_are_told(origin: Fit) -> No
     made = replace(origin, results={**origin.results, "provenance": [["elsewhere/cabinet.csv", "a" * 64]]})
     statements = transfer_fit(made, record, fits=False).results["statements"]
     assert any("nothing is tried" in line for line in statements)
-    kind = pooled([replace(origin, name="one"), replace(origin, name=record.name)])
+    kind = pool_types([replace(origin, name="one"), replace(origin, name=record.name)])
     known = {name: row for name, row in kind.parameters.items() if name != "hygric_k"}
     found = transfer_fit(replace(kind, parameters=known), record, fits=False).results
     assert any(f"made of {record.name} among others" in line for line in found["statements"])
@@ -209,7 +209,7 @@ def test_a_plant_that_the_model_cannot_describe_does_not_transfer(origin: Fit) -
 
 
 def test_results_page_and_text(other: Transfer, origin: Fit, tmp_path: Path) -> None:
-    kind = pooled([origin, replace(other.own, name="other")])
+    kind = pool_types([origin, replace(other.own, name="other")])
     page = write_transfer([other], tmp_path, kind)
     text = page.read_text(encoding="utf-8")
     assert "Transfers after re-estimating heat release." in text and "The type of turbine" in text
@@ -236,11 +236,11 @@ def test_the_free_run_of_all_sets_is_in_the_series(other: Transfer) -> None:
     assert np.sqrt(np.mean(error**2)) == pytest.approx(
         other.results["rmse"]["temperature_K"]["re_estimated"]["total"]
     )
-    from hygrokf.modelling.inputs import run
+    from hygrokf.modelling.inputs import prepare_run
 
     record = sister((HEAT,))
-    again = free_run(
-        other.adapted.design, other.adapted.values, run(other.adapted.design, record)
+    again = simulate(
+        other.adapted.design, other.adapted.values, prepare_run(other.adapted.design, record)
     ).temperature[0]
     np.testing.assert_allclose(again, s["temperature_K_re_estimated"], rtol=1e-9)
 

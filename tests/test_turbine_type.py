@@ -16,7 +16,7 @@ from hygrokf.identification.turbine_type import (
     TurbineType,
     TypeFault,
     is_type,
-    pooled,
+    pool_types,
     random_effects,
     read_type,
     restricted_maximum_likelihood,
@@ -80,7 +80,7 @@ def test_bounds_of_type_and_prediction_of_the_next_turbine_hold(turbines: int, s
         random = np.random.default_rng([61, turbines, seed])
         v = random.uniform(0.03, 0.06, turbines) ** 2
         own = spread * random.standard_normal(turbines + 1)
-        made = pooled(
+        made = pool_types(
             [
                 fit_of(
                     f"t{i}", math.exp(own[i] + math.sqrt(v[i]) * random.standard_normal()), math.sqrt(v[i])
@@ -126,7 +126,7 @@ def test_levels_of_the_heat_release_are_brought_to_one_reference_and_scale() -> 
     again = {
         "heat_release_operation": (7.0, 0.1), "heat_release_operation_ambient": (-0.1, 1e-6), "heat_release_power_1": (9.0, 0.15)
     }  # fmt: skip
-    made = pooled([fit_of("a", 1.5, 0.03, **told), fit_of("b", 1.5, 0.03, other, **again)])
+    made = pool_types([fit_of("a", 1.5, 0.03, **told), fit_of("b", 1.5, 0.03, other, **again)])
     found = {name: p.mean for name, p in made.parameters.items()}
     assert found["heat_release_operation"] == pytest.approx(8.0, abs=1e-6)
     assert found["heat_release_power_1"] == pytest.approx(6.0)
@@ -139,28 +139,28 @@ def test_levels_of_the_heat_release_are_brought_to_one_reference_and_scale() -> 
 
 def test_offsets_of_loggers_are_no_part_of_a_type() -> None:
     more = {"cabinet_temperature_bias": (0.1, 0.1), "cabinet_temperature_noise": (0.05, 0.002)}
-    made = pooled([fit_of(name, 1.5, 0.03, **more) for name in "ab"])
+    made = pool_types([fit_of(name, 1.5, 0.03, **more) for name in "ab"])
     assert set(made.parameters) == {"thermal_time_constant"}
 
 
 def test_what_was_taken_over_from_another_turbine_is_not_counted_twice() -> None:
     fits = [fit_of("a", 1.5, 0.03), fit_of("b", 1.6, 0.03), fit_of("c", 1.5, 0.03)]
     results = {**fits[2].results, "parameters": {"thermal_time_constant": {"fixed": True}}}
-    made = pooled([*fits[:2], replace(fits[2], results=results)])
+    made = pool_types([*fits[:2], replace(fits[2], results=results)])
     assert made.parameters["thermal_time_constant"].turbines == 2
 
 
 def test_what_cannot_be_pooled_is_said() -> None:
     with pytest.raises(TypeFault, match="at least 2 turbines, found 1"):
-        pooled([fit_of("a", 1.5, 0.03)])
+        pool_types([fit_of("a", 1.5, 0.03)])
     with pytest.raises(TypeFault, match="several fits of a"):
-        pooled([fit_of("a", 1.5, 0.03)] * 2)
+        pool_types([fit_of("a", 1.5, 0.03)] * 2)
     with pytest.raises(TypeFault, match="found none"):
-        pooled([fit_of("a", 1.5, 5.0), fit_of("b", 1.5, 5.0)])
+        pool_types([fit_of("a", 1.5, 5.0), fit_of("b", 1.5, 5.0)])
 
 
 def test_a_type_is_read_again_as_it_was_written(tmp_path: Path) -> None:
-    made = pooled([fit_of("a", 1.4, 0.03), fit_of("b", 1.6, 0.04), fit_of("c", 1.5, 0.03)], "DFIG 2 MW")
+    made = pool_types([fit_of("a", 1.4, 0.03), fit_of("b", 1.6, 0.04), fit_of("c", 1.5, 0.03)], "DFIG 2 MW")
     path = write_type(made, tmp_path / "type.json")
     again = read_type(path)
     assert again == made and again.prior() == made.prior() and is_type(path)
@@ -178,7 +178,7 @@ def test_a_type_is_read_again_as_it_was_written(tmp_path: Path) -> None:
     "key, value", [("mean", "x"), ("mean", 1e9), ("next_sd", -1.0), ("se", None), ("upper", -99.0)]
 )
 def test_a_type_with_impossible_numbers_is_refused(tmp_path: Path, key: str, value: object) -> None:
-    data = pooled([fit_of("a", 1.4, 0.03), fit_of("b", 1.6, 0.04)]).to_json()
+    data = pool_types([fit_of("a", 1.4, 0.03), fit_of("b", 1.6, 0.04)]).to_json()
     data["type_parameters"]["thermal_time_constant"][key] = value
     path = tmp_path / "type.json"
     path.write_text(json.dumps(data))

@@ -27,8 +27,8 @@ from hygrokf.fleet.tasks import TASKS
 from hygrokf.fleet.text import fleet_text
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.results import dump
-from hygrokf.identification.tables import evaluation, evaluation_text, simulation_summary
-from hygrokf.identification.turbine_type import TypeFault, pooled
+from hygrokf.identification.tables import evaluate, evaluation_text, simulation_summary
+from hygrokf.identification.turbine_type import TypeFault, pool_types
 from hygrokf.identification.verdict import BELIEVE, CAUTION, REJECT, Reason, Verdict, inherited, verdicts
 from hygrokf.live.alarms import Level, resting_on
 from hygrokf.live.defaults import usual_config
@@ -41,7 +41,7 @@ from hygrokf.report.comparison_page import comparison_page
 from hygrokf.report.discovery_page import discovery_page
 from hygrokf.report.discovery_text import discovery_text, gain_sentence
 from hygrokf.report.transfer_page import transfer_page, transfer_text
-from hygrokf.transfer.comparison import column, compared, comparison_text
+from hygrokf.transfer.comparison import compare, comparison_column, comparison_text
 from hygrokf.transfer.procedure import transfer_fit, transfer_json
 
 WHY = "the free run would choose another number"
@@ -89,19 +89,19 @@ def test_simulate_and_evaluate(case: Path, record: Record, fit: Fit, tmp_path, c
     assert main(["simulate", str(file), str(case), "--out", str(tmp_path / "run.csv")]) == 0
     assert f"x {SAID}" in capsys.readouterr().out
     assert (tmp_path / "run.csv").read_text().startswith("time,")  # the file stays a plain table
-    for found in (simulation_summary(doubtful, record), evaluation(doubtful, record)):
+    for found in (simulation_summary(doubtful, record), evaluate(doubtful, record)):
         assert found["verdicts"] == inherited(doubtful.results)
         assert found["verdicts"]["thermal"]["reasons"] == [
             {"code": "criteria_disagree", "verdict": REJECT, "text": WHY, "apart": 3.0}
         ]
         assert json.loads(dump(found))["verdicts"]["hygric"]["verdict"] == BELIEVE
-    lines = evaluation_text(evaluation(doubtful, record)).splitlines()
+    lines = evaluation_text(evaluate(doubtful, record)).splitlines()
     assert lines[1] == f"x {SAID}" and lines[2].startswith("+ hygric time constant ")
 
 
 def test_compare(record: Record, fit: Fit) -> None:
-    columns = [column(fit, record, "one"), column(rejected(fit), record, "other")]
-    found = compared(columns).to_json()
+    columns = [comparison_column(fit, record, "one"), comparison_column(rejected(fit), record, "other")]
+    found = compare(columns).to_json()
     assert [one["verdicts"] for one in found["columns"]] == [
         inherited(fit.results),
         inherited(rejected(fit).results),
@@ -137,13 +137,13 @@ def test_a_type_is_made_of_numbers_that_can_be_believed(fit: Fit) -> None:
     good = replace(rejected(fit), name="a")
     good.results["time_constants"]["thermal"] |= Verdict().to_json()
     second, third = (replace(good, name=name) for name in "bc")
-    assert "thermal_time_constant" in pooled([good, second, third]).parameters
+    assert "thermal_time_constant" in pool_types([good, second, third]).parameters
     doubtful = [replace(rejected(fit), name=name) for name in "bc"]
-    assert "thermal_time_constant" not in pooled([good, *doubtful]).parameters
-    assert pooled([good, second, doubtful[1]]).parameters["thermal_time_constant"].turbines == 2
-    assert pooled([good, *doubtful]).parameters["hygric_k"].turbines == 3
+    assert "thermal_time_constant" not in pool_types([good, *doubtful]).parameters
+    assert pool_types([good, second, doubtful[1]]).parameters["thermal_time_constant"].turbines == 2
+    assert pool_types([good, *doubtful]).parameters["hygric_k"].turbines == 3
     with pytest.raises(TypeFault):
-        pooled([good])
+        pool_types([good])
 
 
 @pytest.fixture(scope="module")
@@ -266,9 +266,9 @@ def test_an_alarm_that_rests_on_a_rejected_number_says_so(fit: Fit) -> None:
 
 
 def test_the_same_period_has_the_same_error_everywhere(record: Record, fit: Fit) -> None:
-    assert evaluation(fit, record)["rmse"] == fit.results["rmse"]
-    assert evaluation(fit, record)["baselines"] == fit.results["baselines"]
-    (first, _) = compared([column(fit, record, "a"), column(fit, record, "b")]).to_json()["columns"]
+    assert evaluate(fit, record)["rmse"] == fit.results["rmse"]
+    assert evaluate(fit, record)["baselines"] == fit.results["baselines"]
+    (first, _) = compare([comparison_column(fit, record, "a"), comparison_column(fit, record, "b")]).to_json()["columns"]
     for period in ("identification", "validation"):
         for quantity, known in fit.results["rmse"][period].items():
             for regime in ("operation", "standstill", "total"):

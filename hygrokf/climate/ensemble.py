@@ -23,7 +23,7 @@ from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.evaluation.self_switching import Switchboard, all_on, cut, switches_of
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import read_as
-from hygrokf.modelling.inputs import Run, run
+from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.cold_surface import Surface, condenses
 from hygrokf.physics.model import Model
 from hygrokf.physics.psychrometrics import (
@@ -85,7 +85,7 @@ def part_text(known: float, covered: float | None = None) -> str:
 
 def course(fit: Fit, record: Record) -> Run:
     """The instants of weather and power for a fit's model; raises ValueError where they do not suffice."""
-    return run(read_as(fit.design, record), record)
+    return prepare_run(read_as(fit.design, record), record)
 
 
 def shots_of(fit: Fit, record: Record) -> tuple[Shots, ...]:

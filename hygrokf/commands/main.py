@@ -401,12 +401,12 @@ def _simulate(options: argparse.Namespace) -> int:
 
 
 def _evaluate(options: argparse.Namespace) -> int:
-    from hygrokf.identification.tables import evaluation, evaluation_text
+    from hygrokf.identification.tables import evaluate, evaluation_text
 
     fit = _stored(options)
     record = _record(options.case)
     try:
-        found = evaluation(fit, record)
+        found = evaluate(fit, record)
     except ValueError as fault:
         raise UserFault(f"{options.case}: {fault}") from fault
     _print(found, evaluation_text(found), options.json)

@@ -92,7 +92,7 @@ def run_compare(
 ) -> tuple[Path, dict, str]:
     """Do `hygrokf compare`: the page, its data, and the text for the terminal."""
     from hygrokf.report.comparison_page import write_comparison
-    from hygrokf.transfer.comparison import column, compared, comparison_text
+    from hygrokf.transfer.comparison import compare, comparison_column, comparison_text
 
     expect_own_directory(options.out, COMPARISON)
     pairs = pairs_of(options.cases, options.fit)
@@ -112,13 +112,13 @@ def run_compare(
     columns, faults = [], []
     for label, (record, fit, case, path) in zip(labels, chosen, strict=True):
         try:
-            columns.append(column(fit, record, label, own=path is None))
+            columns.append(comparison_column(fit, record, label, own=path is None))
         except ValueError as fault:
             faults.append(f"{case}: {fault}")
     if faults:
         raise UserFault("\n".join(faults))
     try:
-        found = compared(columns)
+        found = compare(columns)
     except ValueError as fault:
         raise UserFault(str(fault)) from fault
     return write_comparison(found, options.out), found.to_json(), comparison_text(found.results)
@@ -126,7 +126,7 @@ def run_compare(
 
 def run_transfer(options: argparse.Namespace, record_of: Read, stored: Read) -> tuple[Path, dict, str]:
     """Do `hygrokf transfer`: the page, its data, and the text for the terminal."""
-    from hygrokf.identification.turbine_type import TypeFault, is_type, pooled, read_type
+    from hygrokf.identification.turbine_type import TypeFault, is_type, pool_types, read_type
     from hygrokf.report.transfer_page import transfer_text, write_transfer
     from hygrokf.transfer.procedure import transfer_fit, transfer_json
 
@@ -153,7 +153,7 @@ def run_transfer(options: argparse.Namespace, record_of: Read, stored: Read) -> 
     kind, unpooled = None, ""
     if len(fits) > 2:
         try:
-            kind = pooled(fits)
+            kind = pool_types(fits)
         except TypeFault as fault:
             unpooled = f"\n\nno type of turbine was made: {fault}"
     return (

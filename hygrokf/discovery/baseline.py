@@ -22,7 +22,7 @@ from hygrokf.evaluation.self_switching import self_switched, switches_of
 from hygrokf.identification.estimation import Estimated, Progress, estimated, formed, smoothed_temperature
 from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.modelling.design import CASCADE, Design, design, extended
-from hygrokf.modelling.inputs import Run, run
+from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.model import Model
 from hygrokf.physics.parameters import Coordinates
 from hygrokf.physics.psychrometrics import absolute_humidity
@@ -142,7 +142,7 @@ def redriven(scene: Scene) -> Scene:
         return scene
     part = scene.parts[HYGRIC]
     record = _driven(scene.parts[THERMAL], part.record, part.base.humidity)
-    part = climbed(replace(part, record=record, run=run(part.base, record)))
+    part = climbed(replace(part, record=record, run=prepare_run(part.base, record)))
     if part.objective <= scene.parts[HYGRIC].objective:
         return scene
     return replace(scene, parts={**scene.parts, HYGRIC: part})
@@ -191,7 +191,7 @@ def refitted(
     """The part with further mechanisms, all its parameters estimated again, the noise's too; the best of several starts."""
     wider = extended(part.base, additions, features=features)
     record = part.record if record is None else record
-    made = run(wider, record)
+    made = prepare_run(wider, record)
     likelihood = searching(wider.model, made.timeline)
     coordinates = Coordinates(wider.model.parameters)
     budget = budget or Budget()

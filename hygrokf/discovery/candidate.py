@@ -16,7 +16,7 @@ from hygrokf.discovery.clocks import HOUR_S, Shift, shifted, sources
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Trace
 from hygrokf.modelling.design import Design, extended
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.switches import SWITCHES
 
 MATERIAL = 0.05
@@ -286,7 +286,7 @@ def score_statistic(scene: Scene, variant: Variant) -> float | None:
             continue
         part = scene.parts[name]
         wider = extended(part.base, additions, features=variant.features)
-        likelihood = searching(wider.model, run(wider, part.record).timeline)
+        likelihood = searching(wider.model, prepare_run(wider, part.record).timeline)
         parameters = wider.model.parameters
         given = variant.starts[0] if variant.starts else {}
         at = {p.name: given.get(p.name, p.start) for p in parameters} | dict(part.values)
@@ -370,7 +370,7 @@ def _unestimated(scene: Scene, shift: Shift) -> float:
     """ln L with a shift at the scene's own values."""
     found = 0.0
     for part in scene.parts.values():
-        moved = run(part.base, shifted(part.record, shift)).timeline
+        moved = prepare_run(part.base, shifted(part.record, shift)).timeline
         found += searching(part.base.model, moved).value(part.values)
     return found
 
@@ -441,7 +441,7 @@ def shift_gains(part: Part, source: str, shifts: Sequence[float]) -> np.ndarray:
     result = []
     for seconds in shifts:
         record = shifted(part.record, Shift(source, float(seconds)))
-        t = run(part.base, record).timeline
+        t = prepare_run(part.base, record).timeline
         found = searching(model, t).trace(at)
         time, e, _ = _readings(t, found, None)
         moved = "cabinet_temperature" in sources(part.record).get(source, ())

@@ -20,9 +20,9 @@ from hygrokf.discovery.candidate import Trial, added, attempt, started
 from hygrokf.discovery.clocks import cabinet_moved, shifted
 from hygrokf.discovery.model_selection import WORSE, Choice, with_trial
 from hygrokf.evaluation.bootstrap import resampled
-from hygrokf.evaluation.simulation import QUANTITIES, free_run, measured
+from hygrokf.evaluation.simulation import QUANTITIES, measured, simulate
 from hygrokf.modelling.design import merged
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 
 DAY_S = 86400.0
 BLOCK_DAYS = 3.0
@@ -118,7 +118,7 @@ def model_of(scene: Scene, record: Record, trials: Sequence[Trial] = ()) -> Mode
     for shift in shifts:
         corrected = shifted(corrected, shift)
     design = merged([part.base for part in scene.parts.values()])
-    made = run(design, corrected)
+    made = prepare_run(design, corrected)
     seconds = made.timeline.origin_s + 3600.0 * made.timeline.time - cabinet_moved(record, shifts)
     readings = measured(made)
 
@@ -126,7 +126,7 @@ def model_of(scene: Scene, record: Record, trials: Sequence[Trial] = ()) -> Mode
         with np.errstate(
             invalid="ignore"
         ):  # far from the estimate the spread may be lost; it is not used here
-            found = free_run(design, values, made, rate_step=SIMULATION_STEP)
+            found = simulate(design, values, made, rate_step=SIMULATION_STEP)
         errors = {}
         for quantity in QUANTITIES:
             pair = found.of(quantity)

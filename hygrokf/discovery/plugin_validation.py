@@ -27,7 +27,7 @@ from hygrokf.errors import suggestion
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.modelling.derived_inputs import FEATURES, feature_faults
 from hygrokf.modelling.design import CASCADE, HOLDS, design, extended
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 from hygrokf.modelling.registry import name_faults
 from hygrokf.physics.holds import LINEAR, ZERO_ORDER
 from hygrokf.physics.mechanisms import FURTHER, LOGGED
@@ -76,7 +76,7 @@ def trial_scene() -> Scene:
     parts = {}
     for name, kind in ((THERMAL, THERMAL), (HYGRIC, CASCADE)):
         base = design(record, kind=kind)
-        made = run(base, record)
+        made = prepare_run(base, record)
         values = {p.name: p.start for p in base.model.parameters}
         parts[name] = Part(
             name=name, record=record, base=base, run=made, values=values,
@@ -228,7 +228,7 @@ def _nested(part: Part, pairs: tuple[tuple[str, dict], ...], features: Mapping[s
     own = {p.name: p for m in added for p in m.parameters}
     null = {name: value for m in added for name, value in m.null.items()}
     base = Likelihood(part.base.model, part.run.timeline)
-    made = run(wider, part.record).timeline
+    made = prepare_run(wider, part.record).timeline
     longer = Likelihood(wider.model, made)
     before = base.trace(part.values, gain=False).prediction
     scale = np.nanstd(before, axis=0)

@@ -23,7 +23,7 @@ from hygrokf.engine.parallel import mapped
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.modelling.derived_inputs import feature
 from hygrokf.modelling.design import extended
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.model import Mechanism, Model, compose
 
 
@@ -146,7 +146,7 @@ def _bench(
     nulls: Mapping | None,
 ) -> _Bench:
     wider = extended(part.base, [mechanism], features={name: dict(setting)})
-    t = run(wider, part.record).timeline
+    t = prepare_run(wider, part.record).timeline
     added = wider.model.mechanism(mechanism[0])
     model, parameters, names = _abreast(wider.model, added, parameter, name)
     column = t.u[:, t.varying.index(name)]
@@ -289,7 +289,7 @@ def _responses(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Standardised innovations, their slopes along a lasting effect, and their times [s], at the readings."""
     wider = extended(part.base, [(mechanism, {})], features={name: {"spans": [[-1e18, 1e18]]}})
-    made = run(wider, part.record)
+    made = prepare_run(wider, part.record)
     t = made.timeline
     at = {p.name: p.null if p.null is not None else p.start for p in wider.model.parameters}
     at |= dict(part.values)

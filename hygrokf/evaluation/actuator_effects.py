@@ -10,7 +10,7 @@ import numpy as np
 from hygrokf.data.actuators import Actuator, actuators
 from hygrokf.data.record import Record
 from hygrokf.estimation.confidence import normal_quantile
-from hygrokf.evaluation.simulation import QUANTITIES, free_run
+from hygrokf.evaluation.simulation import QUANTITIES, simulate
 from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run
 from hygrokf.physics.parameters import Parameter
@@ -64,7 +64,7 @@ def _effects(
 
     def means(at: Mapping[str, float]) -> dict[str, float]:
         """Mean of each quantity while it is on."""
-        run = free_run(design, {**values, **at}, made)
+        run = simulate(design, {**values, **at}, made)
         pairs = {name: run.of(name) for name in QUANTITIES}
         return {
             name: float(np.average(pair[0], weights=weight))

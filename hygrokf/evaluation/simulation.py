@@ -179,7 +179,7 @@ def _noise(design: Design, values: Mapping[str, float], run: Run, output: str) -
     return float(np.sqrt(model.evaluate(mean, u, values).outputs[output][1]))
 
 
-def free_run(
+def simulate(
     design: Design,
     values: Mapping[str, float],
     run: Run,
@@ -241,7 +241,7 @@ def _wider(pair: tuple | None, jacobian: np.ndarray | None, matrix: np.ndarray) 
     return pair[0], np.sqrt(pair[1] ** 2 + np.maximum(extra, 0.0))
 
 
-def forecasts(
+def forecast(
     design: Design,
     values: Mapping[str, float],
     run: Run,

@@ -19,7 +19,7 @@ from hygrokf.fleet.processes import cores, in_processes
 from hygrokf.fleet.table import CSV, PARQUET, table_csv, table_parquet
 from hygrokf.fleet.tasks import TASKS
 from hygrokf.identification.results import ResultFault, dump, read_fit
-from hygrokf.identification.turbine_type import TypeFault, pooled, write_type
+from hygrokf.identification.turbine_type import TypeFault, pool_types, write_type
 from hygrokf.version import __version__
 
 FEWEST_OF_A_TYPE = 3
@@ -133,7 +133,7 @@ def _type_of(plan: Plan, out: Path, rows: Sequence[Mapping]) -> dict:
     folders = {job.turbine: job.folder for job in plan.jobs(out)}
     try:
         fits = [replace(read_fit(folders[name]), name=name) for name in names if name not in odd]
-        kind = pooled(fits, plan.name)
+        kind = pool_types(fits, plan.name)
     except (TypeFault, ResultFault):  # fits that have nothing in common, or that someone has removed
         return {"type": None}
     write_type(kind, file)

@@ -245,10 +245,10 @@ def _evaluate(job: Job) -> dict:
     """Score a fitted model on a case, as `hygrokf evaluate` does."""
     from hygrokf.cases.case_file import read_case
     from hygrokf.identification.results import dump
-    from hygrokf.identification.tables import evaluation
+    from hygrokf.identification.tables import evaluate
 
     fit, record = _stored(job), read_case(job.case)
-    results = evaluation(fit, record)
+    results = evaluate(fit, record)
     write_text_whole(job.folder / "evaluation.json", dump(results))
     columns: dict[str, object] = {
         **_of_record(record),

@@ -23,7 +23,7 @@ from hygrokf.estimation.confidence import Uncertainty, positive_inverse
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate
 from hygrokf.modelling.design import HUMIDITIES, TEMPERATURE, Design
-from hygrokf.modelling.inputs import Run, run
+from hygrokf.modelling.inputs import Run, prepare_run
 
 ONE_SYSTEM_S = 30.0
 """[s] prior standard deviation of an offset between signals of one source: stamps are often full minutes."""
@@ -98,7 +98,7 @@ def clock_offsets(
     moved, names = [], []
     for name, group in groups.items():
         shifted = early.replace_series(*(replace(s, time=s.time - STEP_S) for s in group))
-        other = run(base, shifted)
+        other = prepare_run(base, shifted)
         there = _matched(made, other)
         if there is None:
             continue

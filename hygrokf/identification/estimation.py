@@ -32,7 +32,7 @@ from hygrokf.evaluation.simulation import air_temperature, project
 from hygrokf.identification.clock_offsets import NO_OFFSETS, ClockOffsets, clock_offsets
 from hygrokf.identification.forms import ADOPTED, Form, ended, weighed
 from hygrokf.modelling.design import CASCADE, Design, design, reading_step_h
-from hygrokf.modelling.inputs import Run, run
+from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.holds import LINEAR
 
 LEVEL = 0.95
@@ -101,7 +101,7 @@ def formed(early: Record, found: Estimated, say: Progress) -> tuple[Estimated, t
     chosen = next((form for form in forms if form.adoptable and form.weight > ADOPTED), None)
     if chosen is None:
         return found, forms
-    made = run(chosen.design, early)
+    made = prepare_run(chosen.design, early)
     estimate = maximise(Likelihood(chosen.design.model, made.timeline), chosen.estimate.values, count=1)
     least = least_objective(estimate.coordinates, (found.estimate,))
     last, further = formed(early, Estimated(chosen.design, made, refused_below(least, estimate)), say)
@@ -112,7 +112,7 @@ def formed(early: Record, found: Estimated, say: Progress) -> tuple[Estimated, t
 
 def estimated(early: Record, base: Design, starts: int, say: Progress) -> Estimated:
     """Maximum likelihood of one design."""
-    made = run(base, early)
+    made = prepare_run(base, early)
     likelihood = Likelihood(base.model, made.timeline)
     estimate = maximise(likelihood, count=starts, progress=say, search=_search(likelihood))
     return Estimated(base, made, estimate)
@@ -171,7 +171,7 @@ def _search(likelihood: Likelihood) -> Likelihood | None:
 def _moved(early: Record, old: Estimated, passes: int) -> dict[str, float]:
     """The estimate on a record that was changed a little, climbed from the old one."""
     estimate = old.estimate
-    likelihood = Likelihood(old.base.model, run(old.base, early).timeline, rate_step=old.rate_step)
+    likelihood = Likelihood(old.base.model, prepare_run(old.base, early).timeline, rate_step=old.rate_step)
     found = climb(Objective(likelihood, estimate.coordinates), estimate.z, passes=passes, tolerance=0.05)
     return estimate.coordinates.values(found.z)
 
@@ -230,7 +230,7 @@ def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> d
         fitted["hygric_k"] = _with_sensors_of(base, design(early, kind=CASCADE, coloured=False))
 
     def free(one: Design) -> OutputError:
-        return fit_output_error(Likelihood(one.model, run(one, early).timeline), plain(one))
+        return fit_output_error(Likelihood(one.model, prepare_run(one, early).timeline), plain(one))
 
     return dict(zip(fitted, mapped(free, fitted.values()), strict=True))
 

@@ -28,7 +28,7 @@ from hygrokf.estimation.confidence import block_h, long_run_variance, positive_i
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective, climb, estimate_of
 from hygrokf.modelling.design import TEMPERATURE, Design, extended
-from hygrokf.modelling.inputs import Run, run
+from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.mechanisms.thermal import STILL_K
 from hygrokf.physics.parameters import Coordinates
 
@@ -204,7 +204,7 @@ def weighed(
     short = None if scout is None else _Short.of(scout, estimate)
 
     def tried(one: Candidate) -> tuple[Form, float] | None:
-        timeline = run(one.design, early).timeline
+        timeline = prepare_run(one.design, early).timeline
         likelihood = Likelihood(one.design.model, timeline, rate_step=SEARCH_STEP)
         found = _fitted(one, likelihood, estimate, short)
         if found is None:

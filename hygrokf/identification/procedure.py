@@ -18,7 +18,7 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.output_error import OutputError
 from hygrokf.evaluation.actuator_effects import actuator_effects
 from hygrokf.evaluation.scoring import bands, baselines, readings_sd, scores, sensor_share
-from hygrokf.evaluation.simulation import free_run, measured
+from hygrokf.evaluation.simulation import measured, simulate
 from hygrokf.identification.estimation import (
     LEVEL,
     TIME_CONSTANTS,
@@ -35,7 +35,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.time_constants import by_simulation, hygric_entry, thermal_entry
 from hygrokf.identification.verdict import PARTS, with_verdicts
 from hygrokf.modelling.design import CASCADE, JOINT, Design, design, merged
-from hygrokf.modelling.inputs import IDENTIFIED_ON, Run, run
+from hygrokf.modelling.inputs import IDENTIFIED_ON, Run, prepare_run
 from hygrokf.physics.parameters import Parameter, Prior
 from hygrokf.version import __version__
 
@@ -203,9 +203,9 @@ def assembled(
         for stage in stages
         for p in stage.estimate.coordinates.parameters
     }
-    made = run(whole, record)
+    made = prepare_run(whole, record)
     spread = _covariance(stages, whole, simulated if criterion == "simulation" else {}, values)
-    predicted = free_run(whole, values, made, spread, rate_step)
+    predicted = simulate(whole, values, made, spread, rate_step)
     thermal = next((e for stage in stages if (e := thermal_entry(stage, simulated))), None)
     moist = next((e for stage in stages if (e := hygric_entry(stage, simulated))), None)
     if criterion == "simulation":

@@ -10,12 +10,12 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.evaluation.scoring import PERIODS, SCORED, bands, baselines, scores, sensor_share
-from hygrokf.evaluation.simulation import Prediction, free_run
+from hygrokf.evaluation.simulation import Prediction, simulate
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited, told
 from hygrokf.identification.wording import RULES
 from hygrokf.modelling.design import HUMIDITIES, Design, read_as
-from hygrokf.modelling.inputs import Run, run
+from hygrokf.modelling.inputs import Run, prepare_run
 
 COLUMNS = {
     "cabinet_temperature_degC": "temperature_K",
@@ -28,8 +28,8 @@ COLUMNS = {
 def simulated(fit: Fit, record: Record) -> tuple[Design, Run, Prediction]:
     """The fitted model driven by a record's inputs alone; its loggers may average otherwise than the fitted ones."""
     base = read_as(fit.design, record)
-    made = run(base, record)
-    return base, made, free_run(base, fit.values, made, fit.covariance)
+    made = prepare_run(base, record)
+    return base, made, simulate(base, fit.values, made, fit.covariance)
 
 
 def simulation_csv(fit: Fit, record: Record) -> str:
@@ -99,7 +99,7 @@ def _unknown_throughout(fit: Fit, record: Record, made: Run) -> list[str]:
     return [f"no row has all inputs known (inputs_known is 0 throughout): {lacking}"]
 
 
-def evaluation(fit: Fit, record: Record) -> dict:
+def evaluate(fit: Fit, record: Record) -> dict:
     """Scores, baselines, sensor share and band coverage of a fit on a record."""
     base, made, predicted = simulated(fit, record)
     table = scores(made, predicted, record.until_s)

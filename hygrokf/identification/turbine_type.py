@@ -150,7 +150,7 @@ class TurbineType:
         )
 
 
-def pooled(fits: Sequence[Fit], name: str = "") -> TurbineType:
+def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
     """The type of several turbines from their fits, each counted with its own covariance.
 
     The design is that of the first fit.  Parameters of loggers (offsets, noise of a reading) are left out, as are those

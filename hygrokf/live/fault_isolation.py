@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from hygrokf.data.record import Record
 from hygrokf.live.ceiling import filtered
 from hygrokf.live.plan import Plan
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 
 STATES = {
     "thermal_time_constant": (("log_thermal_change", (0.05, 0.2, 0.6)),),
@@ -59,7 +59,7 @@ def inquire(plan: Plan, record: Record) -> Iterator[Finding | None]:
 
     Raises ValueError where nothing can be filtered.
     """
-    t = run(plan.design, record).timeline
+    t = prepare_run(plan.design, record).timeline
     likelihood = plan.likelihood(t)
     still = {**plan.values, **_standing(plan)}
     base = filtered(likelihood, still).loglik

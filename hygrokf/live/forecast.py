@@ -26,7 +26,7 @@ from hygrokf.live.condition import (
 from hygrokf.live.plan import Plan
 from hygrokf.live.scenarios import Outlook
 from hygrokf.live.tracker import SAME_S, Point
-from hygrokf.modelling.inputs import Run, run
+from hygrokf.modelling.inputs import Run, prepare_run
 
 LIMIT = 0.8
 """[1] relative humidity above which a forecast gives the probability."""
@@ -164,7 +164,7 @@ def _under(
         plan.rated_power_W,
     )
     try:
-        whole = run(plan.design, record)
+        whole = prepare_run(plan.design, record)
     except (ValueError, KeyError) as fault:
         raise NoForecast(f"the model needs what is not known ahead of time: {fault}") from fault
     made = whole.timeline

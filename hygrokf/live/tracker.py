@@ -23,7 +23,7 @@ from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Trace
 from hygrokf.live.ceiling import filtered
 from hygrokf.live.plan import BEFORE, Plan
-from hygrokf.modelling.inputs import Run, longest_gap_h, run
+from hygrokf.modelling.inputs import Run, longest_gap_h, prepare_run
 
 AMBIENT_HUMIDITIES = (
     "ambient_relative_humidity",
@@ -164,7 +164,7 @@ class Tracker:
         """
         if self.awaited() or not self._spanned():
             return None
-        made = run(self.plan.design, self._guarded())
+        made = prepare_run(self.plan.design, self._guarded())
         course = self._course(made)
         if course is None:
             return None
@@ -309,5 +309,5 @@ def whole(plan: Plan, record: Record) -> Course:
     """The offline filter on a whole record, with the tracker's model and steps; missing readings are none."""
     times = {s.signal: s.time for s in record.series}
     values = {s.signal: s.value for s in record.series}
-    made = run(plan.design, record_of(plan, times, values))
+    made = prepare_run(plan.design, record_of(plan, times, values))
     return Course(made, filtered(plan.likelihood(made.timeline), plan.values))

@@ -49,7 +49,7 @@ def longest_gap_h(signal: str) -> float:
     return {"active_power": BRIDGE_H, "preheating": 24.0}.get(signal, AMBIENT_BRIDGE_H)
 
 
-def run(design: Design, record: Record) -> Run:
+def prepare_run(design: Design, record: Record) -> Run:
     """The instants of a record for a design.
 
     The run spans the cabinet's readings as far as ambient series exist.  Interval means of the ambient give the path that

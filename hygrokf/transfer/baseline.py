@@ -18,7 +18,7 @@ from hygrokf.identification.procedure import expect_readings
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import Reason, handed_on, inherited
 from hygrokf.modelling.design import Design, read_as
-from hygrokf.modelling.inputs import Run, run
+from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.parameters import Coordinates
 from hygrokf.transfer.groups import OF_THE_RECORD, UNKNOWN, Difference, group_of
 
@@ -118,7 +118,7 @@ def scene_of(origin: Origin, record: Record) -> tuple[Scene, list[str]]:
     groups = group_of(base.model)
     early = record.identification()
     expect_readings(early)
-    early_run = run(base, early)
+    early_run = prepare_run(base, early)
     if not any(np.isfinite(one[early_run.scored]).any() for one in measured(early_run).values()):
         raise ValueError(
             "nothing to judge by: no reading of the cabinet in the identification period at a time when all inputs are known "
@@ -148,7 +148,7 @@ def scene_of(origin: Origin, record: Record) -> tuple[Scene, list[str]]:
             f"this turbine's rated power is {ratio:.2f} times that of the fit: another type? The heat release counts power "
             "in the fit's scale"
         )
-    return Scene(origin, record, early, base, run(base, record), early_run, held, groups), statements
+    return Scene(origin, record, early, base, prepare_run(base, record), early_run, held, groups), statements
 
 
 def _kinship(origin: Origin, record: Record) -> list[str]:

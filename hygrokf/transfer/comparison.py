@@ -70,7 +70,7 @@ class Column:
         return chosen if regime == "total" else chosen & (self.operating == (regime == "operation"))
 
 
-def column(fit: Fit, record: Record, label: str, own: bool = False) -> Column:
+def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -> Column:
     """The free run of a fit on a record.  Raises ValueError where the record lacks an input that the model reads."""
     _, made, predicted = simulated(fit, record)
     known = measured(made)
@@ -121,7 +121,7 @@ class Comparison:
         return dict(self.results)
 
 
-def compared(columns: Sequence[Column]) -> Comparison:
+def compare(columns: Sequence[Column]) -> Comparison:
     """Scores of all columns, differences between any two, skill against the sceptic's rules.
 
     Raises ValueError for columns of the same label, and where no column has anything to score.

@@ -26,7 +26,7 @@ from hygrokf.estimation.confidence import Bounds, Uncertainty, normal_quantile, 
 from hygrokf.estimation.optimiser import Estimate, Objective, maximise
 from hygrokf.evaluation.bootstrap import Resampled, resampled
 from hygrokf.evaluation.scoring import SCORED, guesses, period_masks, rmse
-from hygrokf.evaluation.simulation import Prediction, free_run, measured
+from hygrokf.evaluation.simulation import Prediction, measured, simulate
 from hygrokf.identification.estimation import TIME_CONSTANTS, Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import Basis, assembled
@@ -99,7 +99,7 @@ def transfer_fit(
         "all_own": own.values,
     }
     say("held-out errors")
-    predicted = {name: free_run(scene.base, one, scene.run) for name, one in values.items()}
+    predicted = {name: simulate(scene.base, one, scene.run) for name, one in values.items()}
     scored = _scored(scene, predicted)
     found = {
         "name": record.name,
@@ -146,7 +146,7 @@ def transfer_fit(
 def _effect(scene: Scene, own: Estimate, group: str) -> dict[str, float]:
     """What a group's own values change in the free run: root mean square [K] and [g/m³] over the record."""
     changed = dict(scene.origin.values) | {n: own.values[n] for n in members(scene.groups, group)}
-    runs = [free_run(scene.base, values, scene.run) for values in (scene.origin.values, changed)]
+    runs = [simulate(scene.base, values, scene.run) for values in (scene.origin.values, changed)]
     found = {}
     for quantity in SCORED:
         pairs = [made.of(quantity) for made in runs]

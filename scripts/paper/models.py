@@ -9,12 +9,13 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.evaluation.scoring import baselines, scores
-from hygrokf.evaluation.simulation import Prediction, free_run, measured
+from hygrokf.evaluation.simulation import Prediction, measured
+from hygrokf.evaluation.simulation import simulate as free_run
 from hygrokf.identification.estimation import output_errors
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import assembled, identified
 from hygrokf.modelling.design import CASCADE, Design, read_as
-from hygrokf.modelling.inputs import Run, run
+from hygrokf.modelling.inputs import Run, prepare_run
 
 Say = Callable[[str], None]
 LIKELIHOOD = "likelihood"
@@ -72,7 +73,7 @@ def simulate(
     fit: where the values are those of the fit's likelihood, its covariance widens the bands of the pictures.
     """
     base = read_as(design, record)
-    made = run(base, record)
+    made = prepare_run(base, record)
     predicted = free_run(base, values, made, None if fit is None else fit.covariance)
     return Simulation(
         whole=scores(made, predicted, None)["identification"],

@@ -15,7 +15,7 @@ from hygrokf.discovery.held_out import Model, model_of
 from hygrokf.evaluation.simulation import measured
 from hygrokf.modelling.derived_inputs import clear_sky
 from hygrokf.modelling.design import merged
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 
 TEMPERATURE, HUMIDITY = "temperature_K", "absolute_humidity_g_m3"
 STARTS = 4
@@ -68,7 +68,7 @@ def ground(record: Record) -> Ground:
     begin = time.process_time()
     base = scene(record, starts=STARTS)
     spent = time.process_time() - begin
-    made = run(merged([part.base for part in base.parts.values()]), record)
+    made = prepare_run(merged([part.base for part in base.parts.values()]), record)
     seconds = made.timeline.origin_s + 3600.0 * made.timeline.time
     readings = {}
     for quantity, values in measured(made).items():

@@ -15,7 +15,7 @@ from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.streams import Stream
 from hygrokf.live.tracker import AMBIENT_HUMIDITIES, Reading, Tracker, record_of
 from hygrokf.live.turbines import Turbine
-from hygrokf.modelling.inputs import run
+from hygrokf.modelling.inputs import prepare_run
 
 HOUR_S = 3600.0
 TRIED_H = 72
@@ -108,7 +108,7 @@ def model_fault(plan: Plan, signals: Collection[str]) -> tuple[str, str] | None:
     if awaited:
         return f"its model needs {several(awaited)}, and no field is that", "add it to [mapping.signals]"
     try:
-        run(plan.design, record_of(plan, dict.fromkeys(values, times), values))
+        prepare_run(plan.design, record_of(plan, dict.fromkeys(values, times), values))
     except (ValueError, KeyError) as error:
         return (
             f"its model cannot be run on these signals: {error}",
