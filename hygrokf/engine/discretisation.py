@@ -35,6 +35,7 @@ from hygrokf.physics.expression import (
     Expression,
     Graph,
     Matrix,
+    Value,
     add,
     depends_on,
     dot,
@@ -184,7 +185,7 @@ def _corrected(h: Expression, weights: Matrix, correction: Expression, differenc
     return add(whole, scale(correction, product(weights, difference))) if _any(difference) else whole
 
 
-def _driven(early: Sequence, b1: Sequence, late: Sequence, b2: Sequence):
+def _driven(early: Sequence, b1: Sequence, late: Sequence, b2: Sequence) -> Value:
     """A row of W1 b1 + W2 b2; a rest that is the same at both nodes takes the sum of the weights."""
     total = 0.0
     for w1, x1, w2, x2 in zip(early, b1, late, b2, strict=True):
@@ -264,7 +265,7 @@ def congruence(f: Matrix, p: Matrix, q: Matrix | None = None) -> Matrix:
     fp = product(f, p)
     alone = [[k for k, v in enumerate(row) if not is_zero(v)] for row in f]
 
-    def entry(i: int, j: int):
+    def entry(i: int, j: int) -> Value:
         if len(alone[i]) == 1 and len(alone[j]) == 1:
             (k,), (m,) = alone[i], alone[j]
             return (f[i][k] * f[j][m]) * p[k][m]
@@ -282,12 +283,12 @@ def _difference(a: Matrix, b: Matrix) -> Matrix:
     return [[_minus(x, y) for x, y in zip(r, s, strict=True)] for r, s in zip(a, b, strict=True)]
 
 
-def _minus(x, y):
+def _minus(x: Value, y: Value) -> Value:
     result = x - y
     return 0.0 if is_zero(result) else result
 
 
-def _mean(x, y):
+def _mean(x: Value, y: Value) -> Value:
     if isinstance(x, Expression) and isinstance(y, Expression) and x.index == y.index:
         return x
     return 0.0 if is_zero(x) and is_zero(y) else 0.5 * (x + y)

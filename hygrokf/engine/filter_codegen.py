@@ -7,7 +7,7 @@ code.  Arguments shared by all kinds are listed in `COMMON`; the others stand in
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -170,7 +170,14 @@ class Emission:
             for c, name in enumerate(r.varying)
         }
 
-    def _predict(self, slots: Mapping[int, str], k: str, key: str, count: str, each: object = None) -> None:
+    def _predict(
+        self,
+        slots: Mapping[int, str],
+        k: str,
+        key: str,
+        count: str,
+        each: Callable[[str], None] | None = None,
+    ) -> None:
         w = self.writer
         rest = count
         if each is None:  # nearly every step is a single one, and its inputs need no fractions
@@ -183,7 +190,7 @@ class Emission:
                 each(j)
             self._advance(slots, key, self.inputs_within(k, j, count))
 
-    def _advance(self, slots: Mapping[int, str], key: str, inputs: Mapping[int, str]) -> None:
+    def _advance(self, slots: Mapping[int, str], key: str, inputs: dict[int, str]) -> None:
         r, w = self.recursion, self.writer
         leaves = self.read(slots) | self.table(key) | inputs
         values = w.block(r.graph, r.predict.outputs, leaves | self.at_parameters)
@@ -509,8 +516,8 @@ class Emission:
         state_dots = {i: g.symbol(f"dot:{i}") for i in slots}
         dot_slots = {i: w.slot(VECTOR) for i in slots}
         self.load_state(slots, "%state")
-        for c, s in enumerate(dot_slots.values()):
-            w.store(VECTOR, w.load(VECTOR, w.at(VECTOR, "%statedot", c)), s)
+        for c, slot in enumerate(dot_slots.values()):
+            w.store(VECTOR, w.load(VECTOR, w.at(VECTOR, "%statedot", c)), slot)
         total = RunningSums(w)
         tangents = directions | key_dots | state_dots
 
@@ -520,8 +527,8 @@ class Emission:
             for c, i in enumerate(r.key_nodes):
                 pointer = w.at(VECTOR, "%keydot", w.integer("add", row, c))
                 result[key_dots[i].index] = w.load(VECTOR, pointer)
-            for i, s in dot_slots.items():
-                result[state_dots[i].index] = w.load(VECTOR, s)
+            for i, slot in dot_slots.items():
+                result[state_dots[i].index] = w.load(VECTOR, slot)
             return result
 
         def run(outputs: list[Expression], leaves: dict[int, str], key: str) -> tuple[list, list]:
@@ -539,10 +546,10 @@ class Emission:
             with w.loop(parts) as j:
                 leaves = self.read(slots) | self.table(key) | self.inputs_within(k, j, parts)
                 values, derivatives = run(r.predict.outputs, leaves | self.at_parameters, key)
-                for s, (_, name) in zip(slots.values(), values, strict=True):
-                    w.store(SCALAR, name, s)
-                for s, name in zip(dot_slots.values(), derivatives, strict=True):
-                    w.store(VECTOR, name, s)
+                for slot, (_, name) in zip(slots.values(), values, strict=True):
+                    w.store(SCALAR, name, slot)
+                for slot, name in zip(dot_slots.values(), derivatives, strict=True):
+                    w.store(VECTOR, name, slot)
             row = w.integer("mul", k, width)
             for c, (update, (y, there)) in enumerate(zip(r.updates, self._readings(k), strict=True)):
                 with w.when(there):
@@ -563,15 +570,15 @@ class Emission:
                     w.store(VECTOR, error_dot, w.at(VECTOR, "%edot", place))
                     w.store(VECTOR, derivatives[-2], w.at(VECTOR, "%sdot", place))
                     if self.gain:
-                        for s, (_, name) in zip(slots.values(), values, strict=False):
-                            w.store(SCALAR, name, s)
-                        for s, name in zip(dot_slots.values(), derivatives, strict=False):
-                            w.store(VECTOR, name, s)
+                        for slot, (_, name) in zip(slots.values(), values, strict=False):
+                            w.store(SCALAR, name, slot)
+                        for slot, name in zip(dot_slots.values(), derivatives, strict=False):
+                            w.store(VECTOR, name, slot)
             self._resets(slots, k)
             self._resets(dot_slots, k, "zeroinitializer", VECTOR)
         self.save_state(slots, "%state")
-        for c, s in enumerate(dot_slots.values()):
-            w.store(VECTOR, w.load(VECTOR, s), w.at(VECTOR, "%statedot", c))
+        for c, slot in enumerate(dot_slots.values()):
+            w.store(VECTOR, w.load(VECTOR, slot), w.at(VECTOR, "%statedot", c))
         total.write(w, "%out")
 
 

@@ -98,7 +98,7 @@ def _compiled(text: str, key: str) -> llvm.ExecutionEngine:
 def _address(array: np.ndarray) -> int:
     """Where an array's numbers lie; a quarter of the time of `array.ctypes.data`, which counts in short likelihoods."""
     try:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]  # an array is a buffer
     except (TypeError, ValueError):  # read-only, or empty
         return array.ctypes.data
 
@@ -114,7 +114,7 @@ class Code:
 
     def __call__(self, function: str, *arguments: np.ndarray | int) -> None:
         """Call a function; arrays are passed by address and must be C-contiguous, integers by value."""
-        converted = []
+        converted: list[ctypes.c_void_p | ctypes.c_int64] = []
         for a in arguments:
             if isinstance(a, np.ndarray):
                 if not a.flags.c_contiguous:

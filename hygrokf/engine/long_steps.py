@@ -57,8 +57,8 @@ class LongStep:
     """
 
     recursion: Recursion
-    before: Mapping[str, float]
-    tail: Mapping[str, float]
+    before: Mapping[str, np.ndarray | float]
+    tail: Mapping[str, np.ndarray | float]
     hours: float
     tail_h: float
 
@@ -95,7 +95,9 @@ class LongStep:
         ]
         return np.concatenate([found[:n], *back]), found[n:]
 
-    def _moved(self, values: Mapping[str, object], packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _moved(
+        self, values: Mapping[str, np.ndarray | float], packed: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
         """Packed moments (B, width) at the tail, and the transition (B, n, n)."""
         n, (count, width) = self.recursion.n, packed.shape
         found = jumped(

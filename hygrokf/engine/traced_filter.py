@@ -37,6 +37,7 @@ from hygrokf.physics.expression import (
     Expression,
     Graph,
     Matrix,
+    Value,
     arguments,
     depends_on,
     dot,
@@ -214,7 +215,7 @@ class Recursion:
 
     def _read_by(self, i: int) -> list[int]:
         """Nodes whose numbers node i needs; a condition is no number, what it compares is carried in its place."""
-        found = []
+        found: list[int] = []
         for j in arguments(self.graph.nodes[i]):
             found.extend(arguments(self.graph.nodes[j]) if self.graph.nodes[j][0] == "lt" else [j])
         return found
@@ -278,7 +279,7 @@ class Recursion:
 _codes: dict[str, dict[tuple[str, bool, tuple[Control, ...]], Code]] = {}
 
 
-def _quadratic(row: list, covariance: Matrix, cross: list):
+def _quadratic(row: list, covariance: Matrix, cross: list) -> Value:
     """h P h'; a row with one entry squares it first, which shortens the chain from step to step."""
     there = [i for i, v in enumerate(row) if not is_zero(v)]
     if len(there) == 1:

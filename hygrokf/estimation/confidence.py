@@ -22,7 +22,7 @@ import numpy as np
 
 from hygrokf.engine.parallel import mapped
 from hygrokf.estimation.optimiser import BETTER, Estimate, Objective, bounded_step
-from hygrokf.physics.parameters import Parameter
+from hygrokf.physics.parameters import Coordinates, Parameter
 
 STEP_OF_SE = 0.02
 """Central differences of the score move a coordinate by this share of its standard error."""
@@ -228,7 +228,7 @@ def long_run_variance(scores: np.ndarray, time: np.ndarray, block_h: float, lags
     return result
 
 
-def _flat(coordinates, names: tuple[str, ...], covariance: np.ndarray) -> tuple[str, ...]:
+def _flat(coordinates: Coordinates, names: tuple[str, ...], covariance: np.ndarray) -> tuple[str, ...]:
     by_name = {p.name: p for p in coordinates.free}
     flat = []
     for name, se in zip(names, np.sqrt(np.diag(covariance)), strict=True):

@@ -23,7 +23,7 @@ from hygrokf.engine.long_steps import MOST, TAIL, LongStep, inputs_between
 from hygrokf.engine.packing import pack, trace_width, unpack
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion, traced
-from hygrokf.physics.expression import is_zero
+from hygrokf.physics.expression import Value, is_zero
 from hygrokf.physics.model import Model
 
 CHUNK = 4096
@@ -147,7 +147,7 @@ class Likelihood:
     def _bounds(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None) -> list[float]:
         """Bound on the rate of each state [1/h] (n,)."""
         r = self.recursion
-        known = {f"p:{name}": v for name, v in values.items()}
+        known: dict[str, Value] = {f"p:{name}": v for name, v in values.items()}
         if self._rate_moves:
             corners = self.timeline.corners if inputs is None else inputs
             mean, _ = self.model.initial(values, corners)
@@ -263,14 +263,14 @@ class Likelihood:
         """Packed moments before the first reading; complex values give complex moments (for derivatives)."""
         if isinstance(self.initial, Gaussian):
             return np.concatenate([self.initial.mean, pack(np.asarray(self.initial.covariance))])
-        mean, variance = self.model.initial(values, self.first_inputs())
+        states, variance = self.model.initial(values, self.first_inputs())
         if self.initial == "prior":
-            n = len(mean)
+            n = len(states)
             places = np.cumsum(np.arange(1, n + 1)) - 1  # of the diagonal in the packed triangle
             packed = np.zeros(n * (n + 1) // 2, dtype=np.result_type(*variance))
             packed[places] = variance
-            return np.concatenate([mean, packed])
-        mean = np.array(mean)
+            return np.concatenate([states, packed])
+        mean = np.array(states)
         covariance = np.diag(np.array(variance))
         if self.initial == "stationary":
             mean, covariance = self._stationary(values, mean)
@@ -314,7 +314,7 @@ class Likelihood:
         if isinstance(self.initial, Gaussian):
             return result
         for i, p in enumerate(self.model.parameters):
-            moved = dict(values)
+            moved: dict[str, Value] = dict(values)
             moved[p.name] = values[p.name] + 1e-30j
             result[i] = np.imag(self.first_state(moved)) * 1e30
         return result

@@ -333,8 +333,9 @@ def nested_starts(
     own = [p for p in coordinates.free if p.name not in parent.values]
     known = {**(values or {}), **parent.values}
     result = [coordinates.start(known)]
-    if own and all(p.null is not None for p in own):
-        result.append(coordinates.start({**known, **{p.name: p.null for p in own}}))
+    nulls = {p.name: p.null for p in own if p.null is not None}
+    if own and len(nulls) == len(own):
+        result.append(coordinates.start({**known, **nulls}))
     return result
 
 
@@ -342,10 +343,12 @@ def least_objective(coordinates: Coordinates, parents: Sequence[Estimate]) -> fl
     """Penalised log-likelihood that the maximum of a model cannot be below, given those of models that it contains."""
     floors = [-math.inf]
     for parent in parents:
-        own = [p for p in coordinates.free if p.prior is not None and p.name not in parent.values]
-        floors.append(
-            parent.objective + sum(p.prior.log_density(p.start if p.null is None else p.null) for p in own)
-        )
+        densities = [
+            p.prior.log_density(p.start if p.null is None else p.null)
+            for p in coordinates.free
+            if p.prior is not None and p.name not in parent.values
+        ]
+        floors.append(parent.objective + sum(densities))
     return max(floors)
 
 

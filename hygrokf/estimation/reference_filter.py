@@ -12,11 +12,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 
 import numpy as np
 
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
+from hygrokf.physics.expression import Value
 from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.model import Model
 
 TOLERANCE = 1e-12
 """Relative error of the integration over one step."""
@@ -39,7 +42,7 @@ def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tup
         for name, y in zip(model.outputs, readings, strict=True):
             if np.isfinite(y):  # a reading that is missing corrects nothing
                 h, R = (float(np.real(part)) for part in model.evaluate(list(m), u, values).outputs[name])
-                H = _jacobian(lambda x, name=name, u=u: [model.evaluate(x, u, values).outputs[name][0]], m)[0]
+                H = _jacobian(partial(_prediction, model, values, u, name), m)[0]
                 e, S = y - h, H @ P @ H + R
                 K = P @ H / S
                 m, P = m + K * e, P - np.outer(K, K) * S
@@ -80,6 +83,13 @@ def predicted(
         slopes, (0.0, length), start, "DOP853", [length], rtol=TOLERANCE, atol=TOLERANCE * (1e-3 + abs(start))
     ).y[:, -1]
     return end[:n], end[n:].reshape(n, n)
+
+
+def _prediction(
+    model: Model, values: Mapping[str, float], u: Mapping[str, float], name: str, x: Sequence[Value]
+) -> list[Value]:
+    """The prediction of one output at a state x, as a list of one."""
+    return [model.evaluate(x, u, values).outputs[name][0]]
 
 
 def _jacobian(function: Callable[[list[complex]], Sequence], x: np.ndarray) -> np.ndarray:

@@ -110,6 +110,8 @@ def filterpy_filter(likelihood: Likelihood, values: Mapping[str, float]) -> Exte
     class ModelFilter(ExtendedKalmanFilter):
         """filterpy's filter with this model's prediction."""
 
+        _next: np.ndarray
+
         def predict_x(self, u: object = None) -> None:
             self.x = self._next
 

@@ -74,16 +74,16 @@ def diagnose(
     rows = []
     said: dict[str, list[str]] = {name: list(one.pop("said")) for name, one in outputs.items()}
     told: set[tuple[str, str]] = set()
-    for one, p in zip(tests, adjusted, strict=True):
+    for test, p in zip(tests, adjusted, strict=True):
         rejected = p < level
         rows.append(
-            {"output": one.output, "test": one.name, "p": one.p, "p_adjusted": p, "rejected": rejected}
+            {"output": test.output, "test": test.name, "p": test.p, "p_adjusted": p, "rejected": rejected}
         )
-        if rejected and (one.output, one.subject) not in told:
-            said[one.output].append(one.words)
-            told.add((one.output, one.subject))
-        if one.entry is not None:
-            one.entry["p_adjusted"] = p
+        if rejected and (test.output, test.subject) not in told:
+            said[test.output].append(test.words)
+            told.add((test.output, test.subject))
+        if test.entry is not None:
+            test.entry["p_adjusted"] = p
     for name, one in outputs.items():
         count = sum(row["output"] == name for row in rows)
         if count and not said[name]:

@@ -21,6 +21,7 @@ from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run
+from hygrokf.physics.expression import Value
 from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.model import Model
 from hygrokf.physics.switches import SWITCHES, Switch, Throttle
@@ -67,7 +68,7 @@ class Switchboard:
     model: Model
     values: Mapping[str, np.ndarray | float]
     switches: Mapping[str, Switch | Throttle]
-    flags: dict[str, np.ndarray]
+    flags: dict[str, Value]
 
     def decide(
         self, mean: np.ndarray, inputs: Mapping[str, np.ndarray | float], idle: np.ndarray | bool
@@ -75,7 +76,7 @@ class Switchboard:
         """Look at what the loggers would show at states (N, n) under inputs, and switch."""
         # of a single one in numbers: numpy takes three times as long for arrays of one
         columns = mean[0].tolist() if len(mean) == 1 else list(mean.T)
-        made = self.model.evaluate(columns, inputs | self.flags, self.values)
+        made = self.model.evaluate(columns, {**inputs, **self.flags}, self.values)
         for name, switch in self.switches.items():
             if switch.reads in self.model.averaged:  # the running mean grows by the reading over its interval
                 place = self.model.states.index(f"mean_{switch.reads}")
@@ -98,7 +99,7 @@ def self_switched(
     switches = switches_of(design)
     if not switches:
         return list(runs)
-    begun = starts or [None] * len(runs)
+    begun: Sequence[Gaussian | None] = starts or [None] * len(runs)
     return [_self_switched(design.model, values, switches, *pair) for pair in zip(runs, begun, strict=True)]
 
 

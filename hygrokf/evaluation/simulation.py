@@ -14,6 +14,8 @@ from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.evaluation.self_switching import self_switched
 from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run
+from hygrokf.physics.expression import Value
+from hygrokf.physics.model import Equations
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
 
 QUANTITIES = ("temperature_K", "relative_humidity", "absolute_humidity_g_m3")
@@ -104,12 +106,12 @@ def project(
     return value, np.einsum("ti,tij,tj->t", slopes, covariance, slopes)
 
 
-def air_temperature(equations, x, u):
+def air_temperature(equations: Equations, x: Mapping[str, Value], u: Mapping[str, Value]) -> Value:
     """T_conv,a [K] of the model."""
     return equations.quantities["cabinet_air_temperature"]
 
 
-def air_humidity(equations, x, u):
+def air_humidity(equations: Equations, x: Mapping[str, Value], u: Mapping[str, Value]) -> Value:
     """c_conv,a [g/m³] of the model, equation (5)."""
     return x["vapour"] * u["ambient_temperature"] / equations.quantities["cabinet_air_temperature"]
 
@@ -160,7 +162,7 @@ def _between_means(
     """A reading of an interval mean where there is one; elsewhere, amid its interval, what an instant would show."""
     state, interval = design.model.states.index(f"mean_{name}"), design.model.averaged[name]
 
-    def instant(equations, x, u):
+    def instant(equations: Equations, x: Mapping[str, Value], u: Mapping[str, Value]) -> Value:
         return equations.rates[state] * interval
 
     value, variance = project(design, values, run, trace.prior_mean, trace.prior_covariance, instant)
@@ -210,7 +212,7 @@ def simulate(
     warm = rows.get("cabinet_temperature")
     moist = rows.get("cabinet_relative_humidity")
     vapour = rows.get("cabinet_absolute_humidity")
-    if made.absolute_humidity is not None and moist is not None:
+    if made.absolute_humidity is not None and made.relative_humidity is not None and moist is not None:
         humidity, kelvin = made.relative_humidity[0], _temperature(made, run)
         vapour = (made.absolute_humidity[0] / humidity)[:, None] * moist
         if warm is not None:

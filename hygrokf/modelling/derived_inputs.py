@@ -138,7 +138,9 @@ def ambient_temperature_rate(record: Record, time: np.ndarray) -> np.ndarray:
 
 def ambient_vapour_rate(record: Record, time: np.ndarray) -> np.ndarray:
     """Rate of the ambient absolute humidity [g/(m³ h)]; see `rate`."""
-    return 1e3 * rate(ambient_absolute_humidity(record), time)
+    vapour = ambient_absolute_humidity(record)
+    assert vapour is not None, "a model with this input has the ambient's humidity"
+    return 1e3 * rate(vapour, time)
 
 
 def rate(series: Series, time: np.ndarray) -> np.ndarray:
@@ -179,7 +181,7 @@ def drying(record: Record, time: np.ndarray, on: float, off: float) -> np.ndarra
     return _switched(record, time, SWITCHES["drying"](on, off))
 
 
-FEATURES: Mapping[str, tuple[Callable, str]] = {
+FEATURES: dict[str, tuple[Callable, str]] = {
     "elapsed": (elapsed, LINEAR),
     "sunshine": (sunshine, LINEAR),
     "sunlit_wall": (sunlit_wall, LINEAR),

@@ -217,12 +217,12 @@ def _power_inputs(
     unknown = np.isnan(relative)
     features = power_features(np.where(unknown, 0.0, relative), design.power_order)
     features[unknown] = np.array(design.power_mean) if design.power_mean else 0.0
-    values = dict(zip(_feature_names(design), features.T, strict=True))
+    courses = dict(zip(_feature_names(design), features.T, strict=True))
     wanted = set(design.model.inputs)
-    values = {name: v for name, v in values.items() if name in wanted}
+    courses = {name: course for name, course in courses.items() if name in wanted}
     if "power_unknown" in wanted:
-        values["power_unknown"] = unknown.astype(float)
-    return values, (relative > 0) & ~unknown, unknown
+        courses["power_unknown"] = unknown.astype(float)
+    return courses, (relative > 0) & ~unknown, unknown
 
 
 def _feature_names(design: Design) -> list[str]:

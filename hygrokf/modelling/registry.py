@@ -20,6 +20,7 @@ Origin = Mapping[str, str]
 
 _PACKAGE = frozenset({*LIBRARY, *FEATURES, *SIGNALS})
 _origins: dict[str, Origin] = {}
+_TABLES: tuple[tuple[str, dict], ...] = (("mechanisms", LIBRARY), ("features", FEATURES))
 _held: dict[str, dict] = {"mechanisms": {}, "features": {}}
 
 
@@ -46,7 +47,7 @@ def admit(mechanisms: Mapping[str, Factory], features: Mapping[str, Feature], or
         raise ValueError("; ".join(faults))
     withdraw((*mechanisms, *features))
     LIBRARY.update(mechanisms)
-    FEATURES.update(features)  # type: ignore[attr-defined]
+    FEATURES.update(features)
     for kind, brought in (("mechanisms", mechanisms), ("features", features)):
         _held[kind].update(brought)
     _origins.update({name: dict(origin) for name in (*mechanisms, *features)})
@@ -56,9 +57,9 @@ def withdraw(names: Iterable[str]) -> None:
     """Take out of the tables what a user brought under these names."""
     for name in names:
         if _origins.pop(name, None) is not None:
-            for kind, table in (("mechanisms", LIBRARY), ("features", FEATURES)):
+            for kind, table in _TABLES:
                 if _held[kind].pop(name, None) is not None:
-                    del table[name]  # type: ignore[attr-defined]
+                    del table[name]
 
 
 def origins(names: Iterable[str]) -> dict[str, dict]:

@@ -3,7 +3,7 @@
 A mechanism is written as an ordinary Python function of numbers.  Called with floats, arrays or complex
 numbers it computes; called with `Expression`s it is *traced*: every operation becomes a node of a `Graph`.
 From the graph come exact derivatives (`jacobian`, `reverse`, `forward`), an interpreter (`evaluate`, the
-oracle of the tests) and the compiled filter (`hygrokf.compilation`).
+oracle of the tests) and the compiled filter (`hygrokf.engine`).
 
 Equal nodes are made once (hash-consing), zeros and ones vanish when they are met: a sparse model costs what its
 non-zeros cost.  A product that meets a sum becomes one fused multiply-add *in the graph*, so that every program
@@ -15,9 +15,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from threading import Lock
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 
+Value = Any
+"""A number, an array, a complex number or a traced `Expression`: what the functions of a mechanism compute with."""
+Named = SimpleNamespace
+"""Values by name: parameters p, states x, inputs u or shared quantities q, as the functions of a mechanism get them."""
 UNARY = ("neg", "exp", "log", "sqrt")
 BINARY = ("add", "sub", "mul", "div", "lt")
 TERNARY = ("fma", "select")  # fma(a, b, c) = a b + c ; select(a, b, c) = b where a else c
@@ -86,8 +92,9 @@ class Graph:
     def make(self, operation: str, *arguments: Expression) -> Expression:
         index = [a.index for a in arguments]
         value = [self.number(i) for i in index]
-        if all(v is not None for v in value):
-            return self.constant(_fold(operation, value))
+        known = [v for v in value if v is not None]
+        if len(known) == len(value):
+            return self.constant(_fold(operation, known))
         rule = getattr(self, "_make_" + operation, None)
         if rule is not None:
             simple = rule(arguments, value)
@@ -247,43 +254,43 @@ class Expression:
         self.graph = graph
         self.index = index
 
-    def _make(self, operation: str, left: object, right: object) -> Expression:
+    def _make(self, operation: str, left: Expression | float, right: Expression | float) -> Expression:
         return self.graph.make(operation, self.graph.lift(left), self.graph.lift(right))
 
-    def __add__(self, other):
+    def __add__(self, other: Value) -> Expression:
         return self._make("add", self, other)
 
-    def __radd__(self, other):
+    def __radd__(self, other: Value) -> Expression:
         return self._make("add", other, self)
 
-    def __sub__(self, other):
+    def __sub__(self, other: Value) -> Expression:
         return self._make("sub", self, other)
 
-    def __rsub__(self, other):
+    def __rsub__(self, other: Value) -> Expression:
         return self._make("sub", other, self)
 
-    def __mul__(self, other):
+    def __mul__(self, other: Value) -> Expression:
         return self._make("mul", self, other)
 
-    def __rmul__(self, other):
+    def __rmul__(self, other: Value) -> Expression:
         return self._make("mul", other, self)
 
-    def __truediv__(self, other):
+    def __truediv__(self, other: Value) -> Expression:
         return self._make("div", self, other)
 
-    def __rtruediv__(self, other):
+    def __rtruediv__(self, other: Value) -> Expression:
         return self._make("div", other, self)
 
-    def __lt__(self, other):
+    def __lt__(self, other: Value) -> Expression:
         return self._make("lt", self, other)
 
-    def __gt__(self, other):
+    def __gt__(self, other: Value) -> Expression:
         return self._make("lt", other, self)
 
-    def __neg__(self):
+    def __neg__(self) -> Expression:
         return self.graph.make("neg", self)
 
-    def __pow__(self, exponent):
+    def __pow__(self, exponent: Value) -> Expression:
         if isinstance(exponent, int) and 0 <= exponent <= 8:
             result = self.graph.constant(1.0)
             for _ in range(exponent):
@@ -291,7 +298,7 @@ class Expression:
             return result
         return exp(exponent * log(self))
 
-    def __bool__(self):
+    def __bool__(self) -> bool:
         raise TypeError("a model must not branch on a traced value with `if`: write where(condition, a, b)")
 
     def __repr__(self) -> str:
@@ -302,7 +309,7 @@ def _fold(operation: str, value: Sequence[float]) -> float:
     return float(_compute(operation, value))
 
 
-def _compute(operation: str, v: Sequence) -> object:
+def _compute(operation: str, v: Sequence) -> Value:
     match operation:
         case "add":
             return v[0] + v[1]
@@ -330,8 +337,8 @@ def arguments(node: tuple) -> tuple[int, ...]:
 
 
 # -- functions for those who write mechanisms ----------------------------------------------------------------
-def _unary(name: str, number: Callable) -> Callable:
-    def function(value):
+def _unary(name: str, number: Callable) -> Callable[[Value], Value]:
+    def function(value: Value) -> Value:
         return value.graph.make(name, value) if isinstance(value, Expression) else number(value)
 
     function.__name__ = name
@@ -344,7 +351,7 @@ log = _unary("log", np.log)
 sqrt = _unary("sqrt", np.sqrt)
 
 
-def where(condition, yes, no):
+def where(condition: Value, yes: Value, no: Value) -> Value:
     """`yes` where `condition` holds, else `no`; for numbers, arrays and traced expressions alike."""
     for value in (condition, yes, no):
         if isinstance(value, Expression):
@@ -353,17 +360,17 @@ def where(condition, yes, no):
     return np.where(condition, yes, no)
 
 
-def maximum(a, b):
+def maximum(a: Value, b: Value) -> Value:
     """The larger of two; its derivative is that of the larger."""
     return where(_less(a, b), b, a)
 
 
-def minimum(a, b):
+def minimum(a: Value, b: Value) -> Value:
     """The smaller of two; its derivative is that of the smaller."""
     return where(_less(b, a), b, a)
 
 
-def _less(a, b):
+def _less(a: Value, b: Value) -> Value:
     return a < b if isinstance(a, Expression) or isinstance(b, Expression) else np.real(a) < np.real(b)
 
 
@@ -490,9 +497,9 @@ def product(a: Matrix, b: Matrix) -> Matrix:
     ]
 
 
-def dot(a: Sequence, b: Sequence):
+def dot(a: Sequence, b: Sequence) -> Value:
     """Scalar product that skips structural zeros."""
-    total = 0.0
+    total: Value = 0.0
     for x, y in zip(a, b, strict=True):
         if not is_zero(x) and not is_zero(y):
             total = x * y if is_zero(total) else total + x * y
@@ -509,7 +516,7 @@ def add(a: Matrix, b: Matrix) -> Matrix:
     return [[x + y for x, y in zip(r, s, strict=True)] for r, s in zip(a, b, strict=True)]
 
 
-def scale(factor, a: Matrix) -> Matrix:
+def scale(factor: Value, a: Matrix) -> Matrix:
     return [[0.0 if is_zero(x) else factor * x for x in row] for row in a]
 
 

@@ -28,6 +28,7 @@ from functools import cached_property
 from types import SimpleNamespace
 
 from hygrokf.errors import suggestion
+from hygrokf.physics.expression import Value
 from hygrokf.physics.parameters import Parameter, unique
 
 SUMS = {
@@ -181,7 +182,7 @@ class Model:
         state = vars(spaces[1])
         quantities = self._quantities(spaces)
         q = SimpleNamespace(**quantities)
-        sums: dict[str, object] = defaultdict(float, dict.fromkeys(SUMS, 0.0))
+        sums: dict[str, Value] = defaultdict(float, dict.fromkeys(SUMS, 0.0))
         for _, name, value in self._contributions(*spaces, q):
             sums[name] = sums[name] + value
         s = as_read(sums)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from hygrokf.physics.expression import Given
+from hygrokf.physics.expression import Given, Named, Value
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.parameters import Parameter
 
@@ -16,7 +16,7 @@ def solar_gain(lagged: bool = False, flag: str = "sunshine") -> Mechanism:
     dG'/dt = (G − G')/θ, θ [h].  `flag` "sunshine" on a horizontal plane, "sunlit_wall" on a wall that faces somewhere.
     """
 
-    def contributions(p, x, u, q):
+    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
         return {"heat_release": p.solar_heat * (x.stored_sun if lagged else getattr(u, flag))}
 
     lag = Parameter(
@@ -127,7 +127,7 @@ def release_drift(order: int = 0, operation: bool = False, flag: str = "elapsed"
     """
     powers = [f"power_{k}" for k in range(1, order + 1)] if operation else []
 
-    def own(p, u):
+    def own(p: Named, u: Named) -> Value:
         if not operation:
             return p.heat_release_standstill
         total = p.heat_release_operation * u.operating
@@ -176,7 +176,7 @@ def _loss(
 def _taken(name: str, parameter: str, flag: str, text: str, leaves: str) -> Mechanism:
     """Heat taken from the converter, whose temperature above the ambient's is that of the air over ρ: f −= g · flag · (T_a − T_amb)."""
 
-    def contributions(p, x, u, q):
+    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
         above = q.cabinet_air_temperature - u.ambient_temperature
         return {"heat_release": -getattr(p, parameter) * getattr(u, flag) * above}
 

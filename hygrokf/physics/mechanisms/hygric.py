@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from hygrokf.physics.expression import Named, Value
 from hygrokf.physics.mechanisms.thermal import PAPER, ornstein_uhlenbeck
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.parameters import Parameter
@@ -11,12 +12,12 @@ REFERENCE_TEMPERATURE = 273.0
 DIFFUSION_EXPONENT = 0.8
 
 
-def exchange_factor(ambient_temperature):
+def exchange_factor(ambient_temperature: Value) -> Value:
     """T_amb^0.8 / (273 K)^1.8 [1/K]: the ambient's part of the rate in equation (4); `ambient_temperature` [K]."""
     return ambient_temperature**DIFFUSION_EXPONENT / REFERENCE_TEMPERATURE ** (1.0 + DIFFUSION_EXPONENT)
 
 
-def hygric_time_constant(k, cabinet_temperature, ambient_temperature):
+def hygric_time_constant(k: Value, cabinet_temperature: Value, ambient_temperature: Value) -> Value:
     """R_D*·V* [h] at given temperatures [K]: k (273 K)^1.8 / (T_conv,a T_amb^0.8), from equation (4)."""
     return k / (cabinet_temperature * exchange_factor(ambient_temperature))
 
@@ -32,12 +33,12 @@ def hygric_exchange(shortest_h: float = SHORTEST_H) -> Mechanism:
     The factor T_amb^0.8 is held linear between the ambient readings.  `shortest_h` bounds k [h] to what readings resolve.
     """
 
-    def drift(p, x, u, q, s):
+    def drift(p: Named, x: Named, u: Named, q: Named, s: Named) -> dict[str, Value]:
         rate = q.cabinet_air_temperature * u.exchange_factor / p.hygric_k * (1.0 + s.exchange)
         drive = u.ambient_absolute_humidity - x.vapour + s.ambient_vapour
         return {"vapour": rate * drive + s.vapour_release}
 
-    def initial(p, u):
+    def initial(p: Named, u: Named) -> dict[str, Value]:
         return {"vapour": (u.ambient_absolute_humidity, (0.3 * u.ambient_absolute_humidity) ** 2)}
 
     return Mechanism(

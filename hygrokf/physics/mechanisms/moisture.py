@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from hygrokf.physics.expression import exp, sqrt
+from hygrokf.physics.expression import Named, Value, exp, sqrt
 from hygrokf.physics.mechanisms.sensors import saturation_pressure
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.parameters import Parameter
@@ -36,7 +36,7 @@ EDGE = 0.05
 """[g/m³] over which the change between condensing and drying is rounded."""
 
 
-def _humidity(x, u, temperature):
+def _humidity(x: Value, u: Value, temperature: Value) -> Value:
     """Relative humidity [1] that the cabinet's vapour has at a temperature [K], over water."""
     pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
     return pressure / saturation_pressure(temperature)
@@ -56,11 +56,11 @@ def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
     """
     places = SLAB if slab else BULK
 
-    def share(h):
+    def share(h: Value) -> Value:
         """The isotherm [1]; of slope 1 at 50 %."""
         return _gab(h) / GAB_SLOPE
 
-    def rates(p, x, u, q):
+    def rates(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
         air = q.cabinet_air_temperature
         time = p.sorption_time
         if activated:
@@ -68,7 +68,7 @@ def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
         content = p.sorption_capacity * share(_humidity(x, u, air))
         return {n: (part * content - getattr(x, n)) * (pace / time) for n, (part, pace) in places.items()}
 
-    def initial(p, u):
+    def initial(p: Named, u: Named) -> dict[str, Value]:
         wet = u.ambient_absolute_humidity * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
         content = p.sorption_capacity * share(wet / saturation_pressure(u.ambient_temperature + 6.0))
         return {
@@ -100,7 +100,7 @@ def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
     )  # fmt: skip
 
 
-def _gab(h):
+def _gab(h: Value) -> Value:
     """Isotherm of Guggenheim, Anderson and de Boer, in monolayers; beyond 0 and 100 % it goes on straight.
 
     It has poles at -19 and 133 %, and beyond them the wrong sign: nothing holds the humidity of a free run between.
@@ -122,7 +122,7 @@ def condensation(sky: bool = False) -> Mechanism:
     in drops whose area shrinks with them.  The edges of max are rounded over 0.05 g/m³.
     """
 
-    def rate(p, x, u, q):
+    def rate(p: Named, x: Named, u: Named, q: Named) -> Value:
         limit = saturation_pressure(x.surface_temperature) / (
             u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
         )
@@ -133,7 +133,7 @@ def condensation(sky: bool = False) -> Mechanism:
         wet = x.film / (1.0 + sqrt(x.film * x.film + DROP * DROP))
         return p.condensation_rate * (onto - dry * wet)
 
-    def surface(p, x, u, q):
+    def surface(p: Named, x: Named, u: Named, q: Named) -> Value:
         toward = u.ambient_temperature + p.surface_share * (q.cabinet_air_temperature - u.ambient_temperature)
         below = p.surface_undercooling * (u.night_sky if sky else 1.0)
         return (toward - below - x.surface_temperature) / p.surface_time
@@ -199,7 +199,7 @@ def wet_surface() -> Mechanism:
     open water, a wet wall, soil, plants.
     """
 
-    def contributions(p, x, u, q):
+    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
         air = q.cabinet_air_temperature
         saturated = saturation_pressure(air) / (air * (1e-3 * GAS_CONSTANT_VAPOUR))
         lacking = saturated - x.vapour * u.ambient_temperature / air
@@ -250,7 +250,7 @@ def rain_ingress(flag: str = "rain") -> Mechanism:
     )  # fmt: skip
 
 
-def _above_plate(x, u, temperature):
+def _above_plate(x: Value, u: Value, temperature: Value) -> Value:
     """Vapour of the cabinet air above that over a plate at the freezing point [g/m³], never below 0; rounded over 0.05."""
     inside = x.vapour * u.ambient_temperature / temperature
     above = inside - PLATE
@@ -264,7 +264,7 @@ def dehumidifier() -> Mechanism:
     4.85 g/m³ that over a plate at the freezing point.  The edge of max is rounded over 1 %.
     """
 
-    def contributions(p, x, u, q):
+    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
         above = _humidity(x, u, q.cabinet_air_temperature) - p.dehumidifier_setpoint
         effort = 0.5 * p.dehumidifier_rate * (above + sqrt(above * above + 1e-4))
         return {"vapour_release": -effort * _above_plate(x, u, q.cabinet_air_temperature)}
@@ -296,7 +296,7 @@ def switched_drying(plate: bool = True) -> Mechanism:
     at the freezing point.
     """
 
-    def contributions(p, x, u, q):
+    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
         air = q.cabinet_air_temperature
         vapour = _above_plate(x, u, air) if plate else x.vapour * u.ambient_temperature / air
         return {"vapour_release": -p.drying_rate * u.drying * vapour}
@@ -360,7 +360,7 @@ def dehumidifier_drying() -> Mechanism:
     d [1/h] the air dried each hour at full duty, per volume of cabinet air; c [g/m³] the cabinet's vapour.
     """
 
-    def contributions(p, x, u, q):
+    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
         vapour = x.vapour * u.ambient_temperature / q.cabinet_air_temperature
         return {"vapour_release": -p.logged_drying_rate * u.dehumidifier_duty * vapour}
 
@@ -401,7 +401,7 @@ def stepped_exchange(flows: bool = False) -> Mechanism:
     if not flows:
         return made
 
-    def contributions(p, x, u, q):
+    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
         change = p.exchange_change * u.after_step
         flow = sum(getattr(x, name, 0.0) for name in VAPOUR_DISTURBANCES)
         return {"exchange": change, "ambient_vapour": -flow * change / (1.0 + change)}
@@ -444,7 +444,7 @@ def breathed_air(form: str = "vapour") -> Mechanism:
     unit = "g/m3" if form == "vapour" else "1"
     bound = 10.0 if form == "vapour" else 0.6
 
-    def scale(u):
+    def scale(u: Named) -> Value:
         if form == "vapour":
             return 1.0
         if form == "temperature":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hygrokf.physics.expression import sqrt
+from hygrokf.physics.expression import Named, Value, sqrt
 from hygrokf.physics.mechanisms.sensors import saturation_pressure
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.parameters import Parameter
@@ -31,7 +31,7 @@ def humidity_drift() -> Mechanism:
     )  # fmt: skip
 
 
-def _relative(x, u, q):
+def _relative(x: Named, u: Named, q: Named) -> Value:
     """Relative humidity of the cabinet air [1]."""
     pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
     return pressure / saturation_pressure(q.cabinet_air_temperature)
@@ -43,7 +43,7 @@ def humidity_scale(flag: str | None = "elapsed") -> Mechanism:
     `flag` "elapsed": in proportion to the calendar; "since": from a date on; None: throughout.
     """
 
-    def contributions(p, x, u, q):
+    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
         course = 1.0 if flag is None else getattr(u, flag)
         return {"cabinet_relative_humidity_reading": p.humidity_scale_error * course * _relative(x, u, q)}
 
@@ -70,7 +70,7 @@ def humidity_ceiling(lowest: float = 0.2) -> Mechanism:
     lowest: [1] least relative humidity at which the ceiling may be.
     """
 
-    def contributions(p, x, u, q):
+    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
         above = _relative(x, u, q) - p.humidity_ceiling
         return {
             "cabinet_relative_humidity_reading": -0.5 * p.humidity_lost * (above + sqrt(above * above + 1e-4))
@@ -112,7 +112,7 @@ def thermometer_offset() -> Mechanism:
     the heat release takes d up.  The humidity sensor has the air's own temperature, T − d.
     """
 
-    def contributions(p, x, u, q):
+    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
         pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
         own = saturation_pressure(q.cabinet_air_temperature - p.thermometer_offset)
         return {

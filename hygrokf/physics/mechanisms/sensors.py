@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from hygrokf.physics.expression import Given, exp, log
+from hygrokf.physics.expression import Given, Named, Value, exp, log
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.parameters import Parameter, Prior
 from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR, SATURATION_WATER
 
 
-def saturation_pressure(temperature):
+def saturation_pressure(temperature: Value) -> Value:
     """Sonntag's saturation pressure over water [Pa] for traced temperatures [K] too."""
     a, b, c, d, e = SATURATION_WATER
     return exp(a / temperature + b + (c + d * temperature) * temperature + e * log(temperature))
@@ -70,7 +70,7 @@ def _sensor(
     responds = estimated or response_h > 0
     stated = Given(1.0 / response_h) if response_h > 0 else 0.0
 
-    def output(p, x, u, q, s):
+    def output(p: Named, x: Named, u: Named, q: Named, s: Named) -> tuple[Value, Value]:
         value = getattr(x, state) if responds else quantity(x, u, q)
         value = value + getattr(s, f"{name}_reading")
         if bias:
@@ -78,7 +78,7 @@ def _sensor(
         own = getattr(p, noise.name)
         return value, own * own + resolution
 
-    def drift(p, x, u, q, s):
+    def drift(p: Named, x: Named, u: Named, q: Named, s: Named) -> dict[str, Value]:
         rate = 1.0 / getattr(p, response) if estimated else stated
         return {state: (quantity(x, u, q) - getattr(x, state)) * rate}
 
@@ -87,7 +87,7 @@ def _sensor(
             response, "h", 0.1, SHORTEST_RESPONSE_H, longest_response_h, positive=True,
             meaning="time in which the sensor follows a step by all but 1/e",
         ),
-    ) if estimated else ()  # fmt: skip
+    ) if longest_response_h is not None else ()  # fmt: skip
     return Mechanism(
         name=mechanism,
         parameters=(*bias, noise, *time),
@@ -126,7 +126,7 @@ def temperature_sensor(
     )
 
 
-def _relative_humidity(x, u, q):
+def _relative_humidity(x: Named, u: Named, q: Named) -> Value:
     pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
     return pressure / saturation_pressure(q.cabinet_air_temperature)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from hygrokf.physics.expression import Given, exp, log
+from hygrokf.physics.expression import Given, Named, Value, exp, log
 from hygrokf.physics.model import Mechanism
 from hygrokf.physics.parameters import Parameter, Prior
 
@@ -23,15 +23,15 @@ def thermal_network() -> Mechanism:
         dT_conv/dt = ((T_amb − T_conv)(1+g)/e + f_ΔT/ρ)/τ,    T_conv,a = (ρ T_conv + (1−ρ)(1+g) T_amb)/e.
     """
 
-    def relief(p, g):
+    def relief(p: Value, g: Value) -> Value:
         return 1.0 + (1.0 - p.resistance_ratio) * g
 
-    def quantities(p, x, u, g):
+    def quantities(p: Named, x: Named, u: Named, g: Value) -> dict[str, Value]:
         rest = (1.0 - p.resistance_ratio) * (1.0 + g)
         air = p.resistance_ratio * x.converter_temperature + rest * u.ambient_temperature
         return {"cabinet_air_temperature": air / relief(p, g)}
 
-    def drift(p, x, u, q, s):
+    def drift(p: Named, x: Named, u: Named, q: Named, s: Named) -> dict[str, Value]:
         cooled = (u.ambient_temperature - x.converter_temperature) * (
             (1.0 + q.air_conductance) / relief(p, q.air_conductance)
         )
@@ -84,7 +84,7 @@ def measured_air(accuracy: float = 0.0, step: bool = False) -> Mechanism:
             )
         )  # fmt: skip
 
-    def quantities(p, x, u, g):
+    def quantities(p: Named, x: Named, u: Named, g: Value) -> dict[str, Value]:
         air = u.cabinet_temperature
         if accuracy > 0:
             air = air - p.cabinet_temperature_offset
@@ -149,7 +149,7 @@ def heat_release(
     if preheating:
         parameter("preheating_heat", "K", 5.0, 80.0, "heat release of the known pre-heating")
 
-    def contributions(p, x, u, q):
+    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
         warm = u.ambient_temperature - origin
         total = 0.0
         if operation:
@@ -171,7 +171,7 @@ def heat_release(
             total = total + u.power_unknown * x.unknown_heat
         return {"heat_release": total}
 
-    def unknown_variance(p):
+    def unknown_variance(p: Named) -> Value:
         slopes = (
             [p.heat_release_operation - (p.heat_release_standstill if standstill else 0.0)] if both else [0.0]
         )
@@ -224,7 +224,7 @@ def ornstein_uhlenbeck(
 ) -> Mechanism:
     """A coloured disturbance w of a named sum: dw = −w/θ dt + sd √(2/θ) dW, correlation time θ within `bounds_h` [h]."""
 
-    def variance(p):
+    def variance(p: Named) -> Value:
         value = getattr(p, f"{name}_sd")
         return value * value
 
@@ -303,7 +303,7 @@ def wall_thermal_mass() -> Mechanism:
     own, so that steady states stay as they are; g = 0 is the network of the paper exactly.
     """
 
-    def rest(p, u, q):
+    def rest(p: Named, u: Named, q: Named) -> Value:
         return u.ambient_temperature + p.wall_position * (q.cabinet_air_temperature - u.ambient_temperature)
 
     return Mechanism(
@@ -351,7 +351,7 @@ def natural_convection(difference_K: float = 8.0) -> Mechanism:
     """
     reference = Given(2.0 * math.log(difference_K))
 
-    def contributions(p, x, u, q):
+    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
         apart = q.cabinet_air_temperature - u.ambient_temperature
         size = log(apart * apart + STILL_K**2) - reference
         return {
@@ -376,7 +376,7 @@ def natural_convection(difference_K: float = 8.0) -> Mechanism:
     )  # fmt: skip
 
 
-def small_signal(time_constant: float, exponent: float, difference_K: float, at_K):
+def small_signal(time_constant: float, exponent: float, difference_K: float, at_K: Value) -> Value:
     """Time constant [h] with which a small change decays at temperature differences `at_K` [K]; see `natural_convection`.
 
     `time_constant` [h] that at `difference_K` [K], `exponent` n.

@@ -5,7 +5,10 @@ Each is a random walk, dx = r/√24 dW with the rate r for a day: after d days w
 
 from __future__ import annotations
 
-from hygrokf.physics.expression import exp
+from collections.abc import Callable
+from typing import Any
+
+from hygrokf.physics.expression import Named, Value, exp
 from hygrokf.physics.mechanisms.sensors import saturation_pressure
 from hygrokf.physics.mechanisms.thermal import PAPER
 from hygrokf.physics.model import Mechanism
@@ -19,9 +22,9 @@ def _random_walk(
     unit: str,
     rate: float,
     bounds: tuple[float, float],
-    contributions,
+    contributions: Callable[..., dict[str, Value]],
     meaning: str,
-    **words,
+    **words: Any,
 ) -> Mechanism:
     parameter = f"{state}_rate"
     return Mechanism(
@@ -102,7 +105,7 @@ def wandering_humidity_reading(rate: float = 0.005) -> Mechanism:
 def wandering_humidity_scale(rate: float = 0.01) -> Mechanism:
     """The scale of the humidity reading as a state: h (1 + x), x a random walk of `rate` [1/√d]."""
 
-    def contributions(p, x, u, q):
+    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
         pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
         humidity = pressure / saturation_pressure(q.cabinet_air_temperature)
         return {"cabinet_relative_humidity_reading": x.humidity_scale_change * humidity}
