@@ -109,11 +109,11 @@ def record_of(
         warnings += said
         faults += wrong
         whole = whole and not wrong
-    for stated, read in reads:
-        provenance.update(read.provenance)
+    for stated, years in reads:
+        provenance.update(years.provenance)
         used = set(case.declared) | {one.signal for one in series}
-        series += [one for one in read.series if not stated.compare and one.signal not in used]
-        compared += [one for one in read.series if stated.compare or one.signal in used]
+        series += [one for one in years.series if not stated.compare and one.signal not in used]
+        compared += [one for one in years.series if stated.compare or one.signal in used]
     unique = {one.signal: one for one in series}
     second = {one.signal: one for one in reversed(compared)}
     faults += no_overlap(tuple(unique.values()))
@@ -380,7 +380,7 @@ def _period_faults(record: Record, case: StatedCase) -> list[str]:
 def _emptied(record: Record, cabinet: bool, ambient: bool) -> list[str]:
     """Faults of a record that has no reading left where a model needs some."""
     faults = []
-    needed = [("ambient_temperature",)] if ambient else []
+    needed: list[tuple[str, ...]] = [("ambient_temperature",)] if ambient else []
     if cabinet:
         needed.append(tuple(signal for signal in IDENTIFIABLE if signal in record))
     for signals in needed:

@@ -92,7 +92,7 @@ def doubts(record: Record) -> tuple[str, ...]:
 
 def _doubts_of_readings(record: Record) -> list[str]:
     """What a record that was made of series may still hold; `read_case` and `Record.from_frames` refuse or mask it."""
-    said = []
+    said: list[str] = []
     for series in (*record.series, *record.compared):
         row = signal_named(series.signal)
         mistaken = unit_mistaken(series.value, row.unit, row)
@@ -143,7 +143,7 @@ def no_overlap(series: Sequence[Series]) -> list[str]:
 
 
 def _doubts_of_periods(record: Record) -> list[str]:
-    said = []
+    said: list[str] = []
     days = (record.end_s - record.start_s) / _DAY
     if not days >= _SHORT_RECORD_D:
         said.append(
@@ -178,7 +178,7 @@ def _doubts_of_power(record: Record) -> list[str]:
     there = power.value[~power.missing]
     if not len(there):
         return ["active power has no reading: the whole record counts as standstill"]
-    said = []
+    said: list[str] = []
     standstill = float(np.mean(there <= 0.0))
     if np.median(there) < 0.0 and -there.min() > 2.0 * max(there.max(), 0.0):
         said.append(
@@ -219,7 +219,7 @@ def _covered(series: Series, other: Series) -> float:
 
 
 def _doubts_of_climate(record: Record) -> list[str]:
-    said = []
+    said: list[str] = []
     humid = any(f"cabinet_{kind}" in record for kind in _HUMIDITIES)
     if "cabinet_temperature" not in record and not humid:
         said.append("no cabinet signal: nothing can be identified or scored")
@@ -333,7 +333,7 @@ def _pair(
 
 
 def _doubts_of_clocks(record: Record) -> list[str]:
-    said = []
+    said: list[str] = []
     irregular: dict[str, list[str]] = {}
     for series in record.series:
         step, regular = modal_step(series.time)

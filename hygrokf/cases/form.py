@@ -171,7 +171,7 @@ def _site(table: Any, lines: Statement, faults: list[str]) -> Site | None:
     for key in SITE_KEYS[:2]:
         if key not in table:
             faults.append(f"{lines.at(None, 'site')}: {lines.table('site')} needs {key}")
-    numbers = {"latitude_deg": 0.0, "longitude_deg": 0.0, "altitude_m": None}
+    numbers: dict[str, Any] = {"latitude_deg": 0.0, "longitude_deg": 0.0, "altitude_m": None}
     for key in SITE_KEYS:
         if key in table:
             number = stated_number(table[key])
@@ -320,8 +320,9 @@ def _source(
         if key not in table:
             faults.append(f"{lines.at(block)}: this source needs {key}")
     for key in ("separator", "comment", "decimal"):
-        if words[key] is not None and len(words[key]) != 1:
-            faults.append(f'{lines.at(block, key)}: {key} must be one character, found "{words[key]}"')
+        word = words[key]
+        if word is not None and len(word) != 1:
+            faults.append(f'{lines.at(block, key)}: {key} must be one character, found "{word}"')
             words[key] = None
     separator, decimal = words["separator"] or ",", words["decimal"] or "."
     if separator == decimal:
@@ -331,11 +332,11 @@ def _source(
         )
     choices = {}
     for key, allowed in (("stamp", STAMPS), ("hold", HOLDS)):
-        choices[key] = stated_text(table, key, lines, block, faults)
-        if choices[key] is not None and choices[key] not in allowed:
+        choice = choices[key] = stated_text(table, key, lines, block, faults)
+        if choice is not None and choice not in allowed:
             faults.append(
                 f"{lines.at(block, key)}: {key} must be one of {', '.join(allowed)}, found "
-                f'"{choices[key]}"{suggestion(choices[key], allowed)}'
+                f'"{choice}"{suggestion(choice, allowed)}'
             )
             choices[key] = None
     lengths: dict[str, float | None] = {"interval": None, "clock_uncertainty": None, "clock_correction": None}

@@ -101,8 +101,8 @@ def _instead(key: str) -> str:
             return f': write {table}={{"{key}": …}}'
     if key in SOURCE_KEYS or key == "format":
         return ": it is for files, which a case file names"
-    known = ("name", "signals", "units", "site", "rated_power_kW", "identification")
-    known += (*FRAME_KEYS, *COLUMN_OPTIONS, "cabinet", "ambient")
+    own = ("name", "signals", "units", "site", "rated_power_kW", "identification")
+    known = (*own, *FRAME_KEYS, *COLUMN_OPTIONS, "cabinet", "ambient")
     return suggestion(key, known) or f"; expected {', '.join(dict.fromkeys(known))}"
 
 

@@ -167,7 +167,7 @@ def describe_text(description: dict[str, Any]) -> str:
         "hold",
         "resolution",
     )
-    rows = [(*head, "mean (lowest … highest)")]
+    rows: list[tuple[str, ...]] = [(*head, "mean (lowest … highest)")]
     rows += [_row(one) for one in description["signals"]]
     lines += ["", *_table(rows, right=(1, 2, 3, 4, 5, 7))]
     rows = [("signal", "from", "to", "clock", "source")]

@@ -108,7 +108,7 @@ def stated_weather(
         altitude,
         flags["to_site_altitude"],
         1e-3 * (6.5 if lapse is None else lapse),
-        lengths["clock_correction"],
+        lengths["clock_correction"] or 0.0,
         lengths["clock_uncertainty"],
         flags["compare"],
         block,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +58,7 @@ Progress = Callable[[str], None]
 class Study:
     """Climates of one or several regions; `results` is the plain data of `climate.json`."""
 
-    results: Mapping[str, object]
+    results: Mapping[str, Any]
 
     def to_json(self) -> dict:
         return dict(self.results)

@@ -12,6 +12,8 @@ from hygrokf.commands.console import Progress, UserFault, expect_own_directory
 from hygrokf.data.files import CLIMATE
 
 if TYPE_CHECKING:
+    from hygrokf.climate.power import PowerCurve
+    from hygrokf.data.record import Record
     from hygrokf.identification.fit import Fit
 
 
@@ -95,7 +97,7 @@ def run_climate(options: argparse.Namespace, stored: Callable[[], Fit]) -> tuple
         raise UserFault(
             "expected --power, --power-curve or --standstill, as the model reads a power; found none"
         )
-    power = read_power(options.power) if options.power else None
+    power: Record | PowerCurve | None = read_power(options.power) if options.power else None
     if options.power_curve:
         power = read_power_curve(options.power_curve)
     limits = read_limits(options.limits) if options.limits else ()

@@ -110,9 +110,9 @@ def run_compare(
     chosen = [(records[case], own[case] if fit is None else fits[fit], case, fit) for case, fit in pairs]
     labels = labels_of(options.label, [(record.name, fit.name) for record, fit, _, _ in chosen])
     columns, faults = [], []
-    for label, (record, fit, case, path) in zip(labels, chosen, strict=True):
+    for label, (record, made, case, path) in zip(labels, chosen, strict=True):
         try:
-            columns.append(comparison_column(fit, record, label, own=path is None))
+            columns.append(comparison_column(made, record, label, own=path is None))
         except ValueError as fault:
             faults.append(f"{case}: {fault}")
     if faults:
@@ -126,7 +126,7 @@ def run_compare(
 
 def run_transfer(options: argparse.Namespace, record_of: Read, stored: Read) -> tuple[Path, dict, str]:
     """Do `hygrokf transfer`: the page, its data, and the text for the terminal."""
-    from hygrokf.identification.turbine_type import TypeFault, is_type, pool_types, read_type
+    from hygrokf.identification.turbine_type import TurbineType, TypeFault, is_type, pool_types, read_type
     from hygrokf.report.transfer_page import transfer_text, write_transfer
     from hygrokf.transfer.procedure import transfer_fit, transfer_json
 
@@ -148,7 +148,7 @@ def run_transfer(options: argparse.Namespace, record_of: Read, stored: Read) -> 
         progress.abandon()
         raise
     progress.close()
-    fits = [] if is_type(options.fit) else [source]
+    fits: list[Fit] = [source] if not isinstance(source, TurbineType) else []
     fits += [one.own for one in found if one.own is not None]
     kind, unpooled = None, ""
     if len(fits) > 2:

@@ -32,8 +32,13 @@ MISSING = (
     "null",
     "NULL",
     "Null",
+    "None",
+    "none",
+    "<NA>",
+    "-",
+    "--",
+    "---",
 )
-MISSING += ("None", "none", "<NA>", "-", "--", "---")
 """What counts as a missing reading, besides what the case file lists."""
 
 _SHOWN = 5
@@ -156,8 +161,8 @@ def table_of(
         if lost.any():
             count = int(lost.sum())
             where = numbered(places.label, places.numbers(np.flatnonzero(lost)[:_SHOWN]), count)
-            rows = "1 row" if count == 1 else f"{count} rows"
-            warnings.append(f"{rows} without a stamp left out: {where}")
+            said = "1 row" if count == 1 else f"{count} rows"
+            warnings.append(f"{said} without a stamp left out: {where}")
     if faults:
         raise TableFault(faults)
     keep = np.isfinite(time)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
@@ -35,21 +36,21 @@ def scalar(series: Mapping[str, np.ndarray], name: str) -> float:
     return float(value[0]) if len(value) == 1 else math.nan
 
 
-def entry(data: object, *path: str) -> object:
+def entry(data: Any, *path: str) -> Any:
     """What stands at a path of nested mappings; None where anything on the way is missing or null."""
     for name in path:
         data = data.get(name) if isinstance(data, Mapping) else None
     return data
 
 
-def number(data: object, *path: str) -> float:
+def number(data: Any, *path: str) -> float:
     """The finite number at a path; NaN where there is none."""
     value = entry(data, *path)
     good = isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)
     return float(value) if good else math.nan
 
 
-def numbers(data: object, *path: str) -> np.ndarray:
+def numbers(data: Any, *path: str) -> np.ndarray:
     """The list of numbers at a path as an array, null as NaN; empty where there is none."""
     value = entry(data, *path)
     if not isinstance(value, (list, tuple)):
@@ -57,7 +58,7 @@ def numbers(data: object, *path: str) -> np.ndarray:
     return np.array([number({"": v}, "") for v in value])
 
 
-def columns(data: object, *names: str) -> list[np.ndarray]:
+def columns(data: Any, *names: str) -> list[np.ndarray]:
     """Lists of one length under these names, as arrays of the rows in which all are finite; empty where they differ."""
     lists = [numbers(data, name) for name in names]
     if len({len(one) for one in lists}) != 1:

@@ -77,6 +77,7 @@ class Series:
             faults.append(f"height_m must be a finite number > 0 or None, found {self.height_m}")
         if faults:
             raise ValueError(f"series {self.signal}: " + "; ".join(faults))
+        assert time is not None and value is not None, "a column that is none is a fault"
         for name, array in (("time", time), ("value", value)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)

@@ -120,7 +120,7 @@ class Signal:
         return UNITS[self.unit].dimension
 
 
-def _temperature(name: str, low: float, high: float, meaning: str, accuracy=None) -> Signal:
+def _temperature(name: str, low: float, high: float, meaning: str, accuracy: float | None = None) -> Signal:
     """Signal in kelvin from a range in degrees Celsius."""
     return Signal(
         name,
@@ -133,7 +133,7 @@ def _temperature(name: str, low: float, high: float, meaning: str, accuracy=None
     )
 
 
-def _relative_humidity(name: str, meaning: str, accuracy=None) -> Signal:
+def _relative_humidity(name: str, meaning: str, accuracy: float | None = None) -> Signal:
     """Relative humidity: exactly 0 is a dead sensor, up to 105 % is a saturated one."""
     return Signal(name, "1", 0.005, 1.05, meaning, accuracy, display="%", idle=(0.97, 1.05))
 
@@ -343,7 +343,7 @@ def to_si(values: np.ndarray, unit: str, signal: str | Signal) -> np.ndarray:
     return row.factor * np.asarray(values, dtype=float) + row.offset
 
 
-def from_si(values: np.ndarray, unit: str, signal: str | Signal) -> np.ndarray:
+def from_si(values: np.ndarray | float, unit: str, signal: str | Signal) -> np.ndarray:
     """Values in a unit, from the SI unit of the signal: the inverse of `to_si`.
 
     values: [SI unit] any shape. unit, signal: as for `to_si`, and the same errors.

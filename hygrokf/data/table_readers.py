@@ -222,7 +222,7 @@ class _CsvSource:
         if not positions:
             return pd.DataFrame()
         faults += self._width_faults(len(layout.names))
-        order = sorted(positions, key=positions.get)
+        order = sorted(positions, key=lambda name: positions[name])
         try:
             with python_warnings.catch_warnings():
                 python_warnings.simplefilter("ignore", pd.errors.ParserWarning)
@@ -264,12 +264,12 @@ class _CsvSource:
             if not np.any(cells[self.layout.header_line :] > width):
                 return []
         wide, example = [], ""
-        for number, cells in self._rows():
-            if number <= self.layout.header_line or len(cells) <= width:
+        for number, row in self._rows():
+            if number <= self.layout.header_line or len(row) <= width:
                 continue
-            if any(cell.strip() for cell in cells[width:]):
+            if any(cell.strip() for cell in row[width:]):
                 wide.append(number)
-                example = example or self.separator.join(cells)
+                example = example or self.separator.join(row)
         if not wide:
             return []
         remedy = ""

@@ -268,7 +268,9 @@ def _seconds(naive: pandas.Series) -> np.ndarray:
 def _from_local(local: np.ndarray, zone: tzinfo) -> tuple[np.ndarray, tuple[str, ...]]:
     """UTC seconds of local wall-clock seconds, and warnings [s]."""
     if not isinstance(zone, ZoneInfo):
-        return local - zone.utcoffset(None).total_seconds(), ()
+        ahead = zone.utcoffset(None)
+        assert ahead is not None, "a zone that is no ZoneInfo is a constant offset"
+        return local - ahead.total_seconds(), ()
     import pandas as pd
 
     index = pd.DatetimeIndex((local * 1e6).round().astype("datetime64[us]"))
@@ -451,6 +453,6 @@ def _turns(year: int, america: bool) -> tuple[float, float]:
 def _sunday(year: int, month: int, which: int) -> float:
     """Midnight UTC of a month's Sunday [s], counted from 0, or from its end with −1."""
     first = np.datetime64(f"{year}-{month:02d}-01", "D")
-    days = np.arange(first, np.datetime64(first, "M") + 1, dtype="datetime64[D]")
+    days = np.arange(first, first.astype("datetime64[M]") + 1, dtype="datetime64[D]")
     sundays = days[(days.astype(int) + 4) % 7 == 0]  # 1 January 1970 was a Thursday
     return float(sundays[which].astype("datetime64[s]").astype(int))

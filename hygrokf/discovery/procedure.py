@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 from hygrokf.data.record import Record
 from hygrokf.discovery import held_out
@@ -53,7 +54,7 @@ class Discovery:
 
     base: Fit
     extended: Fit | None
-    results: Mapping[str, object]
+    results: Mapping[str, Any]
     before: Residuals | None = None
     after: Residuals | None = None
 

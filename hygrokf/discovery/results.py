@@ -10,7 +10,7 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -29,7 +29,7 @@ AGAIN = "run `hygrokf discover` with --out on this directory first"
 class Discovered:
     """What a page of a discovery is made from: the plain data of `discovery.json` and the residuals of both models."""
 
-    results: Mapping[str, object]
+    results: Mapping[str, Any]
     before: Residuals | None = None
     after: Residuals | None = None
 

@@ -13,6 +13,7 @@ offsets', which the readings know better than the prior wherever the source driv
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -69,7 +70,7 @@ def prior_s(one: Series, reference: Series) -> float:
     """Standard uncertainty [s] of the offset between two series before the readings are asked."""
     stated = [s.clock_uncertainty_s for s in (one, reference) if s.clock_uncertainty_s is not None]
     if stated:
-        return float(np.hypot(*stated)) if len(stated) == 2 else float(stated[0])
+        return math.hypot(*stated)
     return ONE_SYSTEM_S if _system(one) == _system(reference) else TWO_SYSTEMS_S
 
 

@@ -141,7 +141,9 @@ def judged(
         clock_offsets(early, base, found.run, found.estimate, spread, found.rate_step),
         _sampling(early, found, tuple(bounds), say),
         forms,
-        base.humidity in early and early[base.humidity].response_time_s is not None,
+        base.humidity is not None
+        and base.humidity in early
+        and early[base.humidity].response_time_s is not None,
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -22,7 +23,7 @@ class Fit:
     name: str
     design: Design
     values: Mapping[str, float]
-    results: Mapping[str, object]
+    results: Mapping[str, Any]
     series: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     @cached_property

@@ -6,7 +6,8 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING
+from functools import partial
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.output_error import OutputError
 from hygrokf.evaluation.actuator_effects import actuator_effects
 from hygrokf.evaluation.scoring import bands, baselines, readings_sd, scores, sensor_share
-from hygrokf.evaluation.simulation import measured, simulate
+from hygrokf.evaluation.simulation import Prediction, measured, simulate
 from hygrokf.identification.estimation import (
     LEVEL,
     TIME_CONSTANTS,
@@ -134,16 +135,16 @@ def identified(
     def own() -> tuple[Record, Stage]:
         return early, judged(early, found, profiles, say, forms)
 
-    def moist() -> tuple[Record, Stage]:
+    def moist(second: Design, humidity: str) -> tuple[Record, Stage]:
         say("smoothed cabinet temperature")
         values = found.estimate.values
-        driven = early.replace_series(
-            smoothed_temperature(found.base, found.run, values, early, second.humidity)
-        )
+        driven = early.replace_series(smoothed_temperature(found.base, found.run, values, early, humidity))
         return driven, identify_stage(driven, second, starts, profiles, say)
 
     # the hygric stage needs the thermal estimate, not its bounds
-    jobs = [own] if second is None or second.humidity is None else [own, moist]
+    jobs: list[Callable[[], tuple[Record, Stage]]] = [own]
+    if second is not None and second.humidity is not None:
+        jobs.append(partial(moist, second, second.humidity))
     driven, stages = zip(*mapped(lambda job: job(), jobs), strict=True)
     return Basis(kind, tuple(stages), tuple(driven), regression)
 
@@ -165,7 +166,7 @@ def expect_readings(early: Record) -> None:
         )
 
 
-def _orders(regression) -> dict:
+def _orders(regression: HeatRelease) -> dict[str, Any]:
     """Design settings from the regression: start values, and an order of at least two.
 
     Cross-validation drops terms that do not help to predict a few dozen stationary periods; left out of the likelihood
@@ -354,7 +355,7 @@ def _covariance(
         slopes = {p.name: p.slope(values[p.name]) for p in stage.base.model.parameters}
         taken = {name for found in simulated.values() for name in (*found.names, *found.unseen)}
         names = tuple(n for n in stage.uncertainty.names if n not in taken and n in known)
-        place = [stage.uncertainty.place(n) for n in names]
+        place = [stage.uncertainty.names.index(n) for n in names]
         scale = np.array([slopes[n] for n in names])
         # the wider of the two pictures on the diagonal, the sandwich's correlations
         matrix = stage.uncertainty.sandwich[np.ix_(place, place)]
@@ -401,8 +402,8 @@ def _rows(
     for name, entry in entries.items():
         if entry is not None:
             scale = values[name] / entry["value_h"]
-            upper = None if entry["upper_h"] is None else entry["upper_h"] * scale
-            rows[name] |= {"lower": entry["lower_h"] * scale, "upper": upper}
+            end = None if entry["upper_h"] is None else entry["upper_h"] * scale
+            rows[name] |= {"lower": entry["lower_h"] * scale, "upper": end}
     return rows
 
 
@@ -429,7 +430,12 @@ def _parameters(stage: Stage, values: Mapping[str, float], errors: Mapping[str, 
 
 
 def _series(
-    base: Design, values: Mapping, whole: Run, predicted, record: Record, rate_step: float | None
+    base: Design,
+    values: Mapping[str, float],
+    whole: Run,
+    predicted: Prediction,
+    record: Record,
+    rate_step: float | None,
 ) -> dict[str, np.ndarray]:
     t = whole.timeline
     known = measured(whole)

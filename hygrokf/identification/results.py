@@ -46,7 +46,7 @@ def write_fit(fit: Fit, directory: str | os.PathLike[str]) -> Path:
     """
     directory = Path(directory)
     text, buffer = dump(fit.to_json()), io.BytesIO()
-    np.savez_compressed(buffer, **fit.series)
+    np.savez_compressed(buffer, **dict(fit.series))  # type: ignore[arg-type]  # its flag is a keyword too
     directory.mkdir(parents=True, exist_ok=True)
     for name in (REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES):
         (directory / name).unlink(missing_ok=True)
@@ -145,7 +145,7 @@ def _faults(fit: Fit) -> list[str]:
     faults = []
     for p in fit.design.model.parameters:
         value = fit.values.get(p.name)
-        if not _is_number(value):
+        if value is None or not _is_number(value):
             faults.append(f"parameter {p.name}: expected a number, found {value!r}")
         elif not p.lower * (1 - 1e-9 * math.copysign(1, p.lower)) <= value <= p.upper * (1 + 1e-9):
             faults.append(f"parameter {p.name}: expected {p.lower:g} … {p.upper:g} {p.unit}, found {value:g}")

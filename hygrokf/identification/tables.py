@@ -37,8 +37,9 @@ def simulation_csv(fit: Fit, record: Record) -> str:
     _, made, predicted = simulated(fit, record)
     t = made.timeline
     milliseconds = np.round(1e3 * (t.origin_s + t.time * 3600.0)).astype("int64")
-    unit = "s" if np.all(milliseconds % 1000 == 0) else "ms"
-    stamps = np.datetime_as_string(milliseconds.astype("datetime64[ms]"), unit=unit)
+    instants = milliseconds.astype("datetime64[ms]")
+    whole = bool(np.all(milliseconds % 1000 == 0))
+    stamps = np.datetime_as_string(instants, unit="s" if whole else "ms")
     columns, names = [], []
     for name, quantity in COLUMNS.items():
         pair = predicted.of(quantity)

@@ -114,7 +114,8 @@ def _resistance_capacity(stage: Stage, entry: Mapping, exponent: float) -> dict:
     kept = [source for source in others if source.name != "forms"]
     whole = composed(
         value,
-        *(value * math.exp(sign * normal_quantile(entry["level"]) * math.sqrt(own)) for sign in (-1.0, 1.0)),
+        value * math.exp(-normal_quantile(entry["level"]) * math.sqrt(own)),
+        value * math.exp(normal_quantile(entry["level"]) * math.sqrt(own)),
         entry["level"],
         [*kept, from_forms(math.log(value), own, forms)] if forms else kept,
     )

@@ -82,7 +82,7 @@ class Pooled:
     def in_unit(self) -> dict:
         """Value, bounds of the type, and of the next turbine's own value, in the parameter's unit."""
         reach = 1.959964 * self.next_sd
-        ends = (self.mean, self.lower, self.upper, self.mean - reach, self.mean + reach)
+        ends: tuple[float, ...] = (self.mean, self.lower, self.upper, self.mean - reach, self.mean + reach)
         if self.logarithmic:
             ends = tuple(math.exp(v) for v in ends)
         return dict(zip(("value", "lower", "upper", "next_lower", "next_upper"), ends, strict=True))

@@ -107,7 +107,8 @@ def verdicts(fit: Mapping) -> dict[str, Verdict]:
             found[part] = Verdict.from_json(data)
     missing = [p for p in PARTS if p not in found and isinstance(entry(fit, "time_constants", p), Mapping)]
     judged = decide(fit) if missing else {}
-    return {part: found.get(part, judged.get(part)) for part in PARTS if part in found or part in judged}
+    both = judged | found
+    return {part: both[part] for part in PARTS if part in both}
 
 
 def with_reasons(fit: Mapping, part: str, further: Iterable[Reason]) -> dict:
@@ -145,7 +146,7 @@ def told(data: object) -> list[str]:
     """A line for each number that a result has inherited (`inherited`), with its mark, as every command tells it."""
     lines = []
     for part, one, found in handed_on(data):
-        value, bounds, _ = interval(*(number(one, key) for key in ("value_h", "lower_h", "upper_h")))
+        value, bounds, _ = interval(number(one, "value_h"), number(one, "lower_h"), number(one, "upper_h"))
         span = f"{value} ({bounds})" if bounds else value
         lines.append(f"{PLAIN_MARKS[found.verdict]} {line(f'{part} time constant', span, found)}")
     return lines

@@ -7,6 +7,7 @@ sister turbine, a forecast.
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
@@ -354,7 +355,7 @@ def _correlation_time_h(series: Series) -> float:
     if variance <= 0:
         return 24.0
     for lag in range(1, min(len(value) // 2, int(240 / step))):
-        if float(value[lag:] @ value[:-lag]) < variance / np.e:
+        if float(value[lag:] @ value[:-lag]) < variance / math.e:
             return max(lag * step, 0.5)
     return 240.0
 

@@ -98,6 +98,12 @@ class Scene:
         return Likelihood(self.base.model, self.early_run.timeline)
 
     @property
+    def until_s(self) -> float:
+        """The end of the part that is estimated on [s since 1970]; every scene states one."""
+        assert self.record.until_s is not None
+        return self.record.until_s
+
+    @property
     def cabinet(self) -> tuple[str, ...]:
         """Parameters of the cabinet that this record can tell something about."""
         return tuple(n for n, g in self.groups.items() if g not in OF_THE_RECORD and n not in self.held)
@@ -109,9 +115,10 @@ def scene_of(origin: Origin, record: Record) -> tuple[Scene, list[str]]:
     if record.until_s is None:
         cabinet = [record[n] for n in ("cabinet_temperature", *_HUMIDITIES) if n in record]
         first, last = min(s.time[0] for s in cabinet), max(s.time[-1] for s in cabinet)
-        record = replace(record, until_s=float(first + EARLY_SHARE * (last - first)))
+        until_s = float(first + EARLY_SHARE * (last - first))
+        record = replace(record, until_s=until_s)
         statements.append(
-            f"no `until` is stated: estimated on the first three quarters, up to {stamp(record.until_s)}"
+            f"no `until` is stated: estimated on the first three quarters, up to {stamp(until_s)}"
         )
     statements += _kinship(origin, record)
     base = replace(read_as(origin.design, record), priors={})

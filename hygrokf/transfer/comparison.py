@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 
@@ -115,7 +116,7 @@ class Comparison:
     """Columns side by side: plain `results` (compare.json), `columns` for pictures."""
 
     columns: tuple[Column, ...]
-    results: Mapping[str, object]
+    results: Mapping[str, Any]
 
     def to_json(self) -> dict:
         return dict(self.results)
@@ -205,7 +206,8 @@ def _difference(a: Column, b: Column) -> dict:
     for period in ALL_PERIODS:
         found["scores"][period] = {}
         for quantity in found["same_readings"]:
-            rows = found["scores"][period][quantity] = {}
+            rows: dict[str, dict[str, float | None]] = {}
+            found["scores"][period][quantity] = rows
             for regime in REGIMES:
                 chosen = a.shown(quantity, period, regime)[i] & b.shown(quantity, period, regime)[j]
                 pair = np.column_stack([a.errors[quantity][i], b.errors[quantity][j]])

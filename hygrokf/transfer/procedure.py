@@ -18,6 +18,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from typing import Any
 
 import numpy as np
 
@@ -48,7 +49,7 @@ class Transfer:
     record's own estimates: `adapted` the model to use there, `own` that with every parameter estimated there (None where
     they were not asked for)."""
 
-    results: Mapping[str, object]
+    results: Mapping[str, Any]
     series: Mapping[str, np.ndarray]
     adapted: Fit | None = None
     own: Fit | None = None
@@ -109,7 +110,7 @@ def transfer_fit(
             "kind": scene.origin.kind,
             "verdicts": dict(scene.origin.verdicts),
         },
-        "until": stamp(scene.record.until_s),
+        "until": stamp(scene.until_s),
         "n_readings": scene.early_run.timeline.n_readings,
         "parameters": parameters_of(scene, apart, values, spread, own),
         "groups": groups_of(scene, apart, steps, effects, significant, differing),
@@ -149,9 +150,9 @@ def _effect(scene: Scene, own: Estimate, group: str) -> dict[str, float]:
     runs = [simulate(scene.base, values, scene.run) for values in (scene.origin.values, changed)]
     found = {}
     for quantity in SCORED:
-        pairs = [made.of(quantity) for made in runs]
-        if pairs[0] is not None:
-            found[quantity] = float(np.sqrt(np.mean((pairs[0][0] - pairs[1][0])[scene.run.scored] ** 2)))
+        before, after = (made.of(quantity) for made in runs)
+        if before is not None and after is not None:
+            found[quantity] = float(np.sqrt(np.mean((before[0] - after[0])[scene.run.scored] ** 2)))
     return found
 
 
@@ -286,7 +287,7 @@ def _fit(scene: Scene, estimate: Estimate, spread: Uncertainty) -> Fit:
     stage = Stage(scene.base, scene.early_run, estimate, wider, bounds)
     basis = Basis(JOINT, (stage,), (scene.early,), heat_release_regression(scene.early))
     made = assembled(scene.record, basis, {})
-    results = dict(made.results)
+    results: dict[str, Any] = dict(made.results)
     results["statements"] = [
         f"design and values that are marked as fixed come from {scene.origin.name}",
         *made.results["statements"],

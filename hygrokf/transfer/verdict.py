@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
@@ -86,7 +87,7 @@ def groups_of(
     differing: Sequence[str],
 ) -> list[dict]:
     """One row a group: the statistic at the step that decided on it, what the difference does, and what follows."""
-    rows = []
+    rows: list[dict[str, Any]] = []
     for group in dict.fromkeys(scene.groups.values()):
         names = members(scene.groups, group)
         if group in OF_THE_RECORD:
@@ -178,7 +179,7 @@ def ratios_of(
     ):
         if not names:
             continue
-        place = [spread.place(n) for n in names if spread.place(n) is not None]
+        place = [spread.names.index(n) for n in names if n in spread.names]
         factor = float(np.mean(spread.factor[place])) if place else 1.0
         ratio = max(2.0 * (second.objective - first.objective), 0.0)
         rows.append(

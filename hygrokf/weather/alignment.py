@@ -224,7 +224,7 @@ def _sums(time: np.ndarray, x: np.ndarray, y: np.ndarray, america: bool) -> _Sum
     xy, xx, yy = (np.empty((len(starts), len(lags))) for _ in range(3))
     for place, lag in enumerate(lags):
         # one is late by the lag: what it shows now the other showed before
-        moved, square, there = (_moved(each, lag) for each in (weather_y, square_y, there_y))
+        moved, square, there = (_moved(each, int(lag)) for each in (weather_y, square_y, there_y))
         xy[:, place] = np.add.reduceat(weather_x * moved, starts)
         xx[:, place] = np.add.reduceat(square_x * there, starts)
         yy[:, place] = np.add.reduceat(square * there_x, starts)

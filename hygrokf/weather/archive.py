@@ -120,7 +120,7 @@ def _gunzipped(packed: bytes) -> bytes:
         raise TableFault([f"cannot be unpacked: {broken}; fetch it again"]) from None
 
 
-def _bounded(stream: BinaryIO, packed: int, what: str, most: int) -> bytes:
+def _bounded(stream: BinaryIO | gzip.GzipFile, packed: int, what: str, most: int) -> bytes:
     """All bytes of a stream that unpacks `packed` bytes, no more than `most` of them."""
     pieces, size = [], 0
     while piece := stream.read(_PIECE):

@@ -308,7 +308,7 @@ def comparison_rows(rows: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
     rows: of `described`. Lags are minutes by the weather, with bounds; positive where the first source is late.
     """
     head = ("compared", "source", "against", "offset", "lag in winter", "lag in summer", "daily wave")
-    table = [head]
+    table: list[tuple[str, ...]] = [head]
     for row in rows:
         signal = signal_named(row["signal"])
         unit = "K" if signal.display == "degC" else signal.display

@@ -96,8 +96,10 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
         warnings += said
     time = _local_seconds(lines.calendar) - zone_h * HOUR_S
     if (np.diff(time) <= 0.0).any():
-        row = int(np.argmax(np.diff(time) <= 0.0)) + 1
-        raise TableFault([f"line {row + _HEADER + 1}: the hours must follow each other, this one does not"])
+        repeated = int(np.argmax(np.diff(time) <= 0.0)) + 1
+        raise TableFault(
+            [f"line {repeated + _HEADER + 1}: the hours must follow each other, this one does not"]
+        )
     value = dict(lines.value)
     warnings += _dew_point_completed(value, faults)
     warnings += saturation_doubt(value["ambient_temperature"], value["ambient_dew_point_temperature"])

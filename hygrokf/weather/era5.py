@@ -44,15 +44,15 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
         except TableFault as broken:
             inside = one.name.removeprefix(f"{file.name} (").removesuffix(")")
             faults += [fault if len(found) == 1 else f"{inside}: {fault}" for fault in broken.faults]
-    records = [one for one in records if one is not None]
-    signals = {signal for one in records for signal in one.signals}
+    known = [one for one in records if one is not None]
+    signals = {signal for one in known for signal in one.signals}
     if not faults and "ambient_temperature" not in signals:
         faults.append(
             "no 2 m temperature (t2m, 2m_temperature) in any of its files: ask for it in the request"
         )
     if faults:
         raise TableFault(faults)
-    record = joined(records, file.name)
+    record = joined(known, file.name)
     if len(found) > 1 and "ambient_dew_point_temperature" not in signals:
         record = dataclasses.replace(record, warnings=(*record.warnings, NO_HUMIDITY))
     return record
@@ -119,7 +119,8 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
                 f'column "{name}": expected numbers, found "{frame[name].iloc[row]}" in line {row + 2}'
             )
         fields[name] = Field(number.to_numpy(dtype=float))
-    place, at, warnings = "", (None, None), []
+    place, warnings = "", []
+    at: tuple[float, float] | None = None
     if {"latitude", "longitude"} <= set(frame.columns):
         spots = frame[["latitude", "longitude"]].apply(pd.to_numeric, errors="coerce").drop_duplicates()
         if spots.isna().any(axis=None):
@@ -131,13 +132,14 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
         elif len(spots) > 1:
             faults.append(f"holds {len(spots)} points; expected one: write each into a file of its own")
         else:
-            at = tuple(float(one) for one in spots.iloc[0])
+            at = float(spots.iloc[0, 0]), float(spots.iloc[0, 1])
             place = place_text(*at, site)
             if site is not None and distance_km(*at, site) > FAR_KM:
                 warnings.append(f"its point lies at {place}: is it the weather of this site?")
     if faults:
         raise TableFault(faults)
-    return PointFields(file, time, fields, *at, None, place, tuple(warnings))
+    north, east = at or (None, None)
+    return PointFields(file, time, fields, north, east, None, place, tuple(warnings))
 
 
 def _csv_time(column: pandas.Series, name: str) -> np.ndarray:

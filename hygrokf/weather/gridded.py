@@ -133,7 +133,8 @@ def point_fields(dataset: xarray.Dataset, file: str, site: Site | None = None) -
             altitude_m = altitude_of(one.values, unit)
         elif one.dims == (time_name,):
             fields[name] = Field(one.values.astype(float), None if unit is None else str(unit))
-    return PointFields(file, stamps, fields, *(at or (None, None)), altitude_m, place, tuple(warnings))
+    north, east = at or (None, None)
+    return PointFields(file, stamps, fields, north, east, altitude_m, place, tuple(warnings))
 
 
 def _time_name(dataset: xarray.Dataset) -> str:
@@ -267,7 +268,8 @@ def _nearest(
         narrowing = math.cos(math.radians(site.latitude_deg))
         away = np.hypot(north[:, None], narrowing * east[None, :])
         filled = _filled(dataset, time_name, latitude, longitude, used, away.shape)
-        row, column = np.unravel_index(int(np.argmin(np.where(filled, away, np.inf))), away.shape)
+        nearest = np.unravel_index(int(np.argmin(np.where(filled, away, np.inf))), away.shape)
+        row, column = (int(place) for place in nearest)
     chosen = {
         name: int(place) for name, place in ((latitude, row), (longitude, column)) if name in dataset.dims
     }

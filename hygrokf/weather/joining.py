@@ -88,7 +88,7 @@ def _one_place(records: Sequence[Record], faults: list[str]) -> Site | None:
                 f"and {site.latitude_deg:g}, {site.longitude_deg:g} deg); give files of one place"
             )
     with_altitude = [site for _, site in sites if site.altitude_m is not None]
-    return (with_altitude or [site for _, site in sites] or [None])[0]
+    return next((site for site in (*with_altitude, *(site for _, site in sites))), None)
 
 
 def _one_series(parts: Sequence[Series]) -> tuple[Series, list[str]]:

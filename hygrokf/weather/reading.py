@@ -49,7 +49,9 @@ def read_weather_file(
     record = _within_range(record)
     if altitude_m is not None and record.site is not None:
         record = dataclasses.replace(record, site=dataclasses.replace(record.site, altitude_m=altitude_m))
-    station_m = altitude_m if altitude_m is not None else (record.site and record.site.altitude_m)
+    station_m = altitude_m
+    if station_m is None and record.site is not None:
+        station_m = record.site.altitude_m
     wanted_m = None if site is None else site.altitude_m
     if to_site_altitude:
         faults = []
@@ -62,7 +64,7 @@ def read_weather_file(
                 "to be moved to the site's altitude, its own must be known: state altitude_m in this source (of a "
                 "reanalysis: the height of its ground in that cell, geopotential / 9.80665)"
             )
-        if faults:
+        if faults or wanted_m is None:
             raise TableFault(faults)
         return at_altitude(record, wanted_m, station_m, lapse_rate)
     if wanted_m is not None and station_m is not None and abs(wanted_m - station_m) > SAID_FROM_M:

@@ -45,8 +45,7 @@ def read_weather(
 
     Raises TableFault with the faults of every file; ValueError for numbers out of range.
     """
-    several = isinstance(paths, str | os.PathLike)
-    files = [Path(paths)] if several else [Path(one) for one in paths]
+    files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(one) for one in paths]
     if not files:
         raise ValueError("paths: expected one weather file at least, found none")
     if years < 1:
