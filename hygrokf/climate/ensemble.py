@@ -25,6 +25,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.modelling.design import read_as
 from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.cold_surface import Surface, condenses
+from hygrokf.physics.expression import Value
 from hygrokf.physics.model import Model
 from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
@@ -147,9 +148,9 @@ def simulate_years(
         starts.append(Gaussian(np.where(model.amounts, np.maximum(begin, 0.0), begin), np.zeros((n, n))))
         fastest.append(likelihood.rate(values))
     runs = SideBySide(model, members, starts, np.array(fastest))
-    values = {p.name: np.array([one[p.name] for one in members]) for p in model.parameters}
+    spread = {p.name: np.array([one[p.name] for one in members]) for p in model.parameters}
     off = {name: np.zeros(len(members)) for name in switches}
-    board = Switchboard(model, values, switches, off) if switches else None
+    board = Switchboard(model, spread, switches, off) if switches else None
     walk = _Walk(runs, inputs, t.time, random if process else None, rare, board, ~made.operating)
     again = int(np.searchsorted(t.time, t.time[0] + SPIN_UP_H, side="right"))
     walk.through(range(min(again, len(t.time))))
@@ -204,7 +205,7 @@ class _Walk:
         idle: np.ndarray | None = None,
     ) -> None:
         self.runs, self.inputs, self.time_h, self.random = runs, inputs, time_h, random
-        self.board, self.idle = board, idle
+        self.board, self.idle = board, np.zeros(len(time_h), bool) if idle is None else idle
         self.rare = [one for one in rare if one.every_h > 0.0 and one.states.any()]
         self.state = runs.mean
         self._amounts = np.array(runs.model.amounts)
@@ -214,7 +215,7 @@ class _Walk:
     def through(self, places: range, jump: bool = True) -> None:
         """Step to each of the instants; a `jump` to the first of them takes no time."""
         for place in places:
-            now = {name: float(value[place]) for name, value in self.inputs.items()}
+            now: dict[str, Value] = {name: float(value[place]) for name, value in self.inputs.items()}
             if jump:
                 self.runs.begin(now | self._flags)
                 jump = False
@@ -232,10 +233,10 @@ class _Walk:
                 begun = ended
 
     @property
-    def _flags(self) -> dict[str, np.ndarray]:
+    def _flags(self) -> dict[str, Value]:
         return {} if self.board is None else self.board.flags
 
-    def _step(self, step_h: float, inputs: Mapping[str, np.ndarray | float]) -> None:
+    def _step(self, step_h: float, inputs: Mapping[str, Value]) -> None:
         self.runs.step(step_h, inputs)
         mean = self.runs.mean
         if self.random is not None:
@@ -245,6 +246,7 @@ class _Walk:
         self.state = mean
 
     def _kick(self, step_h: float) -> np.ndarray:
+        assert self.random is not None, "a walk without chance has no kicks"
         if self._at == len(self._kicks):
             self._kicks, self._at = self.random.standard_normal((DRAWN, *self.state.shape)), 0
         kick = self._kicks[self._at]
@@ -292,8 +294,8 @@ def _year(
     u = {name: t.input(name)[places][:, None] for name in model.inputs}
     values = {p.name: np.array([m[p.name] for m in members])[None, :] for p in model.parameters}
     columns = [states[:, :, i] for i in range(states.shape[2])]
-    air = model.quantities(columns, u, values)["cabinet_air_temperature"]
-    air = np.ascontiguousarray(np.broadcast_to(air, states.shape[:2]).T)
+    quantity: Value = model.quantities(columns, u, values)["cabinet_air_temperature"]
+    air = np.ascontiguousarray(np.broadcast_to(quantity, states.shape[:2]).T)
     outside = t.input("ambient_temperature")[places]
     ambient = {"temperature_K": outside}
     relative = absolute = wet = None

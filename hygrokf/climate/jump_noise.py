@@ -21,6 +21,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.identification.fit import Fit
+from hygrokf.physics.expression import Value
 from hygrokf.physics.model import Model
 
 FEWEST = 30
@@ -120,7 +121,8 @@ def _linear(
     for i, x in enumerate(state):
         move = np.zeros(len(state))
         move[i] = 1e-4 * max(1.0, abs(x))
-        above, below = at(state + move), at(state - move)
+        above: tuple[Value, ...] = at(state + move)
+        below: tuple[Value, ...] = at(state - move)
         columns.append([(a - b) / (2.0 * move[i]) for a, b in zip(above, below, strict=True)])
     rates, reads, air = (np.array([c[k] for c in columns]).T for k in range(3))
     outputs = model.evaluate(list(state), inputs, values).outputs

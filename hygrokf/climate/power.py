@@ -17,6 +17,7 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -91,11 +92,13 @@ def read_power_curve(path: str | os.PathLike[str]) -> PowerCurve:
     data = read_toml(path, "a power curve")
     known = ("rated_power_kW", "wind_speed_m_s", "power_kW", "hub_height_m", "wind_height_m", "shear")
     faults = unknown_keys(data, known, "the file")
-    numbers = {}
+    numbers: dict[str, Any] = {}
     for name in ("rated_power_kW", "hub_height_m", "wind_height_m"):
         numbers[name] = value = data.get(name)
-        if not is_number(value) or value <= 0:
+        if not is_number(value) or not value > 0:
             faults.append(f"{name}: expected a number above 0, found {value!r}")
+    speed: Any
+    power: Any
     speed, power = (data.get(name) for name in ("wind_speed_m_s", "power_kW"))
     for name, values in (("wind_speed_m_s", speed), ("power_kW", power)):
         if not isinstance(values, list) or len(values) < 2 or not all(map(is_number, values)):
@@ -126,7 +129,7 @@ def read_power_curve(path: str | os.PathLike[str]) -> PowerCurve:
     )  # fmt: skip
 
 
-def _shear(shear: object, heights: Mapping, faults: list[str]) -> tuple[str, float]:
+def _shear(shear: Any, heights: Mapping, faults: list[str]) -> tuple[str, float]:
     law = shear.get("law") if isinstance(shear, dict) else None
     if not isinstance(law, str) or law not in LAWS:
         faults.append(
@@ -135,7 +138,7 @@ def _shear(shear: object, heights: Mapping, faults: list[str]) -> tuple[str, flo
         )
         return "power", 0.0
     number = shear.get(LAWS[law])
-    low = [heights.get(name) for name in ("hub_height_m", "wind_height_m")]
+    low: list[Any] = [heights.get(name) for name in ("hub_height_m", "wind_height_m")]
     most = 1.0 if law == "power" else min([one for one in low if is_number(one)] or [10.0])
     least = -0.5 if law == "power" else 0.0
     if not is_number(number) or not least < number < most or set(shear) - {"law", LAWS[law]}:

@@ -134,7 +134,7 @@ def _duty(name: str, weather: Record, power: Record | None) -> tuple[Series, str
 def _scale_words(fit: Fit, rated_W: float | None) -> list[str]:
     """A remark where the power's rated power is not that of the fit."""
     scale = fit.design.power_scale_W
-    if rated_W is None or abs(rated_W / scale - 1.0) < 0.1:
+    if rated_W is None or scale is None or abs(rated_W / scale - 1.0) < 0.1:
         return []
     return [
         f"the power's turbine is rated {rated_W / 1e3:.0f} kW, the fit's power counts as 1 at {scale / 1e3:.0f} kW: "

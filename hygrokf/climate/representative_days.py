@@ -53,6 +53,7 @@ def days_of(year: Year, members: Sequence[int]) -> Days:
     places = begins[:, None] + np.arange(DAY_H)
     whole = year.known[places].all(axis=1)
     places = places[whole]
+    assert year.relative_humidity is not None, "a test profile needs the humidity"
     chosen = np.asarray(members)
     temperature = year.temperature_K[chosen][:, places] - FREEZING_K
     humidity = 100.0 * year.relative_humidity[chosen][:, places]

@@ -51,7 +51,7 @@ class Curves:
 def courses(year: Year) -> dict[str, np.ndarray]:
     """Quantities (N, T) in °C, %, g/m³; those that there are."""
     found = {"temperature_degC": year.temperature_K - FREEZING_K}
-    if year.relative_humidity is not None:
+    if year.relative_humidity is not None and year.absolute_humidity_g_m3 is not None:
         found["relative_humidity_percent"] = 100.0 * year.relative_humidity
         found["absolute_humidity_g_m3"] = year.absolute_humidity_g_m3
     return found
@@ -92,14 +92,15 @@ def scalars(year: Year, law: Acceleration, scope: str = "all") -> dict[str, np.n
     for name, value in rows.items():
         found[f"mean_{name}"] = value[:, chosen].mean(axis=1) if chosen.any() else np.full(count, np.nan)
     humid = year.relative_humidity is not None
-    if humid:
+    if year.relative_humidity is not None:
         wet = (rows["relative_humidity_percent"] > WET_PERCENT) & (rows["temperature_degC"] > 0.0)
         found["wetness_h"] = wet[:, chosen].sum(axis=1) * per_year
         found["saturation_h"] = (year.relative_humidity > 1.0)[:, chosen].sum(axis=1) * per_year
         if year.condensing is not None:
             found["condensation_h"] = year.condensing[:, chosen].sum(axis=1) * per_year
     if humid or not law.humid:
-        rate = law.rate(year.temperature_K[:, chosen], year.relative_humidity[:, chosen] if humid else None)
+        damp = None if year.relative_humidity is None else year.relative_humidity[:, chosen]
+        rate = law.rate(year.temperature_K[:, chosen], damp)
         found["ageing_h"] = rate.sum(axis=1) * per_year
     if scope == "all":
         found |= _of_courses(year, rows, per_year)

@@ -174,7 +174,7 @@ def _region(
     statements += _saturation_words(scopes["all"])
     if power is not None and fit.design.power_scale_W is not None:
         still, _ = driven(fit, region.weather, None)
-        rows = {True: [], False: []}
+        rows: dict[bool, list] = {True: [], False: []}
         for year in simulate_years(
             fit,
             still,
@@ -375,7 +375,7 @@ def _joint_json(gathered: _Gathered) -> dict | None:
     if gathered.curves[0].joint is None:
         return None
     inside = bounded(np.array([one.joint for one in gathered.curves]))
-    weather = np.mean([one.joint[0] for _, one in gathered.outside], axis=0)
+    weather = np.mean([one.joint[0] for _, one in gathered.outside if one.joint is not None], axis=0)
     used = np.flatnonzero((inside.value > 0).any(axis=1) | (weather > 0).any(axis=1))
     rows = slice(int(used[0]), int(used[-1]) + 1)
     return {

@@ -138,9 +138,9 @@ def redriven(scene: Scene) -> Scene:
     Whoever simulates the temperature better knows it better between the readings too: a heater's cycles that the base
     smoothed away are errors of the humidity's saturation.  As it is where that does not gain.
     """
-    if HYGRIC not in scene.parts:
+    part = scene.parts.get(HYGRIC)
+    if part is None or part.base.humidity is None:
         return scene
-    part = scene.parts[HYGRIC]
     record = _driven(scene.parts[THERMAL], part.record, part.base.humidity)
     part = climbed(replace(part, record=record, run=prepare_run(part.base, record)))
     if part.objective <= scene.parts[HYGRIC].objective:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -290,9 +290,12 @@ def score_statistic(scene: Scene, variant: Variant) -> float | None:
         parameters = wider.model.parameters
         given = variant.starts[0] if variant.starts else {}
         at = {p.name: given.get(p.name, p.start) for p in parameters} | dict(part.values)
-        new = [i for i, p in enumerate(parameters) if p.name not in part.values and p.null is not None]
-        for i in new:
-            at[parameters[i].name] = max(parameters[i].null, parameters[i].lower)
+        nulls = {
+            i: p.null for i, p in enumerate(parameters) if p.name not in part.values and p.null is not None
+        }
+        new = list(nulls)
+        for i, null in nulls.items():
+            at[parameters[i].name] = max(null, parameters[i].lower)
         old = [i for i, p in enumerate(parameters) if p.name in part.values]
         directions = np.zeros((len(parameters), len(new) + len(old)))
         for column, i in enumerate((*new, *old)):
@@ -378,7 +381,7 @@ def _unestimated(scene: Scene, shift: Shift) -> float:
 def _coarse(scene: Scene, source: str) -> float:
     """The shift [s] that score statistics ask for, 0 where none gains."""
     grid = np.array(SHIFTS_MIN) * 60.0
-    gains = sum(shift_gains(part, source, grid) for part in scene.parts.values())
+    gains = _gains(scene.parts, source, grid)
     grid, gains = np.append(grid, 0.0), np.append(gains, 0.0)
     order = np.argsort(grid)
     grid, gains = grid[order], gains[order]
@@ -388,7 +391,7 @@ def _coarse(scene: Scene, source: str) -> float:
         more = np.setdiff1d(np.linspace(low, high, 5)[1:-1], grid)
         if not len(more):
             break
-        extra = sum(shift_gains(part, source, more) for part in scene.parts.values())
+        extra = _gains(scene.parts, source, more)
         grid, gains = np.append(grid, more), np.append(gains, extra)
         order = np.argsort(grid)
         grid, gains = grid[order], gains[order]
@@ -414,7 +417,7 @@ def _climbed(scene: Scene, source: str, seconds: float) -> tuple[float, dict[str
 
 def _summit(parts: Mapping[str, Part], source: str, shifts: np.ndarray) -> float:
     """The further shift [s] at the top of the parabola through the largest of the gains and its neighbours."""
-    gains = sum(shift_gains(part, source, shifts) for part in parts.values())
+    gains = _gains(parts, source, shifts)
     x, y = np.insert(shifts, 2, 0.0), np.insert(gains, 2, 0.0)
     place = int(np.clip(np.argmax(y), 1, len(x) - 2))
     a, b, _ = np.polyfit(x[place - 1 : place + 2], y[place - 1 : place + 2], 2)
@@ -425,7 +428,12 @@ def _objective(parts: Mapping[str, Part]) -> float:
     return sum(part.objective for part in parts.values())
 
 
-def shift_gains(part: Part, source: str, shifts: Sequence[float]) -> np.ndarray:
+def _gains(parts: Mapping[str, Part], source: str, shifts: np.ndarray) -> np.ndarray:
+    """2 Δ ln L (S,) that shifts [s] promise in all parts together."""
+    return np.sum([shift_gains(part, source, shifts) for part in parts.values()], axis=0)
+
+
+def shift_gains(part: Part, source: str, shifts: np.ndarray) -> np.ndarray:
     """2 Δ ln L (S,) that shifts [s] of a source promise, all parameters estimated again to first order.
 
     Innovations e of the shifted record at the base's parameters, less what their slopes X can explain: |M e₀|² − |M e|².
@@ -459,13 +467,13 @@ def shift_gains(part: Part, source: str, shifts: Sequence[float]) -> np.ndarray:
 
 def _readings(
     t: Timeline, trace: Trace, slopes: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-    """Times [s], standardised innovations, and their slopes, at the readings."""
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Times [s] (N,), standardised innovations (N,), and their slopes (N, d), at the readings; (N, 0) without slopes."""
     read = np.isfinite(t.y)
     root = np.sqrt(trace.variance)
     e = ((t.y - trace.prediction) / root)[read]
     seconds = np.broadcast_to((t.origin_s + 3600.0 * t.time)[:, None], t.y.shape)[read]
-    return seconds, e, None if slopes is None else (slopes / root[..., None])[read]
+    return seconds, e, np.empty((len(e), 0)) if slopes is None else (slopes / root[..., None])[read]
 
 
 def _match(known: np.ndarray, time: np.ndarray) -> np.ndarray:

@@ -5,10 +5,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 from hygrokf.discovery.baseline import Scene
 from hygrokf.discovery.clocks import Shift
 from hygrokf.physics.model import Mechanism
+
+Additions = Mapping[str, tuple[tuple[str, dict], ...]]
+"""What a variant adds: part → pairs of a mechanism's name and its settings."""
 
 
 @dataclass(frozen=True)
@@ -25,10 +29,10 @@ class Variant:
 
     cause: str
     form: str
-    additions: Mapping[str, tuple[tuple[str, dict], ...]] = field(default_factory=dict)
+    additions: Additions = field(default_factory=dict)
     features: Mapping[str, dict] = field(default_factory=dict)
     starts: tuple[Mapping[str, float], ...] = ({},)
-    settings: Mapping[str, object] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
     searched: float = 1.0
     altered: Mapping[str, Mapping[str, dict]] = field(default_factory=dict)
     shift: Shift | None = None

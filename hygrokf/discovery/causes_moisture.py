@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene
-from hygrokf.discovery.cause import Variant
+from hygrokf.discovery.cause import Additions, Variant
 from hygrokf.discovery.grids import Probe, best_date, best_hours, best_switch, inside
 from hygrokf.discovery.scan import abrupt
 
@@ -98,12 +98,12 @@ def source(scene: Scene) -> list[Variant]:
         return []
     start = ({"moisture_source": 0.02}, {"moisture_source": 0.3}, {"moisture_source": 2.0})
 
-    def variant(form: str, when: str, features: dict, searched: int) -> Variant:
-        additions = {HYGRIC: (("internal_moisture_source", {"when": when}),)}
-        settings = next(iter(features.values()), {})
+    def variant(form: str, when: str, features: dict, searched: float) -> Variant:
+        additions: Additions = {HYGRIC: (("internal_moisture_source", {"when": when}),)}
+        settings: dict = next(iter(features.values()), {})
         return Variant("internal_moisture_source", form, additions, features, start, settings, searched)
 
-    wet = {HYGRIC: (("wet_surface", {}),)}
+    wet: Additions = {HYGRIC: (("wet_surface", {}),)}
     rates = tuple({"evaporation_rate": rate * _pace(scene)} for rate in (0.02, 0.2, 2.0))
     found = [
         variant("always", "always", {}, 3),
@@ -141,7 +141,10 @@ def drier(scene: Scene) -> list[Variant]:
     if switched is None:
         return found
     chosen, tried = switched
-    forms = [("two-point, cold plate", True, {}), ("two-point, desiccant", False, {})]
+    forms: list[tuple[str, bool, dict]] = [
+        ("two-point, cold plate", True, {}),
+        ("two-point, desiccant", False, {}),
+    ]
     if THERMAL in scene.parts:
         forms.append(("two-point, cold plate, heats the air", True, {THERMAL: (("drying_heat", {}),)}))
     for form, plate, also in forms:

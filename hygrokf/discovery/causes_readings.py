@@ -44,7 +44,7 @@ def humidity_drift(scene: Scene) -> list[Variant]:
         return []
     lowest, *levels = np.quantile(inside(scene, "cabinet_relative_humidity"), (SOUND, 0.5, 0.8, 0.95))
     sticks = tuple({"humidity_lost": 0.5, "humidity_ceiling": float(a)} for a in levels)
-    forms = (
+    forms: tuple[tuple[str, str, dict, dict, tuple[dict, ...]], ...] = (
         ("drift", "humidity_drift", {}, {"elapsed": span(scene)}, ({},)),
         ("scale that goes off", "humidity_scale", {}, {"elapsed": span(scene)}, ({},)),
         ("scale", "humidity_scale", {"flag": None}, {}, ({},)),

@@ -314,9 +314,9 @@ def _told(
     )
     if answer.step is not None or condition.kind == "step":
         state.step = None
-    direction = "too low" if size > 0 else "too high"
+    sign = "too low" if size > 0 else "too high"
     made = Misfit(
-        quantity, where, when, abs(size), direction, duration, seen, len(episodes), share, "", answer.p, q,
+        quantity, where, when, abs(size), sign, duration, seen, len(episodes), share, "", answer.p, q,
         condition.driver, condition.kind, curve,
         tuple(
             (float(hours.time_s[a] - 1800.0 * hours.step_h), float(hours.time_s[b - 1] + 1800.0 * hours.step_h))

@@ -196,7 +196,8 @@ def choose(
                 keep, scene = _needed(base, accepted, scene, say)
                 if len(keep) < len(accepted):
                     changed = set(scene.parts)
-                accepted, rivals, margins = ([one[i] for i in keep] for one in (accepted, rivals, margins))
+                accepted, rivals = [accepted[i] for i in keep], [rivals[i] for i in keep]
+                margins = [margins[i] for i in keep]
         if len(accepted) == MOST_CAUSES:
             break
         if budget.spent:

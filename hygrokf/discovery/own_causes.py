@@ -16,10 +16,11 @@ from functools import wraps
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene
-from hygrokf.discovery.cause import Cause, Variant
+from hygrokf.discovery.cause import Additions, Cause, Variant
 from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.plugin_validation import form_faults, is_feature, told, variant_faults
 from hygrokf.errors import HygrokfError
@@ -72,14 +73,14 @@ def cause_of(
         raise TypeError(f"cause {name!r}: expected factories that return a Mechanism: {', '.join(wrong)}")
     features = dict(features or {})
     own = {key: value for key, value in features.items() if not isinstance(value, Mapping)}
-    settings = {key: {} if key in own else dict(value) for key, value in features.items()}
+    settings = {key: dict(value) if isinstance(value, Mapping) else {} for key, value in features.items()}
     first = (starts,) if isinstance(starts, Mapping) else tuple(starts)
 
     def variants(scene: Scene) -> list[Variant]:
         there = {part: one for part, one in made.items() if part in scene.parts}
         if any(_lacking(scene, part, one, settings, needs) for part, one in there.items()) or not there:
             return []
-        additions = {part: ((one.name, {}),) for part, one in there.items()}
+        additions: Additions = {part: ((one.name, {}),) for part, one in there.items()}
         return [Variant(name, "as given", additions, settings, first or ({},))]
 
     inputs = {key for one in made.values() for key in one.inputs} - set(settings)
@@ -162,7 +163,8 @@ def _mapping(value: object) -> Mapping:
 
 def _doubles(pairs: Sequence[tuple[str, Cause]]) -> list[str]:
     """Names that two causes bring: of causes, and of mechanisms and features that are not the same function."""
-    faults, seen = [], {}
+    faults: list[str] = []
+    seen: dict[tuple[bool, str], Any] = {}
     for source, cause in pairs:
         brought = [("cause", cause.name, cause)]
         brought += [("mechanism", name, one) for name, one in _mapping(cause.mechanisms).items()]
@@ -218,8 +220,8 @@ def _causes_in(path: Path) -> tuple[list[Cause], Origin]:
     try:
         code = compile(content, str(path), "exec")
     except (SyntaxError, ValueError) as fault:
-        where = f" in line {fault.lineno}" if getattr(fault, "lineno", None) else ""
-        reason = getattr(fault, "msg", None) or fault
+        line, reason = getattr(fault, "lineno", None), getattr(fault, "msg", None) or fault
+        where = f" in line {line}" if line else ""
         raise LibraryFault([f"expected a Python file, found {reason}{where}"]) from None
     sys.modules[module.__name__] = module  # dataclasses look their module up
     try:

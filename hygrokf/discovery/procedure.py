@@ -88,7 +88,7 @@ def discover(
     scene = Scene(
         early,
         {
-            name: part_of(name, driven, stage)
+            name: part_of(name, driven, Estimated(stage.base, stage.run, stage.estimate))
             for name, driven, stage in zip(names, basis.records, basis.stages, strict=True)
         },
         budget,
@@ -115,8 +115,8 @@ def discover(
             if trial.variant.shift is not None:
                 moved = shifted(moved, trial.variant.shift)
         extended = assembled(moved, wider, {}, say=say, rate_step=SIMULATION_STEP)
-        after = _simulating(wider, choice.scene)
-        simulator_after = assembled(moved, after, {}, say=say, rate_step=SIMULATION_STEP)
+        simulating = _simulating(wider, choice.scene)
+        simulator_after = assembled(moved, simulating, {}, say=say, rate_step=SIMULATION_STEP)
     stages = wider.stages if choice.accepted else basis.stages
     say("what is left")
     before = residuals(base, record)
@@ -137,7 +137,7 @@ def _simulating(basis: Basis, scene: Scene) -> Basis:
 
 def _stages(basis: Basis, choice: Choice, profiles: bool, say: Progress) -> tuple[Stage, ...]:
     """The stages with the accepted causes in them, climbed to the end and judged, by `profiles` or Wald bounds."""
-    found = []
+    found: list[Stage] = []
     for name, stage in zip((THERMAL, HYGRIC), basis.stages, strict=False):
         part = choice.scene.parts[name]
         if part.base is stage.base and part.record is basis.records[len(found)]:

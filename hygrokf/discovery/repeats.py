@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from datetime import UTC, datetime
 
@@ -96,7 +96,7 @@ def _joined(spans: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
     return found
 
 
-def repeated_text(spans: dict[str, list[tuple[float, float]]]) -> str:
+def repeated_text(spans: Mapping[str, list[tuple[float, float]]]) -> str:
     """The repeats in one sentence."""
     name, found = max(spans.items(), key=lambda pair: len(pair[1]))
     days = list(dict.fromkeys(f"{datetime.fromtimestamp(first, UTC):%-d %B %Y}" for first, _ in found))

@@ -43,7 +43,7 @@ def write_discovery(found: Discovery, directory: str | os.PathLike[str]) -> Path
     folder = Path(directory)
     write_fit(found.extended or found.base, folder)
     buffer = io.BytesIO()
-    np.savez_compressed(buffer, **_arrays(found))
+    np.savez_compressed(buffer, **_arrays(found))  # type: ignore[arg-type]  # its flag is a keyword too
     write_bytes_whole(folder / DISCOVERY_SERIES, buffer.getvalue())
     return write_text_whole(folder / DISCOVERY, dump(found.to_json()))
 
@@ -93,7 +93,7 @@ def _arrays(found: Discovery) -> dict[str, np.ndarray]:
 
 def _residuals(arrays: Mapping[str, np.ndarray], which: str) -> Residuals | None:
     """Residuals from what `_arrays` gave; None where there are none."""
-    found: dict[str, object] = {}
+    found: dict[str, Any] = {}
     for key, array in arrays.items():
         head, *path = key.split("/", 2)
         if head != which:

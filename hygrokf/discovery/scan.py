@@ -254,17 +254,17 @@ def local_scan(probes: Mapping[str, tuple[Part, str, str]], name: str) -> list[l
     within hours.  `probes`: part → (part, mechanism, parameter) of effects that share the flag `name`.
     """
     step = 1800.0
-    products, squares, start = None, None, 0.0
+    products, squares, start = np.zeros((0, 0)), np.zeros((0, 0)), 0.0
     for part, mechanism, parameter in probes.values():
         e, x, seconds = _responses(part, mechanism, parameter, name)
-        if products is None:
+        if not products.size:
             start, count = float(seconds[0]), int((seconds[-1] - seconds[0]) / step) + 2
             products, squares = np.zeros((len(probes), count)), np.zeros((len(probes), count))
         row = list(probes).index(part.name)
         place = np.clip(((seconds - start) / step).astype(int), 0, products.shape[1] - 1)
         np.add.at(products[row], place, e * x)
         np.add.at(squares[row], place, x * x)
-    if products is None:
+    if not products.size:
         return []
     found: list[list[float]] = []
     taken = np.zeros(products.shape[1], bool)
