@@ -329,7 +329,7 @@ def _fitting(unit: str, signal: str | Signal) -> Unit:
     return UNITS[unit]
 
 
-def to_si(values: np.ndarray, unit: str, signal: str | Signal) -> np.ndarray:
+def to_si(values: np.ndarray | float, unit: str, signal: str | Signal) -> np.ndarray:
     """Values in the SI unit of the signal.
 
     values: [unit] any shape; NaN stays NaN.

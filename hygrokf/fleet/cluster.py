@@ -8,6 +8,7 @@ import os
 import threading
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from typing import Any
 
 from hygrokf.fleet.job import LOST, FleetFault, Job, Outcome, outcome
 from hygrokf.fleet.tasks import perform
@@ -86,7 +87,7 @@ def _quiet() -> Iterator[None]:
         log.setLevel(before)
 
 
-def _client(kind: type, address: str) -> object:
+def _client(kind: type, address: str) -> Any:
     try:
         return kind(address, timeout=WAIT_S, set_as_default=False)
     except (OSError, ValueError, TypeError) as fault:
@@ -97,7 +98,7 @@ def _client(kind: type, address: str) -> object:
         ) from None
 
 
-def _checked(client: object, address: str) -> int:
+def _checked(client: Any, address: str) -> int:
     """The number of workers, all of which can do the work."""
     try:
         client.wait_for_workers(1, timeout=WAIT_S)

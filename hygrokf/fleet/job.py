@@ -8,6 +8,7 @@ import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from hygrokf.data.files import (
     BESIDE_DISCOVERY,
@@ -57,7 +58,7 @@ class Job:
     case: Path
     folder: Path
     fit: Path | None = None
-    options: Mapping[str, object] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
     key: str = ""
 
     def to_json(self) -> dict:
@@ -78,7 +79,7 @@ _PATHS = ("case", "folder", "fit")
 class Outcome:
     """What became of a job: its row of the fleet's table (plain data), and the CPU time that it took [s]."""
 
-    row: Mapping[str, object]
+    row: Mapping[str, Any]
     seconds: float = 0.0
 
     @property
@@ -97,7 +98,7 @@ class Outcome:
         return cls(data["row"], float(data["seconds"]))
 
 
-def outcome(job: Job, status: str, reason: str = "", seconds: float = 0.0, **columns: object) -> Outcome:
+def outcome(job: Job, status: str, reason: str = "", seconds: float = 0.0, **columns: Any) -> Outcome:
     """The outcome of a job with the columns that every row has, those of its task behind them."""
     shared = {"turbine": job.turbine, "status": status, "reason": reason, "task": job.task, "key": job.key}
     return Outcome(json.loads(dump(shared | columns)), seconds)

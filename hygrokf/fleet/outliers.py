@@ -100,21 +100,23 @@ def spread(rows: Sequence[Mapping[str, object]], compared: Compared, quantities:
         named.append(str(row["turbine"]))
         x.append(np.log(value))
         error.append(np.log(high / low) / (2.0 * REACH) if compared.lower else np.nan)
-    x, error = np.array(x), np.array(error)
-    nothing = np.full(len(x), np.nan)
-    if not len(x):
-        return Spread(compared, (), x, error, tuple(open_), np.nan, np.nan, nothing, nothing, tuple(rejected))
-    center = float(np.median(x))
-    scale = TO_SD * float(np.median(np.abs(x - center)))
-    own = error**2 if compared.lower else np.zeros(len(x))
+    logs, sds = np.array(x), np.array(error)
+    nothing = np.full(len(logs), np.nan)
+    if not len(logs):
+        return Spread(
+            compared, (), logs, sds, tuple(open_), np.nan, np.nan, nothing, nothing, tuple(rejected)
+        )
+    center = float(np.median(logs))
+    scale = TO_SD * float(np.median(np.abs(logs - center)))
+    own = sds**2 if compared.lower else np.zeros(len(logs))
     between = float(np.sqrt(max(scale**2 - float(np.median(own)), 0.0)))
     z = p = nothing
-    if len(x) >= FEWEST and scale > 0:
-        z = (x - center) / np.sqrt(
+    if len(logs) >= FEWEST and scale > 0:
+        z = (logs - center) / np.sqrt(
             scale**2 - min(float(np.median(own)), scale**2) + own if own.any() else scale**2
         )
         p = np.minimum(1.0, quantities * family_chance(np.abs(z)))
-    return Spread(compared, tuple(named), x, error, tuple(open_), center, between, z, p, tuple(rejected))
+    return Spread(compared, tuple(named), logs, sds, tuple(open_), center, between, z, p, tuple(rejected))
 
 
 def family_chance(z: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from functools import partial
 from html import escape
 
 from hygrokf.data.lookup import entry, number
@@ -274,7 +275,7 @@ def _spreads_section(found: Sequence[Spread]) -> str:
         ),
     ):
         if chosen:
-            parts.append(figure_html(name, heading, caption, lambda chosen=chosen: figure_spreads(chosen)))
+            parts.append(figure_html(name, heading, caption, partial(figure_spreads, chosen)))
     for one in found:
         for names, why in (
             (one.open, "Without a value and bounds above zero on both sides"),

@@ -9,6 +9,7 @@ import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 from hygrokf.errors import suggestion
 from hygrokf.fleet.job import FleetFault, Job, content_key
@@ -36,7 +37,7 @@ class Plan:
     name: str
     task: str
     turbines: tuple[Turbine, ...]
-    options: Mapping[str, object]
+    options: Mapping[str, Any]
 
     def jobs(self, out: Path) -> list[Job]:
         """One job for each turbine, with results in a folder of `out`, and with the key of what it reads."""
@@ -88,7 +89,7 @@ def _text(table: Mapping, key: str, where: str, faults: list[str]) -> str:
     return value
 
 
-def _options(table: object, name: str, task: Task, folder: Path, faults: list[str]) -> dict:
+def _options(table: Any, name: str, task: Task, folder: Path, faults: list[str]) -> dict:
     """Every option of the task, as stated or by default; files as absolute paths."""
     if not isinstance(table, dict):
         faults.append(f"options: expected a table [options], found {table!r}")

@@ -40,6 +40,7 @@ def figure_spreads(found: Sequence[Spread]) -> Figure:
     named = most <= NAMED
     height = 0.95 + (0.155 * most if named else min(0.155 * NAMED, 0.03 * most + 3.0))
     with styled():
+        from matplotlib.artist import Artist
         from matplotlib.lines import Line2D
         from matplotlib.patches import Patch
 
@@ -47,7 +48,7 @@ def figure_spreads(found: Sequence[Spread]) -> Figure:
         panels = figure.subplots(1, len(shown), squeeze=False)[0]
         for axes, one in zip(panels, shown, strict=True):
             _panel(axes, one, named, most)
-        handles = [
+        handles: list[Artist] = [
             Line2D([], [], color=MEASURED, marker="o", markersize=3, label="turbine" + _with_bounds(shown)),
             Line2D([], [], color=QUIET, label="median"),
         ]

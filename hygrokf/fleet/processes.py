@@ -86,6 +86,7 @@ class _Worker:
         if process is None:
             return None
         line = ""
+        assert process.stdin is not None and process.stdout is not None
         with suppress(OSError, ValueError):  # it may die while it is written to
             process.stdin.write(json.dumps(job.to_json()) + "\n")
             process.stdin.flush()
@@ -100,7 +101,8 @@ class _Worker:
         status = process.wait()
         for pipe in (process.stdin, process.stdout):
             with suppress(OSError):  # what was not written can not be written any more
-                pipe.close()
+                if pipe is not None:
+                    pipe.close()
         with self._lock:
             self._process = None
         return status
@@ -146,13 +148,15 @@ class _Worker:
 
 def _epitaph(status: int, last_words: str) -> str:
     """What a process died of, and what to do."""
+    killer = ""
     if status >= 0:
         said = f"its process ended with status {status}"
     else:
+        killer = str(status)
         with suppress(ValueError):
-            status = signal.Signals(-status).name
-        said = f"its process was killed by {status}"
+            killer = signal.Signals(-status).name
+        said = f"its process was killed by {killer}"
     said += f", {ATTEMPTS} times in a row"
-    if status == "SIGKILL":
+    if killer == "SIGKILL":
         said += "; the system does so where memory is short: run it again with fewer --workers"
     return f"{said}; it last said: {last_words}" if last_words else said

@@ -12,7 +12,7 @@ import traceback
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from hygrokf.data.files import write_text_whole
 from hygrokf.data.lookup import entry, number
@@ -34,7 +34,7 @@ class Option:
     `allowed`: a tuple of words, the least whole number, or "flag" (true or false), "files" (a list of paths).
     """
 
-    default: object
+    default: Any
     allowed: tuple[str, ...] | int | str
     meaning: str
 
@@ -48,7 +48,7 @@ class Option:
         elif isinstance(self.allowed, tuple):
             good, expected = value in self.allowed, f"one of {', '.join(self.allowed)}"
         else:
-            good = type(value) is int and value >= self.allowed
+            good = isinstance(self.allowed, int) and type(value) is int and value >= self.allowed
             expected = f"a whole number from {self.allowed} on"
         return "" if good else f"expected {expected}, found {value!r}"
 
@@ -68,7 +68,7 @@ class Compared:
     upper: str = ""
     verdict: str = ""
 
-    def rejected(self, row: Mapping[str, object]) -> bool:
+    def rejected(self, row: Mapping[str, Any]) -> bool:
         """Whether a turbine's value is not to be believed."""
         return bool(self.verdict) and row.get(self.verdict) == REJECT
 
@@ -82,7 +82,7 @@ class Task:
     they are ranked, largest first. uses_fit: whether a fitted model is needed.
     """
 
-    perform: Callable[[Job], Mapping[str, object]]
+    perform: Callable[[Job], Mapping[str, Any]]
     meaning: str
     options: Mapping[str, Option]
     columns: Mapping[str, str]
@@ -218,7 +218,7 @@ def _discover(job: Job) -> dict:
 
     own = load_library(*job.options["library"], installed=True)
     record = read_case(job.case)
-    found = discover(record, starts=job.options["starts"], **({"library": (*LIBRARY, *own)} if own else {}))
+    found = discover(record, starts=job.options["starts"], library=(*LIBRARY, *own))
     results = found.to_json()
     if job.options["report"]:
         write_discovery_report(found, job.folder)
@@ -256,7 +256,7 @@ def _evaluate(job: Job) -> dict:
         **_of_verdicts(results["verdicts"]),
         **_of_scores(results),
     }
-    period = columns["scored_period"]
+    period = str(columns["scored_period"])
     for quantity, column in _ERRORS.items():
         name = column.partition("_rmse")[0]
         for regime in ("operation", "standstill"):
@@ -268,17 +268,23 @@ def _evaluate(job: Job) -> dict:
     return columns
 
 
+def _fit_of(job: Job) -> Path:
+    """The fitted model, or type, that a job uses."""
+    assert job.fit is not None, f"{job.task} needs a fit"
+    return job.fit
+
+
 def _stored(job: Job) -> Fit:
     """The fitted model that a job uses, with causes of the user's own where it has some."""
     from hygrokf.identification.results import LibraryAbsent, read_fit
 
     try:
-        return read_fit(job.fit)
+        return read_fit(_fit_of(job))
     except LibraryAbsent:
         from hygrokf.discovery.own_causes import load_library
 
         load_library(*job.options["library"], installed=True)
-        return read_fit(job.fit)
+        return read_fit(_fit_of(job))
 
 
 def _transfer(job: Job) -> dict:
@@ -289,7 +295,8 @@ def _transfer(job: Job) -> dict:
     from hygrokf.transfer.procedure import transfer_fit
 
     record = read_case(job.case)
-    made = transfer_fit(read_type(job.fit) if is_type(job.fit) else _stored(job), record)
+    source = _fit_of(job)
+    made = transfer_fit(read_type(source) if is_type(source) else _stored(job), record)
     write_transfer([made], job.folder)
     results = made.results
     columns: dict[str, object] = {

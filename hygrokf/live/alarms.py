@@ -199,9 +199,10 @@ def _kind(key: str) -> str:
 
 def condensation_level(found: Condition, place: int = -1) -> list[Level]:
     """The level of an instant (the last one): the probability that the coldest surface is below the dew point."""
-    if found.condensation is None or not len(found.time_s):
+    margin = found.margin_K
+    if found.condensation is None or margin is None or not len(found.time_s):
         return []
-    chance, margin = float(found.condensation[place]), found.margin_K
+    chance = float(found.condensation[place])
     if chance < CONDENSATION.off:
         return [Level(CONDENSATION.kind, chance, "")]
     words = (

@@ -175,7 +175,7 @@ def probability_above(quantity: Quantity, limit: float) -> np.ndarray:
 
 
 def _air(
-    model: Model, values: Mapping[str, float], u: Mapping[str, np.ndarray], mean: np.ndarray
+    model: Model, values: Mapping[str, float | np.ndarray], u: Mapping[str, np.ndarray], mean: np.ndarray
 ) -> tuple[np.ndarray | None, np.ndarray]:
     """Temperature (T,) of the cabinet air [K] and its slopes (T, n) along the states, by complex steps."""
     count, n = mean.shape

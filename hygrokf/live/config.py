@@ -8,6 +8,7 @@ import tomllib
 from collections.abc import Mapping as MappingOf
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from hygrokf.data.record import Site
 from hygrokf.data.signals import SIGNALS, difference_to_si, unit_fault
@@ -138,7 +139,8 @@ def _mapping(table: object, reader: TableReader) -> Mapping:
         if one.signal in taken:
             reader.faults.append(f"[mapping.signals]: {name} and {taken[one.signal]} are both {one.signal}")
         taken[one.signal] = name
-    return Mapping(fields, **texts, good=tuple(str(one).strip().lower() for one in good))
+    named: dict[str, Any] = dict(texts)
+    return Mapping(fields, **named, good=tuple(str(one).strip().lower() for one in good))
 
 
 def _field(name: str, entry: object, reader: TableReader) -> Field | None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -75,9 +76,10 @@ def forecast(plan: Plan, state: Point, outlook: Outlook, surface: Surface, limit
     """
     found = ahead(plan, state, outlook, surface)
     mixed = mixture(found)
+    known = [one.relative_humidity for one in found if one.relative_humidity is not None]
     above = (
-        np.mean([probability_above(one.relative_humidity, limit) for one in found], axis=0)
-        if (mixed.relative_humidity is not None)
+        np.mean([probability_above(one, limit) for one in known], axis=0)
+        if known
         else np.full(len(mixed.time_s), np.nan)
     )
     return Forecast(state.time, mixed, above, limit, outlook.words)
@@ -92,9 +94,10 @@ def restart(plan: Plan, state: Point, outlook: Outlook, surface: Surface, limit:
     if "preheating" not in plan.model.inputs:
         return Advice(state.time, None, None, limit, "no pre-heating was seen when the model was identified: how much it heats is not known")  # fmt: skip
     found = ahead(plan, state, outlook.heated(LONGEST_H + STAYS_H), surface)
-    if found[0].surface_humidity is None:
+    known = [one.surface_humidity for one in found if one.surface_humidity is not None]
+    if not known:
         return Advice(state.time, None, None, limit, "the model knows no humidity")
-    chance = np.mean([probability_below(one.surface_humidity, limit) for one in found], axis=0)
+    chance = np.mean([probability_below(one, limit) for one in known], axis=0)
     hours = (found[0].time_s - state.time) / 3600.0
     return advice_from(state.time, hours, chance, limit)
 
@@ -197,12 +200,13 @@ def _series(plan: Plan, signal: str, outlook: Outlook, values: np.ndarray) -> Se
 def mixture(found: Sequence[Condition]) -> Condition:
     """Means and standard deviations of the mixture of equally likely conditions at the same instants."""
     first = found[0]
-    mixed = {}
+    mixed: dict[str, Any] = {}
     for name, quantity in vars(first).items():
         if not isinstance(quantity, Quantity):
             continue
         values = np.array([getattr(one, name).value for one in found])
         spreads = np.array([getattr(one, name).sd for one in found])
         mixed[name] = Quantity(values.mean(axis=0), np.sqrt(values.var(axis=0) + np.mean(spreads**2, axis=0)))
-    chance = None if first.condensation is None else np.mean([one.condensation for one in found], axis=0)
+    chances = [one.condensation for one in found if one.condensation is not None]
+    chance = np.mean(chances, axis=0) if chances else None
     return replace(first, condensation=chance, **mixed)

@@ -15,6 +15,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from collections.abc import Mapping as MappingOf
 from dataclasses import dataclass, field
+from functools import partial
 
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast_job import EVERY_S, ahead_batch, inquiry_into, look_ahead
@@ -69,7 +70,7 @@ class Service:
         turbines: MappingOf[str, Turbine],
         streams: Sequence[Stream],
         store_url: str,
-        settle: Callable[[object], None] = lambda batch: None,
+        settle: Callable[[Batch], None] = lambda batch: None,
         retention_s: float = math.inf,
     ) -> None:
         self.turbines = turbines
@@ -82,9 +83,21 @@ class Service:
         self._tick = self._forecasts = self._latest = 0.0
         self._words: dict[str, str] = {}
         self._inquiry: tuple[str, Iterator[Finding | None]] | None = None
-        self._waiting: queue.Queue = queue.Queue(WAITING)
+        self._waiting: queue.Queue[tuple[str, Delivery, float]] = queue.Queue(WAITING)
         self.store: Store | None = None
         self.fleet: Fleet | None = None
+
+    @property
+    def _store(self) -> Store:
+        """The store, while the service runs."""
+        assert self.store is not None, "the service does not run yet"
+        return self.store
+
+    @property
+    def _fleet(self) -> Fleet:
+        """The fleet, while the service runs."""
+        assert self.fleet is not None, "the service does not run yet"
+        return self.fleet
 
     def stop(self) -> None:
         """Drain and end: what was delivered is filtered and committed first."""
@@ -101,8 +114,8 @@ class Service:
         try:
             begun()
             for url, stream in self.streams.items():
-                stream.start(self.store.place(url), lambda one, url=url: self._put(url, one))
-                stream.tell(self.fleet.open_alarms())  # what was told before a crash may not have arrived
+                stream.start(self._store.place(url), partial(self._put, url))
+                stream.tell(self._fleet.open_alarms())  # what was told before a crash may not have arrived
             while not self.ending.is_set():
                 idle = not self.round()
                 self._aside(idle)
@@ -147,14 +160,14 @@ class Service:
 
     def _busy(self) -> bool:
         """Whether something is still to be found out or foretold from what has come."""
-        return bool(self._inquiry or self.fleet.asked() or self.fleet.due(EVERY_S))
+        return bool(self._inquiry or self._fleet.asked() or self._fleet.due(EVERY_S))
 
     def round(self) -> bool:
         """One round of deliveries, or of turbines that wait for their filter; whether there was either."""
-        found = taken_from(self._waiting, MOST, 0.0 if self.fleet.waiting else PATIENCE_S)
-        self.retention.bite(self.store, self.fleet)
-        if not found and self.fleet.waiting:
-            self._told(self._kept(lambda: self.fleet.filtered(Batch(), FILTER_S)))
+        found = taken_from(self._waiting, MOST, 0.0 if self._fleet.waiting else PATIENCE_S)
+        self.retention.bite(self._store, self._fleet)
+        if not found and self._fleet.waiting:
+            self._told(self._kept(lambda: self._fleet.filtered(Batch(), FILTER_S)))
             return True
         by_source: dict[str, list[Delivery]] = {}
         for url, one, _ in found:
@@ -171,17 +184,17 @@ class Service:
     def _committed(self, url: str, deliveries: Sequence[Delivery]) -> None:
         """Take deliveries in, commit what that gives, and acknowledge them."""
         stream = self.streams[url]
-        batch = self._kept(lambda: self.fleet.round(deliveries, stream.mapping, url, FILTER_S), url)
+        batch = self._kept(lambda: self._fleet.round(deliveries, stream.mapping, url, FILTER_S), url)
         stream.acknowledge(deliveries)
         self._told(batch)
 
     def _looked_ahead(self, name: str) -> Batch:
         """The forecast of a turbine; the next one is due an hour later, also where there is none."""
-        one, tracker = self.turbines[name], self.fleet.trackers[name]
-        found = look_ahead(name, one, tracker, self.store)
+        one, tracker = self.turbines[name], self._fleet.trackers[name]
+        found = look_ahead(name, one, tracker, self._store)
         if found is None:
             return Batch()
-        self.fleet.looked[name] = found.time_s
+        self._fleet.looked[name] = found.time_s
         return ahead_batch(name, found, one.limit)
 
     def _kept(self, make: Callable[[], Batch], source: str = "") -> Batch:
@@ -190,13 +203,13 @@ class Service:
         while True:
             try:
                 # a commit whose answer was lost has been made where its mark is there
-                if not attempt or not source or self.store.memory(SOURCE, f"batch of {source}") != mark:
+                if not attempt or not source or self._store.memory(SOURCE, f"batch of {source}") != mark:
                     batch = make()
                     if source:
                         batch.memories[SOURCE, f"batch of {source}"] = mark
-                        self.store.claim("source", batch.place)
+                        self._store.claim("source", batch.place)
                     if not batch.empty:
-                        self.store.commit(batch)
+                        self._store.commit(batch)
                 break
             except StoreFault as fault:
                 self.health.store = str(fault).strip()
@@ -231,10 +244,10 @@ class Service:
             self._tick = begin + TICK_S
             states = {url: stream.state for url, stream in self.streams.items()}
             self._noted(states)
-            self._told(self._kept(lambda: self.fleet.tick(self.now, states)))
-        behind = self.fleet.waiting or not self._waiting.empty()
+            self._told(self._kept(lambda: self._fleet.tick(self.now, states)))
+        behind = self._fleet.waiting or not self._waiting.empty()
         if idle or begin >= (self._latest if behind else self._forecasts):
-            name = self.fleet.due(EVERY_S)
+            name = self._fleet.due(EVERY_S)
             if name is not None:
                 self._told(self._kept(lambda: self._looked_ahead(name)))
             self._inquired()
@@ -253,11 +266,11 @@ class Service:
     def _inquired(self) -> None:
         """One step of the inquiry that is under way, or the first one of another."""
         if self._inquiry is None:
-            name = self.fleet.asked()
+            name = self._fleet.asked()
             if name is None:
                 return
-            lasting = [one for one in self.fleet.departures[name].values() if one.lasting]
-            self._inquiry = (name, inquiry_into(name, self.turbines[name], lasting, self.store))
+            lasting = [one for one in self._fleet.departures[name].values() if one.lasting]
+            self._inquiry = (name, inquiry_into(name, self.turbines[name], lasting, self._store))
         name, steps = self._inquiry
         try:
             found = next(steps)
@@ -266,12 +279,12 @@ class Service:
             return
         if found is not None:
             self._inquiry = None
-            self._told(self._kept(lambda: self.fleet.answered(name, found)))
+            self._told(self._kept(lambda: self._fleet.answered(name, found)))
 
     def _reopened(self, attempt: int) -> int:
         """Open the store anew, as often as it takes, once more when all is to end; the next attempt's number."""
         while True:
-            self.store.close()
+            self._store.close()
             self.ending.wait(RETRY_S[min(attempt, len(RETRY_S) - 1)])
             attempt += 1
             try:

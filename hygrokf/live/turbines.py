@@ -14,6 +14,7 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from collections.abc import Mapping as MappingOf
 from dataclasses import asdict, dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -64,7 +65,7 @@ class Delivery:
     received: float
     topic: str = ""
     place: str = ""
-    token: object = field(default=None, compare=False)
+    token: Any = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -121,8 +122,8 @@ class Fleet:
                 )
             if "forecast" in known:
                 fleet.looked[name] = known["forecast"]["made"]
-        known = store.memory(SOURCE, "alarms") or {}
-        fleet.standings[SOURCE] = {k: standing_of(d) for k, d in known.items()}
+        alarms = store.memory(SOURCE, "alarms") or {}
+        fleet.standings[SOURCE] = {k: standing_of(d) for k, d in alarms.items()}
         return fleet
 
     def round(

@@ -15,11 +15,12 @@ FREEZING_K = 273.15
 class Surface:
     """The coldest surface in a cabinet: T_s = T_amb + follows (T − T_amb) + offset_K.
 
-    `follows` 0 for a wall that has the ambient's temperature, 1 for a part that has the cabinet air's.
+    `follows` 0 for a wall that has the ambient's temperature, 1 for a part that has the cabinet air's.  Arrays (T,) are other surfaces at each
+    instant.
     """
 
-    follows: float = 0.3
-    offset_K: float = 0.0
+    follows: float | np.ndarray = 0.3
+    offset_K: float | np.ndarray = 0.0
 
     def temperature(self, outside: np.ndarray, air: np.ndarray) -> np.ndarray:
         """Temperature [K] of the surface, from those of the ambient and of the cabinet air [K], any shape."""

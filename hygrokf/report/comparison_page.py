@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Mapping
+from functools import partial
 from html import escape
 from pathlib import Path
 
@@ -65,7 +66,7 @@ def comparison_page(found: Mapping) -> str:
             "Errors side by side",
             *tables(found),
             *(
-                figure_html(f"errors-{period}", f"Errors, {period}", caption, lambda period=period: figure_errors(found, period))
+                figure_html(f"errors-{period}", f"Errors, {period}", caption, partial(figure_errors, found, period))
                 for period, caption in _CAPTIONS.items()
             ),
         ),
@@ -174,7 +175,8 @@ def scores_table(found: Mapping, period: str) -> Table | None:
 
 def differences_table(found: Mapping) -> Table | None:
     """RMSE of one column less that of another, by period and regime; those that bounds keep from zero are set off."""
-    rows, marked = [], []
+    rows: list[tuple[str, ...]] = []
+    marked: list[int] = []
     for one in found["differences"]:
         for period in (p for p in PERIODS if p in ALL_PERIODS):
             for quantity, by in one["scores"][period].items():

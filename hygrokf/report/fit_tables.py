@@ -55,7 +55,8 @@ class Table:
 
 def time_constants_table(fit: Mapping) -> Table | None:
     """Both time constants by both criteria; None where neither was identified."""
-    rows, notes = [], []
+    rows: list[tuple[str, ...]] = []
+    notes: list[str] = []
     for name in ("thermal", "hygric"):
         constant = time_constant(fit, name)
         if constant.found is None:
@@ -124,7 +125,7 @@ def time_constants_table(fit: Mapping) -> Table | None:
 
 def _beside(found: Mapping) -> list[tuple[str, ...]]:
     """Rows below a time constant: the likelihood's own bounds, R·C under convection, the sensor's response."""
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for words, key, how in (
         ("  by the likelihood alone", "profile", "profile likelihood, 95 %"),
         ("  R·C at the same difference", "resistance_capacity", "all sources, 95 %"),
@@ -223,7 +224,8 @@ def parameters_table(fit: Mapping) -> Table | None:
     """Every parameter with standard error, bounds, unit, meaning and remarks; None without any."""
     found = entry(fit, "parameters")
     flat = set(texts(entry(fit, "flat")))
-    rows, marked = [], []
+    rows: list[tuple[str, ...]] = []
+    marked: list[int] = []
     for name, row in found.items() if isinstance(found, Mapping) else ():
         value, se, low, high = (number(row, part) for part in ("value", "se", "lower", "upper"))
         decimals = decimals_for(0.5 * se)

@@ -88,7 +88,9 @@ def time_constant(fit: Mapping, name: str) -> TimeConstant:
     found = entry(fit, "time_constants", name)
     if not isinstance(found, Mapping):
         return TimeConstant(name, "not identified", "", False, None)
-    value, bounds, closed = interval(*(number(found, part) for part in ("value_h", "lower_h", "upper_h")))
+    value, bounds, closed = interval(
+        number(found, "value_h"), number(found, "lower_h"), number(found, "upper_h")
+    )
     level = number(found, "level")
     how = (percent(level) if math.isfinite(level) else "", method(found))
     tail = ", ".join(part for part in (bounds, *how) if part)
@@ -226,7 +228,9 @@ def _errors(fit: Mapping, part: str) -> list[Judgement]:
 
 def _bands(fit: Mapping) -> list[Judgement]:
     found = entry(fit, "bands")
-    narrow, wide, right = [], [], []
+    narrow: list[str] = []
+    wide: list[str] = []
+    right: list[str] = []
     for lead, by_quantity in found.items() if isinstance(found, Mapping) else ():
         for quantity in SCORED:
             share, n = number(by_quantity, quantity, "coverage"), number(by_quantity, quantity, "n")

@@ -54,7 +54,7 @@ def numbers_html(inherited: object, whose: str = "") -> str:
     """
     items = ""
     for part, data, found in handed_on(inherited):
-        value, bounds, _ = interval(*(number(data, key) for key in ("value_h", "lower_h", "upper_h")))
+        value, bounds, _ = interval(number(data, "value_h"), number(data, "lower_h"), number(data, "upper_h"))
         span = prose(f"{value} ({bounds})" if bounds else value)
         span = (
             f"<s>{span}</s>"

@@ -47,7 +47,8 @@ def write_transfer(
     data, series = transfer_json(transfers, pooled), [one.series for one in transfers]
     text, page, buffer = dump(data), transfer_page(json.loads(dump(data)), series), io.BytesIO()
     np.savez_compressed(
-        buffer, **{f"{i}/{name}": v for i, one in enumerate(series) for name, v in one.items()}
+        buffer,
+        **{f"{i}/{name}": v for i, one in enumerate(series) for name, v in one.items()},  # type: ignore[arg-type]  # its flag is a keyword too
     )
     folder.mkdir(parents=True, exist_ok=True)
     (folder / REPORT).unlink(missing_ok=True)
@@ -166,7 +167,8 @@ def _record(one: Mapping, series: Mapping[str, np.ndarray], place: int, several:
 
 def groups_table(one: Mapping) -> Table | None:
     """Group by group: the statistic, p, what the difference does to the simulation, and what follows."""
-    rows, marked = [], []
+    rows: list[tuple[str, ...]] = []
+    marked: list[int] = []
     for row in one["groups"]:
         if "p" not in row:
             rows.append((text_of(row["group"]), NONE, NONE, NONE, NONE, NONE, text_of(row["statement"])))

@@ -81,7 +81,9 @@ def _page_says(settings: PageSettings) -> str | None:
             # it is asked how it is, and told nothing: whose certificate it shows does not matter
             context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
             context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-            connection = http.client.HTTPSConnection(host, settings.port, timeout=ANSWER_S, context=context)
+            connection: http.client.HTTPConnection = http.client.HTTPSConnection(
+                host, settings.port, timeout=ANSWER_S, context=context
+            )
         else:
             connection = http.client.HTTPConnection(host, settings.port, timeout=ANSWER_S)
         try:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
+from typing import Any
 
 from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok
 from hygrokf.live.doctor.clock import stamp_check
@@ -41,7 +42,7 @@ class Heard:
 class Listener(Link):
     """A link that hands on each message as it is; acknowledged at once, as nobody else hears of this session."""
 
-    def _on_message(self, client, userdata, message) -> None:
+    def _on_message(self, client: Any, userdata: Any, message: Any) -> None:
         self.acknowledge(message.mid if message.qos else None)
         with suppress(UnicodeDecodeError):
             if not self.is_own(message.topic):
@@ -86,9 +87,9 @@ def mqtt_checks(
     if retained.payloads and not tally.payloads:
         yield from tally_checks(f"{about} retained messages", retained)
     yield from tally_checks(about, tally)
-    found = stamp_check(about, tally.lag_s, lateness_s)
-    if found is not None and not mapping.weather:
-        yield found
+    late = stamp_check(about, tally.lag_s, lateness_s)
+    if late is not None and not mapping.weather:
+        yield late
 
 
 def listening(broker: Broker) -> Broker:

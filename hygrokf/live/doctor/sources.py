@@ -55,10 +55,13 @@ def examined(streams: Sequence[Stream], wait_s: float, lateness_s: float) -> lis
         thread.start()
     for thread in threads:
         thread.join()
-    for made in found.values():
+    results = []
+    for number in range(len(streams)):
+        made = found[number]
         if isinstance(made, BaseException):
             raise made
-    return [found[number] for number in range(len(streams))]
+        results.append(made)
+    return results
 
 
 def _checks(stream: Stream, tally: Tally, wait_s: float, lateness_s: float) -> Iterator[Check]:

@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
+from typing import Any
 
 from hygrokf.live.reasons import reason_words, tls_words
 from hygrokf.live.sources.broker import Broker
@@ -66,7 +67,7 @@ class Link:
         self._thread: threading.Thread | None = None
         self.client = self._client()
 
-    def _client(self):
+    def _client(self) -> Any:
         from paho.mqtt.client import MQTTv5
         from paho.mqtt.enums import CallbackAPIVersion
 
@@ -116,7 +117,7 @@ class Link:
         if identifier is not None and not self.lost.is_set():
             self.client.ack(identifier, 1)
 
-    def publish(self, topic: str, payload: bytes):
+    def publish(self, topic: str, payload: bytes) -> Any:
         """Publish a retained message; what it gives is asked by `published`.  From any thread."""
         return self.client.publish(topic, payload, qos=1, retain=True)
 
@@ -201,7 +202,7 @@ class Link:
         options = SubscribeOptions(qos=1, retainHandling=SubscribeOptions.RETAIN_SEND_IF_NEW_SUB)
         self.client.subscribe([(one, options) for one in filters])
 
-    def _on_connect(self, client, userdata, flags, reason_code, properties) -> None:
+    def _on_connect(self, client: Any, userdata: Any, flags: Any, reason_code: Any, properties: Any) -> None:
         if reason_code.is_failure:
             self.lose(f"{self.broker.where}: {reason_words(reason_code.value, str(reason_code))}")
             return
@@ -217,7 +218,9 @@ class Link:
         self._subscribe(self.broker.topics)
         self._ready(self)
 
-    def _on_subscribe(self, client, userdata, identifier, reason_codes, properties) -> None:
+    def _on_subscribe(
+        self, client: Any, userdata: Any, identifier: Any, reason_codes: Any, properties: Any
+    ) -> None:
         for one, code in zip(self._asked, reason_codes, strict=False):
             if code.is_failure:
                 self._denied[one] = reason_words(code.value, str(code))
@@ -225,7 +228,7 @@ class Link:
                 self._denied.pop(one, None)
         self._granted = True
 
-    def _on_message(self, client, userdata, message) -> None:
+    def _on_message(self, client: Any, userdata: Any, message: Any) -> None:
         identifier = message.mid if message.qos else None
         try:
             topic = message.topic
@@ -240,12 +243,16 @@ class Link:
             # of what is too large one byte too many is kept: it is refused and counted with the other payloads
             self.arrived.put((bytes(message.payload[: LARGEST + 1]), topic, time.time(), identifier))
 
-    def _on_publish(self, client, userdata, identifier, reason_code, properties) -> None:
+    def _on_publish(
+        self, client: Any, userdata: Any, identifier: Any, reason_code: Any, properties: Any
+    ) -> None:
         self._alarms_denied = (
             reason_words(reason_code.value, str(reason_code)) if reason_code.is_failure else ""
         )
 
-    def _on_disconnect(self, client, userdata, flags, reason_code, properties) -> None:
+    def _on_disconnect(
+        self, client: Any, userdata: Any, flags: Any, reason_code: Any, properties: Any
+    ) -> None:
         where = self.broker.where
         if flags.is_disconnect_packet_from_server:
             self.lose(f"{where}: {reason_words(reason_code.value, str(reason_code))}")
@@ -274,7 +281,7 @@ class _LastWords(logging.Handler):
         self.text = record.getMessage()
 
 
-def published(info) -> bool:
+def published(info: Any) -> bool:
     """Whether the broker has confirmed what `Link.publish` sent."""
     try:
         return info is not None and info.is_published()

@@ -284,7 +284,7 @@ async def in_order(histories: Iterable[AsyncIterator[Sample]]) -> AsyncIterator[
     for number, history in enumerate(histories):
         sample = await anext(history, None)
         if sample is not None:
-            heapq.heappush(heads, (sample.time, number, sample, history))
+            heapq.heappush(heads, (sample.time or 0.0, number, sample, history))
     while heads:
         _, number, sample, history = heads[0]
         yield sample
@@ -292,7 +292,7 @@ async def in_order(histories: Iterable[AsyncIterator[Sample]]) -> AsyncIterator[
         if sample is None:
             heapq.heappop(heads)
         else:
-            heapq.heapreplace(heads, (sample.time, number, sample, history))
+            heapq.heapreplace(heads, (sample.time or 0.0, number, sample, history))
 
 
 def _named(words: str, nodes: MappingOf[Node, str]) -> str:

@@ -12,6 +12,7 @@ import time
 from collections.abc import AsyncIterator, Iterable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
+from typing import Any
 
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.live.sources.opcua_samples import (
@@ -62,8 +63,8 @@ class Connection:
         """Nodes of which samples found no room here; the caller empties it."""
         self._rates, self._security, self._user = rates, security, user
         self._ua = library().ua
-        self._client = None
-        self._subscription = None
+        self._client: Any = None
+        self._subscription: Any = None
         self._handles: dict[int, Node] = {}
         self._ids: dict[Node, object] = {}
         self._held: list[tuple[Node, object, float]] = []
@@ -84,7 +85,7 @@ class Connection:
             await self.close()
             raise ConnectionFault(words) from None
 
-    async def _made(self):
+    async def _made(self) -> Any:
         """A client with this connection's security and user, which is not connected yet."""
         asyncua = library()
         from asyncua.crypto import security_policies
@@ -223,7 +224,7 @@ class Connection:
             self._ids[node] = ua.NodeId(one.Identifier, namespaces.index(uri), one.NodeIdType) if uri else one
         return refused
 
-    def _item(self, node: Node, filtered: bool):
+    def _item(self, node: Node, filtered: bool) -> Any:
         """A request for a node; `filtered` by time stamps as well, so that a value measured twice comes twice."""
         ua = self._ua
         wanted = ua.MonitoringParameters()
@@ -240,7 +241,7 @@ class Connection:
         self._handles[wanted.ClientHandle] = node
         return item
 
-    def datachange_notification(self, node, value, data) -> None:
+    def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
         """Called by asyncua; only notes what came."""
         one = self._handles[data.subscription_data.client_handle]
         if len(self._held) < HELD:
@@ -249,7 +250,7 @@ class Connection:
             self.dropped.add(one)
         self._came.set()
 
-    def status_change_notification(self, notification) -> None:
+    def status_change_notification(self, notification: Any) -> None:
         """Called by asyncua where the server says something of the subscription itself: that it is over."""
         self._lost = self._lost or f"the server ended the subscription ({notification.Status.name})"
 
@@ -270,15 +271,15 @@ class Connection:
         while True:
             details.StartTime = datetime.fromtimestamp(since_s, UTC)
             page, more = await self._page(node, details)
-            timed = (s for s in page if s.time is not None and since_s < s.time <= until_s)
-            new = sorted(timed, key=lambda s: s.time)
-            for sample in new:
+            timed = [(s.time, s) for s in page if s.time is not None and since_s < s.time <= until_s]
+            new = sorted(timed, key=lambda one: one[0])
+            for _, sample in new:
                 yield sample
             if not new or (len(page) < PAGE and not more):
                 return
-            since_s = new[-1].time
+            since_s = new[-1][0]
 
-    async def _page(self, node: Node, details) -> tuple[list[Sample], bool]:
+    async def _page(self, node: Node, details: Any) -> tuple[list[Sample], bool]:
         """A page of a node's history, and whether the server has more.
 
         The next page is asked for by time: servers have few continuation points, and pages of many nodes are open at once.
@@ -308,7 +309,7 @@ class Connection:
         ], bool(more)
 
 
-def _security_name(offer) -> str:
+def _security_name(offer: Any) -> str:
     """Policy and mode of an endpoint, as they are written in the tracker's file."""
     policy = offer.SecurityPolicyUri.rpartition("#")[2].replace("_", "")
     return "no security" if policy == "None" else f"{policy} {offer.SecurityMode.name}"

@@ -6,6 +6,7 @@ import logging
 import socket
 from dataclasses import dataclass
 from datetime import UTC
+from typing import Any
 
 from hygrokf.errors import HygrokfError
 
@@ -75,7 +76,7 @@ class Rates:
     queue: int = 100
 
 
-def library():
+def library() -> Any:
     """asyncua, which the extra brings.  Raises ConnectionFault without it."""
     try:
         import asyncua
@@ -100,7 +101,7 @@ def node_fault(text: str) -> str | None:
     return None
 
 
-def sample_of(node: Node, found, received: float) -> Sample:
+def sample_of(node: Node, found: Any, received: float) -> Sample:
     """A sample from asyncua's DataValue; the year 1601 is OPC UA's way to say that there is no time."""
     status, value = found.StatusCode, None if found.Value is None else found.Value.Value
     quality = "good"

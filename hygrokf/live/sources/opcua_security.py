@@ -11,6 +11,7 @@ from collections.abc import Callable
 from collections.abc import Mapping as MappingOf
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 from hygrokf.live.table_reader import TableReader
 
@@ -128,7 +129,7 @@ def _security(
 
 def _read(
     table: MappingOf[str, object], name: str, where: str, folder: Path, reader: TableReader, read: Callable
-):
+) -> Any:
     """What `read` makes of the file that a key names; None where it is missing or nothing can be made of it."""
     stated = table.get(name)
     if not isinstance(stated, str) or not stated:
@@ -143,7 +144,7 @@ def _read(
     return None
 
 
-def _certificate(content: bytes):
+def _certificate(content: bytes) -> Any:
     from cryptography import x509
     from cryptography.hazmat.primitives.asymmetric import rsa
 
@@ -154,7 +155,7 @@ def _certificate(content: bytes):
     return found
 
 
-def _key(content: bytes):
+def _key(content: bytes) -> Any:
     from cryptography.hazmat.primitives import serialization
     from cryptography.hazmat.primitives.asymmetric import rsa
 
@@ -166,7 +167,7 @@ def _key(content: bytes):
     return found
 
 
-def _application_uri(certificate) -> str:
+def _application_uri(certificate: Any) -> str:
     from cryptography import x509
 
     try:

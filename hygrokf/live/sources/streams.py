@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from collections.abc import Mapping as MappingOf
 from pathlib import Path
-from typing import Protocol
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -28,6 +28,8 @@ from hygrokf.live.sources.payload import Field, Mapping, stamp_of
 from hygrokf.live.storage.store import Alarm
 from hygrokf.live.table_reader import TableReader
 from hygrokf.live.turbines import Delivery
+
+T = TypeVar("T")
 
 PAUSE_S = 0.2
 """[s] between two looks at a file that has not grown."""
@@ -163,7 +165,7 @@ class TailedFile(Threaded):
                 self._ended.wait(PAUSE_S)
             place = None
 
-    def _read(self, file, identity: str, offset: int, put: Callable[[Delivery], None]) -> bool:
+    def _read(self, file: Any, identity: str, offset: int, put: Callable[[Delivery], None]) -> bool:
         """Deliver from an offset on; True where there is nothing more to come, False where the file was replaced."""
         self._state = ("connected", self.url)
         lines = Lines()
@@ -197,7 +199,7 @@ class TailedFile(Threaded):
         return True
 
 
-def _identity(file) -> str:
+def _identity(file: Any) -> str:
     found = os.fstat(file.fileno())
     return f"{found.st_dev}.{found.st_ino}"
 
@@ -207,7 +209,7 @@ class StandardInput(Threaded):
 
     url = "stdin"
 
-    def __init__(self, mapping: Mapping, file=None) -> None:
+    def __init__(self, mapping: Mapping, file: Any = None) -> None:
         super().__init__(mapping)
         self._file = file
 
@@ -312,9 +314,9 @@ def disturbed(
     return [(at, content) for at, _, content in sorted(found, key=lambda one: one[:2])]
 
 
-def taken_from(waiting: queue.Queue, most: int, patience_s: float) -> list[Delivery]:
+def taken_from(waiting: queue.Queue[T], most: int, patience_s: float) -> list[T]:
     """Deliveries that wait, `most` at most; waits `patience_s` [s] for a first one."""
-    found: list[Delivery] = []
+    found: list[T] = []
     try:
         found.append(waiting.get(timeout=patience_s))
         while len(found) < most:
@@ -340,6 +342,7 @@ def file_stream(
     follow = table.get("follow", True)
     if not isinstance(follow, bool):
         reader.faults.append(f"{where}: follow must be true or false, found {follow!r}")
+        follow = True
     speed = reader.number(table, "speed", where)
     late_s = reader.seconds(table, "late", where, 0.0)
     repeated = reader.number(table, "repeated", where, 0.0) or 0.0
@@ -371,8 +374,7 @@ def file_messages(path: Path, mapping: Mapping) -> list[tuple[float, str | dict]
     with path.open(encoding="utf-8", errors="replace") as file:
         for line in file:
             content = lines.content(line)
-            at = None if content is None else stamp_of(content, mapping)
-            if at is not None:
+            if content is not None and (at := stamp_of(content, mapping)) is not None:
                 found.append((at, content))
     return sorted(found, key=lambda one: one[0])
 

@@ -11,6 +11,7 @@ import socket
 import time
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
+from typing import Any
 
 from hygrokf.errors import HygrokfError
 from hygrokf.live.storage.schema import VERSION, migration
@@ -44,7 +45,7 @@ class Database:
     errors: type[Exception] = Exception
     words: dict[str, str]
 
-    def __init__(self, connection: object, url: str) -> None:
+    def __init__(self, connection: Any, url: str) -> None:
         self.connection = connection
         self.url = url
         self._held: set[tuple[str, str]] = set()
@@ -58,7 +59,7 @@ class Database:
         """Whether there is a store at all."""
         raise NotImplementedError
 
-    def take_turn(self, cursor) -> None:
+    def take_turn(self, cursor: Any) -> None:
         """Within a transaction: wait until no other process makes tables or claims, and keep it so until the end."""
 
     def taken(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:

@@ -145,7 +145,8 @@ def chunks(
 
     No query stays open: the tracker goes on writing, and its log does not grow because someone reads.
     """
-    conditions, values = [], []
+    conditions: list[str] = []
+    values: list[float | str] = []
     for condition, value in zip(table.within, (since, until), strict=True):
         if math.isfinite(value):
             conditions.append(condition)
@@ -187,7 +188,7 @@ def _values(kind: str, column: Sequence) -> list | np.ndarray:
 Write = Callable[[list], None]
 
 
-def _csv_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, Callable[[], None]]:
+def _csv_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, Callable[[], object]]:
     """UTF-8 with a header; times as ISO 8601, flags as true and false, nothing where there is nothing."""
     text = io.TextIOWrapper(file, encoding="utf-8", newline="", write_through=True)
     rows = csv.writer(text, lineterminator="\n")
@@ -198,7 +199,7 @@ def _csv_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, Calla
             return [
                 "" if one == "NaT" else f"{one}Z" for one in np.datetime_as_string(values, unit="ms").tolist()
             ]
-        return [("false", "true")[v] for v in values] if kind == "flag" else values
+        return [("false", "true")[v] for v in values] if kind == "flag" else list(values)
 
     def write(values: list) -> None:
         rows.writerows(zip(*(said(c.kind, v) for c, v in zip(columns, values, strict=True)), strict=True))

@@ -9,6 +9,7 @@ import os
 import secrets
 import time
 from collections.abc import Sequence
+from typing import Any
 
 from hygrokf.live.storage.database import Database, StoreFault, this_process
 from hygrokf.live.storage.schema import POSTGRESQL
@@ -78,7 +79,7 @@ class PostgresDatabase(Database):
             )
         )
 
-    def take_turn(self, cursor) -> None:
+    def take_turn(self, cursor: Any) -> None:
         cursor.execute(f"SELECT pg_advisory_xact_lock({TURN})")
 
     def taken(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
@@ -140,7 +141,7 @@ def open_postgres(url: str, read_only: bool = False) -> PostgresDatabase:
         raise StoreFault(f"the store's URL cannot be read: {' '.join(str(error).split())}") from None
     if set(SECRETS) & set(said):
         raise StoreFault(NO_SECRET)
-    settings = {**DEFAULTS, **said}
+    settings: dict[str, Any] = {**DEFAULTS, **said}
     if "PGCONNECT_TIMEOUT" in os.environ and "connect_timeout" not in said:
         del settings["connect_timeout"]
     try:

@@ -6,6 +6,7 @@ import logging
 import math
 import time
 from collections.abc import Mapping
+from typing import Any
 
 from hygrokf.live.plan import BEFORE
 from hygrokf.live.storage.store import Store, StoreFault
@@ -89,7 +90,7 @@ def signals_of(store: Store, turbine: str) -> list[str]:
 
 
 def _bite(
-    store: Store, cursor, table: str, same: Mapping[str, str], column: str, until: float, most: int
+    store: Store, cursor: Any, table: str, same: Mapping[str, str], column: str, until: float, most: int
 ) -> int:
     """Delete the oldest rows of a table from before a time [s], `most` at most; how many."""
     where = " AND ".join([*(f"{name} = ?" for name in same), f"{column} < ?"])

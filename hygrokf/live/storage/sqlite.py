@@ -8,7 +8,7 @@ import time
 from collections.abc import Sequence
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from hygrokf.live.storage.database import AGAIN_S, Database, StoreFault, StoreUnready, this_process
 from hygrokf.live.storage.schema import SQLITE
@@ -43,7 +43,7 @@ class SqliteDatabase(Database):
     def has_tables(self) -> bool:
         return bool(self.rows("SELECT 1 FROM sqlite_master WHERE name = 'schema_version'"))
 
-    def take_turn(self, cursor) -> None:
+    def take_turn(self, cursor: Any) -> None:
         """BEGIN IMMEDIATE has waited already; with the first tables the file says what it is."""
         cursor.execute(f"PRAGMA application_id={APPLICATION_ID}")
 
@@ -114,7 +114,7 @@ def locked(path: Path, mode: str = "ab") -> IO[bytes] | None:
             import msvcrt
 
             file.seek(0)
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]  # of Windows alone
         else:
             import fcntl
 

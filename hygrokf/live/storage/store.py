@@ -12,6 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -225,7 +226,7 @@ class Store:
                 self._many(
                     cursor,
                     f"INSERT INTO forecast ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})",
-                    forecast_rows(turbine, made),
+                    list(forecast_rows(turbine, made)),
                 )
             if batch.weather:  # what a forecast said of the past is of no use
                 old = min(o.received for o in batch.weather) - FORGOTTEN_S
@@ -241,7 +242,7 @@ class Store:
                 ],
             )
 
-    def _many(self, cursor, statement: str, rows: Sequence[tuple]) -> None:
+    def _many(self, cursor: Any, statement: str, rows: Sequence[tuple]) -> None:
         if rows:
             cursor.executemany(self._text(statement), rows)
 
@@ -307,11 +308,11 @@ class Store:
         )
         return self.rows(statement, (turbine, since)) or self.rows(statement, ("", since))
 
-    def memory(self, turbine: str, name: str) -> object:
+    def memory(self, turbine: str, name: str) -> Any:
         found = self.rows("SELECT content FROM memory WHERE turbine = ? AND name = ?", (turbine, name))
         return json.loads(found[0][0]) if found else None
 
-    def memories(self, turbine: str) -> dict[str, object]:
+    def memories(self, turbine: str) -> dict[str, Any]:
         """All that a turbine's tracker goes on from, by name."""
         found = self.rows("SELECT name, content FROM memory WHERE turbine = ?", (turbine,))
         return {name: json.loads(content) for name, content in found}

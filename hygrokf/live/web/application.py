@@ -11,7 +11,7 @@ import sqlite3
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from hygrokf.live.service import Service
 from hygrokf.live.storage.store import Store, StoreFault, open_store
@@ -116,7 +116,7 @@ class Page:
             return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
 
         class Files(StaticFiles):
-            def file_response(self, *given: object, **named: object) -> Response:
+            def file_response(self, *given: Any, **named: Any) -> Response:
                 made = super().file_response(*given, **named)
                 made.headers["Cache-Control"] = "no-cache"  # asked for again, and not sent where unchanged
                 return made

@@ -7,9 +7,13 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from typing import TYPE_CHECKING
 
 from hygrokf.live.web.events import Hub
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
+
+if TYPE_CHECKING:
+    import uvicorn
 
 START_S = 10.0
 STOP_S = 5.0
@@ -29,7 +33,7 @@ class PageServer:
     """A server that runs; `port` is the one that it has, whatever was asked for.  Ends with `stop`, or with its block."""
 
     def __init__(
-        self, thread: threading.Thread, server: object, hub: Hub, settings: PageSettings, port: int
+        self, thread: threading.Thread, server: uvicorn.Server, hub: Hub, settings: PageSettings, port: int
     ) -> None:
         self._thread = thread
         self._server = server
@@ -112,5 +116,5 @@ def bound(settings: PageSettings) -> socket.socket:
         family, _, _, _, place = found[0]
         return socket.create_server(place[:2], family=family, backlog=128)
     except OSError as fault:
-        reason = REASONS.get(fault.errno, fault.strerror or str(fault))
+        reason = REASONS.get(fault.errno or 0, fault.strerror or str(fault))
         raise PageFault(f"the page cannot be served at {settings.host}:{settings.port}: {reason}") from None

@@ -8,6 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,6 +19,9 @@ from hygrokf.live.condition import Z95, Quantity, probability_above
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.properties import WATCHED
 from hygrokf.live.storage.store import Store
+
+if TYPE_CHECKING:
+    from hygrokf.live.service import Health
 
 ZERO_C = 273.15
 HOUR_S = 3600.0
@@ -170,12 +174,12 @@ def turbine_view(
     )
     readings = {}
     for quantity, (signal, factor, offset) in READ.items():
-        rows = store.rows(
+        taken = store.rows(
             "SELECT time, value FROM observation WHERE turbine = ? AND signal = ? AND time >= ? AND contradicted = 0 "
             "ORDER BY time",
             (name, signal, since),
         )
-        rows = _thinned(rows)
+        rows = _thinned(taken)
         if rows:
             readings[quantity] = {
                 "time": [at for at, _ in rows],
@@ -303,7 +307,8 @@ def alarms_view(store: Store, turbine: str | None = None, since: float = -math.i
     names = (
         "id", "turbine", "kind", "severity", "began", "ended", "acknowledged", "acknowledged_by", "statement", "remedy"
     )  # fmt: skip
-    where, parameters = "WHERE (ended IS NULL OR ended >= ?)", [since]
+    where = "WHERE (ended IS NULL OR ended >= ?)"
+    parameters: list[float | str] = [since]
     if turbine is not None:
         where, parameters = f"{where} AND turbine = ?", [since, turbine]
     rows = store.rows(f"SELECT {', '.join(names)} FROM alarm {where} ORDER BY began DESC", parameters)
@@ -350,7 +355,7 @@ def _thinned(rows: Sequence) -> Sequence:
     return rows if step <= 1 else rows[(len(rows) - 1) % step :: step]
 
 
-def health_view(streams: Mapping[str, tuple[str, str]], health: object, counters: Mapping) -> dict:
+def health_view(streams: Mapping[str, tuple[str, str]], health: Health, counters: Mapping) -> dict:
     """Sources, store and what was set aside that belongs to no turbine."""
     waits = sorted(health.waits_s)
     return {

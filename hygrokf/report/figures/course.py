@@ -194,7 +194,7 @@ def _power(axes: Axes, record: _Record, span: tuple[float, float], bins: int = B
         middle, half = 0.5 * (start + end), 0.5 * max(end - start, least)
         axes.add_line(
             Line2D(
-                [days(middle - half), days(middle + half)], [1.04, 1.04], color=SIMULATED, linewidth=3.0,
+                [float(days(middle - half)), float(days(middle + half))], [1.04, 1.04], color=SIMULATED, linewidth=3.0,
                 solid_capstyle="butt",
             )
         )  # fmt: skip
@@ -210,12 +210,14 @@ def _power(axes: Axes, record: _Record, span: tuple[float, float], bins: int = B
 
 def _shade(axes: Axes, record: _Record, span: tuple[float, float]) -> None:
     if record.validation:
-        axes.axvspan(days(max(record.until, span[0])), days(span[1]), color=SHADE, zorder=0, linewidth=0)
+        axes.axvspan(
+            float(days(max(record.until, span[0]))), float(days(span[1])), color=SHADE, zorder=0, linewidth=0
+        )
     least = (span[1] - span[0]) / 300.0
     for start, end in stretches(record.time, ~record.scored, least):
         if end >= span[0] and start <= span[1]:
             axes.axvspan(
-                days(max(start, span[0])), days(min(end, span[1])), facecolor="none", edgecolor="#9aa4b1",
+                float(days(max(start, span[0]))), float(days(min(end, span[1]))), facecolor="none", edgecolor="#9aa4b1",
                 hatch="////", linewidth=0.0, zorder=0.5,
             )  # fmt: skip
 

@@ -10,7 +10,7 @@ import math
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -101,7 +101,8 @@ def styled() -> Iterator[None]:
     plain = {
         name: value for name, value in matplotlib.rcParamsDefault.items() if not name.startswith("backend")
     }
-    with matplotlib.rc_context({**plain, **_STYLE}):
+    style: Any = {**plain, **_STYLE}
+    with matplotlib.rc_context(style):
         yield
 
 
@@ -138,7 +139,7 @@ def svg(figure: Figure, name: str) -> str:
     return re.sub(r"\n\s*", "\n", text)
 
 
-def _save(figure: Figure, buffer: io.IOBase, **settings: object) -> None:
+def _save(figure: Figure, buffer: io.BytesIO | io.StringIO, **settings: Any) -> None:
     import warnings
 
     with warnings.catch_warnings():
@@ -259,7 +260,7 @@ def calendar(axes: Axes, span: tuple[float, float], ticks: int = 9, labels: bool
     low, high = span
     if not high > low:
         low, high = low - 1800.0, high + 1800.0
-    axes.set_xlim(days(low), days(high))
+    axes.set_xlim(float(days(low)), float(days(high)))
     at, words = calendar_ticks(low, high, ticks)
     axes.set_xticks(days(at), words if labels else None)
     if not labels:

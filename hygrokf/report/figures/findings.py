@@ -83,7 +83,7 @@ def figure_episodes(residuals: Residuals, misfit: Misfit, after: Residuals | Non
             for axes in (main, error):
                 for first, last in spans:
                     axes.axvspan(
-                        days(max(first, start)), days(min(last, end)), color=CONDITION, alpha=0.75, zorder=0, linewidth=0
+                        float(days(max(first, start))), float(days(min(last, end))), color=CONDITION, alpha=0.75, zorder=0, linewidth=0
                     )  # fmt: skip
                 _midnights(axes, (start, end), labels=axes is error)
             if column == len(windows) - 1:
@@ -206,11 +206,11 @@ def _midnights(axes: Axes, span: tuple[float, float], labels: bool) -> None:
     every = np.arange(first, last + 1.0)
     named = every[:: max(1, -(-len(every) // 5))]
     words = [f"{np.datetime64(int(day), 'D').item():%-d %b}" for day in named]
-    axes.set_xlim(days(span[0]), days(span[1]))
+    axes.set_xlim(float(days(span[0])), float(days(span[1])))
     axes.set_xticks(named, words if labels else None)
     axes.set_xticks(np.arange(first - 0.5, last + 1.0), minor=True)
     axes.tick_params(axis="x", which="minor", length=1.5, color=QUIET, width=0.5)
-    axes.set_xlim(days(span[0]), days(span[1]))
+    axes.set_xlim(float(days(span[0])), float(days(span[1])))
     axes.tick_params(labelbottom=labels)
 
 
@@ -243,7 +243,9 @@ def _lasting(residuals: Residuals, misfit: Misfit, after: Residuals | None) -> F
             axes.plot(days(day), mean, color=colour, linewidth=1.0)
         inside = np.zeros(len(hours), dtype=bool)
         for first, last in misfit.spans:
-            axes.axvspan(days(first), days(last), color=CONDITION, alpha=0.6, zorder=0, linewidth=0)
+            axes.axvspan(
+                float(days(first)), float(days(last)), color=CONDITION, alpha=0.6, zorder=0, linewidth=0
+            )
             inside |= (hours.time_s >= first) & (hours.time_s <= last)
         error = -hours.error[quantity]
         for flag in (inside, ~inside):

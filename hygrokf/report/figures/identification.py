@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -101,7 +101,7 @@ class _Points:
         return self.power[kept], self.difference[kept], self.ambient[kept]
 
 
-def released(coefficients: Mapping[str, float], regime: str, power: object, warmer: object) -> object:
+def released(coefficients: Mapping[str, float], regime: str, power: Any, warmer: Any) -> Any:
     """Heat release [K] at relative power [1] and ambient temperature above the reference [K]; NaN where unknown."""
     base = coefficients.get(f"heat_release_{regime}", math.nan)
     total = base + coefficients.get(f"heat_release_{regime}_ambient", 0.0) * warmer

@@ -28,6 +28,7 @@ from hygrokf.report.figures.drawing import (
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.gridspec import GridSpec
 
 QUANTILES = 160
 """Points of the quantile plot, evenly spread over the normal distribution's quantiles."""
@@ -190,7 +191,7 @@ def _shown_inputs(found: Mapping) -> list[tuple[str, Mapping]]:
     return [row for row in rows if row in first]
 
 
-def _cross_correlations(figure: Figure, grid, rows: list[tuple[str, Mapping]]) -> None:
+def _cross_correlations(figure: Figure, grid: GridSpec, rows: list[tuple[str, Mapping]]) -> None:
     if not rows:
         empty(figure.add_subplot(grid[0]), "no input varies, or none is known: no cross-correlation")
         return

@@ -170,7 +170,8 @@ def _groups(value: np.ndarray, error: np.ndarray, edges: np.ndarray) -> list[tup
 
 def _medians(value: np.ndarray, error: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     rows = [(x, float(np.median(part))) for x, part in _groups(value, error, edges)]
-    return tuple(np.array(rows).reshape(-1, 2).T)
+    x, median = np.array(rows).reshape(-1, 2).T
+    return x, median
 
 
 def _bands(axes: Axes, value: np.ndarray, error: np.ndarray, edges: np.ndarray) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -103,10 +103,10 @@ def _lags(axes: Axes, found: Alignment, corrections_s: tuple[float, float], amer
     axes.axhline(0.0, color=QUIET, linewidth=0.6)
     for place, colour, aside in ((1, MEASURED, -2.5), (2, RULE, 2.5)):
         for month in found.months:
-            lag = month[place]
+            lag: Any = month[place]
             if not lag.known:
                 continue
-            middle = days(_middle(month[0], span) + aside * DAY_S)
+            middle = float(days(_middle(month[0], span) + aside * DAY_S))
             shade = colour if place == 1 else QUIET
             axes.plot([middle] * 2, [lag.low / 3600.0, lag.high / 3600.0], color=shade, linewidth=1.0)
             axes.plot(
