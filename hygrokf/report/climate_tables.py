@@ -73,7 +73,7 @@ def with_shares(found: Mapping) -> list[Mapping]:
     """The regions of a climate with the shares that their bounds hold; those of older results follow from its members."""
     draws = number(found, "members")
     return [
-        {"bounds_hold": held(int(draws) * len(one["years"])), "mean_bounds_hold": held(int(draws)), **one}
+        {"bounds_hold": held(draws * len(one["years"])), "mean_bounds_hold": held(draws), **one}
         for one in found["regions"]
     ]
 
