@@ -53,7 +53,7 @@ def bounded(values: np.ndarray, level: float = LEVEL) -> Bounded:
     return Bounded(pooled.mean(axis=0), lower, upper, mean_lower, mean_upper, between)
 
 
-def held(draws: int, level: float = LEVEL) -> float:
+def held(draws: float, level: float = LEVEL) -> float:
     """Probability [1] that bounds from so many draws hold a further one: the level, or what the extremes of few draws hold."""
     return min(level, (draws - 1.0) / (draws + 1.0))
 
