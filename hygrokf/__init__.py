@@ -14,7 +14,7 @@ _WHERE = {
     "read_case": "cases.case_file",
     "CaseFault": "cases.case_file",
     "describe": "cases.summary",
-    "describe_text": "cases.summary",
+    "describe_text": "report.record_text",
     "Record": "data.record",
     "Series": "data.record",
     "Site": "data.record",
@@ -63,7 +63,7 @@ _WHERE = {
     "discover": "discovery.procedure",
     "Discovery": "discovery.procedure",
     "read_weather": "weather.years",
-    "climate_profile": "climate.study",
+    "climate_profile": "climate.procedure",
     "synthetic_turbine": "cases.synthetic",
     "write_case": "cases.synthetic",
     "HygrokfError": "errors",
@@ -83,10 +83,9 @@ if TYPE_CHECKING:
     from hygrokf.cases.case_file import CaseFault as CaseFault
     from hygrokf.cases.case_file import read_case as read_case
     from hygrokf.cases.summary import describe as describe
-    from hygrokf.cases.summary import describe_text as describe_text
     from hygrokf.cases.synthetic import synthetic_turbine as synthetic_turbine
     from hygrokf.cases.synthetic import write_case as write_case
-    from hygrokf.climate.study import climate_profile as climate_profile
+    from hygrokf.climate.procedure import climate_profile as climate_profile
     from hygrokf.data.record import Record as Record
     from hygrokf.data.record import Series as Series
     from hygrokf.data.record import Site as Site
@@ -132,6 +131,7 @@ if TYPE_CHECKING:
     from hygrokf.physics.parameters import Prior as Prior
     from hygrokf.report.comparison_page import write_comparison as write_comparison
     from hygrokf.report.fit_page import write_report as write_report
+    from hygrokf.report.record_text import describe_text as describe_text
     from hygrokf.report.transfer_page import write_transfer as write_transfer
     from hygrokf.transfer.comparison import compare as compare
     from hygrokf.transfer.comparison import comparison_column as comparison_column

@@ -1,4 +1,5 @@
-"""`HygrokfError`, the class above all faults that a user can mend, and the names that a misspelt one may have meant."""
+"""`HygrokfError`, the class above all faults that a user can mend, and the names that a misspelt one may have
+meant."""
 
 from __future__ import annotations
 

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from databases import postgresql, store_url  # noqa: F401  (fixtures)
+from builders.databases import postgresql, store_url  # noqa: F401  (fixtures)
+from builders.known_values import RELEASE
 
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.estimation.likelihood import Likelihood
@@ -39,12 +40,7 @@ HOLDS = {
 VALUES = {
     "thermal_time_constant": 1.5,
     "resistance_ratio": 0.85,
-    "heat_release_operation": 7.5,
-    "heat_release_power_1": 7.0,
-    "heat_release_power_2": -2.0,
-    "heat_release_operation_ambient": -0.15,
-    "heat_release_standstill": 5.0,
-    "heat_release_standstill_ambient": -0.1,
+    **RELEASE,
     "preheating_heat": 9.0,
     "heat_disturbance_sd": 1.5,
     "heat_disturbance_time": 8.0,
@@ -64,7 +60,8 @@ SUBSTEPS = 30
 
 @dataclass(frozen=True)
 class Case:
-    """A model, the instants of a run, parameter values near the truth, and the inputs and readings (T,) by name."""
+    """A model, the instants of a run, parameter values near the truth, and the inputs and readings (T,) by
+    name."""
 
     model: Model
     timeline: Timeline
@@ -139,7 +136,8 @@ def _weather(random: np.random.Generator, time: np.ndarray) -> dict[str, np.ndar
 def _simulated(
     random: np.random.Generator, time: np.ndarray, inputs: Mapping[str, np.ndarray], p: Mapping[str, float]
 ) -> dict[str, np.ndarray]:
-    """Temperature [K] and relative humidity [1] of the cabinet air, at the instants and as means over the steps."""
+    """Temperature [K] and relative humidity [1] of the cabinet air, at the instants and as means over the
+    steps."""
     count = len(time)
     heat = p["heat_disturbance_sd"] * random.normal()
     damp = p["vapour_disturbance_sd"] * random.normal()
@@ -273,16 +271,18 @@ def joint() -> Case:
 
 @pytest.fixture(scope="session")
 def averaged() -> Case:
-    """600 instants of the joint model read as means over each step, with pre-heating and a gap in the power."""
+    """600 instants of the joint model read as means over each step, with pre-heating and a gap in the
+    power."""
     return _make_case("joint", 0.25 * np.arange(600), 14, means=True, preheating=True, gap=True)
 
 
 @pytest.fixture(scope="session")
 def joint_moments() -> Callable[..., Callable]:
-    """(case, values) -> (k, mean, covariance) -> moments at instant k from those at k−1, by scipy's integrator.
+    """(case, values) -> (k, mean, covariance) -> moments at instant k from those at k−1, by scipy's
+    integrator.
 
-    The extended Kalman filter's moment equations of the joint model, written here once more: states are the converter's
-    temperature, the heat disturbance, c* and the vapour disturbance, in the model's order.
+    The extended Kalman filter's moment equations of the joint model, written here once more: states are the
+    converter's temperature, the heat disturbance, c* and the vapour disturbance, in the model's order.
     """
     from scipy.integrate import solve_ivp
 

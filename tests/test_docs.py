@@ -2,59 +2,14 @@
 
 from __future__ import annotations
 
-import os
 import re
-import subprocess
-import sys
 from pathlib import Path
 
-import house
 import pytest
+from builders import house
+from builders.documents import DOCS, ROOT, run_page
 
-ROOT = Path(__file__).resolve().parents[1]
-DOCS = ROOT / "docs"
 PAGES = sorted([ROOT / "README.md", *DOCS.rglob("*.md")])
-RUNNER = """
-import subprocess, sys
-from pathlib import Path
-
-page, languages = Path(sys.argv[1]), sys.argv[2].split(",")
-
-def bash(text):
-    command = f'hygrokf() {{ "{sys.executable}" -m hygrokf.commands.main "$@"; }}\\n' + text
-    subprocess.run(["bash", "-euo", "pipefail", "-c", command], check=True)
-
-lines, block, language = [], [], None
-for line in page.read_text(encoding="utf-8").split("\\n"):
-    kept = ""  # other lines become empty ones, so that a traceback names lines of the page
-    if line.startswith("```"):
-        if language == "bash" and "bash" in languages:
-            kept = f"bash({chr(10).join(block)!r})"
-        language, block = (line[3:].strip() or "text", []) if language is None else (None, [])
-    elif language == "python" and "python" in languages:
-        kept = line
-    elif language is not None:
-        block.append(line)
-    lines.append(kept)
-exec(compile("\\n".join(lines), str(page), "exec"), {"__name__": "__main__", "bash": bash})
-"""
-
-
-def run_page(page: Path, directory: Path, languages: str) -> subprocess.CompletedProcess[str]:
-    """Blocks of a page in their order, as one program in an empty directory; warnings are errors."""
-    environment = {
-        **os.environ,
-        "PYTHONPATH": os.pathsep.join([str(ROOT), os.environ.get("PYTHONPATH", "")]).rstrip(os.pathsep),
-        "PYTHONWARNINGS": "error",
-        "PYTHONIOENCODING": "utf-8",
-        "MPLBACKEND": "Agg",
-        "OMP_NUM_THREADS": "1",
-        "OPENBLAS_NUM_THREADS": "1",
-    }
-    return subprocess.run(
-        [sys.executable, "-c", RUNNER, str(page), languages],
-        cwd=directory, env=environment, capture_output=True, text=True, encoding="utf-8", timeout=600,
-    )  # fmt: skip
 
 
 def prose(text: str) -> str:
@@ -174,8 +129,10 @@ def test_pictures_are_small_and_shown() -> None:
 
 
 def test_every_table_of_the_pictures_script_is_filled() -> None:
-    script = (ROOT / "scripts" / "pictures").read_text(encoding="utf-8")
+    modules = (ROOT / "scripts" / "illustrations").glob("*.py")
+    script = "".join(module.read_text(encoding="utf-8") for module in modules)
     made = set(re.findall(r'write_table\("([\w.]+)", "([\w ]+)"', script))
+    assert made
     found = set()
     for page in DOCS.glob("*.md"):
         for name, body in re.findall(
@@ -193,15 +150,19 @@ def test_every_table_of_the_pictures_script_is_filled() -> None:
 def test_the_floor_plan_is_the_house() -> None:
     """The table in the docs is the one of the imports; the floors' own test guards them."""
     text = (DOCS / "house.md").read_text(encoding="utf-8")
+    assert len(house.table()) == len(house.PLACE) + 1
     for row in house.table():
-        assert "| " + " | ".join(row) + " |" in text, f"house.md: run scripts/pictures --only house_plan; {row}"
+        assert "| " + " | ".join(row) + " |" in text, (
+            f"house.md: run scripts/pictures --only house_plan; {row}"
+        )
 
 
 def test_the_tests_that_hold_a_promise_exist() -> None:
     text = (DOCS / "live_guarantees.md").read_text(encoding="utf-8")
     found = re.findall(r"`(test_\w+\.py)::(test_\w+)`", text)
     assert len(found) >= 40
-    sources = {file: (ROOT / "tests" / file).read_text(encoding="utf-8") for file, _ in found}
+    files = {file.name: file for file in (ROOT / "tests").rglob("test_*.py")}
+    sources = {file: files[file].read_text(encoding="utf-8") for file, _ in found}
     missing = [f"{file}::{name}" for file, name in found if f"def {name}(" not in sources[file]]
     assert not missing
     promises = text.partition("## The fault suite")[0].splitlines()

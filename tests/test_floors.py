@@ -1,4 +1,5 @@
-"""How the house is built: imports point strictly down, nobody enters by the face, libraries stay where they belong."""
+"""How the house is built: imports point strictly down, nobody enters by the face, libraries stay where they
+belong."""
 
 from __future__ import annotations
 
@@ -7,7 +8,23 @@ import sys
 from pathlib import Path
 
 import pytest
-from house import FACE, FLOORS, MODULES, ONLY_IN, OUTSIDE, PLACE, UPWARD, folder, imports, known, meaning
+from builders.house import (
+    FACE,
+    FLOORS,
+    MODULES,
+    ONLY_IN,
+    OUTSIDE,
+    PLACE,
+    ROOT,
+    SHELVES,
+    UPWARD,
+    folder,
+    imports,
+    known,
+    long_functions,
+    meaning,
+    shelf,
+)
 
 
 def test_every_module_has_its_folder() -> None:
@@ -33,7 +50,9 @@ def test_imports_point_to_lower_floors(name: str) -> None:
 
 
 def test_no_modules_import_each_other_in_a_circle() -> None:
-    graph = {name: {lower for lower, _ in known(name) if (name, lower) not in UPWARD} for name in MODULES if name}
+    graph = {
+        name: {lower for lower, _ in known(name) if (name, lower) not in UPWARD} for name in MODULES if name
+    }
     done: set[str] = set()
 
     def walk(name: str, path: tuple[str, ...]) -> None:
@@ -53,7 +72,8 @@ def test_the_face_loads_nothing_but_the_version() -> None:
 
 @pytest.mark.parametrize("name", MODULES)
 def test_third_parties_are_imported_where_they_are_needed(name: str) -> None:
-    """With a module come numpy and, for the compiler, llvmlite: everything else costs the command line its start."""
+    """With a module come numpy and, for the compiler, llvmlite: everything else costs the command line its
+    start."""
     for module, _, line in imports(MODULES[name], top_only=True):
         root = module.split(".")[0]
         if root in sys.stdlib_module_names or root in (FACE, "numpy"):
@@ -71,20 +91,35 @@ def test_modules_have_one_noun_and_a_readable_length(name: str) -> None:
     assert not {"utils", "util", "base", "common", "helpers", "misc"} & set(last.split("_")), (
         "a helper lives with its noun"
     )
-    lines = len(MODULES[name].read_text(encoding="utf-8").splitlines())
-    assert lines <= 600, f"{name} has {lines} lines: split it"
     assert ast.get_docstring(ast.parse(MODULES[name].read_text(encoding="utf-8"))), (
         f"{name} does not say what it is"
     )
+
+
+@pytest.mark.parametrize("name", SHELVES)
+def test_modules_and_functions_are_short(name: str) -> None:
+    files = {str(path.relative_to(ROOT.parent)): path for path in shelf(name)}
+    assert files
+    lines = {place: len(path.read_text(encoding="utf-8").splitlines()) for place, path in files.items()}
+    assert not {place: count for place, count in lines.items() if count > 600}, "split these modules"
+    found = {place: long for place, path in files.items() if (long := long_functions(path))}
+    assert not found, "functions have at most 80 lines: split these"
+
+
+def test_long_functions_are_found(tmp_path: Path) -> None:
+    file = tmp_path / "some.py"
+    body = "".join(f"    x = {n}\n" for n in range(79))
+    file.write_text(f"def at():\n{body}async def over():\n{body}    pass\nclass A:\n  def f(self): ...\n")
+    assert long_functions(file) == {"over"}
 
 
 def test_the_walk_sees_what_it_must(tmp_path: Path) -> None:
     """The guard itself: functions are looked into, type checking is not."""
     file = tmp_path / "some.py"
     file.write_text(
-        "import os\nfrom typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import hidden\n"
-        "class A:\n    import in_class\n    def f(self):\n        import lazy\n        if 1:\n            from deep import x\n"
-        "try:\n    import tried\nexcept ImportError:\n    pass\n"
+        "import os\nfrom typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    import hidden\nclass A:\n    "
+        "import in_class\n    def f(self):\n        import lazy\n        if 1:\n            from deep import "
+        "x\ntry:\n    import tried\nexcept ImportError:\n    pass\n"
     )
     assert {m for m, _, _ in imports(file)} == {"os", "typing", "in_class", "lazy", "deep", "tried"}
     assert {m for m, _, _ in imports(file, top_only=True)} == {"os", "typing", "in_class", "tried"}

@@ -1,4 +1,5 @@
-"""Pages of documentation on the live tracker: what they tell to do is done, and every key of its file stands in them."""
+"""Pages of documentation on the live tracker: what they tell to do is done, and every key of its file stands
+in them."""
 
 from __future__ import annotations
 
@@ -15,18 +16,31 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from ports import free_port
-from test_docs import DOCS, ROOT, run_page
-from test_track_config import MODEL
+from builders.documents import DOCS, ROOT, run_page
+from builders.fit_case import bare_fit
+from builders.ports import free_port
+from builders.track_case import MODEL
 
-from hygrokf.identification.fit import Fit
+from hygrokf.data.record import Site
+from hygrokf.data.toml_form import keys_of
 from hygrokf.identification.results import write_fit
 from hygrokf.live import config
-from hygrokf.live.config import read_config
-from hygrokf.live.logs import Lines
+from hygrokf.live.config import (
+    MappingForm,
+    SignalForm,
+    SurfaceForm,
+    TrackForm,
+    TurbineForm,
+    WanderingForm,
+    read_config,
+)
 from hygrokf.live.plan import WANDERING
-from hygrokf.live.sources import broker, opcua_table, streams
-from hygrokf.live.web import page_settings
+from hygrokf.live.sources.broker import BrokerForm
+from hygrokf.live.sources.opcua_security import SecurityForm
+from hygrokf.live.sources.opcua_table import ServerForm
+from hygrokf.live.sources.streams import FileForm
+from hygrokf.live.tracking import LogLines
+from hygrokf.live.web.page_settings import PageForm
 
 PATIENCE_S = 120.0
 PORT = "127.0.0.1:8080"
@@ -61,7 +75,8 @@ def started(command: str, folder: Path) -> Iterator[subprocess.Popen]:
 
 
 def test_the_tutorial_from_a_fit_to_a_live_page(tmp_path: Path) -> None:
-    """The page's blocks in their order: what comes before `hygrokf track`, that command, what comes after it beside it."""
+    """The page's blocks in their order: what comes before `hygrokf track`, that command, what comes after it
+    beside it."""
     address = f"127.0.0.1:{free_port()}"
     text = TUTORIAL.read_text(encoding="utf-8")
     assert text.count(PORT) >= 4
@@ -75,7 +90,7 @@ def test_the_tutorial_from_a_fit_to_a_live_page(tmp_path: Path) -> None:
     folder.mkdir()
     done = run_page(parts["before"], folder, "python,bash")
     assert done.returncode == 0, done.stdout + done.stderr
-    assert " 0 fault: nothing stands in the way" in done.stdout and "rows gave readings" in done.stdout
+    assert " 0 fault: ready to track" in done.stdout and "rows gave readings" in done.stdout
     with started(track.replace(PORT, address), folder) as process:
         end = time.monotonic() + PATIENCE_S
         while True:  # what follows looks at the page at once
@@ -102,14 +117,8 @@ def test_the_tutorial_from_a_fit_to_a_live_page(tmp_path: Path) -> None:
 
 
 def test_the_example_of_the_tracker_s_file_can_be_read(tmp_path: Path) -> None:
-    values = {p.name: {"value": p.start} for p in MODEL.model.parameters}
-    results = {
-        "name": "one", "version": "0.1.0", "design": MODEL.to_json(), "parameters": values, "synthetic": True,
-        "time_constants": {}, "covariance": {"names": ["thermal_time_constant"], "matrix": [[0.01]]},
-    }  # fmt: skip
-    write_fit(
-        Fit("one", MODEL, {k: v["value"] for k, v in values.items()}, results), tmp_path / "models" / "T07"
-    )
+    values = {p.name: p.start for p in MODEL.model.parameters}
+    write_fit(bare_fit("one", MODEL, values), tmp_path / "models" / "T07")
     (text,) = blocks(OPERATION, "toml")
     (tmp_path / "track.toml").write_text(text, encoding="utf-8")
     found = read_config(tmp_path / "track.toml")
@@ -117,18 +126,19 @@ def test_the_example_of_the_tracker_s_file_can_be_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("page", "keys"),
+    ("page", "forms"),
     [
-        (OPERATION, (*config._TOP, *config._TURBINE, *config._MAPPING, *config._SIGNAL, *config._SURFACE, *config._SITE)),
-        (OPERATION, (*streams._FILE, "weather", *page_settings._PAGE, *WANDERING)),
-        (DOCS / "live_page.md", page_settings._PAGE),
-        (DOCS / "live_mqtt.md", broker._KEYS),
-        (DOCS / "live_opcua.md", opcua_table._KEYS),
+        (OPERATION, (TrackForm, TurbineForm, MappingForm, SignalForm, SurfaceForm, WanderingForm, Site)),
+        (OPERATION, (FileForm, PageForm)),
+        (DOCS / "live_page.md", (PageForm,)),
+        (DOCS / "live_mqtt.md", (BrokerForm,)),
+        (DOCS / "live_opcua.md", (ServerForm, SecurityForm)),
     ],
     ids=lambda value: value.name if isinstance(value, Path) else "",
 )  # fmt: skip
-def test_every_key_of_the_tracker_s_file_stands_in_the_pages(page: Path, keys: tuple[str, ...]) -> None:
+def test_every_key_of_the_tracker_s_file_stands_in_the_pages(page: Path, forms: tuple[type, ...]) -> None:
     text = page.read_text(encoding="utf-8")
+    keys = [key for form in forms for key in keys_of(form) if key != "weather" or page == OPERATION]
     assert [key for key in keys if not re.search(rf"(^|[`\[{{ .]){key}[`\]\" =]", text, re.MULTILINE)] == []
 
 
@@ -154,4 +164,4 @@ def test_the_fields_of_the_log_are_those_that_are_told() -> None:
         r"^\| ((?:`\w+`[,;]? ?)+)\|", OPERATION.read_text(encoding="utf-8").split("## Logs")[1], re.MULTILINE
     )
     names = {name for row in told for name in re.findall(r"`(\w+)`", row)}
-    assert set(json.loads(Lines("json").format(record))) <= names
+    assert set(json.loads(LogLines("json").format(record))) <= names

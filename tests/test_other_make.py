@@ -41,7 +41,7 @@ def constant(cabinet: Cabinet, hours: float, heat_W: float, start: tuple[float, 
     return STEP_S / 3600.0 * np.arange(size), run
 
 
-# -- the cabinet -----------------------------------------------------------------------------------------------------
+# -- the cabinet ---------------------------------------------------------------------------------------------
 def test_one_mass_answers_a_step_of_heat_by_an_exponential() -> None:
     hours, run = constant(CABINET, 6.0, 400.0, (AMBIENT_K, AMBIENT_K, OUTSIDE))
     tau = 1.5e5 * 0.024 / 3600.0
@@ -195,7 +195,7 @@ def test_the_steps_are_of_third_order_and_fine_enough(course: tuple) -> None:
     assert (errors[0] / errors[1] > 6.0).all() and (errors[1] / errors[2] > 6.0).all()
 
 
-# -- processes and loggers -------------------------------------------------------------------------------------------
+# -- processes and loggers -----------------------------------------------------------------------------------
 def test_a_first_order_lag_is_exact_for_steps_and_ramps() -> None:
     time = STEP_S * np.arange(200)
     ramp = 3.0 + 0.01 * time
@@ -291,7 +291,7 @@ def test_saturation_pressure_is_that_of_the_tables() -> None:
     np.testing.assert_allclose(relative_humidity(half, kelvin), 0.5)
 
 
-# -- plants and rows -------------------------------------------------------------------------------------------------
+# -- plants and rows -----------------------------------------------------------------------------------------
 DAYS = 20.0
 
 

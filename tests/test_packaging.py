@@ -74,7 +74,7 @@ def run(*command: object, **more: object) -> subprocess.CompletedProcess[str]:
     return subprocess.run([str(c) for c in command], capture_output=True, text=True, check=False, **more)
 
 
-# -- metadata --------------------------------------------------------------------------------------------------------
+# -- metadata ------------------------------------------------------------------------------------------------
 def test_pyproject_holds_the_build_system_alone() -> None:
     with open(ROOT / "pyproject.toml", "rb") as file:
         assert set(tomllib.load(file)) == {"build-system"}
@@ -108,6 +108,7 @@ def test_python_and_licence(settings: configparser.ConfigParser) -> None:
 def test_requirements_have_a_lower_bound_and_no_cap(settings: configparser.ConfigParser) -> None:
     lists = [settings["options"]["install_requires"], *settings["options.extras_require"].values()]
     for text in lists:
+        assert requirements(text)
         for name, bound in requirements(text).items():
             assert re.fullmatch(r">=[0-9.]+", bound), (
                 f"{name}{bound}: expected one lower bound and nothing else"
@@ -173,9 +174,10 @@ def test_other_files_of_the_package_are_installed(settings: configparser.ConfigP
             assert any(inside.match(pattern) for pattern in patterns), f"{inside} would not be installed"
 
 
-# -- the repository --------------------------------------------------------------------------------------------------
+# -- the repository ------------------------------------------------------------------------------------------
 def tracked() -> list[str]:
-    """Files of the repository: git's own list, or what lies there where there is no git (an unpacked archive)."""
+    """Files of the repository: git's own list, or what lies there where there is no git (an unpacked
+    archive)."""
     listed = run("git", "-C", ROOT, "ls-files", "--cached", "--others", "--exclude-standard")
     if listed.returncode == 0 and listed.stdout:
         return [name for name in listed.stdout.splitlines() if (ROOT / name).exists()]
@@ -243,7 +245,7 @@ def test_a_skip_fails_the_checks_unless_its_data_are_absent(
     assert ("a::b" in done.stdout) == bool(status)
 
 
-# -- start-up --------------------------------------------------------------------------------------------------------
+# -- start-up ------------------------------------------------------------------------------------------------
 def loaded_by(statement: str) -> set[str]:
     """Top-level packages that a fresh interpreter has loaded after a statement."""
     code = f"import sys\n{statement}\nprint('\\n'.join(sorted({{m.partition('.')[0] for m in sys.modules}})))"
@@ -258,12 +260,15 @@ def test_the_command_line_loads_no_heavy_package(module: str) -> None:
 
 
 def test_help_loads_no_heavy_package() -> None:
-    shown = "from contextlib import redirect_stdout, suppress\nfrom io import StringIO\nfrom hygrokf.commands.main import main\n"
+    shown = (
+        "from contextlib import redirect_stdout, suppress\nfrom io import StringIO\nfrom "
+        "hygrokf.commands.main import main\n"
+    )
     shown += "with suppress(SystemExit), redirect_stdout(StringIO()):\n    main(['--help'])"
     assert not loaded_by(shown) & (LATE | {"numpy"})
 
 
-# -- an installation -------------------------------------------------------------------------------------------------
+# -- an installation -----------------------------------------------------------------------------------------
 @pytest.mark.slow
 def test_a_fresh_environment_runs_the_command(tmp_path: Path) -> None:
     """The built wheel holds the package and nothing else, and its command runs outside the repository."""

@@ -6,49 +6,40 @@ import dataclasses
 import json
 import math
 import os
-import re
-import tomllib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from hygrokf.cases.doubts import IDENTIFIABLE, no_overlap
-from hygrokf.cases.form import StatedCase, StatedColumn, StatedSource, stated_case
-from hygrokf.cases.keys import CaseLines
+from hygrokf.cases.form import StatedCase, StatedColumn, StatedSource, StatedWeather, stated_case
+from hygrokf.cases.places import CaseLines
 from hygrokf.cases.summary import mask
-from hygrokf.cases.weather_form import StatedWeather
 from hygrokf.data.columns import Table, TableFault
 from hygrokf.data.masks import detect_resolution, order_readings
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import difference_to_si, to_si, unit_mistaken
 from hygrokf.data.table_readers import read_table
 from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text, summer_time_holes
-from hygrokf.errors import HygrokfError, suggestion
+from hygrokf.data.toml_form import FormFault, read_toml
 from hygrokf.physics.holds import LINEAR
 from hygrokf.weather.joining import follows, joined
 from hygrokf.weather.reading import read_weather_file
 
 
-class CaseFault(HygrokfError):
-    """A case that cannot be read; `faults` lists every reason, the message all of them."""
-
-    def __init__(self, case: str, faults: Iterable[str]) -> None:
-        self.faults = tuple(faults)
-        count = f"{len(self.faults)} fault{'s' if len(self.faults) != 1 else ''}"
-        listed = (f"  {number}. {fault}" for number, fault in enumerate(self.faults, 1))
-        super().__init__("\n".join([f"{case}: {count}", *listed]))
+class CaseFault(FormFault):
+    """A case that cannot be read; `faults` lists every reason, the message contains all of them."""
 
 
 def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bool = True) -> Record:
     """Record of a case file: sources read, units in SI, clocks in UTC, doubtful readings masked.
 
-    path: the TOML file; the files it names are relative to it. docs/case_file.md has its form.
-    cabinet: whether there must be a cabinet signal to identify; False for drivers alone.
-    ambient: whether there must be an ambient temperature; False for a power alone.
+    path: the TOML file; the files it names are relative to it. docs/case_file.md describes its form.
+    cabinet: whether a cabinet signal to identify is required; False for drivers alone.
+    ambient: whether an ambient temperature is required; False for a power alone.
 
-    What was masked or repaired is in the record's `warnings`.
+    The record's `warnings` list what was masked or repaired.
     Raises CaseFault with all faults of the case file and of every source.
     """
     file = Path(path)
@@ -75,10 +66,12 @@ def record_of(
     cabinet: bool,
     ambient: bool,
 ) -> Record:
-    """Record of what a case states, wherever its tables are: units in SI, clocks in UTC, doubtful readings masked.
+    """Record of a stated case, whatever holds its tables: units in SI, clocks in UTC, doubtful readings
+    masked.
 
-    case: as stated. faults: of its form. table: the readings of a source; raises TableFault. head: what the message of a
-    CaseFault begins with. weather: what a weather file brings, where the case names any; raises TableFault.
+    case: as stated. faults: of its form. table: reads a source; raises TableFault. head: first words of a
+        CaseFault's message.
+    weather: reads a weather file, for cases that name any; raises TableFault.
     cabinet, ambient: as for `read_case`.
 
     Raises CaseFault with all faults.
@@ -109,11 +102,11 @@ def record_of(
         warnings += said
         faults += wrong
         whole = whole and not wrong
-    for stated, years in reads:
-        provenance.update(years.provenance)
+    for stated, brought in reads:
+        provenance.update(brought.provenance)
         used = set(case.declared) | {one.signal for one in series}
-        series += [one for one in years.series if not stated.compare and one.signal not in used]
-        compared += [one for one in years.series if stated.compare or one.signal in used]
+        series += [one for one in brought.series if not stated.compare and one.signal not in used]
+        compared += [one for one in brought.series if stated.compare or one.signal in used]
     unique = {one.signal: one for one in series}
     second = {one.signal: one for one in reversed(compared)}
     faults += no_overlap(tuple(unique.values()))
@@ -140,7 +133,7 @@ def record_of(
 
 
 def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
-    """Faults of a case that does not name the signals that a model needs."""
+    """Faults of a case that lacks the signals a model needs."""
     name, signal = case.lines.name, case.lines.signal
     faults = []
     unheard = "ambient_temperature" not in case.declared and all(one.compare for one in case.weather)
@@ -159,7 +152,7 @@ def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
 def _weathers(
     case: StatedCase, weather: Callable[[StatedWeather], Record]
 ) -> tuple[list[tuple[StatedWeather, Record]], list[str], list[str]]:
-    """What the weather files bring, those that follow each other joined; warnings, faults."""
+    """Records of the weather files, with consecutive files joined; warnings; faults."""
     reads: list[tuple[StatedWeather, Record]] = []
     warnings: list[str] = []
     faults: list[str] = []
@@ -172,7 +165,7 @@ def _weathers(
         warnings += [f"{stated.file}: {one}" for one in read.warnings]
         read = dataclasses.replace(read, warnings=())
         for place, (before, earlier) in enumerate(reads):
-            # one file a year, say: the second goes on where the first ends
+            # such as one file a year, each continuing the previous one
             if (before.format, before.compare) == (stated.format, stated.compare) and follows(earlier, read):
                 try:
                     made = joined((earlier, read), earlier.name)
@@ -190,62 +183,31 @@ def _weathers(
 def _case_text(file: Path) -> tuple[str, dict[str, Any]]:
     """Text and content of the case file."""
     try:
-        text = file.read_bytes().decode("utf-8-sig")
-    except FileNotFoundError:
-        near = [one.name for one in file.parent.glob("*.toml")] if file.parent.is_dir() else []
-        raise CaseFault(str(file), [f"no such case file{suggestion(file.name, near)}"]) from None
-    except OSError as refused:
-        raise CaseFault(str(file), [f"cannot be read: {refused.strerror or refused}"]) from None
-    except UnicodeDecodeError:
-        if file.suffix.lower() in _TABLES:
-            raise CaseFault(str(file), [f"is a table, {_EXPECTED}"]) from None
-        raise CaseFault(str(file), ["expected TOML text in UTF-8, found other bytes"]) from None
-    try:
-        return text, tomllib.loads(text.replace("\r\n", "\n"))
-    except tomllib.TOMLDecodeError as wrong:
-        other = _other_than_case(file, text)
-        if other:
-            raise CaseFault(str(file), [other]) from None
-        raise CaseFault(str(file), [_syntax_fault(str(wrong), text)]) from None
+        return read_toml(file, CaseFault, "no such case file")
+    except CaseFault as fault:
+        other = _other_than_case(file)
+        raise CaseFault(file, [other] if other else fault.faults) from None
 
 
 _EXPECTED = "expected a case file that names it (docs/case_file.md)"
 _TABLES = (".csv", ".tsv", ".txt", ".dat", ".parquet", ".nc", ".xlsx")
 
 
-def _other_than_case(file: Path, text: str) -> str:
-    """What a file is that is no TOML, where it can be told: a result, or a table."""
-    if text.lstrip().startswith("{"):
-        try:
-            held = json.loads(text)
-        except (ValueError, RecursionError):
-            held = None
-        if isinstance(held, dict):
-            if {"design", "parameters"} <= set(held):
-                return "is a result of `hygrokf fit`, expected a case file (docs/case_file.md)"
-            return "is JSON, expected a case file (docs/case_file.md)"
-    return f"is a table, {_EXPECTED}" if file.suffix.lower() in _TABLES else ""
-
-
-def _syntax_fault(reason: str, text: str) -> str:
-    """What is wrong with the TOML, with its line."""
-    found = re.search(r"\(at line (\d+), column (\d+)\)", reason)
-    reason = re.sub(r"\s*\(at [^)]*\)$", "", reason)
-    if "('source',)" in reason:
-        reason += "; write [[source]] with two brackets, once for each file"
-    if found is not None:
-        number, where = int(found[1]), f"line {found[1]}, column {found[2]}"
-    else:
-        # The parser gives no line at the end of the document.
-        number = len(text.rstrip().splitlines())
-        where = f"line {number}, at the end"
-    line = text.splitlines()[number - 1 : number]
-    shown = f", in: {line[0].strip()[:80]}" if line else ""
-    return f"{where}: not valid TOML: {reason}{shown}"
+def _other_than_case(file: Path) -> str:
+    """What a file that is not TOML seems to be, a result or a table; empty where it is unclear."""
+    try:
+        held = json.loads(file.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        held = None
+    if isinstance(held, dict):
+        if {"design", "parameters"} <= set(held):
+            return "is a result of `hygrokf fit`, expected a case file (docs/case_file.md)"
+        return "is JSON, expected a case file (docs/case_file.md)"
+    return f"is a table, {_EXPECTED}" if file.is_file() and file.suffix.lower() in _TABLES else ""
 
 
 def _weather(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
-    """What a weather file brings; its record named as the case file names the file."""
+    """The record of a weather file, with sources named as in the case file."""
     read = read_weather_file(
         folder / stated.file,
         stated.format,
@@ -274,7 +236,7 @@ def _weather(stated: StatedWeather, folder: Path, case: StatedCase) -> Record:
 def _source_series(
     source: StatedSource, table: Table, rated_W: float | None
 ) -> tuple[list[Series], list[str], list[str]]:
-    """Series of a source, warnings, faults."""
+    """Series of a source; warnings; faults."""
     warnings = list(table.warnings)
     time, values, said = order_readings(table.time, table.values)
     if not any("summer-time" in one for one in warnings):
@@ -294,7 +256,7 @@ def _source_series(
             continue
         hold = source.hold
         if hold is None:
-            # Between two directions the straight line may pass through all of the others.
+            # a straight line between two directions may pass through all other directions
             turning = one.signal.dimension == "angle"
             hold = "linear" if source.stamp == "instant" and not turning else "zero-order"
         length = source.interval_s
@@ -341,16 +303,16 @@ def _no_step(source: StatedSource, step: float, regular: float) -> str:
 
 
 def _end_of_interval(time: np.ndarray, length: float, stamp: str, hold: str) -> tuple[np.ndarray, float]:
-    """Times as a Series has them, and the interval's length [s]."""
+    """Times in the convention of `Series`, and the interval's length [s]."""
     shift = {"instant": 0.0, "start": length, "middle": 0.5 * length, "end": 0.0}[stamp]
     if hold == LINEAR:
-        # A mean to be joined by straight lines stands in the middle of its interval.
+        # a mean that is joined by straight lines is placed in the middle of its interval
         return time + (0.0 if stamp == "instant" else shift - 0.5 * length), 0.0
     return time + shift, length
 
 
 def _power_mistaken(one: StatedColumn, raw: np.ndarray, rated_W: float) -> tuple[str | None, str | None]:
-    """Power that does not go with the rated power: a fault if impossible, a warning if doubtful."""
+    """A power inconsistent with the rated power: a fault if impossible, a warning if doubtful."""
     finite = to_si(raw[np.isfinite(raw)], one.unit, one.signal)
     if not len(finite):
         return None, None
@@ -378,7 +340,7 @@ def _period_faults(record: Record, case: StatedCase) -> list[str]:
 
 
 def _emptied(record: Record, cabinet: bool, ambient: bool) -> list[str]:
-    """Faults of a record that has no reading left where a model needs some."""
+    """Faults of a record that has no readings left of signals a model needs."""
     faults = []
     needed: list[tuple[str, ...]] = [("ambient_temperature",)] if ambient else []
     if cabinet:

@@ -1,4 +1,4 @@
-"""What a sceptic would ask about a record: doubts, one sentence each; none of them is a fault."""
+"""Doubts about a record, one sentence each; none of them is a fault."""
 
 from __future__ import annotations
 
@@ -10,30 +10,29 @@ import numpy as np
 from hygrokf.data.masks import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import signal_named, unit_mistaken
-from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text
+from hygrokf.data.timestamps import DAY_S, duration_text, modal_step, period_text, stamp_text
 from hygrokf.modelling.design import PARTS
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 from hygrokf.weather.alignment import FEWEST_D
 from hygrokf.weather.clocks import NOT_COMPARED, ClockError, alignments, clock_errors, clock_sentences
 
-_DAY = 86400.0
 _SHORT_RECORD_D = 14.0
 _SHORT_VALIDATION_D = 7.0
 _SOLAR_LAG_MIN = 20.0
 _FEWEST_IN_COMMON = 20
-_OLDEST_S = 10 * 365.25 * _DAY
-"""[s] before which, in the seventies, no turbine was logged."""
+_OLDEST_S = 10 * 365.25 * DAY_S
+"""[s] earliest plausible reading: no turbine was logged in the seventies."""
 IDENTIFIABLE = (
     "cabinet_temperature",
     "cabinet_relative_humidity",
     "cabinet_absolute_humidity",
     "cabinet_dew_point_temperature",
 )
-"""Signals of the cabinet that a model can be identified from."""
+"""Signals of the cabinet that can identify a model."""
 
 
 class Doubt(str):
-    """A sentence of doubt about a record, and the time constants ("thermal", "hygric") that it puts in question."""
+    """A sentence of doubt about a record, with the time constants ("thermal", "hygric") that it concerns."""
 
     touches: tuple[str, ...]
 
@@ -44,16 +43,16 @@ class Doubt(str):
 
 
 def doubted(said: Sequence[str]) -> dict[str, list[str]]:
-    """Of doubts those that put each time constant in question."""
+    """The doubts that concern each time constant."""
     return {
         part: [str(one) for one in said if isinstance(one, Doubt) and part in one.touches] for part in PARTS
     }
 
 
 def all_doubts(record: Record, clocks: Sequence[ClockError] | None = None) -> tuple[str, ...]:
-    """The `doubts` about a record, and before them those of the sources that are compared.
+    """Doubts about the compared sources, followed by the `doubts` about the record.
 
-    record: any. clocks: errors of clocks, where they are known already.
+    record: any. clocks: errors of clocks, if already known.
     """
     if clocks is None:
         clocks = clock_errors(alignments(record))
@@ -63,7 +62,7 @@ def all_doubts(record: Record, clocks: Sequence[ClockError] | None = None) -> tu
 
 
 def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
-    """Files that are there to be compared, and have too little time in common with what is used."""
+    """Files for comparison that share too little time with the sources that are used."""
     done = {one.signal for error in clocks for one in error.alignments}
     apart = [one for one in record.compared if one.signal in record and one.signal not in done]
     apart = [one for one in apart if one.signal not in NOT_COMPARED]
@@ -71,13 +70,14 @@ def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
     for one in apart:
         files.setdefault(one.source.split(", column")[0], []).append(one.signal)
     return [
-        f"{file} cannot be compared ({', '.join(signals)}): fewer than {FEWEST_D:g} days in common with the source that is used"
+        f"{file} cannot be compared ({', '.join(signals)}): fewer than {FEWEST_D:g} days in common with the "
+        "source that is used"
         for file, signals in files.items()
     ]
 
 
 def doubts(record: Record) -> tuple[str, ...]:
-    """What a sceptic would ask about a record, one sentence each; none of it is a fault.
+    """Doubts about a record, one sentence each; none of them is a fault.
 
     record: any.
     """
@@ -91,7 +91,8 @@ def doubts(record: Record) -> tuple[str, ...]:
 
 
 def _doubts_of_readings(record: Record) -> list[str]:
-    """What a record that was made of series may still hold; `read_case` and `Record.from_frames` refuse or mask it."""
+    """Doubts about readings of a record made from series; `read_case` and `Record.from_frames` refuse or mask
+    such readings."""
     said: list[str] = []
     for series in (*record.series, *record.compared):
         row = signal_named(series.signal)
@@ -104,14 +105,14 @@ def _doubts_of_readings(record: Record) -> list[str]:
             said.append(Doubt(words, *_told_by(series.signal)))
     if record.start_s < _OLDEST_S:
         said.append(
-            f"the readings begin on {stamp_text(record.start_s)}: are the times seconds since 1970-01-01T00:00Z, or since "
-            "the start of the record?"
+            f"the readings begin on {stamp_text(record.start_s)}: are the times seconds since "
+            "1970-01-01T00:00Z, or since the start of the record?"
         )
     return said + no_overlap(record.series)
 
 
 def _told_by(signal: str) -> tuple[str, ...]:
-    """The time constants that a signal tells something about."""
+    """The time constants that depend on a signal."""
     if "humidity" in signal or "dew_point" in signal:
         return PARTS[1:]
     return PARTS if signal.endswith("_temperature") else PARTS[:1] if signal == "active_power" else ()
@@ -144,7 +145,7 @@ def no_overlap(series: Sequence[Series]) -> list[str]:
 
 def _doubts_of_periods(record: Record) -> list[str]:
     said: list[str] = []
-    days = (record.end_s - record.start_s) / _DAY
+    days = (record.end_s - record.start_s) / DAY_S
     if not days >= _SHORT_RECORD_D:
         said.append(
             f"short record: {days:.1f} days; below {_SHORT_RECORD_D:.0f} days weather and "
@@ -165,7 +166,7 @@ def _doubts_of_periods(record: Record) -> list[str]:
             ("identification", record.identification()),
             ("validation", record.validation()),
         ):
-            length = (part.end_s - part.start_s) / _DAY
+            length = (part.end_s - part.start_s) / DAY_S
             if not length >= _SHORT_VALIDATION_D:
                 said.append(f"short {name} period: {length:.1f} days")
     return said
@@ -260,8 +261,8 @@ def _doubts_of_climate(record: Record) -> list[str]:
             if _same_readings(inside, outside):
                 said.append(
                     Doubt(
-                        f"{inside.signal} and {outside.signal} are the same readings ({inside.source}; {outside.source}): "
-                        "one of the two columns is wrong",
+                        f"{inside.signal} and {outside.signal} are the same readings ({inside.source}; "
+                        f"{outside.source}): one of the two columns is wrong",
                         *(PARTS if kind == "temperature" else PARTS[1:]),
                     )
                 )
@@ -280,7 +281,7 @@ def _doubts_of_climate(record: Record) -> list[str]:
 
 
 def _same_readings(one: Series, other: Series) -> bool:
-    """Whether two series that vary agree to rounding at nearly every time which both have."""
+    """Whether two varying series agree to rounding at nearly all their common times."""
     _, i, j = np.intersect1d(one.time, other.time, return_indices=True)
     there = ~(one.missing[i] | other.missing[j])
     first, second = one.value[i][there], other.value[j][there]
@@ -294,12 +295,12 @@ _HUMIDITIES = ("relative_humidity", "absolute_humidity", "dew_point_temperature"
 
 def _present(series: Series) -> tuple[np.ndarray, np.ndarray]:
     there = ~series.missing
-    # A mean stands for the middle of its interval.
+    # a mean belongs to the middle of its interval
     return series.time[there] - 0.5 * series.interval_s, series.value[there]
 
 
 def _vapour_density(record: Record, place: str) -> tuple[np.ndarray, np.ndarray] | None:
-    """Times [s] and absolute humidity [kg/m3] of a place, from whatever humidity there is."""
+    """Times [s] and absolute humidity [kg/m3] at a place, from any of its humidity signals."""
     if f"{place}_absolute_humidity" in record:
         return _present(record[f"{place}_absolute_humidity"])
     if f"{place}_temperature" not in record:
@@ -323,7 +324,7 @@ def _pair(
     one: tuple[np.ndarray, np.ndarray] | None,
     other: tuple[np.ndarray, np.ndarray] | None,
 ) -> tuple[np.ndarray, np.ndarray] | None:
-    """Values of one and, at the same times, of the other, over their common span."""
+    """Values of one series and of the other at the same times, over their common span."""
     if one is None or other is None or not (len(one[0]) and len(other[0])):
         return None
     common = (one[0] >= other[0][0]) & (one[0] <= other[0][-1])
@@ -359,23 +360,23 @@ def _doubts_of_clocks(record: Record) -> list[str]:
 def _solar_lag(irradiance: Series, longitude_deg: float) -> float | None:
     """Mean time from solar noon to the middle of a day's radiation [s]; None below 20 days.
 
-    The equation of time is the usual three-term one, good to a minute.
+    The equation of time is the usual three-term approximation, accurate to a minute.
     """
     time, value = _present(irradiance)
     step, _ = modal_step(irradiance.time)
     if not (len(time) > 100 and step <= 3600.0):
         return None
-    day_of_year = np.mod(time / _DAY, 365.2425)
+    day_of_year = np.mod(time / DAY_S, 365.2425)
     angle = 2.0 * math.pi * (day_of_year - 80.0) / 365.2425
     equation_min = 9.87 * np.sin(2 * angle) - 7.53 * np.cos(angle) - 1.5 * np.sin(angle)
     solar = time + 240.0 * longitude_deg + 60.0 * equation_min
-    day = np.floor(solar / _DAY)
-    hour_angle = solar - (day + 0.5) * _DAY
+    day = np.floor(solar / DAY_S)
+    hour_angle = solar - (day + 0.5) * DAY_S
     first = day - day.min()
     number = np.bincount(first.astype(int))
     energy = np.bincount(first.astype(int), weights=np.fmax(value, 0.0))
     moment = np.bincount(first.astype(int), weights=np.fmax(value, 0.0) * hour_angle)
-    whole = (number >= 0.95 * _DAY / step) & (energy > 0.0)
+    whole = (number >= 0.95 * DAY_S / step) & (energy > 0.0)
     whole &= energy > 0.2 * np.median(energy[whole]) if whole.any() else False
     if whole.sum() < 20:
         return None

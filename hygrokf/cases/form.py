@@ -1,125 +1,261 @@
-"""The form of a case, in a file or in the arguments of a call: its keys, their types, and where each is stated."""
+"""The form of a case, in a file or in the arguments of a call: its keys, their types, and the place of
+each."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, ClassVar
 
-from hygrokf.cases.keys import Statement, expect_known_keys, stated_number, stated_positive, stated_text
-from hygrokf.cases.weather_form import StatedWeather, stated_weather
+from hygrokf.cases.places import Statement
 from hygrokf.data.record import HOLDS, Site
 from hygrokf.data.signals import SIGNALS, Signal, difference_to_si, fitting_units, unit_fault
 from hygrokf.data.timestamps import duration, moment, signed_duration, stamp_text
+from hygrokf.data.toml_form import Key, Place, across, entry_name, keys_of, read_form, setting
 from hygrokf.errors import suggestion
+from hygrokf.weather.reading import FORMATS
 
 STAMPS = ("instant", "start", "middle", "end")
-"""What a stamp marks: an instant, or a place in the interval that was averaged over."""
-
-_CASE_KEYS = ("name", "rated_power_kW", "site", "source", "identification")
-SITE_KEYS = ("latitude_deg", "longitude_deg", "altitude_m")
-IDENTIFICATION_KEYS = ("until", "start")
-SOURCE_KEYS = (
-    "file",
-    "time",
-    "timezone",
-    "stamp",
-    "interval",
-    "hold",
-    "clock_uncertainty",
-    "clock_correction",
-    "separator",
-    "decimal",
-    "comment",
-    "missing",
-    "time_format",
-    "ignore_offset",
-    "compare",
-    "signals",
-)
+"""Meanings of a stamp: an instant, or a position in the averaging interval."""
 
 
-@dataclass(frozen=True)
-class ColumnSetting:
-    """What may be stated of one signal beside its column and unit: all that it takes for one more is its row below.
-
-    key: as stated. field: of `Series`, which takes the number. read: the number from what is stated; raises ValueError.
-    to_si: (number, unit of the column, signal) -> number as the field has it.
-    """
-
-    key: str
-    field: str
-    read: Callable[[Any], float]
-    to_si: Callable[[float, str, Signal], float]
+def stated_signal(name: object) -> Signal:
+    """A row of the table of signals.  Raises ValueError."""
+    if not isinstance(name, str) or name not in SIGNALS:
+        near = suggestion(str(name), SIGNALS)
+        raise ValueError(f'unknown signal "{name}"{near} (docs/signals.md lists them all)')
+    return SIGNALS[name]
 
 
 def _size(value: Any) -> float:
-    """A difference that is stated in the unit of the column."""
-    size = stated_number(value)
-    if size is None or size < 0.0:
-        raise ValueError(f"expected a number ≥ 0 in the unit of the column, found {value!r}")
-    return size
+    """A difference in the unit of the readings."""
+    good = isinstance(value, (int, float)) and not isinstance(value, bool) and 0.0 <= value < float("inf")
+    if not good:
+        raise ValueError(f"expected a number ≥ 0 in the unit of the readings, found {value!r}")
+    return float(value)
 
 
-def _as_stated(number: float, unit: str, signal: Signal) -> float:
-    """A number that has nothing to do with the unit of the column."""
-    return number
+_CHARACTER: dict[str, Any] = {"fits": lambda text: len(text) == 1, "expected": "one character in quotes"}
 
 
-COLUMN_SETTINGS = (
-    ColumnSetting("accuracy", "accuracy", _size, difference_to_si),
-    ColumnSetting("resolution", "resolution", _size, difference_to_si),
-    ColumnSetting("response_time", "response_time_s", duration, _as_stated),
-)
-_COLUMN_KEYS = ("column", "unit", *(one.key for one in COLUMN_SETTINGS))
-
-
-@dataclass(frozen=True)
-class StatedColumn:
-    """One signal of a source, as the case states it.
-
-    signal: its row of the signal table. column: its name in the table. unit: of the column.
-    settings: [SI] further arguments of its `Series`, of those in `COLUMN_SETTINGS`.
-    """
+@dataclass(frozen=True, kw_only=True)
+class StatedSensor:
+    """What may be stated of the readings of a signal, in a case and in a tracker's file."""
 
     signal: Signal
-    column: str
-    unit: str
-    settings: Mapping[str, float]
+    unit: str = setting(help="the unit of the readings")
+    accuracy: float | None = setting(None, "95 % accuracy of the sensor [its unit]", read=_size)
+    resolution: float | None = setting(None, "spacing of the readings [its unit]", read=_size)
+    response_time_s: float | None = setting(
+        None, "in which the sensor follows a step by all but 1/e", read=duration
+    )
+
+    @across("unit", "signal")
+    def unit_of_signal(self) -> str | None:
+        return unit_fault(self.unit, self.signal.name)
+
+    @property
+    def settings(self) -> dict[str, float]:
+        """Further arguments of a `Series` [SI], those that are stated; a new one takes a field here."""
+        found = {"response_time_s": self.response_time_s}
+        for name in ("accuracy", "resolution"):
+            size = getattr(self, name)
+            found[name] = None if size is None else difference_to_si(size, self.unit, self.signal)
+        return {name: value for name, value in found.items() if value is not None}
+
+
+@dataclass(frozen=True, kw_only=True)
+class StatedColumn(StatedSensor):
+    """One signal of a source."""
+
+    signal: Signal = entry_name(stated_signal)
+    column: str = setting(help="its name in the table")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CasePlace(Place):
+    """A table of a case.
+
+    lines: gives the places of the case. block: number of the [[source]], or None for the rest.
+    key: that gives the place of the table itself. subject: the table as the subject of "needs …".
+    """
+
+    lines: Statement
+    block: int | None = None
+    key: str | None = None
+    subject: str = ""
+
+    def needs(self, key: str, stated: Key) -> str:
+        return f"{self.subject}needs {key}"
+
+    def at(self, *keys: str) -> str:
+        return self.lines.at(self.block, *keys, *([] if self.key is None else [self.key]))
+
+    def table(self, key: str) -> str:
+        return f" {self.lines.table(key)}"
+
+    def inside(self, key: str, number: int | None = None, entry: str | None = None) -> Place:
+        if number is not None:
+            return replace(self, of=" in [[source]]", subject="this source ", block=number)
+        if entry is not None:
+            said = {"of": f" in signals.{entry}", "subject": f"{self.lines.signal(entry)} "}
+            return SignalPlace(faults=self.faults, lines=self.lines, block=self.block, key=entry, **said)
+        head = self.lines.table(key)
+        return replace(self, of=f" in {head}", subject=f"{head} ", key=key)
+
+
+class SignalPlace(CasePlace):
+    """The entry of a signal: its line is that of the signal's name, because sources share the other keys."""
+
+    def at(self, *keys: str) -> str:
+        return super().at(*(one for one in keys if one not in keys_of(StatedColumn)))
+
+    def needs(self, key: str, stated: Key) -> str:
+        units = f"; units that fit: {', '.join(fitting_units(str(self.key)))}"
+        return super().needs(key, stated) + (units if key == "unit" else "")
 
 
 @dataclass(frozen=True)
 class StatedSource:
-    """One [[source]] of the case file, or one frame.
+    """One [[source]] of the case file, or one frame."""
 
-    file: relative to the case file, or the name of the frame. time: column of the stamps. columns: one for each signal.
-    stamp: one of `STAMPS`. interval_s: [s] averaged over, or None: the step.
-    hold: "linear", "zero-order" or None: as the stamp has it.
-    clock_uncertainty_s: [s]. clock_correction_s: [s] added to the stamps. reading: further arguments of `hygrokf.data.table_readers.read_table`.
-    compare: whether it is only held against the other sources.
-    """
+    file: str = setting(help="path, relative to the case file; the name of a frame")
+    time: str = setting(help="column of the stamps")
+    timezone: str | None = setting(None, 'of the stamps: "+02:00", "UTC", or an IANA name')
+    stamp: str = setting("instant", "an instant, or a position in the interval", choices=STAMPS)
+    interval_s: float | None = setting(
+        None, "length averaged over; by default the step", read=duration, above=0.0, expected="longer than 0"
+    )
+    hold: str | None = setting(None, "between readings; by default derived from the stamp", choices=HOLDS)
+    clock_uncertainty_s: float | None = setting(None, "standard uncertainty of the clock", read=duration)
+    clock_correction_s: float = setting(0.0, "added to the stamps", read=signed_duration)
+    separator: str = setting(",", "of columns", **_CHARACTER)
+    decimal: str = setting(".", "mark of numbers", **_CHARACTER)
+    comment: str | None = setting(None, "character that starts lines to skip", **_CHARACTER)
+    missing: tuple[str, ...] = setting(
+        (), 'texts that mean "no reading"', expected='a list of texts such as ["error"]', empty=True
+    )
+    time_format: str | None = setting(None, "strptime form of stamps that are not ISO 8601")
+    ignore_offset: bool = setting(False, "drop the offset of the stamps, read them in `timezone`")
+    compare: bool = setting(False, "held against the other sources, and used for nothing else")
+    signals: Mapping[str, StatedColumn] = setting(dict, "the columns that are signals")
 
-    file: str
-    time: str
-    columns: tuple[StatedColumn, ...]
-    stamp: str
-    interval_s: float | None
-    hold: str | None
-    clock_uncertainty_s: float | None
-    clock_correction_s: float
-    reading: dict[str, Any]
-    compare: bool = False
+    @across("decimal", "separator")
+    def marks(self) -> str | None:
+        if self.separator != self.decimal:
+            return None
+        return f'separator and decimal are both "{self.decimal}"; state another one of the two'
+
+    @across("interval", "stamp", "hold")
+    def place_in_interval(self) -> str | None:
+        if self.interval_s is None or self.stamp != "instant" or self.hold == "zero-order":
+            return None
+        return 'an interval needs to know where in it the stamp is: state stamp = "start", "middle" or "end"'
+
+    @across("ignore_offset", "timezone")
+    def clock(self) -> str | None:
+        lacking = self.ignore_offset and self.timezone is None
+        return "ignore_offset = true needs the timezone of the clock" if lacking else None
+
+    @across("signals")
+    def any_signal(self) -> str | None:
+        if self.signals:
+            return None
+        return (
+            "this source names no signal; expected such as "
+            'signals.cabinet_temperature = { column = "…", unit = "degC" }'
+        )
+
+    @property
+    def columns(self) -> tuple[StatedColumn, ...]:
+        """The signals that can be read."""
+        valid = (one for one in self.signals.values() if unit_fault(one.unit, one.signal.name) is None)
+        return tuple(one for one in valid if one.column)
+
+    @property
+    def reading(self) -> dict[str, Any]:
+        """Further arguments of `hygrokf.data.table_readers.read_table`."""
+        names = ("timezone", "separator", "decimal", "comment", "missing", "time_format", "ignore_offset")
+        return {name: getattr(self, name) for name in names}
+
+
+@dataclass(frozen=True)
+class StatedWeather:
+    """One [[source]] of the case file that is a weather file, with a format in place of columns."""
+
+    OF: ClassVar = " in a [[source]] with format"
+    REFUSED: ClassVar = {
+        "signals": "a source with format brings the signals that its file has; remove signals",
+        "time": "a source with format needs no time; remove it",
+    }
+    file: str = setting(help="path, relative to the case file")
+    format: str = setting(
+        help="of the weather file", choices=FORMATS, remedy="a table of columns needs no format"
+    )
+    year: int | None = setting(None, "of a typical year", least=1900, most=2200)
+    altitude_m: float | None = setting(
+        None, "of the weather; by default as in its file", least=-500.0, most=9000.0
+    )
+    to_site_altitude: bool = setting(False, "whether the weather is moved to the site's altitude")
+    lapse_rate_K_per_km: float | None = setting(
+        None, "of the air between; by default 6.5", least=-20.0, most=20.0
+    )
+    clock_correction_s: float = setting(0.0, "added to the stamps", read=signed_duration)
+    clock_uncertainty_s: float | None = setting(None, "standard uncertainty of the clock", read=duration)
+    compare: bool = setting(False, "held against the other sources, and used for nothing else")
+
+    @across("year", "format")
+    def stamps(self) -> str | None:
+        if self.year is None or self.format != "era5":
+            return None
+        return "year is for typical years (epw); this file has its own stamps"
+
+    @across("lapse_rate_K_per_km", "to_site_altitude")
+    def use_of_lapse_rate(self) -> str | None:
+        if self.lapse_rate_K_per_km is None or self.to_site_altitude:
+            return None
+        return "lapse_rate_K_per_km is used with to_site_altitude = true only"
+
+    @property
+    def lapse_rate(self) -> float:
+        """[K/m]"""
+        return 1e-3 * (6.5 if self.lapse_rate_K_per_km is None else self.lapse_rate_K_per_km)
+
+
+@dataclass(frozen=True)
+class StatedPeriod:
+    """The identification period, from its start to its end [s since 1970-01-01T00:00Z]."""
+
+    until_s: float | None = setting(None, "end; by default that of the record", read=moment)
+    start_s: float | None = setting(None, "by default the start of the record", read=moment)
+
+    @across("start", "until")
+    def order(self) -> str | None:
+        if self.start_s is None or self.until_s is None or self.start_s < self.until_s:
+            return None
+        return f"start {stamp_text(self.start_s)} must be before until {stamp_text(self.until_s)}"
+
+
+@dataclass(frozen=True)
+class CaseForm:
+    """A case as its file states it."""
+
+    name: str | None = setting(None, "of the enclosure; by default the file's name")
+    rated_power_kW: float | None = setting(None, "of the turbine", above=0.0)
+    site: Site | None = setting(None, "location of the enclosure")
+    source: tuple[Mapping[str, Any], ...] = setting((), "one for each file")
+    identification: StatedPeriod = setting(StatedPeriod, "period to identify from")
 
 
 @dataclass(frozen=True)
 class StatedCase:
-    """What a case states, as far as it is sound.
+    """The valid statements of a case.
 
     name: of the enclosure. site: or None. rated_power_W: [W] or None.
     start_s, until_s: [s] limits of the identification period since 1970-01-01T00:00Z, or None.
-    sources: that can be read. weather: sources that are weather files.
-    declared: every signal named by a source that is used, with the number of its source.
-    lines: where a key is stated.
+    sources: those that can be read. weather: sources that are weather files.
+    declared: every signal of a source that is used, with the number of its source.
+    lines: gives the place of a key.
     """
 
     name: str
@@ -134,265 +270,53 @@ class StatedCase:
 
 
 def stated_case(content: dict[str, Any], lines: Statement, name: str) -> tuple[StatedCase, list[str]]:
-    """What a case states, and every fault of its form.
+    """The statements of a case, and every fault of its form.
 
-    content: the parsed TOML, or the same made of arguments. lines: where its keys are stated. name: of the enclosure,
-        where none is stated.
+    content: the parsed TOML, or the equivalent made from arguments. lines: gives the place of a key. name: of
+        the enclosure, by default.
     """
-    faults: list[str] = []
-    expect_known_keys(content, _CASE_KEYS, "", lines, None, faults)
-    name = stated_text(content, "name", lines, None, faults) or name
-    site = _site(content.get("site"), lines, faults)
-    rated = stated_positive(content, "rated_power_kW", lines, None, faults)
-    start_s, until_s = _periods(content.get("identification"), lines, faults)
-    sources, weather, declared = _sources(content.get("source"), site, lines, faults)
+    place = CasePlace(lines=lines)
+    form = read_form(CaseForm, content, place)
+    if not content.get("source"):
+        place.faults.append(f"{lines.name}: names no source; expected one [[source]] for each file")
+    tables: dict[int, StatedSource] = {}
+    weather: list[StatedWeather] = []
+    for block, table in enumerate(form.source):
+        inside = place.inside("source", block)
+        if "format" not in table:
+            tables[block] = read_form(StatedSource, table, inside)
+            continue
+        weather.append(read_form(StatedWeather, table, inside))
+        if weather[-1].to_site_altitude and (form.site is None or form.site.altitude_m is None):
+            inside.fault("to_site_altitude needs altitude_m in [site]", "to_site_altitude")
+    declared = _declared(tables, lines, place.faults)
     case = StatedCase(
-        name,
-        site,
-        None if rated is None else 1e3 * rated,
-        start_s,
-        until_s,
-        tuple(sources),
+        form.name or name,
+        form.site,
+        None if form.rated_power_kW is None else 1e3 * form.rated_power_kW,
+        form.identification.start_s,
+        form.identification.until_s,
+        tuple(one for one in tables.values() if one.file and one.time),
         declared,
         lines,
-        tuple(weather),
+        tuple(one for one in weather if one.file and one.format),
     )
-    return case, faults
+    return case, place.faults
 
 
-def _site(table: Any, lines: Statement, faults: list[str]) -> Site | None:
-    if table is None:
-        return None
-    if not isinstance(table, dict):
-        faults.append(f"{lines.at(None, 'site')}: expected a table {lines.table('site')}, found {table!r}")
-        return None
-    before = len(faults)
-    expect_known_keys(table, SITE_KEYS, f" in {lines.table('site')}", lines, None, faults)
-    for key in SITE_KEYS[:2]:
-        if key not in table:
-            faults.append(f"{lines.at(None, 'site')}: {lines.table('site')} needs {key}")
-    numbers: dict[str, Any] = {"latitude_deg": 0.0, "longitude_deg": 0.0, "altitude_m": None}
-    for key in SITE_KEYS:
-        if key in table:
-            number = stated_number(table[key])
-            if number is None:
-                faults.append(f"{lines.at(None, key)}: {key} must be a number, found {table[key]!r}")
-            else:
-                numbers[key] = number
-    try:
-        site = Site(**numbers)
-    except ValueError as outside:
-        faults.append(f"{lines.at(None, 'latitude_deg', 'site')}: {outside}")
-    return site if len(faults) == before else None
-
-
-def _periods(table: Any, lines: Statement, faults: list[str]) -> tuple[float | None, float | None]:
-    """Start and end of the identification period [s]."""
-    if table is None:
-        return None, None
-    if not isinstance(table, dict):
-        faults.append(f"{lines.name}: expected a table {lines.table('identification')}, found {table!r}")
-        return None, None
-    expect_known_keys(table, IDENTIFICATION_KEYS, f" in {lines.table('identification')}", lines, None, faults)
-    moments: dict[str, float | None] = {"start": None, "until": None}
-    for key in moments:
-        if key in table:
-            try:
-                moments[key] = moment(table[key])
-            except ValueError as wrong:
-                faults.append(f"{lines.at(None, key)}: {key}: {wrong}")
-    start_s, until_s = moments["start"], moments["until"]
-    if start_s is not None and until_s is not None and start_s >= until_s:
-        faults.append(
-            f"{lines.at(None, 'start')}: start {stamp_text(start_s)} must be before until "
-            f"{stamp_text(until_s)}"
-        )
-        return None, None
-    return start_s, until_s
-
-
-def _sources(
-    tables: Any, site: Site | None, lines: Statement, faults: list[str]
-) -> tuple[list[StatedSource], list[StatedWeather], dict[str, int]]:
-    """The sources that can be read, weather files apart, and every signal named with the number of its source."""
+def _declared(tables: Mapping[int, StatedSource], lines: Statement, faults: list[str]) -> dict[str, int]:
+    """Every signal that is used, with the number of its source."""
     declared: dict[str, int] = {}
     compared: dict[str, int] = {}
-    if not tables:
-        faults.append(f"{lines.name}: names no source; expected one [[source]] for each file")
-        return [], [], declared
-    if not isinstance(tables, list) or not all(isinstance(one, dict) for one in tables):
-        faults.append(f"{lines.at(None, 'source')}: write [[source]] with two brackets")
-        tables = [tables] if isinstance(tables, dict) else []
-    sources, weather = [], []
-    for block, table in enumerate(tables):
-        if "format" in table:
-            found = stated_weather(table, site, lines, block, faults)
-            weather += [] if found is None else [found]
-            continue
-        columns = _columns(table.get("signals"), lines, block, faults)
-        before = compared if table.get("compare") is True else declared
-        for name in table["signals"] if isinstance(table.get("signals"), dict) else ():
-            if name in before and name in SIGNALS:
+    for block, one in tables.items():
+        for name in one.signals:
+            before = compared if one.compare else declared
+            if name in before:
                 other = lines.at(before[name], name).split(", ")[-1]
+                remedy = ": to compare the two, state compare = true in one of the sources"
                 faults.append(
                     f"{lines.at(block, name)}: {lines.signal(name)} is named a second time (first: "
-                    f"{other}); a record has one series of a signal"
-                    + (
-                        ": to compare the two, state compare = true in one of the sources"
-                        * (before is declared)
-                    )
+                    f"{other}); a record has one series of a signal{remedy * (before is declared)}"
                 )
             before.setdefault(name, block)
-        source = _source(table, columns, lines, block, faults)
-        if source is not None:
-            sources.append(source)
-    return sources, weather, declared
-
-
-def _columns(table: Any, lines: Statement, block: int, faults: list[str]) -> tuple[StatedColumn, ...]:
-    if not isinstance(table, dict) or not table:
-        faults.append(
-            f"{lines.at(block)}: this source names no signal; expected such as "
-            'signals.cabinet_temperature = { column = "…", unit = "degC" }'
-        )
-        return ()
-    columns = []
-    for name, entry in table.items():
-        where = lines.at(block, name)
-        if name not in SIGNALS:
-            faults.append(
-                f'{where}: unknown signal "{name}"{suggestion(name, SIGNALS)}'
-                " (docs/signals.md lists them all)"
-            )
-            continue
-        if not isinstance(entry, dict):
-            faults.append(f'{where}: {name} must be {{ column = "…", unit = "…" }}')
-            continue
-        before = len(faults)
-        expect_known_keys(entry, _COLUMN_KEYS, f" in signals.{name}", lines, block, faults)
-        for key in ("column", "unit"):
-            value = entry.get(key)
-            if not isinstance(value, str) or (key == "column" and not value):
-                needed = f"{where}: {lines.signal(name)} needs {key}"
-                needed += "" if value is None else f" as text, found {value!r}"
-                if key == "unit":
-                    needed += f"; units that fit: {', '.join(fitting_units(name))}"
-                faults.append(needed)
-        if isinstance(entry.get("unit"), str):
-            wrong = unit_fault(entry["unit"], name)
-            if wrong is not None:
-                faults.append(f"{where}: {wrong}")
-        settings = {}
-        for one in COLUMN_SETTINGS:
-            if one.key in entry:
-                try:
-                    settings[one] = one.read(entry[one.key])
-                except ValueError as wrong:
-                    faults.append(f"{where}: {one.key}: {wrong}")
-        if len(faults) == before:
-            row, unit = SIGNALS[name], entry["unit"]
-            in_si = {one.field: one.to_si(number, unit, row) for one, number in settings.items()}
-            columns.append(StatedColumn(row, entry["column"], unit, in_si))
-    return tuple(columns)
-
-
-def _source(
-    table: dict[str, Any],
-    columns: tuple[StatedColumn, ...],
-    lines: Statement,
-    block: int,
-    faults: list[str],
-) -> StatedSource | None:
-    expect_known_keys(table, SOURCE_KEYS, " in [[source]]", lines, block, faults)
-    words = {
-        key: stated_text(table, key, lines, block, faults)
-        for key in (
-            "file",
-            "time",
-            "timezone",
-            "time_format",
-            "comment",
-            "separator",
-            "decimal",
-        )
-    }
-    for key in ("file", "time"):
-        if key not in table:
-            faults.append(f"{lines.at(block)}: this source needs {key}")
-    for key in ("separator", "comment", "decimal"):
-        word = words[key]
-        if word is not None and len(word) != 1:
-            faults.append(f'{lines.at(block, key)}: {key} must be one character, found "{word}"')
-            words[key] = None
-    separator, decimal = words["separator"] or ",", words["decimal"] or "."
-    if separator == decimal:
-        faults.append(
-            f"{lines.at(block, 'decimal', 'separator')}: separator and decimal are both "
-            f'"{decimal}"; state another one of the two'
-        )
-    choices = {}
-    for key, allowed in (("stamp", STAMPS), ("hold", HOLDS)):
-        choice = choices[key] = stated_text(table, key, lines, block, faults)
-        if choice is not None and choice not in allowed:
-            faults.append(
-                f"{lines.at(block, key)}: {key} must be one of {', '.join(allowed)}, found "
-                f'"{choice}"{suggestion(choice, allowed)}'
-            )
-            choices[key] = None
-    lengths: dict[str, float | None] = {"interval": None, "clock_uncertainty": None, "clock_correction": None}
-    for key in lengths:
-        if key in table:
-            try:
-                lengths[key] = (signed_duration if key == "clock_correction" else duration)(table[key])
-            except ValueError as wrong:
-                faults.append(f"{lines.at(block, key)}: {key}: {wrong}")
-    stamp = choices["stamp"] or "instant"
-    if lengths["interval"] is not None and stamp == "instant" and choices["hold"] != "zero-order":
-        faults.append(
-            f"{lines.at(block, 'interval')}: an interval needs to know where in it the stamp is: "
-            'state stamp = "start", "middle" or "end"'
-        )
-    if lengths["interval"] == 0.0:
-        faults.append(f"{lines.at(block, 'interval')}: interval must be longer than 0")
-        lengths["interval"] = None
-    missing = table.get("missing", [])
-    if not isinstance(missing, list) or not all(isinstance(one, str) for one in missing):
-        faults.append(
-            f'{lines.at(block, "missing")}: missing must be a list of texts such as ["error"], '
-            f"found {missing!r}"
-        )
-        missing = []
-    ignore = table.get("ignore_offset", False)
-    if not isinstance(ignore, bool):
-        faults.append(
-            f"{lines.at(block, 'ignore_offset')}: ignore_offset must be true or false, found {ignore!r}"
-        )
-    elif ignore and words["timezone"] is None:
-        faults.append(
-            f"{lines.at(block, 'ignore_offset')}: ignore_offset = true needs the timezone of the clock"
-        )
-    compare = table.get("compare", False)
-    if not isinstance(compare, bool):
-        faults.append(f"{lines.at(block, 'compare')}: compare must be true or false, found {compare!r}")
-    if words["file"] is None or words["time"] is None:
-        return None
-    return StatedSource(
-        file=words["file"],
-        time=words["time"],
-        columns=columns,
-        stamp=stamp,
-        interval_s=lengths["interval"],
-        hold=choices["hold"],
-        clock_uncertainty_s=lengths["clock_uncertainty"],
-        clock_correction_s=lengths["clock_correction"] or 0.0,
-        reading={
-            "timezone": words["timezone"],
-            "separator": separator,
-            "decimal": decimal,
-            "comment": words["comment"],
-            "missing": tuple(missing),
-            "time_format": words["time_format"],
-            "ignore_offset": ignore is True and words["timezone"] is not None,
-        },
-        compare=compare is True,
-    )
+    return declared

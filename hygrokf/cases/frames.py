@@ -9,27 +9,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hygrokf.cases.case_file import CaseFault, record_of
-from hygrokf.cases.form import (
-    COLUMN_SETTINGS,
-    IDENTIFICATION_KEYS,
-    SITE_KEYS,
-    SOURCE_KEYS,
-    StatedSource,
-    stated_case,
-)
+from hygrokf.cases.form import StatedColumn, StatedPeriod, StatedSource, stated_case
 from hygrokf.data.columns import Places, Table, TableFault, column_fault, table_of
 from hygrokf.data.record import Record, Site
 from hygrokf.data.signals import SIGNALS
+from hygrokf.data.toml_form import keys_of
 from hygrokf.errors import suggestion
 
 if TYPE_CHECKING:
     import pandas
 
 HEAD = "Record.from_frames"
-FRAME_KEYS = tuple(key for key in SOURCE_KEYS if key not in ("file", "separator", "comment", "signals"))
-"""Keys of a [[source]] that a frame has too: one value for all frames, or a mapping from the frame's name."""
-COLUMN_OPTIONS = {"units": "unit", **{one.key: one.key for one in COLUMN_SETTINGS}}
-"""Options that map columns, and the key of a case file's signal that each stands for."""
+FRAME_KEYS = tuple(
+    key for key in keys_of(StatedSource) if key not in ("file", "separator", "comment", "signals")
+)
+"""Keys of a [[source]] that apply to frames: one value for all frames, or a mapping from the frame's name."""
+COLUMN_OPTIONS = {"units": "unit"} | {
+    key: key for key in keys_of(StatedColumn) if key not in ("column", "unit")
+}
+"""Options that map columns, with the corresponding key of a signal in a case file."""
 _READING = ("timezone", "decimal", "missing", "time_format", "ignore_offset")
 _PLACES = Places("iloc", lambda rows: [int(row) for row in rows], "")
 
@@ -47,7 +45,8 @@ def record_from_frames(
     ambient: bool,
     settings: Mapping[str, Any],
 ) -> Record:
-    """What `Record.from_frames` returns; it describes the arguments.  Raises CaseFault with all faults."""
+    """The record of `Record.from_frames`, which describes the arguments.  Raises CaseFault with all
+    faults."""
     faults = [
         f'unknown option "{key}"{_instead(key)}'
         for key in settings
@@ -95,11 +94,11 @@ def record_from_frames(
 
 
 def _instead(key: str) -> str:
-    """What to write in place of an unknown option."""
-    for table, keys in (("identification", IDENTIFICATION_KEYS), ("site", SITE_KEYS)):
-        if key in keys:
+    """The replacement for an unknown option, as a phrase of its message."""
+    for table, form in (("identification", StatedPeriod), ("site", Site)):
+        if key in keys_of(form):
             return f': write {table}={{"{key}": …}}'
-    if key in SOURCE_KEYS or key == "format":
+    if key in keys_of(StatedSource) or key == "format":
         return ": it is for files, which a case file names"
     own = ("name", "signals", "units", "site", "rated_power_kW", "identification")
     known = (*own, *FRAME_KEYS, *COLUMN_OPTIONS, "cabinet", "ambient")
@@ -107,7 +106,7 @@ def _instead(key: str) -> str:
 
 
 def _named(frames: Any) -> tuple[dict[str, pandas.DataFrame], list[str]]:
-    """Frames by name, and faults of what is none."""
+    """Frames by name, and the faults of anything that is not a frame."""
     import pandas as pd
 
     faults = []
@@ -128,7 +127,8 @@ def _named(frames: Any) -> tuple[dict[str, pandas.DataFrame], list[str]]:
                 named[name] = frame
             else:
                 faults.append(
-                    f"{name}: expected one level of column names, found {frame.columns.nlevels}: give each column one name"
+                    f"{name}: expected one level of column names, found {frame.columns.nlevels}: give each "
+                    "column one name"
                 )
             continue
         found = f"{name}: expected a pandas DataFrame, found {type(frame).__module__}.{type(frame).__name__}"
@@ -140,8 +140,10 @@ def _named(frames: Any) -> tuple[dict[str, pandas.DataFrame], list[str]]:
     return named, faults
 
 
-def _unknown_frames(option: str, stated: Mapping, named: Mapping[str, Any]) -> list[str]:
-    """Faults of an option that is stated for frames that there are not."""
+def _unknown_frames(
+    option: str, stated: Mapping[Any, Any], named: Mapping[str, pandas.DataFrame]
+) -> list[str]:
+    """Faults of an option that names frames which were not given."""
     return [
         f'{option}: no frame is called "{name}" (there are {", ".join(named)}){suggestion(str(name), named)}'
         for name in stated
@@ -152,7 +154,7 @@ def _unknown_frames(option: str, stated: Mapping, named: Mapping[str, Any]) -> l
 def _per_frame(
     option: str, stated: Any, named: Mapping[str, pandas.DataFrame], faults: list[str]
 ) -> dict[str, dict[str, Any]]:
-    """Column -> value for each frame, of an option that is a mapping from columns or from frames to such mappings."""
+    """Column -> value for each frame, from an option that maps columns, or frames to such mappings."""
     nothing: dict[str, dict[str, Any]] = {name: {} for name in named}
     if stated is None:
         return nothing
@@ -186,8 +188,8 @@ def _per_frame(
 class _Prepared:
     """A frame as a source.
 
-    source: as a case file states it. frame: columns by name, rows counted from 0. stamps: (N,) or None where faults say
-    why not. stamps_named: in messages. faults: of the stamps.
+    source: in the form of a case file. frame: columns by name, rows counted from 0. stamps: (N,), or None
+    where the faults explain why. stamps_named: name of the stamps in messages. faults: of the stamps.
     """
 
     source: dict[str, Any]
@@ -219,7 +221,7 @@ def _prepare(
     stated: Mapping[str, Any],
     faults: list[str],
 ) -> _Prepared | None:
-    """A frame as a source, or None where no column of it can be used; faults that no case file can have are added.
+    """A frame as a source, or None where no column is usable; adds faults that cannot occur in a case file.
 
     mapped: column -> signal. by_column: option -> column -> value. stated: key of a source -> value.
     """
@@ -267,18 +269,16 @@ def _prepare(
         if len(faults) == before:
             shown = ", ".join(f'"{label}"' for label in labels) or "no column"
             faults.append(
-                f"{name}: none of its columns is a signal (it has {shown}): call them by signals, or say which is "
+                f"{name}: none of its columns is a signal (it has {shown}): call them by signals, or say "
+                "which is "
                 'which, such as signals={"T": "cabinet_temperature"}'
             )
         return None
-    missing = stated.get("missing")
-    if isinstance(missing, tuple):
-        stated = {**stated, "missing": list(missing)}
     source = {
         **{key: value for key, value in stated.items() if value is not None},
         "file": name,
         "time": "index" if time is None else time,
-        "separator": "\t",  # a frame has none: one that no decimal sign can be
+        "separator": "\t",  # a frame has no separator: this one differs from any decimal mark
         "signals": entries,
     }
     kept = frame.iloc[:, [labels.index(label) for label in used]].copy(deep=False)
@@ -290,7 +290,7 @@ def _prepare(
 def _stamps(
     frame: pandas.DataFrame, labels: Sequence[str], time: str | None
 ) -> tuple[pandas.Series | None, str, float | None, list[str]]:
-    """Stamps of the rows, what messages call them, the length of their periods [s] or None, faults."""
+    """Stamps of the rows, their name in messages, the length of their periods [s] or None, faults."""
     import pandas as pd
 
     if time is None:
@@ -298,8 +298,8 @@ def _stamps(
         if frame.index.nlevels > 1:
             levels = ", ".join(str(one) for one in frame.index.names)
             return None, named, None, [
-                f"{named} has {frame.index.nlevels} levels ({levels}), expected the times alone: make the others columns "
-                "with .reset_index(level=…), or hand over one frame for each of their values"
+                f"{named} has {frame.index.nlevels} levels ({levels}), expected the times alone: make the "
+                "others columns with .reset_index(level=…), or hand over one frame for each of their values"
             ]  # fmt: skip
         stamps = pd.Series(frame.index)
     else:
@@ -311,7 +311,7 @@ def _stamps(
     if isinstance(kind, pd.PeriodDtype):
         starts = stamps.dt.start_time
         lengths = np.unique(((stamps + 1).dt.start_time - starts).dropna().dt.total_seconds())
-        if len(lengths) <= 1:  # none at all where no row has a stamp
+        if len(lengths) <= 1:  # empty where no row has a stamp
             return starts, named, float(lengths[0]) if len(lengths) else None, []
         return None, named, None, [f"{named} holds periods of several lengths, expected one length"]
     if pd.api.types.is_numeric_dtype(kind) or pd.api.types.is_timedelta64_dtype(kind):
@@ -326,7 +326,8 @@ def _stamps(
 
 
 class _Arguments:
-    """Where the arguments of `Record.from_frames` state a case: `hygrokf.cases.keys.Statement`."""
+    """Places of a case in the arguments of `Record.from_frames`; implements
+    `hygrokf.cases.places.Statement`."""
 
     name = "from_frames"
 

@@ -1,9 +1,9 @@
 """The synthetic turbine of `hygrokf demo`: weather, cabinet, three loggers, four files.
 
-Nothing here is measured. A weather of its own drives the thermal network of equations (2) and
-(3) and the hygric network of (4) and (5), integrated at one minute; Ornstein-Uhlenbeck
+Nothing here is measured. Synthetic weather drives the thermal network of equations (2) and
+(3) and the hygric network of (4) and (5), integrated at one minute. Ornstein-Uhlenbeck
 disturbances in the heat flow and in the vapour flow, sensor bias, noise, resolution, gaps and
-standstills with pre-heating make the record as awkward as a measured one. This module shares
+standstills with pre-heating make the record as difficult as a measured one. This module shares
 no code with the estimation.
 """
 
@@ -70,7 +70,7 @@ class SyntheticParameters:
 
 @dataclass(frozen=True)
 class SyntheticTruth:
-    """What no logger shows: true signals each minute and what the sensors add.
+    """Quantities that no logger shows: true signals each minute and the sensors' errors.
 
     time: [s] since the Unix epoch, (T,). The other arrays are (T,) at these instants;
     active_power and preheating hold over the minute that follows.
@@ -181,7 +181,7 @@ def _sun_height(time: np.ndarray) -> np.ndarray:
 def _weather(seed: np.random.SeedSequence, time: np.ndarray) -> _Weather:
     """Weather of an English site each minute: seasons, days, fronts, clouds, rain, wind."""
     random, gusts = (np.random.default_rng(child) for child in seed.spawn(2))
-    # Outdoor air is rough down to the minute: what a logger sees every ten minutes is a sample, not a mean.
+    # outdoor air varies within a minute: a logger's reading every ten minutes is a sample, not a mean
     coarse = np.arange(time[0], time[-1] + 60.0 * _COARSE_MIN, 60.0 * _COARSE_MIN)
     step_h = _COARSE_MIN / 60.0
 
@@ -250,7 +250,7 @@ def _operation(
 
 
 def _step_with_ramp(rate: np.ndarray, before: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Gain and drive of dx/dt = rate (u - x) over a minute in which u runs straight."""
+    """Gain and drive of dx/dt = rate (u - x) over a minute in which u is linear."""
     turns = rate * MINUTE_H
     gain = np.exp(-turns)
     ramp = 1.0 + np.expm1(-turns) / turns
@@ -325,7 +325,7 @@ class _Sensor:
     def read(
         self, column: str, true: np.ndarray, accuracy: float, noise: float, resolution: float
     ) -> np.ndarray:
-        # The stated accuracy is a 95 % bound; no sensor in the demo lies outside it.
+        # the stated accuracy is a 95 % bound; no sensor in the demo lies outside it
         bias = float(np.clip(0.5 * accuracy * self.random.standard_normal(), -accuracy, accuracy))
         self.biases.append((column, bias))
         reading = true + bias + noise * self.random.standard_normal(true.size)

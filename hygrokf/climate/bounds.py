@@ -1,9 +1,9 @@
-"""From members and years to a value with bounds.
+"""Bounds of a climate's numbers, from the values of all members and years.
 
-A statistic has one value for every member and year.  Its bounds for *a year* hold a single year with the weather of one
-of these years: parameters, disturbances and the spread between years.  Its bounds for *the mean* hold the mean over all
-years: parameters, and what is left of the disturbances.  With one year of weather both are the same, and say nothing of
-other years.
+The bounds of *a year* hold a single year with the weather of one of these years: they contain what the fit
+does not know of its parameters, the disturbances, and the spread between years.  The bounds of *the mean*
+hold the mean over all years: they contain the parameters and what is left of the disturbances.  With one
+year of weather both are the same, and say nothing about other years.
 """
 
 from __future__ import annotations
@@ -13,14 +13,36 @@ from dataclasses import dataclass
 import numpy as np
 
 LEVEL = 0.95
+"""Share of the cases [1] that the bounds are to hold."""
+DIGITS = 6
+"""Significant digits of the numbers in a result."""
 
 
 @dataclass(frozen=True)
 class Bounded:
-    """A value with bounds for a year, bounds for the mean of all years, and the spread between years (0 for one year).
+    """A number with its bounds, in the unit that its name states.
 
-    Numbers, or arrays of one shape.
+    `value`: mean over members and years.  `lower`, `upper`: bounds of a single year.  `mean_lower`,
+    `mean_upper`: bounds of the mean of all years.  `between_years`: standard deviation of the years; 0 for
+    one year.
     """
+
+    value: float
+    lower: float
+    upper: float
+    mean_lower: float
+    mean_upper: float
+    between_years: float
+
+    def rounded(self) -> Bounded:
+        """The same to `DIGITS` significant digits."""
+        return Bounded(*rounded(np.array(list(vars(self).values()))).tolist())
+
+
+@dataclass(frozen=True, eq=False)
+class BoundedArray:
+    """Numbers of one kind with their bounds: arrays of one shape, with the meaning that they have in
+    `Bounded`."""
 
     value: np.ndarray
     lower: np.ndarray
@@ -29,20 +51,32 @@ class Bounded:
     mean_upper: np.ndarray
     between_years: np.ndarray
 
-    def to_json(self) -> dict:
-        return {name: np.asarray(number).tolist() for name, number in vars(self).items()}
-
 
 def bounded(values: np.ndarray, level: float = LEVEL) -> Bounded:
-    """The bounds of a statistic from its values (years, N, …).
+    """The bounds of a number from its values (years, N).
 
-    Quantiles are expected values of order statistics (k/(n+1)): a further draw lies between them with the stated
-    probability, also for few members; with fewer than 39 of them the extremes stand in for the 95 % bounds, and hold
-    less (`held`).  Of numbers (years, N) those that are NaN, which say nothing, are left out.
+    Quantiles are expected values of order statistics (k/(n+1)): a further draw lies between them with the
+    stated probability, also for few members.  With fewer than 39 members the extremes stand in for the 95 %
+    bounds, and hold less (`held`).  NaN marks a member without the number in that year; it is left out.
     """
     values = np.asarray(values, dtype=float)
-    if values.ndim == 2 and np.isnan(values).any():
-        return _bounded_where_known(values, level)
+    known = ~np.isnan(values)
+    if not known.any():
+        return Bounded(*[np.nan] * 6)
+    if known.all():
+        return Bounded(*(float(one) for one in vars(bounded_array(values, level)).values()))
+    means, by_year = (
+        np.array([row[there].mean() for row, there in zip(rows, knowns, strict=True) if there.any()])
+        for rows, knowns in ((values.T, known.T), (values, known))
+    )
+    all_years, mean = (bounded(part[None, :], level) for part in (values[known], means))
+    between = float(by_year.std(ddof=1)) if len(by_year) > 1 else 0.0
+    return Bounded(all_years.value, all_years.lower, all_years.upper, mean.lower, mean.upper, between)
+
+
+def bounded_array(values: np.ndarray, level: float = LEVEL) -> BoundedArray:
+    """The bounds of each of many numbers, from their values (years, N, …) without gaps; see `bounded`."""
+    values = np.asarray(values, dtype=float)
     ends = np.array([0.5 - 0.5 * level, 0.5 + 0.5 * level])
     pooled = values.reshape(-1, *values.shape[2:])
     means = values.mean(axis=0)
@@ -50,25 +84,18 @@ def bounded(values: np.ndarray, level: float = LEVEL) -> Bounded:
     mean_lower, mean_upper = np.quantile(means, ends, axis=0, method="weibull")
     by_year = values.mean(axis=1)
     between = by_year.std(axis=0, ddof=1) if len(values) > 1 else np.zeros(values.shape[2:])
-    return Bounded(pooled.mean(axis=0), lower, upper, mean_lower, mean_upper, between)
+    return BoundedArray(pooled.mean(axis=0), lower, upper, mean_lower, mean_upper, between)
 
 
 def held(draws: float, level: float = LEVEL) -> float:
-    """Probability [1] that bounds from so many draws hold a further one: the level, or what the extremes of few draws hold."""
+    """Probability [1] that bounds from so many draws hold a further one: the level, or what the extremes of
+    few draws hold."""
     return min(level, (draws - 1.0) / (draws + 1.0))
 
 
-def _bounded_where_known(values: np.ndarray, level: float) -> Bounded:
-    """The bounds of a number (years, N) that not every member has in every year; NaN where none has it."""
-    if np.isnan(values).all():
-        return Bounded(*(np.array(np.nan) for _ in range(6)))
-    there = ~np.isnan(values)
-    means, by_year = (
-        np.array([row[one].mean() for row, one in zip(rows, known, strict=True) if one.any()])
-        for rows, known in ((values.T, there.T), (values, there))
-    )
-    all_years, mean = (bounded(part[None, :], level) for part in (values[there], means))
-    between = by_year.std(ddof=1) if len(by_year) > 1 else 0.0
-    return Bounded(
-        all_years.value, all_years.lower, all_years.upper, mean.lower, mean.upper, np.array(between)
-    )
+def rounded(values: np.ndarray, digits: int = DIGITS) -> np.ndarray:
+    """Numbers to significant digits, NaN where they are not finite: a file need not show the last bits."""
+    values = np.asarray(values, dtype=float)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        scale = np.where(values == 0.0, 1.0, 10.0 ** (digits - 1 - np.floor(np.log10(np.abs(values)))))
+        return np.where(np.isfinite(values), np.round(values * scale) / scale, np.nan)

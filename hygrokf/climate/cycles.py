@@ -21,7 +21,8 @@ def turning_points(values: np.ndarray) -> np.ndarray:
 
 
 def rainflow(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Ranges (c,) of the cycles in a course (T,), in its unit, and their counts (c,): 1, or 0.5 for half cycles."""
+    """Ranges (c,) of the cycles in a course (T,), in its unit, and their counts (c,): 1, or 0.5 for half
+    cycles."""
     ranges: list[float] = []
     counts: list[float] = []
     stack: list[float] = []

@@ -1,9 +1,10 @@
 """Free runs of an ensemble through years of weather: parameters drawn, disturbances simulated.
 
-From one instant to the next every member takes one step of the model's own moments, begun from a known state: the mean
-and covariance that it gives are the distribution of the next state (exactly where the model is linear over a step), and
-the next state is drawn from it, Gaussian or with the shots that the fit's innovations show (`climate.shots`).  All
-members step side by side in compiled code.  Where the model has switches every member drives its own.
+From one instant to the next every member takes one step of the model's moments from a known state.  The mean
+and covariance of the step are the distribution of the next state (exactly where the model is linear over a
+step), from which the next state is drawn: Gaussian, or with the shots that the fit's innovations show
+(`climate.jump_noise`).  All members step side by side in compiled code.  In a model with switches every
+member operates its own.
 
 Shapes: N members, T instants that are kept, n states.
 """
@@ -34,27 +35,29 @@ from hygrokf.physics.psychrometrics import (
 )
 
 STEP_H = 1.0
-"""[h] distance of the instants that are kept; what happens between them is simulated, not kept."""
+"""[h] distance of the kept instants; the steps between them are simulated but not kept."""
 YEAR_H = 8766.0
 """[h] of a year, 365.25 days."""
 WHOLE = 0.9
-"""Share of a year that a last stretch must have to count as a year."""
+"""Share of a year above which a stretch counts as a year."""
 SPIN_UP_H = 720.0
-"""[h] the first month is run twice: its first run lets the state forget where it began."""
+"""[h] length of the first run, after which the state has forgotten its start; the run then begins again."""
 SINGULAR = 1e-9
-"""Share of a state's variance [1] that is added as noise of its own, so that singular covariances have a factor."""
+"""Share of a state's variance [1] that is added as noise of its own, so that singular covariances have a
+factor."""
 DRAWN = 256
 """Steps whose random numbers are drawn at once."""
 
 
 @dataclass(frozen=True)
 class Year:
-    """One year of an ensemble; of the last or only one maybe a part.
+    """One year of an ensemble; the last or only one may be a part of a year.
 
-    `time_s` (T,) [s since 1970, UTC]; `temperature_K` (N, T) of the cabinet air; `relative_humidity` [1] over water and
-    `vapour_Pa` (N, T) or None; `absolute_humidity_g_m3` likewise; `condensing` (N, T) whether the cold surface is wet;
-    `operating` (T,); `known` (T,) False where weather or power is not known; `ambient` the weather (T,) in the same
-    units: temperature_K, relative_humidity, absolute_humidity_g_m3; `step_h` distance of the instants.
+    `time_s` (T,) [s since 1970, UTC]; `temperature_K` (N, T) of the cabinet air; `relative_humidity` [1] over
+    water and `absolute_humidity_g_m3` (N, T) or None; `condensing` (N, T) whether the cold surface is wet;
+    `operating` (T,); `known` (T,) False where weather or power is not known; `ambient` the weather (T,) in
+    the same units: temperature_K, relative_humidity, absolute_humidity_g_m3; `step_h` distance of the
+    instants.
     """
 
     time_s: np.ndarray
@@ -74,9 +77,10 @@ class Year:
 
 
 def part_text(known: float, covered: float | None = None) -> str:
-    """What there is of a year of which too little is known [h] to stand for it, such as "80 days"; "" where it is enough.
+    """The known part of a year [h] in words, such as "80 days"; "" where it is enough to stand for a year.
 
-    `covered`: the time [h] that the weather covers, gaps included; it is told where it is no year either.
+    `covered`: the time [h] that the weather covers, gaps included, which is stated where it is less than a
+    year too.
     """
     if known >= WHOLE * YEAR_H:
         return ""
@@ -125,9 +129,9 @@ def simulate_years(
 ) -> Iterator[Year]:
     """Years of weather and power (a record), one after the other, through every member's model.
 
-    `rare`: noise that comes as shots (`shots_of`); what is not named there is Gaussian.  Without `process` the disturbances
-    stay at what is expected of them: parameters alone.  Raises ValueError where the record lacks what the model reads, and
-    where a member's model runs away.
+    `rare`: noise that comes as shots (`shots_of`); what is not named there is Gaussian.  Without `process`
+    the disturbances stay at what is expected of them: parameters alone.  Raises ValueError where the record
+    lacks what the model reads, and where a member's model runs away.
     """
     made = course(fit, record)
     design = read_as(fit.design, record)
@@ -167,7 +171,7 @@ def simulate_years(
 
 
 def kept_instants(time_h: np.ndarray) -> np.ndarray:
-    """Places of instants [h] that are at least an hour apart, the first that do."""
+    """Places of the first instants [h] that are at least an hour apart."""
     whole = np.flatnonzero(np.abs(time_h / STEP_H - np.round(time_h / STEP_H)) < 1e-6)
     # where every hour has an instant of its own these are the hours; else whatever stands an hour on
     if len(whole) >= WHOLE * (time_h[-1] - time_h[0]) / STEP_H:
@@ -181,9 +185,9 @@ def kept_instants(time_h: np.ndarray) -> np.ndarray:
 
 
 def years_of(time_h: np.ndarray) -> list[np.ndarray]:
-    """Places of instants [h] by the year that they lie in; a last stretch far shorter than a year is left out.
+    """Places of the instants [h] of each year; a last stretch much shorter than a year is left out.
 
-    Years without any instant, between files of weather that are years apart, are none.
+    Years without any instant, between weather files that are years apart, are not counted.
     """
     number = ((time_h - time_h[0]) // YEAR_H).astype(int)
     groups = [np.flatnonzero(number == year) for year in np.unique(number)]
@@ -264,8 +268,9 @@ def _drawn(covariance: np.ndarray, kick: np.ndarray) -> np.ndarray:
     lost = int((~np.isfinite(covariance).all(axis=(1, 2))).sum())
     if lost:
         raise ValueError(
-            f"expected finite states, found others in {lost} of {len(covariance)} members: with the parameters that the fit "
-            "leaves open its model runs away under this weather; identify it on more data, or with fewer causes"
+            f"expected finite states, found others in {lost} of {len(covariance)} members: with the "
+            "parameters that the fit leaves open its model runs away under this weather; identify it on more "
+            "data, or with fewer causes"
         )
     scale = np.sqrt(np.maximum(np.einsum("nii->ni", covariance), 0.0))
     safe = np.where(scale > 0.0, scale, 1.0)

@@ -1,12 +1,13 @@
 """Disturbances that come as rare strong ones: how rare, from a fit's innovations, and how they are drawn.
 
-Heat and vapour that the model does not explain are noise to the filter, and Gaussian.  A door, a drain or a fan is not:
-it is strong and rare, with the same variance.  What lives of single events (rates of change, hours above a limit) is
-then other than a Gaussian noise makes it.  The fit's innovations tell: their excess kurtosis is 0 for Gaussian noise.
+Heat and vapour that the model does not explain are noise to the filter, and Gaussian.  A door, a drain or a
+fan is not: it is strong and rare, with the same variance.  What lives of single events (rates of change,
+hours above a limit) is then other than a Gaussian noise makes it.  The fit's innovations tell: their excess
+kurtosis is 0 for Gaussian noise.
 
-Noise with shots is a compound Poisson process: normal shots at random times, every h hours on average.  Over a step d the
-variance is the Gaussian one times G h/d, G ~ Poisson(d/h), with mean 1; the excess kurtosis of an increment is 3 h/d.
-h = 0 is the Gaussian noise.
+Noise with shots is a compound Poisson process: normal shots at random times, every h hours on average.  Over
+a step d the variance is the Gaussian one times G h/d, G ~ Poisson(d/h), with mean 1; the excess kurtosis of
+an increment is 3 h/d. h = 0 is the Gaussian noise.
 
 Shapes: n states, m outputs, N members.
 
@@ -15,6 +16,7 @@ Source: Campbell's theorem (cumulants of shot noise; Rice 1944, doi:10.1002/j.15
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -25,7 +27,8 @@ from hygrokf.physics.expression import Value
 from hygrokf.physics.model import Model
 
 FEWEST = 30
-"""Shots that the fit's period must have seen: a fourth moment of fewer is none, so shots are not taken as rarer."""
+"""Shots that the fit's period must have seen: a fourth moment of fewer is none, so shots are not taken as
+rarer."""
 SETTLED = 2000
 """Readings after which the filter's covariance, and what is left of a shot, are taken as settled."""
 OUTPUTS = {
@@ -37,7 +40,8 @@ OUTPUTS = {
 
 @dataclass(frozen=True)
 class Shots:
-    """Noise of some of the states that comes as shots: `states` (n,) which, `every_h` [h] apart on average (0: Gaussian)."""
+    """Noise of some of the states that comes as shots: `states` (n,) which, `every_h` [h] apart on average
+    (0: Gaussian)."""
 
     name: str
     states: np.ndarray
@@ -53,12 +57,12 @@ class Shots:
 def shots(fit: Fit, model: Model, inputs: Mapping[str, float], state: np.ndarray) -> tuple[Shots, ...]:
     """How often the disturbances of heat and of vapour come, from the excess kurtosis of a fit's innovations.
 
-    `model` is the fit's; it is linearised at typical `inputs` and a typical `state` (n,).  The filter of the readings carries a shot on:
-    an innovation is the sum of h'M^s exp(A v) w over all that came s readings and v hours before one, with M = F (I − K H),
-    so that fourth cumulants add up to κ S² = 3 h Σ_s Σ_i ∫ (h'M^s exp(A v) e_i)⁴ q_i² dv over the readings' step, with S
-    the innovation's variance and q_i the noise intensity of state i.
-    Shots of heat are found from the temperature's innovations; what these owe to the humidity's is taken off before
-    shots of vapour are.
+    `model` is the fit's; it is linearised at typical `inputs` and a typical `state` (n,).  The filter of the
+    readings carries a shot on: an innovation is the sum of h'M^s exp(A v) w over all that came s readings and
+    v hours before one, with M = F (I − K H), so that fourth cumulants add up to κ S² = 3 h Σ_s Σ_i ∫ (h'M^s
+    exp(A v) e_i)⁴ q_i² dv over the readings' step, with S the innovation's variance and q_i the noise
+    intensity of state i. Shots of heat are found from the temperature's innovations; what these owe to the
+    humidity's is taken off before shots of vapour are.
     """
     seen = _seen(fit, model)
     if not seen:
@@ -83,33 +87,33 @@ def shots(fit: Fit, model: Model, inputs: Mapping[str, float], state: np.ndarray
 
 
 def words(found: tuple[Shots, ...]) -> list[str]:
-    """What is to be said of shots, where they are farther apart than an hour."""
+    """A statement on shots that are on average more than an hour apart."""
     rare = [f"{one.name} every {one.every_h:.0f} h" for one in found if one.every_h >= 1.0]
     if not rare:
         return []
     return [
-        f"disturbances come as shots, on average those of {' and '.join(rare)}: the fit's innovations have heavier tails "
-        "than normal ones"
+        f"disturbances are simulated as shots, on average of {' and '.join(rare)}, because the fit's "
+        "innovations have heavier tails than a normal distribution"
     ]
 
 
 def _seen(fit: Fit, model: Model) -> dict[str, tuple[int, float, float, float]]:
-    """Of every output with a diagnosis: its place, the innovations' excess kurtosis, step [h] and span [h]."""
-    diagnosis = (fit.results.get("innovations") or {}).get("outputs") or {}
+    """Of every output with a diagnosis: its place, the innovations' excess kurtosis, step [h] and span
+    [h]."""
     seen = {}
     for name, outputs in OUTPUTS.items():
         place = next((model.outputs.index(one) for one in outputs if one in model.outputs), None)
-        found = diagnosis.get(name) or {}
-        if place is not None and found.get("excess_kurtosis") is not None:
-            step_h = found["step_h"]
-            seen[name] = (place, found["excess_kurtosis"], step_h, step_h * found["n"])
+        found = fit.results.innovations.outputs.get(name)
+        if place is not None and found is not None and math.isfinite(found.excess_kurtosis):
+            seen[name] = (place, found.excess_kurtosis, found.step_h, found.step_h * found.n)
     return seen
 
 
 def _linear(
     model: Model, values: Mapping[str, float], inputs: Mapping[str, float], state: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Slopes of the rates (n, n), the outputs (m, n) and the cabinet's temperature (n,), and the sensors' variances (m,)."""
+    """Slopes of the rates (n, n), the outputs (m, n) and the cabinet's temperature (n,), and the sensors'
+    variances (m,)."""
 
     def at(x: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         found = model.evaluate(list(x), inputs, values)

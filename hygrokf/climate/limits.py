@@ -1,27 +1,19 @@
-"""Limits of a requirement specification, and whether a climate keeps to them.
-
-A file of limits:
-
-    [[limit]]
-    name = "operation, hot"
-    quantity = "temperature_degC"       # see `QUANTITIES`
-    above = 45                          # or below = …
-    hours_a_year = 0                    # allowed beyond it
-    during = "operation"                # or "standstill"; all of the year where it is left out
-"""
+"""Limits of a requirement specification, and whether a climate keeps to them; docs/climate_limits.toml is an
+example."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
 
 import numpy as np
 
 from hygrokf.climate.bounds import Bounded, bounded
 from hygrokf.climate.ensemble import YEAR_H, Year
-from hygrokf.climate.form import FormFault, is_number, read_toml, unknown_keys
 from hygrokf.climate.statistics import SCOPES, courses, excursions, scope_of
+from hygrokf.data.toml_form import across, read_toml_form, setting
 
 QUANTITIES = {
     "temperature_degC": "°C",
@@ -35,12 +27,12 @@ _RATE_OF = {
     "temperature_rate_K_per_h": "temperature_degC",
     "relative_humidity_rate_percent_per_h": "relative_humidity_percent",
 }
-_KEYS = ("name", "quantity", "above", "below", "hours_a_year", "during")
 
 
 @dataclass(frozen=True)
 class Limit:
-    """A limit: at most `hours_a_year` of `quantity` above (`side`) or below `level`, `during` a scope of the year."""
+    """A limit: at most `hours_a_year` of `quantity` above (`side`) or below `level`, `during` a scope of the
+    year."""
 
     name: str
     quantity: str
@@ -62,42 +54,80 @@ class Limit:
 
 
 @dataclass(frozen=True)
-class Exceedance:
-    """How a climate keeps to a limit: hours and number of exceedances a year, the longest [h], and the verdict.
+class LimitForm:
+    """A [[limit]] of a file of limits."""
 
-    `why`: what stands in the way of a verdict, in words, or "".
+    quantity: str = setting(help="what is limited", choices=tuple(QUANTITIES))
+    above: float | None = setting(None, "the level that should not be exceeded")
+    below: float | None = setting(None, "the level that the quantity should not fall below")
+    hours_a_year: float = setting(0.0, "allowed beyond the level", least=0.0, most=YEAR_H)
+    during: str = setting("all", "the hours that count", choices=SCOPES)
+    name: str = setting("", "by default quantity and level in words")
+
+    @property
+    def side(self) -> str:
+        """The key that gives the level."""
+        return "below" if self.above is None else "above"
+
+    @property
+    def level(self) -> float:
+        """The level."""
+        return getattr(self, self.side)
+
+    @across("above", "below")
+    def one_side(self) -> str | None:
+        if (self.above is None) != (self.below is None):
+            return None
+        found = "neither" if self.above is None else f"above = {self.above:g}, below = {self.below:g}"
+        return f"expected either above or below with a number, found {found}"
+
+    @across("above", "below", "quantity")
+    def level_of_quantity(self) -> Iterator[str]:
+        if self.quantity == "relative_humidity_percent" and 0.0 < (self.level or 0.0) <= 1.5:
+            yield (
+                f"{self.side} = {self.level:g}: expected per cent, its number looks like a fraction; "
+                f"write {self.side} = {100.0 * self.level:g}"
+            )
+        if "rate" in self.quantity and self.below is not None:
+            yield "a rate is limited from above; write above = …"
+
+    def stated(self) -> Limit:
+        """The limit."""
+        made = Limit(self.name, self.quantity, self.side, self.level, self.hours_a_year, self.during)
+        return made if self.name else replace(made, name=made.words())
+
+
+@dataclass(frozen=True)
+class LimitsForm:
+    """A file of limits."""
+
+    limit: tuple[LimitForm, ...] = setting((), "the limits")
+
+    @across("limit")
+    def names(self) -> list[str]:
+        if not self.limit:
+            return ["expected at least one [[limit]], found none; see docs/climate.md"]
+        return _doubled([one.stated() for one in self.limit])
+
+
+@dataclass(frozen=True, kw_only=True)
+class Exceedance(Limit):
+    """A limit and how a climate keeps to it.
+
+    `hours` [h] and `number` of exceedances in a year, `longest_h` the longest.  `why` says what prevents a
+    verdict, or is empty.
     """
 
-    limit: Limit
     hours: Bounded
     number: Bounded
     longest_h: Bounded
-    verdict: str
+    verdict: Literal["pass", "undecided", "fail"]
     why: str = ""
-
-    def to_json(self) -> dict:
-        return {
-            **vars(self.limit),
-            "hours": self.hours.to_json(),
-            "number": self.number.to_json(),
-            "longest_h": self.longest_h.to_json(),
-            "verdict": self.verdict,
-            "why": self.why,
-        }
 
 
 def read_limits(path: str | os.PathLike[str]) -> tuple[Limit, ...]:
     """Limits from a TOML file; raises FormFault with everything that is wrong."""
-    data = read_toml(path, "limits, one [[limit]] each")
-    faults = unknown_keys(data, ("limit",), "the file")
-    rows = data.get("limit")
-    if not isinstance(rows, list) or not rows or not all(isinstance(row, dict) for row in rows):
-        raise FormFault(path, [*faults, "expected at least one [[limit]], found none; see docs/climate.md"])
-    found = [_limit(row, f"limit {number}", faults) for number, row in enumerate(rows, 1)]
-    faults = faults or _doubled(found)  # rows that are wrong have names that only look alike
-    if faults:
-        raise FormFault(path, faults)
-    return tuple(found)
+    return tuple(one.stated() for one in read_toml_form(LimitsForm, path).limit)
 
 
 def _doubled(limits: Sequence[Limit]) -> list[str]:
@@ -111,42 +141,6 @@ def expect_names(limits: Sequence[Limit]) -> None:
     """Refuse limits of one name, maybe of several files; raises ValueError."""
     if faults := _doubled(limits):
         raise ValueError("; ".join(faults))
-
-
-def _limit(row: dict, where: str, faults: list[str]) -> Limit:
-    faults += unknown_keys(row, _KEYS, where)
-    quantity, during = row.get("quantity"), row.get("during", "all")
-    if not isinstance(quantity, str) or quantity not in QUANTITIES:
-        faults.append(f"{where}: quantity: expected one of {', '.join(QUANTITIES)}, found {quantity!r}")
-        quantity = "temperature_degC"
-    sides = [side for side in ("above", "below") if side in row]
-    if len(sides) != 1 or not is_number(row[sides[0]]):
-        faults.append(
-            f"{where}: expected either above or below with a number, found "
-            f"{', '.join(f'{side} = {str(row[side])[:40]}' for side in sides) or 'neither'}"
-        )
-        sides, row = ["above"], {**row, "above": 0.0}
-    level = row[sides[0]]
-    if quantity == "relative_humidity_percent" and 0.0 < level <= 1.5:
-        faults.append(
-            f"{where}: {sides[0]} = {level:g}: expected per cent, its number looks like a fraction; "
-            f"write {sides[0]} = {100.0 * level:g}"
-        )
-    if "rate" in quantity and sides[0] == "below":
-        faults.append(f"{where}: a rate is limited from above; write above = …")
-    allowed = row.get("hours_a_year", 0.0)
-    if not is_number(allowed) or not 0.0 <= allowed <= YEAR_H:
-        faults.append(f"{where}: hours_a_year: expected a number within 0 … {YEAR_H:g}, found {allowed!r}")
-        allowed = 0.0
-    if during not in SCOPES:
-        faults.append(f"{where}: during: expected one of {', '.join(SCOPES)}, found {during!r}")
-        during = "all"
-    name = row.get("name", "")
-    if not isinstance(name, str):
-        faults.append(f"{where}: name: expected a text, found {name!r}")
-        name = ""
-    made = Limit("", quantity, sides[0], float(row[sides[0]]), float(allowed), during)
-    return Limit(name or made.words(), quantity, made.side, made.level, made.hours_a_year, during)
 
 
 def beyond(year: Year, limit: Limit) -> np.ndarray | None:
@@ -180,14 +174,15 @@ def exceeded(year: Year, limit: Limit) -> np.ndarray | None:
 def judged(limit: Limit, years: Sequence[np.ndarray], part: str = "") -> Exceedance:
     """The verdict on a limit from the members' numbers (N, 3) in every year.
 
-    "pass" where the upper bound of the hours in a year is within what is allowed, "fail" where the lower bound is
-    beyond it, "undecided" between them, and also where nothing more than a `part` of a year is known (in words, such as
-    "80 days") that keeps to the limit: the rest may not.
+    "pass" where the upper bound of the hours in a year is within what is allowed, "fail" where the lower
+    bound is beyond it, "undecided" between them, and also where nothing more than a `part` of a year is known
+    (in words, such as "80 days") that keeps to the limit: the rest may not.
     """
     hours, number, longest = (bounded(np.array([year[:, i] for year in years])) for i in range(3))
-    verdict, why = "undecided", ""
+    verdict: Literal["pass", "undecided", "fail"] = "undecided"
+    why = ""
     if hours.upper <= limit.hours_a_year:
         verdict, why = ("undecided", f"of {part}, not a year") if part else ("pass", "")
     elif hours.lower > limit.hours_a_year:
         verdict = "fail"
-    return Exceedance(limit, hours, number, longest, verdict, why)
+    return Exceedance(**vars(limit), hours=hours, number=number, longest_h=longest, verdict=verdict, why=why)

@@ -1,9 +1,10 @@
-"""Members of an ensemble: models that the fit's data could as well have come from.
+"""Members of an ensemble: models that are as plausible as the fit, given its data.
 
-Each member has parameters of its own, drawn from the normal distribution of the estimates in the coordinates of the
-estimation (logarithms of positive parameters), cut at the parameters' bounds.  A positive parameter whose logarithm is
-uncertain by more than `LOG_MOST` is one that the data cannot tell from zero, usually a noise: a normal distribution of
-its logarithm would reach values a hundred times as large, which the data exclude.  It is drawn in its own units.
+Each member has its own parameters, drawn from the normal distribution of the estimates in the coordinates of
+the estimation (logarithms of positive parameters) and cut at the parameters' bounds.  A positive parameter
+whose logarithm is uncertain by more than `LOG_MOST` cannot be distinguished from zero, usually a noise: a
+normal distribution of its logarithm would reach values a hundred times as large, which the data exclude.  It
+is drawn in its own units.
 """
 
 from __future__ import annotations
@@ -14,14 +15,14 @@ from hygrokf.identification.fit import Fit
 from hygrokf.physics.parameters import Parameter
 
 LOG_MOST = 0.5
-"""Standard error of a logarithm [1] up to which its normal distribution is taken."""
+"""Standard error of a logarithm [1] up to which the logarithm is drawn from a normal distribution."""
 
 
 def draw_members(fit: Fit, count: int, seed: int) -> list[dict[str, float]]:
-    """`count` sets of parameter values of a fit's model; the same seed gives the same ones, whatever the count.
+    """`count` sets of parameter values of a fit's model; a seed gives the same sets for every count.
 
-    Parameters without covariance (on a bound, or held) keep the fit's value.  The biases of the loggers are drawn with
-    the others: what the fit does not know of them it does not know of the heat release either.
+    Parameters without covariance (on a bound, or fixed) keep the fit's value.  The biases of the loggers are
+    drawn with the others, because their uncertainty also makes the heat release uncertain.
     """
     names, matrix = fit.covariance
     by_name = {p.name: p for p in fit.design.model.parameters}

@@ -1,16 +1,15 @@
-"""Whether a climate lies within what a model was identified on: temperature and humidity outside, and power."""
+"""Whether a climate stays within the range on which a model was identified: ambient temperature, ambient
+humidity, and power."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 
-from hygrokf.climate.acceleration import FREEZING_K
 from hygrokf.climate.ensemble import YEAR_H, course
 from hygrokf.data.record import Record
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.inputs import IDENTIFIED_ON
+from hygrokf.physics.cold_surface import FREEZING_K
 
 BEYOND_K = 2.0
 BEYOND_SHARE = 0.1
@@ -20,9 +19,10 @@ SAID_FROM = 0.01
 
 
 def extrapolation_words(fit: Fit, record: Record) -> list[str]:
-    """Hours of weather and power that lie outside of what a fit was identified on; nothing for a fit that keeps no range."""
-    ranges = fit.results.get("identified_on")
-    if not isinstance(ranges, Mapping) or not ranges:
+    """Statements on the hours of weather and power outside the range on which a fit was identified; none for
+    a fit without a stated range."""
+    ranges = fit.results.identified_on
+    if not ranges:
         return []
     made = course(fit, record)
     said = []
@@ -39,8 +39,8 @@ def extrapolation_words(fit: Fit, record: Record) -> list[str]:
             ends = (factor * one + offset for one in (low, high, float(np.min(value)), float(np.max(value))))
             a, b, least, most = (f"{one:.{digits}f}" for one in ends)
             said.append(
-                f"{share * YEAR_H:.0f} h/a are outside of the {a} … {b} {words} on which the model was identified "
-                f"(here {least} … {most}): extrapolated"
+                f"{share * YEAR_H:.0f} h/a are outside the {a} … {b} {words} on which the model was "
+                f"identified (here {least} … {most}): the model is extrapolated"
             )
     return said
 

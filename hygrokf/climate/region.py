@@ -1,7 +1,4 @@
-"""A region: weather files, and what its cabinets are driven by.
-
-Where weather is read stands here alone.
-"""
+"""A region: its weather files, and the weather and power that drive its cabinets."""
 
 from __future__ import annotations
 
@@ -24,15 +21,16 @@ from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, at_times, bridge_h
 from hygrokf.data.input_paths import input_path
 from hygrokf.data.record import Record, Series
+from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.fit import Fit
 from hygrokf.weather.reading import form_of
 from hygrokf.weather.years import read_weather
 
-HOUR_S = 3600.0
 DUTIES = ("preheating", *ACTUATORS)
 """Signals of what is switched in a cabinet; they go with the power."""
 TYPICAL_YEAR = 2001
-"""Calendar year that the months of a typical year, which are of several years, are put into; it has no 29 February."""
+"""Calendar year in which a typical year, whose months are from several years, is placed; without 29
+February."""
 
 
 @dataclass(frozen=True)
@@ -47,16 +45,18 @@ class Region:
 def read_region(
     name: str, files: Sequence[str | os.PathLike[str]], power: Record | PowerCurve | None = None
 ) -> Region:
-    """The weather of one region: ERA5 or EPW files, put after each other, or one case file with ambient signals.
+    """The weather of one region: ERA5 or EPW files, put after each other, or one case file with ambient
+    signals.
 
-    A typical year is told as `TYPICAL_YEAR`; with a record of `power` it is repeated once for each year of that, so that all
-    of them are used.  Raises PowerFault, CaseFault, TableFault.
+    A typical year is placed in `TYPICAL_YEAR`; with a record of `power` it is repeated once for each year of
+    power, so that every one is used.  Raises PowerFault, CaseFault, TableFault.
     """
     paths = [Path(one) for one in files]
     cases = [one.name for one in paths if one.suffix == ".toml"]
     if cases and len(paths) > 1:
         raise PowerFault(
-            f"{name}: expected weather files, or one case file (.toml) alone, found {', '.join(one.name for one in paths)}"
+            f"{name}: expected weather files, or one case file (.toml) alone, found "
+            f"{', '.join(one.name for one in paths)}"
         )
     if cases:
         weather = read_case(paths[0], cabinet=False)
@@ -66,15 +66,16 @@ def read_region(
         weather = read_weather(paths, year=TYPICAL_YEAR if typical else None, years=years)
         if years > 1:
             said = (
-                f"the typical year is repeated {years} times, once for each year of power: between_years and the bounds are "
-                "of years that differ by their power, not by their weather"
+                f"the typical year is repeated {years} times, once for each year of power: between_years and "
+                "the bounds describe years that differ in their power, not in their weather"
             )
             weather = replace(weather, warnings=(*weather.warnings, said))
     return Region(name, weather, tuple(one.name for one in paths))
 
 
 def read_power(path: str | os.PathLike[str]) -> Record:
-    """The record of a case file that has active power; of other signals pre-heating and logged actuators are kept.
+    """The record of a case file that has active power; of other signals pre-heating and logged actuators are
+    kept.
 
     Raises CaseFault, PowerFault.
     """
@@ -87,20 +88,20 @@ def read_power(path: str | os.PathLike[str]) -> Record:
 
 
 def driven(fit: Fit, weather: Record, power: Record | PowerCurve | None) -> tuple[Record, list[str]]:
-    """Weather and power as a record for a fit's model, and in words how they were put together.
+    """Weather and power as a record for a fit's model, and statements on how they were combined.
 
-    `power`: a record of it, a power curve, or None for standstill all year.  The record's pre-heating and actuators go with
-    its power where that is taken at its own hours; else they are off.  The weather's own power, cabinet and actuators are
-    left out.  Raises PowerFault where the power cannot be had.
+    `power`: a record of it, a power curve, or None for standstill all year.  The record's pre-heating and
+    actuators are used where its power is taken hour by hour; else they are off.  Power, cabinet and
+    actuators in the weather's own record are ignored.  Raises PowerFault where there is no usable power.
     """
     said = []
     kept = [s for s in weather.series if not s.signal.startswith(("cabinet_", "active_power", *DUTIES))]
     series: list[Series] = []
     if fit.design.power_scale_W is None:
-        said.append("the model knows no power: all of the year counts as standstill")
+        said.append("the model has no power input: the whole year counts as standstill")
     elif power is None:
         series.append(standstill(weather))
-        said.append("standstill all year: no power at any time")
+        said.append("the turbine stands still all year: there is no power at any time")
     else:
         if isinstance(power, PowerCurve):
             taken, words = power_from_wind(power, weather), power.words()
@@ -117,13 +118,13 @@ def driven(fit: Fit, weather: Record, power: Record | PowerCurve | None) -> tupl
 
 
 def _duty(name: str, weather: Record, power: Record | None) -> tuple[Series, str]:
-    """The course of pre-heating or of an actuator over a weather record, and in words where it is from."""
+    """The course of pre-heating or of an actuator over a weather record, and a statement on its source."""
     words = name.replace("preheating", "pre-heating")
     if power is not None and name in power and covers(power["active_power"], weather):
         if covers(power[name], weather):
-            return power[name], f"{words} at its own hours, as the record of the power has it"
+            return power[name], f"{words} is taken hour by hour from the record of the power"
     why = (
-        "nothing says when it would be on"
+        "no record says when it is on"
         if power is None or name not in power
         else ("the record of the power does not cover the weather's time")
     )
@@ -132,18 +133,18 @@ def _duty(name: str, weather: Record, power: Record | None) -> tuple[Series, str
 
 
 def _scale_words(fit: Fit, rated_W: float | None) -> list[str]:
-    """A remark where the power's rated power is not that of the fit."""
+    """A statement where the rated power of the power's turbine differs from that of the fit."""
     scale = fit.design.power_scale_W
     if rated_W is None or scale is None or abs(rated_W / scale - 1.0) < 0.1:
         return []
     return [
-        f"the power's turbine is rated {rated_W / 1e3:.0f} kW, the fit's power counts as 1 at {scale / 1e3:.0f} kW: "
-        "the heat release is that of the power in kW"
+        f"the turbine of the power is rated {rated_W / 1e3:.0f} kW, that of the fit {scale / 1e3:.0f} kW: "
+        "the heat release is taken at the power in kW"
     ]
 
 
 def _hourly(series: Series) -> Series:
-    """Weather that comes less often than every hour, with straight lines between, so that statistics are hourly."""
+    """Weather that is rarer than hourly, interpolated linearly to hours, so that statistics are hourly."""
     middle = input_path(series)
     steps = series.steps_s
     if not len(steps) or steps[len(steps) // 2] <= 1.01 * HOUR_S:

@@ -1,9 +1,9 @@
 """Days of simulated climate that together stand for all of it.
 
-From the days of an ensemble those are chosen whose hours, taken together, have the joint distribution of temperature
-and humidity, the distribution of ageing over it, the wet hours and the daily ranges of the whole ensemble: at each step
-the day is added, and later exchanged, that brings the means of these features nearest to their targets in least
-squares.  (The idea of test reference years, ISO 15927-4, with days for months and with what ages for what heats.)
+The chosen days together have the joint distribution of temperature and humidity, the distribution of ageing
+over it, the wet hours and the daily ranges of the whole ensemble.  Each step adds, and later exchanges, the
+day that brings the means of these features closest to their targets in least squares.  (The method of test
+reference years, ISO 15927-4, with days in place of months and ageing in place of heating demand.)
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.climate.acceleration import FREEZING_K, Acceleration
+from hygrokf.climate.acceleration import Acceleration
 from hygrokf.climate.ensemble import Year
+from hygrokf.physics.cold_surface import FREEZING_K
 
 DAY_H = 24
 MOST_DAYS = 3000
@@ -29,7 +30,8 @@ ROUNDS = 12
 
 @dataclass(frozen=True)
 class Days:
-    """Days (D, 24): temperature [°C] and relative humidity [%], hour by hour; `start_s` (D,) when each was."""
+    """Days (D, 24): temperature [°C] and relative humidity [%], hour by hour; `start_s` (D,) their starts
+    [s since 1970, UTC]."""
 
     temperature_degC: np.ndarray
     relative_humidity_percent: np.ndarray
@@ -91,7 +93,8 @@ def shares(celsius: np.ndarray, percent: np.ndarray, weight: np.ndarray | None =
 
 
 def choose_days(days: Days, count: int, law: Acceleration) -> np.ndarray:
-    """Places (count,) of the days that together come nearest to all of them; none stands more often than it must."""
+    """Places (count,) of the days that together come closest to all of them; a day is repeated only where
+    there are too few."""
     rows, target = _features(days, law)
     count = max(1, count)
     used, most = np.zeros(len(rows), dtype=int), -(-count // len(rows))
@@ -144,14 +147,16 @@ def _features(days: Days, law: Acceleration) -> tuple[np.ndarray, np.ndarray]:
         np.searchsorted(RANGE_EDGES_K, span, side="right")[:, None] == np.arange(1, len(RANGE_EDGES_K))
     ).astype(float)
     parts = {
-        "joint": joint, "ageing": ageing, "mean": rate.mean(axis=1, keepdims=True), "wet": wet, "range": ranged
+        "joint": joint, "ageing": ageing, "mean": rate.mean(axis=1, keepdims=True), "wet": wet,
+        "range": ranged
     }  # fmt: skip
     rows = np.hstack([np.sqrt(WEIGHTS[name]) * part for name, part in parts.items()])
     return rows, rows.mean(axis=0)
 
 
 def ordered(days: Days) -> np.ndarray:
-    """Order (D,) of days in which the end of each is near the beginning of the next: nearest neighbour, then moves of single days."""
+    """Order (D,) of days in which the end of each is near the beginning of the next: nearest neighbour, then
+    moves of single days."""
     first = np.column_stack([days.temperature_degC[:, 0] / 5.0, days.relative_humidity_percent[:, 0] / 10.0])
     last = np.column_stack([days.temperature_degC[:, -1] / 5.0, days.relative_humidity_percent[:, -1] / 10.0])
     jump = np.linalg.norm(last[:, None] - first[None], axis=2)

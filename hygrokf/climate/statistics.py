@@ -1,4 +1,4 @@
-"""What a year of climate is like, in numbers: one for each member.
+"""The numbers of a year of climate, and the table `STATISTICS` that they are all made from.
 
 Units are those of requirement specifications: °C, % relative humidity, g/m³, hours a year (of 8766 h).
 Shapes: N members, T instants.
@@ -6,46 +6,24 @@ Shapes: N members, T instants.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal
 
 import numpy as np
 
-from hygrokf.climate.acceleration import FREEZING_K, Acceleration
+from hygrokf.climate.acceleration import Acceleration
 from hygrokf.climate.cycles import cycles_from
 from hygrokf.climate.ensemble import YEAR_H, Year
+from hygrokf.physics.cold_surface import FREEZING_K
 
 SCOPES = ("all", "operation", "standstill")
-SHARES = (0.0, 0.001, 0.01, 0.02, 0.05, *np.arange(0.1, 0.91, 0.05).round(2), 0.95, 0.98, 0.99, 0.999, 1.0)
-"""Shares of the time at which a duration curve is told."""
-UNITS = {"temperature_degC": "°C", "relative_humidity_percent": "%", "absolute_humidity_g_m3": "g/m³"}
-RATES = {"temperature": "K/h", "relative_humidity": "%/h"}
 WET_PERCENT = 80.0
 """Relative humidity above which, above 0 °C, a surface counts as wet: time of wetness, ISO 9223:2012."""
 WETNESS_CLASSES = ((10.0, "τ1"), (250.0, "τ2"), (2500.0, "τ3"), (5500.0, "τ4"))
 """Most hours a year of the classes of time of wetness, ISO 9223:1992; τ5 above."""
-EXCURSIONS = {
-    "humidity_above_80": ("relative_humidity_percent", "above", 80.0),
-    "humidity_above_95": ("relative_humidity_percent", "above", 95.0),
-    "temperature_above_40": ("temperature_degC", "above", 40.0),
-    "temperature_below_0": ("temperature_degC", "below", 0.0),
-}
-"""Excursions that are counted in every climate: quantity, side, level."""
 CYCLE_RANGES_K = np.array([5.0, 10.0, 20.0])
-TEMPERATURE_EDGES = np.arange(-60.0, 120.1, 2.5)
-HUMIDITY_EDGES = np.arange(0.0, 100.1, 5.0)
-"""Edges of the joint distribution [°C], [%]; what is above saturation counts in the last bin."""
-
-
-@dataclass(frozen=True)
-class Curves:
-    """Of one year, for every member: `duration` by quantity (N, len(SHARES)), `rates` likewise of absolute rates,
-    `joint` (N, temperature bins, humidity bins) in hours a year, or None without humidity.
-    """
-
-    duration: Mapping[str, np.ndarray]
-    rates: Mapping[str, np.ndarray]
-    joint: np.ndarray | None
 
 
 def courses(year: Year) -> dict[str, np.ndarray]:
@@ -76,69 +54,6 @@ def scope_of(year: Year, scope: str) -> np.ndarray:
     return year.known & (year.operating if scope == "operation" else ~year.operating)
 
 
-def scalars(year: Year, law: Acceleration, scope: str = "all") -> dict[str, np.ndarray]:
-    """Single numbers (N,) of a year by name; the name ends with the unit.
-
-    Hours and numbers are those of 8766 hours of the same kind.  What needs a course without holes (rates, excursions,
-    cycles) is told for the whole year alone.  Raises ValueError where nothing of the year is known.
-    """
-    if not year.known.any():
-        raise ValueError("of this year neither weather nor power is known at any instant; check the files")
-    chosen = scope_of(year, scope)
-    per_year = YEAR_H / year.known.sum()
-    rows = courses(year)
-    count = len(year.temperature_K)
-    found = {"hours": np.full(count, chosen.sum() * per_year)}
-    for name, value in rows.items():
-        found[f"mean_{name}"] = value[:, chosen].mean(axis=1) if chosen.any() else np.full(count, np.nan)
-    humid = year.relative_humidity is not None
-    if year.relative_humidity is not None:
-        wet = (rows["relative_humidity_percent"] > WET_PERCENT) & (rows["temperature_degC"] > 0.0)
-        found["wetness_h"] = wet[:, chosen].sum(axis=1) * per_year
-        found["saturation_h"] = (year.relative_humidity > 1.0)[:, chosen].sum(axis=1) * per_year
-        if year.condensing is not None:
-            found["condensation_h"] = year.condensing[:, chosen].sum(axis=1) * per_year
-    if humid or not law.humid:
-        damp = None if year.relative_humidity is None else year.relative_humidity[:, chosen]
-        rate = law.rate(year.temperature_K[:, chosen], damp)
-        found["ageing_h"] = rate.sum(axis=1) * per_year
-    if scope == "all":
-        found |= _of_courses(year, rows, per_year)
-    return found
-
-
-def _of_courses(year: Year, rows: Mapping[str, np.ndarray], per_year: float) -> dict[str, np.ndarray]:
-    """Rates, excursions and cycles."""
-    found: dict[str, np.ndarray] = {}
-    for name, (quantity, side, level) in EXCURSIONS.items():
-        if quantity in rows:
-            beyond = rows[quantity] > level if side == "above" else rows[quantity] < level
-            number, mean, longest = excursions(beyond & year.known, year.step_h)
-            found |= {
-                f"{name}_h": beyond[:, year.known].sum(axis=1) * per_year,
-                f"{name}_number": number * per_year / year.step_h,
-                f"{name}_mean_length_h": mean,
-                f"{name}_longest_h": longest,
-            }
-    if year.condensing is not None:
-        number, mean, longest = excursions(year.condensing & year.known, year.step_h)
-        found |= {
-            "condensation_number": number * per_year / year.step_h,
-            "condensation_mean_length_h": mean,
-            "condensation_longest_h": longest,
-        }
-    for name, unit in (("temperature_degC", "K"), ("relative_humidity_percent", "percent")):
-        if name in rows:
-            steep = rates(rows[name], year)
-            quantity = name.rsplit("_", 1)[0]
-            found[f"{quantity}_rate_99_{unit}_per_h"] = np.quantile(steep, 0.99, axis=1)
-            found[f"{quantity}_rate_largest_{unit}_per_h"] = steep.max(axis=1)
-    cycles = np.array([cycles_from(row, CYCLE_RANGES_K) for row in rows["temperature_degC"][:, year.known]])
-    for place, least in enumerate(CYCLE_RANGES_K):
-        found[f"temperature_cycles_from_{least:g}_K_number"] = cycles[:, place] * per_year / year.step_h
-    return found
-
-
 def rates(values: np.ndarray, year: Year) -> np.ndarray:
     """Absolute rates (N, ·) [unit/h] between neighbouring instants of which both are known."""
     seconds = np.diff(year.time_s)
@@ -164,35 +79,205 @@ def excursions(beyond: np.ndarray, step_h: float) -> tuple[np.ndarray, np.ndarra
     return number.astype(float), mean, longest.astype(float)
 
 
-def curves(year: Year) -> Curves:
-    """Duration curves, rates and the joint distribution of a year."""
-    rows = courses(year)
-    shares = 1.0 - np.array(SHARES)
-    duration = {name: np.quantile(value[:, year.known], shares, axis=1).T for name, value in rows.items()}
-    steep = {}
-    for name, short in (
-        ("temperature_degC", "temperature"),
-        ("relative_humidity_percent", "relative_humidity"),
-    ):
-        if name in rows:
-            steep[short] = np.quantile(rates(rows[name], year), shares, axis=1).T
-    joint = None
-    if "relative_humidity_percent" in rows:
-        joint = joint_hours(
-            rows["temperature_degC"][:, year.known], rows["relative_humidity_percent"][:, year.known]
+@dataclass(frozen=True, eq=False)
+class Hours:
+    """The known hours of a year in a scope, with the courses that several statistics are made from."""
+
+    year: Year
+    law: Acceleration
+    scope: str = "all"
+
+    @cached_property
+    def chosen(self) -> np.ndarray:
+        """Instants (T,) that are known and belong to the scope."""
+        return scope_of(self.year, self.scope)
+
+    @cached_property
+    def per_year(self) -> float:
+        """Hours of a year that each known instant stands for."""
+        return float(YEAR_H / self.year.known.sum())
+
+    @cached_property
+    def courses(self) -> dict[str, np.ndarray]:
+        return courses(self.year)
+
+    @cached_property
+    def steep(self) -> dict[str, np.ndarray]:
+        """Absolute rates of change (N, ·) by quantity, per hour."""
+        return {name: rates(value, self.year) for name, value in self.courses.items()}
+
+    @cached_property
+    def cycles(self) -> np.ndarray:
+        """Temperature cycles (N, 3) in the known hours from each of `CYCLE_RANGES_K`."""
+        known = self.courses["temperature_degC"][:, self.year.known]
+        return np.array([cycles_from(row, CYCLE_RANGES_K) for row in known])
+
+    @cached_property
+    def stretches(self) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+        """Number, mean length [h] and longest (N,) [h] of the stretches of each of `EXCURSIONS`."""
+        beyond = {name: where(self) for name, (_, where) in EXCURSIONS.items()}
+        known, step = self.year.known, self.year.step_h
+        return {n: excursions(one & known, step) for n, one in beyond.items() if one is not None}
+
+    def count(self, where: np.ndarray) -> np.ndarray:
+        """Hours a year (N,) of the scope in which a condition (N, T) holds."""
+        return where[:, self.chosen].sum(axis=1) * self.per_year
+
+
+@dataclass(frozen=True)
+class Statistic:
+    """One number of a year: `name` in climate.json, `words` and `unit` on the page.
+
+    `of` computes it for every member (N,); None where the model lacks the quantity.  `table`: "scope" for a
+    number that operation and standstill have too, "excursion" and "rate" for numbers of the whole year.
+    """
+
+    name: str
+    words: str
+    unit: str
+    of: Callable[[Hours], np.ndarray | None]
+    table: Literal["scope", "excursion", "rate"] = "scope"
+
+
+def _mean_of(quantity: str) -> Callable[[Hours], np.ndarray | None]:
+    def mean(hours: Hours) -> np.ndarray | None:
+        value = hours.courses.get(quantity)
+        if value is None or hours.chosen.any():
+            return None if value is None else value[:, hours.chosen].mean(axis=1)
+        return np.full(len(value), np.nan)
+
+    return mean
+
+
+def _wetness(hours: Hours) -> np.ndarray | None:
+    percent = hours.courses.get("relative_humidity_percent")
+    if percent is None:
+        return None
+    return hours.count((percent > WET_PERCENT) & (hours.courses["temperature_degC"] > 0.0))
+
+
+def _saturation(hours: Hours) -> np.ndarray | None:
+    humidity = hours.year.relative_humidity
+    return None if humidity is None else hours.count(humidity > 1.0)
+
+
+def _condensation(hours: Hours) -> np.ndarray | None:
+    condensing = hours.year.condensing
+    return None if condensing is None else hours.count(condensing)
+
+
+def _ageing(hours: Hours) -> np.ndarray | None:
+    humidity = hours.year.relative_humidity
+    if humidity is None and hours.law.humid:
+        return None
+    damp = None if humidity is None else humidity[:, hours.chosen]
+    return hours.law.rate(hours.year.temperature_K[:, hours.chosen], damp).sum(axis=1) * hours.per_year
+
+
+def _beyond(
+    quantity: str, side: Literal["above", "below"], level: float
+) -> Callable[[Hours], np.ndarray | None]:
+    def beyond(hours: Hours) -> np.ndarray | None:
+        value = hours.courses.get(quantity)
+        return None if value is None else value > level if side == "above" else value < level
+
+    return beyond
+
+
+EXCURSIONS: dict[str, tuple[str, Callable[[Hours], np.ndarray | None]]] = {
+    "humidity_above_80": ("humidity above 80 %", _beyond("relative_humidity_percent", "above", 80.0)),
+    "humidity_above_95": ("humidity above 95 %", _beyond("relative_humidity_percent", "above", 95.0)),
+    "temperature_above_40": ("temperature above 40 °C", _beyond("temperature_degC", "above", 40.0)),
+    "temperature_below_0": ("temperature below 0 °C", _beyond("temperature_degC", "below", 0.0)),
+    "condensation": ("condensation", lambda hours: hours.year.condensing),
+}
+"""Conditions whose stretches are counted: words, and the instants (N, T) at which they hold."""
+EXCURSION_PARTS = {
+    "h": "h/a",
+    "number": "number/a",
+    "mean_length_h": "mean length, h",
+    "longest_h": "longest, h",
+}
+"""The numbers of each excursion: ending of the name, and heading of the column."""
+
+
+def _of_excursion(name: str, part: str) -> Callable[[Hours], np.ndarray | None]:
+    def found(hours: Hours) -> np.ndarray | None:
+        if name not in hours.stretches:
+            return None
+        number, mean, longest = hours.stretches[name]
+        if part == "number":
+            return number * hours.per_year / hours.year.step_h
+        return mean if part == "mean_length_h" else longest
+
+    def total(hours: Hours) -> np.ndarray | None:
+        beyond = EXCURSIONS[name][1](hours)
+        return None if beyond is None else hours.count(beyond)
+
+    return total if part == "h" else found
+
+
+def _rate_of(quantity: str, share: float) -> Callable[[Hours], np.ndarray | None]:
+    def rate(hours: Hours) -> np.ndarray | None:
+        steep = hours.steep.get(quantity)
+        return (
+            None if steep is None else np.quantile(steep, share, axis=1) if share < 1.0 else steep.max(axis=1)
         )
-    return Curves(duration, steep, joint)
+
+    return rate
 
 
-def joint_hours(celsius: np.ndarray, percent: np.ndarray) -> np.ndarray:
-    """Hours a year (N, I, J) of every member in the bins of `TEMPERATURE_EDGES` and `HUMIDITY_EDGES`."""
-    rows, columns = len(TEMPERATURE_EDGES) - 1, len(HUMIDITY_EDGES) - 1
-    i = np.clip(np.searchsorted(TEMPERATURE_EDGES, celsius, side="right") - 1, 0, rows - 1)
-    j = np.clip(np.searchsorted(HUMIDITY_EDGES, percent, side="right") - 1, 0, columns - 1)
-    member = np.arange(len(celsius))[:, None]
-    flat = ((member * rows + i) * columns + j).ravel()
-    counted = np.bincount(flat, minlength=len(celsius) * rows * columns)
-    return counted.reshape(-1, rows, columns) * (YEAR_H / celsius.shape[1])
+def _cycles_from(place: int) -> Callable[[Hours], np.ndarray]:
+    return lambda hours: hours.cycles[:, place] * hours.per_year / hours.year.step_h
+
+
+STATISTICS: tuple[Statistic, ...] = (
+    Statistic("hours", "hours", "h/a", lambda hours: np.full(
+        len(hours.year.temperature_K), hours.chosen.sum() * hours.per_year)),
+    Statistic("mean_temperature_degC", "mean temperature", "°C", _mean_of("temperature_degC")),
+    Statistic("mean_relative_humidity_percent", "mean relative humidity", "%",
+        _mean_of("relative_humidity_percent")),
+    Statistic("mean_absolute_humidity_g_m3", "mean absolute humidity", "g/m³",
+        _mean_of("absolute_humidity_g_m3")),
+    Statistic("wetness_h", "time of wetness (above 80 %, above 0 °C)", "h/a", _wetness),
+    Statistic("saturation_h", "relative humidity above 100 %", "h/a", _saturation),
+    Statistic("condensation_h", "condensation on the cold surface", "h/a", _condensation),
+    Statistic("ageing_h", "ageing, in hours at the reference condition", "h/a", _ageing),
+    *(
+        Statistic(f"{name}_{part}", words, unit, _of_excursion(name, part), "excursion")
+        for name, (words, _) in EXCURSIONS.items()
+        for part, unit in EXCURSION_PARTS.items()
+        if (name, part) != ("condensation", "h")  # it is in every scope
+    ),
+    Statistic("temperature_rate_99_K_per_h", "rate of temperature, exceeded 1 % of the time", "K/h",
+        _rate_of("temperature_degC", 0.99), "rate"),
+    Statistic("temperature_rate_largest_K_per_h", "largest rate of temperature", "K/h",
+        _rate_of("temperature_degC", 1.0), "rate"),
+    Statistic("relative_humidity_rate_99_percent_per_h", "rate of humidity, exceeded 1 % of the time", "%/h",
+        _rate_of("relative_humidity_percent", 0.99), "rate"),
+    Statistic("relative_humidity_rate_largest_percent_per_h", "largest rate of humidity", "%/h",
+        _rate_of("relative_humidity_percent", 1.0), "rate"),
+    *(
+        Statistic(f"temperature_cycles_from_{least:g}_K_number",
+            f"temperature cycles of {least:g} K and more", "1/a", _cycles_from(place), "rate")
+        for place, least in enumerate(CYCLE_RANGES_K)
+    ),
+)  # fmt: skip
+"""All numbers of a climate, in the order of climate.json; a new row is a new row of every table."""
+STATISTIC = {one.name: one for one in STATISTICS}
+
+
+def scalars(year: Year, law: Acceleration, scope: str = "all") -> dict[str, np.ndarray]:
+    """The numbers (N,) of a year by name, as `STATISTICS` lists them.
+
+    Hours and counts are scaled to a year of 8766 h.  What needs a course without holes (rates, excursions,
+    cycles) is computed for the whole year alone.  Raises ValueError where nothing of the year is known.
+    """
+    if not year.known.any():
+        raise ValueError("neither weather nor power is known at any instant of this year; check the files")
+    hours = Hours(year, law, scope)
+    wanted = [one for one in STATISTICS if one.table == "scope" or scope == "all"]
+    return {one.name: value for one in wanted if (value := one.of(hours)) is not None}
 
 
 def wetness_class(hours: float) -> str:

@@ -1,9 +1,9 @@
 """The test profile: days of the climate, warmed until the chamber ages as much as the years of service do.
 
-With T* from 1/T* = 1/T − δ the law's rate grows by the same factor exp(E_a δ/k_B) in every hour, and the humidity
-stays: the test is as much faster as it must be, and every condition keeps its share of the ageing.  (A temperature that
-is simply raised by so many kelvin would give the cold hours more than their share.)  Chamber limits cut this off; δ is
-then found for the sequence as it is after them.
+With T* from 1/T* = 1/T − δ the law's rate grows by the same factor exp(E_a δ/k_B) in every hour, and the
+humidity stays: the test is as much faster as it must be, and every condition keeps its share of the ageing.
+(A temperature raised by a fixed number of kelvin would give the cold hours more than their share.)  The
+chamber's limits cut this off; δ is found for the sequence after them.
 """
 
 from __future__ import annotations
@@ -12,33 +12,38 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.climate.acceleration import BOLTZMANN_EV, FREEZING_K, Acceleration
+from hygrokf.climate.acceleration import BOLTZMANN_EV, Acceleration
 from hygrokf.climate.bounds import Bounded
 from hygrokf.climate.chamber import Chamber, ProfilePlan
 from hygrokf.climate.cycles import cycles_from
 from hygrokf.climate.ensemble import YEAR_H
 from hygrokf.climate.representative_days import DAY_H, Days, choose_days, ordered, shares
 from hygrokf.climate.statistics import CYCLE_RANGES_K, WET_PERCENT
+from hygrokf.data.timestamps import stamp_text
+from hygrokf.physics.cold_surface import FREEZING_K
 
 CUT_MOST = 0.5
 """Share of the hours that may stand at the chamber's highest temperature."""
 NOT_REPRODUCED = (
     "temperatures and absolute humidity themselves: the test is warmer than the site",
-    "the number of temperature cycles in service: the test has those of its own length, each wider by (T*/T)²",
+    "the number of temperature cycles in service: the test has those of its own length, each wider by "
+    "(T*/T)²",
     "the order of the seasons, and stretches longer than a day",
-    "rates of change: an hour's change of temperature is wider by (T*/T)² too, as far as the chamber's ramps allow",
+    "rates of change: an hour's change of temperature is wider by (T*/T)² too, as far as the chamber's ramps "
+    "allow",
     "condensation: the chamber's air is held below saturation, and no part in it is colder than the air",
     "what does not age by the stated law: vibration, voltage, salt, dust, drying between wet stretches",
 )
 
 
-@dataclass(frozen=True)
-class Sequence:
-    """A test profile (n,) hour by hour: temperature [°C], relative humidity [%], the site's temperature [°C] that it
-    came from, and `day_s` (n,) when the day was.
+@dataclass(frozen=True, eq=False)
+class ChamberSequence:
+    """A sequence of a chamber (n,) hour by hour, as it was computed.
 
-    `shift` δ [1/K]; `factor` the acceleration exp(E_a δ/k_B) [1]; `cut` share of hours at a limit of the chamber;
-    `ageing_h` of the whole [h at the reference]; `statements` rows of what is reproduced and how closely.
+    Temperature [°C] and relative humidity [%] of the chamber and of the site; `day_s` (n,) [s since 1970,
+    UTC] when the day began.  `shift` δ [1/K]; `factor` the acceleration exp(E_a δ/k_B) [1]; `cut` share of
+    hours [1] at a limit of the chamber's temperature; `ageing_h` of the whole [h at the reference];
+    `reached` whether it ages as much as the years of service.
     """
 
     temperature_degC: np.ndarray
@@ -53,7 +58,107 @@ class Sequence:
     reached: bool
 
 
-def chamber_sequence(days: Days, ageing_h_a_year: float, plan: ProfilePlan) -> Sequence:
+@dataclass(frozen=True)
+class Ageing:
+    """Ageing [h at the reference condition] of the test and of the years of service, and the years [a] at the
+    site that the test stands for, with bounds."""
+
+    test_h: float
+    service_h: float
+    years: float
+    years_lower: float
+    years_upper: float
+
+
+@dataclass(frozen=True)
+class SiteAndTest:
+    """A number of the site beside the same of the test."""
+
+    site: float
+    test: float
+
+
+@dataclass(frozen=True)
+class CycleCount:
+    """Temperature cycles of at least `from_K` [K]: per year at the site, per year in the chosen days before
+    warming, in the test, and in the years of service."""
+
+    from_K: float
+    site_a_year: float
+    days_a_year: float
+    test: float
+    service: float
+
+
+@dataclass(frozen=True)
+class Closeness:
+    """What a test profile reproduces of the site, and how closely.
+
+    Distances [1] are total variations between distributions: of temperature before warming and humidity, and
+    of the ageing over these.  Shares [1] are of the hours, and of the ageing, above 80 %.
+    """
+
+    ageing: Ageing
+    joint_distance: float
+    ageing_distance: float
+    wet_share: SiteAndTest
+    wet_ageing_share: SiteAndTest
+    mean_humidity_percent: SiteAndTest
+    cycles: tuple[CycleCount, ...]
+    not_reproduced: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ChamberProfile:
+    """The test profile of a region, hour by hour.
+
+    `hour` of the test; temperature [°C] and relative humidity [%] of the chamber, and of the site in the same
+    hours; `day` when each day began, UTC.  `shift_per_K` δ; `acceleration` [1] before the chamber's limits;
+    `share_at_chamber_limit` [1] of the hours; `reached`: whether it ages as much as the years of service.
+    """
+
+    hour: tuple[int, ...]
+    temperature_degC: np.ndarray
+    relative_humidity_percent: np.ndarray
+    site_temperature_degC: np.ndarray
+    site_humidity_percent: np.ndarray
+    day: tuple[str, ...]
+    shift_per_K: float
+    acceleration: float
+    share_at_chamber_limit: float
+    reached: bool
+    closeness: Closeness
+
+    def __post_init__(self) -> None:
+        courses = (
+            self.temperature_degC, self.relative_humidity_percent, self.site_temperature_degC,
+            self.site_humidity_percent,
+        )  # fmt: skip
+        if found := [one.shape for one in courses if one.shape != (len(self.hour),)]:
+            raise ValueError(f"expected a value for each of {len(self.hour)} hours, found {found[0]}")
+
+
+def chamber_profile(
+    days: Days, plan: ProfilePlan, ageing: Bounded, service_cycles: np.ndarray
+) -> ChamberProfile:
+    """The test profile from all days of a climate; arguments as for `chamber_sequence` and `closeness`."""
+    made = chamber_sequence(days, ageing.value, plan)
+    return ChamberProfile(
+        tuple(range(len(made.temperature_degC))),
+        np.round(made.temperature_degC, 2),
+        np.round(made.relative_humidity_percent, 2),
+        np.round(made.site_temperature_degC, 2),
+        np.round(made.site_humidity_percent, 2),
+        tuple(stamp_text(one) for one in made.day_s[::DAY_H]),
+        made.shift,
+        made.factor,
+        made.cut,
+        made.reached,
+        closeness(made, days, plan, ageing, service_cycles),
+    )
+
+
+def chamber_sequence(days: Days, ageing_h_a_year: float, plan: ProfilePlan) -> ChamberSequence:
     """A test profile from the days of a climate that ages by so many hours a year [h at the reference].
 
     Raises ValueError where there is no whole day to choose from.
@@ -82,14 +187,16 @@ def chamber_sequence(days: Days, ageing_h_a_year: float, plan: ProfilePlan) -> S
     cut = np.isclose(warm, plan.chamber.temperature_degC[1]) | np.isclose(
         warm, plan.chamber.temperature_degC[0]
     )
-    return Sequence(
+    return ChamberSequence(
         warm, damp, celsius, percent, np.repeat(chosen.start_s, DAY_H)[:length], shift,
-        float(np.exp(plan.law.activation_energy_eV / BOLTZMANN_EV * shift)), float(cut.mean()), aged(shift), reached,
+        float(np.exp(plan.law.activation_energy_eV / BOLTZMANN_EV * shift)), float(cut.mean()), aged(shift),
+        reached,
     )  # fmt: skip
 
 
 def _span(celsius: np.ndarray, chamber: Chamber) -> tuple[float, float]:
-    """Shifts between which to look: the hottest half of the hours at the limit, and the coldest half at the other one."""
+    """Shifts between which to look: the hottest half of the hours at the limit, and the coldest half at the
+    other one."""
     kelvin = np.sort(celsius) + FREEZING_K
     bottom, top = (one + FREEZING_K for one in chamber.temperature_degC)
     place = int((1.0 - CUT_MOST) * (len(kelvin) - 1))
@@ -126,12 +233,12 @@ def _in_si(celsius: np.ndarray, percent: np.ndarray) -> tuple[np.ndarray, np.nda
 
 
 def closeness(
-    sequence: Sequence, days: Days, plan: ProfilePlan, ageing: Bounded, service_cycles: np.ndarray
-) -> dict:
-    """What a test profile reproduces of the site, and how closely; plain data.
+    sequence: ChamberSequence, days: Days, plan: ProfilePlan, ageing: Bounded, service_cycles: np.ndarray
+) -> Closeness:
+    """What a test profile reproduces of the site, and how closely.
 
-    days: all days of the climate.  ageing: [h a year at the reference] of the site.  service_cycles: (3,) cycles a year
-    from each of `CYCLE_RANGES_K`.
+    days: all days of the climate.  ageing: [h a year at the reference] of the site.  service_cycles: (3,)
+    cycles a year from each of `CYCLE_RANGES_K`.
     """
     law: Acceleration = plan.law
     celsius, percent = sequence.site_temperature_degC, sequence.site_humidity_percent
@@ -140,47 +247,34 @@ def closeness(
     site = shares(days.temperature_degC, days.relative_humidity_percent)
     site_ageing = shares(days.temperature_degC, days.relative_humidity_percent, all_rate)
     years = [
-        sequence.ageing_h / max(float(one), 1e-300)
+        sequence.ageing_h / max(one, 1e-300)
         for one in (ageing.value, ageing.mean_upper, ageing.mean_lower)  # many years: their mean
     ]
     per_year = YEAR_H / len(celsius)
     before = cycles_from(celsius, CYCLE_RANGES_K)
     after = cycles_from(sequence.temperature_degC, CYCLE_RANGES_K)
     wet = days.relative_humidity_percent > WET_PERCENT
-    return {
-        "ageing": {
-            "test_h": sequence.ageing_h,
-            "service_h": plan.service_years * float(ageing.value),
-            "years": years[0],
-            "years_lower": years[1],
-            "years_upper": years[2],
-        },
-        "joint_distance": _distance(shares(celsius, percent), site),
-        "ageing_distance": _distance(shares(celsius, percent, own_rate), site_ageing),
-        "wet_share": {
-            "site": float(wet.mean()),
-            "test": float((sequence.relative_humidity_percent > WET_PERCENT).mean()),
-        },
-        "wet_ageing_share": {
-            "site": float(all_rate[wet].sum() / all_rate.sum()),
-            "test": float(own_rate[sequence.relative_humidity_percent > WET_PERCENT].sum() / own_rate.sum()),
-        },
-        "mean_humidity_percent": {
-            "site": float(days.relative_humidity_percent.mean()),
-            "test": float(sequence.relative_humidity_percent.mean()),
-        },
-        "cycles": [
-            {
-                "from_K": float(least),
-                "site_a_year": float(service_cycles[i]),
-                "days_a_year": float(before[i] * per_year),
-                "test": float(after[i]),
-                "service": float(plan.service_years * service_cycles[i]),
-            }
+    test_wet = sequence.relative_humidity_percent > WET_PERCENT
+    return Closeness(
+        Ageing(sequence.ageing_h, plan.service_years * ageing.value, *years),
+        _distance(shares(celsius, percent), site),
+        _distance(shares(celsius, percent, own_rate), site_ageing),
+        SiteAndTest(float(wet.mean()), float(test_wet.mean())),
+        SiteAndTest(
+            float(all_rate[wet].sum() / all_rate.sum()), float(own_rate[test_wet].sum() / own_rate.sum())
+        ),
+        SiteAndTest(
+            float(days.relative_humidity_percent.mean()), float(sequence.relative_humidity_percent.mean())
+        ),
+        tuple(
+            CycleCount(
+                float(least), float(service_cycles[i]), float(before[i] * per_year), float(after[i]),
+                float(plan.service_years * service_cycles[i]),
+            )
             for i, least in enumerate(CYCLE_RANGES_K)
-        ],
-        "not_reproduced": list(NOT_REPRODUCED),
-    }
+        ),
+        NOT_REPRODUCED,
+    )  # fmt: skip
 
 
 def _distance(a: np.ndarray, b: np.ndarray) -> float:

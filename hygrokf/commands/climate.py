@@ -1,24 +1,24 @@
-"""`hygrokf climate`: what it is asked, and how that is done."""
+"""`hygrokf climate`: the climate in a fitted cabinet under years of weather."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from hygrokf.commands.console import Progress, UserFault, expect_own_directory
+from hygrokf.commands.console import Progress, UserFault, expect_own_directory, faults_of, show_reported
+from hygrokf.commands.inputs import stored_fit
+from hygrokf.commands.verb import Verb, add_json, add_library, whole
 from hygrokf.data.files import CLIMATE
 
 if TYPE_CHECKING:
     from hygrokf.climate.power import PowerCurve
     from hygrokf.data.record import Record
-    from hygrokf.identification.fit import Fit
+    from hygrokf.physics.cold_surface import Surface
 
 
-def climate_arguments(parser: argparse.ArgumentParser, whole: Callable[[int], Callable]) -> None:
-    """Weather, power, and what is asked of a climate; `whole(least)` reads a whole number."""
+def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("fit", type=Path, metavar="FIT.json")
     parser.add_argument(
         "--weather",
@@ -59,10 +59,12 @@ def climate_arguments(parser: argparse.ArgumentParser, whole: Callable[[int], Ca
     parser.add_argument(
         "--out", type=Path, required=True, help="directory for climate.json, climate.csv and report.html"
     )
+    add_library(parser)
+    add_json(parser)
 
 
-def _surface(text: str) -> Any:
-    """A cold surface: how far it follows the cabinet air, and its offset [K]."""
+def _surface(text: str) -> Surface:
+    """A cold surface from its share of the cabinet air temperature and its offset [K]."""
     from hygrokf.physics.cold_surface import Surface
 
     try:
@@ -76,22 +78,18 @@ def _surface(text: str) -> Any:
     return Surface(*numbers)
 
 
-def run_climate(options: argparse.Namespace, stored: Callable[[], Fit]) -> tuple[Path, dict, str]:
-    """Run the command; returns the page's path, the data of climate.json and the text for the terminal.
-
-    `stored` reads the fit.  Raises UserFault and what the readers raise.
-    """
+def _run(options: argparse.Namespace) -> int:
     from hygrokf.climate.chamber import read_test_plan
     from hygrokf.climate.limits import read_limits
     from hygrokf.climate.power import read_power_curve
+    from hygrokf.climate.procedure import climate_profile
     from hygrokf.climate.region import read_power, read_region
-    from hygrokf.climate.study import climate_profile
-    from hygrokf.report.climate_page import write_climate_report
-    from hygrokf.report.climate_tables import climate_text
+    from hygrokf.data.structured import plain
+    from hygrokf.report.climate_page import climate_text, write_climate_report
 
     expect_own_directory(options.out, CLIMATE)
     groups = _regions(options)
-    fit = stored()
+    fit = stored_fit(options.fit, options.library)
     stated = options.power or options.power_curve or options.standstill
     if not stated and fit.design.power_scale_W is not None:
         raise UserFault(
@@ -106,25 +104,17 @@ def run_climate(options: argparse.Namespace, stored: Callable[[], Fit]) -> tuple
     for region in regions:
         for warning in region.weather.warnings:
             print(f"warning: {region.name}: {warning}", file=sys.stderr)
-    progress = Progress(4 * len(regions))
-    try:
+    with faults_of(options.fit), Progress(4 * len(regions)) as progress:
         study = climate_profile(
             fit, regions, power, limits=limits, plan=plan, members=options.members, seed=options.seed,
             surface=options.surface, progress=progress,
         )  # fmt: skip
-    except ValueError as fault:
-        progress.abandon()
-        raise UserFault(f"{options.fit}: {fault}") from fault
-    except BaseException:
-        progress.abandon()
-        raise
-    progress.close()
     page = write_climate_report(study, options.out)
-    return page, study.to_json(), climate_text(study.to_json())
+    return show_reported(page, plain(study), climate_text(study), options.json)
 
 
 def _regions(options: argparse.Namespace) -> list[tuple[str, list[Path]]]:
-    """Names and weather files of the regions that a command names."""
+    """Names and weather files of the regions stated on the command line."""
     groups = [("site", options.weather)] if options.weather else []
     for text in options.region:
         name, sign, files = text.partition("=")
@@ -141,3 +131,11 @@ def _regions(options: argparse.Namespace) -> list[tuple[str, list[Path]]]:
         )
         raise UserFault(f"expected --weather FILE, or --region NAME=FILE with a name each; {found}")
     return groups
+
+
+VERB = Verb(
+    "climate",
+    "simulate a site's climate in a fitted cabinet; limits, and a test profile",
+    _arguments,
+    _run,
+)

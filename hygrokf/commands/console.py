@@ -1,9 +1,11 @@
-"""What commands tell the one at the terminal, and what they refuse before any work is done."""
+"""Messages of commands at the terminal, and checks before any work is done."""
 
 from __future__ import annotations
 
 import os
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from hygrokf.data.files import DISCOVERY, FIT, RESULTS, is_stream
@@ -11,11 +13,11 @@ from hygrokf.errors import HygrokfError
 
 
 class UserFault(HygrokfError):
-    """A mistake of the user's, told without a traceback."""
+    """An input error, reported without a traceback."""
 
 
 class Progress:
-    """A progress bar on standard error; silent where there is no terminal to look at it."""
+    """A progress bar on standard error, to be used in a `with`; silent where that is not a terminal."""
 
     def __init__(self, total: int) -> None:
         from tqdm import tqdm
@@ -30,28 +32,52 @@ class Progress:
             self._bar.update()
 
     def tell(self, text: str) -> None:
-        """A line that stays, above the bar."""
+        """Print a line that stays above the bar."""
         from tqdm import tqdm
 
         tqdm.write(printable(text), file=sys.stderr)
 
-    def abandon(self) -> None:
-        """End where it is: the work was broken off."""
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        """Close the bar: full after the work, as it stands where the work was interrupted."""
+        if kind is None:
+            self._bar.n = self._bar.total
+            self._bar.set_postfix_str("done")
         self._bar.close()
 
-    def close(self) -> None:
-        self._bar.n = self._bar.total
-        self._bar.set_postfix_str("done")
-        self._bar.close()
+
+@contextmanager
+def faults_of(file: Path) -> Iterator[None]:
+    """Report a ValueError raised inside as an input error that names the file."""
+    try:
+        yield
+    except ValueError as fault:
+        raise UserFault(f"{file}: {fault}") from fault
+
+
+def show(found: object, text: str, as_json: bool) -> None:
+    """Print a result as JSON or as text."""
+    from hygrokf.data.result_file import result_text
+
+    print(result_text(found) if as_json else text, end="" if as_json else "\n")
+
+
+def show_reported(page: Path, found: object, text: str, as_json: bool) -> int:
+    """Print a result and, on standard error, the path of its page; returns the exit status 0."""
+    show(found, text, as_json)
+    print(f"report: {page}", file=sys.stderr)
+    return 0
 
 
 def printable(text: str) -> str:
-    """Text without control characters: what a binary file holds must not reach the terminal."""
+    """Text without control characters, so that the content of a binary file cannot affect the terminal."""
     return "".join(c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in text)
 
 
 def system_words(fault: OSError) -> str:
-    """What the system refused, and what to do."""
+    """The system's refusal and the remedy, in words."""
     where = fault.filename2 or fault.filename
     return (
         f"{f'{where}: ' if where else ''}cannot be read or written: {fault.strerror or fault}; "
@@ -60,7 +86,7 @@ def system_words(fault: OSError) -> str:
 
 
 def expect_directory(path: Path) -> None:
-    """Refuse before the work what could not be written after it; nothing is made yet."""
+    """Raise UserFault where the output directory could not be written; nothing is created yet."""
     there = next(one for one in (path, *path.absolute().parents) if os.path.lexists(one))
     if not there.is_dir():
         found = f"{there} is a file" if there.exists() else f"{there} is a link to nothing"
@@ -74,9 +100,11 @@ def expect_directory(path: Path) -> None:
 
 
 def expect_own_directory(out: Path, own: str) -> None:
-    """The same for results, told by the name of their file: a directory that holds others is refused as well.
+    """`expect_directory`, and raise UserFault where the directory holds results of another kind than the file
+    `own`.
 
-    Its report.html is made from them.  A discovery's directory holds the fit of its extended model too.
+    A directory's report.html is made from a single kind of results.  A discovery's directory also holds the
+    fit of its extended model.
     """
     expect_directory(out)
     others = [name for name in RESULTS if name != own and (out / name).exists()]
@@ -89,7 +117,8 @@ def expect_own_directory(out: Path, own: str) -> None:
 
 
 def expect_file(path: Path) -> None:
-    """The same for a file: its directory must be there.  A pipe or device needs to be writable."""
+    """Raise UserFault where the output file could not be written: a pipe or device must be writable, a file's
+    directory must exist."""
     if is_stream(path):
         if not os.access(path, os.W_OK):
             raise UserFault(
@@ -108,7 +137,7 @@ def expect_file(path: Path) -> None:
 
 
 def expect_other(path: Path, *read: Path) -> None:
-    """Refuse to write over what the command reads."""
+    """Raise UserFault where the output would overwrite a file that the command reads."""
     for one in read:
         if path.exists() and one.exists() and path.samefile(one):
             raise UserFault(

@@ -1,21 +1,20 @@
-"""`hygrokf fleet` at the terminal: its arguments; a bar, and a line for each turbine as it is done."""
+"""`hygrokf fleet`: one task for many turbines."""
 
 from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
-from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hygrokf.commands.console import Progress, UserFault, expect_own_directory
+from hygrokf.commands.console import Progress, UserFault, expect_own_directory, show_reported
+from hygrokf.commands.verb import Verb, add_json, whole
 from hygrokf.data.files import FLEET
 
 if TYPE_CHECKING:
     from hygrokf.fleet.job import Outcome
 
 
-def fleet_arguments(parser: ArgumentParser, whole: Callable[[int], Callable[[str], int]]) -> None:
-    """Arguments of the command; `whole` makes a reader of whole numbers from a least one on."""
+def _arguments(parser: ArgumentParser) -> None:
     parser.add_argument("fleet", type=Path, metavar="FLEET.toml")
     parser.add_argument(
         "--out", type=Path, required=True, help="directory for fleet.csv, report.html, each turbine's results"
@@ -26,13 +25,11 @@ def fleet_arguments(parser: ArgumentParser, whole: Callable[[int], Callable[[str
     parser.add_argument(
         "--dask", metavar="ADDRESS", help="do it on a Dask cluster, such as tcp://HOST:8786, instead"
     )
+    add_json(parser)
 
 
-def tell_fleet(options: Namespace) -> tuple[Path, list[Mapping[str, object]], str, int]:
-    """Run the fleet of a file: its page, its rows, the table as text, and the exit status.
-
-    The status is 1 where any turbine has no result.  Raises FleetFault and UserFault.
-    """
+def _run(options: Namespace) -> int:
+    """The exit status is 1 where any turbine has no result."""
     from hygrokf.fleet.plan import read_plan
     from hygrokf.fleet.running import run_fleet
     from hygrokf.fleet.text import fleet_text, outcome_text
@@ -41,16 +38,15 @@ def tell_fleet(options: Namespace) -> tuple[Path, list[Mapping[str, object]], st
     if options.dask and options.workers:
         raise UserFault("--workers is for this machine; a cluster has its own: leave it out beside --dask")
     plan = read_plan(options.fleet)
-    progress = Progress(len(plan.turbines))
+    with Progress(len(plan.turbines)) as progress:
 
-    def say(found: Outcome, known: bool) -> None:
-        progress.tell(outcome_text(found, known))
-        progress(found.turbine)
+        def say(found: Outcome, known: bool) -> None:
+            progress.tell(outcome_text(found, known))
+            progress(found.turbine)
 
-    try:
-        result = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=say)
-    except BaseException:
-        progress.abandon()
-        raise
-    progress.close()
-    return result.page, result.rows, fleet_text(plan.task, result.rows), int(bool(result.missing))
+        found = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=say)
+    show_reported(found.page, {"rows": found.rows}, fleet_text(plan.task, found.rows), options.json)
+    return int(bool(found.missing))
+
+
+VERB = Verb("fleet", "do one of these for many turbines: one table and one page of all", _arguments, _run)

@@ -1,26 +1,31 @@
-"""Logged actuators: heaters, fans, pumps, driers and doors whose course a record has, and the mechanisms they act by."""
+"""Logged actuators (heaters, fans, pumps, driers, doors) and the mechanisms by which they act on a
+cabinet."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from hygrokf.data.record import Record, Series
 
 FEWEST = 10
-"""Readings of either state, above and below half of its span, that an actuator needs for its effect to be seen."""
+"""Readings needed on either side of half of an actuator's span for its effect to be identifiable."""
 TOP = 0.999
-"""Quantile of a power that counts as full."""
-Chosen = tuple[str, Mapping[str, object]]
+"""Quantile of a power that counts as full power."""
+Chosen = tuple[str, Mapping[str, Any]]
+"""A mechanism of the library: its name and the settings that make it."""
 
 
 @dataclass(frozen=True)
 class Actuator:
-    """A logged actuator: `thermal` and `hygric` the mechanism (name, settings) by which it acts on each network, None for
-    none; `half` the middle of its span [SI unit], above which it counts as on; `reason` why a model does not use it, empty
-    where it does.
+    """A logged actuator.
+
+    `thermal` and `hygric` are the mechanisms (name, settings) by which it acts on each network, or None.
+    `half` is the middle of its span [SI unit], above which it counts as on.  `reason` says why a model does
+    not use it; empty where it does.
     """
 
     signal: str
@@ -35,7 +40,7 @@ class Actuator:
 
     @property
     def statement(self) -> str:
-        """What a model does with it."""
+        """How a model uses the actuator, in words."""
         if self.reason:
             return f"{self.signal} is not used: {self.reason}"
         networks = [name for name, one in (("thermal", self.thermal), ("hygric", self.hygric)) if one]
@@ -52,14 +57,15 @@ ACTUATORS: Mapping[str, tuple[str | None, str | None]] = {
 }
 """Signals of actuators, and their mechanisms in the thermal and the hygric network."""
 HEATERS = ("preheating", "heater_power", "heater_duty", "dehumidifier_duty")
-"""Signals of what heats a cabinet while it is on."""
+"""Signals of devices that heat the cabinet while they are on."""
 
 
 def actuators(record: Record) -> tuple[Actuator, ...]:
-    """The logged actuators of a record, in the order of `ACTUATORS`, used or not.
+    """All logged actuators of a record, used or not, in the order of `ACTUATORS`.
 
-    One is used where the readings have it on and off, above and below half of its span, ten times each: what never
-    changes is part of the network's own constants.  Of a heater's power and duty the power is used.
+    An actuator is used where at least ten readings lie above half of its span and ten below: an actuator that
+    never changes is part of the network's constants.  Where both a heater's power and its duty are logged,
+    the power is used.
     """
     found = [_actuator(record[signal]) for signal in ACTUATORS if signal in record]
     if any(one.signal == "heater_power" and one.used for one in found):
@@ -92,7 +98,7 @@ def _actuator(series: Series) -> Actuator:
 
 
 def _why_not(value: np.ndarray) -> str:
-    """Why readings (n,) of an actuator cannot show what it does; empty where they can."""
+    """Why the readings (n,) of an actuator cannot show its effect; empty where they can."""
     if not len(value):
         return "it has no reading"
     if value.min() == value.max():
@@ -100,4 +106,7 @@ def _why_not(value: np.ndarray) -> str:
     above = int((value > 0.5 * (value.min() + value.max())).sum())
     if min(above, len(value) - above) >= FEWEST:
         return ""
-    return f"{above} readings above half of its span and {len(value) - above} below; at least {FEWEST} of either are needed"
+    return (
+        f"{above} readings above half of its span and {len(value) - above} below; at least {FEWEST} of "
+        "either are needed"
+    )

@@ -1,14 +1,16 @@
-"""Ambient series at any time, the noise of their readings, and the ambient that they most likely belong to.
+"""Ambient series at any time, the noise of their readings, and the smoothed course behind noisy readings.
 
-Readings with noise, used as an input, weaken what depends on them, as errors in a regressor do: with 0.05 K on the
-ambient temperature the resistance ratio and the time constants come out wrong by several times their standard error.
-The mean of the true course given all readings has no such effect; it is computed here under a local level,
+Noisy readings used as an input attenuate the estimated effects, as errors in a regressor do: 0.05 K of noise
+on the ambient temperature shifts the resistance ratio and the time constants by several times their standard
+error.  The mean of the true course given all readings avoids this.  It is computed here under a local level
+model,
 
     x(t+Δ) = x(t) + N(0, q Δ),    reading = x + N(0, r),
 
-between whose smoothed values the course is linear (`paths`).  r and q come from the autocovariances γ of the readings'
-increments.  Where the weather's own increments are equally correlated at lags 1 and 2, instants have γ₁ − γ₂ = −r and
-γ₀ = q Δ + 2 r; means over intervals Δ have γ₀ − γ₂ = ⅔ q Δ + 2 r and γ₁ − γ₂ = ⅙ q Δ − r.
+with a linear course between the smoothed values (`input_paths`).  r and q come from the autocovariances γ of
+the readings' increments.  If the weather's own increments are equally correlated at lags 1 and 2, instants
+have γ₁ − γ₂ = −r and γ₀ = q Δ + 2 r; means over intervals Δ have γ₀ − γ₂ = ⅔ q Δ + 2 r and γ₁ − γ₂ = ⅙ q Δ −
+r.
 """
 
 from __future__ import annotations
@@ -23,16 +25,16 @@ from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_from_dew_point
 
 AMBIENT_BRIDGE_H = 6.0
-"""[h] gaps of the ambient series up to this length are bridged linearly; over longer ones readings are left out."""
+"""[h] longest gap of the ambient series that is bridged linearly; readings in longer gaps are left out."""
 FEWEST = 200
-"""Readings below which no noise is estimated."""
+"""Number of readings below which no noise is estimated."""
 
 
 def reading_noise(series: Series) -> tuple[float, float] | None:
-    """(q, r): variance of the level's increments per second and of a reading's noise; None where it cannot be told.
+    """(q, r): variance of the level's increments per second and variance of a reading's noise; None where
+    they cannot be estimated.
 
-    Raises nothing: irregular and short series, and means whose intervals do not adjoin, give None and are used as they
-    are.
+    Irregular or short series, and means whose intervals are not adjacent, give None and are used unsmoothed.
     """
     there = ~series.missing
     time, value = series.time[there], series.value[there]
@@ -44,7 +46,7 @@ def reading_noise(series: Series) -> tuple[float, float] | None:
     if regular.sum() < FEWEST // 2:
         return None
     increment = np.where(regular, np.diff(value), np.nan)
-    # a front that passes is no noise: increments beyond eight times the usual spread are left out
+    # weather fronts are not noise: increments beyond eight times the usual spread are left out
     spread = 1.4826 * float(np.nanmedian(np.abs(increment - np.nanmedian(increment))))
     if not spread > 0:
         return None
@@ -61,14 +63,14 @@ def reading_noise(series: Series) -> tuple[float, float] | None:
     else:
         noise = gamma[2] - gamma[1]
         level = gamma[0] - 2.0 * noise
-    # both autocovariances are uncertain by γ₀/√T: what is below three times that is no finding
+    # both autocovariances have the standard error γ₀/√T; three times that is required
     if noise <= 3.0 * np.sqrt(2.0 / np.isfinite(increment).sum()) * gamma[0] or level <= 0:
         return None
     return level / usual, noise
 
 
 def smoothed(series: Series, noise: tuple[float, float] | None) -> Series:
-    """The mean of the true course at the readings' times, given all readings; gaps stay gaps."""
+    """The mean of the true course at the times of the readings, given all readings; gaps remain gaps."""
     if noise is None or series.hold != LINEAR:
         return series
     from scipy.linalg import solveh_banded
@@ -90,7 +92,8 @@ def smoothed(series: Series, noise: tuple[float, float] | None) -> Series:
 
 
 def ambient_absolute_humidity(record: Record) -> Series | None:
-    """Vapour concentration of the ambient air [kg/m³] at the times of its humidity readings; None without any."""
+    """Vapour concentration of the ambient air [kg/m³] at the times of its humidity readings; None without
+    such readings."""
     if "ambient_absolute_humidity" in record:
         return without_response(record["ambient_absolute_humidity"])
     for name, convert in (
@@ -114,7 +117,7 @@ def ambient_absolute_humidity(record: Record) -> Series | None:
 
 
 def bridge_h(series: Series, limit_h: float) -> float:
-    """Longest gap that is bridged [h]: the limit, but never less than the series' own usual step leaves open."""
+    """Longest gap to bridge [h]: the limit, but at least the gap that the series' own usual step leaves."""
     steps = series.steps_s
     if not len(steps):
         return limit_h
@@ -122,26 +125,27 @@ def bridge_h(series: Series, limit_h: float) -> float:
 
 
 def middle(ordered: np.ndarray) -> float:
-    """Median of numbers (n,) that are in order, one at least: numpy's own takes longer to begin than this to end."""
+    """Median of sorted numbers (n,), n ≥ 1; faster than numpy's for short arrays."""
     return 0.5 * float(ordered[(len(ordered) - 1) // 2] + ordered[len(ordered) // 2])
 
 
 def at_times(series: Series, time: np.ndarray, bridge_h: float) -> np.ndarray:
-    """A series at other times [s] by its own hold; NaN outside it and inside gaps longer than `bridge_h` [h]."""
+    """A series at other times [s] by its own hold; NaN outside it and inside gaps longer than `bridge_h`
+    [h]."""
     known, value = series.known
     if len(known) == 0:
         return np.full(len(time), np.nan)
     linear = series.hold == LINEAR
     if linear:
         result = np.interp(time, known, value, left=np.nan, right=np.nan)
-        if np.all(series.steps_s[-1:] <= bridge_h * 3600.0):  # the usual series has no gap at all
+        if np.all(series.steps_s[-1:] <= bridge_h * 3600.0):  # most series have no gap
             return result
     after = np.minimum(known.searchsorted(time, side="left"), len(known) - 1)
     before = np.maximum(known.searchsorted(time, side="right") - 1, 0)
     if linear:
         wide = known[after] - known[before] > bridge_h * 3600.0
         return np.where(wide, np.nan, result)
-    # a mean holds over (end − interval, end]; a hole after it is bridged by the value before it
+    # a mean holds over (end − interval, end]; the previous value bridges a gap after it
     inside = (time > known[after] - max(series.interval_s, 1e-6)) & (time <= known[after])
     result = np.where(inside, value[after], value[before])
     gap = np.where(inside, 0.0, known[after] - series.interval_s - known[before])

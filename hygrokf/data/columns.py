@@ -1,11 +1,12 @@
-"""Columns of a table into readings: cells into numbers, stamps into seconds of UTC, every fault with its place."""
+"""Convert table columns to readings: cells to numbers, stamps to seconds of UTC; every fault names its
+place."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from datetime import UTC
+from datetime import UTC, tzinfo
 from decimal import Decimal
 from numbers import Real
 from typing import TYPE_CHECKING
@@ -19,7 +20,7 @@ from hygrokf.errors import HygrokfError, suggestion
 if TYPE_CHECKING:
     import pandas
 
-MISSING = (
+MISSING: tuple[str, ...] = (
     "",
     "NaN",
     "nan",
@@ -39,7 +40,7 @@ MISSING = (
     "--",
     "---",
 )
-"""What counts as a missing reading, besides what the case file lists."""
+"""Texts that count as a missing reading, besides those listed in the case file."""
 
 _SHOWN = 5
 
@@ -99,14 +100,14 @@ def table_of(
 ) -> Table:
     """Readings of a frame: its columns as numbers, its stamps in UTC [s].
 
-    frame: rows in the order of the source. columns: names of the columns of numbers; those that the frame does not
-        have must be among the faults already.
-    stamps: of the rows, or None where they are among the faults already. stamps_named: in messages, such as
-        'column "time"'.
+    frame: rows in the order of the source. columns: names of the columns of numbers; `faults` must already
+        name those that the frame lacks.
+    stamps: of the rows, or None where `faults` already explains why. stamps_named: their name in messages,
+        such as 'column "time"'.
     places: how messages name rows. timezone ... ignore_offset: see `hygrokf.data.table_readers.read_table`.
-    faults: found before, to be raised with those found here. sha256: of the file, where there is one.
+    faults: found before, raised together with those found here. sha256: of the file, where there is one.
 
-    Rows without stamp are left out and said. Raises TableFault with every fault found.
+    Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
     faults = list(faults)
     zone = None
@@ -115,7 +116,7 @@ def table_of(
             zone = zone_named(timezone)
         except ValueError as unknown:
             faults.append(str(unknown))
-            # Any zone will do to look for further faults.
+            # any zone will do for finding further faults
             zone = UTC
     wanted = list(dict.fromkeys(columns))
     values = {}
@@ -129,40 +130,18 @@ def table_of(
     warnings: list[str] = []
     time = np.full(len(frame), np.nan)
     if stamps is not None:
-        read = read_stamps(stamps, zone, time_format=time_format, ignore_offset=ignore_offset)
-        time = read.time
-        if read.unreadable.any():
-            where = _where(np.flatnonzero(read.unreadable), stamps, places)
-            faults.append(
-                f"{stamps_named}: expected ISO 8601 stamps"
-                + (f' or "{time_format}"' if time_format else "")
-                + f", found {int(read.unreadable.sum())} of {len(frame)} rows otherwise: {where}"
-                + _stamp_remedy(stamps, read.unreadable, places.here)
-            )
-        if read.naive.any():
-            rows = np.flatnonzero(read.naive)
-            faults.append(
-                f"{stamps_named}: {len(rows)} of {len(frame)} stamps have no offset "
-                f"({_where(rows[:1], stamps, places)}); state their zone{places.here}: "
-                'timezone = "UTC", a fixed offset such as "+01:00", or a name such as "Europe/Berlin"'
-            )
-        elif zone is not None and not ignore_offset and _all_aware(stamps):
-            warnings.append(f'timezone = "{timezone}" is not used: the stamps carry offsets')
-        warnings += read.warnings
-        beyond = np.isfinite(time) & ~((time > EARLIEST_S) & (time < LATEST_S))
-        if beyond.any():
-            where = _where(np.flatnonzero(beyond), stamps, places)
-            faults.append(
-                f"{stamps_named}: expected stamps of our time, found {int(beyond.sum())} before 1850 or after 2200: "
-                f"{where}; correct or remove these rows"
-            )
+        time, said, wrong = _stamps_read(
+            stamps, stamps_named, places, zone, timezone, time_format, ignore_offset
+        )
+        warnings += said
+        faults += wrong
         given = stamps.notna().to_numpy()
         lost = ~given & np.any([np.isfinite(one) for one in values.values()] or [~given], axis=0)
         if lost.any():
             count = int(lost.sum())
             where = numbered(places.label, places.numbers(np.flatnonzero(lost)[:_SHOWN]), count)
-            said = "1 row" if count == 1 else f"{count} rows"
-            warnings.append(f"{said} without a stamp left out: {where}")
+            counted = "1 row" if count == 1 else f"{count} rows"
+            warnings.append(f"{counted} without a stamp left out: {where}")
     if faults:
         raise TableFault(faults)
     keep = np.isfinite(time)
@@ -176,20 +155,63 @@ def table_of(
     )
 
 
+def _stamps_read(
+    stamps: pandas.Series,
+    stamps_named: str,
+    places: Places,
+    zone: tzinfo | None,
+    timezone: str | None,
+    time_format: str | None,
+    ignore_offset: bool,
+) -> tuple[np.ndarray, list[str], list[str]]:
+    """Times (N,) [s] of stamps, NaN where there is none; warnings; faults.  Arguments as for `table_of`."""
+    warnings: list[str] = []
+    faults: list[str] = []
+    read = read_stamps(stamps, zone, time_format=time_format, ignore_offset=ignore_offset)
+    time = read.time
+    if read.unreadable.any():
+        where = _where(np.flatnonzero(read.unreadable), stamps, places)
+        faults.append(
+            f"{stamps_named}: expected ISO 8601 stamps"
+            + (f' or "{time_format}"' if time_format else "")
+            + f", found {int(read.unreadable.sum())} of {len(stamps)} rows otherwise: {where}"
+            + _stamp_remedy(stamps, read.unreadable, places.here)
+        )
+    if read.naive.any():
+        rows = np.flatnonzero(read.naive)
+        faults.append(
+            f"{stamps_named}: {len(rows)} of {len(stamps)} stamps have no offset "
+            f"({_where(rows[:1], stamps, places)}); state their zone{places.here}: "
+            'timezone = "UTC", a fixed offset such as "+01:00", or a name such as "Europe/Berlin"'
+        )
+    elif zone is not None and not ignore_offset and _all_aware(stamps):
+        warnings.append(f'timezone = "{timezone}" is not used: the stamps carry offsets')
+    warnings += read.warnings
+    beyond = np.isfinite(time) & ~((time > EARLIEST_S) & (time < LATEST_S))
+    if beyond.any():
+        where = _where(np.flatnonzero(beyond), stamps, places)
+        faults.append(
+            f"{stamps_named}: expected stamps of our time, found {int(beyond.sum())} before 1850 or after "
+            f"2200: {where}; correct or remove these rows"
+        )
+    return time, warnings, faults
+
+
 def column_fault(name: str, found: Sequence[str], holder: str) -> str:
-    """A missing column, with the columns there are; holder: what has them, such as "the file has"."""
+    """The fault of a missing column, with the existing columns; holder: their owner in words, such as "the
+    file has"."""
     shown = ", ".join(f'"{one}"' for one in found[:40]) + (" …" if len(found) > 40 else "")
     return f'no column "{name}" ({holder} {shown}){suggestion(name, found)}'
 
 
 def _numbers(column: pandas.Series, decimal: str, missing: tuple[str, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """Numbers of a column and where it holds text instead."""
+    """Numbers of a column, and True where a cell holds text instead."""
     import pandas as pd
 
     nothing = np.zeros(len(column), dtype=bool)
     if pd.api.types.is_numeric_dtype(column.dtype) and not pd.api.types.is_complex_dtype(column.dtype):
         numbers = column.to_numpy(dtype=float, na_value=np.nan)
-        # An infinite reading is no reading.
+        # an infinite reading counts as missing
         return np.where(np.isinf(numbers), np.nan, numbers), nothing
     if pd.api.types.is_datetime64_any_dtype(column.dtype) or pd.api.types.is_timedelta64_dtype(column.dtype):
         return np.full(len(column), np.nan), column.notna().to_numpy()
@@ -206,7 +228,7 @@ def _numbers(column: pandas.Series, decimal: str, missing: tuple[str, ...]) -> t
 
 
 def _cell(one: object) -> object:
-    """A cell: a number, None where there is none, else text without blanks around it."""
+    """A cell as a number, None where it is empty, else as text without surrounding blanks."""
     import pandas as pd
 
     if isinstance(one, str):
@@ -223,7 +245,7 @@ def _text_fault(
     places: Places,
     decimal: str,
 ) -> str:
-    """Text in a column of numbers: where, what, and the likely remedy."""
+    """Text in a column of numbers: its places, its content and the likely remedy."""
     rows = np.flatnonzero(texts)
     found = {"M": "dates", "m": "durations"}.get(column.dtype.kind, "text")
     words = [str(one).strip() for one in column[texts].iloc[:1000]]
@@ -250,7 +272,7 @@ def _text_fault(
 
 
 def _where(rows: np.ndarray, column: pandas.Series, places: Places) -> str:
-    """The first few rows with what they hold, such as: line 7 "error", line 9 "error", …"""
+    """The first few rows with their content, such as: line 7 "error", line 9 "error", …"""
     shown = rows[:_SHOWN]
     parts = [
         f'{places.label} {number} "{str(column.iloc[row]).strip()[:40]}"'
@@ -290,7 +312,7 @@ def _stamp_remedy(column: pandas.Series, unreadable: np.ndarray, here: str) -> s
 
 
 def _all_aware(column: pandas.Series) -> bool:
-    """True where stamps are no local ones; only asked after read_stamps found none naive."""
+    """Whether the stamps carry offsets; called only after read_stamps found none without."""
     import pandas as pd
 
     if pd.api.types.is_datetime64_any_dtype(column.dtype):

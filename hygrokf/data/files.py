@@ -1,4 +1,4 @@
-"""Files are written whole or not at all; and what those of a result are called."""
+"""Atomic writing of files, and the names of result files."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from pathlib import Path
 from typing import BinaryIO
 
 REPORT = "report.html"
-"""The page of a directory of results: that of the fit, or of the discovery that it belongs to."""
+"""The page of a directory of results: that of the fit, or of the discovery that contains the fit."""
 BESIDE_DISCOVERY = "fit_report.html"
-"""The fit's own page where report.html is a discovery's."""
+"""The fit's own page where report.html is that of a discovery."""
 FIT = "fit.json"
 DISCOVERY = "discovery.json"
 DISCOVERY_SERIES = "discovery.npz"
@@ -21,15 +21,16 @@ FLEET = "fleet.json"
 CLIMATE = "climate.json"
 COMPARISON = "compare.json"
 COMPARISON_TABLE = "compare.csv"
+COMPARISON_SERIES = "compare.npz"
 TRANSFER = "transfer.json"
 TRANSFER_SERIES = "transfer.npz"
 TYPE = "type.json"
 RESULTS = (FIT, DISCOVERY, FLEET, CLIMATE, COMPARISON, TRANSFER)
-"""Files of which a directory of results has one kind: its report.html is made from it."""
+"""Result files that exclude each other in a directory, since its report.html is made from one of them."""
 
 
 def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:
-    """Write a file so that a reader sees the old content or the new one, never a part.
+    """Write a file atomically: a reader sees either the old or the new content.
 
     path, errors: as for `writing_whole`.
     content: all bytes of the file.
@@ -43,14 +44,15 @@ def write_bytes_whole(path: str | os.PathLike[str], content: bytes) -> Path:
 
 @contextmanager
 def writing_whole(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
-    """A file to write bytes to, of which a reader sees the old content until the block ends, and then all of the new.
+    """A file opened for writing bytes, which a reader sees with its old content until the block ends.
 
-    path: the file; its directory must exist. A symbolic link is followed, and a file that was
-        there keeps its permissions.
+    path: the file; its directory must exist. A symbolic link is followed, and an existing file
+        keeps its permissions.
 
     The bytes go to a temporary file in the same directory, are forced to the disk and renamed
     over the target. If anything fails on the way, the temporary file is removed and the target
-    stays as it was. A pipe or device cannot be replaced: the bytes are streamed to it. Raises OSError as the system gives it.
+    stays as it was. A pipe or device cannot be replaced: the bytes are streamed to it. Raises OSError from
+    the system.
     """
     if is_stream(path):
         with open(path, "ab") as stream:
@@ -77,7 +79,8 @@ def writing_whole(path: str | os.PathLike[str]) -> Iterator[BinaryIO]:
 
 
 def is_stream(path: str | os.PathLike[str]) -> bool:
-    """Whether a path leads to a pipe, a terminal or another device, such as /dev/stdout, and not to a file of its own."""
+    """Whether a path leads to a pipe, a terminal or another device, such as /dev/stdout, and not to a file of
+    its own."""
     if os.path.abspath(path).startswith(("/dev/", "/proc/")):
         return os.path.exists(path)
     with suppress(OSError):
@@ -87,7 +90,7 @@ def is_stream(path: str | os.PathLike[str]) -> bool:
 
 
 def write_text_whole(path: str | os.PathLike[str], text: str) -> Path:
-    """Write a text file (UTF-8, line ends as given) whole or not at all.
+    """Write a text file (UTF-8, line ends as given) atomically.
 
     path, errors: as for `write_bytes_whole`.
     """
@@ -95,7 +98,7 @@ def write_text_whole(path: str | os.PathLike[str], text: str) -> Path:
 
 
 def _force_directory(directory: Path) -> None:
-    """Make the renaming itself survive a power cut; not every system can, none needs it."""
+    """Make the renaming survive a power cut, on systems that support it."""
     with suppress(OSError):
         descriptor = os.open(directory, os.O_RDONLY)
         try:

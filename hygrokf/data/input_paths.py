@@ -1,18 +1,20 @@
-"""The path of an input between its readings: instants, interval means, and sensors that respond with a delay.
+"""The path of an input between its readings: instants, interval means, and sensors with a response time.
 
-An input is read as instants or as means over intervals; the filter needs it at every time.  Its path is taken as
-Brownian with readings that have noise,
+An input is read as instants or as means over intervals, but the filter needs it at every time.  Its path is
+modelled as Brownian with noisy readings,
 
     u(t+Δ) = u(t) + N(0, q Δ),    reading = u, or the mean of u over its interval, + N(0, r),
 
-and the filter is given the mean of that path conditional on the readings around.  Given instants it is straight
-between them.  Given means it is a quadratic in every interval that keeps the interval's mean (the derivative of the
-cubic spline through the cumulated means); with the two means on either side of an edge the edge is known as well as
-with all of them to 1 % in variance (`edge_weights`), so that a path depends on the readings around it alone.  It is drawn
-by straight pieces of a quarter of an hour at most that keep the mean too.
+and the filter is given the mean of that path conditional on the surrounding readings.  Between instants this
+path is straight.  Through interval means it is a quadratic in every interval that keeps the interval's mean
+(the derivative of the cubic spline through the cumulated means).  Two means on either side of an edge
+determine its value to within 1 % of the variance that all means would give (`edge_weights`), so a path
+depends only on the readings around it.  The quadratic is approximated by straight pieces of at most a quarter
+of an hour, which keep the interval's mean too.
 
-Joining the middles of intervals by straight lines instead, as is often done, smooths the input once more and makes the
-cabinet look faster: by 8 % (ten-minute means) and 22 % (hourly means) of a hygric time constant of half an hour.
+Joining the middles of intervals by straight lines, as is often done, smooths the input once more and makes
+the cabinet appear faster: by 8 % (ten-minute means) and 22 % (hourly means) for a hygric time constant of
+half an hour.
 
 A sensor with the response time θ reads dy/dt = (u − y)/θ, so its input is u = y + θ dy/dt.
 """
@@ -29,27 +31,28 @@ from hygrokf.data.record import Series
 from hygrokf.physics.holds import LINEAR
 
 AROUND = 2
-"""Means on each side of an edge that its value is taken from."""
+"""Number of means on each side of an edge that determine its value."""
 JOINED_S = 1.0
-"""[s] intervals whose edges are closer than this are adjacent."""
+"""[s] intervals count as adjacent when their edges are closer than this."""
 PIECE_S = 900.0
-"""[s] longest straight piece of a path within an interval; two pieces at least."""
+"""[s] longest straight piece of a path within an interval; there are at least two pieces."""
 SLOPE_REACH_S = 6 * 3600.0
-"""[s] readings further apart than this tell no slope."""
+"""[s] no slope is taken between readings further apart than this."""
 
 
 def input_path(series: Series, noise: tuple[float, float] | None = None) -> Series:
-    """The path that readings most likely belong to, as a series of straight pieces.
+    """The most likely path given the readings, as a series of straight pieces.
 
-    `noise` (q [unit²/s], r [unit²]) of means that are to be smoothed; instants with noise are smoothed before
-    (`ambient.smoothed`).  Missing readings end a stretch; a mean without neighbours stands in the middle of its
-    interval, and so do means whose intervals overlap.
+    `noise` (q [unit²/s], r [unit²]) is that of means to be smoothed; noisy instants are smoothed beforehand
+    (`ambient.smoothed`).  Missing readings end a stretch.  A mean without neighbours is placed in the middle
+    of its interval, and so are means whose intervals overlap.
     """
     return series if series.hold == LINEAR else _known_path(Same(series), noise)
 
 
 class Same:
-    """A series as a key of a cache: equal to itself alone.  It keeps the series alive, so that its identity is its own."""
+    """A series as a cache key, compared by identity.  It keeps the series alive, so that its id stays
+    unique."""
 
     def __init__(self, series: Series) -> None:
         self.series = series
@@ -63,14 +66,15 @@ class Same:
 
 @lru_cache(maxsize=32)
 def _known_path(key: Same, noise: tuple[float, float] | None) -> Series:
-    """The path through means; discovery asks for that of one series hundreds of times."""
+    """The cached path through means; discovery requests the path of one series hundreds of times."""
     return _through_means(key.series, noise)
 
 
 def without_response(series: Series) -> Series:
-    """What a sensor with a stated response time θ would read without it: y + θ dy/dt, the slope over both neighbours.
+    """The readings of a sensor with a stated response time θ corrected for it: y + θ dy/dt, the slope over
+    both neighbours.
 
-    A series whose response time is 0 or not stated comes back as it is.
+    A series without a stated response time, or with one of 0, is returned unchanged.
     """
     response = series.response_time_s or 0.0
     time, value = series.known
@@ -88,14 +92,15 @@ def without_response(series: Series) -> Series:
 
 
 def centred(series: Series) -> Series:
-    """Readings at the times that they belong to: interval means stand in the middle of their interval."""
+    """Readings with interval means moved to the middle of their interval."""
     if series.hold == LINEAR:
         return series
     return replace(series, time=series.time - 0.5 * series.interval_s, hold=LINEAR, interval_s=0.0)
 
 
 def thinned(series: Series) -> Series:
-    """The series read half as often: every second instant, or means over two adjacent intervals."""
+    """The series with half as many readings: every second instant, or means over pairs of adjacent
+    intervals."""
     if series.interval_s <= 0:
         return replace(series, time=series.time[::2], value=series.value[::2])
     count = len(series) // 2
@@ -106,7 +111,7 @@ def thinned(series: Series) -> Series:
 
 
 def readings_ahead(interval_s: float, response_time_s: float) -> int:
-    """How many readings after a time its path depends on, beside the next one."""
+    """Number of readings after a time, besides the next one, that the path at that time depends on."""
     return (AROUND if interval_s > 0 else 0) + (1 if response_time_s > 0 else 0)
 
 
@@ -121,12 +126,14 @@ def edge_weights(before: int, after: int, noise_share: float = 0.0) -> np.ndarra
 
 @cache
 def mean_weights(before: int, after: int, noise_share: float) -> np.ndarray:
-    """Weights (before+1+after,) of adjacent means in the mean over one of the intervals, free of its reading's noise."""
+    """Weights (before+1+after,) of adjacent means in one interval's mean, freed of the noise of its
+    reading."""
     return _weights(before + 1 + after, 0.0, before, noise_share)
 
 
 def _covariance(count: int) -> np.ndarray:
-    """Covariance (n, n) of the means over adjacent unit intervals of a Brownian path that starts at 0 with q = 1."""
+    """Covariance (n, n) of the means over adjacent unit intervals of a Brownian path that starts at 0 with q
+    = 1."""
     place = np.arange(count)
     result = np.minimum.outer(place, place) + 0.5
     np.fill_diagonal(result, place + 1.0 / 3.0)
@@ -136,7 +143,7 @@ def _covariance(count: int) -> np.ndarray:
 def _weights(count: int, edge: float, block: int | None, noise_share: float) -> np.ndarray:
     """Weights of means over adjacent unit intervals in the value at an edge, or in one interval's own mean.
 
-    The start of the path is unknown: weights sum to 1 (ordinary kriging).
+    The start of the path is unknown, so the weights sum to 1 (ordinary kriging).
     """
     place = np.arange(count)
     known = _covariance(count)
@@ -154,7 +161,7 @@ def _through_means(series: Series, noise: tuple[float, float] | None) -> Series:
         return centred(series)
     gaps = np.diff(time) - width
     share = 0.0 if noise is None else noise[1] / (noise[0] * width)
-    if np.any(gaps < -JOINED_S):  # running means: no partition, so no edges
+    if np.any(gaps < -JOINED_S):  # running means overlap and have no edges
         return replace(centred(series), time=time - 0.5 * width, value=value)
     times, values = [], []
     for stretch in np.split(np.arange(len(time)), np.flatnonzero(gaps > JOINED_S) + 1):
@@ -167,7 +174,7 @@ def _through_means(series: Series, noise: tuple[float, float] | None) -> Series:
 
 
 def _stretch(time: np.ndarray, mean: np.ndarray, width: float, share: float) -> tuple[np.ndarray, np.ndarray]:
-    """Times [s] and values of the path's nodes: the edges of adjacent means (n,), and places between them."""
+    """Times [s] and values of the path's nodes: the edges of adjacent means (n,) and nodes in between."""
     count = len(mean)
     if count == 1:
         return time - 0.5 * width, mean

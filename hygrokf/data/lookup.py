@@ -1,4 +1,4 @@
-"""Reading from the data of `fit.json` and `series.npz` without trusting that everything is there."""
+"""Tolerant access to the data of `fit.json` and `series.npz`, of which anything may be missing."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from typing import Any
 import numpy as np
 
 EARLIEST_S, LATEST_S = -6.2e10, 2.5e11
-"""[s] since 1970: the years 5 and 9892, what a calendar can name."""
+"""[s] since 1970: the years 5 and 9892, the range of a calendar."""
 
 
 def instants(series: Mapping[str, np.ndarray]) -> np.ndarray:
-    """The instants (T,) [s] of series.npz; empty where they are missing, not finite, not in order or absurd."""
+    """The instants (T,) [s] of series.npz; empty where they are missing, not finite, not increasing or out of
+    range."""
     time = np.atleast_1d(np.asarray(series.get("time_s", np.empty(0)), dtype=float))
     good = time.ndim == 1 and bool(
         np.all((time > EARLIEST_S) & (time < LATEST_S)) and np.all(np.diff(time) > 0)
@@ -22,7 +23,8 @@ def instants(series: Mapping[str, np.ndarray]) -> np.ndarray:
 
 
 def array(series: Mapping[str, np.ndarray], name: str) -> np.ndarray:
-    """A series (T,) as floats; NaN throughout where it is not there or has another length, and for infinities."""
+    """A series (T,) as floats with NaN for infinities; NaN throughout where it is missing or has another
+    length."""
     length = len(instants(series))
     value = np.atleast_1d(np.asarray(series.get(name, np.empty(0)), dtype=float))
     return (
@@ -37,7 +39,7 @@ def scalar(series: Mapping[str, np.ndarray], name: str) -> float:
 
 
 def entry(data: Any, *path: str) -> Any:
-    """What stands at a path of nested mappings; None where anything on the way is missing or null."""
+    """The value at a path of nested mappings; None where anything on the way is missing or null."""
     for name in path:
         data = data.get(name) if isinstance(data, Mapping) else None
     return data
@@ -51,7 +53,7 @@ def number(data: Any, *path: str) -> float:
 
 
 def numbers(data: Any, *path: str) -> np.ndarray:
-    """The list of numbers at a path as an array, null as NaN; empty where there is none."""
+    """The list of numbers at a path as an array, with NaN for null; empty where there is none."""
     value = entry(data, *path)
     if not isinstance(value, (list, tuple)):
         return np.empty(0)
@@ -59,7 +61,8 @@ def numbers(data: Any, *path: str) -> np.ndarray:
 
 
 def columns(data: Any, *names: str) -> list[np.ndarray]:
-    """Lists of one length under these names, as arrays of the rows in which all are finite; empty where they differ."""
+    """Lists of equal length under these names, as arrays of the rows in which all are finite; empty where
+    lengths differ."""
     lists = [numbers(data, name) for name in names]
     if len({len(one) for one in lists}) != 1:
         return [np.empty(0) for _ in names]

@@ -1,4 +1,4 @@
-"""What can be masked or repaired safely in readings, and the sentence that says so."""
+"""Masking and repair of readings where it is safe, with a sentence for each change."""
 
 from __future__ import annotations
 
@@ -13,21 +13,21 @@ from hygrokf.data.timestamps import duration_text, modal_step, period_text, stam
 SATURATED = 0.995
 """[-] relative humidity from which a reading is censored: the sensor cannot show more."""
 PILED = 5
-"""Times as many readings at the ceiling as below it."""
+"""Ratio of readings at the ceiling to readings below it from which they pile up."""
 PILE_WIDTHS = (0.0, 0.005, 0.01, 0.015)
-"""[-] ranges in which noise spreads the readings of saturated air."""
+"""[-] ranges over which noise may spread the readings of saturated air."""
 
 FROZEN_MINIMUM = 6
-"""Identical readings in a row below which no sensor is called frozen."""
+"""Fewest identical readings in a row for which a sensor may be called frozen."""
 
 QUIET_STEPS = 2.0
-"""Steps of the resolution within which readings count as quiet, for the frozen-sensor check."""
+"""Steps of the resolution within which readings count as quiet in the frozen-sensor check."""
 
 QUIET_LEAST = {"temperature": 0.1, "fraction": 0.005}
-"""[SI unit] range that counts as quiet however fine the resolution, by dimension."""
+"""[SI unit] smallest quiet range by dimension, even for a finer resolution."""
 
 QUIET_SHARE = 0.005
-"""Least quiet range of other dimensions, as a share of the range of the series' readings."""
+"""Smallest quiet range of other dimensions, as a share of the range of the series' readings."""
 
 _FEWEST_READINGS = 50
 
@@ -35,13 +35,13 @@ _FEWEST_READINGS = 50
 def order_readings(
     time: np.ndarray, values: dict[str, np.ndarray]
 ) -> tuple[np.ndarray, dict[str, np.ndarray], tuple[str, ...]]:
-    """Readings in order of time, each stamp once; and warnings [s].
+    """Readings in order of time, one for each stamp; and warnings [s].
 
     time: [s] (N,) finite, in any order, repeats allowed.
     values: column -> (N,).
 
-    Of readings with the same stamp, equal ones are kept once and a missing one gives way. Where
-    they contradict each other nobody knows which is right: the reading is masked.
+    Of readings with the same stamp, equal ones are kept once, and a missing one yields to a present
+    one. Contradicting readings are masked, since either may be right.
     """
     warnings = []
     backward = np.diff(time) < 0.0
@@ -88,9 +88,9 @@ def detect_resolution(values: np.ndarray) -> float:
 
     values: (N,) as in the file, before any conversion; NaN = missing.
 
-    The coarsest of 1, 2, 2.5, 5 times a power of ten, and of the halves of one, on whose
+    The coarsest of 1, 2, 2.5, 5 times a power of ten, and of the binary fractions of one, on whose
     multiples (shifted by any constant) 99 % of the readings lie. Sentinels and single-precision
-    noise do not matter. Fewer than five different readings have no resolution to speak of.
+    noise are tolerated. Fewer than five different readings give 0.
     """
     finite = values[np.isfinite(values)]
     if len(finite) > 5000:
@@ -134,26 +134,27 @@ def mask_out_of_range(series: Series) -> tuple[Series, tuple[str, ...]]:
 
 
 def range_sentence(series: Series, outside: np.ndarray, done: str = "") -> str:
-    """That readings lie outside of the physical range; outside: (T,) which, some. done: to them, as a phrase."""
+    """That readings lie outside of the physical range; outside: (T,) which, some. done: to them, as a
+    phrase."""
     row = signal_named(series.signal)
     found = np.unique(series.value[outside])
     shown = [found[0], found[-1]] if len(found) > 1 else [found[0]]
     return (
         f"{_label(series)}: {_readings(outside)} outside of {in_words(row.low, row)} … "
-        f"{in_words(row.high, row)}{done}, such as "
-        f"{' and '.join(in_words(one, row) for one in shown)} ({_period(series, outside)})"
+        f"{in_words(row.high, row)}{done}, such as {' and '.join(in_words(one, row) for one in shown)} "
+        f"({_period(series, outside)})"
     )
 
 
 def mask_saturated(series: Series) -> tuple[Series, tuple[str, ...]]:
     """Relative humidity with saturated readings treated, and a warning.
 
-    series: any; only relative humidities are touched.
+    series: any; only relative humidities are changed.
 
-    A sensor at its ceiling is censored, not Gaussian. Cabinet humidity is an observation: its
-    readings of at least `SATURATED`, or at a ceiling of the sensor's own (the highest value of the
-    record, at 95 % or more, that piles up), are masked. Humidity of other places is an input:
-    outside air does saturate, so it is kept, and cut to 1.
+    A sensor at its ceiling is censored, which a Gaussian cannot represent. Cabinet humidity is an
+    observation: readings of at least `SATURATED`, or at the sensor's own ceiling (the highest value
+    of the record, at 95 % or more, where readings pile up), are masked. Humidity elsewhere is an
+    input: outside air does saturate, so its readings are kept and limited to 1.
     """
     if not series.signal.endswith("_relative_humidity"):
         return series, ()
@@ -183,8 +184,8 @@ def mask_saturated(series: Series) -> tuple[Series, tuple[str, ...]]:
 def _ceiling(humidity: np.ndarray) -> float:
     """Lowest of the readings that pile up at the top, else infinity [-].
 
-    They pile up on one value, or, where the sensor has noise, in a narrow range: at least `PILED` times as many as in a
-    range of the same width, and of 1 % at least, below.
+    They pile up on one value or, where the sensor has noise, in a narrow range: at least `PILED` times as
+    many as in a range of the same width (at least 1 %) just below.
     """
     finite = humidity[np.isfinite(humidity)]
     if not len(finite) or finite.max() < 0.95:
@@ -204,13 +205,13 @@ def mask_frozen(series: Series) -> tuple[Series, tuple[str, ...]]:
 
     series: any.
 
-    A run of identical readings is called frozen if it has at least `FROZEN_MINIMUM` readings,
+    A run of identical readings counts as frozen if it has at least `FROZEN_MINIMUM` readings,
     is more than twice as long as the 99th percentile of the record's own runs, and is longer than
-    the longest quiet stretch that the record shows elsewhere: readings that stay within a few steps
-    of the resolution (and at least `QUIET_LEAST`), but not all the same. So a coarse sensor in still
-    weather vouches for itself, and readings in the signal's idle range (calm, night, standstill, saturated air) are never
-    called frozen. The first reading of a run is kept. Where more than half of the readings would
-    go, the source repeats readings as a rule: nothing is masked and the warning says so.
+    the longest quiet stretch elsewhere in the record: readings that stay within a few steps of the
+    resolution (at least `QUIET_LEAST`) without being all equal. A coarse sensor in still weather
+    is thus not called frozen, nor are readings in the signal's idle range (calm, night, standstill,
+    saturated air). The first reading of a run is kept. Where more than half of the readings would
+    be masked, the source repeats readings as a rule: nothing is masked, and the warning says so.
     """
     row = signal_named(series.signal)
     present = np.flatnonzero(np.isfinite(series.value))
@@ -253,8 +254,8 @@ def _is_idle(idle: tuple[float, float] | None, value: float) -> bool:
 def _quiet_range(series: Series, value: np.ndarray) -> float:
     """Range within which a stretch of readings counts as quiet [SI unit].
 
-    Besides the steps of the resolution there is a least range, because the mean of readings on a
-    coarse grid lies on a fine one.
+    A smallest range applies besides the steps of the resolution, because means of readings on a
+    coarse grid lie on a finer one.
     """
     low, high = np.quantile(value, (0.005, 0.995))
     dimension = signal_named(series.signal).dimension
@@ -269,7 +270,7 @@ def _frozen_runs(
     idle: np.ndarray,
     quiet: float,
 ) -> np.ndarray:
-    """Indices of the runs that no quiet stretch elsewhere vouches for."""
+    """Indices of the runs that no quiet stretch elsewhere explains."""
     ordinary = np.quantile(lengths[~idle], 0.99) if (~idle).any() else 0.0
     shortest = max(FROZEN_MINIMUM, int(2.0 * ordinary) + 1)
     gone = np.zeros(len(value), dtype=bool)
@@ -280,8 +281,8 @@ def _frozen_runs(
         if not left.any():
             break
         length = int(lengths[left].max())
-        # A run must not vouch for itself, nor for another of about its length: both are cut in
-        # their middle, so that only their surroundings can.
+        # Neither the run itself nor another of about its length may count as its quiet stretch: both are cut
+        # in their middle, so that only their surroundings remain.
         cut = gone.copy()
         rivals = ~idle & (lengths >= 0.8 * length)
         cut[starts[rivals] + lengths[rivals] // 2] = True
@@ -294,7 +295,7 @@ def _frozen_runs(
 
 
 def _quiet_stretch(value: np.ndarray, length: int, quiet: float, cut: np.ndarray) -> bool:
-    """Whether some window of `length` readings stays within `quiet`, not constant, not cut."""
+    """Whether some window of `length` readings stays within `quiet` without being constant or cut."""
     count = len(value) - length + 1
     if count <= 0:
         return False

@@ -1,4 +1,4 @@
-"""What was measured: series of readings, each on its own clock, in SI units."""
+"""Measured data: series of readings, each on its own clock, in SI units."""
 
 from __future__ import annotations
 
@@ -8,11 +8,12 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Real
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from hygrokf.data.signals import LARGEST_FRACTION, SIGNALS, Signal, better_units
+from hygrokf.data.toml_form import setting
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import LINEAR, ZERO_ORDER
 
@@ -77,7 +78,7 @@ class Series:
             faults.append(f"height_m must be a finite number > 0 or None, found {self.height_m}")
         if faults:
             raise ValueError(f"series {self.signal}: " + "; ".join(faults))
-        assert time is not None and value is not None, "a column that is none is a fault"
+        assert time is not None and value is not None  # a missing array has been reported as a fault
         for name, array in (("time", time), ("value", value)):
             array.setflags(write=False)
             object.__setattr__(self, name, array)
@@ -86,7 +87,7 @@ class Series:
         return len(self.time)
 
     def __eq__(self, other: object) -> bool:
-        # The generated comparison would ask an array for its truth value.
+        # the generated comparison would fail on the truth value of an array
         if not isinstance(other, Series):
             return NotImplemented
         return all(
@@ -96,6 +97,7 @@ class Series:
             for field in dataclasses.fields(self)
         )
 
+    # Python's own way to make a class unhashable, which type checkers do not know of a base with a hash
     __hash__ = None  # type: ignore[assignment]
 
     @property
@@ -119,18 +121,18 @@ class Series:
 
     @cached_property
     def steps_s(self) -> np.ndarray:
-        """Distances [s] between readings that are not missing, from the smallest to the largest."""
+        """Time steps [s] between readings that are not missing, in ascending order."""
         time, _ = self.known
         return np.sort(time[1:] - time[:-1])
 
 
 _SECONDS = "seconds since 1970-01-01T00:00Z as numbers"
 EARLIEST_S, LATEST_S = -3786825600.0, 7289654400.0
-"""[s] the beginning of 1850 and the end of 2200: no reading is older or younger."""
+"""[s] start of 1850 and end of 2200: the accepted range of times."""
 
 
 def _reading_faults(time: np.ndarray, value: np.ndarray, row: Signal | None) -> list[str]:
-    """What is wrong with the times [s] and the readings of a signal."""
+    """Faults of the times [s] and the readings of a signal."""
     faults = []
     if time.ndim != 1 or time.shape != value.shape:
         faults.append(
@@ -153,9 +155,9 @@ def _reading_faults(time: np.ndarray, value: np.ndarray, row: Signal | None) -> 
 
 
 def _numbers(name: str, given: object, expected: str, faults: list[str]) -> np.ndarray | None:
-    """A copy as floating-point numbers, or None and a fault.
+    """A copy as floating-point numbers, or None with a fault added.
 
-    Dates are none: as plain numbers they would count nanoseconds or microseconds, in no zone.
+    Dates are refused: as plain numbers they would count nanoseconds or microseconds without a zone.
     """
     if isinstance(given, np.ma.MaskedArray):
         given = np.ma.filled(given.astype(float), np.nan)
@@ -170,7 +172,8 @@ def _numbers(name: str, given: object, expected: str, faults: list[str]) -> np.n
         )
         found = type(next(iter(others), given)).__name__
     remedy = _REMEDIES[name]
-    faults.append(f"{name}: expected {expected}, found {found}; convert, such as {remedy}, or hand a frame over to "
+    faults.append(f"{name}: expected {expected}, found {found}; convert, such as {remedy}, or hand a frame "
+                  "over to "
                   "Record.from_frames")  # fmt: skip
     return None
 
@@ -182,7 +185,7 @@ _REMEDIES = {
 
 
 def _no_seconds(time: np.ndarray) -> str:
-    """That times (T,) lie beyond all dates, and what they would be counted in."""
+    """The fault of times (T,) beyond the accepted range, with the unit that they seem to be in."""
     for factor, unit in ((1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")):
         if 0.0 < time[0] / factor and time[-1] / factor < LATEST_S:
             remedy = f"they would fit as {unit}: divide them by {factor:g}"
@@ -193,10 +196,10 @@ def _no_seconds(time: np.ndarray) -> str:
 
 
 def _other_unit(value: np.ndarray, row: Signal) -> str | None:
-    """That readings are in another unit than the signal's, where it is certain, or None.
+    """The fault of readings that are certainly in another unit than the signal's, or None.
 
-    value: [SI unit] (T,).  Most lie outside of the physical range, and within it in that unit.  Where all are the same
-    they may as well be what a dead sensor shows.
+    value: [SI unit] (T,).  Most readings lie outside the physical range, and would lie within it in the other
+    unit.  Equal readings throughout are not judged, since a dead sensor may show them.
     """
     inside = (value >= row.low) & (value <= row.high)
     if not len(value) or 2 * np.count_nonzero(inside) >= len(value):
@@ -212,13 +215,15 @@ def _other_unit(value: np.ndarray, row: Signal) -> str | None:
     unit = "fractions (unit 1)" if row.unit == "1" else row.unit
     return (
         f"value: expected {unit}, found readings of about {np.median(finite):.4g}, which would fit as "
-        f'{" or ".join(better)}; convert them, such as hygrokf.data.signals.to_si(value, "{better[0]}", "{row.name}"), or state '
+        f'{" or ".join(better)}; convert them, such as hygrokf.data.signals.to_si(value, "{better[0]}", '
+        f'"{row.name}"), or state '
         "the unit to Record.from_frames"
     )
 
 
 def _increases(time: np.ndarray) -> bool:
-    """Whether times (T,) are finite and increase strictly; between finite ends that increase nothing else can stand."""
+    """Whether times (T,) are finite and increase strictly; where the ends are finite and times increase, all
+    are finite."""
     if not len(time):
         return True
     ends = math.isfinite(time[0]) and math.isfinite(time[-1])
@@ -227,15 +232,11 @@ def _increases(time: np.ndarray) -> bool:
 
 @dataclass(frozen=True)
 class Site:
-    """Where the record was taken.
+    """Location of the enclosure.  Raises ValueError outside of the ranges below."""
 
-    latitude_deg: [deg] -90…90, north positive. longitude_deg: [deg] -180…360, east positive.
-    altitude_m: [m] above sea level, or None. Raises ValueError outside of these ranges.
-    """
-
-    latitude_deg: float
-    longitude_deg: float
-    altitude_m: float | None = None
+    latitude_deg: float = setting(help="north positive")
+    longitude_deg: float = setting(help="east positive, -180…360")
+    altitude_m: float | None = setting(None, "above sea level")
 
     def __post_init__(self) -> None:
         limits = (
@@ -253,23 +254,23 @@ class Site:
 
     @property
     def in_north_america(self) -> bool:
-        """Whether summer time here is North America's, roughly: its beginning and end differ from Europe's."""
+        """Whether summer time follows North American dates here, roughly; they differ from Europe's."""
         return self.latitude_deg > 0.0 and -170.0 < self.longitude_deg < -40.0
 
 
 @dataclass(frozen=True)
 class Record:
-    """All series of one enclosure; never resampled onto one grid.
+    """All series of one enclosure, never resampled onto a common grid.
 
     name: of the enclosure.
     series: one per signal.
-    site: where it stands, or None.
+    site: location, or None.
     rated_power_W: [W] rated power, or None.
     until_s: [s] end of the identification period since 1970-01-01T00:00Z; None: whole record.
     warnings: what was masked or repaired, one sentence each.
     provenance: (file name, SHA-256) of every file read.
-    compared: series of a second source, one per signal, that nothing is fitted to or driven by: `check` holds
-        them against those of the record, which shows wrong clocks.
+    compared: series of a second source, one per signal, used neither for fitting nor as an input: `check`
+        compares them with those of the record, which reveals wrong clocks.
 
     Raises ValueError for a signal that occurs twice among the series, or twice among those compared.
     """
@@ -309,34 +310,38 @@ class Record:
         cls,
         frames: pandas.DataFrame | Mapping[str, pandas.DataFrame] | Sequence[pandas.DataFrame],
         *,
-        signals: Mapping | None = None,
-        units: Mapping | None = None,
+        signals: Mapping[str, str] | Mapping[str, Mapping[str, str]] | None = None,
+        units: Mapping[str, str] | Mapping[str, Mapping[str, str]] | None = None,
         name: str = "record",
         site: Site | Mapping[str, float] | None = None,
         rated_power_kW: float | None = None,
-        identification: Mapping | None = None,
+        identification: Mapping[str, Any] | None = None,
         cabinet: bool = True,
         ambient: bool = True,
-        **settings: object,
+        **settings: Any,
     ) -> Record:
-        """Record of pandas frames, read, checked and masked as `read_case` does with files.
+        """Record of pandas frames, read, checked and masked in the same way as `read_case` treats files.
 
-        frames: one DataFrame, or several by name or in a list.  Each is a source with its own clock: its index holds the
-            times (a DatetimeIndex, text in ISO 8601, or a PeriodIndex, whose readings are means of the periods).
-        signals: {column: signal} where a column is not called by its signal.
+        frames: one DataFrame, or several by name or in a list.  Each is a source with its own clock: its
+            index holds the
+            times (a DatetimeIndex, text in ISO 8601, or a PeriodIndex, whose readings are means of the
+            periods).
+        signals: {column: signal} for columns that are not named after their signal.
         units: {column: unit}, needed for every column that is a signal; docs/signals.md lists both.
         name, rated_power_kW, site, identification: as in a case file, the last two as mappings, such as
             identification={"until": "2020-12-01T00:00Z"}.
-        cabinet, ambient: whether there must be a cabinet signal, an ambient temperature; as for `read_case`.
-        settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0}, resolution, response_time.
-            Those of a source are one value for all frames or a mapping from their names: timezone, stamp, interval, hold,
-            clock_uncertainty, clock_correction, decimal, missing, time_format, ignore_offset, compare, and time, the
-            column that holds the times where the index does not.
+        cabinet, ambient: whether a cabinet signal and an ambient temperature are required; as for
+            `read_case`.
+        settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0},
+            resolution, response_time. Those of a source are one value for all frames or a mapping from their
+            names: timezone, stamp, interval, hold, clock_uncertainty, clock_correction, decimal, missing,
+            time_format, ignore_offset, compare, and time, the column that holds the times where the index
+            does not.
 
-        Where several frames have columns of the same name, mappings from columns stand in mappings from frames:
-        units={"cabinet": {"T": "degC"}, "mast": {"T": "K"}}.
+        Where several frames have columns of the same name, nest the mappings from columns in mappings from
+        frames: units={"cabinet": {"T": "degC"}, "mast": {"T": "K"}}.
 
-        What was masked or repaired is in the record's `warnings`.  Raises hygrokf.CaseFault with all faults.
+        The record's `warnings` list what was masked or repaired.  Raises hygrokf.CaseFault with all faults.
         """
         from hygrokf.cases.frames import record_from_frames
 
@@ -410,7 +415,7 @@ class Record:
         return self.window(float(np.nextafter(self.until_s, math.inf)), math.inf)
 
     def replace_series(self, *changed: Series, warnings: tuple[str, ...] = ()) -> Record:
-        """A record in which series are exchanged for others of the same signal.
+        """A record in which series are replaced by others of the same signal.
 
         changed: the new series. warnings: sentences to add to the record's own.
         Raises KeyError for a signal that the record does not have.

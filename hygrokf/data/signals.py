@@ -1,4 +1,4 @@
-"""The one table of signals, the units that case files may use, and conversion to SI."""
+"""The table of signals, the units that case files may use, and conversion to SI."""
 
 from __future__ import annotations
 
@@ -29,7 +29,8 @@ class Unit:
 
 
 LARGEST_FRACTION = 1.5
-"""[-] beyond which numbers are per cent: no sensor that is off shows 150 %, and no climate is at 1.5 % for long."""
+"""[-] above this, numbers are per cent: no faulty sensor shows 150 %, and no climate stays at 1.5 % for
+long."""
 
 UNITS: dict[str, Unit] = {
     unit.name: unit
@@ -57,7 +58,7 @@ UNITS: dict[str, Unit] = {
     )
 }
 
-# Spellings met in exports; only ever used to suggest the name that a case file takes.
+# Other spellings found in exports, used only to suggest the name that a case file takes.
 _OTHER_SPELLINGS = {
     "°c": "degC",
     "c": "degC",
@@ -303,7 +304,7 @@ def fitting_units(signal: str | Signal) -> tuple[str, ...]:
 
 
 def unit_fault(unit: str, signal: str | Signal) -> str | None:
-    """What is wrong with a unit for a signal, as one sentence, or None if it fits.
+    """The fault of a unit for a signal in one sentence, or None if the unit fits.
 
     unit: as written in the case file. signal: a signal of the table, or its name.
     """
@@ -329,7 +330,7 @@ def _fitting(unit: str, signal: str | Signal) -> Unit:
     return UNITS[unit]
 
 
-def to_si(values: np.ndarray | float, unit: str, signal: str | Signal) -> np.ndarray:
+def to_si(values: np.ndarray, unit: str, signal: str | Signal) -> np.ndarray:
     """Values in the SI unit of the signal.
 
     values: [unit] any shape; NaN stays NaN.
@@ -386,12 +387,12 @@ def better_units(values: np.ndarray, unit: str, signal: str | Signal) -> list[st
 
 
 def unit_mistaken(values: np.ndarray, unit: str, signal: str | Signal) -> str | None:
-    """Why readings cannot be in the unit stated, as one sentence, or None where they can.
+    """Why readings cannot be in the stated unit, in one sentence; None where they can.
 
     values: [unit] (N,); NaN = missing. unit, signal: as for `to_si`, and the same errors.
 
-    Fractions called per cent and the reverse show in how far the readings reach; otherwise most readings must lie in the
-    signal's physical range.
+    Fractions labelled as per cent, and the reverse, are recognised by the largest readings; otherwise most
+    readings must lie in the signal's physical range.
     """
     row = signal if isinstance(signal, Signal) else signal_named(signal)
     finite = values[np.isfinite(values)]

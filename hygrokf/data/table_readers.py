@@ -52,15 +52,15 @@ def read_table(
 
     path: .csv, .csv.gz or .parquet (extra `parquet`).
     columns: names of the columns of numbers.
-    time_column: name of the column of stamps; ISO 8601 unless `time_format` says else. Lines
+    time_column: name of the column of stamps; ISO 8601 unless `time_format` is given. Lines
         above the one that holds this name are skipped.
     timezone: of stamps without an offset: "+02:00", "UTC" or an IANA name.
-    separator, decimal: of a CSV file. comment: what starts a line to be skipped.
+    separator, decimal: of a CSV file. comment: mark at the start of lines to skip.
     missing: texts that mean no reading, besides `MISSING`.
     time_format: strptime format of the stamps.
-    ignore_offset: take stamps without the offset that they carry, in `timezone`.
+    ignore_offset: read stamps without the offset that they carry, in `timezone`.
 
-    Rows without stamp are left out and said. Raises TableFault with every fault found.
+    Rows without a stamp are left out, with a warning. Raises TableFault with every fault found.
     """
     file = Path(path)
     faults: list[str] = []
@@ -92,7 +92,7 @@ def read_table(
 
 
 def _content(file: Path) -> bytes:
-    """All bytes of a file. Raises TableFault for what is no readable file."""
+    """All bytes of a file. Raises TableFault where it cannot be read as a table."""
     name = file.name.lower()
     if not name.endswith(SUFFIXES):
         if file.is_dir():
@@ -113,7 +113,7 @@ def _content(file: Path) -> bytes:
 
 
 class _CsvSource:
-    """The bytes of one CSV file and what its lines mean."""
+    """The bytes of one CSV file and the layout of its lines."""
 
     def __init__(
         self,
@@ -202,7 +202,7 @@ class _CsvSource:
         return None
 
     def frame(self, wanted: list[str], time_column: str, faults: list[str]) -> pandas.DataFrame:
-        """The wanted columns as pandas reads them; columns that are not there become faults."""
+        """The wanted columns as pandas reads them; missing columns become faults."""
         import pandas as pd
 
         layout = self._layout(time_column, faults)
@@ -222,7 +222,7 @@ class _CsvSource:
         if not positions:
             return pd.DataFrame()
         faults += self._width_faults(len(layout.names))
-        order = sorted(positions, key=lambda name: positions[name])
+        order = sorted(positions, key=positions.__getitem__)
         try:
             with python_warnings.catch_warnings():
                 python_warnings.simplefilter("ignore", pd.errors.ParserWarning)
@@ -255,21 +255,21 @@ class _CsvSource:
             return pd.DataFrame()
 
     def _width_faults(self, width: int) -> list[str]:
-        """Rows with more cells than the header: their values would shift unseen."""
+        """Fault of rows with more cells than the header, whose values would otherwise shift silently."""
         if b'"' not in self.content:
             data = np.frombuffer(self.content, dtype=np.uint8)
             ends = np.flatnonzero(data == 10)
             marks = np.flatnonzero(data == ord(self.separator))
-            cells = np.diff(np.searchsorted(marks, np.append(ends, len(data))), prepend=0) + 1
-            if not np.any(cells[self.layout.header_line :] > width):
+            counts = np.diff(np.searchsorted(marks, np.append(ends, len(data))), prepend=0) + 1
+            if not np.any(counts[self.layout.header_line :] > width):
                 return []
         wide, example = [], ""
-        for number, row in self._rows():
-            if number <= self.layout.header_line or len(row) <= width:
+        for number, cells in self._rows():
+            if number <= self.layout.header_line or len(cells) <= width:
                 continue
-            if any(cell.strip() for cell in row[width:]):
+            if any(cell.strip() for cell in cells[width:]):
                 wide.append(number)
-                example = example or self.separator.join(row)
+                example = example or self.separator.join(cells)
         if not wide:
             return []
         remedy = ""
@@ -294,7 +294,7 @@ class _CsvSource:
 
 
 def _decodable(content: bytes) -> tuple[bytes, str]:
-    """The bytes in an encoding that pandas reads, without byte-order mark, and its name."""
+    """The bytes in an encoding that pandas reads, without byte-order mark, and the name of the encoding."""
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         try:
             return content.decode("utf-16").encode(), "utf-8"

@@ -1,4 +1,4 @@
-"""Stamps of readings: text and zones into seconds of UTC, durations, steps, summer time."""
+"""Stamps of readings: conversion of text and zones to seconds of UTC, durations, steps, summer time."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ from hygrokf.errors import suggestion
 if TYPE_CHECKING:
     import pandas
 
+MINUTE_S, HOUR_S, DAY_S, WEEK_S = 60.0, 3600.0, 86400.0, 604800.0
+_SECONDS = {"s": 1.0, "min": MINUTE_S, "h": HOUR_S, "d": DAY_S}
 _FIXED_OFFSET = re.compile(r"([+-])(\d{2}):?(\d{2})$")
 _ENDS_IN_OFFSET = re.compile(r"(?<=\d)\s*(?:[zZ]|[+-]\d{2}(?::?\d{2})?)\s*$")
 _DATE_ALONE = re.compile(r"\d{4}[-/]\d{1,2}[-/]\d{1,2}\s*$")
 _DURATION = re.compile(r"\s*(\d+(?:\.\d+)?)\s*(s|min|h|d)\s*$")
-_SECONDS = {"s": 1.0, "min": 60.0, "h": 3600.0, "d": 86400.0}
-_HOUR = 3600.0
 _CLOCK_CHANGES = (
     "the clock follows summer time although its stamps are read at a fixed offset: state its zone, "
     'such as timezone = "Europe/Berlin"'
@@ -46,18 +46,19 @@ def duration(text: str) -> float:
 
 
 def signed_duration(text: str) -> float:
-    """Seconds of a duration that may have a sign, such as "-49min" or "+1h" [s]; raises ValueError as `duration` does."""
+    """Seconds of a duration with an optional sign, such as "-49min" or "+1h" [s]; raises ValueError as
+    `duration` does."""
     if isinstance(text, str) and text[:1] in ("-", "+"):
         return (-1.0 if text[0] == "-" else 1.0) * duration(text[1:])
     return duration(text)
 
 
 def duration_text(seconds: float) -> str:
-    """A duration in its handiest unit, such as "10 min" or "3.5 d".
+    """A duration in a convenient unit, such as "10 min" or "3.5 d".
 
     seconds: [s] ≥ 0.
     """
-    for unit, size in (("d", 86400.0), ("h", 3600.0), ("min", 60.0)):
+    for unit, size in (("d", DAY_S), ("h", HOUR_S), ("min", 60.0)):
         if seconds >= 2.0 * size or (seconds >= size and seconds % size == 0.0):
             return f"{float(f'{seconds / size:.3g}'):g} {unit}"
     return f"{seconds:.3g} s"
@@ -86,7 +87,7 @@ def period_text(start_s: float, end_s: float) -> str:
 def zone_named(text: str) -> tzinfo:
     """Time zone of a case file: a fixed offset ("+02:00"), "UTC", or an IANA name.
 
-    text: as written in the case file. Raises ValueError that says what is wrong with it.
+    text: as written in the case file. Raises ValueError with the reason and the accepted forms.
     """
     if not isinstance(text, str) or not text.strip():
         raise ValueError(f'timezone must be text such as "+01:00" or "Europe/Berlin", not {text!r}')
@@ -109,10 +110,10 @@ def zone_named(text: str) -> tzinfo:
 
 
 def moment(value: Any) -> float:
-    """Seconds of a moment of the case file [s since 1970-01-01T00:00Z].
+    """Time of a stamp in the case file [s since 1970-01-01T00:00Z].
 
-    value: ISO 8601 text with an offset, or what TOML makes of such a stamp.
-    Raises ValueError for text that is no stamp and for a stamp without offset.
+    value: ISO 8601 text with an offset, or the datetime that TOML makes of such a stamp.
+    Raises ValueError for other text and for a stamp without offset.
     """
     example = '"2020-12-01T00:00:00Z"'
     stamp = value
@@ -122,7 +123,7 @@ def moment(value: Any) -> float:
         except ValueError:
             stamp = None
     if not isinstance(stamp, datetime):
-        # A ValueError throughout: the text of a case file is wrong, not a caller's type.
+        # always a ValueError: the fault is in the text of a case file, not in the type that a caller passed
         raise ValueError(f'expected an ISO 8601 stamp such as {example}, found "{value}"')
     if stamp.tzinfo is None:
         raise ValueError(f'stamp "{value!s}" has no offset: add Z for UTC, or such as +01:00')
@@ -136,7 +137,7 @@ class Stamps:
     time: [s] (N,) since 1970-01-01T00:00Z; NaN where there is none.
     unreadable: (N,) True where the text is no stamp.
     naive: (N,) True where a stamp has no offset and no zone was given for it.
-    warnings: what was left out or told apart at summer-time changes.
+    warnings: stamps that were left out or disambiguated at summer-time changes.
     """
 
     time: np.ndarray
@@ -155,13 +156,13 @@ def read_stamps(
     """Seconds of UTC from a column of stamps [s].
 
     column: (N,) text or datetimes, in the order of the file.
-    zone: of stamps without an offset; None: there must be none.
+    zone: of stamps without an offset; None: every stamp must have one.
     time_format: strptime format; None: ISO 8601 (also with slashes or a blank).
-    ignore_offset: take the stamps without their offset, in `zone`.
+    ignore_offset: read the stamps without their offset, in `zone`.
 
-    At the end of summer time the doubled hour is told apart by its order where the file shows it
-    twice; stamps of that hour that cannot be told apart, and stamps of the hour that does not
-    exist in spring, are left out (NaN) and said in `warnings`.
+    At the end of summer time, the two passes of the doubled hour are distinguished by the order of
+    the stamps where the file has both. Ambiguous stamps of that hour, and stamps of the hour that
+    does not exist in spring, are left out (NaN) with a warning.
     """
     import pandas as pd
 
@@ -195,7 +196,7 @@ def read_stamps(
 
 
 def _parse(text: pandas.Series, time_format: str | None) -> tuple[pandas.Series, np.ndarray]:
-    """Datetimes (NaT where unreadable) and which of them carry no offset."""
+    """Datetimes (NaT where unreadable), and True for those without an offset."""
     import pandas as pd
 
     if time_format is not None:
@@ -205,7 +206,7 @@ def _parse(text: pandas.Series, time_format: str | None) -> tuple[pandas.Series,
     parsed, naive = _parse_iso(text)
     failed = (parsed.isna() & text.notna()).to_numpy()
     if failed.any():
-        # 24:00 and a trailing "UTC" are common in exports and mean only one thing.
+        # 24:00 and a trailing "UTC" are common in exports and unambiguous
         kept = text[failed].astype(str).str.strip()
         midnight = kept.str.contains(r"[T ]24:00(?::00(?:\.0+)?)?(?:$|[Z+\- ])", regex=True)
         plain = kept.str.replace(r"([T ])24:00", r"\g<1>00:00", regex=True)
@@ -226,7 +227,7 @@ def _parse_iso(text: pandas.Series) -> tuple[pandas.Series, np.ndarray]:
 
     numbers = text.astype(str).str.fullmatch(r"\s*\d{1,4}\s*|\s*\d{9,}\s*|\s*\d+\.\d*\s*")
     if numbers.any():
-        # Years, Excel days and Unix seconds must not pass as stamps.
+        # years, Excel days and Unix seconds must not pass as stamps
         text = text.where(~numbers, None)
     try:
         with python_warnings.catch_warnings():
@@ -268,14 +269,14 @@ def _seconds(naive: pandas.Series) -> np.ndarray:
 def _from_local(local: np.ndarray, zone: tzinfo) -> tuple[np.ndarray, tuple[str, ...]]:
     """UTC seconds of local wall-clock seconds, and warnings [s]."""
     if not isinstance(zone, ZoneInfo):
-        ahead = zone.utcoffset(None)
-        assert ahead is not None, "a zone that is no ZoneInfo is a constant offset"
-        return local - ahead.total_seconds(), ()
+        offset = zone.utcoffset(None)
+        assert offset is not None  # such a zone has one fixed offset
+        return local - offset.total_seconds(), ()
     import pandas as pd
 
     index = pd.DatetimeIndex((local * 1e6).round().astype("datetime64[us]"))
     shape = len(local)
-    # With a doubled hour, summer time (True) is the earlier moment.
+    # within a doubled hour, summer time (True) is the earlier moment
     first = index.tz_localize(zone, ambiguous=np.ones(shape, bool), nonexistent="NaT")
     second = index.tz_localize(zone, ambiguous=np.zeros(shape, bool), nonexistent="NaT")
     first_s = _seconds(first.tz_convert("UTC").tz_localize(None).to_series())
@@ -322,12 +323,12 @@ def _groups(local: np.ndarray, doubtful: np.ndarray) -> list[np.ndarray]:
     """Indices of doubtful stamps, one array for each change date."""
     if not len(doubtful):
         return []
-    breaks = np.flatnonzero(np.abs(np.diff(local[doubtful])) > 86400.0) + 1
+    breaks = np.flatnonzero(np.abs(np.diff(local[doubtful])) > DAY_S) + 1
     return np.split(doubtful, breaks)
 
 
 def _passes(local: np.ndarray, group: np.ndarray) -> np.ndarray | None:
-    """Which stamps of a doubled hour belong to its second pass, or None if the order is mute."""
+    """True for the stamps in the second pass of a doubled hour; None if the order does not tell."""
     steps = np.diff(local[np.isfinite(local)])
     newest_first = len(steps) > 0 and np.median(steps) < 0.0
     ordered = local[group][::-1] if newest_first else local[group]
@@ -350,27 +351,27 @@ def modal_step(time: np.ndarray) -> tuple[float, float]:
     sizes, counts = np.unique(steps, return_counts=True)
     step = float(sizes[np.argmax(counts)])
     if counts.max() < 0.1 * len(steps):
-        # A jittering clock has no step that repeats; its middle is what it aims at.
+        # a jittering clock has no repeated step; the median is its nominal one
         step = float(np.median(steps))
     return step, float(np.mean(np.abs(steps - step) <= 0.01 * step))
 
 
 BY_CHANCE = 0.1
-"""Number of single hours that are lost on dates of change by chance, as often as on other days, from which one says nothing."""
+"""Number of single hours expected to be lost by chance on dates of change above which no warning is given."""
 
 
 def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
     """Warnings about an hour that is missing or doubled on a date of summer-time change.
 
-    time: [s] (T,) stamps in UTC, sorted, duplicates still in.
-    The dates are those of Europe and of North America.  A record that loses single hours on other days as often says
-    nothing by losing one on such a date.
+    time: [s] (T,) stamps in UTC, sorted, duplicates included.
+    The dates are those of Europe and of North America.  Where a record loses single hours just as often on
+    other days, an hour lost on such a date gives no warning.
     """
     step, _ = modal_step(time)
-    if not step <= _HOUR:
+    if not step <= HOUR_S:
         return ()
     steps = np.diff(time)
-    gaps = np.flatnonzero(np.abs(steps - (_HOUR + step)) < 0.01 * step)
+    gaps = np.flatnonzero(np.abs(steps - (HOUR_S + step)) < 0.01 * step)
     gap_days: dict[str, list[date]] = {"spring": [], "autumn": []}
     other = 0
     for index in gaps:
@@ -379,15 +380,15 @@ def summer_time_holes(time: np.ndarray) -> tuple[str, ...]:
             gap_days[season].append(day)
         else:
             other += 1
-    dates = np.arange(time[0], time[-1], 86400.0)
+    dates = np.arange(time[0], time[-1], DAY_S)
     if other * sum(bool(_change_date(at)[1]) for at in dates) > BY_CHANCE * len(dates):
         gap_days = {"spring": [], "autumn": []}
     double_days: dict[str, list[date]] = {"spring": [], "autumn": []}
     doubles = time[1:][steps == 0.0]
-    for number in np.unique(np.floor(doubles / 86400.0)):
-        of_day = doubles[np.floor(doubles / 86400.0) == number]
+    for number in np.unique(np.floor(doubles / DAY_S)):
+        of_day = doubles[np.floor(doubles / DAY_S) == number]
         day, season = _change_date(of_day[0])
-        if season and abs(len(of_day) - _HOUR / step) < 1.5 and np.ptp(of_day) < _HOUR:
+        if season and abs(len(of_day) - HOUR_S / step) < 1.5 and np.ptp(of_day) < HOUR_S:
             double_days[season].append(day)
     warnings = []
     moved = sorted(set(gap_days["spring"]) & set(double_days["spring"]))
@@ -431,8 +432,8 @@ def _change_date(seconds: float) -> tuple[date, str]:
 def summer_time(time: np.ndarray, america: bool = False) -> np.ndarray:
     """Whether summer time holds (T,) at instants [s] of UTC.
 
-    Europe: from 01:00 UTC of March's last Sunday to that of October's.  North America: from 08:00 UTC of March's second
-    Sunday to 07:00 UTC of November's first, the hours of its central zone.
+    Europe: from 01:00 UTC of March's last Sunday to that of October's.  North America: from 08:00 UTC of
+    March's second Sunday to 07:00 UTC of November's first, the hours of its central zone.
     """
     years = np.asarray(time).astype("datetime64[s]").astype("datetime64[Y]").astype(int) + 1970
     summer = np.zeros(len(time), dtype=bool)
@@ -446,13 +447,13 @@ def summer_time(time: np.ndarray, america: bool = False) -> np.ndarray:
 def _turns(year: int, america: bool) -> tuple[float, float]:
     """Beginning and end of summer time [s]."""
     if america:
-        return _sunday(year, 3, 1) + 8.0 * _HOUR, _sunday(year, 11, 0) + 7.0 * _HOUR
-    return _sunday(year, 3, -1) + _HOUR, _sunday(year, 10, -1) + _HOUR
+        return _sunday(year, 3, 1) + 8.0 * HOUR_S, _sunday(year, 11, 0) + 7.0 * HOUR_S
+    return _sunday(year, 3, -1) + HOUR_S, _sunday(year, 10, -1) + HOUR_S
 
 
 def _sunday(year: int, month: int, which: int) -> float:
-    """Midnight UTC of a month's Sunday [s], counted from 0, or from its end with −1."""
-    first = np.datetime64(f"{year}-{month:02d}-01", "D")
-    days = np.arange(first, first.astype("datetime64[M]") + 1, dtype="datetime64[D]")
+    """Midnight UTC of a Sunday of a month [s]; `which` counts from 0, or from the end with −1."""
+    this = np.datetime64(f"{year}-{month:02d}", "M")
+    days = np.arange(this, this + 1, dtype="datetime64[D]")
     sundays = days[(days.astype(int) + 4) % 7 == 0]  # 1 January 1970 was a Thursday
     return float(sundays[which].astype("datetime64[s]").astype(int))

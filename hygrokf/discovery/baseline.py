@@ -1,7 +1,8 @@
-"""What all trials of causes share: a record, its two likelihoods at their maxima, and their errors day by day.
+"""What all trials of causes share: a record, its two likelihoods at their maxima, and their errors day by
+day.
 
-The two parts of the cascade are tried by themselves: "thermal" on the cabinet temperature, "hygric" on the humidity
-with the smoothed temperature as its input.
+The two parts of the cascade are tried by themselves: "thermal" on the cabinet temperature, "hygric" on the
+humidity with the smoothed temperature as its input.
 """
 
 from __future__ import annotations
@@ -33,7 +34,8 @@ DAY_H = 24.0
 SEARCH_STEP = 2.0
 """Product of rate and sub-step in trials: ln L is right to a few thousandths, at a quarter of the time."""
 SIMULATION_STEP = 1.0
-"""The same for simulations over the whole record: without readings, coarser steps can leave a variance below zero."""
+"""The same for simulations over the whole record: without readings, coarser steps can leave a variance below
+zero."""
 SURE = 1.96
 """[sd] a sensor's offset in a free run: within the accuracy that 95 % of such sensors keep."""
 REACH = 1.5
@@ -43,14 +45,17 @@ SCOUTED = 4
 WANDERS_H = 24.0
 """[h] memory from which a disturbance may stand for what lasts."""
 HOPE = 0.3
-"""ln L that a mechanism's own parameters must gain by themselves for all parameters to be estimated with it."""
+"""ln L that a mechanism's own parameters must gain by themselves for all parameters to be estimated with
+it."""
 
 
 @dataclass(frozen=True)
 class Part:
-    """One likelihood of a scene at its maximum: `objective` ln L + ln prior, `values` of its parameters, n readings.
+    """One likelihood of a scene at its maximum: `objective` ln L + ln prior, `values` of its parameters, n
+    readings.
 
-    `error` (T,) reading − free run in K or g/m³ at the run's instants, NaN where there is none or it is not scored.
+    `error` (T,) reading − free run in K or g/m³ at the run's instants, NaN where there is none or it is not
+    scored.
     """
 
     name: str
@@ -78,8 +83,8 @@ class Part:
 
 @dataclass(frozen=True)
 class Scene:
-    """The identification period of a record, the parts that were identified on it, and the time that trials on it may take:
-    where it is over, what estimates a trial raises BudgetSpent.
+    """The identification period of a record, the parts that were identified on it, and the time that trials
+    on it may take: where it is over, what estimates a trial raises BudgetSpent.
     """
 
     record: Record
@@ -95,8 +100,9 @@ class Scene:
 def temper(part: Part) -> float:
     """Factor c ≥ 1 by which 2 ln L of a part is too large, because the model is not quite right: tr(H⁻¹ J)/d.
 
-    H (d, d) the information of its parameters, J the sum of g g' over the days' scores g: both are one where the model is
-    right.  Where something is missing that lasts for hours the scores of a day have one sign, and J grows.
+    H (d, d) the information of its parameters, J the sum of g g' over the days' scores g: both are one where
+    the model is right.  Where something is missing that lasts for hours the scores of a day have one sign,
+    and J grows.
 
     Source: Takeuchi 1976 (the trace); the sandwich of White 1982, doi:10.2307/1912526.
     """
@@ -135,8 +141,8 @@ def _best(early: Record, base: Design, starts: int, say: Progress) -> Estimated:
 def redriven(scene: Scene) -> Scene:
     """The scene with its hygric part on the temperature that its thermal part smooths now, estimated again.
 
-    Whoever simulates the temperature better knows it better between the readings too: a heater's cycles that the base
-    smoothed away are errors of the humidity's saturation.  As it is where that does not gain.
+    Whoever simulates the temperature better knows it better between the readings too: a heater's cycles that
+    the base smoothed away are errors of the humidity's saturation.  As it is where that does not gain.
     """
     part = scene.parts.get(HYGRIC)
     if part is None or part.base.humidity is None:
@@ -188,7 +194,8 @@ def refitted(
     record: Record | None = None,
     budget: Budget | None = None,
 ) -> Part:
-    """The part with further mechanisms, all its parameters estimated again, the noise's too; the best of several starts."""
+    """The part with further mechanisms, all its parameters estimated again, the noise's too; the best of
+    several starts."""
     wider = extended(part.base, additions, features=features)
     record = part.record if record is None else record
     made = prepare_run(wider, record)
@@ -235,10 +242,11 @@ def disturbances(model: Model) -> dict[str, float]:
 def _scouted(
     likelihood: Likelihood, part: Part, at: Mapping[str, float], budget: Budget
 ) -> tuple[float, dict[str, float]]:
-    """(objective, values) after a few passes over the parameters that the part does not have, the disturbances' and the
-    sensors' offsets.
+    """(objective, values) after a few passes over the parameters that the part does not have, the
+    disturbances' and the sensors' offsets.
 
-    Offsets start from where the sensors' accuracy has them: the base may have stretched them to stand for what it lacks.
+    Offsets start from where the sensors' accuracy has them: the base may have stretched them to stand for
+    what it lacks.
     """
     parameters = likelihood.model.parameters
     offsets = {p.name: p.prior.mean for p in parameters if p.prior is not None}
@@ -265,21 +273,24 @@ def _part(
 
 
 def free_run_error(base: Design, made: Run, values: Mapping[str, float]) -> np.ndarray:
-    """Reading − free run (T,): temperature [K]; humidity as absolute humidity [g/m³] at the measured temperature.
+    """Reading − free run (T,): temperature [K]; humidity as absolute humidity [g/m³] at the measured
+    temperature.
 
-    Where innovations estimate a model that lacks something it is a poor simulator.  So the error is that of the better
-    of two: of the estimate as it is, and after one Gauss–Newton step toward the least free-run error.  In both, sensors
-    are no worse than their accuracy: a likelihood may stretch an offset to stand for something else.
+    Where innovations estimate a model that lacks something it is a poor simulator.  So the error is that of
+    the better of two: of the estimate as it is, and after one Gauss–Newton step toward the least free-run
+    error.  In both, sensors are no worse than their accuracy: a likelihood may stretch an offset to stand for
+    something else.
     """
     there, error, better, _ = _toward_free_run(base, made, values)
     return better if np.nansum(better**2) < np.nansum(error[there] ** 2) else np.where(there, error, np.nan)
 
 
 def simulating(part: Part, steps: int = 3) -> dict[str, float]:
-    """Values of a part's parameters after steps toward the least free-run error, sensors within their accuracy.
+    """Values of a part's parameters after steps toward the least free-run error, sensors within their
+    accuracy.
 
-    Switches drive themselves in it.  A step of first order knows nothing of when they would switch then, so it is begun
-    from the estimate, and from where steps with the switches' course by readings lead.
+    Switches drive themselves in it.  A step of first order knows nothing of when they would switch then, so
+    it is begun from the estimate, and from where steps with the switches' course by readings lead.
     """
     readings = _descended(part, part.values, steps, own=False)
     if not switches_of(part.base):
@@ -289,7 +300,8 @@ def simulating(part: Part, steps: int = 3) -> dict[str, float]:
 
 
 def self_driven(part: Part) -> Part:
-    """The part with the free-run error (T,) of a simulation that drives its own switches; as it is where it has none."""
+    """The part with the free-run error (T,) of a simulation that drives its own switches; as it is where it
+    has none."""
     if not switches_of(part.base):
         return part
     starts = (part.values, _descended(part, part.values, 1, own=False).values)
@@ -300,7 +312,8 @@ def self_driven(part: Part) -> Part:
 
 @dataclass(frozen=True)
 class _Descent:
-    """Where steps toward the least free-run error led: squared error, values, error (T,), and what comes next."""
+    """Where steps toward the least free-run error led: squared error, values, error (T,), and what comes
+    next."""
 
     square: float
     values: dict[str, float]
@@ -326,7 +339,8 @@ def _descended(part: Part, values: Mapping[str, float], steps: int, own: bool) -
 def _toward_free_run(
     base: Design, made: Run, values: Mapping[str, float]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, float]]:
-    """(scored (T,), error (T,), error after one bounded Gauss–Newton step to first order (T,), values after the step)."""
+    """(scored (T,), error (T,), error after one bounded Gauss–Newton step to first order (T,), values after
+    the step)."""
     model, t = base.model, made.timeline
     likelihood = searching(model, t)
     own = [i for i, p in enumerate(model.parameters) if not p.noise]

@@ -16,7 +16,8 @@ class BudgetSpent(Exception):
 
 
 class Budget:
-    """Wall-clock time from now on, `seconds` in all; infinite for results that do not depend on the machine."""
+    """Wall-clock time from now on, `seconds` in all; infinite for results that do not depend on the
+    machine."""
 
     def __init__(self, seconds: float = math.inf) -> None:
         if not seconds > 0.0:

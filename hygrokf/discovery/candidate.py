@@ -20,11 +20,13 @@ from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.switches import SWITCHES
 
 MATERIAL = 0.05
-"""Share of the squared free-run error that must be gone, without the three best days, for a cause to be worth having."""
+"""Share of the squared free-run error that must be gone, without the three best days, for a cause to be worth
+having."""
 FINER = 10.0
 """2 ln L by which a form must be ahead of the simpler one that it refines."""
 REFINEMENTS = 2
-"""Passes that narrow a shift down from the coarse grid by score statistics, each to about half the spacing."""
+"""Passes that narrow a shift down from the coarse grid by score statistics, each to about half the
+spacing."""
 CLOCK_REACH_S = (480.0, 160.0, 50.0)
 """[s] how far around a shift the next one is looked for, all parameters estimated again before each."""
 CLOCK_S = 15.0
@@ -45,17 +47,19 @@ WEEK = 7
 BLOCKS = 25
 """Blocks of days from which the standard error of a gain is taken."""
 BEST_DAYS = 3
-"""Days that a gain must survive without: an effect that was seen on three days alone is no property of the cabinet."""
+"""Days that a gain must survive without: an effect that was seen on three days alone is no property of the
+cabinet."""
 
 
 @dataclass(frozen=True)
 class Trial:
     """A variant estimated in a scene.
 
-    `parts` the parts that it changed; `lrs` 2 Δ ln L of each, `lr` of them together, `parameters` their new ones, `price` what
-    these and the grid cost, `bic_gain` the evidence: what is left of the lrs over the scene's tempers; `gain` part → share
-    of the squared free-run error that is gone, `lasting` the same without the three days that gained most, `z` the gain in
-    standard errors of its blocks, `episodes` in how many episodes it was gained.
+    `parts` the parts that it changed; `lrs` 2 Δ ln L of each, `lr` of them together, `parameters` their new
+    ones, `price` what these and the grid cost, `bic_gain` the evidence: what is left of the lrs over the
+    scene's tempers; `gain` part → share of the squared free-run error that is gone, `lasting` the same
+    without the three days that gained most, `z` the gain in standard errors of its blocks, `episodes` in how
+    many episodes it was gained.
     """
 
     variant: Variant
@@ -106,7 +110,8 @@ class Trial:
 
     @property
     def once(self) -> bool:
-        """Whether all that it gained in the free run was gained in one episode: it cannot be seen to recur."""
+        """Whether all that it gained in the free run was gained in one episode: it cannot be seen to
+        recur."""
         return self.episodes.get(self.part, 2) < 2
 
 
@@ -131,10 +136,12 @@ def attempt(scene: Scene, variant: Variant) -> Trial:
 
 
 def refined(base: Scene, scene: Scene, trial: Trial, alone: bool) -> tuple[Trial, Scene]:
-    """An accepted trial in its finer form where that gains, and the scene with it; both as they are otherwise.
+    """An accepted trial in its finer form where that gains, and the scene with it; both as they are
+    otherwise.
 
-    base: the scene that nothing was added to; alone: whether the trial is all that changed the parts that it changed.
-    Then it is judged anew; else what the finer form gains is added to its evidence, and its free run's gain is left.
+    base: the scene that nothing was added to; alone: whether the trial is all that changed the parts that it
+    changed. Then it is judged anew; else what the finer form gains is added to its evidence, and its free
+    run's gain is left.
     """
     finer = trial.variant.finer
     if finer is None:
@@ -184,7 +191,8 @@ def polished(scene: Scene, trial: Trial) -> Trial:
 
 
 def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
-    """What changed parts gained over those of the scene; a switch with evidence is simulated by itself for that."""
+    """What changed parts gained over those of the scene; a switch with evidence is simulated by itself for
+    that."""
     lrs = _gained(scene, parts)
     lr = sum(lrs.values())
     count, n = 0, 0
@@ -220,7 +228,8 @@ def daily_squares(before: Part, after: Part) -> tuple[np.ndarray, np.ndarray]:
 
 
 def shares(before: Part, after: Part) -> tuple[float, float]:
-    """Share of the squared free-run error that is gone, and the same without the three days that gained most."""
+    """Share of the squared free-run error that is gone, and the same without the three days that gained
+    most."""
     old, new = daily_squares(before, after)
     order = np.argsort(new - old)[BEST_DAYS:]
     total, rest = float(old.sum()), float(old[order].sum())
@@ -231,7 +240,8 @@ def shares(before: Part, after: Part) -> tuple[float, float]:
 
 
 def standard_errors(old: np.ndarray, new: np.ndarray) -> float:
-    """What is gone of squared errors by day (D,), over its own standard error from `BLOCKS` blocks of days."""
+    """What is gone of squared errors by day (D,), over its own standard error from `BLOCKS` blocks of
+    days."""
     size = max(1, len(old) // BLOCKS)
     gone = np.add.reduceat(old - new, np.arange(0, len(old), size))
     spread = math.sqrt(len(gone) * float(np.var(gone, ddof=1))) if len(gone) > 1 else 0.0
@@ -241,8 +251,8 @@ def standard_errors(old: np.ndarray, new: np.ndarray) -> float:
 def episodes(old: np.ndarray, new: np.ndarray) -> int:
     """Number of episodes in which most of a gain was made; one that lasts counts for every week of it.
 
-    old, new: (D,) squared errors by day.  Days that together make four fifths of what was gained, the best first, belong
-    to one episode where no more than two others lie between them.
+    old, new: (D,) squared errors by day.  Days that together make four fifths of what was gained, the best
+    first, belong to one episode where no more than two others lie between them.
     """
     gained = np.maximum(old - new, 0.0)
     order = np.argsort(-gained)
@@ -254,9 +264,11 @@ def episodes(old: np.ndarray, new: np.ndarray) -> int:
 
 
 def probability(trial: Trial) -> float:
-    """p of 2 Δ ln L where there is no such effect: χ², half of it with one degree less where the null is a boundary.
+    """p of 2 Δ ln L where there is no such effect: χ², half of it with one degree less where the null is a
+    boundary.
 
-    An amplitude that cannot be negative is zero half of the time (Self and Liang 1987); not corrected for what was tried.
+    An amplitude that cannot be negative is zero half of the time (Self and Liang 1987); not corrected for
+    what was tried.
     """
     from scipy.stats import chi2
 
@@ -276,7 +288,8 @@ def probability(trial: Trial) -> float:
 
 
 def score_statistic(scene: Scene, variant: Variant) -> float | None:
-    """LM of a variant at its null value: the gain 2 Δ ln L that the base model's innovations promise for a small effect.
+    """LM of a variant at its null value: the gain 2 Δ ln L that the base model's innovations promise for a
+    small effect.
 
     Other parameters of its mechanisms stand at their first start.  None for what is no added mechanism.
     """
@@ -322,7 +335,7 @@ def _altered(base: Design, altered: Mapping[str, dict]) -> Design:
     return replace(base, mechanisms=mechanisms)
 
 
-# -- clocks --------------------------------------------------------------------------------------------------------
+# -- clocks --------------------------------------------------------------------------------------------------
 def _shifted(scene: Scene, variant: Variant) -> Trial:
     """The shift of a source that the innovations ask for, found on a grid, refined, and estimated."""
     assert variant.shift is not None
@@ -351,8 +364,8 @@ def _shifted(scene: Scene, variant: Variant) -> Trial:
 def ordinary_shift(record: Record, source: str) -> float:
     """Largest error [s] of a source's clock that is ordinary, or no clock's.
 
-    Of interval means a little over half the interval is what the place of the stamp in it, and heat that takes some minutes
-    to the sensor, look like.
+    Of interval means a little over half the interval is what the place of the stamp in it, and heat that
+    takes some minutes to the sensor, look like.
     """
     intervals = [record[name].interval_s for name in sources(record).get(source, ())]
     return max([SMALLEST_SHIFT_S, *(OF_INTERVAL * one for one in intervals)])
@@ -401,8 +414,8 @@ def _coarse(scene: Scene, source: str) -> float:
 def _climbed(scene: Scene, source: str, seconds: float) -> tuple[float, dict[str, Part]]:
     """The shift of the largest likelihood near one, and the parts estimated there.
 
-    Statistics of first order are minutes wrong for a clock that is off by many minutes; so they are taken again where
-    the last ones led.
+    Statistics of first order are minutes wrong for a clock that is off by many minutes; so they are taken
+    again where the last ones led.
     """
     best, parts = _moved(scene, Shift(source, seconds))
     for reach in CLOCK_REACH_S:
@@ -416,7 +429,8 @@ def _climbed(scene: Scene, source: str, seconds: float) -> tuple[float, dict[str
 
 
 def _summit(parts: Mapping[str, Part], source: str, shifts: np.ndarray) -> float:
-    """The further shift [s] at the top of the parabola through the largest of the gains and its neighbours."""
+    """The further shift [s] at the top of the parabola through the largest of the gains and its
+    neighbours."""
     gains = _gains(parts, source, shifts)
     x, y = np.insert(shifts, 2, 0.0), np.insert(gains, 2, 0.0)
     place = int(np.clip(np.argmax(y), 1, len(x) - 2))
@@ -436,7 +450,8 @@ def _gains(parts: Mapping[str, Part], source: str, shifts: np.ndarray) -> np.nda
 def shift_gains(part: Part, source: str, shifts: np.ndarray) -> np.ndarray:
     """2 Δ ln L (S,) that shifts [s] of a source promise, all parameters estimated again to first order.
 
-    Innovations e of the shifted record at the base's parameters, less what their slopes X can explain: |M e₀|² − |M e|².
+    Innovations e of the shifted record at the base's parameters, less what their slopes X can explain: |M
+    e₀|² − |M e|².
     """
     model, at = part.base.model, dict(part.values)
     likelihood = searching(model, part.run.timeline)
@@ -468,7 +483,8 @@ def shift_gains(part: Part, source: str, shifts: np.ndarray) -> np.ndarray:
 def _readings(
     t: Timeline, trace: Trace, slopes: np.ndarray | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Times [s] (N,), standardised innovations (N,), and their slopes (N, d), at the readings; (N, 0) without slopes."""
+    """Times [s] (N,), standardised innovations (N,), and their slopes (N, d), at the readings; (N, 0) without
+    slopes."""
     read = np.isfinite(t.y)
     root = np.sqrt(trace.variance)
     e = ((t.y - trace.prediction) / root)[read]

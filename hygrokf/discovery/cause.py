@@ -19,12 +19,13 @@ Additions = Mapping[str, tuple[tuple[str, dict], ...]]
 class Variant:
     """One form of a cause, ready to be estimated.
 
-    `additions` part → (mechanism, settings) pairs; `features` inputs they read; `starts` start values to be tried;
-    `settings` what was chosen from a grid (dates, thresholds), `searched` how many independent settings that amounts to;
-    `altered` part → mechanism → settings that differ from the base; `shift` a source whose stamps are to be moved.
-    `joint`: whether it acts in all its parts or not at all, as air that is exchanged carries heat and vapour, and a drier heats.
-    `finer` a costlier form of the same mechanisms, which takes the place of this one in the end where it gains more; it
-    starts from all values that are there, those in its `scaled` times a factor.
+    `additions` part → (mechanism, settings) pairs; `features` inputs they read; `starts` start values to be
+    tried; `settings` what was chosen from a grid (dates, thresholds), `searched` how many independent
+    settings that amounts to; `altered` part → mechanism → settings that differ from the base; `shift` a
+    source whose stamps are to be moved. `joint`: whether it acts in all its parts or not at all, as air that
+    is exchanged carries heat and vapour, and a drier heats. `finer` a costlier form of the same mechanisms,
+    which takes the place of this one in the end where it gains more; it starts from all values that are
+    there, those in its `scaled` times a factor.
     """
 
     cause: str
@@ -43,13 +44,14 @@ class Variant:
 
 @dataclass(frozen=True)
 class Cause:
-    """A physical cause: its `variants` in a scene (none where the record cannot show it), in words what it is, what to
-    check in the turbine (`remedy`), and the measurement that would tell it from its rivals (`separate_by`).
+    """A physical cause: its `variants` in a scene (none where the record cannot show it), in words what it
+    is, what to check in the turbine (`remedy`), and the measurement that would tell it from its rivals
+    (`separate_by`).
 
-    `alone`: gain in evidence (see `choice`) that is enough without a better free run: a clock or a changed exchange
-    hardly shows in it, and simulated switches lose their phase.  `event`: whether it happened at times that nobody logs,
-    which no simulation can foresee.  A user's own cause brings its `mechanisms`, name → factory, and its `features`,
-    name → (function, hold).
+    `alone`: gain in evidence (see `choice`) that is enough without a better free run: a clock or a changed
+    exchange hardly shows in it, and simulated switches lose their phase.  `event`: whether it happened at
+    times that nobody logs, which no simulation can foresee.  A user's own cause brings its `mechanisms`, name
+    → factory, and its `features`, name → (function, hold).
     """
 
     name: str

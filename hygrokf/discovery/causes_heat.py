@@ -92,7 +92,8 @@ def _vent(scene: Scene) -> Variant | None:
     additions = additions_of(scene, thermal=(("vent_loss", {}),), hygric=(("vent_exchange", {}),))
     starts = tuple({"vent_conductance": g, "vent_exchange": 5.0 * g} for g in (0.1, 1.0))
     return Variant(
-        "cooling_switching", f"vent, opens with {chosen['reads']}", additions, {"venting": chosen}, starts, chosen, tried,
+        "cooling_switching", f"vent, opens with {chosen['reads']}", additions, {"venting": chosen}, starts,
+        chosen, tried,
         joint=len(additions) > 1,
     )  # fmt: skip
 
@@ -114,7 +115,8 @@ def _timed_vent(scene: Scene) -> Variant:
 
 
 def _bands(scene: Scene, falling: bool = False) -> Iterator[dict]:
-    """Bands in which a controller opens: upward with temperature or humidity; `falling`: downward with the temperature."""
+    """Bands in which a controller opens: upward with temperature or humidity; `falling`: downward with the
+    temperature."""
     names = ("cabinet_temperature",) if falling else tuple(STEPS)
     for name in names:
         if name in scene.record:
@@ -128,7 +130,8 @@ def heater(scene: Scene) -> list[Variant]:
     if THERMAL not in scene.parts:
         return []
     forms = [
-        _heater(scene, "heating", [{**one, "idle": False} for one in _set_points(scene)], "in any state, {reads}"),
+        _heater(scene, "heating", [{**one, "idle": False} for one in _set_points(scene)],
+            "in any state, {reads}"),
         _heater(scene, "throttled_heating", list(_bands(scene, falling=True)), "in any state, in proportion"),
     ]  # fmt: skip
     if "active_power" in scene.record:
@@ -179,7 +182,8 @@ def by_the_clock(scene: Scene) -> list[Variant]:
     return [
         Variant(
             "scheduled_heat", "on workdays" if setting["workdays"] else "every day",
-            {THERMAL: (("scheduled_heat", {}),)}, {"scheduled": setting}, ({"scheduled_heat": 1.0},), setting, tried,
+            {THERMAL: (("scheduled_heat", {}),)}, {"scheduled": setting}, ({"scheduled_heat": 1.0},), setting,
+            tried,
         )
     ]  # fmt: skip
 
@@ -206,7 +210,8 @@ def sun(scene: Scene) -> list[Variant]:
     starts = tuple({"solar_heat": 0.2, "solar_time": h} for h in (0.5, 3.0))
     found = [
         Variant(
-            "solar_gain", "on the roof", {THERMAL: (("solar_gain", {"lagged": True}),)}, {"sunshine": {}}, starts,
+            "solar_gain", "on the roof", {THERMAL: (("solar_gain", {"lagged": True}),)}, {"sunshine": {}},
+            starts,
             searched=1 + len(AZIMUTHS),
         )
     ]  # fmt: skip
@@ -248,7 +253,8 @@ def heat_drift(scene: Scene) -> list[Variant]:
 
 
 def door(scene: Scene) -> list[Variant]:
-    """Windows in which both parts' innovations ask for a much larger exchange, by a matched filter with a price for each.
+    """Windows in which both parts' innovations ask for a much larger exchange, by a matched filter with a
+    price for each.
 
     None where the base model has a logged door.
     """

@@ -24,19 +24,22 @@ def sorption(scene: Scene) -> list[Variant]:
         thin, slab = (
             Variant(
                 "moisture_sorption", f"{material}, {uptake}",
-                {HYGRIC: (("moisture_sorption", {"activated": activated, "slab": material == "slab"}),)}, searched=4,
+                {HYGRIC: (("moisture_sorption", {"activated": activated, "slab": material == "slab"}),)},
+                searched=4,
             )
             for material in ("thin", "slab")
         )  # fmt: skip
         starts = tuple({"sorption_capacity": 0.5, "sorption_time": time} for time in (3.0, 15.0, 60.0))
-        # in its first hours a slab takes up water like thin material of a fifth of its capacity that is as much faster
+        # in its first hours a slab takes up water like thin material of a fifth of its capacity that is as
+        # much faster
         slab = replace(slab, scaled={"sorption_capacity": 5.0, "sorption_time": 18.0})
         found.append(replace(thin, starts=starts, finer=slab))
     return found
 
 
 def _pace(scene: Scene) -> float:
-    """Factor of rates that are looked for: what matters in a tight cabinet is slow, as its own exchange is."""
+    """Factor of rates that are looked for: what matters in a tight cabinet is slow, as its own exchange
+    is."""
     return min(1.0, USUAL_EXCHANGE_H / scene.parts[HYGRIC].values["hygric_k"])
 
 
@@ -65,7 +68,8 @@ def condensation(scene: Scene) -> list[Variant]:
         forms.append(("skin under the night sky", True, starts(1.5, 4.0)))
     return [
         Variant(
-            "condensation", form, {HYGRIC: (("condensation", {"sky": sky}),)}, {"night_sky": {}} if sky else {},
+            "condensation", form, {HYGRIC: (("condensation", {"sky": sky}),)},
+            {"night_sky": {}} if sky else {},
             starts=first, searched=len(forms),
         )
         for form, sky, first in forms
@@ -113,7 +117,8 @@ def source(scene: Scene) -> list[Variant]:
         found.append(variant("at standstill", "standstill", {"standstill": {}}, 3))
     late = ("internal_moisture_source", {"when": "fading"})
     probe = Probe(HYGRIC, late, "moisture_source", {"moisture_source": 1e-4})
-    # where the air is exchanged fast, vapour jumps when the source begins: a date that is an hour off gains nothing
+    # where the air is exchanged fast, vapour jumps when the source begins: a date that is an hour off gains
+    # nothing
     setting, tried = best_date(
         scene, "fading", [probe], abrupt(scene.parts[HYGRIC]), days=FADING_DAYS, sudden=True
     )
@@ -150,7 +155,8 @@ def drier(scene: Scene) -> list[Variant]:
     for form, plate, also in forms:
         found.append(
             Variant(
-                "dehumidifier", form, {HYGRIC: (("switched_drying", {"plate": plate}),), **also}, {"drying": chosen},
+                "dehumidifier", form, {HYGRIC: (("switched_drying", {"plate": plate}),), **also},
+                {"drying": chosen},
                 ({"drying_rate": 0.02}, {"drying_rate": 0.2}), chosen, tried, joint=bool(also),
             )
         )  # fmt: skip

@@ -1,4 +1,5 @@
-"""Variants of the causes that leave the cabinet alone and spoil what is known of it: sensors, clocks, ambient."""
+"""Variants of the causes that leave the cabinet alone and spoil what is known of it: sensors, clocks,
+ambient."""
 
 from __future__ import annotations
 
@@ -36,7 +37,8 @@ def temperature_offset(scene: Scene) -> list[Variant]:
 
 
 SOUND = 0.25
-"""Share of the readings that a ceiling leaves alone at least; a sensor that follows nothing is no sensor with a ceiling."""
+"""Share of the readings that a ceiling leaves alone at least; a sensor that follows nothing is no sensor with
+a ceiling."""
 
 
 def humidity_drift(scene: Scene) -> list[Variant]:
@@ -52,14 +54,16 @@ def humidity_drift(scene: Scene) -> list[Variant]:
     )
     return [
         Variant(
-            "humidity_sensor_drift", form, {HYGRIC: ((mechanism, settings),)}, features, starts, searched=len(forms)
+            "humidity_sensor_drift", form, {HYGRIC: ((mechanism, settings),)}, features, starts,
+            searched=len(forms)
         )
         for form, mechanism, settings, features, starts in forms
     ]  # fmt: skip
 
 
 def response(scene: Scene) -> list[Variant]:
-    """A humidity sensor that follows slowly: the temperature beside it tells its delay from a slow exchange of air.
+    """A humidity sensor that follows slowly: the temperature beside it tells its delay from a slow exchange
+    of air.
 
     Where the fit has estimated the response already, nothing is left to find.
     """
@@ -68,7 +72,8 @@ def response(scene: Scene) -> list[Variant]:
     sensors = dict(scene.parts[HYGRIC].base.mechanisms)
     return [
         Variant(
-            "sensor_response", "humidity", altered={HYGRIC: {sensor: {"longest_response_h": LONGEST_RESPONSE_H}}},
+            "sensor_response", "humidity",
+            altered={HYGRIC: {sensor: {"longest_response_h": LONGEST_RESPONSE_H}}},
             starts=({f"{signal}_response": 0.1},),
         )
         for signal, sensor in UNSTATED.items()
@@ -102,7 +107,8 @@ def breathed(scene: Scene) -> list[Variant]:
     usual = {"ambient_lead": 0.8, "breathed_lead": 0.8, "thermal_time_constant": 1.5, "hygric_k": 0.3}
     found.append(
         Variant(
-            "ambient_bias", "smoothed series", leads, {rates[part]: {} for part in leads}, ({}, usual), searched=3
+            "ambient_bias", "smoothed series", leads, {rates[part]: {} for part in leads}, ({}, usual),
+            searched=3
         )
     )  # fmt: skip
     return found

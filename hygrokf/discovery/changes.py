@@ -1,8 +1,8 @@
 """What lasts: drifts, changes of the mean at an unknown date, and sharp jumps between two readings.
 
-A lasting change raises the estimated memory of the errors, and so its own p, if it is taken for noise: the noise is
-judged without it.  And slow wandering looks like a change: so both are held against how the errors' partial sums wander
-beside it (self-normalisation).
+A lasting change raises the estimated memory of the errors, and so its own p, if it is taken for noise: the
+noise is judged without it.  And slow wandering looks like a change: so both are held against how the errors'
+partial sums wander beside it (self-normalisation).
 
 Shapes: n bins or readings, B surrogates, m candidate dates.
 """
@@ -29,9 +29,9 @@ EDGE = 0.05
 def change_p(null: Null, candidates: np.ndarray) -> tuple[float, int]:
     """p that the clearest lasting change of the mean is chance, over candidate bins (m,), and its first bin.
 
-    Self-normalised CUSUM: the difference between after and before is held against how the partial sums wander on either
-    side of the date itself, so that slow wandering is not taken for a change, and a large change not for wandering.
-    The law comes from surrogates of the noise without the change.
+    Self-normalised CUSUM: the difference between after and before is held against how the partial sums wander
+    on either side of the date itself, so that slow wandering is not taken for a change, and a large change
+    not for wandering. The law comes from surrogates of the noise without the change.
 
     Source: Shao & Zhang 2010, doi:10.1198/jasa.2010.tm10103.
     """
@@ -48,7 +48,8 @@ def change_p(null: Null, candidates: np.ndarray) -> tuple[float, int]:
 
 
 def _changes(sums: np.ndarray, number: np.ndarray) -> np.ndarray:
-    """Self-normalised change (B, m) after each of m stretches, from their sums (B, m) and running numbers (m,)."""
+    """Self-normalised change (B, m) after each of m stretches, from their sums (B, m) and running numbers
+    (m,)."""
     total, all_n = np.cumsum(sums, axis=1), number[-1]
 
     def wandering(s: np.ndarray, i: np.ndarray) -> np.ndarray:
@@ -65,7 +66,8 @@ def _changes(sums: np.ndarray, number: np.ndarray) -> np.ndarray:
 
 
 def drift_p(null: Null, trend: np.ndarray) -> float:
-    """p that a series is free of a slow trend (n, 1), judged by how its partial sums wander (self-normalised).
+    """p that a series is free of a slow trend (n, 1), judged by how its partial sums wander
+    (self-normalised).
 
     Source: Kiefer, Vogelsang & Bunzel 2000, doi:10.1111/1468-0262.00128.
     """
@@ -110,12 +112,14 @@ class Step:
 
 
 def sharp_step(values: np.ndarray) -> Step | None:
-    """The likeliest lasting jump between two readings of a series (n,) at equal steps, by generalised least squares.
+    """The likeliest lasting jump between two readings of a series (n,) at equal steps, by generalised least
+    squares.
 
-    Free of its memory, a jump of the readings is a pattern of its own: neither a stray reading nor a kick that the
-    memory forgets, both of which are tried beside it.  So a jump of 0.6 K stands out from a cabinet's smooth errors of
-    1.5 K, where the means before and after hardly differ.  The tails of the errors' law are those of the pattern at all
-    other dates.  None where there are too few readings, or another pattern explains them clearly better.
+    Free of its memory, a jump of the readings is a pattern of its own: neither a stray reading nor a kick
+    that the memory forgets, both of which are tried beside it.  So a jump of 0.6 K stands out from a
+    cabinet's smooth errors of 1.5 K, where the means before and after hardly differ.  The tails of the
+    errors' law are those of the pattern at all other dates.  None where there are too few readings, or
+    another pattern explains them clearly better.
     """
     from scipy.stats import norm
 

@@ -1,4 +1,5 @@
-"""Clocks of a record's sources: which signals share one, what a wrong one does to them, and how it is set right."""
+"""Clocks of a record's sources: which signals share one, what a wrong one does to them, and how it is set
+right."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ HOUR_S = 3600.0
 
 @dataclass(frozen=True)
 class Shift:
-    """A correction of one source's stamps: later by `seconds`, all year, or with `summer` in summer time alone."""
+    """A correction of one source's stamps: later by `seconds`, all year, or with `summer` in summer time
+    alone."""
 
     source: str
     seconds: float
@@ -57,7 +59,8 @@ def cabinet_moved(record: Record, shifts: Sequence[Shift]) -> float:
 
 
 def in_america(record: Record) -> bool:
-    """Whether the site's summer time is North America's; Europe's counts elsewhere and where no site is stated."""
+    """Whether the site's summer time is North America's; Europe's counts elsewhere and where no site is
+    stated."""
     return record.site is not None and record.site.in_north_america
 
 

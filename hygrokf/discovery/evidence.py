@@ -1,4 +1,5 @@
-"""What speaks for an accepted cause, as the plain data of `discovery.json`: evidence, parameters, gain, confidence."""
+"""What speaks for an accepted cause, as the plain data of `discovery.json`: evidence, parameters, gain,
+confidence."""
 
 from __future__ import annotations
 
@@ -13,23 +14,26 @@ from hygrokf.estimation.confidence import standard_error, wald_bounds
 from hygrokf.identification.estimation import Stage
 
 ONCE_AT_MOST = 0.6
-"""Confidence of a cause that was seen in one episode only, or has no amplitude whose bounds leave its null value out."""
+"""Confidence of a cause that was seen in one episode only, or has no amplitude whose bounds leave its null
+value out."""
 ONCE = "seen in one episode only: what it would gain at another time cannot be said"
 EVENT = (
     "an event that nobody logged is no prediction: it gains nothing outside the stretch in which it was found"
 )
 VAGUE = (
-    "the bounds of its size include no effect at all: the name is doubtful, its evidence may come from what the base "
-    "model lacks in form"
+    "the bounds of its size include no effect at all: the name is doubtful, its evidence may come from what "
+    "the base model lacks in form"
 )
 WEIGHTS = {"level": 0.1, "margin": 2.3, "lasting": 3.5}
-"""Logistic weights of what `confidence` reads, from the causes accepted in simulated plants (docs/discover_measured.md)."""
+"""Logistic weights of what `confidence` reads, from the causes accepted in simulated plants
+(docs/discover_measured.md)."""
 
 
 def evidence(scene: Scene, trial: Trial, tried: int) -> dict:
     """What a trial found, in numbers.
 
-    `scene` of the base model; `tried`: how many variants were tried: their number and that of the settings correct p.
+    `scene` of the base model; `tried`: how many variants were tried: their number and that of the settings
+    correct p.
     """
     return {
         "lr": trial.lr,
@@ -54,8 +58,8 @@ def cause_entry(
     library: Sequence[Cause],
     tried: int,
 ) -> dict:
-    """One entry of `causes`.  `margin`: see `confidence`; `gain`: its own on the held-out period, beside those accepted
-    before it; `known`: parameters of the base model.
+    """One entry of `causes`.  `margin`: see `confidence`; `gain`: its own on the held-out period, beside
+    those accepted before it; `known`: parameters of the base model.
     """
     cause = named(trial.variant.cause, library)
     statement = f"{cause.meaning} ({trial.variant.form}){_clock(trial)}"
@@ -130,8 +134,8 @@ def _remedy(cause: Cause, trial: Trial) -> str:
 def confidence(trial: Trial, margin: float) -> float:
     """Probability [1] that the cause, or one of its class, is the right name.
 
-    margin: [1] share of its evidence by which the best cause outside its class stays behind.  Logistic in the margin and the
-    lasting gain of the free run.
+    margin: [1] share of its evidence by which the best cause outside its class stays behind.  Logistic in the
+    margin and the lasting gain of the free run.
     """
     score = WEIGHTS["level"] + WEIGHTS["margin"] * min(max(margin, -1.0), 1.0)
     score += WEIGHTS["lasting"] * min(max(trial.best_lasting, 0.0), 0.5)

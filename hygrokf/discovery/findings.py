@@ -34,7 +34,8 @@ CONCORDANT = 0.05
 CERTAIN = 1e-8
 UNSURE = 0.05
 DOUBTS = 3
-"""[1] p between which the noise is judged again without the condition's own effect, for so many conditions."""
+"""[1] p between which the noise is judged again without the condition's own effect, for so many
+conditions."""
 MOST = 8
 PASSES = 6
 SAME_HOURS = 0.4
@@ -42,8 +43,8 @@ SAME_HOURS = 0.4
 SEEN = 0.5
 """[1] share of its size by which a misfit counts as seen in an episode."""
 LASTING = 0.25
-"""[1] share of a step between two readings that the means before and after must show; twice that where a kick of the
-cabinet, soon forgotten, would explain the readings as well."""
+"""[1] share of a step between two readings that the means before and after must show; twice that where a kick
+of the cabinet, soon forgotten, would explain the readings as well."""
 LASTING_KINDS = ("step", "drift", "season")
 NAMES = {"temperature": "temperature", "humidity": "absolute humidity"}
 
@@ -53,12 +54,14 @@ class Misfit:
     """Something that the free run gets wrong.
 
     quantity: "temperature" or "humidity". where, when: the condition in words ("" = any).
-    size: [K], [g/m³] typical error under the condition less that elsewhere (less that in the hours around it where the
-        condition sets in sharply); direction: of the simulation.
+    size: [K], [g/m³] typical error under the condition less that elsewhere (less that in the hours around it
+        where the condition sets in sharply); direction: of the simulation.
     duration_h: [h] for how long of an episode, or None.
-    n_episodes: in which it is seen, of n_possible. sensor_share: [1] of its square, explained by sensors' accuracy.
+    n_episodes: in which it is seen, of n_possible. sensor_share: [1] of its square, explained by sensors'
+        accuracy.
     p, q: [1] chance of it without a cause, for itself and as adjusted share of false discoveries.
-    driver: signal that it goes with, or "". kind: of the condition. curve: reading − free run over the condition's bins.
+    driver: signal that it goes with, or "". kind: of the condition. curve: reading − free run over the
+        condition's bins.
     spans: (start, end) [s] of its episodes, the largest error first.
     """
 
@@ -118,7 +121,8 @@ class Misfit:
             **{
                 name: data[name]
                 for name in (
-                    "quantity", "where", "when", "size", "direction", "duration_h", "n_episodes", "n_possible",
+                    "quantity", "where", "when", "size", "direction", "duration_h", "n_episodes",
+                    "n_possible",
                     "sensor_share", "statement", "p", "kind", "curve",
                 )
             },
@@ -133,7 +137,8 @@ class Misfit:
 
 @dataclass(frozen=True)
 class _Answer:
-    """p over all views of the errors, p of the free run alone; the date of a change, or the step between two readings.
+    """p over all views of the errors, p of the free run alone; the date of a change, or the step between two
+    readings.
 
     sharp: whether errors free of their memory say most.
     """
@@ -157,7 +162,8 @@ class _State:
 
 
 def _answers(state: _State, asked: Sequence[Condition], step_h: float) -> list[_Answer]:
-    """Every condition is asked of the free run, of the innovations and, where it sets in sharply, free of memory."""
+    """Every condition is asked of the free run, of the innovations and, where it sets in sharply, free of
+    memory."""
     views = [Null.of(state.error, step_h)]
     if np.isfinite(state.innovation).sum() >= FEWEST_HOURS:
         views.append(Null.of(state.innovation, step_h))
@@ -202,13 +208,15 @@ def _adjusted(answers: Mapping[str, Sequence[_Answer]], asked: Sequence[Conditio
 
 
 def misfits(residuals: Residuals, level: float = LEVEL) -> list[Misfit]:
-    """What the free run gets wrong in the identification period, worst (in units of its RMSE) first, at most eight.
+    """What the free run gets wrong in the identification period, worst (in units of its RMSE) first, at most
+    eight.
 
-    level: [1] share of false discoveries.  Each condition (episodes, regimes, hours since a change, hour, season, level,
-    rate and lag of every driver, drift and step, saturation) is asked of the free run's errors and of the innovations.
-    The surest is described and taken out of the errors, then all is asked again: what one condition explains is not
-    told under another.  A misfit must be significant (weighted Benjamini–Hochberg: episodes, hour, calendar and drivers
-    have equal shares of the level), material (0.2 RMSE) and more than the sensors' accuracy explains.
+    level: [1] share of false discoveries.  Each condition (episodes, regimes, hours since a change, hour,
+    season, level, rate and lag of every driver, drift and step, saturation) is asked of the free run's errors
+    and of the innovations. The surest is described and taken out of the errors, then all is asked again: what
+    one condition explains is not told under another.  A misfit must be significant (weighted
+    Benjamini–Hochberg: episodes, hour, calendar and drivers have equal shares of the level), material (0.2
+    RMSE) and more than the sensors' accuracy explains.
 
     A quantity with errors in fewer than 72 hours has no misfits.
     """
@@ -265,7 +273,8 @@ def _told(
     answer: _Answer,
     q: float,
 ) -> Misfit | None:
-    """The misfit in numbers and words, taken out of the state; None where it is immaterial or told already."""
+    """The misfit in numbers and words, taken out of the state; None where it is immaterial or told
+    already."""
     condition = _strongest(asked[number], asked, state.error)
     if condition.law == "change":
         condition = _since(residuals, hours, quantity, condition, answer)
@@ -319,7 +328,8 @@ def _told(
         quantity, where, when, abs(size), sign, duration, seen, len(episodes), share, "", answer.p, q,
         condition.driver, condition.kind, curve,
         tuple(
-            (float(hours.time_s[a] - 1800.0 * hours.step_h), float(hours.time_s[b - 1] + 1800.0 * hours.step_h))
+            (float(hours.time_s[a] - 1800.0 * hours.step_h),
+                float(hours.time_s[b - 1] + 1800.0 * hours.step_h))
             for a, b in (episodes[i] for i in np.argsort(-means * np.sign(size), kind="stable"))
         ),
     )  # fmt: skip
@@ -368,13 +378,15 @@ def _since(
         words = f"since {datetime.fromtimestamp(date, UTC):%-d %B %Y %H:%M} UTC"
     after = hours.time_s >= date
     return Condition(
-        "step", "", after[:, None].astype(float), np.where(after, 0, 1), hours.time_s, lambda a, b: ("", words),
+        "step", "", after[:, None].astype(float), np.where(after, 0, 1), hours.time_s, lambda a,
+        b: ("", words),
         "date", flag=True,
     )  # fmt: skip
 
 
 def _take_out(state: _State, condition: Condition, kin: Sequence[Condition], kept: bool) -> None:
-    """What the condition, and its driver in any other way, explains leaves the errors, unless they are to be kept.
+    """What the condition, and its driver in any other way, explains leaves the errors, unless they are to be
+    kept.
 
     From the innovations goes also what the changes of these explain.
     """

@@ -36,8 +36,8 @@ def silences(record: Record) -> list[tuple[float, float]]:
 
 
 def dates(record: Record, every_days: float = 1.0) -> list[float]:
-    """Dates [s] for a change: every day with readings, `MOST_DATES` of them at most, five percent of these days away from the
-    record's ends.
+    """Dates [s] for a change: every day with readings, `MOST_DATES` of them at most, five percent of these
+    days away from the record's ends.
     """
     return _spaced(record, every_days)[0]
 
@@ -73,10 +73,11 @@ def best_date(
     days: Sequence[float] = (),
     sudden: bool = False,
 ) -> tuple[dict, float]:
-    """(settings of the feature, effective number searched) of the change that the parts' score statistics ask for most.
+    """(settings of the feature, effective number searched) of the change that the parts' score statistics ask
+    for most.
 
-    `more` dates [s] that are looked at exactly; `days` in which the change takes place, for features that have such;
-    `sudden` for one whose beginning is a jump, which is dated to minutes.
+    `more` dates [s] that are looked at exactly; `days` in which the change takes place, for features that
+    have such; `sudden` for one whose beginning is a jump, which is dated to minutes.
     """
     spacing, step = _spaced(scene.record, 1.0)
     searched = 0.0
@@ -105,8 +106,8 @@ def best_date(
 
 
 def best_hours(scene: Scene, probes: Sequence[Probe], name: str = "scheduled") -> tuple[dict, float]:
-    """(settings of a feature `name` like `scheduled`, effective number searched): the hours of the day, or of workdays, in which the parts' score
-    statistics ask most for more of an effect.
+    """(settings of a feature `name` like `scheduled`, effective number searched): the hours of the day, or of
+    workdays, in which the parts' score statistics ask most for more of an effect.
     """
     hours = [
         {"start_h": float(h), "hours": 1.0, "workdays": only} for only in (False, True) for h in range(24)
@@ -140,8 +141,8 @@ def best_switch(
 ) -> tuple[dict, float] | None:
     """(setting of a controller that the parts' score statistics ask for most, effective number searched).
 
-    grid: settings with two bounds each, numbers; refined twice by `steps`, of a setting's `reads` or of any.  None where no
-    setting lets the controller start often enough.
+    grid: settings with two bounds each, numbers; refined twice by `steps`, of a setting's `reads` or of any.
+    None where no setting lets the controller start often enough.
     """
     probes = [one for one in probes if one.part in scene.parts]
     searched, best, chosen = 0.0, -math.inf, grid[0]

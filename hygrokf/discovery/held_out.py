@@ -1,9 +1,9 @@
 """What each accepted cause gains on the held-out period, and which of them that period refutes.
 
-The models are held against each other in the order in which their causes were accepted: without any, with the first, with
-the first two, and so on, each by its free run on the whole record.  A model is taken as it was estimated by innovations or,
-where that simulates the identification period better, moved toward its least free-run error: a likelihood makes a poor
-simulator of a model that lacks something.
+The models are held against each other in the order in which their causes were accepted: without any, with the
+first, with the first two, and so on, each by its free run on the whole record.  A model is taken as it was
+estimated by innovations or, where that simulates the identification period better, moved toward its least
+free-run error: a likelihood makes a poor simulator of a model that lacks something.
 """
 
 from __future__ import annotations
@@ -70,8 +70,8 @@ class Model:
 
 @dataclass(frozen=True)
 class Judged:
-    """A choice without the causes that the held-out period refutes, those with their (negative) gain, and `scenes` and
-    `models` without any cause, with the first, with the first two, …
+    """A choice without the causes that the held-out period refutes, those with their (negative) gain, and
+    `scenes` and `models` without any cause, with the first, with the first two, …
     """
 
     choice: Choice
@@ -89,7 +89,8 @@ class Judged:
         ]
 
     def ending(self, last: Model) -> Judged:
-        """The same with the last model as it was estimated in the end; without its cause where that is refuted now."""
+        """The same with the last model as it was estimated in the end; without its cause where that is
+        refuted now."""
         ended = replace(self, models=(*self.models[:-1], last))
         gain = ended.gains[-1]
         if not refutes(gain):
@@ -143,11 +144,12 @@ def model_of(scene: Scene, record: Record, trials: Sequence[Trial] = ()) -> Mode
 
 
 def gain_of(quantity: str, before: Model, after: Model) -> dict:
-    """What one model simulates better than another, as plain data: errors on the validation period (the identification
-    period where there is none), and 95 % bounds of their difference by a bootstrap of blocks of three days.
+    """What one model simulates better than another, as plain data: errors on the validation period (the
+    identification period where there is none), and 95 % bounds of their difference by a bootstrap of blocks
+    of three days.
 
-    `identified_before`, `identified_after`: the errors of the models as they were estimated by innovations, which tables and
-    other pages show.
+    `identified_before`, `identified_after`: the errors of the models as they were estimated by innovations,
+    which tables and other pages show.
     """
     pair = before.better(quantity), after.better(quantity)
     period = "identification" if pair[0].rmse(quantity, "validation") is None else "validation"
@@ -167,7 +169,8 @@ def gain_of(quantity: str, before: Model, after: Model) -> dict:
 def difference_bounds(
     before: tuple[np.ndarray, np.ndarray], after: tuple[np.ndarray, np.ndarray]
 ) -> tuple[float | None, float | None]:
-    """95 % bounds of RMSE before − RMSE after, of (times [s], errors) each, over the readings that both have."""
+    """95 % bounds of RMSE before − RMSE after, of (times [s], errors) each, over the readings that both
+    have."""
     # whole seconds: no two readings are nearer, and rounding is no other one
     columns = [
         dict(zip(np.round(time).tolist(), error.tolist(), strict=True)) for time, error in (before, after)
@@ -182,8 +185,9 @@ def difference_bounds(
 
 
 def refutes(gain: Mapping) -> bool:
-    """Whether the held-out period is simulated worse: materially, as in the identification period (`choice.WORSE`), and with
-    95 % bounds that exclude a gain.  The bounds know nothing of how the other parameters were estimated anew.
+    """Whether the held-out period is simulated worse: materially, as in the identification period
+    (`choice.WORSE`), and with 95 % bounds that exclude a gain.  The bounds know nothing of how the other
+    parameters were estimated anew.
     """
     if gain["period"] != "validation" or gain["upper"] is None:
         return False
@@ -191,7 +195,8 @@ def refutes(gain: Mapping) -> bool:
 
 
 def judged(base: Scene, choice: Choice, record: Record) -> Judged:
-    """The choice without the causes under which the held-out error of their own quantity grows beyond its uncertainty.
+    """The choice without the causes under which the held-out error of their own quantity grows beyond its
+    uncertainty.
 
     Those after a refuted one are estimated again without it.
     """
@@ -223,7 +228,8 @@ def judged(base: Scene, choice: Choice, record: Record) -> Judged:
 
 
 def _with(scene: Scene, trial: Trial) -> Scene:
-    """A scene with a cause that was accepted in another one; as it was estimated there where all else was the same."""
+    """A scene with a cause that was accepted in another one; as it was estimated there where all else was the
+    same."""
     same = trial.variant.shift is None and all(
         part.record is scene.parts[name].record and _added(part, scene.parts[name]) == added(trial.variant)
         for name, part in trial.parts.items()
@@ -241,5 +247,6 @@ def refutation(gain: Mapping) -> str:
     unit = "K" if gain["quantity"].endswith("_K") else "g/m³"
     return (
         f"the held-out period refutes it: with it the error there grows from {gain['rmse_before']:.3g} to "
-        f"{gain['rmse_after']:.3g} {unit} (95 % bounds of the growth {-gain['upper']:.2g} … {-gain['lower']:.2g})"
+        f"{gain['rmse_after']:.3g} {unit} (95 % bounds of the growth {-gain['upper']:.2g} … "
+        f"{-gain['lower']:.2g})"
     )

@@ -1,4 +1,5 @@
-"""The library of causes: what each of them is, what to check in the turbine, what would tell it from its rivals."""
+"""The library of causes: what each of them is, what to check in the turbine, what would tell it from its
+rivals."""
 
 from __future__ import annotations
 
@@ -20,14 +21,17 @@ from hygrokf.discovery.causes_moisture import condensation, drier, rain, sorptio
 from hygrokf.discovery.causes_readings import breathed, clock, humidity_drift, response, temperature_offset
 
 ODD = 30.0
-"""Evidence that is enough for causes that hardly show in the free run; on plants without any it stays below 10."""
+"""Evidence that is enough for causes that hardly show in the free run; on plants without any it stays below
+10."""
 SWITCHED = 60.0
 """The same for switches, whose thresholds are searched."""
 
 LIBRARY: tuple[Cause, ...] = (
     Cause(
-        "moisture_sorption", "hygroscopic material takes up water while the cabinet stands and gives it back on heating",
-        "look for polymers, insulation, paper or desiccant in the cabinet; dry or replace them; pre-heat with ventilation",
+        "moisture_sorption",
+        "hygroscopic material takes up water while the cabinet stands and gives it back on heating",
+        "look for polymers, insulation, paper or desiccant in the cabinet; dry or replace them; pre-heat "
+        "with ventilation",
         "weigh a piece of the material before and after pre-heating, or log relative humidity close to it",
         sorption,
     ),
@@ -45,59 +49,71 @@ LIBRARY: tuple[Cause, ...] = (
     ),
     Cause(
         "solar_gain", "the sun heats the cabinet or the tower around it",
-        "shade or paint the wall; check the ventilation of the tower base", "irradiance measured at the tower",
+        "shade or paint the wall; check the ventilation of the tower base",
+        "irradiance measured at the tower",
         sun, needs="irradiance or the site",
     ),
     Cause(
         "wind_driven_exchange", "wind drives air through the cabinet",
-        "check seals and cable entries on the windward side", "wind speed at the tower base; a tracer-gas decay in wind and in calm",
+        "check seals and cable entries on the windward side",
+        "wind speed at the tower base; a tracer-gas decay in wind and in calm",
         wind, needs="wind_speed",
     ),
     Cause(
         "exchange_step", "the exchange of air changed at a date",
-        "ask what was done on that date: seal, filter, door, cable entry", "a tracer-gas decay now", exchange_step, alone=ODD,
+        "ask what was done on that date: seal, filter, door, cable entry", "a tracer-gas decay now",
+        exchange_step, alone=ODD,
     ),
     Cause(
         "heat_release_drift", "the heat release drifts with the calendar",
-        "check filters, fans and heat exchangers for fouling; compare losses of the converter", "heat flow or coolant temperatures",
+        "check filters, fans and heat exchangers for fouling; compare losses of the converter",
+        "heat flow or coolant temperatures",
         heat_drift,
     ),
     Cause(
         "humidity_sensor_drift", "the humidity sensor drifts, or its scale is off",
-        "compare the sensor with a reference; replace it", "a second humidity sensor beside it", humidity_drift,
+        "compare the sensor with a reference; replace it", "a second humidity sensor beside it",
+        humidity_drift,
     ),
     Cause(
         "temperature_sensor_offset", "the cabinet's temperature sensor is off by more than its accuracy",
-        "compare the sensor with a reference; check its place and its wiring", "a second temperature sensor beside it",
+        "compare the sensor with a reference; check its place and its wiring",
+        "a second temperature sensor beside it",
         temperature_offset,
     ),
     Cause(
         "sensor_response", "the humidity sensor follows more slowly than the case states",
-        "clean or replace its filter; state its response time in the case", "a second, bare humidity sensor beside it",
+        "clean or replace its filter; state its response time in the case",
+        "a second, bare humidity sensor beside it",
         response, alone=ODD,
     ),
     Cause(
-        "clock_shift", "one source's clock is off", "set the clock, or state the zone and the stamp of the source",
+        "clock_shift", "one source's clock is off",
+        "set the clock, or state the zone and the stamp of the source",
         "an event that all sources see", clock, alone=ODD,
     ),
     Cause(
-        "rain_ingress", "rain enters and evaporates", "look for the way of the water: door, cable entry, roof",
+        "rain_ingress", "rain enters and evaporates",
+        "look for the way of the water: door, cable entry, roof",
         "a wetness sensor on the floor", rain, needs="rain",
     ),
     Cause(
-        "door_opening", "the door stood open", "compare with the log of service visits", "a door contact", door, alone=ODD, event=True,
+        "door_opening", "the door stood open", "compare with the log of service visits", "a door contact",
+        door, alone=ODD, event=True,
     ),
     Cause(
         "dehumidifier", "a drier works above a set-point", "find the drier and its set-point; log its state",
         "current of the drier", drier,
     ),
     Cause(
-        "internal_moisture_source", "water evaporates inside", "look for leaks of coolant, wet cable ducts, ground water",
+        "internal_moisture_source", "water evaporates inside",
+        "look for leaks of coolant, wet cable ducts, ground water",
         "absolute humidity inside and outside with the cabinet at ambient temperature", source,
     ),
     Cause(
         "ambient_bias", "the ambient series is not the air that the cabinet breathes",
-        "compare the weather series with a sensor at the air inlet", "temperature and humidity at the inlet", breathed,
+        "compare the weather series with a sensor at the air inlet", "temperature and humidity at the inlet",
+        breathed,
     ),
     # hours and set-points are searched longest: what a budget does not last for is looked for last
     Cause(
@@ -107,12 +123,14 @@ LIBRARY: tuple[Cause, ...] = (
     ),
     Cause(
         "scheduled_heat", "something releases heat at the same hours of every day, or of every workday",
-        "look for lamps, timers and people at work in these hours; log the load", "current of what runs in these hours",
+        "look for lamps, timers and people at work in these hours; log the load",
+        "current of what runs in these hours",
         by_the_clock,
     ),
     Cause(
         "cooling_switching", "a fan, a vent or a valve cools the cabinet above a threshold",
-        "find the fan, vent or valve and its set-points; log its state", "state of the fan, vent or valve", cooling,
+        "find the fan, vent or valve and its set-points; log its state", "state of the fan, vent or valve",
+        cooling,
         alone=SWITCHED,
     ),
 )  # fmt: skip

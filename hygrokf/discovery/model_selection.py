@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -24,20 +24,22 @@ EVIDENCE = 10.0
 WORSE = -0.02
 """A cause that makes the free run of a part worse by more than this share is no cause."""
 SATURATION = 0.97
-"""[1] relative humidity from which a ceiling is no fault of a sensor: saturated air, read with a sensor's accuracy."""
+"""[1] relative humidity from which a ceiling is no fault of a sensor: saturated air, read with a sensor's
+accuracy."""
 CLOSE = 10.0
 """Difference in evidence below which two acceptable causes are not told apart."""
 HALF = 0.5
-"""Two causes are alike where their free runs differ by less than this share of what the better one changes in them, and
-the other has at least this share of its evidence."""
+"""Two causes are alike where their free runs differ by less than this share of what the better one changes in
+them, and the other has at least this share of its evidence."""
 SAME = 0.25
 """Acceptable causes whose free runs differ by less than this share are alike whatever their evidence."""
 MOST_CAUSES = 3
 SHARE = 0.06
-"""Share of an accepted cause's evidence that a further cause of the same part must have: the true form is never known, and
-what it differs in is left behind."""
+"""Share of an accepted cause's evidence that a further cause of the same part must have: the true form is
+never known, and what it differs in is left behind."""
 OVERWHELMING = 200.0
-"""Evidence that is enough for any cause, however little the free run gains; in 36 cabinets that hide nothing the most was 88."""
+"""Evidence that is enough for any cause, however little the free run gains; in 36 cabinets that hide nothing
+the most was 88."""
 EXPLAINED = "what it explains is explained by the accepted causes"
 NO_BETTER = "beside the accepted causes it does not simulate better"
 RETRY = 8.0
@@ -46,11 +48,12 @@ RETRY = 8.0
 
 @dataclass(frozen=True)
 class Choice:
-    """Accepted trials in order with the trials that rivalled each, all others with the reason, and the last scene.
+    """Accepted trials in order with the trials that rivalled each, all others with the reason, and the last
+    scene.
 
-    `margins`: share of its evidence by which the best cause outside its class stayed behind each accepted one;
-    `tried`: number of variants that were tried; `untried` causes for which the time did not last; `cut`: whether it did not
-    last for looking beside what was accepted.
+    `margins`: share of its evidence by which the best cause outside its class stayed behind each accepted
+    one; `tried`: number of variants that were tried; `untried` causes for which the time did not last; `cut`:
+    whether it did not last for looking beside what was accepted.
     """
 
     accepted: tuple[Trial, ...]
@@ -89,7 +92,8 @@ def verdict_on(trial: Trial, cause: Cause, tried: int = 1) -> str:
 
 
 def simulates(trial: Trial, tried: int) -> bool:
-    """Whether the free run of a part gains a material share beyond what chance makes of so many trials and their settings.
+    """Whether the free run of a part gains a material share beyond what chance makes of so many trials and
+    their settings.
 
     Where the model is far from right the likelihood knows little, and this speaks for a cause by itself.
     """
@@ -122,18 +126,13 @@ def worth(trial: Trial) -> float:
     return trial.bic_gain
 
 
-def choose(
-    scene: Scene,
-    library: Sequence[Cause] = LIBRARY,
-    say: Progress = lambda text: None,
-) -> Choice:
-    """Add causes as long as one is both significant and worth having; take back what a later one made needless.
+def choose(scene: Scene, library: Sequence[Cause] = LIBRARY, say: Progress = lambda text: None) -> Choice:
+    """Add causes while one is both significant and worth having; take back those that a later one replaces.
 
-    Once the scene's budget is spent no further trial is begun, and those that run end; what was found by then is decided on
-    as it stands.
+    Once the scene's budget is spent no further trial is begun, and those that run end; what was found by then
+    is decided on as it stands.
     """
     base, budget = scene, scene.budget
-    untried: list[str] = []
     cut = False
     accepted: list[Trial] = []
     rivals: list[tuple[Trial, ...]] = []
@@ -141,24 +140,12 @@ def choose(
     behind: dict[str, str] = {}
     stale: set[str] = set()
 
-    def tried_on(cause: Cause) -> list[Trial]:
-        found = []
-        try:
-            budget.check()
-            say(cause.name.replace("_", " "))
-            for variant in cause.variants(scene):
-                found.append(_settled(scene, attempt(scene, variant)))
-        except BudgetSpent:
-            untried.append(cause.name)
-        return found
-
-    trials = [trial for found in mapped(tried_on, library) for trial in found]
+    trials, untried = _first_trials(scene, library, say)
     tried = len(trials)
     first = {t.variant.cause: t for t in sorted(trials, key=worth)}  # the best of each cause comes last
     while True:
-        good = [
-            t for t in trials if t.variant.cause not in behind and not _reason(t, tried, accepted, library)
-        ]
+        kept = [t for t in trials if t.variant.cause not in behind]
+        good = [t for t in kept if not _reason(t, tried, accepted, library)]
         good.sort(key=worth, reverse=True)
         if not good:
             break
@@ -212,15 +199,36 @@ def choose(
     # what was accepted beside a cause is no longer another name for it
     apart = tuple(tuple(t for t in one if t.variant.cause not in names) for one in rivals)
     last = {t.variant.cause: _reason(t, tried, accepted, library) for t in sorted(trials, key=worth)}
-    rejected = []
-    for name, trial in first.items():
-        if name not in names and name not in untried:
-            reason = verdict_on(trial, named(name, library), tried) or behind.get(name, "")
-            rejected.append((trial, reason or last.get(name) or EXPLAINED))
+    others = [t for name, t in first.items() if name not in names and name not in untried]
+    rejected = [(t, _why_left_out(t, tried, library, last | behind)) for t in others]
     untried = [name for name in untried if name not in names]
     untried.sort(key=[cause.name for cause in library].index)
     scene = replace(scene, budget=Budget())  # what follows has time of its own
     return Choice(tuple(accepted), apart, tuple(margins), tried, tuple(rejected), scene, tuple(untried), cut)
+
+
+def _why_left_out(trial: Trial, tried: int, library: Sequence[Cause], reasons: Mapping[str, str]) -> str:
+    """Why a cause is not among the accepted ones: by its first trial, else by what it was in the end."""
+    cause = trial.variant.cause
+    return verdict_on(trial, named(cause, library), tried) or reasons.get(cause) or EXPLAINED
+
+
+def _first_trials(scene: Scene, library: Sequence[Cause], say: Progress) -> tuple[list[Trial], list[str]]:
+    """Every variant of every cause tried on the base, and the causes that the budget did not reach."""
+    untried: list[str] = []
+
+    def tried_on(cause: Cause) -> list[Trial]:
+        found = []
+        try:
+            scene.budget.check()
+            say(cause.name.replace("_", " "))
+            for variant in cause.variants(scene):
+                found.append(_settled(scene, attempt(scene, variant)))
+        except BudgetSpent:
+            untried.append(cause.name)
+        return found
+
+    return [trial for found in mapped(tried_on, library) for trial in found], untried
 
 
 def _rough(accepted: Sequence[Trial], other: Trial) -> int | None:
@@ -250,8 +258,8 @@ def with_trial(scene: Scene, trial: Trial) -> Scene:
 
 
 def drives(trial: Trial) -> bool:
-    """Whether the air temperature is better known by a trial: by all that changes its model, but for errors of its readings
-    that the hygric part is told by itself.
+    """Whether the air temperature is better known by a trial: by all that changes its model, but for errors
+    of its readings that the hygric part is told by itself.
     """
     return THERMAL in trial.parts and HYGRIC not in trial.variant.altered
 
@@ -259,9 +267,9 @@ def drives(trial: Trial) -> bool:
 def _class(scene: Scene, best: Trial, good: Sequence[Trial], trials: Sequence[Trial]) -> tuple[Trial, ...]:
     """The best trial of every other cause that is not told apart from the chosen one.
 
-    Acceptable ones are compared by evidence and free run; of others that are worth having those that simulate the same:
-    a source that always runs and an offset of the ambient differ by how the exchange depends on the temperature alone,
-    and no cabinet keeps that law as the library writes it.
+    Acceptable ones are compared by evidence and free run; of others that are worth having those that simulate
+    the same: a source that always runs and an offset of the ambient differ by how the exchange depends on the
+    temperature alone, and no cabinet keeps that law as the library writes it.
     """
     others = {t.variant.cause: t for t in reversed(good)}
     for t in sorted(trials, key=worth, reverse=True):
@@ -303,8 +311,8 @@ def _again(
 ) -> list[Trial]:
     """The hopeful ones of the last round, two variants of a cause at most, tried beside what was accepted.
 
-    changed: parts that are others now; where a trial has none of them, nothing about it is.  What the budget does not last
-    for is left out.
+    changed: parts that are others now; where a trial has none of them, nothing about it is.  What the budget
+    does not last for is left out.
     """
     say("others beside it")
     done = {t.variant.cause for t in accepted}
@@ -373,9 +381,11 @@ def alike(scene: Scene, best: Trial, other: Trial) -> bool:
 
 
 def difference(scene: Scene, best: Trial, other: Trial) -> float:
-    """RMS difference of two causes' free runs over the RMS change that `best` makes [1], parts in units of their error.
+    """RMS difference of two causes' free runs over the RMS change that `best` makes [1], parts in units of
+    their error.
 
-    At the readings that all three have; a shifted clock of the cabinet leaves none, and the causes are taken as different.
+    At the readings that all three have; a shifted clock of the cabinet leaves none, and the causes are taken
+    as different.
     """
     apart, change = 0.0, 0.0
     for name, part in scene.parts.items():

@@ -1,4 +1,5 @@
-"""A user's own causes: made from a factory, loaded from a file or an installed package, checked, and taken into the tables.
+"""A user's own causes: made from a factory, loaded from a file or an installed package, checked, and taken
+into the tables.
 
 A file is executed as it stands: load what you trust.
 """
@@ -59,10 +60,11 @@ def cause_of(
 ) -> Cause:
     """A cause that is one mechanism of the thermal part, of the hygric part, or one of each, in one form.
 
-    `thermal`, `hygric` factories, called without arguments; `starts` values of parameters to start from (several are
-    tried, the best is followed); `features` inputs that are no signals: (function(record, time), hold) for one's own,
-    settings for the package's (`{"standstill": {}}`); `needs` signals that one's own features read.  On a record that
-    lacks a signal the cause is not tried.  For grids of dates or thresholds make a `Cause` with `variants` of your own.
+    `thermal`, `hygric` factories, called without arguments; `starts` values of parameters to start from
+    (several are tried, the best is followed); `features` inputs that are no signals: (function(record, time),
+    hold) for one's own, settings for the package's (`{"standstill": {}}`); `needs` signals that one's own
+    features read.  On a record that lacks a signal the cause is not tried.  For grids of dates or thresholds
+    make a `Cause` with `variants` of your own.
     """
     factories = {part: one for part, one in ((THERMAL, thermal), (HYGRIC, hygric)) if one is not None}
     if not factories:
@@ -109,7 +111,7 @@ def _lacking(
     return {*mechanism.inputs, *needs} - there
 
 
-# -- into the tables -------------------------------------------------------------------------------------------------
+# -- into the tables -----------------------------------------------------------------------------------------
 def adopt(causes: Iterable[Cause]) -> None:
     """Check causes that bring mechanisms or features, and take these into the package's tables.
 
@@ -162,7 +164,8 @@ def _mapping(value: object) -> Mapping:
 
 
 def _doubles(pairs: Sequence[tuple[str, Cause]]) -> list[str]:
-    """Names that two causes bring: of causes, and of mechanisms and features that are not the same function."""
+    """Names that two causes bring: of causes, and of mechanisms and features that are not the same
+    function."""
     faults: list[str] = []
     seen: dict[tuple[bool, str], Any] = {}
     for source, cause in pairs:
@@ -179,9 +182,10 @@ def _doubles(pairs: Sequence[tuple[str, Cause]]) -> list[str]:
     return faults
 
 
-# -- from files and packages -----------------------------------------------------------------------------------------
+# -- from files and packages ---------------------------------------------------------------------------------
 def load_library(*files: str | Path, installed: bool = False) -> tuple[Cause, ...]:
-    """Causes of Python files (every `Cause` at their top level), adopted; with `installed` those of packages too.
+    """Causes of Python files (every `Cause` at their top level), adopted; with `installed` those of packages
+    too.
 
     The files are executed.  Raises LibraryFault with the faults of all of them.
     """
@@ -244,7 +248,8 @@ def _causes_at_top(module: object) -> list[Cause]:
     if not own:
         raise LibraryFault(
             [
-                "expected a hygrokf.Cause at the top level, found none: NAME = hygrokf.cause_of(…), docs/own_cause.md"
+                "expected a hygrokf.Cause at the top level, found none: NAME = hygrokf.cause_of(…), "
+                "docs/own_cause.md"
             ]
         )
     return own

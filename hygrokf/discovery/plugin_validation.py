@@ -1,7 +1,9 @@
-"""Whether a user's cause can take part: its words and names, its variants, and that it is nested in the base models.
+"""Whether a user's cause can take part: its words and names, its variants, and that it is nested in the base
+models.
 
-Everything is tried on a small record with every signal of the table (30 days, hourly, made of sines).  At the null value
-of a mechanism the free run of the extended model must be that of the base, away from it something must change.
+Everything is tried on a small record with every signal of the table (30 days, hourly, made of sines).  At the
+null value of a mechanism the free run of the extended model must be that of the base, away from it something
+must change.
 """
 
 from __future__ import annotations
@@ -35,7 +37,8 @@ from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
 from hygrokf.physics.model import SUMS, Mechanism
 
 SAME = 1e-5
-"""Largest difference of two free runs that count as one, as a share of the spread of the base's; sub-steps may differ."""
+"""Largest difference of two free runs that count as one, as a share of the spread of the base's; sub-steps
+may differ."""
 DAYS = 30
 IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*")
 _RANGES: Mapping[str, tuple[float, float]] = {
@@ -47,11 +50,12 @@ _RANGES: Mapping[str, tuple[float, float]] = {
 """Range of a signal of the trial record, by its name or its unit [SI unit]."""
 
 
-# -- a scene to try causes in ----------------------------------------------------------------------------------------
+# -- a scene to try causes in --------------------------------------------------------------------------------
 def trial_record() -> Record:
     """A record with every signal: sines of many periods in ordinary ranges.
 
-    The door is open too seldom to be an input of the base model: else there would be no opening left to look for.
+    The door is open too seldom to be an input of the base model: else there would be no opening left to look
+    for.
     """
     hour = np.arange(24 * DAYS + 1.0)
     series = []
@@ -86,7 +90,7 @@ def trial_scene() -> Scene:
     return Scene(record, parts)
 
 
-# -- faults, before anything is taken into the tables -----------------------------------------------------------------
+# -- faults, before anything is taken into the tables --------------------------------------------------------
 def form_faults(cause: Cause) -> list[str]:
     """What is wrong with a cause's words, names, factories and features, as sentences."""
     faults = [
@@ -140,15 +144,19 @@ def _factory_faults(
     known = {*HOLDS, *features}
     for one in made.inputs:
         if one not in known:
-            yield f"mechanism {name!r}: unknown input {one!r}: no signal and no feature{suggestion(one, known)}"
+            yield (
+                f"mechanism {name!r}: unknown input {one!r}: no signal and no feature{suggestion(one, known)}"
+            )
     brought = _package_names()
     taken = sorted({*(p.name for p in made.parameters), *made.states} & brought)
     if taken:
-        yield f"mechanism {name!r}: the package has parameters or states named {', '.join(taken)}; rename them"
+        yield (
+            f"mechanism {name!r}: the package has parameters or states named {', '.join(taken)}; rename them"
+        )
     if not made.null:
         yield (
-            f"mechanism {name!r}: expected a parameter with a null value at which it has no effect, found none; "
-            "give one of its parameters null=0.0"
+            f"mechanism {name!r}: expected a parameter with a null value at which it has no effect, found "
+            "none; give one of its parameters null=0.0"
         )
     for p in made.parameters:
         if p.null is not None and not (p.lower <= p.null <= p.upper or (p.positive and p.null == 0.0)):
@@ -166,7 +174,7 @@ def _package_names() -> frozenset[str]:
     return frozenset(name for m in models for name in (*(p.name for p in m.parameters), *m.states))
 
 
-# -- faults of its variants, with its mechanisms in the tables ---------------------------------------------------------
+# -- faults of its variants, with its mechanisms in the tables -----------------------------------------------
 def variant_faults(cause: Cause) -> list[str]:
     """What is wrong with a cause's variants in the trial scene: names, starts, equations, nesting."""
     scene = trial_scene()
@@ -264,7 +272,8 @@ def _nested(part: Part, pairs: tuple[tuple[str, dict], ...], features: Mapping[s
 
 
 def _with_waves(made: Timeline, features: Mapping[str, dict]) -> Timeline:
-    """The run with waves for features that are constant on it: a threshold that this record never reaches, a late date."""
+    """The run with waves for features that are constant on it: a threshold that this record never reaches, a
+    late date."""
     u = made.u.copy()
     for column, name in enumerate(made.varying):
         if name in features and np.ptp(u[:, column]) == 0.0:
@@ -286,7 +295,8 @@ _FUNCTOOLS = functools.__file__
 
 
 def told(fault: BaseException, file: str | None = None) -> str:
-    """An exception in a user's code as a phrase: its kind, its text, and the line where it was last in that code."""
+    """An exception in a user's code as a phrase: its kind, its text, and the line where it was last in that
+    code."""
     frames = traceback.extract_tb(fault.__traceback__)
     inside = [
         f

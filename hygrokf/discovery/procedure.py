@@ -1,4 +1,5 @@
-"""From a record to its discovery: what the simulation gets wrong, the cause, the extended model, and what that gained."""
+"""From a record to its discovery: what the simulation gets wrong, the cause, the extended model, and what
+that gained."""
 
 from __future__ import annotations
 
@@ -7,6 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from hygrokf.data.record import Record
+from hygrokf.data.structured import plain
 from hygrokf.discovery import held_out
 from hygrokf.discovery.baseline import (
     HYGRIC,
@@ -38,8 +40,8 @@ from hygrokf.modelling.design import CASCADE
 from hygrokf.version import __version__
 
 REFUTED = (
-    "what the identification period showed was taken for a cause that the held-out period refutes: the model lacks something "
-    "else"
+    "what the identification period showed was taken for a cause that the held-out period refutes: the model "
+    "lacks something else"
 )
 UNEXPLAINED_AT_MOST = 0.5
 """Confidence of a cause under a verdict that says that the cause is not known."""
@@ -72,9 +74,10 @@ def discover(
 ) -> Discovery:
     """Find what the identified model of a record lacks, and name the cause out of a library.
 
-    Everything is chosen on the identification period; the validation period refutes, and gives the reported gain.
-    `budget_s` [s] of wall-clock time: what was not tried by then is said (`not_tried`); `math.inf` for results that do not
-    depend on the machine.  Raises ValueError as `identify` does, and LibraryFault for causes of a user's that cannot take part.
+    Everything is chosen on the identification period; the validation period refutes, and gives the reported
+    gain. `budget_s` [s] of wall-clock time: what was not tried by then is said (`not_tried`); `math.inf` for
+    results that do not depend on the machine.  Raises ValueError as `identify` does, and LibraryFault for
+    causes of a user's that cannot take part.
     """
     budget = Budget(budget_s)
     adopt(library)
@@ -136,7 +139,8 @@ def _simulating(basis: Basis, scene: Scene) -> Basis:
 
 
 def _stages(basis: Basis, choice: Choice, profiles: bool, say: Progress) -> tuple[Stage, ...]:
-    """The stages with the accepted causes in them, climbed to the end and judged, by `profiles` or Wald bounds."""
+    """The stages with the accepted causes in them, climbed to the end and judged, by `profiles` or Wald
+    bounds."""
     found: list[Stage] = []
     for name, stage in zip((THERMAL, HYGRIC), basis.stages, strict=False):
         part = choice.scene.parts[name]
@@ -162,9 +166,9 @@ def _ended(scene: Scene, stages: Sequence[Stage]) -> Scene:
 def verdict(accepted: Sequence[Trial], rest: Mapping | None, foreign: bool, repeated: bool) -> str:
     """`none`, `named` or `unexplained`.
 
-    rest: structure that is left; foreign: whether nobody logs what makes it; repeated: whether readings were set
-    aside.  Both overrule what was accepted, the first but for switches: simulated ones lose their phase, and what their
-    cycles leave goes to one side too.
+    rest: structure that is left; foreign: whether nobody logs what makes it; repeated: whether readings were
+    set aside.  Both overrule what was accepted, the first but for switches: simulated ones lose their phase,
+    and what their cycles leave goes to one side too.
     """
     overruled = repeated or (foreign and not any(switches(trial) for trial in accepted))
     if accepted and not overruled:
@@ -202,9 +206,9 @@ def _results(
         for one in causes:
             one["confidence"] = min(one["confidence"], UNEXPLAINED_AT_MOST)
     return {
-        "name": base.results["name"],
+        "name": base.results.name,
         "version": __version__,
-        "synthetic": base.results["synthetic"],
+        "synthetic": base.results.synthetic,
         "verdict": said,
         "baseline": _scores(base),
         "extended": None if extended is None else _scores(extended),
@@ -239,4 +243,5 @@ def _remainder(quantity: str, kind: str, statement: str) -> dict:
 
 
 def _scores(fit: Fit) -> dict:
-    return {key: fit.results[key] for key in ("rmse", "baselines", "time_constants", "loglik", "n_obs")}
+    kept = ("rmse", "baselines", "time_constants", "loglik", "n_obs")
+    return {key: plain(getattr(fit.results, key)) for key in kept}

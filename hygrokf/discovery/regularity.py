@@ -1,4 +1,5 @@
-"""What errors show in time and frequency, beside conditions that were logged: a period of any length, and growth.
+"""What errors show in time and frequency, beside conditions that were logged: a period of any length, and
+growth.
 
 Shapes: n bins of equal length.
 """
@@ -30,7 +31,8 @@ GROWS = 2.0
 
 @dataclass(frozen=True)
 class Period:
-    """A line in the errors' spectrum: its period [h], the root mean square of its course [unit of the errors] and p."""
+    """A line in the errors' spectrum: its period [h], the root mean square of its course [unit of the errors]
+    and p."""
 
     hours: float
     size: float
@@ -38,10 +40,12 @@ class Period:
 
 
 def period(values: np.ndarray, step_h: float, level: float) -> Period | None:
-    """The strongest line of a chance below `level` in the spectrum of a series (n,), NaN = missing; None where there is none.
+    """The strongest line of a chance below `level` in the spectrum of a series (n,), NaN = missing; None
+    where there is none.
 
-    The power of a windowed periodogram over the median of that around it has an exponential law where the spectrum is smooth;
-    p counts all frequencies.  The day, the year and their harmonics are left to conditions of hour and season.
+    The power of a windowed periodogram over the median of that around it has an exponential law where the
+    spectrum is smooth; p counts all frequencies.  The day, the year and their harmonics are left to
+    conditions of hour and season.
     """
     known = np.isfinite(values)
     n = len(values)
@@ -92,7 +96,8 @@ def _size(values: np.ndarray, step_h: float, hours: float) -> float:
 
 
 def growth(values: np.ndarray, step_h: float) -> tuple[float, float]:
-    """(ratio of the errors' size at the end of a series (n,) to that at its beginning, p that they do not grow or shrink)."""
+    """(ratio of the errors' size at the end of a series (n,) to that at its beginning, p that they do not
+    grow or shrink)."""
     day = np.floor(step_h * np.arange(len(values)) / DAY_H).astype(int)
     known = np.isfinite(values)
     number = np.bincount(day[known], minlength=day[-1] + 1)

@@ -1,4 +1,5 @@
-"""Readings that repeat those of the day before: a logger's fault, to be set aside before anything is explained by physics."""
+"""Readings that repeat those of the day before: a logger's fault, to be set aside before anything is
+explained by physics."""
 
 from __future__ import annotations
 
@@ -19,14 +20,15 @@ SHORTEST_S = 3600.0
 FEWEST = 6
 """Readings of a stretch at least."""
 BEYOND = 1.5
-"""A stretch must be so many times longer than the longest that chance makes: that of readings which equal others some
-steps more or less than a day before."""
+"""A stretch must be so many times longer than the longest that chance makes: that of readings which equal
+others some steps more or less than a day before."""
 PAUSE_S = 7200.0
 """[s] between two stretches that belong to one: readings that were missing a day before."""
 OTHERS = 40
 """Other lags that are looked at."""
 MOVING = 0.25
-"""[1] share of steps with a change below which readings stand still: saturated or frozen ones equal each other anyway."""
+"""[1] share of steps with a change below which readings stand still: saturated or frozen ones equal each
+other anyway."""
 
 
 def repeats(series: Series) -> list[tuple[float, float]]:
@@ -68,7 +70,8 @@ def _equal(grid: np.ndarray, lag: int, tolerance: float) -> list[tuple[int, int]
 def without_repeats(record: Record) -> tuple[Record, dict[str, list[tuple[float, float]]]]:
     """The record with the cabinet's repeated readings missing, and the stretches [s] by signal.
 
-    A logger repeats all that it logs: what one signal shows is missing in every signal of its source, pauses too.
+    A logger repeats all that it logs: what one signal shows is missing in every signal of its source, pauses
+    too.
     """
     own = [series for series in record.series if series.signal.startswith("cabinet_")]
     spans = {series.signal: found for series in own if (found := repeats(series))}

@@ -27,12 +27,14 @@ from hygrokf.evaluation.bootstrap import block_h
 
 BLOCK_H = 3.0
 WANDERS_H = 24.0
-"""Standard deviation of the bell by which the error's slow course is taken out: what comes and goes lasts for hours."""
+"""Standard deviation of the bell by which the error's slow course is taken out: what comes and goes lasts for
+hours."""
 APART = 24
 """Blocks, three days, by which two series are moved apart at least to see what chance makes of them."""
 RESTLESS = {(TEMPERATURE, 1): 2.4, (TEMPERATURE, -1): 3.6, (HUMIDITY, 1): 3.0, (HUMIDITY, -1): 3.0}
-"""(quantity, side) -> standard errors beyond which unrest goes with that side of the error.  A cabinet is warmer than the
-air around it, so that an ordinary exchange that is restless goes with errors to the cold side."""
+"""(quantity, side) -> standard errors beyond which unrest goes with that side of the error.  A cabinet is
+warmer than the air around it, so that an ordinary exchange that is restless goes with errors to the cold
+side."""
 UNSTEADY = 1.3
 """Variance of the innovations' size below which there is no unrest to speak of."""
 REGULAR = 1e-3
@@ -50,9 +52,9 @@ def structure(
 ) -> dict | None:
     """The strongest structure left in the errors, or None: quantity, when, what it goes with, p.
 
-    level: [1] chance of an answer where there is none.  found: `misfits(residuals)` if at hand.  Looked for are misfits
-    under any condition that came more than once, and excursions to one side under no condition that was logged.  `driver`, `lag_h` and
-    `correlation` name the driver that the error follows best.
+    level: [1] chance of an answer where there is none.  found: `misfits(residuals)` if at hand.  Looked for
+    are misfits under any condition that came more than once, and excursions to one side under no condition
+    that was logged.  `driver`, `lag_h` and `correlation` name the driver that the error follows best.
     """
     found = misfits(residuals, level) if found is None else found
     recurring = [one for one in found if not one.once]
@@ -75,8 +77,8 @@ def structure(
         spans = sorted(spans, key=lambda span: -float(np.nansum(side * error[slice(*span)])))
         when = _dates([float(hours.time_s[a]) for a, _ in spans])
         words = (
-            f"in {len(spans)} episodes, under no condition that is logged, simulated {NAMES[quantity]} is up to "
-            f"{digits(size)} {UNITS[quantity]} {'too low' if side > 0 else 'too high'}: {when}"
+            f"in {len(spans)} episodes, under no condition that is logged, simulated {NAMES[quantity]} is up "
+            f"to {digits(size)} {UNITS[quantity]} {'too low' if side > 0 else 'too high'}: {when}"
         )
         return _left(hours, quantity, "one-sided excursions", when, words, p)
     return None
@@ -90,8 +92,8 @@ def _in_time(hours: Hours, quantity: str) -> dict | None:
     if line is not None and line.size > MATERIAL * scale:
         text = f"{line.hours:.1f} h" if line.hours < 72.0 else f"{line.hours / 24.0:.1f} days"
         words = (
-            f"simulated {name} errs with a period of {text}, by {digits(line.size)} {unit} (root mean square); something that "
-            "nobody logs follows a timer or a cycle of its own"
+            f"simulated {name} errs with a period of {text}, by {digits(line.size)} {unit} (root mean "
+            "square); something that nobody logs follows a timer or a cycle of its own"
         )
         return _left(hours, quantity, "period", f"every {text}", words, line.p)
     ratio, p = growth(error, hours.step_h)
@@ -102,18 +104,20 @@ def _in_time(hours: Hours, quantity: str) -> dict | None:
     peaked, p = bursts(error, hours.step_h)
     if p < CHANCE and peaked > PEAKED:
         words = (
-            f"the errors of the simulated {name} come in bursts (kurtosis {peaked:.1f}, 3 for a disturbance that is always "
-            "there), under no condition that is logged"
+            f"the errors of the simulated {name} come in bursts (kurtosis {peaked:.1f}, 3 for a disturbance "
+            "that is always there), under no condition that is logged"
         )
         return _left(hours, quantity, "bursts", "now and then", words, p)
     return None
 
 
 def remaining(pair: tuple[Residuals, Residuals]) -> tuple[dict | None, bool]:
-    """(structure that is left or None, whether nobody logs what makes it) in the errors of a model's two versions.
+    """(structure that is left or None, whether nobody logs what makes it) in the errors of a model's two
+    versions.
 
-    pair: as estimated by innovations, and moved toward its least free-run error.  What the second one does not show is a
-    poor simulator's, and no effect: a model that is wrong in its form is estimated to foretell the next reading.
+    pair: as estimated by innovations, and moved toward its least free-run error.  What the second one does
+    not show is a poor simulator's, and no effect: a model that is wrong in its form is estimated to foretell
+    the next reading.
     """
     first, second = (unlogged(one) for one in pair)
     if first and second and first["quantity"] == second["quantity"]:
@@ -122,17 +126,17 @@ def remaining(pair: tuple[Residuals, Residuals]) -> tuple[dict | None, bool]:
 
 
 def unlogged(residuals: Residuals) -> dict | None:
-    """Unrest to one side, a period, growth or bursts, as `structure` gives it, or None: something that nobody logs acts,
-    whatever else was found.
+    """Unrest to one side, a period, growth or bursts, as `structure` gives it, or None: something that nobody
+    logs acts, whatever else was found.
     """
     hours = hourly(residuals)
     for quantity in QUANTITIES:
         z, unsteady = unrest(residuals, quantity)
         if abs(z) > RESTLESS[quantity, int(math.copysign(1, z))] and unsteady > UNSTEADY:
             words = (
-                f"something under no condition that is logged comes and goes: the {NAMES[quantity]} is more restless while "
-                f"it is simulated too {'low' if z > 0 else 'high'} (rank correlation {z:.1f} standard errors; none is "
-                "expected of a disturbance that knows no side)"
+                f"something under no condition that is logged comes and goes: the {NAMES[quantity]} is more "
+                f"restless while it is simulated too {'low' if z > 0 else 'high'} (rank correlation {z:.1f} "
+                "standard errors; none is expected of a disturbance that knows no side)"
             )
             return _left(hours, quantity, "restless to one side", "now and then", words, _two_sided(z))
         if np.isfinite(hours.error[quantity]).sum() >= FEWEST_HOURS:
@@ -143,12 +147,14 @@ def unlogged(residuals: Residuals) -> dict | None:
 
 
 def unrest(residuals: Residuals, quantity: str) -> tuple[float, float]:
-    """(z, u) of a quantity's innovations in blocks of three hours: does their size go with the side of the error?
+    """(z, u) of a quantity's innovations in blocks of three hours: does their size go with the side of the
+    error?
 
-    z: rank correlation of the mean squared innovation and the mean error of blocks, in standard errors; the error's slow
-    course and the mean course over the day are taken out.  The error of z is that of the same series moved against each
-    other by days.  Ordinary disturbances, also those that come in shots or with the hour, know no side: |z| is
-    that of a standard normal variate.  What acts now and then, and then to one side, makes it large.
+    z: rank correlation of the mean squared innovation and the mean error of blocks, in standard errors; the
+    error's slow course and the mean course over the day are taken out.  The error of z is that of the same
+    series moved against each other by days.  Ordinary disturbances, also those that come in shots or with the
+    hour, know no side: |z| is that of a standard normal variate.  What acts now and then, and then to one
+    side, makes it large.
     u: variance of the mean squared innovations over that of a Gaussian's, 1 for a steady one.
     """
     e = residuals.innovation(quantity)
@@ -170,7 +176,8 @@ def unrest(residuals: Residuals, quantity: str) -> tuple[float, float]:
     parts = np.zeros((2, len(hour)))
     for row, one in enumerate((rank, mean - _slow(mean, full))):
         parts[row, full] = _without_course(one, hour[full])
-    # both have a memory: how far chance takes their product is seen where one is moved against the other by days
+    # both have a memory: how far chance takes their product is seen where one is moved against the other by
+    # days
     spectrum = np.fft.rfft(parts)
     products = np.fft.irfft(spectrum[0] * np.conj(spectrum[1]), len(hour))
     apart = products[APART : len(hour) - APART]
@@ -179,7 +186,8 @@ def unrest(residuals: Residuals, quantity: str) -> tuple[float, float]:
 
 
 def _slow(mean: np.ndarray, full: np.ndarray) -> np.ndarray:
-    """Slow course of block means (n,) that belong to the blocks flagged by `full` (N,): their mean under a bell."""
+    """Slow course of block means (n,) that belong to the blocks flagged by `full` (N,): their mean under a
+    bell."""
     sd = round(WANDERS_H / BLOCK_H)
     bell = np.exp(-0.5 * (np.arange(-3 * sd, 3 * sd + 1) / sd) ** 2)
     spread = np.zeros(len(full))
@@ -249,7 +257,8 @@ def _moment(
 ) -> tuple[float, float]:
     """Standardised moment of an order, and p that it is that of a Gaussian series; blocks are the witnesses.
 
-    The Hermite polynomial of the order has no mean, and hardly any error from the estimated mean and variance.
+    The Hermite polynomial of the order has no mean, and hardly any error from the estimated mean and
+    variance.
     """
     from scipy.stats import t as t_law
 

@@ -46,15 +46,17 @@ class Residuals:
     """Reading minus prediction at the instants of a fit, and what may go with it.
 
     time_h: [h] (T,) since `origin_s` [s] (Unix epoch).
-    temperature_error [K], humidity_error [g/m³]: (T,) reading − free run; NaN where there is none, or not scored.
-    temperature_innovation, humidity_innovation: [1] (T,) of the one-step prediction, in its own standard deviations.
+    temperature_error [K], humidity_error [g/m³]: (T,) reading − free run; NaN where there is none, or not
+    scored.
+    temperature_innovation, humidity_innovation: [1] (T,) of the one-step prediction, in its own standard
+        deviations.
     drivers: name -> (T,); power relative to the rated one, absolute humidity [g/m³], all else [SI].
-        `cabinet_relative_humidity` and `cabinet_temperature` are the *simulated* ones: an error must not choose the
-        condition under which it is looked at.
+        `cabinet_relative_humidity` and `cabinet_temperature` are the *simulated* ones: an error must not
+        choose the condition under which it is looked at.
     operating, preheating: (T,) bool.
     validation: (T,) bool, True after the end of the identification period.
-    sensor_error: quantity -> (T,) standard deviation [K], [g/m³] that the stated accuracy of the cabinet's and of the
-        ambient sensors brings about.
+    sensor_error: quantity -> (T,) standard deviation [K], [g/m³] that the stated accuracy of the cabinet's
+        and of the ambient sensors brings about.
     measured, simulated, sd: quantity -> (T,) [K], [g/m³]: reading, free run and its standard deviation.
     name: of the record.
     """
@@ -94,7 +96,8 @@ class Residuals:
         return self.temperature_innovation if quantity == TEMPERATURE else self.humidity_innovation
 
     def rmse(self, quantity: str, validation: bool = False) -> float:
-        """Root mean square of the free run's error [K], [g/m³] in the identification or the validation period."""
+        """Root mean square of the free run's error [K], [g/m³] in the identification or the validation
+        period."""
         return _rms(self.error(quantity)[self.validation == validation])
 
 
@@ -112,7 +115,8 @@ def residuals(fit: Fit, record: Record) -> Residuals:
     s = fit.series
     if "time_s" not in s:
         raise ValueError(
-            f"fit {fit.name}: expected its series, found none; a fit read from fit.json has no residuals, identify again"
+            f"fit {fit.name}: expected its series, found none; a fit read from fit.json has no residuals, "
+            "identify again"
         )
     time = np.asarray(s["time_s"], dtype=float)
     scored = np.asarray(s["scored"]) > 0
@@ -171,7 +175,8 @@ def _varies(value: np.ndarray) -> bool:
 
 
 def _sensor_error(s: Mapping[str, np.ndarray], record: Record) -> dict[str, np.ndarray]:
-    """Standard deviations (T,) that the sensors' accuracy (95 % bound) brings about, inside and outside in quadrature."""
+    """Standard deviations (T,) that the sensors' accuracy (95 % bound) brings about, inside and outside in
+    quadrature."""
 
     def sd(name: str) -> float:
         return accuracy_of(record[name]) / NORMAL_95 if name in record else 0.0
@@ -249,9 +254,10 @@ class Hours:
     """Residuals in bins of equal length (n,), as all conditions are looked at.
 
     start_s: [s] beginning of the first bin; step_h: [h] length of a bin.
-    error [K], [g/m³] and innovation [1]: quantity -> (n,); innovations keep unit variance. NaN without a reading.
-    drivers: name -> (n,) means; operating, preheating: (n,) bool, for most of the bin; heated: [1] (n,) share of the bin
-    with pre-heating; sensor_error: quantity -> (n,).
+    error [K], [g/m³] and innovation [1]: quantity -> (n,); innovations keep unit variance. NaN without a
+    reading.
+    drivers: name -> (n,) means; operating, preheating: (n,) bool, for most of the bin; heated: [1] (n,) share
+    of the bin with pre-heating; sensor_error: quantity -> (n,).
     """
 
     start_s: float
@@ -279,7 +285,8 @@ class Hours:
 
 
 def hourly(residuals: Residuals, validation: bool = False) -> Hours:
-    """The identification (or validation) period in bins of an hour, or of the readings' step where that is longer."""
+    """The identification (or validation) period in bins of an hour, or of the readings' step where that is
+    longer."""
     chosen = residuals.validation == validation
     time = residuals.time_s[chosen]
     if not len(time):
@@ -324,7 +331,8 @@ def hourly(residuals: Residuals, validation: bool = False) -> Hours:
 def reading_grid(
     residuals: Residuals, quantity: str, values: np.ndarray | None = None
 ) -> tuple[float, float, np.ndarray]:
-    """Start [s], step [s] and values (n,) of the identification period at the readings' own step, NaN = missing.
+    """Start [s], step [s] and values (n,) of the identification period at the readings' own step, NaN =
+    missing.
 
     values: (T,), the free run's errors if not given.
     """
@@ -363,7 +371,8 @@ def closed(inside: np.ndarray, step_h: float) -> np.ndarray:
 
 
 def duration_h(error: np.ndarray, episodes: Sequence[tuple[int, int]], step_h: float) -> float | None:
-    """For how long [h] the episodes' mean course stays above half of its largest value; None for long episodes."""
+    """For how long [h] the episodes' mean course stays above half of its largest value; None for long
+    episodes."""
     longest = max(b - a for a, b in episodes)
     if step_h * longest > LONGEST_DURATION_H:
         return None

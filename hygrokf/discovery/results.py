@@ -1,4 +1,5 @@
-"""A discovery on disk: `discovery.json`, `discovery.npz`, and the model that it ends with as a fit beside them."""
+"""A discovery on disk: `discovery.json`, `discovery.npz`, and the model that it ends with as a fit beside
+them."""
 
 from __future__ import annotations
 
@@ -27,7 +28,8 @@ AGAIN = "run `hygrokf discover` with --out on this directory first"
 
 @dataclass(frozen=True)
 class Discovered:
-    """What a page of a discovery is made from: the plain data of `discovery.json` and the residuals of both models."""
+    """What a page of a discovery is made from: the plain data of `discovery.json` and the residuals of both
+    models."""
 
     results: Mapping[str, Any]
     before: Residuals | None = None
@@ -35,8 +37,8 @@ class Discovered:
 
 
 def write_discovery(found: Discovery, directory: str | os.PathLike[str]) -> Path:
-    """Write `discovery.json` and `discovery.npz`, and the extended model (the base without one) as `fit.json` and
-    `series.npz`; returns the path of discovery.json.
+    """Write `discovery.json` and `discovery.npz`, and the extended model (the base without one) as `fit.json`
+    and `series.npz`; returns the path of discovery.json.
 
     Pages of earlier results in the directory are removed first.  Raises OSError as the system gives it.
     """

@@ -1,7 +1,8 @@
-"""Score statistics of one-parameter effects at the base model's maximum: which date, threshold or delay to refit.
+"""Score statistics of one-parameter effects at the base model's maximum: which date, threshold or delay to
+refit.
 
-With e the standardised innovations of the base, x their slopes along the effect's parameter at its null value and X
-those along the base's parameters,
+With e the standardised innovations of the base, x their slopes along the effect's parameter at its null value
+and X those along the base's parameters,
 
     x' = x − X (X'X)⁻¹ X'x,    LM = (x'·e)²/(x'·x'),
 
@@ -29,8 +30,8 @@ from hygrokf.physics.model import Mechanism, Model, compose
 
 @dataclass(frozen=True)
 class Scanned:
-    """Score statistics of S settings: `root` (S,) signed roots of LM, positive where the parameter wants to grow, and a
-    `factor` (S, r) of their correlation F F' where there is no effect.
+    """Score statistics of S settings: `root` (S,) signed roots of LM, positive where the parameter wants to
+    grow, and a `factor` (S, r) of their correlation F F' where there is no effect.
     """
 
     root: np.ndarray
@@ -58,8 +59,9 @@ class Scanned:
 class _Bench:
     """A part with an effect at its null value, as often as the model has copies of the effect's mechanism.
 
-    `e` (n,) standardised innovations at the readings, `basis` (n, d) what the base's parameters explain of them; `along`
-    (parameters, L) the directions of the copies' parameters, `columns` the places of their features among the inputs.
+    `e` (n,) standardised innovations at the readings, `basis` (n, d) what the base's parameters explain of
+    them; `along` (parameters, L) the directions of the copies' parameters, `columns` the places of their
+    features among the inputs.
     """
 
     likelihood: Likelihood
@@ -77,7 +79,8 @@ class _Bench:
         return t.origin_s + 3600.0 * t.time
 
     def slopes(self, courses: Sequence[np.ndarray]) -> np.ndarray:
-        """Slopes (n, S) along the effect with each of S courses (T,) of its feature, in one pass of the filter."""
+        """Slopes (n, S) along the effect with each of S courses (T,) of its feature, in one pass of the
+        filter."""
         t = self.likelihood.timeline
         u = t.u.copy()
         for column, course in zip(self.columns, courses, strict=False):
@@ -103,10 +106,11 @@ class _Bench:
 def _abreast(
     model: Model, mechanism: Mechanism, parameter: str, name: str
 ) -> tuple[Model, list[str], list[str]]:
-    """(the model with as many copies of a mechanism as the filter takes directions at once, their parameters, their features).
+    """(the model with as many copies of a mechanism as the filter takes directions at once, their parameters,
+    their features).
 
-    At the parameter's null value a copy changes nothing, so slopes along all of them are had in one pass.  A mechanism that
-    brings a state or a shared quantity stays alone.
+    At the parameter's null value a copy changes nothing, so slopes along all of them are had in one pass.  A
+    mechanism that brings a state or a shared quantity stays alone.
     """
     count = 1 if mechanism.states or mechanism.quantities else LANES
     numbers = range(2, count + 1)
@@ -191,8 +195,9 @@ def scan(
 ) -> Scanned:
     """Score statistics of S settings of the feature `name`.
 
-    `mechanism` (name, settings) brings the parameter and reads the feature; `nulls` values of its other parameters.  With
-    `sums` (S, W) those of W features that are sums of the settings' own: slopes are linear in the feature.
+    `mechanism` (name, settings) brings the parameter and reads the feature; `nulls` values of its other
+    parameters.  With `sums` (S, W) those of W features that are sums of the settings' own: slopes are linear
+    in the feature.
     """
     bench = _bench(part, mechanism, parameter, name, settings[0], nulls)
     courses = [feature(part.record, name, one, bench.seconds) for one in settings]
@@ -211,8 +216,8 @@ def slow_scan(
 ) -> Scanned:
     """The same for a feature that changes slowly, by one pass of the filter for all settings.
 
-    A filter forgets within hours: slopes along an effect that comes and goes over days are those along a lasting one
-    times its course.  What happens in the hours after a sudden change is missed; `scan` refines.
+    A filter forgets within hours: slopes along an effect that comes and goes over days are those along a
+    lasting one times its course.  What happens in the hours after a sudden change is missed; `scan` refines.
     """
     bench = _bench(part, mechanism, parameter, name, settings[0], nulls)
     lasting = bench.slopes([np.ones(len(bench.seconds))])
@@ -248,10 +253,12 @@ MOST_WINDOWS = 12
 
 
 def local_scan(probes: Mapping[str, tuple[Part, str, str]], name: str) -> list[list[float]]:
-    """Windows [start, end] [s] in which the parts' innovations ask for an effect, the strongest first; none overlaps.
+    """Windows [start, end] [s] in which the parts' innovations ask for an effect, the strongest first; none
+    overlaps.
 
-    The response to an effect within a window is taken as that to a lasting one, cut to the window: a filter forgets
-    within hours.  `probes`: part → (part, mechanism, parameter) of effects that share the flag `name`.
+    The response to an effect within a window is taken as that to a lasting one, cut to the window: a filter
+    forgets within hours.  `probes`: part → (part, mechanism, parameter) of effects that share the flag
+    `name`.
     """
     step = 1800.0
     products, squares, start = np.zeros((0, 0)), np.zeros((0, 0)), 0.0

@@ -1,13 +1,14 @@
-"""Whether errors that remember their past go with a condition: block bootstrap, effective size, false discoveries.
+"""Whether errors that remember their past go with a condition: block bootstrap, effective size, false
+discoveries.
 
-The errors of a free run are correlated over half a day and more, so readings are no independent witnesses.  The
-surrogates here are post-blackened (`resampling`): blocks of the raw errors would lose a share τ/L of the variance of
-their means (τ integral time, L block), which at the far tail doubles or triples p.
+The errors of a free run are correlated over half a day and more, so readings are no independent witnesses.
+The surrogates here are post-blackened (`resampling`): blocks of the raw errors would lose a share τ/L of the
+variance of their means (τ integral time, L block), which at the far tail doubles or triples p.
 
 Shapes: n bins of equal length, k columns of a basis, B surrogates, J questions.
 
-Source: Künsch 1989, doi:10.1214/aos/1176347265; Politis & Romano 1992 (circular blocks); Davison & Hinkley 1997,
-section 8.2.3 (post-blackening); Benjamini & Hochberg 1995, doi:10.1111/j.2517-6161.1995.tb02031.x.
+Source: Künsch 1989, doi:10.1214/aos/1176347265; Politis & Romano 1992 (circular blocks); Davison & Hinkley
+1997, section 8.2.3 (post-blackening); Benjamini & Hochberg 1995, doi:10.1111/j.2517-6161.1995.tb02031.x.
 """
 
 from __future__ import annotations
@@ -25,7 +26,8 @@ SECOND_LOOK = 200
 FEWEST_CLUSTERS = 10.0
 """Effective number of blocks from which a condition's own scatter can be judged."""
 LIVELY = 1.5
-"""Ratio of variances from which errors are livelier under a condition; then the blocks' number is what counts."""
+"""Ratio of variances from which errors are livelier under a condition; then the blocks' number is what
+counts."""
 
 
 # --- one condition ---------------------------------------------------------------------------
@@ -35,8 +37,8 @@ LIVELY = 1.5
 class Null:
     """A series (n,), surrogates of its noise (B, n), and how much they know.
 
-    Of a series with a large effect, the surrogates take the effect for noise, and its significance has a ceiling:
-    `without` the effect they do not.
+    Of a series with a large effect, the surrogates take the effect for noise, and its significance has a
+    ceiling: `without` the effect they do not.
     """
 
     values: np.ndarray
@@ -69,7 +71,8 @@ class Null:
 
 
 def centred(basis: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Columns (n, k) less their means over the known bins, zero elsewhere; unknown entries count as the mean."""
+    """Columns (n, k) less their means over the known bins, zero elsewhere; unknown entries count as the
+    mean."""
     there = known[:, None] & np.isfinite(basis)
     number = np.maximum(there.sum(axis=0), 1)
     filled = np.where(there, basis, 0.0)
@@ -80,7 +83,8 @@ def centred(basis: np.ndarray, known: np.ndarray) -> np.ndarray:
 class Prewhitened:
     """A series (n,) free of its memory: its prediction errors, and the same operation for a basis.
 
-    Where a condition sets in within an hour, it stands out from errors that change slowly (generalised least squares).
+    Where a condition sets in within an hour, it stands out from errors that change slowly (generalised least
+    squares).
     """
 
     phi: np.ndarray
@@ -107,9 +111,10 @@ class Prewhitened:
 def linear_p(null: Null, bases: Sequence[np.ndarray]) -> np.ndarray:
     """p (J,) that a series is free of each basis (n, k_j): Hotelling's T² with the surrogates' covariance.
 
-    The statistic is (X'e)' Σ⁻¹ (X'e); its law F(k, ν) with ν the smaller of the surrogates' number and the series'
-    effective size.  Where a condition is met in a dozen blocks or more, the scatter between the blocks is looked at too,
-    and the larger variance counts: errors may be livelier under that condition than elsewhere.
+    The statistic is (X'e)' Σ⁻¹ (X'e); its law F(k, ν) with ν the smaller of the surrogates' number and the
+    series' effective size.  Where a condition is met in a dozen blocks or more, the scatter between the
+    blocks is looked at too, and the larger variance counts: errors may be livelier under that condition than
+    elsewhere.
     """
     from scipy.stats import f as f_law
 
@@ -149,7 +154,8 @@ def _whitening(covariance: np.ndarray) -> np.ndarray | None:
 
 
 def _inflation(x: np.ndarray, e: np.ndarray, root: np.ndarray, block: int) -> tuple[float, float]:
-    """Scatter of the blocks' shares in the score over what the surrogates say, at least 1; effective number of blocks."""
+    """Scatter of the blocks' shares in the score over what the surrogates say, at least 1; effective number
+    of blocks."""
     effect, *_ = np.linalg.lstsq(x, e, rcond=None)
     starts = np.arange(0, len(e), block)
     weight = np.add.reduceat(((x @ root.T) ** 2).sum(axis=1), starts)
@@ -177,7 +183,8 @@ def _largest(score: np.ndarray, world: np.ndarray, freedom: float) -> tuple[floa
 
 
 def tail(observed: float, simulated: np.ndarray) -> float:
-    """p of a value among simulated ones (B,): counted, or beyond the tenth largest from a fitted gamma law."""
+    """p of a value among simulated ones (B,): counted, or beyond the tenth largest from a fitted gamma
+    law."""
     exceeding = int((simulated >= observed).sum())
     if exceeding >= 10:
         return (exceeding + 1.0) / (len(simulated) + 1.0)
@@ -196,10 +203,11 @@ def tail(observed: float, simulated: np.ndarray) -> float:
 def benjamini_hochberg(p: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
     """q (J,): the share of false discoveries among all that are at least as significant.
 
-    weights: (J,) laid down beforehand, of mean 1 (they are scaled to it); p is divided by them.  Holds for independent
-    and for positively dependent tests.  Here the same hours are asked under overlapping conditions, so that the squares
-    of the statistics go up and down together: positive dependence, which needs no factor Σ 1/j (Benjamini & Yekutieli
-    2001, doi:10.1214/aos/1013699998).  The false alarms on plants without any hidden cause are counted in the tests.
+    weights: (J,) laid down beforehand, of mean 1 (they are scaled to it); p is divided by them.  Holds for
+    independent and for positively dependent tests.  Here the same hours are asked under overlapping
+    conditions, so that the squares of the statistics go up and down together: positive dependence, which
+    needs no factor Σ 1/j (Benjamini & Yekutieli 2001, doi:10.1214/aos/1013699998).  The false alarms on
+    plants without any hidden cause are counted in the tests.
 
     Source: Genovese, Roeder & Wasserman 2006, doi:10.1093/biomet/93.3.509 (weights).
     """

@@ -1,7 +1,9 @@
-"""Conditions that errors may go with: episodes, regimes, hours, season, level, rate and lag of drivers, dates.
+"""Conditions that errors may go with: episodes, regimes, hours, season, level, rate and lag of drivers,
+dates.
 
-A condition is a basis that is tested, and bins in which its worst part is described.  All are made from inputs and
-from the simulation, never from the readings that are judged.  Shapes: n bins of an hour, k columns, m bins of a condition.
+A condition is a basis that is tested, and bins in which its worst part is described.  All are made from
+inputs and from the simulation, never from the readings that are judged.  Shapes: n bins of an hour, k
+columns, m bins of a condition.
 """
 
 from __future__ import annotations
@@ -41,7 +43,8 @@ SHORTEST_H = 6.0
 LARGEST_PART = 0.6
 """[1] of the hours that a misfit may hold for: beyond, the rest is the exception."""
 GROUPS = {
-    "regime": "episodes", "episode": "episodes", "since": "episodes", "saturation": "episodes", "hour": "hour",
+    "regime": "episodes", "episode": "episodes", "since": "episodes", "saturation": "episodes",
+    "hour": "hour",
     "season": "calendar", "drift": "calendar", "step": "calendar",
     "level": "drivers", "rate": "drivers", "lag": "drivers",
 }  # fmt: skip
@@ -55,10 +58,13 @@ class Condition:
     """What errors may go with.
 
     kind: one of `GROUPS`. driver: the signal, or "". basis: (n, k), NaN = unknown.
-    law: "linear" (all columns together), "largest" (the best column), "trend", "change" (column 0 lists candidate dates, evenly spaced from bin 0).
-    bins: (n,) number of the bin 0 … m − 1, −1 = none. x: (n,) what the bins are made from, in people's units; axis: label.
+    law: "linear" (all columns together), "largest" (the best column), "trend", "change" (column 0 lists
+        candidate dates, evenly spaced from bin 0).
+    bins: (n,) number of the bin 0 … m − 1, −1 = none. x: (n,) what the bins are made from, in people's units;
+        axis: label.
     phrase: first and last bin -> (where, when). flag: bin 0 is the condition, bin 1 the rest.
-    circular: bins close a circle. sharp: sets in and ends within an hour. columns: conditions of single columns.
+    circular: bins close a circle. sharp: sets in and ends within an hour. columns: conditions of single
+        columns.
     """
 
     kind: str
@@ -80,7 +86,8 @@ class Condition:
         return GROUPS[self.kind]
 
     def worst(self, error: np.ndarray) -> tuple[int, int, np.ndarray] | None:
-        """First and last bin of the stretch of bins that stands out most from the rest, and its hours (n,) bool.
+        """First and last bin of the stretch of bins that stands out most from the rest, and its hours (n,)
+        bool.
 
         error: (n,), NaN = unknown.  None without errors on both sides.
         """
@@ -104,14 +111,16 @@ class Condition:
         return chosen
 
     def explained(self, error: np.ndarray) -> float:
-        """Sum of squares of the error (n,) that the bins' means explain; hours without a bin count as one bin."""
+        """Sum of squares of the error (n,) that the bins' means explain; hours without a bin count as one
+        bin."""
         there = np.isfinite(error)
         number = np.bincount(self.bins[there] + 1).astype(float)
         total = np.bincount(self.bins[there] + 1, weights=error[there])
         return float((total**2 / np.maximum(number, 1.0)).sum())
 
     def curve(self, error: np.ndarray, step_h: float) -> dict:
-        """Mean error by bin, in the error's own sign, with a 95 % band that counts blocks instead of hours."""
+        """Mean error by bin, in the error's own sign, with a 95 % band that counts blocks instead of
+        hours."""
         there = np.isfinite(error) & (self.bins >= 0)
         block = np.arange(len(error)) // max(1, round(block_h(error, step_h) / step_h))
         rows = []
@@ -150,7 +159,8 @@ def _flag(
     flag = np.asarray(flag, dtype=bool)
     column = flag.astype(float) if share is None else share
     return Condition(
-        kind, "", column[:, None], np.where(flag, 0, 1), column, lambda a, b: (where, when), where, flag=True, sharp=True
+        kind, "", column[:, None], np.where(flag, 0, 1), column, lambda a, b: (where, when), where, flag=True,
+        sharp=True
     )  # fmt: skip
 
 

@@ -1,10 +1,12 @@
-"""The compiled step of many runs of one model: `RUNS` runs at a time, each in a lane of the processor's vectors.
+"""The compiled step of many runs of one model: `RUNS` runs at a time, one in each lane of the processor's
+vectors.
 
-`fleet_text` writes one function for a traced recursion.  What is kept stands in blocks of `RUNS` runs, (blocks, width,
-RUNS), what a step brings in columns, (width, runs): every load takes one number of each run of a block.  What depends
-on the parameters and on a step's length alone is kept between steps, and computed again for blocks that are marked as
-changed.  Lanes differ in their number of sub-steps and in which readings they have: all lanes compute, and the ones that
-it does not concern keep what they had.
+`fleet_text` writes one function for a traced recursion.  Persistent arrays are stored in blocks of `RUNS`
+runs, (blocks, width, RUNS); the data of a step are stored in columns, (width, runs).  Every load thus takes
+one number of each run in a block.  Values that depend on the parameters and on the length of a step only are
+kept between steps and recomputed for blocks that are marked as changed.  Lanes differ in their number of
+sub-steps and in the readings they have: all lanes compute, and lanes that a result does not concern keep
+their previous value.
 """
 
 from __future__ import annotations
@@ -24,12 +26,14 @@ ARGUMENTS = [("i64", "blocks")] + [
     ("ptr", name)
     for name in ("theta", "keys", "parts", "most", "changed", "known", "before", "now", "y", "state")
 ]
-"""In columns: key leaves, sub-steps of each run, inputs before and now, readings.  In blocks: parameters, what is kept of
-them and the keys, moments.  Of every block: the most sub-steps, and whether its parameters or keys have changed."""
+"""In columns: key leaves, sub-steps of each run, inputs before and now, readings.  In blocks: parameters,
+values kept between steps, moments.  Per block: the largest number of sub-steps, and whether its parameters or
+keys have changed.
+"""
 
 
 def kept_nodes(recursion: Recursion) -> list[int]:
-    """Nodes that are kept between steps."""
+    """Nodes whose values are kept between steps."""
     return [*recursion.parameter_nodes, *recursion.key_nodes]
 
 
@@ -114,7 +118,7 @@ class _Emission:
         return self.writer.value(f"select {TRUTHS} {truths}, {VECTOR} {a}, {VECTOR} {b}")
 
     def _inputs_within(self, block: str, j: str, parts: str) -> dict[int, str]:
-        """Inputs at the start and the end of sub-step j of `parts`: those of a single sub-step exactly as they are."""
+        """Inputs at the start and the end of sub-step j of `parts`; exact for a single sub-step."""
         r, w = self.recursion, self.writer
         one = w.splat(literal(1.0))
         after = w.value(f"fadd {VECTOR} {j}, {one}")

@@ -1,4 +1,5 @@
-"""A free run that drives its own controllers, as a compiled loop: heaters, fans and vents follow what a logger would show."""
+"""Compiled free run that drives its own controllers: heaters, fans and vents follow what a logger would
+show."""
 
 from __future__ import annotations
 
@@ -16,11 +17,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Control:
-    """A controller within the loop: it sets a varying input by what a logger would show of an output.
+    """A controller within the loop, which sets a varying input according to the reading a logger would show.
 
-    `input`, `reads` names; `mean_h` [h] over which the logger takes means, 0 for none.  `proportional`: its position is
-    (reading − a)/(b − a), within 0 and 1, of its two levels.  Else it is 1 from a reading beyond a on until one beyond b, on
-    the other side: `rising` for one that starts above and stops below; `idle`: 0 but at standstill.
+    `input` and `reads` are names; `mean_h` [h] is the logger's averaging interval, 0 for instants.  A
+    `proportional` controller has the position (reading − a)/(b − a), limited to 0 … 1, with its two levels a
+    and b.  A switch turns on when the reading passes a and off when it passes b: with `rising` on above a and
+    off below b, otherwise on below a and off above b.  With `idle` it is 0 except at standstill.
     """
 
     input: str
@@ -32,10 +34,11 @@ class Control:
 
 
 def write_controlled(emission: Emission, controls: Sequence[Control]) -> None:
-    """Means of a free run; `positions` (T, c) of the controls in the step that leads to each instant.
+    """Write the loop: means of a free run, and `positions` (T, c) of the controls in the step that leads to
+    each instant.
 
-    Before each step the controls look at what the logger would show where it begins; `idle` (T,) is 1 at standstill, `levels`
-    (c, 2) are theirs.
+    The controls read the logger at the start of each step.  `idle` (T,) is 1 at standstill; `levels` (c, 2)
+    are those of the controls.
     """
     w, r = emission.writer, emission.recursion
     means = [e.index for e in r.mean]
@@ -56,7 +59,7 @@ def write_controlled(emission: Emission, controls: Sequence[Control]) -> None:
         idle = w.value(f"fcmp ogt double {w.load(SCALAR, w.at(SCALAR, '%idle', k))}, {literal(0.5)}")
         place = w.integer("mul", k, len(controls))
         for c, (control, value) in enumerate(zip(controls, shown, strict=True)):
-            if not control.mean_h:  # the innovation of a reading of 0
+            if not control.mean_h:  # this is the innovation of a reading of 0
                 value = w.value(f"fneg double {value}")
             position = _position(w, control, c, value, begun[r.now[control.input].index], idle)
             w.store(SCALAR, position, w.at(SCALAR, "%positions", w.integer("add", place, c)))
@@ -71,7 +74,8 @@ def write_controlled(emission: Emission, controls: Sequence[Control]) -> None:
 
 
 def _shown(recursion: Recursion, control: Control) -> Expression:
-    """What the logger shows to a control: a mean's is the reading whose running mean grows at this rate."""
+    """The reading that a control follows; for an interval mean, the reading whose running mean grows at the
+    state's rate."""
     if control.mean_h:
         place = recursion.system.states.index(f"mean_{control.reads}")
         return recursion.rates[place] * control.mean_h

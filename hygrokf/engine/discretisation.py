@@ -4,25 +4,27 @@ The extended Kalman filter's moment equations,
 
     dm/dt = f(m, u(t)),     dP/dt = A P + P A' + Q,     A = ∂f/∂x at m(t),
 
-are integrated by one Magnus step with two Gauss nodes in time.  With `A₁, A₂` the Jacobians at the nodes, the rest
-b = f − A (x − x₀) through them, b(t) = β + s t, and D = A₂ − A₁,
+are integrated by one Magnus step with two Gauss nodes in time.  With the Jacobians `A₁, A₂` at the nodes, the
+remainder b = f − A (x − x₀) interpolated through them as b(t) = β + s t, and D = A₂ − A₁,
 
     Ω  = h (A₁+A₂)/2 + (√3/12) h² [A₂, A₁],
     m⁺ = x₀ + e^Ω (m−x₀) + φ₁(Ω) (h β + (√3/12) h² D β) + φ₂(Ω) h (h s + (√3/12) h² D s),
     P⁺ = e^Ω P e^Ω' + ∫₀¹ e^{Ωσ} Q̄ e^{Ω'σ} dσ,    Q̄ = h Q + (√3/12) h² (D Q + Q D').
 
-Rows of a linear model have A₁ = A₂ and an exactly affine b: for them every formula above is *exact* under the
-stated hold (zero-order or linear), for any h, and x₀ = 0 leaves e^Ω and its relatives to be computed once.  Where
-rates vary, x₀ = m: the rest then moves with what happens in the step alone, not with the state's distance from zero
-(kelvins from absolute zero), which makes the error of a sub-step some 250 times smaller.  Of the mean it is of order
-h⁵, of the covariance h⁴ (its Jacobians are taken where a second-order rule puts the nodes); sub-steps keep both
-below a stated size (`VARYING_RATES`).
+Rows of a linear model have A₁ = A₂ and an exactly affine b.  For them every formula above is *exact* under
+the stated
+hold (zero-order or linear) for any h, and with x₀ = 0 the matrix e^Ω and its relatives are computed only
+once.  Where rates vary, x₀ = m: the remainder then changes with what happens within the step and not with the
+distance of the state from zero (kelvins from absolute zero), which makes the error of a sub-step about 250
+times smaller.  This error is of order h⁵ for the mean and of order h⁴ for the covariance, whose Jacobians are
+taken where a second-order rule places the nodes.  Sub-steps keep both below a stated size (`VARYING_RATES`).
 
-The exponential and its relatives φ₁, φ₂ are Taylor polynomials in the traced entries, centred at the middle of the
-range that sub-steps keep the rates in: a sparse model pays for its non-zeros only, and entries that depend on h and
-the parameters alone are computed once for each distinct h.
+The exponential and its relatives φ₁, φ₂ are Taylor polynomials in the traced entries, centred in the range of
+rates that sub-steps permit.  A sparse model costs as much as its non-zero entries, and entries that depend
+only on h and the parameters are computed once for each distinct h.
 
-Sources: Magnus step: Iserles & Nørsett 1999, doi:10.1098/rsta.1999.0362; Van Loan 1978, doi:10.1109/TAC.1978.1101743.
+Sources: Magnus step: Iserles & Nørsett 1999, doi:10.1098/rsta.1999.0362; Van Loan 1978,
+doi:10.1109/TAC.1978.1101743.
 """
 
 from __future__ import annotations
@@ -47,15 +49,16 @@ from hygrokf.physics.expression import (
     scale,
     transpose,
 )
+from hygrokf.physics.model import Values
 
 
 @dataclass(frozen=True)
 class Range:
-    """Sub-steps h and the polynomials that serve them.
+    """Limit of the sub-steps h, and the degrees of the polynomials for this range.
 
-    `rate_step` is the largest product of the model's fastest rate and h; `order` the degree of the polynomials for e^Ω,
-    φ₁ and φ₂, with a rest of (rate_step/2)^(order+1) / (order+1)!; `noise_order` that for the accumulated noise, with a
-    rest of rate_step^(noise_order+1) / (noise_order+1)!.
+    `rate_step` is the largest product of the model's fastest rate and h.  `order` is the degree of the
+    polynomials for e^Ω, φ₁ and φ₂, with the remainder (rate_step/2)^(order+1) / (order+1)!; `noise_order`
+    that of the accumulated noise, with the remainder rate_step^(noise_order+1) / (noise_order+1)!.
     """
 
     rate_step: float
@@ -64,19 +67,22 @@ class Range:
 
 
 CONSTANT_RATES = Range(rate_step=0.85, order=13, noise_order=15)
-"""Rates that stay the same within a step: the step is exact, the rests are 7e-17 and 2e-15."""
+"""Rates that are constant within a step: the step is exact, with remainders of 7e-17 and 2e-15."""
 VARYING_RATES = Range(rate_step=0.35, order=8, noise_order=9)
-"""Rates that depend on the state or on a changing input: splitting a step moves ln L by < 1e-6; rests 4e-13, 8e-12."""
+"""Rates that depend on the state or on a changing input: splitting a step changes ln L by < 1e-6; remainders
+4e-13, 8e-12."""
 NODES = (0.5 - math.sqrt(3.0) / 6.0, 0.5 + math.sqrt(3.0) / 6.0)
 
-Drift = Callable[[Sequence, Mapping[str, object]], list]
+Drift = Callable[[Sequence[Value], Values], list[Value]]
+"""(x, u) -> rates (n,) [unit of the state per h]."""
+Inputs = Mapping[str, Expression]
 
 
 @dataclass(frozen=True)
 class Step:
     """Traced moments after one sub-step, and the matrices that made them."""
 
-    mean: list
+    mean: list[Expression]
     covariance: Matrix
     transition: Matrix
     noise: Matrix
@@ -88,14 +94,14 @@ def step(
     noise: Matrix,
     state: Sequence[Expression],
     covariance: Matrix,
-    start: Mapping[str, Expression],
-    end: Mapping[str, Expression],
+    start: Inputs,
+    end: Inputs,
     h: Expression,
 ) -> Step:
     """Trace one sub-step.
 
-    Arguments: `drift(x, u)` -> list of n [unit of the state per h]; `noise` Q (n, n) [unit² per h]; `state` and
-    `covariance` before the step; `start`, `end` the inputs just after its start and just before its end (a
+    `drift(x, u)` -> list of n rates [unit of the state per h]; `noise` Q (n, n) [unit² per h]; `state` and
+    `covariance` before the step; `start` and `end` the inputs just after its start and just before its end (a
     zero-order input has the same node in both); `h` [h].
     """
     n = len(state)
@@ -116,7 +122,8 @@ def step(
     )
     span = VARYING_RATES if _any(difference) else CONSTANT_RATES
     exponential, phi1, phi2 = _exponentials(omega, span)
-    # b(t) runs straight through b1 and b2 at the nodes: weights of both, known before the inputs are
+    # b(t) is the straight line through b1 and b2 at the nodes; the weights of both do not depend on the
+    # inputs
     gap = NODES[1] - NODES[0]
     early = _weights(phi1, NODES[1] / gap, phi2, -1.0 / gap)
     late = _weights(phi1, -NODES[0] / gap, phi2, 1.0 / gap)
@@ -135,9 +142,9 @@ def step(
 
 
 class _Field:
-    """f, its Jacobian and its affine rest as functions of where they are taken."""
+    """f, its Jacobian and its affine remainder as functions of the point at which they are taken."""
 
-    def __init__(self, graph: Graph, drift: Drift, n: int, inputs: Mapping[str, Expression]) -> None:
+    def __init__(self, graph: Graph, drift: Drift, n: int, inputs: Inputs) -> None:
         self.graph = graph
         self.x = [graph.symbol(f"field:x{i}") for i in range(n)]
         self.u = {name: graph.symbol(f"field:u:{name}") for name in inputs}
@@ -147,22 +154,22 @@ class _Field:
         self.curved = [any(depends_on(graph, v, names) for v in row) for row in self.jacobian]
         self.nonlinear = any(self.curved)
 
-    def _at(self, expressions: Sequence, x: Sequence, u: Mapping[str, Expression]) -> list:
+    def _at(self, expressions: Sequence[Value], x: Sequence[Value], u: Inputs) -> list[Value]:
         values = {s.index: self.graph.lift(v) for s, v in zip(self.x, x, strict=True)}
         values |= {self.u[name].index: self.graph.lift(u[name]) for name in self.u}
         result = self.graph.substitute(expressions, values)
         return [0.0 if is_zero(v) else v for v in result]
 
-    def value_at(self, x: Sequence, u: Mapping[str, Expression]) -> list:
+    def value_at(self, x: Sequence[Value], u: Inputs) -> list[Value]:
         return self._at(self.f, x, u)
 
-    def jacobian_at(self, x: Sequence, u: Mapping[str, Expression]) -> Matrix:
+    def jacobian_at(self, x: Sequence[Value], u: Inputs) -> Matrix:
         return [self._at(row, x, u) for row in self.jacobian]
 
-    def rest_at(self, x: Sequence, u: Mapping[str, Expression], a: Matrix, origin: Sequence) -> list:
-        """The rest b of f(x) = A (x − x₀) + b; x₀ = `origin`.
+    def rest_at(self, x: Sequence[Value], u: Inputs, a: Matrix, origin: Sequence[Value]) -> list[Value]:
+        """The remainder b of f(x) = A (x − x₀) + b; x₀ = `origin`.
 
-        Rows that are affine in the state have b = f(x₀), free of cancellation and of the error of x.
+        Rows that are affine in the state have b = f(x₀), without cancellation and without the error of x.
         """
         there = self.value_at(origin, u)
         if not self.nonlinear:
@@ -185,9 +192,9 @@ def _corrected(h: Expression, weights: Matrix, correction: Expression, differenc
     return add(whole, scale(correction, product(weights, difference))) if _any(difference) else whole
 
 
-def _driven(early: Sequence, b1: Sequence, late: Sequence, b2: Sequence) -> Value:
-    """A row of W1 b1 + W2 b2; a rest that is the same at both nodes takes the sum of the weights."""
-    total = 0.0
+def _driven(early: Sequence[Value], b1: Sequence[Value], late: Sequence[Value], b2: Sequence[Value]) -> Value:
+    """A row of W1 b1 + W2 b2; a remainder that is equal at both nodes takes the sum of the weights."""
+    total: Value = 0.0
     for w1, x1, w2, x2 in zip(early, b1, late, b2, strict=True):
         if isinstance(x1, Expression) and isinstance(x2, Expression) and x1.index == x2.index:
             total = total + dot([w1 + w2], [x1])
@@ -196,7 +203,7 @@ def _driven(early: Sequence, b1: Sequence, late: Sequence, b2: Sequence) -> Valu
     return total
 
 
-def _between(start: Mapping, end: Mapping, c: float) -> dict[str, Expression]:
+def _between(start: Inputs, end: Inputs, c: float) -> dict[str, Expression]:
     return {
         name: start[name]
         if start[name].index == end[name].index
@@ -205,8 +212,10 @@ def _between(start: Mapping, end: Mapping, c: float) -> dict[str, Expression]:
     }
 
 
-def _predictor(field: _Field, x: Sequence, start: Mapping, end: Mapping, c: float, h: Expression) -> list:
-    """The state at the fraction c of the step, by the midpoint rule: where the field is linearised."""
+def _predictor(
+    field: _Field, x: Sequence[Value], start: Inputs, end: Inputs, c: float, h: Expression
+) -> list[Value]:
+    """The state at the fraction c of the step by the midpoint rule, where the field is linearised."""
     half = [v + (0.5 * c) * h * k for v, k in zip(x, field.value_at(x, start), strict=True)]
     middle = field.value_at(half, _between(start, end, 0.5 * c))
     return [v + c * h * k for v, k in zip(x, middle, strict=True)]
@@ -230,7 +239,7 @@ def _taylor(centre: float, weight: int | None, order: int) -> list[float]:
     """Taylor coefficients about z = −centre of e^z (weight None) or of ∫₀¹ (1−σ)^weight e^{zσ} dσ."""
     if weight is None:
         return [math.exp(-centre) / f for f in factorials(order + 1)]
-    terms = 40  # of the series of e^{−centre σ}: beyond machine precision for centre < 1
+    terms = 40  # terms of the series of e^{−centre σ}: beyond machine precision for centre < 1
     inverse = [1.0 / f for f in factorials(terms + order + 2)]
     result = []
     for k in range(order + 1):
@@ -259,7 +268,7 @@ def _accumulated(omega: Matrix, noise: Matrix, span: Range) -> Matrix:
 
 
 def congruence(f: Matrix, p: Matrix, q: Matrix | None = None) -> Matrix:
-    """F P F' + Q, its lower triangle computed and mirrored."""
+    """F P F' + Q; the lower triangle is computed and mirrored."""
     n = len(f)
     q = _zeros(n, n) if q is None else q
     fp = product(f, p)

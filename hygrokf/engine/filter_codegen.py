@@ -1,13 +1,14 @@
-"""The compiled loops of a recursion: value, trace, adjoint and tangent, written as LLVM text.
+"""The compiled loops of a recursion as LLVM text: value, trace, adjoint and tangent.
 
-`loop_text` writes the function of one kind for a traced recursion (`hygrokf.engine.traced_filter.Recursion`): stages before the
-time loop first (parameters, then the table of keys), then the loop over the instants with its blocks of straight-line
-code.  Arguments shared by all kinds are listed in `COMMON`; the others stand in `ARGUMENTS`.
+`loop_text` writes the function of one kind for a traced recursion (`hygrokf.engine.traced_filter.Recursion`):
+first the stages before the time loop (parameters, then the table of keys), then the loop over the instants
+with its blocks of straight-line code.  `COMMON` lists the arguments that all kinds share, `ARGUMENTS` those
+of each kind.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
@@ -22,7 +23,12 @@ if TYPE_CHECKING:
     from hygrokf.engine.traced_filter import Block, Recursion
 
 CONSTANT, PARAMETER, KEY, INSTANT = range(4)
-"""Stages: when a value is first known."""
+"""Stages: when a value first becomes known."""
+
+Names = dict[int, str]
+"""Node -> the LLVM name of its value, or of the stack slot that holds it."""
+Symbols = dict[int, Expression]
+"""Node -> the expression of its adjoint."""
 
 COMMON = [
     ("i64", "count"),
@@ -38,8 +44,9 @@ COMMON = [
     ("ptr", "state"),
     ("ptr", "first"),
 ]
-"""Instants and keys; parameters, key leaves, sub-steps and workspace of the keys; key, inputs, readings and resets of
-every instant; moments before the first instant (overwritten by those after the last) and a copy of them."""
+"""Instants and keys; parameters, key leaves, sub-steps and workspace of the keys; key, inputs, readings and
+resets of every instant; moments before the first instant (overwritten by those after the last) and a copy of
+them."""
 ARGUMENTS = {
     kind: [("ptr", name) for name in names.split()]
     for kind, names in {
@@ -53,7 +60,8 @@ ARGUMENTS = {
 
 
 def loop_text(recursion: Recursion, kind: str, gain: bool, controls: Sequence[Control] = ()) -> str:
-    """LLVM text of a module with one function, named after its kind; without gain no reading corrects the state."""
+    """LLVM text of a module with one function, named after its kind; without `gain`, readings do not correct
+    the state."""
     return declarations() + Emission(recursion, gain, controls).function(kind)
 
 
@@ -76,14 +84,14 @@ class Emission:
     # -- stages before the time loop -------------------------------------------------------------------------
     def _parameters(self) -> None:
         r, w = self.recursion, self.writer
-        self.at_parameters: dict[int, str] = {}
+        self.at_parameters: Names = {}
         for i, e in enumerate([*r.p.values(), *r.given]):
             self.at_parameters[e.index] = w.load(SCALAR, w.at(SCALAR, "%theta", i))
         wanted = [Expression(r.graph, i) for i in r.parameter_nodes]
         for e, (_, name) in zip(wanted, w.block(r.graph, wanted, self.at_parameters), strict=True):
             self.at_parameters[e.index] = name
 
-    def _key_row(self, key: str) -> dict[int, str]:
+    def _key_row(self, key: str) -> Names:
         """Values of the key's leaves: sub-step length and regimes."""
         r, w = self.recursion, self.writer
         row = w.integer("mul", key, len(r._key_leaves))
@@ -103,26 +111,26 @@ class Emission:
                 w.store(SCALAR, name, w.at(SCALAR, "%table", w.integer("add", row, c)))
 
     # -- pieces of the time loop -----------------------------------------------------------------------------
-    def slots(self, prefix: Sequence[Expression], kind: str = SCALAR) -> dict[int, str]:
+    def slots(self, prefix: Sequence[Expression], kind: str = SCALAR) -> Names:
         return {e.index: self.writer.slot(kind) for e in prefix}
 
-    def read(self, slots: Mapping[int, str], kind: str = SCALAR) -> dict[int, str]:
+    def read(self, slots: Names, kind: str = SCALAR) -> Names:
         return {i: self.writer.load(kind, s) for i, s in slots.items()}
 
-    def load_state(self, slots: Mapping[int, str], base: str, row: str | int = 0) -> None:
+    def load_state(self, slots: Names, base: str, row: str | int = 0) -> None:
         w = self.writer
         start = w.integer("mul", row, len(slots))
         for c, s in enumerate(slots.values()):
             w.store(SCALAR, w.load(SCALAR, w.at(SCALAR, base, w.integer("add", start, c))), s)
 
-    def save_state(self, slots: Mapping[int, str], base: str, row: str | int = 0) -> None:
+    def save_state(self, slots: Names, base: str, row: str | int = 0) -> None:
         w = self.writer
         start = w.integer("mul", row, len(slots))
         for c, s in enumerate(slots.values()):
             w.store(SCALAR, w.load(SCALAR, s), w.at(SCALAR, base, w.integer("add", start, c)))
 
     def instant_keys(self, k: str) -> tuple[str, str]:
-        """(row of the key table as i64, number of sub-steps as i64) of the step that ends at instant k."""
+        """(row of the key table as i64, number of sub-steps as i64) for the step that ends at instant k."""
         key = self._index("%key", k)
         return key, self._index("%nsub", key)
 
@@ -131,7 +139,7 @@ class Emission:
         value = w.load("i32", w.at("i32", base, place))
         return w.value(f"sext i32 {value} to i64")
 
-    def table(self, key: str) -> dict[int, str]:
+    def table(self, key: str) -> Names:
         r, w = self.recursion, self.writer
         row = w.integer("mul", key, len(r.key_nodes))
         values = {
@@ -140,7 +148,7 @@ class Emission:
         }
         return self._key_row(key) | values
 
-    def inputs_within(self, k: str, j: str, count: str) -> dict[int, str]:
+    def inputs_within(self, k: str, j: str, count: str) -> Names:
         """Inputs at the start and the end of sub-step j of `count`, between instants k−1 and k."""
         r, w = self.recursion, self.writer
         m = len(r.varying)
@@ -162,7 +170,7 @@ class Emission:
                 result[r.end[name].index] = value
         return result
 
-    def _inputs_at(self, k: str) -> dict[int, str]:
+    def _inputs_at(self, k: str) -> Names:
         r, w = self.recursion, self.writer
         row = w.integer("mul", k, len(r.varying))
         return {
@@ -171,16 +179,11 @@ class Emission:
         }
 
     def _predict(
-        self,
-        slots: Mapping[int, str],
-        k: str,
-        key: str,
-        count: str,
-        each: Callable[[str], None] | None = None,
+        self, slots: Names, k: str, key: str, count: str, each: Callable[[str], None] | None = None
     ) -> None:
         w = self.writer
         rest = count
-        if each is None:  # nearly every step is a single one, and its inputs need no fractions
+        if each is None:  # nearly every step has a single sub-step, whose inputs need no fractions
             one = w.value(f"icmp eq i64 {count}, 1")
             with w.when(one):
                 self._advance(slots, key, self._inputs_whole(k))
@@ -190,14 +193,14 @@ class Emission:
                 each(j)
             self._advance(slots, key, self.inputs_within(k, j, count))
 
-    def _advance(self, slots: Mapping[int, str], key: str, inputs: dict[int, str]) -> None:
+    def _advance(self, slots: Names, key: str, inputs: Names) -> None:
         r, w = self.recursion, self.writer
         leaves = self.read(slots) | self.table(key) | inputs
         values = w.block(r.graph, r.predict.outputs, leaves | self.at_parameters)
         for s, (_, name) in zip(slots.values(), values, strict=True):
             w.store(SCALAR, name, s)
 
-    def _inputs_whole(self, k: str) -> dict[int, str]:
+    def _inputs_whole(self, k: str) -> Names:
         """Inputs at the start and the end of the step between instants k−1 and k."""
         r, w = self.recursion, self.writer
         m = len(r.varying)
@@ -211,7 +214,7 @@ class Emission:
         return result
 
     def _readings(self, k: str) -> list[tuple[str, str]]:
-        """(value, condition that it is there) of every output at instant k."""
+        """(value, condition that a reading exists) of every output at instant k."""
         w = self.writer
         count = len(self.recursion.updates)
         row = w.integer("mul", k, count)
@@ -221,7 +224,7 @@ class Emission:
             result.append((y, w.value(f"fcmp ord double {y}, {literal(0.0)}")))
         return result
 
-    def _update_leaves(self, slots: Mapping[int, str], k: str, key: str, y: str) -> dict[int, str]:
+    def _update_leaves(self, slots: Names, k: str, key: str, y: str) -> Names:
         return (
             self.read(slots)
             | self.table(key)
@@ -230,7 +233,7 @@ class Emission:
             | self.at_parameters
         )
 
-    def _resets(self, slots: Mapping[int, str], k: str, zero: str = literal(0.0), kind: str = SCALAR) -> None:
+    def _resets(self, slots: Names, k: str, zero: str = literal(0.0), kind: str = SCALAR) -> None:
         """Set the running means to zero where their interval begins."""
         r, w = self.recursion, self.writer
         if not r.system.resets:
@@ -260,7 +263,7 @@ class Emission:
         self.save_state(slots, "%state")
         total.write(w, "%out")
 
-    def _correct(self, slots: Mapping[int, str], k: str, key: str, total: RunningSums) -> None:
+    def _correct(self, slots: Names, k: str, key: str, total: RunningSums) -> None:
         w, r = self.writer, self.recursion
         for update, (y, there) in zip(r.updates, self._readings(k), strict=True):
             with w.when(there):
@@ -271,11 +274,12 @@ class Emission:
                         w.store(SCALAR, name, s)
 
     def _kept(self, update: Block) -> list[Expression]:
-        """What an update computes: without gain only the innovation, its variance and the quadratic form."""
+        """Results of an update; without gain only the innovation, its variance and the quadratic form."""
         return update.outputs if self.gain else update.outputs[-3:]
 
     def _trace(self) -> None:
-        """Rows: mean, covariance before; (prediction, variance) of every output; after; transition."""
+        """Rows: mean and covariance before; (prediction, variance) of every output; mean and covariance
+        after; transition."""
         w, r = self.writer, self.recursion
         slots = self.slots(self.recursion.state)
         self.load_state(slots, "%state")
@@ -313,7 +317,7 @@ class Emission:
         total.write(w, "%out")
 
     def _predict_with_transition(
-        self, slots: Mapping[int, str], transition: Sequence[str], k: str, key: str, count: str
+        self, slots: Names, transition: Sequence[str], k: str, key: str, count: str
     ) -> None:
         r, w = self.recursion, self.writer
         n = r.n
@@ -337,7 +341,7 @@ class Emission:
         write_controlled(self, self.controls)
 
     def _adjoint(self) -> None:
-        """Score by one forward pass that keeps the moments and one backward pass."""
+        """Score by a forward pass that stores the moments and a backward pass."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         slots = self.slots(self.recursion.state)
         self.load_state(slots, "%state")
@@ -366,7 +370,7 @@ class Emission:
         self.save_state(bars, "%statebar")
         self._reverse_stages()
 
-    def _reverse_updates(self, slots: dict, bars: dict, bar_symbol: dict, k: str, key: str) -> None:
+    def _reverse_updates(self, slots: Names, bars: Names, bar_symbol: Symbols, k: str, key: str) -> None:
         w, r = self.writer, self.recursion
         readings = self._readings(k)
         self.load_state(slots, "%store", w.integer("mul", k, 2))
@@ -386,7 +390,7 @@ class Emission:
             with w.when(there):
                 self.load_state(slots, "%buffer", c)
                 leaves = self._update_leaves(slots, k, key, y)
-                seeds: dict[int, Expression] = {}
+                seeds: Symbols = {}
                 if self.gain:
                     for e, i in zip(update.outputs, bars, strict=False):
                         _seed(seeds, e, bar_symbol[i])
@@ -397,9 +401,10 @@ class Emission:
                 self._reverse_block(update, seeds, leaves, bars, bar_symbol, key, keep=not self.gain)
 
     def _reverse_predict(
-        self, slots: dict, bars: dict, bar_symbol: dict, k: str, key: str, parts: str
+        self, slots: Names, bars: Names, bar_symbol: Symbols, k: str, key: str, parts: str
     ) -> None:
-        """Back through the sub-steps; their starting moments are recomputed into the buffer when there are several."""
+        """Backward through the sub-steps; where there are several, their starting moments are recomputed into
+        the buffer."""
         w, r = self.writer, self.recursion
         first = w.value(f"icmp eq i64 {k}, 0")
         self.load_state(slots, "%first")
@@ -417,7 +422,7 @@ class Emission:
         with w.loop(parts, backwards=True) as j:
             self.load_state(slots, "%buffer", j)
             leaves = self.read(slots) | self.table(key) | self.inputs_within(k, j, parts)
-            seeds: dict[int, Expression] = {}
+            seeds: Symbols = {}
             for e, i in zip(r.predict.outputs, bars, strict=True):
                 _seed(seeds, e, bar_symbol[i])
             self._reverse_block(
@@ -427,14 +432,15 @@ class Emission:
     def _reverse_block(
         self,
         block: Block,
-        seeds: dict[int, Expression],
-        leaves: dict[int, str],
-        bars: dict[int, str],
-        bar_symbol: dict[int, Expression],
+        seeds: Symbols,
+        leaves: Names,
+        bars: Names,
+        bar_symbol: Symbols,
         key: str,
         keep: bool,
     ) -> None:
-        """Adjoint of one block: replaces (or, `keep`, adds to) the bars of the state, adds to the earlier stages'."""
+        """Adjoint of one block: replaces the bars of the state (adds to them with `keep`) and adds to those
+        of earlier stages."""
         w, r = self.writer, self.recursion
         parameters, keys = r._boundary(block.outputs, INSTANT)
         parameters = [i for i in parameters if i in self.parameter_bars]
@@ -460,7 +466,7 @@ class Emission:
                 accumulate(w, result[i], pointer)
 
     def _reverse_stages(self) -> None:
-        """From the adjoints of the key table to those of the parameter stage, and to the parameters."""
+        """Pass the adjoints of the key table on to the parameter stage, and from there to the parameters."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         keys = [Expression(g, i) for i in r.key_nodes]
         inner, _ = r._boundary(keys, KEY)
@@ -491,49 +497,31 @@ class Emission:
     def _tangent(self) -> None:
         """Innovations, variances and their derivatives along `LANES` directions of the parameters."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
-        dots: dict[int, str] = {}  # tangents of the parameter stage
-        directions = {e.index: g.symbol(f"dot:{e.index}") for e in r.p.values()}
-        for c, s in enumerate(directions.values()):
-            dots[s.index] = w.load(VECTOR, w.at(VECTOR, "%seeds", c))
-        later = [i for i in r.estimated_nodes if i not in directions]
-        derivative = forward(g, [Expression(g, i) for i in later], directions)
-        values = w.block(g, derivative, self.at_parameters | dots, list(dots))
-        for i, (kind, name) in zip(later, values, strict=True):
-            s = g.symbol(f"dot:{i}")
-            directions[i] = s
-            dots[s.index] = w.as_vector(kind, name)
-        keys = [Expression(g, i) for i in r.key_nodes]
-        derivative = forward(g, keys, directions)
-        with w.loop("%nkeys") as key:
-            leaves = self._key_row(key) | self.at_parameters | dots
-            values = w.block(g, derivative, leaves, list(dots))
-            row = w.integer("mul", key, len(keys))
-            for c, (kind, name) in enumerate(values):
-                pointer = w.at(VECTOR, "%keydot", w.integer("add", row, c))
-                w.store(VECTOR, w.as_vector(kind, name), pointer)
+        directions, dots = self._stage_tangents()
         key_dots = {i: g.symbol(f"dot:{i}") for i in r.key_nodes}
         slots = self.slots(self.recursion.state)
         state_dots = {i: g.symbol(f"dot:{i}") for i in slots}
         dot_slots = {i: w.slot(VECTOR) for i in slots}
         self.load_state(slots, "%state")
-        for c, slot in enumerate(dot_slots.values()):
-            w.store(VECTOR, w.load(VECTOR, w.at(VECTOR, "%statedot", c)), slot)
+        for c, s in enumerate(dot_slots.values()):
+            w.store(VECTOR, w.load(VECTOR, w.at(VECTOR, "%statedot", c)), s)
         total = RunningSums(w)
         tangents = directions | key_dots | state_dots
 
-        def dot_leaves(key: str) -> dict[int, str]:
-            row = w.integer("mul", key, len(keys))
+        def dot_leaves(key: str) -> Names:
+            row = w.integer("mul", key, len(r.key_nodes))
             result = dict(dots)
             for c, i in enumerate(r.key_nodes):
                 pointer = w.at(VECTOR, "%keydot", w.integer("add", row, c))
                 result[key_dots[i].index] = w.load(VECTOR, pointer)
-            for i, slot in dot_slots.items():
-                result[state_dots[i].index] = w.load(VECTOR, slot)
+            for i, s in dot_slots.items():
+                result[state_dots[i].index] = w.load(VECTOR, s)
             return result
 
-        def run(outputs: list[Expression], leaves: dict[int, str], key: str) -> tuple[list, list]:
+        def run(
+            outputs: list[Expression], leaves: Names, key: str
+        ) -> tuple[list[tuple[str, str]], list[str]]:
             vectors = dot_leaves(key)
-            # only tangents that the block's leaves really have
             there = {i: t for i, t in tangents.items()}
             derivative = forward(g, outputs, there)
             both = w.block(g, [*outputs, *derivative], leaves | vectors, list(vectors))
@@ -546,10 +534,10 @@ class Emission:
             with w.loop(parts) as j:
                 leaves = self.read(slots) | self.table(key) | self.inputs_within(k, j, parts)
                 values, derivatives = run(r.predict.outputs, leaves | self.at_parameters, key)
-                for slot, (_, name) in zip(slots.values(), values, strict=True):
-                    w.store(SCALAR, name, slot)
-                for slot, name in zip(dot_slots.values(), derivatives, strict=True):
-                    w.store(VECTOR, name, slot)
+                for s, (_, name) in zip(slots.values(), values, strict=True):
+                    w.store(SCALAR, name, s)
+                for s, name in zip(dot_slots.values(), derivatives, strict=True):
+                    w.store(VECTOR, name, s)
             row = w.integer("mul", k, width)
             for c, (update, (y, there)) in enumerate(zip(r.updates, self._readings(k), strict=True)):
                 with w.when(there):
@@ -559,7 +547,7 @@ class Emission:
                     total.take(w, values[-2][1], values[-1][1])
                     place = w.integer("add", row, c)
                     error, error_dot = values[-3][1], derivatives[-3]
-                    if r.diffuse:  # a reading that only resolves an infinite variance has no quadratic form
+                    if r.diffuse:  # a reading that merely resolves an infinite variance has no quadratic form
                         none = w.value(f"fcmp oeq double {values[-1][1]}, {literal(0.0)}")
                         error = w.value(f"select i1 {none}, double {literal(0.0)}, double {error}")
                         error_dot = w.value(
@@ -570,17 +558,42 @@ class Emission:
                     w.store(VECTOR, error_dot, w.at(VECTOR, "%edot", place))
                     w.store(VECTOR, derivatives[-2], w.at(VECTOR, "%sdot", place))
                     if self.gain:
-                        for slot, (_, name) in zip(slots.values(), values, strict=False):
-                            w.store(SCALAR, name, slot)
-                        for slot, name in zip(dot_slots.values(), derivatives, strict=False):
-                            w.store(VECTOR, name, slot)
+                        for s, (_, name) in zip(slots.values(), values, strict=False):
+                            w.store(SCALAR, name, s)
+                        for s, name in zip(dot_slots.values(), derivatives, strict=False):
+                            w.store(VECTOR, name, s)
             self._resets(slots, k)
             self._resets(dot_slots, k, "zeroinitializer", VECTOR)
         self.save_state(slots, "%state")
-        for c, slot in enumerate(dot_slots.values()):
-            w.store(VECTOR, w.load(VECTOR, slot), w.at(VECTOR, "%statedot", c))
+        for c, s in enumerate(dot_slots.values()):
+            w.store(VECTOR, w.load(VECTOR, s), w.at(VECTOR, "%statedot", c))
         total.write(w, "%out")
 
+    def _stage_tangents(self) -> tuple[Symbols, Names]:
+        """Tangents of the parameter stage, by node and by the node of their symbol; stores those of the key
+        table."""
+        w, r, g = self.writer, self.recursion, self.recursion.graph
+        dots: Names = {}
+        directions = {e.index: g.symbol(f"dot:{e.index}") for e in r.p.values()}
+        for c, symbol in enumerate(directions.values()):
+            dots[symbol.index] = w.load(VECTOR, w.at(VECTOR, "%seeds", c))
+        later = [i for i in r.estimated_nodes if i not in directions]
+        derivative = forward(g, [Expression(g, i) for i in later], directions)
+        values = w.block(g, derivative, self.at_parameters | dots, list(dots))
+        for i, (kind, name) in zip(later, values, strict=True):
+            directions[i] = g.symbol(f"dot:{i}")
+            dots[directions[i].index] = w.as_vector(kind, name)
+        keys = [Expression(g, i) for i in r.key_nodes]
+        derivative = forward(g, keys, directions)
+        with w.loop("%nkeys") as key:
+            leaves = self._key_row(key) | self.at_parameters | dots
+            values = w.block(g, derivative, leaves, list(dots))
+            row = w.integer("mul", key, len(keys))
+            for c, (kind, name) in enumerate(values):
+                pointer = w.at(VECTOR, "%keydot", w.integer("add", row, c))
+                w.store(VECTOR, w.as_vector(kind, name), pointer)
+        return directions, dots
 
-def _seed(seeds: dict[int, Expression], output: Expression, bar: Expression) -> None:
+
+def _seed(seeds: Symbols, output: Expression, bar: Expression) -> None:
     seeds[output.index] = seeds[output.index] + bar if output.index in seeds else bar

@@ -1,10 +1,11 @@
-"""LLVM text in, callable machine code out, kept on disk between runs.
+"""Compile LLVM text to callable machine code, cached on disk between runs.
 
-The compiler is LLVM through llvmlite, the one that numba is made of.  Straight-line filter code of a thousand
-operations compiles here in a tenth of a second; the same code through numba's front end takes four (docs/decisions).
+The compiler is LLVM through llvmlite, as in numba.  Straight-line filter code of a thousand operations
+compiles in a tenth of a second; the same code takes four seconds through numba's front end (docs/decisions).
 
-Object code is cached under `$HYGROKF_CACHE` (default: the user's cache directory), keyed by the text, the compiler
-version and the processor.  The cache is private to the user, as loading it means running it.
+Object code is cached under `$HYGROKF_CACHE` (default: the user's cache directory), keyed by the text, the
+compiler version and the processor.  The cache is private to the user, because loading its content means
+executing it.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from llvmlite import binding as llvm
 
 
 def cache_directory() -> Path:
-    """Where compiled code is kept: `$HYGROKF_CACHE`, else the platform's user cache directory."""
+    """The directory of compiled code: `$HYGROKF_CACHE`, else the platform's user cache directory."""
     stated = os.environ.get("HYGROKF_CACHE")
     if stated:
         return Path(stated)
@@ -51,23 +52,25 @@ def _machine() -> llvm.TargetMachine:
 
 @cache
 def _identity() -> str:
-    """What the meaning of compiled code depends on besides its text."""
+    """Everything besides the text that compiled code depends on."""
     features = llvm.get_host_cpu_features().flatten()
     return f"{llvm.llvm_version_info} {llvm.get_process_triple()} {llvm.get_host_cpu_name()} {features}"
 
 
 @cache
 def has_fused_multiply_add() -> bool:
-    """Whether the processor rounds a b + c once; without it the compiled code rounds twice (and stays fast)."""
+    """Whether the processor rounds a b + c once; otherwise the compiled code rounds twice (and stays
+    fast)."""
     arm = llvm.get_process_triple().startswith(("aarch64", "arm64"))
     return arm or bool(llvm.get_host_cpu_features().get("fma", False))
 
 
 _engines: dict[
     str, llvm.ExecutionEngine
-] = {}  # for the life of the process: code that may run is never freed
+] = {}  # kept for the life of the process: code that may run is never freed
 _compiling = Lock()
-"""Held while code is compiled: a second engine of the same code would take the place of the first and free what runs."""
+"""Held while code is compiled: a second engine of the same code would replace the first and free running
+code."""
 
 
 def _engine(text: str) -> llvm.ExecutionEngine:
@@ -96,9 +99,11 @@ def _compiled(text: str, key: str) -> llvm.ExecutionEngine:
 
 
 def _address(array: np.ndarray) -> int:
-    """Where an array's numbers lie; a quarter of the time of `array.ctypes.data`, which counts in short likelihoods."""
+    """Address of an array's data; takes a quarter of the time of `array.ctypes.data`, which matters in short
+    likelihoods."""
     try:
-        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]  # an array is a buffer
+        # numpy declares the buffer protocol of arrays for Python 3.12 and later only
+        return ctypes.addressof(ctypes.c_char.from_buffer(array))  # type: ignore[arg-type]
     except (TypeError, ValueError):  # read-only, or empty
         return array.ctypes.data
 
@@ -126,7 +131,7 @@ class Code:
 
 
 def _read(path: Path) -> bytes | None:
-    """The cached object if it is whole: its last 32 bytes are the digest of what comes before."""
+    """The cached object if the file is complete: its last 32 bytes are the digest of the preceding ones."""
     try:
         data = path.read_bytes()
     except OSError:
@@ -136,12 +141,12 @@ def _read(path: Path) -> bytes | None:
 
 
 def _write(path: Path, body: bytes) -> None:
-    """Keep an object, whole or not at all; a cache that cannot be written costs time, not the result."""
+    """Store an object completely or not at all; a cache that cannot be written costs time but no result."""
     temporary = path.with_suffix(f".{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
         temporary.write_bytes(body + hashlib.sha256(body).digest())
         os.replace(temporary, path)
     except OSError:
-        with suppress(OSError):  # where the folder could not be made there is nothing to remove
+        with suppress(OSError):  # nothing to remove where the folder could not be made
             temporary.unlink(missing_ok=True)

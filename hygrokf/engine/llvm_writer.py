@@ -1,8 +1,9 @@
-"""Expression graphs written as LLVM text: straight-line blocks between hand-written loops.
+"""LLVM text of expression graphs: straight-line blocks between hand-written loops.
 
-`Writer` holds the text of one function.  Blocks are emitted at the current place from a mapping of leaf nodes to
-values; loops and conditions are context managers whose counters live in stack slots (LLVM turns them into registers).
-Scalars are `double`; vectors have a lane for each of several parameters (tangents) or of several runs.
+`Writer` holds the text of one function.  Blocks are emitted at the current position from a mapping of leaf
+nodes to values; loops and conditions are context managers whose counters are stack slots (LLVM turns them
+into registers). Scalars are `double`; vectors have one lane for each of several directions (tangents) or
+runs.
 """
 
 from __future__ import annotations
@@ -15,9 +16,9 @@ from hygrokf.engine.jit import has_fused_multiply_add
 from hygrokf.physics.expression import Expression, Graph
 
 LANES = 8
-"""Lanes of tangents."""
+"""Lanes for tangents."""
 RUNS = 4
-"""Lanes of runs side by side: half as many need half as many registers, and there are few."""
+"""Lanes for runs side by side: fewer than for tangents, because registers are scarce."""
 SCALAR = "double"
 VECTOR = f"<{LANES} x double>"
 TRUTH = "i1"
@@ -35,7 +36,7 @@ def declarations() -> str:
 
 
 def vector(lanes: int, of: str = SCALAR) -> str:
-    """The kind of so many numbers, or of so many truths."""
+    """The LLVM type of a vector of numbers, or of truth values."""
     return f"<{lanes} x {of}>"
 
 
@@ -44,7 +45,7 @@ def _suffix(kind: str) -> str:
 
 
 class Writer:
-    """Text of one LLVM function `void name(arguments)`, with vectors of so many lanes."""
+    """Text of one LLVM function `void name(arguments)` with vectors of `lanes` lanes."""
 
     def __init__(self, name: str, arguments: Sequence[tuple[str, str]], lanes: int = LANES) -> None:
         self._name = name
@@ -57,7 +58,7 @@ class Writer:
         self._count = 0
 
     def text(self) -> str:
-        # `noalias` is true by construction: callers pass separate arrays
+        # `noalias` holds by construction: callers pass separate arrays
         kinds = {"ptr": "ptr noalias nocapture"}
         arguments = ", ".join(f"{kinds.get(kind, kind)} %{name}" for kind, name in self._arguments)
         body = "\n".join([*self._slots, *self._lines])
@@ -74,7 +75,7 @@ class Writer:
         return name
 
     def slot(self, kind: str, initial: str | None = None) -> str:
-        """A stack slot (made in the entry block); set to `initial` here."""
+        """A stack slot, allocated in the entry block and set to `initial` at the current position."""
         self._count += 1
         name = f"%s{self._count}"
         self._slots.append(f"  {name} = alloca {kind}")
@@ -125,7 +126,8 @@ class Writer:
 
     @contextmanager
     def when(self, condition: str) -> Iterator[None]:
-        """Run the block only if the i1 `condition` holds; values made inside must leave through slots or memory."""
+        """Run the block only if the i1 `condition` holds; values made inside must leave it through slots or
+        memory."""
         body, done = self._label("then"), self._label("after")
         self.line(f"br i1 {condition}, label %{body}, label %{done}")
         self._lines.append(f"{body}:")
@@ -141,9 +143,10 @@ class Writer:
         leaves: Mapping[int, str],
         vectors: Sequence[int] = (),
     ) -> list[tuple[str, str]]:
-        """Compute `outputs` here from the values of `leaves`; returns (kind, value) for each.
+        """Compute `outputs` at the current position from the values of `leaves`; returns (kind, value) for
+        each.
 
-        `vectors` names the leaves that are vectors.
+        `vectors` lists the leaves that are vectors.
         """
         wide = set(vectors)
         kinds: dict[int, str] = {i: self.vector if i in wide else SCALAR for i in leaves}
@@ -210,7 +213,7 @@ class Writer:
 
 
 def _align(kind: str) -> int:
-    """Alignment that numpy arrays of the kind have at the least."""
+    """Minimum alignment of numpy arrays of this kind."""
     return 4 if kind == "i32" else 8
 
 

@@ -1,26 +1,28 @@
-"""The moments of a state across a step that is far longer than its sub-steps: a gap of months or of ten years.
+"""The moments of a state across a step much longer than its sub-steps: a gap of months or of ten years.
 
-The compiled loops divide a step into sub-steps that the fastest rate allows.  A year takes a hundred thousand of them, and
-nearly all of them do nothing: the fast states follow the inputs, the slow ones move slowly.  Such a step is taken in two
-parts.  The first is *jumped*: with the Jacobian A held at the state x₀ where a piece of it begins and at the inputs where it
-ends, and the rest b(t) = f(x₀, u(t)) straight through its two Gauss nodes, the moment equations
+The compiled loops divide a step into sub-steps according to the fastest rate.  A year takes a hundred
+thousand of them, most of which change nothing: the fast states follow the inputs, the slow ones move slowly.
+Such a step is therefore taken in two parts.  The first part is a *jump*: with the Jacobian A fixed at the
+state x₀ where a piece of the step begins and at the inputs where it ends, and the remainder b(t) = f(x₀,
+u(t)) a straight line through its two Gauss nodes, the moment equations
 
     dm/dt = A (m − x₀) + b(t),     dP/dt = A P + P A' + Q
 
-have closed solutions for any length H.  The matrices of a short step h = H/2^s are Taylor polynomials, doubled s times:
-with z = (m − x₀, 1, t), z(t+h) = (I + D) z(t) and N = ∫₀ʰ e^{Aσ} Q e^{A'σ} dσ,
+have closed solutions for any length H.  The matrices of a short step h = H/2^s are Taylor polynomials,
+doubled s times: with z = (m − x₀, 1, t), z(t+h) = (I + D) z(t) and N = ∫₀ʰ e^{Aσ} Q e^{A'σ} dσ,
 
     D ← 2 D + D²,     N ← N + E N E',  E = I + D's upper left part.
 
-I + D is never formed while D is small, so that slow states keep all digits.  The second part, the last `TAIL` sub-steps, is
-left to the compiled loops.
+I + D is never formed while D is small, so that slow states keep all digits.  The compiled loops take the
+second part, the last `TAIL` sub-steps.
 
-Where rates depend on parameters and regimes alone the jump is exact.  Elsewhere it goes in pieces, each at most half of the
-time that is left: of a state that follows the inputs each piece is a Newton step, and the tail removes what remains.  States
-that outlast the tail (random walks, slow disturbances) are linear, and their moments are exact here too.
+The jump is exact where rates depend only on parameters and regimes.  Elsewhere it is divided into pieces,
+each at most half of the remaining time: for a state that follows the inputs every piece is a Newton step, and
+the tail removes the remaining error.  States that outlast the tail (random walks, slow disturbances) are
+linear, so their moments are exact too.
 
-Source: Van Loan 1978, doi:10.1109/TAC.1978.1101743 (the integrals); Moler & Van Loan 2003, doi:10.1137/S00361445024180
-(scaling and squaring).  Shapes: B runs or directions side by side, n states.
+Source: Van Loan 1978, doi:10.1109/TAC.1978.1101743 (the integrals); Moler & Van Loan 2003,
+doi:10.1137/S00361445024180 (scaling and squaring).  Shapes: B runs or directions side by side, n states.
 """
 
 from __future__ import annotations
@@ -34,26 +36,31 @@ import numpy as np
 
 from hygrokf.engine.discretisation import NODES
 from hygrokf.engine.packing import pack, unpack
-from hygrokf.physics.expression import is_zero
+from hygrokf.physics.expression import Matrix, is_zero
 from hygrokf.physics.holds import LINEAR
+from hygrokf.physics.model import Values
 
 if TYPE_CHECKING:
     from hygrokf.engine.traced_filter import Recursion
 
 MOST = 10_000
-"""Sub-steps up to which the loops take all of a step; of a longer one they take the last `TAIL`."""
+"""Largest number of sub-steps that the loops take for a whole step; of a longer step they take the last
+`TAIL`."""
 TAIL = 2_000
-"""Sub-steps at the end of a long step: at 0.35 of the fastest time constant each, 700 of these time constants."""
+"""Sub-steps at the end of a long step: with 0.35 of the fastest time constant each, they span 700 time
+constants."""
 ORDER = 13
-"""Degree of the polynomials for the short step, whose fastest rate times length is at most `SHORT`: rest 1e-18."""
+"""Degree of the polynomials for the short step, whose rate times length is at most `SHORT`: remainder
+1e-18."""
 SHORT = 0.125
 
 
 @dataclass(frozen=True)
 class LongStep:
-    """One long step of a run: a jump of `hours` [h] from the inputs `before` to those at its `tail`, of `tail_h` [h].
+    """One long step of a run: a jump of `hours` [h] from the inputs `before` to those at the start of its
+    tail of `tail_h` [h].
 
-    States are packed moments (width,), as the compiled loops have them.
+    States are packed moments (width,), in the layout of the compiled loops.
     """
 
     recursion: Recursion
@@ -63,7 +70,7 @@ class LongStep:
     tail_h: float
 
     def take(self, values: Mapping[str, float], state: np.ndarray) -> np.ndarray:
-        """Take a state to the tail, in place; returns the transition (n, n) to there."""
+        """Move a state to the tail, in place; returns the transition (n, n) to there."""
         moved, transition = self._moved(values, state[None])
         state[:] = moved[0]
         return transition[0]
@@ -71,7 +78,8 @@ class LongStep:
     def tangents(
         self, values: Mapping[str, float], state: np.ndarray, dots: np.ndarray, seeds: np.ndarray
     ) -> np.ndarray:
-        """Tangents (width, r) at the tail, given those before and the directions (d, r), by complex steps."""
+        """Tangents (width, r) at the tail from those before the step and the directions (d, r), by complex
+        steps."""
         moved = {
             name: values[name] + 1e-30j * seed for name, seed in zip(self.recursion.p, seeds, strict=True)
         }
@@ -81,23 +89,24 @@ class LongStep:
     def back(
         self, values: Mapping[str, float], state: np.ndarray, bar: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Adjoints (width,) of the state before and (d,) of the parameters, given those `bar` of the state at the tail."""
+        """Adjoints (width,) of the state before and (d,) of the parameters, from the adjoints `bar` of the
+        state at the tail."""
         n, d, width = self.recursion.n, len(self.recursion.p), len(state)
-        # covariances pass through linearly: only means and parameters are followed one by one
+        # covariances pass through linearly, so only means and parameters need separate directions
         dots, seeds = np.zeros((width, n + d)), np.zeros((d, n + d))
         dots[:n, :n], seeds[:, n:] = np.eye(n), np.eye(d)
         found = bar @ self.tangents(values, state, dots, seeds)
         transition = self._moved(values, state[None])[1][0]
-        share = np.where(np.eye(n, dtype=bool), 1.0, 0.5)  # of a packed entry's adjoint, which stands for two
+        share = np.where(
+            np.eye(n, dtype=bool), 1.0, 0.5
+        )  # of the adjoint of a packed entry, which stands for two
         back = [
             pack(transition.T @ (unpack(part, n) * share) @ transition / share)
             for part in np.split(bar[n:], 2 * (width - n) // (n * (n + 1)))
         ]
         return np.concatenate([found[:n], *back]), found[n:]
 
-    def _moved(
-        self, values: Mapping[str, np.ndarray | float], packed: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def _moved(self, values: Values, packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Packed moments (B, width) at the tail, and the transition (B, n, n)."""
         n, (count, width) = self.recursion.n, packed.shape
         found = jumped(
@@ -115,7 +124,8 @@ class LongStep:
 
 @dataclass(frozen=True)
 class Jumped:
-    """Moments after a jump: `mean` (B, n), `covariances` (B, n, n) each, and the `transition` (B, n, n) of the state."""
+    """Moments after a jump: `mean` (B, n), `covariances` (B, n, n) each, and the `transition` (B, n, n) of
+    the state."""
 
     mean: np.ndarray
     covariances: tuple[np.ndarray, ...]
@@ -124,7 +134,7 @@ class Jumped:
 
 def jumped(
     recursion: Recursion,
-    values: Mapping[str, np.ndarray | float],
+    values: Values,
     before: Mapping[str, np.ndarray | float],
     after: Mapping[str, np.ndarray | float],
     hours: np.ndarray,
@@ -132,12 +142,12 @@ def jumped(
     mean: np.ndarray,
     covariances: Sequence[np.ndarray],
 ) -> Jumped:
-    """The moments `hours` (B,) [h] later.
+    """The moments after `hours` (B,) [h].
 
-    `values` of the parameters, `before` and `after` the inputs at both ends (numbers or (B,)), between which they run
-    straight; `rest_h` (B,) [h] what is left of the step after the jump; `covariances` (B, n, n) each: the first one gains
-    the noise, any other is carried only.  Real or complex numbers, so that complex steps give exact derivatives.  A model
-    that grows without limit ends in numbers that are not finite.
+    `values` of the parameters; `before` and `after` the inputs at both ends (numbers or (B,)), linear in
+    between; `rest_h` (B,) [h] the remainder of the step after the jump; `covariances` (B, n, n) each: the
+    first one accumulates the noise, the others are only propagated.  Accepts complex numbers, so that complex
+    steps give exact derivatives.  A model that grows without limit yields numbers that are not finite.
     """
     known = {f"p:{name}": value for name, value in values.items()}
     noise = _matrix(recursion, recursion.noise, known, len(mean))
@@ -198,7 +208,8 @@ def _doubled(
 
 
 def _rates(matrix: np.ndarray) -> np.ndarray:
-    """Bound (B,) on the size of the eigenvalues: the diagonal, and pairs of states that act on each other."""
+    """Upper bound (B,) of the eigenvalues' size, from the diagonal and the pairs of states that act on each
+    other."""
     size = np.abs(matrix)
     pairs = np.sqrt(size * np.swapaxes(size, 1, 2))
     return pairs.sum(axis=2).max(axis=1)
@@ -210,7 +221,7 @@ def inputs_between(
     after: Mapping[str, np.ndarray | float],
     share: np.ndarray | float,
 ) -> dict[str, np.ndarray | float]:
-    """Inputs within a step: linear ones part of the way, others as they are over all of it."""
+    """Inputs within a step: linear ones interpolated to `share`, others with their value over the step."""
     return {
         name: before[name] + share * (value - before[name]) if holds[name] == LINEAR else value
         for name, value in after.items()
@@ -221,13 +232,13 @@ def _at(inputs: Mapping[str, np.ndarray | float]) -> dict[str, np.ndarray | floa
     return {f"{kind}:{name}": value for name, value in inputs.items() for kind in ("b", "g")}
 
 
-def _vector(recursion: Recursion, known: Mapping[str, object], count: int) -> np.ndarray:
+def _vector(recursion: Recursion, known: Values, count: int) -> np.ndarray:
     """The rates f (B, n)."""
     found = [np.broadcast_to(v, count) for v in recursion.graph.evaluate(recursion.rates, known)]
     return np.stack(found, axis=1)
 
 
-def _matrix(recursion: Recursion, rows: list[list], known: Mapping[str, object], count: int) -> np.ndarray:
+def _matrix(recursion: Recursion, rows: Matrix, known: Values, count: int) -> np.ndarray:
     """A matrix of expressions as numbers (B, n, n)."""
     n = recursion.n
     places = [(i, j) for i in range(n) for j in range(n) if not is_zero(rows[i][j])]

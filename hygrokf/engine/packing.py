@@ -1,4 +1,4 @@
-"""How moments of a state are laid out in memory: a mean, then the lower triangle of a covariance by rows."""
+"""Memory layout of the moments of a state: a mean, then the lower triangle of a covariance by rows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,8 @@ def place(i: int, j: int) -> int:
 
 
 def trace_width(n: int, outputs: int, diffuse: bool = False) -> int:
-    """Numbers in one row of a trace: moments before and after, two for every output, the transition matrix."""
+    """Numbers in one row of a trace: moments before and after, two for every output, the transition
+    matrix."""
     return 2 * (n + (2 if diffuse else 1) * (n * (n + 1) // 2)) + 2 * outputs + n * n
 
 

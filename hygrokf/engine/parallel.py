@@ -1,4 +1,5 @@
-"""Independent calls on several threads: the compiled loops release the interpreter's lock, so two of them take two cores."""
+"""Independent calls on several threads: compiled loops release the interpreter's lock, so that two of them
+use two cores."""
 
 from __future__ import annotations
 
@@ -11,11 +12,12 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 THREADS = "HYGROKF_THREADS"
-"""Environment variable with the largest number of threads; workers that share the cores already set it to 1."""
+"""Environment variable that limits the number of threads; workers that already share the cores set it to
+1."""
 
 
 def threads() -> int:
-    """How many threads compiled loops may run on: the stated number, else the cores that this process may use."""
+    """Number of threads for compiled loops: the stated number, else the cores available to this process."""
     stated = os.environ.get(THREADS, "")
     if stated.isdigit() and int(stated) > 0:
         return int(stated)
@@ -23,7 +25,7 @@ def threads() -> int:
 
 
 def mapped(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
-    """`function` of every item, in their order; the first error that was raised is raised."""
+    """`function` applied to every item, in order; raises the first error that a call raised."""
     known = list(items)
     count = min(threads(), len(known))
     if count < 2:

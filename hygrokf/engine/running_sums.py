@@ -10,9 +10,9 @@ from hygrokf.engine.llvm_writer import SCALAR, Writer, literal
 class RunningSums:
     """Running sums Σ log S and Σ e²/S.
 
-    Σ log S is kept as a product; before that leaves the range its binary exponent is put aside.  No call stands inside
-    the time loop: one would push the whole state out of the registers at every instant.  A variance that is not
-    positive turns the product into NaN for good.
+    Σ log S is kept as a product, whose binary exponent is moved to a separate sum before the product leaves
+    the range of doubles.  The time loop contains no call, since a call would spill the whole state from the
+    registers at every instant.  A variance that is not positive turns the product into NaN permanently.
     """
 
     def __init__(self, w: Writer) -> None:
@@ -34,7 +34,7 @@ class RunningSums:
 
     def _set_exponent_aside(self, w: Writer, product: str) -> None:
         bits = w.value(f"bitcast double {product} to i64")
-        exponent = w.integer("sub", w.integer("lshr", bits, 52), 1023)  # of a positive number
+        exponent = w.integer("sub", w.integer("lshr", bits, 52), 1023)  # valid for a positive number
         w.store("i64", w.integer("add", w.load("i64", self.exponent), exponent), self.exponent)
         fraction = w.integer("or", w.integer("and", bits, 0x000FFFFFFFFFFFFF), 0x3FF0000000000000)
         rest = w.value(f"bitcast i64 {fraction} to double")
@@ -57,5 +57,5 @@ class RunningSums:
 
 
 def accumulate(w: Writer, value: str, pointer: str) -> None:
-    """Add a number to the one at a pointer."""
+    """Add a number to the value at a pointer."""
     w.store(SCALAR, w.real("fadd", w.load(SCALAR, pointer), value), pointer)

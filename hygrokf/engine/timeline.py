@@ -1,7 +1,7 @@
-"""The instants of a filter run: when something happens, what the inputs are, what was read.
+"""The instants of a filter run: times of events, inputs and readings.
 
-A `Timeline` holds arrays on one merged axis of instants.  It is not a grid: every reading and every change of an input
-stands at its own time, and between two instants each input follows its own hold.
+A `Timeline` holds arrays on one merged axis of instants.  The axis is not a regular grid: every reading and
+every change of an input keeps its own time, and between two instants each input follows its own hold.
 
 Shapes: T instants, m inputs that vary within steps, r regime inputs, k outputs.
 """
@@ -23,10 +23,12 @@ from hygrokf.physics.model import Model
 class Timeline:
     """Instants of one run.
 
-    `time` (T,) [h] from `origin_s` [s since 1970, UTC]; `key` (T,) the row of `steps` (distinct steps: length [h] and
-    regime inputs) that leads to each instant; `u` (T+1, m) inputs: the value at the instant for linear ones, over the
-    step that ends there for zero-order ones, its first row belonging to the instant before the first one; `y` (T, k) readings, NaN where there is none; `reset` (T,) bits of the
-    running means that begin anew at the instant; `whole` inputs of the whole run, also for a piece of it.
+    `time` (T,) [h] from `origin_s` [s since 1970, UTC]; `key` (T,) the row of `steps` (distinct steps: length
+    [h] and regime inputs) that leads to each instant; `u` (T+1, m) inputs, whose first row belongs to the
+    instant before the first
+    one: a linear input has its value at the instant, a zero-order input its value over the step that ends
+    there; `y` (T, k) readings, NaN where there is none; `reset` (T,) bits of the running means that restart
+    at the instant; `whole` inputs of the whole run, which a piece of the run keeps.
     """
 
     time: np.ndarray
@@ -46,31 +48,38 @@ class Timeline:
 
     @cached_property
     def corners(self) -> dict[str, np.ndarray]:
-        """Inputs that span the whole run's range: sub-steps are chosen by them, so that a piece takes the same ones as the whole."""
+        """Inputs that span the range of the whole run: sub-steps are chosen by them, so that a piece takes
+        the same as the whole."""
         return _corners(self.whole)
+
+    @property
+    def seconds(self) -> np.ndarray:
+        """The instants (T,) [s since 1970, UTC]."""
+        return self.origin_s + 3600.0 * self.time
 
     @property
     def n_readings(self) -> int:
         return int(np.isfinite(self.y).sum())
 
     def input(self, name: str) -> np.ndarray:
-        """One input (T,) as the filter sees it at every instant."""
+        """Values (T,) of one input as the filter sees them."""
         if name in self.regimes:
             return self.steps[self.key, 1 + self.regimes.index(name)]
         return self.u[1:, self.varying.index(name)]
 
     def reading(self, name: str) -> np.ndarray:
-        """One output's readings (T,), NaN where there is none."""
+        """Readings (T,) of one output, NaN where there is none."""
         return self.y[:, self.outputs.index(name)]
 
     def with_readings(self, y: np.ndarray) -> Timeline:
-        """The same run with other readings (T, k); NaN everywhere makes it a forecast."""
+        """The same run with other readings (T, k); with NaN everywhere it is a forecast."""
         if y.shape != self.y.shape:
             raise ValueError(f"expected readings of shape {self.y.shape}, found {y.shape}")
         return replace(self, y=np.ascontiguousarray(y, dtype=float))
 
     def with_inputs(self, inputs: Mapping[str, np.ndarray]) -> Timeline:
-        """The same run with other values (T,) of inputs that vary within steps; its range is that of both."""
+        """The same run with other values (T,) of inputs that vary within steps; `whole` covers the old and
+        the new values."""
         u = self.u.copy()
         for name, value in inputs.items():
             u[1:, self.varying.index(name)] = value
@@ -78,7 +87,8 @@ class Timeline:
         return replace(made, whole={n: np.append(value, made.input(n)) for n, value in self.whole.items()})
 
     def window(self, first: int, last: int) -> Timeline:
-        """Instants first … last−1; the step to the first one is kept, to be taken from an earlier state."""
+        """Instants first … last−1, including the step to the first one, which starts from an earlier
+        state."""
         part = slice(first, last)
         return replace(
             self,
@@ -98,11 +108,11 @@ def timeline(
     resets: Mapping[str, np.ndarray] | None = None,
     origin_s: float = 0.0,
 ) -> Timeline:
-    """Instants for a model.
+    """Timeline of a model.
 
-    `time` (T,) [h], strictly increasing; `inputs[name]` (T,) and `readings[name]` (T,) as `Timeline` says (an output
-    without readings may be left out); `resets[name]` (T,) bool for outputs that are read as interval means.
-    Raises ValueError that lists every input that is missing or not finite.
+    `time` (T,) [h], strictly increasing; `inputs[name]` (T,) and `readings[name]` (T,) as in `Timeline` (an
+    output without readings may be omitted); `resets[name]` (T,) bool for outputs that are read as interval
+    means. Raises ValueError that lists every input that is missing or not finite.
     """
     time = np.asarray(time, dtype=float)
     count = len(time)
@@ -126,7 +136,8 @@ def timeline(
         raise ValueError("the run cannot be set up: " + "; ".join(faults))
     varying = tuple(n for n in model.inputs if model.holds[n] != REGIME)
     regimes = tuple(n for n in model.inputs if model.holds[n] == REGIME)
-    # a microsecond is below every clock: equal steps must not differ by the rounding of their end points
+    # a microsecond is below the resolution of any clock: equal steps must not differ by rounding of their end
+    # points
     lengths = np.zeros(count)
     lengths[1:] = np.round((time[1:] - time[:-1]) * 3.6e9) / 3.6e9
     steps, key = _distinct(_columns([lengths, *(inputs[n] for n in regimes)], count))
@@ -149,7 +160,8 @@ def timeline(
 
 
 def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distinct rows in their order, and which of them each row is (as numpy's `unique` has them, in a third of its time)."""
+    """Distinct rows in order, and the index of each row among them: numpy's `unique` in a third of its
+    time."""
     order = np.lexsort(rows.T[::-1])
     placed = rows[order]
     begins = np.append(True, (placed[1:] != placed[:-1]).any(axis=1))
@@ -159,7 +171,8 @@ def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _corners(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """All inputs where one of them is largest or smallest, and at two dozen instants between."""
+    """All inputs at the instants where one of them is largest or smallest, and at two dozen instants in
+    between."""
     count = len(next(iter(inputs.values()), ()))
     rows = set(np.linspace(0, count - 1, 24).astype(int).tolist())
     for values in inputs.values():
@@ -169,12 +182,12 @@ def _corners(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
 
 
 def _led(rows: np.ndarray) -> np.ndarray:
-    """The rows with the first one in front once more."""
+    """The rows with the first one repeated at the front."""
     return np.concatenate([rows[:1], rows])
 
 
 def _columns(columns: Sequence[np.ndarray | float], count: int) -> np.ndarray:
-    """Columns (T,), or numbers, side by side (T, n)."""
+    """Columns (T,), or single numbers, side by side (T, n)."""
     found = np.empty((count, len(columns)))
     for place, column in enumerate(columns):
         found[:, place] = column

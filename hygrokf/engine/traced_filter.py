@@ -1,17 +1,17 @@
 """The extended Kalman filter of one traced model as compiled loops: value, score, sensitivities, trace.
 
 One step of the filter is traced once as two kinds of blocks, `predict` (a sub-step) and `update` (one scalar
-reading); everything else is made from them: the likelihood, its adjoint (score), its tangents (sensitivities of
-every innovation) and the trace of all moments.  Readings of one instant are taken one after the other, each
-linearised at the state that the one before left; a missing reading (NaN) is left out, so that a gap, a dead sensor
-and a forecast are one code path.  Every loop starts from a given Gaussian and returns the last one: the offline
-filter is a fold of the online step.
+reading). The likelihood, its adjoint (score), its tangents (sensitivities of every innovation) and the trace
+of all moments are made from these blocks.  Readings at one instant are processed one after the other, each
+linearised at the state that the previous one left.  A missing reading (NaN) is skipped, so that a gap, a dead
+sensor and a forecast take the same path. Every loop starts from a given Gaussian and returns the last one:
+the offline filter is a fold of the online step.
 
-Numbers of one record (`expression.Given`) stand behind the parameters and are no part of the code: recursions that
-differ in them alone share it.
+Numbers of one record (`expression.Given`) are passed after the parameters and are not part of the code:
+recursions that differ only in these numbers share their code.
 
-Values are computed where they first can be: with the parameters, with the distinct steps ("keys": sub-step length
-and regime), or at every instant.
+Values are computed at the earliest stage possible: with the parameters, with the distinct steps ("keys":
+sub-step length and regime), or at every instant.
 
 Shapes: T instants, n states, q = n (n+1)/2 packed covariance entries (lower triangle by rows), m inputs,
 k outputs, d parameters, L = `LANES`.
@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import hashlib
 import weakref
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from threading import Lock
@@ -46,10 +46,10 @@ from hygrokf.physics.expression import (
     where,
 )
 from hygrokf.physics.holds import LINEAR, REGIME
-from hygrokf.physics.model import Model, System
+from hygrokf.physics.model import Model, System, TracedOutput
 
 DIFFUSE_TOLERANCE = 1e-9
-"""Below this share of its start an infinite variance counts as resolved."""
+"""An infinite variance counts as resolved below this share of its initial value."""
 
 
 @dataclass
@@ -62,8 +62,8 @@ class Block:
 class Recursion:
     """Compiled filter loops of one `System`.
 
-    With `diffuse` the moments carry a second covariance P∞ behind the first: the part of the prior covariance κ P∞
-    with κ → ∞ (exact-diffuse start, Durbin & Koopman 2012, section 5.2).
+    With `diffuse`, a second covariance P∞ follows the first in the moments: the prior covariance is κ P∞ with
+    κ → ∞ (exact diffuse start, Durbin & Koopman 2012, section 5.2).
     """
 
     def __init__(self, system: System, diffuse: bool = False) -> None:
@@ -124,8 +124,9 @@ class Recursion:
     def _square(self, packed: Sequence[Expression]) -> Matrix:
         return [[packed[place(i, j)] for j in range(self.n)] for i in range(self.n)]
 
-    def _trace_update(self, function: Callable) -> Block:
-        """Outputs: mean, packed covariance, innovation, its variance, log-likelihood term without its constant."""
+    def _trace_update(self, function: TracedOutput) -> Block:
+        """Outputs: mean, packed covariance, innovation, its variance, and the log-likelihood term without its
+        constant."""
         g = self.graph
         prediction, variance = function(self.mean, self.now, self.p)
         prediction = g.lift(prediction)
@@ -150,14 +151,15 @@ class Recursion:
 
     def _diffuse_update(
         self,
-        row: list,
-        cross: list,
+        row: list[Value],
+        cross: list[Value],
         error: Expression,
         spread: Expression,
-        usual: list,
+        usual: list[Value],
         quadratic: Expression,
     ) -> Block:
-        """The exact-diffuse update where the reading sees an infinite variance, else the usual one."""
+        """The exact diffuse update where the reading depends on an infinite variance, else the usual
+        update."""
         n = self.n
         infinite = self._square(self.infinite)
         m = [dot(infinite[i], row) for i in range(n)]
@@ -194,12 +196,12 @@ class Recursion:
 
     @cached_property
     def exact(self) -> bool:
-        """Whether the rates depend on parameters and regimes alone, so that steps of any length are exact."""
+        """Whether the rates depend only on parameters and regimes, so that steps of any length are exact."""
         varying = [f"m{i}" for i in range(self.n)] + [f"b:{name}" for name in self.varying]
         return not any(depends_on(self.graph, v, varying) for row in self.jacobian for v in row)
 
     def _boundary(self, outputs: Sequence[Expression], stage: int) -> tuple[list[int], list[int]]:
-        """Nodes of earlier stages that code of `stage` reads: (of the parameter stage, of the key stage)."""
+        """Nodes of earlier stages read by the code of `stage`: (of the parameter stage, of the key stage)."""
         stages = self.stage
         found: set[int] = set()
         for i in self.graph.needed(outputs):
@@ -214,7 +216,8 @@ class Recursion:
         )
 
     def _read_by(self, i: int) -> list[int]:
-        """Nodes whose numbers node i needs; a condition is no number, what it compares is carried in its place."""
+        """Nodes whose numbers node i needs; in place of a condition, which is not a number, the nodes that it
+        compares."""
         found: list[int] = []
         for j in arguments(self.graph.nodes[i]):
             found.extend(arguments(self.graph.nodes[j]) if self.graph.nodes[j][0] == "lt" else [j])
@@ -226,7 +229,7 @@ class Recursion:
 
     @cached_property
     def key_nodes(self) -> list[int]:
-        """Nodes computed once for each distinct key, in the order of the key table."""
+        """Nodes computed once per distinct key, in the order of the key table."""
         _ = self.stage
         found: set[int] = set()
         for block in self._blocks:
@@ -236,7 +239,8 @@ class Recursion:
 
     @cached_property
     def parameter_nodes(self) -> list[int]:
-        """Nodes that depend on the parameters alone and are read later, parameters themselves included."""
+        """Nodes that depend only on the parameters and are read later, including the parameters
+        themselves."""
         found: set[int] = set()
         for block in self._blocks:
             found.update(self._boundary(block.outputs, INSTANT)[0])
@@ -248,12 +252,13 @@ class Recursion:
 
     @cached_property
     def estimated_nodes(self) -> list[int]:
-        """Those of `parameter_nodes` that move with a parameter: the others have no derivative."""
+        """The members of `parameter_nodes` that depend on a parameter; the others have no derivative."""
         names = [f"p:{name}" for name in self.p]
         return [i for i in self.parameter_nodes if depends_on(self.graph, Expression(self.graph, i), names)]
 
     def _described(self) -> str:
-        """Digest of all that the compiled loops are made from: recursions that share it share their code."""
+        """Digest of everything that determines the compiled loops: recursions with the same digest share
+        their code."""
         outputs = [[e.index for e in block.outputs] for block in self._blocks]
         system = self.system
         said = (
@@ -264,9 +269,9 @@ class Recursion:
         return hashlib.sha256(repr(said).encode()).hexdigest()
 
     def code(self, kind: str, gain: bool = True, controls: tuple[Control, ...] = ()) -> Code:
-        """Compiled function of a kind: value, trace, adjoint, tangent; without gain the filter runs free.
+        """Compiled function of a kind: value, trace, adjoint, tangent; without `gain` the filter runs free.
 
-        "controlled": a free run whose `controls` follow it.
+        The kind "controlled" is a free run in which the `controls` follow the simulation.
         """
         made = _codes.setdefault(self._structure, {})
         if (kind, gain, controls) not in made:
@@ -279,8 +284,9 @@ class Recursion:
 _codes: dict[str, dict[tuple[str, bool, tuple[Control, ...]], Code]] = {}
 
 
-def _quadratic(row: list, covariance: Matrix, cross: list) -> Value:
-    """h P h'; a row with one entry squares it first, which shortens the chain from step to step."""
+def _quadratic(row: list[Value], covariance: Matrix, cross: list[Value]) -> Value:
+    """h P h'; a row with a single entry squares it first, which shortens the dependency chain between
+    steps."""
     there = [i for i, v in enumerate(row) if not is_zero(v)]
     if len(there) == 1:
         (i,) = there
@@ -293,11 +299,12 @@ def _lifted(graph: Graph, value: Expression | float) -> Expression | float:
 
 
 _filters: dict[tuple[int, bool], Recursion] = {}
-"""Filters of the models that live, by identity: a model is traced once."""
+"""Filters of existing models by identity, so that each model is traced once."""
 
 
 def traced(model: Model, diffuse: bool = False) -> Recursion:
-    """The compiled filter of a model (traced and compiled at first use); diffuse: it carries an infinite covariance too."""
+    """The compiled filter of a model, traced and compiled at first use; with `diffuse` it carries an infinite
+    covariance too."""
     key = (id(model), diffuse)
     found = _filters.get(key)
     if found is None:

@@ -1,7 +1,7 @@
-"""One filter step of many runs of the same model, side by side: what a fleet that is filtered in step needs.
+"""One filter step of many runs of the same model side by side, for fleets that are filtered in step.
 
-Each run has its own parameters, inputs, step, readings and state; all of them stand in arrays, and one call of compiled
-code (`hygrokf.engine.batch_codegen`) takes every run one step on.
+Every run has its own parameters, inputs, step, readings and state, held in arrays; one call of compiled code
+(`hygrokf.engine.batch_codegen`) advances all runs by one step.
 """
 
 from __future__ import annotations
@@ -23,10 +23,11 @@ from hygrokf.physics.model import Model
 
 
 class SideBySide:
-    """The states of N runs of one model, as arrays; `step` takes all of them one step on.
+    """The states of N runs of one model as arrays; `step` advances all of them.
 
-    `values` N sets of parameter values; `states` N Gaussians; `fastest` (N,) [1/h] the rate that sub-steps are made for
-    (see `Likelihood.rate`).  `mean` (N, n), `covariance` (N, n, n) are the states after the last step.
+    `values` are N sets of parameter values, `states` N Gaussians, `fastest` (N,) [1/h] the rates that
+    determine the sub-steps (see `Likelihood.rate`).  `mean` (N, n) and `covariance` (N, n, n) are the states
+    after the last step.
     """
 
     def __init__(
@@ -75,13 +76,14 @@ class SideBySide:
         return unpack(self._in_rows(self._state)[:, traced(self.model).n :], traced(self.model).n)
 
     def settle(self, mean: np.ndarray) -> None:
-        """State that every run is exactly at `mean` (N, n): covariances of zero, as each step of a simulation begins."""
+        """Set every run's state to `mean` (N, n) with zero covariance, as at the start of each step of a
+        simulation."""
         rows = np.zeros((self._count, self._state.shape[1]))
         rows[:, : mean.shape[1]] = mean
         self._state[...] = self._in_blocks(rows)
 
     def _in_blocks(self, rows: np.ndarray) -> np.ndarray:
-        """(N, width) as (blocks, width, RUNS); the last block is filled up with the last run."""
+        """(N, width) as (blocks, width, RUNS); the last run fills the unused lanes of the last block."""
         spare = -len(rows) % RUNS
         filled = np.concatenate([rows, np.repeat(rows[-1:], spare, axis=0)])
         return np.ascontiguousarray(filled.reshape(-1, RUNS, rows.shape[1]).swapaxes(1, 2))
@@ -90,7 +92,7 @@ class SideBySide:
         return blocks.swapaxes(1, 2).reshape(-1, blocks.shape[1])[: self._count]
 
     def _fill(self, column: np.ndarray, values: np.ndarray | float) -> None:
-        """Put one number of each run (N,) into a column; lanes without a run have that of the last one."""
+        """Store one number for each run (N,) in a column; unused lanes repeat that of the last run."""
         column[: self._count] = values
         column[self._count :] = column[self._count - 1]
 
@@ -100,9 +102,10 @@ class SideBySide:
         inputs: Mapping[str, np.ndarray],
         readings: Mapping[str, np.ndarray] | None = None,
     ) -> None:
-        """One step of `hours` (N,) [h] to instants with `inputs` (N,), at which `readings` (N,) are taken in (NaN: none).
+        """Advance by `hours` (N,) [h] to instants with `inputs` (N,), and apply `readings` (N,) there (NaN:
+        none).
 
-        Inputs that are joined by straight lines begin at those of the step before.  Raises ValueError for one that is
+        Linear inputs start from the values of the previous step.  Raises ValueError for an input that is
         missing or not finite.
         """
         faults = [n for n in self.model.inputs if n not in inputs or not _finite(inputs[n])]
@@ -126,17 +129,19 @@ class SideBySide:
         self._fill(self._keys[0], hours / parts)
         for place, name in enumerate(self.regimes):
             self._fill(self._keys[1 + place], inputs[name])
-        # before the first step the keys are no numbers, which equal none, and what is kept is computed at it
+        # before the first step the keys are NaN, so that everything kept is computed then
         changed = np.any(self._keys != keys, axis=0)
         self._code(
-            "fleet", len(self._state), self._theta, self._keys, self._parts, _of_blocks(self._parts), _of_blocks(changed),
+            "fleet", len(self._state), self._theta, self._keys, self._parts, _of_blocks(self._parts),
+            _of_blocks(changed),
             self._known, self._before, self._now, self._y, self._state,
         )  # fmt: skip
 
     def _jumped(
         self, far: np.ndarray, hours: np.ndarray, inputs: Mapping[str, np.ndarray | float]
     ) -> np.ndarray:
-        """Take the runs `far` (N,) to the tail of a long step of `hours` [h] each; what is left of it [h]."""
+        """Move the runs `far` (N,) to the tails of their long steps of `hours` [h]; returns the remaining
+        time [h] of each."""
         rest_h = TAIL * self._limit / self._fastest[far]
         now = {name: np.broadcast_to(inputs[name], self._count)[far] for name in self.model.inputs}
         before = {
@@ -163,16 +168,17 @@ class SideBySide:
         return rest_h
 
     def begin(self, inputs: Mapping[str, np.ndarray]) -> None:
-        """State the inputs at the instants where the states are, which straight lines begin at."""
+        """Set the inputs at the current instants, from which linear inputs start."""
         for place, name in enumerate(self.varying):
             self._fill(self._now[place], inputs[name])
 
 
 def _finite(value: np.ndarray | float) -> bool:
-    """Whether all of a number or an array is finite; most are numbers, for which numpy takes ten times as long."""
+    """Whether a number or an array is finite; most values are floats, for which numpy takes ten times as
+    long."""
     return math.isfinite(value) if isinstance(value, float) else bool(np.all(np.isfinite(value)))
 
 
 def _of_blocks(values: np.ndarray) -> np.ndarray:
-    """The largest of every block, from values (runs,)."""
+    """The largest value of every block, from values (runs,)."""
     return np.maximum.reduce(values.reshape(-1, RUNS).T).astype(np.int32)

@@ -1,15 +1,16 @@
-"""How sure: exact observed information, a covariance that survives a wrong model, profile likelihood.
+"""Uncertainty of an estimate: observed information, a covariance robust to a wrong model, profile likelihood.
 
 Shapes: d free coordinates z (see `parameters`), T instants.
 
-- Wald: V_H = H⁻¹, H the observed information: minus the second derivative of ln L + ln prior, by central differences
-  of the exact score.
-- Sandwich: V_S = H⁻¹ J H⁻¹, J the long-run variance of the score: scores summed over blocks of a day and longer
-  than the slowest disturbance, with Bartlett weights over neighbouring blocks (Newey & West 1987), plus the prior's
-  information, which is no sum over instants.
-- Profile: bounds of one parameter where twice the drop of the profile log-likelihood reaches c χ²₁, with the factor
-  c = max(1, V_S/V_H) of that parameter (misspecification; Kent 1982, doi:10.1093/biomet/69.1.19).  Other parameters that
-  reach a limit of their search on the way pass it where it is a guard, and stay where it is physical.
+- Wald: V_H = H⁻¹, where H is the observed information: minus the second derivative of ln L + ln prior, by
+  central differences of the exact score.
+- Sandwich: V_S = H⁻¹ J H⁻¹, where J is the long-run variance of the score: scores summed over blocks longer
+  than a day and than the slowest disturbance, with Bartlett weights over neighbouring blocks (Newey & West
+  1987), plus the prior's information, which is not a sum over instants.
+- Profile: bounds of one parameter where twice the drop of the profile log-likelihood reaches c χ²₁, with the
+  factor c = max(1, V_S/V_H) of that parameter (misspecification; Kent 1982, doi:10.1093/biomet/69.1.19).
+  Other parameters that reach a search limit on the way may pass it where it is a guard, and stay at it where
+  it is physical.
 """
 
 from __future__ import annotations
@@ -27,24 +28,25 @@ from hygrokf.physics.parameters import Coordinates, Parameter
 STEP_OF_SE = 0.02
 """Central differences of the score move a coordinate by this share of its standard error."""
 FLAT_SE = 3.0
-"""[ln] a positive parameter with a larger standard error of its logarithm is called not identifiable."""
+"""[ln] a positive parameter whose logarithm has a larger standard error is called not identifiable."""
 AT_LIMIT = 1e-9
-"""A coordinate so near to a limit is at it."""
+"""Distance within which a coordinate counts as being at a limit."""
 WALK_STEPS = 40
 WALK_TOLERANCE = 2e-3
 """Re-estimation along a profile ends when the next step promises less than this much log-likelihood."""
 MATERIAL = 0.05
-"""[1] of a profile's threshold: a limit at whose passing the score promises less does not hold the profile back."""
+"""[1] share of a profile's threshold: a limit counts only if the score promises more than this for passing
+it."""
 
 
 @dataclass(frozen=True)
 class Uncertainty:
-    """Second-order picture of an estimate: `names` of the coordinates that are inside their bounds.
+    """Second-order description of an estimate; `names` of the coordinates inside their bounds.
 
-    `hessian` (f, f) observed information; `wald`, `sandwich` (f, f) covariances of the coordinates; `factor` (f,) the
-    ratios of their diagonals, at least 1; `flat` names of directions that the data hardly pin down.  `curvature` (d, d)
-    the observed information of all coordinates, those at a bound included.  `parts` (PARTS, f) by how much each part of
-    the readings alone would move the coordinates, to first order.
+    `hessian` (f, f) observed information; `wald`, `sandwich` (f, f) covariances of the coordinates; `factor`
+    (f,) ratios of their diagonals, at least 1; `flat` names of directions that the data hardly determine.
+    `curvature` (d, d) observed information of all coordinates, including those at a bound.  `parts` (PARTS,
+    f) first-order shift of the coordinates if estimated from each part of the readings alone.
     """
 
     names: tuple[str, ...]
@@ -59,7 +61,8 @@ class Uncertainty:
 
     @property
     def wider(self) -> np.ndarray:
-        """The Wald covariance (f, f), each standard deviation widened to the sandwich's where that is larger."""
+        """The Wald covariance (f, f) with each standard deviation widened to the sandwich's where that is
+        larger."""
         root = np.sqrt(self.factor)
         return self.wald * np.outer(root, root)
 
@@ -71,9 +74,10 @@ class Uncertainty:
 class Limit:
     """Another parameter that reached a limit of its search at one end of a profile.
 
-    `end` "lower" or "upper"; `parameter` and its `unit`; its `value` at that end and the `limit` of its search.
-    `effect`: "held" the limit is physical, and the parameter stays there; "lifted" it is a guard, and was passed; "open"
-    the parameter passed its guard as far as the walk goes before the profile closed: the end is open.
+    `end` is "lower" or "upper"; `parameter` and its `unit`; its `value` at that end and the `limit` of its
+    search. `effect`: "held", the limit is physical and the parameter stays there; "lifted", the limit is a
+    guard and was passed; "open", the parameter reached the end of the lifted range before the profile closed,
+    which leaves the end open.
     """
 
     end: str
@@ -88,9 +92,10 @@ class Limit:
 class Bounds:
     """Confidence bounds of one value in its unit; infinite or zero where the data do not bound it.
 
-    `curve` (P, 2): values and twice the drop of the profile log-likelihood; `method` profile, wald, sandwich or none; `limited_by`
-    the limits of other parameters that its ends met; `better` all parameters' values at the most likely point of the
-    profile where that is more likely than the estimate (by `BETTER`): the estimate is no maximum, climb again from there.
+    `curve` (P, 2): values and twice the drop of the profile log-likelihood; `method`: profile, wald, sandwich
+    or none; `limited_by`: limits of other parameters met at its ends; `better`: values of all parameters at
+    the most likely point of the profile where it exceeds the estimate by `BETTER`: the estimate is then no
+    maximum and must be refitted from there.
     """
 
     value: float
@@ -107,7 +112,7 @@ class Bounds:
 def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
     """Observed information, Wald and sandwich covariance at an estimate.
 
-    Raises ValueError where the likelihood has no curvature there because it is not finite.
+    Raises ValueError where the likelihood is not finite around the estimate.
     """
     coordinates, z = estimate.coordinates, estimate.z
     inside = np.array([name not in estimate.at_bounds for name in coordinates.names])
@@ -143,15 +148,16 @@ def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
 
 
 PARTS = 4
-"""Parts of a record, with equally many readings, that are held against each other."""
+"""Parts of a record, with equally many readings, whose estimates are compared."""
 
 
 def part_shifts(scores: np.ndarray, readings: np.ndarray, covariance: np.ndarray) -> np.ndarray:
-    """Coordinates (PARTS, d) that each part of the readings alone would give, less the common ones, to first order.
+    """Coordinates (PARTS, d) estimated from each part of the readings alone, minus the common ones, to first
+    order.
 
-    `scores` (T, d) of the instants at the common maximum, `readings` (T, k), `covariance` (d, d) of the whole: a part with
-    the share w of the readings has the information w/V, so its own maximum is V s/w away.  With the right model the
-    parts' variance is V/w.
+    `scores` (T, d) of the instants at the common maximum, `readings` (T, k), `covariance` (d, d) of the
+    whole.  A part with the share w of the readings has the information w/V, so its own maximum is V s/w away.
+    With the right model the variance of the parts is V/w.
     """
     count = np.cumsum(np.isfinite(readings).sum(axis=1))
     part = np.minimum((count * PARTS) // max(int(count[-1]) + 1, 1), PARTS - 1)
@@ -161,7 +167,8 @@ def part_shifts(scores: np.ndarray, readings: np.ndarray, covariance: np.ndarray
 
 
 def parts_scale(found: Uncertainty, name: str) -> float:
-    """Square of Birge's ratio [1]: scatter of the parts' estimates over what their bounds say; about 1 where those hold."""
+    """Square of Birge's ratio [1]: scatter of the parts' estimates relative to their bounds; about 1 where
+    the bounds hold."""
     place = found.place(name)
     if place is None or not len(found.parts):
         return 1.0
@@ -173,7 +180,7 @@ def _curvature(objective: Objective, z: np.ndarray, steps: np.ndarray) -> np.nda
     """Minus the second derivatives (d, d) of the objective at z (d,), by central differences of its score."""
 
     def rows(places: range) -> np.ndarray:
-        # a likelihood keeps its working memory between calls: each thread has one of its own
+        # a likelihood keeps working memory between calls, so each thread needs its own
         own = Objective(replace(objective.likelihood), objective.coordinates)
         found = np.empty((len(places), len(z)))
         for row, i in enumerate(places):
@@ -195,19 +202,21 @@ def block_h(values: Mapping[str, float]) -> float:
 
 
 def positive_inverse(matrix: np.ndarray) -> np.ndarray:
-    """Inverse of a symmetric matrix; directions without positive curvature get a huge variance, not a negative one."""
+    """Inverse of a symmetric matrix; directions without positive curvature get a very large variance instead
+    of a negative one."""
     scale, values, vectors = _scaled(matrix)
     return (vectors / values) @ vectors.T / scale[:, None] / scale[None, :]
 
 
 def positive(matrix: np.ndarray) -> np.ndarray:
-    """A symmetric matrix made positive: directions without positive curvature get hardly any."""
+    """A symmetric matrix made positive: directions without positive curvature get almost none."""
     scale, values, vectors = _scaled(matrix)
     return (vectors * values) @ vectors.T * scale[:, None] * scale[None, :]
 
 
 def _scaled(matrix: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Roots (d,) of a symmetric matrix' diagonal, and eigenvalues, at least 1e-10, and vectors of the matrix divided by them."""
+    """Roots (d,) of a symmetric matrix's diagonal, and eigenvalues (at least 1e-10) and eigenvectors of the
+    matrix scaled by them."""
     size = np.abs(np.diag(matrix))
     scale = np.sqrt(np.where(size > 1e-150, size, 1.0))
     values, vectors = np.linalg.eigh(matrix / scale[:, None] / scale[None, :])
@@ -255,7 +264,8 @@ def _trade_offs(names: tuple[str, ...], covariance: np.ndarray) -> tuple[tuple[s
 def wald_bounds(
     estimate: Estimate, found: Uncertainty, name: str, level: float = 0.95, covariance: str = "wider"
 ) -> Bounds:
-    """Bounds from a covariance, symmetric in the parameter's coordinate: "wald", "sandwich" or the "wider" of the two."""
+    """Bounds from a covariance, symmetric in the parameter's coordinate: "wald", "sandwich" or the "wider" of
+    the two."""
     value = estimate.values[name]
     place = found.place(name)
     if place is None:
@@ -275,7 +285,7 @@ def wald_bounds(
 def standard_error(estimate: Estimate, found: Uncertainty, name: str) -> float:
     """Standard error in the parameter's unit (delta method), from the wider of the two covariances.
 
-    NaN at a bound, and for a positive parameter that the data leave open.
+    NaN at a bound, and for a positive parameter that the data do not determine.
     """
     place = found.place(name)
     if place is None:
@@ -295,18 +305,20 @@ def profile(
     level: float = 0.95,
     progress: Callable[[str], None] | None = None,
 ) -> Bounds:
-    """Profile-likelihood bounds of one free parameter [its unit], all others re-estimated along the way.
+    """Profile-likelihood bounds of one free parameter [its unit]; all others are re-estimated along the way.
 
-    `objective` the penalised likelihood whose maximum `estimate` is, `found` its `uncertainty`.  The bounds are the values
-    at which
-        2 (l(θ̂) − max over the others of l) = c χ²₁,    c = max(1, V_S/V_H) of the parameter, at the confidence `level`.
+    `objective` is the penalised likelihood with the maximum `estimate`, `found` its `uncertainty`.  The
+    bounds are the values at which
+        2 (l(θ̂) − max over the others of l) = c χ²₁,    c = max(1, V_S/V_H) of the parameter, at the
+        confidence `level`.
     An end that the data do not close is returned as 0 or infinity (positive parameters: "≤ x", "≥ x" or not
     identifiable; others: the parameter's own bound).
 
-    Another parameter that reaches a limit of its search on the way would turn the profile into a cliff.  A physical limit
-    (`Parameter.physical`) holds: beyond it there is no model.  A guard is lifted (`Parameter.beyond_guards`); where the
-    parameter passes it as far as that goes before the profile closes, the end is open.  `limited_by` says which did.
-    What is at a limit in the estimate already stays there unless it wants back.
+    Another parameter that reaches a search limit on the way would turn the profile into a cliff.  A physical
+    limit (`Parameter.physical`) holds, because no model exists beyond it.  A guard is lifted
+    (`Parameter.beyond_guards`); if the parameter reaches the end of the lifted range before the profile
+    closes, the end is open.  `limited_by` lists these limits. A parameter that the estimate already has at a
+    limit stays there unless the score moves it back.
     """
     coordinates = estimate.coordinates
     p = next(q for q in coordinates.free if q.name == name)
@@ -339,8 +351,11 @@ def profile(
     )
 
 
-def describe(unit: str, lower: float, upper: float, ends: list, limits: Sequence[Limit] = ()) -> str:
-    """What the bounds say where they do not close on both sides, and which parameter's limit left them open."""
+def describe(
+    unit: str, lower: float, upper: float, ends: Sequence[float | None], limits: Sequence[Limit] = ()
+) -> str:
+    """Words for bounds that are open on one or both sides, with the limit of another parameter that left them
+    open."""
     open_ = [limit for limit in limits if limit.effect == "open"]
     because = "".join(
         f"; the {limit.end} end stays open: there {limit.parameter} is {_of_unit(limit.value, limit.unit)}, "
@@ -355,7 +370,8 @@ def describe(unit: str, lower: float, upper: float, ends: list, limits: Sequence
 
 
 def limit_remarks(name: str, bounds: Bounds) -> list[str]:
-    """Which limits of other parameters a profile's closed ends met, one sentence each; `name` the profiled parameter."""
+    """One sentence for each limit of another parameter that closed ends of a profile met; `name` is the
+    profiled parameter."""
     said = {
         "lifted": "beyond the limit {limit} of its search",
         "held": "its physical limit",
@@ -373,10 +389,11 @@ def _of_unit(value: float, unit: str) -> str:
 
 
 class _Walk:
-    """Re-estimation of the other coordinates with one held: quasi-Newton steps that begin with the observed information.
+    """Re-estimation of the other coordinates with one fixed: quasi-Newton steps starting from the observed
+    information.
 
-    The steps stay within the limits, guards lifted: what the score pushes against a limit is held there, and the others
-    are solved without it.
+    Steps stay within the limits with guards lifted.  A coordinate that the score pushes against a limit is
+    held there, and the others are solved without it.
     """
 
     def __init__(self, objective: Objective, estimate: Estimate, found: Uncertainty, index: int) -> None:
@@ -397,7 +414,7 @@ class _Walk:
         self.best = (-BETTER, estimate.z)
 
     def drop(self, offset: float) -> float:
-        """Twice the drop of the profile log-likelihood at this offset of the coordinate."""
+        """Twice the drop of the profile log-likelihood at this offset of the fixed coordinate."""
         near = min(self.last, key=lambda known: abs(known - offset))
         z = self.last[near][0] + self.path * (offset - near)
         z = np.clip(z, self.lower, self.upper)
@@ -420,7 +437,8 @@ class _Walk:
             else:
                 if informed:
                     break
-                # the curvature of the estimate misleads here: the expected information of this place replaces it
+                # the curvature of the estimate is no use here: replace it by the expected information at this
+                # point
                 curvature, informed = self.objective.information(z)[2], True
                 continue
             curvature = _bfgs(curvature, step, gradient - new_gradient)
@@ -430,12 +448,13 @@ class _Walk:
         return 2.0 * (self.estimate.objective - value)
 
     def better(self) -> dict[str, float] | None:
-        """Values that are more likely than the estimate, if the walk met any."""
+        """Parameter values more likely than the estimate, if the walk met any."""
         drop, z = self.best
         return None if drop >= -BETTER else self.objective.coordinates.values(z)
 
     def limits(self, end: str, offset: float, threshold: float) -> list[Limit]:
-        """Limits of other coordinates that matter at this offset, those of the estimate left out."""
+        """Limits of other coordinates that matter at this offset, except those that the estimate is already
+        at."""
         z, gradient = self.last[min(self.last, key=lambda known: abs(known - offset))]
         own = self.estimate.coordinates
         found = []
@@ -468,7 +487,8 @@ class _Walk:
 
 
 def _bfgs(curvature: np.ndarray, s: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """The curvature (d, d) that after a step s changes the score by −y (Broyden, Fletcher, Goldfarb, Shanno)."""
+    """The curvature (d, d) updated by a step s that changed the score by −y (Broyden, Fletcher, Goldfarb,
+    Shanno)."""
     along = curvature @ s
     if float(s @ y) <= 1e-12 or float(s @ along) <= 0.0:
         return curvature
@@ -478,7 +498,8 @@ def _bfgs(curvature: np.ndarray, s: np.ndarray, y: np.ndarray) -> np.ndarray:
 def _end(
     walk: _Walk, p: Parameter, index: int, direction: float, threshold: float, first: float
 ) -> tuple[float | None, list[tuple[float, float]]]:
-    """The coordinate where the profile crosses the threshold on one side; None where it does not before the bound."""
+    """The coordinate where the profile crosses the threshold on one side; None if it does not cross within
+    the bound."""
     z = walk.estimate.z[index]
     limit = (p.to_coordinate(p.upper) if direction > 0 else p.to_coordinate(p.lower)) - z
     limit = abs(limit)

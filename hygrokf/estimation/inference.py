@@ -1,6 +1,6 @@
-"""Bounds of any parameter, and time constants of any model, from a likelihood and its estimate.
+"""Bounds of any parameter and time constants of any model, from a likelihood and its estimate.
 
-What `identify` reports for a cabinet's two constants is made of these; here they serve a model of one's own.
+`identify` uses these functions for a cabinet's two constants; here they are available for a user's own model.
 """
 
 from __future__ import annotations
@@ -24,13 +24,15 @@ from hygrokf.estimation.optimiser import Estimate, Objective
 
 METHODS = ("profile", "wald", "sandwich")
 COORDINATE_STEP = 1e-5
-"""Central differences of the Jacobian move a coordinate by so much: the error is of the order of its square."""
+"""Step of the coordinates in central differences of the Jacobian, whose error is of the order of its
+square."""
 ALIKE = 1e-6
-"""[1] product of an eigenvalue's left and right vector, each of length 1, below which two eigenvalues are one."""
+"""[1] product of the normalised left and right eigenvectors below which two eigenvalues count as equal."""
 
 
 def covariances(likelihood: Likelihood, estimate: Estimate) -> Uncertainty:
-    """Observed information, Wald and sandwich covariance of an estimate that `maximise` made of this likelihood.
+    """Observed information, Wald and sandwich covariance of an estimate made by `maximise` from this
+    likelihood.
 
     Raises ValueError where the likelihood is not finite around the estimate.
     """
@@ -44,11 +46,12 @@ def confidence_bounds(
     method: str = "profile",
     level: float = 0.95,
 ) -> dict[str, Bounds]:
-    """Bounds of free parameters [each in its unit] by one method; `names` of all free parameters where not given.
+    """Bounds of free parameters [each in its unit] by one method; by default of all free parameters.
 
-    `method`: "profile" re-estimates all others along the way, with the threshold widened where the sandwich is
-    (`confidence.profile`); "wald" from the observed information; "sandwich" from the covariance that a wrong model leaves
-    right.  The last two are symmetric in the parameter's coordinate: in the logarithm, if it is positive.
+    `method`: "profile" re-estimates all other parameters along the way, with a threshold widened by the
+    sandwich factor (`confidence.profile`); "wald" uses the observed information; "sandwich" uses the
+    covariance that remains valid under a wrong model.  The last two are symmetric in the parameter's
+    coordinate, which is the logarithm of a positive parameter.
 
     Raises ValueError for an unknown method or level, and for names that are not free parameters.
     """
@@ -72,9 +75,10 @@ def confidence_bounds(
 class TimeConstant:
     """One time constant of a linear, or linearised, model [h], with bounds by the delta method.
 
-    `value` τ = −1/Re λ of an eigenvalue λ of the Jacobian; infinite where Re λ ≥ 0: what does not decay.  `lower` and
-    `upper` at the `level`, symmetric in ln τ; NaN where two eigenvalues coincide.  `period` 2π/|Im λ| of an oscillation,
-    else infinite.  `states` the shares [1] of the states in the mode (participation factors), largest first.
+    `value` τ = −1/Re λ of an eigenvalue λ of the Jacobian; infinite where Re λ ≥ 0 (no decay).  `lower` and
+    `upper` at the `level`, symmetric in ln τ; NaN where two eigenvalues coincide.  `period` 2π/|Im λ| of an
+    oscillation, else infinite. `states`: shares [1] of the states in the mode (participation factors),
+    largest first.
     """
 
     value: float
@@ -93,19 +97,20 @@ def system_time_constants(
     inputs: Mapping[str, float] | None = None,
     known: Uncertainty | None = None,
 ) -> tuple[TimeConstant, ...]:
-    """Time constants of a model at its estimate, slowest first; of a pair of conjugate eigenvalues one.
+    """Time constants of a model at its estimate, slowest first; one for each pair of conjugate eigenvalues.
 
         A v = λ v,    dλ/dz_j = w' (dA/dz_j) v / (w' v),    Var ln τ = g' V g,  g_j = −d Re λ/dz_j / Re λ,
 
-    with the Jacobian A (n, n) [1/h], its left and right eigenvectors w and v, and the covariance V of the coordinates z, the
-    wider of Wald and sandwich.  Parameters at a bound are taken as known.
+    with the Jacobian A (n, n) [1/h], its left and right eigenvectors w and v, and the covariance V of the
+    coordinates z, the wider of Wald and sandwich.  Parameters at a bound count as known.
 
-    A linear model has one Jacobian.  One that is not is linearised at `state` and `inputs`; what they leave out is the
-    mean of the filtered states, and the median of the input, over the record.  `known`: the estimate's uncertainty, if it
-    has been computed.  Raises ValueError for names that the model does not have.
+    A linear model has a single Jacobian.  A nonlinear one is linearised at `state` and `inputs`; values not
+    given there are the means of the filtered states and the medians of the inputs over the record.  `known`:
+    the estimate's uncertainty, if already computed.  Raises ValueError for names that the model does not
+    have.
 
-    Source: Golub & Van Loan, Matrix Computations, section 7.2.2 (derivatives of eigenvalues); Pérez-Arriaga, Verghese &
-    Schweppe 1982 (participation factors).
+    Source: Golub & Van Loan, Matrix Computations, section 7.2.2 (derivatives of eigenvalues); Pérez-Arriaga,
+    Verghese & Schweppe 1982 (participation factors).
     """
     from scipy.linalg import eig
 

@@ -27,19 +27,24 @@ from hygrokf.physics.expression import Value, is_zero
 from hygrokf.physics.model import Model
 
 CHUNK = 4096
-"""Instants for which sensitivities are held in memory at a time."""
+"""Number of instants for which sensitivities are held in memory at a time."""
 INITIAL = ("prior", "stationary", "diffuse")
 GAPS = 1_000
-"""Steps of one run that may be long ones: more are no gaps, but a rate far above what the readings resolve."""
+"""Largest number of long steps in one run; more mean a rate far above what the readings resolve."""
+
+Place = tuple[int, int]
+"""Row and column of an entry of a Jacobian."""
+Blocks = tuple[list[np.ndarray], list[np.ndarray], list[np.ndarray]]
+"""First moments, their tangents, and the directions: one array each for every `LANES` directions."""
 
 
 class RatesFault(FloatingPointError, ValueError):
-    """Parameters whose rates no step can carry; the message names the state, or the steps, and the remedy."""
+    """Rates that no step can represent; the message names the state or the steps, and the remedy."""
 
 
 @dataclass(frozen=True)
 class Gaussian:
-    """A normal distribution of the state: mean (n,), covariance (n, n), at `time_h`; also a checkpoint of a filter."""
+    """State at `time_h` as a normal distribution, a filter's checkpoint: mean (n,), covariance (n, n)."""
 
     mean: np.ndarray
     covariance: np.ndarray
@@ -48,10 +53,9 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Innovations and their derivatives, summed up: log-likelihood, score (r,), expected information (r, r).
+    """Log-likelihood, its score (r,) and expected information (r, r) along r directions.
 
-    `scores` (T, r) holds each instant's share of the score, if it was asked for; r directions.
-    """
+    `scores` (T, r): each instant's share of the score, if requested."""
 
     loglik: float
     score: np.ndarray
@@ -63,10 +67,10 @@ class Sensitivities:
 class Trace:
     """All moments of one filter run.
 
-    `prior_mean` (T, n), `prior_covariance` (T, n, n) before the readings of an instant, `mean`, `covariance` after;
-    `prediction` (T, k) and `variance` (T, k) of every output, each given the readings taken before it;
-    `transition` (T, n, n) the derivative of the state with respect to the one at the instant before;
-    `last` the Gaussian to go on from.
+    `prior_mean` (T, n), `prior_covariance` (T, n, n) before the readings of an instant, `mean`, `covariance`
+    after them; `prediction` (T, k) and `variance` (T, k) of every output, each given the readings processed
+    before it; `transition` (T, n, n) the derivative of the state with respect to that at the previous
+    instant; `last` the Gaussian to continue from.
     """
 
     prior_mean: np.ndarray
@@ -82,10 +86,10 @@ class Trace:
 
 @dataclass(frozen=True)
 class _Steps:
-    """How the steps are taken with some parameter values.
+    """Division of the steps for given parameter values.
 
-    `keys` (distinct steps, 1 + regimes) with the length of a sub-step [h], `parts` their number; `long` the instants whose
-    step is a long one, of which the loops take the last `tail_h` [h].
+    `keys` (distinct steps, 1 + regimes) with the length of a sub-step [h], `parts` their number; `long` the
+    instants that a long step leads to, of which the loops take the last `tail_h` [h].
     """
 
     keys: np.ndarray
@@ -94,7 +98,7 @@ class _Steps:
     tail_h: float = 0.0
 
     def pieces(self, part: slice) -> list[slice]:
-        """Stretches of instants that the loops take in one go: a long step begins a new one."""
+        """Stretches of instants that the loops take in one call; every long step begins a new one."""
         cuts = [part.start, *(k for k in self.long if part.start < k < part.stop), part.stop]
         return [slice(a, b) for a, b in pairwise(cuts)]
 
@@ -103,11 +107,12 @@ class _Steps:
 class Likelihood:
     """The likelihood of one model on one timeline.
 
-    `initial`: "prior" (each mechanism's own), "stationary" (steady state at the first inputs), "diffuse" (exact, for
-    the states named in `diffuse_states`, by default all; the others keep their prior), or a `Gaussian`.
-    `rate_step`: largest product of the fastest rate and a sub-step, where other than that of the discretisation's range:
-    a search may take longer sub-steps, at the price of its last digits.  `fastest`: the model's fastest rate [1/h] where it
-    is stated instead of bounded from the timeline's inputs: then no step depends on what else the run holds.
+    `initial`: "prior" (each mechanism's own), "stationary" (steady state at the first inputs), "diffuse"
+    (exact, for the states named in `diffuse_states`, by default all; the others keep their prior), or a
+    `Gaussian`. `rate_step`: largest product of the fastest rate and a sub-step, in place of the
+    discretisation's own: a search may take longer sub-steps at the expense of the last digits.  `fastest`:
+    the model's fastest rate [1/h], in place of the bound derived from the timeline's inputs, so that no step
+    depends on the rest of the run.
     """
 
     model: Model
@@ -134,18 +139,18 @@ class Likelihood:
 
     # -- numbers that the compiled loops start from ----------------------------------------------------------
     def theta(self, values: Mapping[str, float]) -> np.ndarray:
-        """Parameter values (d,) in the model's order, and behind them the record's own numbers."""
+        """Parameter values (d,) in the model's order, followed by the record's own numbers."""
         known = [values[p.name] for p in self.model.parameters]
         return np.array([*known, *self.recursion.constants], dtype=float)
 
     def rate(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None = None) -> float:
-        """Bound on the model's fastest rate [1/h] over the record, or over these inputs; or the stated one."""
+        """Upper bound of the model's fastest rate [1/h] over the record or the given inputs; or `fastest`."""
         if self.fastest is not None:
             return self.fastest
         return max((0.0, *self._bounds(values, inputs)))
 
     def _bounds(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None) -> list[float]:
-        """Bound on the rate of each state [1/h] (n,)."""
+        """Upper bound of the rate of each state [1/h] (n,)."""
         r = self.recursion
         known: dict[str, Value] = {f"p:{name}": v for name, v in values.items()}
         if self._rate_moves:
@@ -166,15 +171,15 @@ class Likelihood:
 
     @cached_property
     def _rate_moves(self) -> bool:
-        """Whether the rates depend on more than the parameters."""
+        """Whether the rates depend on anything besides the parameters."""
         r = self.recursion
         needed = r.graph.needed([r.graph.lift(r.jacobian[i][j]) for i, j in self._rate_entries[0]])
         symbols = [r.graph.nodes[i][1] for i in needed if r.graph.nodes[i][0] == "symbol"]
         return not all(name.startswith(("p:", "c:")) for name in symbols)
 
     @cached_property
-    def _rate_entries(self) -> tuple[list, list]:
-        """Places of the Jacobian that bound its eigenvalues: the diagonal, and pairs of which both exist."""
+    def _rate_entries(self) -> tuple[list[Place], list[list[tuple[Place, Place]]]]:
+        """Entries of the Jacobian that bound its eigenvalues: diagonal, and non-zero pairs (i, j), (j, i)."""
         r = self.recursion
         there = [[not is_zero(v) for v in row] for row in r.jacobian]
         pairs = [
@@ -186,7 +191,7 @@ class Likelihood:
         return sorted(places), pairs
 
     def _steps(self, values: Mapping[str, float]) -> _Steps:
-        """Sub-steps of every step; raises RatesFault where the rates are not finite, or too fast for the readings."""
+        """Sub-steps of every step; raises RatesFault where rates are not finite or too fast."""
         steps = self.timeline.steps
         limit = self.rate_step or (CONSTANT_RATES if self.recursion.exact else VARYING_RATES).rate_step
         rate = self.rate(values)
@@ -208,7 +213,7 @@ class Likelihood:
         return _Steps(keys, parts.astype(np.int32), long, tail_h)
 
     def steps_per_instant(self, values: Mapping[str, float]) -> float:
-        """Filter steps that one pass takes with these values, over the instants of the record: at least about 1."""
+        """Filter steps of one pass with these values per instant of the record, at least about 1."""
         steps = self._steps(values)
         taken = np.bincount(self.timeline.key, minlength=len(steps.parts)) @ steps.parts
         return float(taken) / len(self.timeline)
@@ -224,19 +229,19 @@ class Likelihood:
         own = ", ".join(f"{n[2:]} = {values[n[2:]]:.3g}" for n in symbols if n.startswith("p:"))
         return (
             f"expected finite rates, found others of {', '.join(self.model.states[i] for i in lost)}"
-            f"{' with ' + own if own else ''}: narrow the bounds of these parameters, or correct the inputs that the "
-            "states follow"
+            f"{' with ' + own if own else ''}: narrow the bounds of these parameters, or correct the inputs "
+            "that the states follow"
         )
 
     def _too_fast(self, rate: float, long: tuple[int, ...]) -> str:
         t = self.timeline
         hours = np.sort(t.steps[t.key[list(long)], 0])
         return (
-            f"expected at most {GAPS} gaps that the model's fastest time constant, {duration_text(3600.0 / rate)}, divides "
-            f"into more than {MOST} parts, found {len(long)} (of {duration_text(3600.0 * hours[0])} to "
-            f"{duration_text(3600.0 * hours[-1])}, the first until "
-            f"{stamp_text(t.origin_s + 3600.0 * t.time[long[0]])}): the readings do not resolve so fast a model; narrow the "
-            "bounds of its parameters, or leave out the part that is so fast"
+            f"expected at most {GAPS} gaps that the model's fastest time constant, "
+            f"{duration_text(3600.0 / rate)}, divides into more than {MOST} parts, found {len(long)} (of "
+            f"{duration_text(3600.0 * hours[0])} to {duration_text(3600.0 * hours[-1])}, the first until "
+            f"{stamp_text(t.origin_s + 3600.0 * t.time[long[0]])}): the readings do not resolve so fast a "
+            "model; narrow the bounds of its parameters, or leave out the part that is so fast"
         )
 
     @cached_property
@@ -259,18 +264,18 @@ class Likelihood:
         state = np.asarray(self.first_state(values), dtype=float)
         return Gaussian(state[:n], unpack(state[n : n + n * (n + 1) // 2], n), float(self.timeline.time[0]))
 
-    def first_state(self, values: Mapping[str, object]) -> np.ndarray:
+    def first_state(self, values: Mapping[str, complex]) -> np.ndarray:
         """Packed moments before the first reading; complex values give complex moments (for derivatives)."""
         if isinstance(self.initial, Gaussian):
             return np.concatenate([self.initial.mean, pack(np.asarray(self.initial.covariance))])
-        states, variance = self.model.initial(values, self.first_inputs())
+        begun, variance = self.model.initial(values, self.first_inputs())
         if self.initial == "prior":
-            n = len(states)
+            n = len(begun)
             places = np.cumsum(np.arange(1, n + 1)) - 1  # of the diagonal in the packed triangle
             packed = np.zeros(n * (n + 1) // 2, dtype=np.result_type(*variance))
             packed[places] = variance
-            return np.concatenate([states, packed])
-        mean = np.array(states)
+            return np.concatenate([begun, packed])
+        mean = np.array(begun)
         covariance = np.diag(np.array(variance))
         if self.initial == "stationary":
             mean, covariance = self._stationary(values, mean)
@@ -281,28 +286,29 @@ class Likelihood:
         covariance = covariance * np.outer(1.0 - infinite, 1.0 - infinite)
         return np.concatenate([mean * (1.0 - infinite), pack(covariance), pack(np.diag(infinite))])
 
-    def _stationary(self, values: Mapping[str, object], mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Steady state at the first inputs and the covariance that solves A P + P A' + Q = 0."""
+    def _stationary(self, values: Mapping[str, complex], mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Steady state at the first inputs, and the covariance that solves A P + P A' + Q = 0."""
         n = len(mean)
         u = self.first_inputs()
-        for _ in range(5):  # one step where the model is linear
+        for _ in range(5):  # a linear model needs one step
             matrix = self.jacobian(values, mean, u)
             rates = np.array(self.model.evaluate(list(mean), u, values).rates)
             mean = mean - np.linalg.solve(matrix, rates)
-        noise = np.array(self.model.noise(values))
+        noise: np.ndarray = np.array(self.model.noise(values))
         matrix = self.jacobian(values, mean, u)
         if np.linalg.eigvals(matrix).real.max() >= 0:
             raise ValueError(
-                "initial='stationary': the model has no stationary state; use 'prior', 'diffuse' or a Gaussian"
+                "initial='stationary': the model has no stationary state; use 'prior', 'diffuse' or a "
+                "Gaussian"
             )
         eye = np.eye(n)
         flat = np.linalg.solve(np.kron(matrix, eye) + np.kron(eye, matrix), -noise.reshape(-1))
         return mean, flat.reshape(n, n)
 
-    def jacobian(self, values: Mapping, mean: np.ndarray, u: Mapping) -> np.ndarray:
-        """Derivatives (n, n) [1/h] of the states' rates by the states, at a state `mean` (n,) and inputs `u`."""
+    def jacobian(self, values: Mapping[str, complex], mean: np.ndarray, u: Mapping[str, float]) -> np.ndarray:
+        """Derivatives (n, n) [1/h] of the states' rates by the states, at `mean` (n,) and inputs `u`."""
         r = self.recursion
-        known = {f"p:{name}": v for name, v in values.items()}
+        known: dict[str, Value] = {f"p:{name}": v for name, v in values.items()}
         known |= {f"m{i}": v for i, v in enumerate(mean)}
         known |= {f"{kind}:{name}": v for name, v in u.items() for kind in ("b", "g")}
         return np.array([[v for v in r.graph.evaluate(row, known)] for row in r.jacobian])
@@ -314,12 +320,14 @@ class Likelihood:
         if isinstance(self.initial, Gaussian):
             return result
         for i, p in enumerate(self.model.parameters):
-            moved: dict[str, Value] = dict(values)
-            moved[p.name] = values[p.name] + 1e-30j
+            moved = {**values, p.name: values[p.name] + 1e-30j}
             result[i] = np.imag(self.first_state(moved)) * 1e30
         return result
 
-    def _common(self, values: Mapping[str, float], steps: _Steps, state: np.ndarray, part: slice) -> tuple:
+    def _common(
+        self, values: Mapping[str, float], steps: _Steps, state: np.ndarray, part: slice
+    ) -> tuple[np.ndarray | int, ...]:
+        """Arguments that all compiled loops share, in their order (`filter_codegen.COMMON`)."""
         t = self.timeline
         key, y, reset = t.key[part], t.y[part], t.reset[part]
         table = np.empty(max(1, len(steps.keys) * len(self.recursion.key_nodes)))
@@ -339,9 +347,9 @@ class Likelihood:
         )
 
     def _inputs(self, steps: _Steps, part: slice) -> np.ndarray:
-        """Inputs of these instants; the compiled loop also reads the row in front of the first: views, no copies.
+        """Inputs of these instants as a view; the compiled loop also reads the row in front of the first one.
 
-        Where the first step is a long one, the row in front is that at the beginning of its tail.
+        After a long first step, the row in front holds the inputs at the start of its tail.
         """
         t = self.timeline
         if part.start not in steps.long:
@@ -368,7 +376,7 @@ class Likelihood:
 
     @cached_property
     def _store(self) -> np.ndarray:
-        """Moments that the backward pass needs; kept between calls (fresh memory costs more than the filter)."""
+        """Moments for the backward pass, kept between calls: allocation costs more than the filter."""
         r = self.recursion
         return np.empty((2 * len(self.timeline), len(r.state)))
 
@@ -385,7 +393,7 @@ class Likelihood:
         return value if math.isfinite(value) else -math.inf
 
     def _run(self, values: Mapping[str, float], steps: _Steps, part: slice, state: np.ndarray) -> float:
-        """ln L of a piece; `state` is taken through it."""
+        """ln L of a piece; moves `state` through it."""
         if part.start in steps.long:
             self._long(steps, part.start).take(values, state)
         out = np.zeros(3)
@@ -400,8 +408,8 @@ class Likelihood:
     ) -> np.ndarray:
         """Positions (T, c) of controls in the step to each instant, in a free run that they drive themselves.
 
-        `controls` → their two levels; `idle` (T,) whether the turbine stands still; inputs that the controls set are those of
-        the instant before the first alone.
+        `controls` maps each control to its two levels; `idle` (T,) is True at standstill.  Of the inputs that
+        the controls set, only the values at the instant before the first are used.
         """
         n, count = len(self.model.states), len(self.timeline)
         state = np.ascontiguousarray(self.first_state(values), dtype=float)
@@ -409,7 +417,7 @@ class Likelihood:
         found = np.zeros((count, len(controls)))
         levels, still = np.array(list(controls.values()), dtype=float), np.asarray(idle, dtype=float)
         columns = [self.timeline.varying.index(one.input) for one in controls]
-        # the loop writes the positions into the inputs
+        # the loop writes the positions into the inputs, so it gets a copy
         own = replace(self, timeline=replace(self.timeline, u=self.timeline.u.copy()))
         own.timeline.u[0, columns] = np.round(own.timeline.u[0, columns])
         code = self.recursion.code("controlled", False, tuple(controls))
@@ -453,7 +461,7 @@ class Likelihood:
         state: np.ndarray,
         state_bar: np.ndarray,
     ) -> tuple[float, np.ndarray]:
-        """ln L of a piece and its derivatives (d,); `state_bar` is taken back through it, in place."""
+        """ln L of a piece and its derivatives (d,); moves `state_bar` back through it, in place."""
         r = self.recursion
         width = len(state)
         out, theta_bar = np.zeros(3), np.zeros(len(r.p))
@@ -464,7 +472,7 @@ class Likelihood:
         r.code("adjoint")("adjoint", *common, out, store, key_bar, theta_bar, state_bar, buffer)
         return self._loglik(out), theta_bar
 
-    # where the filter breaks down and the value is −∞, these sums are no numbers either
+    # where the filter breaks down and the value is −∞, these sums are not finite either
     @np.errstate(invalid="ignore", divide="ignore", over="ignore")
     def sensitivities(
         self, values: Mapping[str, float], directions: np.ndarray, each: bool = False, gain: bool = True
@@ -472,16 +480,16 @@ class Likelihood:
         """Score and expected information along directions (d, r) of the parameters.
 
             I = Σ_k ∂e_k ∂e_k'/S_k + ½ ∂S_k ∂S_k'/S_k²
-        Without `gain` the filter runs free (no reading corrects the state): the output error's derivatives.
+        Without `gain` the filter runs free (no reading corrects the state): derivatives of the output error.
         """
         count = directions.shape[1]
-        states, dots, seeds = self._tangent_start(values, directions)
+        blocks = self._tangent_start(values, directions)
         score, information, loglik = np.zeros(count), np.zeros((count, count)), 0.0
         scores = np.zeros((len(self.timeline), count)) if each else None
         steps = self._steps(values)
         for start in range(0, len(self.timeline), CHUNK):
             part = slice(start, min(start + CHUNK, len(self.timeline)))
-            e, s, de, ds, value = self._tangent_part(values, steps, part, states, dots, seeds, gain)
+            e, s, de, ds, value = self._tangent_part(values, steps, part, blocks, gain)
             de, ds = de[..., :count], ds[..., :count]
             share = -(e / s)[..., None] * de - 0.5 * (1.0 / s - (e / s) ** 2)[..., None] * ds
             loglik += value
@@ -493,8 +501,7 @@ class Likelihood:
             information += a.T @ a + b.T @ b
         return Sensitivities(loglik, score, information, scores)
 
-    def _tangent_start(self, values: Mapping[str, float], directions: np.ndarray) -> tuple[list, list, list]:
-        """First moments, their tangents and the directions, in blocks of `LANES`."""
+    def _tangent_start(self, values: Mapping[str, float], directions: np.ndarray) -> Blocks:
         count = directions.shape[1]
         blocks = range(0, max(count, 1), LANES)
         padded = np.zeros((directions.shape[0], len(blocks) * LANES))
@@ -508,16 +515,14 @@ class Likelihood:
 
     def slopes(self, values: Mapping[str, float], directions: np.ndarray) -> np.ndarray:
         """Slopes (T, k, r) of the innovations along directions (d, r) of the parameters."""
-        states, dots, seeds = self._tangent_start(values, directions)
-        steps = self._steps(values)
-        _, _, de, _, _ = self._tangent_part(values, steps, self._whole, states, dots, seeds, True)
+        blocks, steps = self._tangent_start(values, directions), self._steps(values)
+        _, _, de, _, _ = self._tangent_part(values, steps, self._whole, blocks, True)
         return de[..., : directions.shape[1]]
 
     def residuals(self, values: Mapping[str, float], directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Free-run residuals (T, k), NaN without reading, and their slopes (T, k, r) along directions (d, r)."""
-        states, dots, seeds = self._tangent_start(values, directions)
-        steps = self._steps(values)
-        e, _, de, _, _ = self._tangent_part(values, steps, self._whole, states, dots, seeds, False)
+        """Free-run residuals (T, k), NaN without reading, and slopes (T, k, r) along directions (d, r)."""
+        blocks, steps = self._tangent_start(values, directions), self._steps(values)
+        e, _, de, _, _ = self._tangent_part(values, steps, self._whole, blocks, False)
         return np.where(np.isfinite(self.timeline.y), e, np.nan), de[..., : directions.shape[1]]
 
     def _tangent_part(
@@ -525,15 +530,14 @@ class Likelihood:
         values: Mapping[str, float],
         steps: _Steps,
         part: slice,
-        states: list,
-        dots: list,
-        seeds: list,
+        blocks: Blocks,
         gain: bool,
-    ) -> tuple:
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, float]:
+        """Innovations and variances (t, k), the derivatives of both (t, k, r), and ln L, of some instants."""
         r = self.recursion
         count, outputs = part.stop - part.start, len(r.updates)
         derivatives: list[tuple[np.ndarray, np.ndarray]] = []
-        for state, dot, seed in zip(states, dots, seeds, strict=True):
+        for state, dot, seed in zip(*blocks, strict=True):
             e, s, loglik = np.zeros((count, outputs)), np.ones((count, outputs)), 0.0
             de, ds = np.zeros((count, outputs, LANES)), np.zeros((count, outputs, LANES))
             key_dot = np.empty(max(1, len(steps.keys) * len(r.key_nodes)) * LANES)
@@ -557,9 +561,10 @@ class Likelihood:
         )
 
     def trace(self, values: Mapping[str, float], gain: bool = True, start: Gaussian | None = None) -> Trace:
-        """Run the filter and keep all moments; without `gain` readings are looked at but not used.
+        """Run the filter and keep all moments; without `gain`, readings enter ln L but do not correct the
+        state.
 
-        `start` begins from a given Gaussian at the instant before the timeline's first (a checkpoint).
+        `start` is a Gaussian at the instant before the timeline's first (a checkpoint).
         """
         r = self.recursion
         n, outputs = r.n, len(r.updates)

@@ -1,17 +1,16 @@
-"""Maximum likelihood: bounded Fisher scoring from several starts.
+"""Maximum likelihood by bounded Fisher scoring from several starts.
 
-In the coordinates z (see `parameters`) the penalised log-likelihood l(z) = ln L + ln prior is climbed with the exact
-score g and the expected information I of the innovations' sensitivities,
+In the coordinates z (see `parameters`) the penalised log-likelihood l(z) = ln L + ln prior is climbed with
+the exact score g and the expected information I of the innovations' sensitivities,
 
     (I + λ diag I) δ = g,
 
-λ by Levenberg and Marquardt; coordinates at a bound that the score pushes outwards are held there.  A climb ends with its
-budget of filter steps: where a time constant becomes far shorter than the interval between the readings, every pass
-takes many sub-steps.
+with λ after Levenberg and Marquardt.  Coordinates at a bound that the score pushes outwards are held there.
+A climb ends when its budget of filter steps is spent: where a time constant becomes far shorter than the
+interval between readings, every pass takes many sub-steps.
 
-Models that contain one another are fitted from their parents: the likelihood has several maxima, and the larger model must
-not end below the smaller one.
-Shapes: d free parameters.
+A model that contains another one is fitted from that parent's maximum as well: the likelihood has several
+maxima, and the larger model must not end below the smaller one. Shapes: d free parameters.
 """
 
 from __future__ import annotations
@@ -29,18 +28,21 @@ GAIN_TOLERANCE = 1e-5
 """A climb has converged when the next full step promises less than this much log-likelihood."""
 MAXIMUM_PASSES = 60
 BUDGET = 3_000.0
-"""Filter steps per instant of the record after which a climb ends, wherever it is; the fit of the demo's cabinet takes 76 at most."""
+"""Filter steps per instant of the record after which a climb is stopped; the fit of the demo's cabinet takes
+at most 76."""
 BETTER = 0.1
-"""Log-likelihood by which another point shows that an estimate is no maximum; climbs converge far below it."""
+"""Excess in log-likelihood by which another point shows that an estimate is not a maximum; climbs converge
+far below it."""
 NOISE_SPREAD = 5.0
 """[ln] width of the range over which further starts vary a noise parameter: a factor of 12 up or down."""
 OTHER_SPREAD = 3.0
-"""[ln] the same for another positive parameter: a factor of 4.5."""
+"""[ln] the same for other positive parameters: a factor of 4.5."""
 
 
 @dataclass(frozen=True)
 class Optimum:
-    """Where one climb ended: coordinates z (d,), penalised log-likelihood, whether it converged, and why it stopped."""
+    """End of one climb: coordinates z (d,), penalised log-likelihood, whether it converged, and why it
+    stopped."""
 
     z: np.ndarray
     objective: float
@@ -53,7 +55,7 @@ class Optimum:
 class Estimate:
     """The best optimum of several climbs.
 
-    `values` all parameters; `loglik` without the prior; `others` the distinct optima found besides (objective, values);
+    `values` all parameters; `loglik` without the prior; `others` further distinct optima (objective, values);
     `at_bounds` free parameters that ended at a bound.
     """
 
@@ -69,7 +71,7 @@ class Estimate:
 
 
 class _BudgetSpent(Exception):
-    """A climb has taken all the filter steps that it may."""
+    """A climb has used up its budget of filter steps."""
 
 
 class Objective:
@@ -95,10 +97,13 @@ class Objective:
         return value + prior, gradient[self._place] * self.coordinates.slopes(z) + slope
 
     def information(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
-        """l, its gradient (d,) and the expected information (d, d), the prior's included."""
-        return self._sensitivities(z, each=False)[:3]
+        """l, its gradient (d,) and the expected information (d, d), including that of the prior."""
+        value, gradient, information, _ = self._sensitivities(z, each=False)
+        return value, gradient, information
 
-    def _sensitivities(self, z: np.ndarray, each: bool) -> tuple:
+    def _sensitivities(
+        self, z: np.ndarray, each: bool
+    ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray | None]:
         directions = np.zeros((self._count, len(z)))
         directions[self._place, np.arange(len(z))] = self.coordinates.slopes(z)
         found = self.likelihood.sensitivities(self.coordinates.values(z), directions, each=each)
@@ -112,11 +117,13 @@ class Objective:
 
     def information_and_scores(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
         """`information`, and each instant's share (T, d) of the score, without the prior."""
-        return self._sensitivities(z, each=True)
+        value, gradient, information, scores = self._sensitivities(z, each=True)
+        assert scores is not None  # requested by each=True
+        return value, gradient, information, scores
 
 
 class _Metered:
-    """An objective during one climb: counts its filter steps, and keeps the best point that it met."""
+    """An objective during one climb: counts its filter steps and keeps the best point met."""
 
     def __init__(self, objective: Objective, budget: float) -> None:
         self.coordinates = objective.coordinates
@@ -127,33 +134,39 @@ class _Metered:
 
     def value(self, z: np.ndarray) -> float:
         self._spend(z)
-        return self._kept(z, (self._objective.value(z),))[0]
+        value = self._objective.value(z)
+        self._keep(z, value)
+        return value
 
     def score(self, z: np.ndarray) -> tuple[float, np.ndarray]:
         self._spend(z)
-        return self._kept(z, self._objective.score(z))
+        found = self._objective.score(z)
+        self._keep(z, found[0])
+        return found
 
     def information(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         self._spend(z)
-        return self._kept(z, self._objective.information(z))
+        found = self._objective.information(z)
+        self._keep(z, found[0])
+        return found
 
     def _spend(self, z: np.ndarray) -> None:
         try:
             steps = self._objective.likelihood.steps_per_instant(self.coordinates.values(z))
-        except FloatingPointError:  # no rates, no steps
+        except FloatingPointError:  # without finite rates there are no steps to count
             steps = 1.0
         self.evaluations += 1
         self._left -= steps
         if self._left < 0.0:
             raise _BudgetSpent(
-                f"stopped after its budget of {self._budget:.0f} filter steps an instant; one pass takes {steps:.0f} here, and many "
-                "mean a time constant far shorter than the interval between the readings: narrow its bounds"
+                f"stopped after its budget of {self._budget:.0f} filter steps an instant; one pass takes "
+                f"{steps:.0f} here, and many mean a time constant far shorter than the interval between the "
+                "readings: narrow its bounds"
             )
 
-    def _kept(self, z: np.ndarray, found: tuple) -> tuple:
-        if found[0] > self.best[0]:
-            self.best = (found[0], z.copy())
-        return found
+    def _keep(self, z: np.ndarray, value: float) -> None:
+        if value > self.best[0]:
+            self.best = (value, z.copy())
 
 
 def climb(
@@ -165,9 +178,9 @@ def climb(
 ) -> Optimum:
     """Bounded Fisher scoring from one start (d,).
 
-    Far from the optimum the expected information can mislead; where scoring sticks, a quasi-Newton climb by the
-    score alone leads on, and scoring finishes.  After `budget` filter steps per instant of the record the climb ends with
-    the best point that it met, not converged.
+    Far from the optimum the expected information can mislead.  Where scoring gets stuck, a quasi-Newton climb
+    by the score alone continues, and scoring finishes.  After `budget` filter steps per instant of the record
+    the climb ends, not converged, with the best point that it met.
     """
     metered = _Metered(objective, budget)
     try:
@@ -250,11 +263,13 @@ def bounded_step(
     upper: np.ndarray,
     damping: float,
 ) -> tuple[np.ndarray, float]:
-    """The damped step within the bounds and a trust box, and the gain that the quadratic model promises for it.
+    """The damped step within the bounds and a trust box, and the gain that the quadratic model promises for
+    it.
 
-    Of three ways to stay in the box the one that promises most: every coordinate that would leave it held at its edge
-    and the others solved again; the whole step shortened; the steepest ascent.  Shortened alone, a flat direction, whose
-    full step is without end, would shrink the steps of all others to nothing and so feign convergence.
+    The step is the most promising of three: coordinates that would leave the box held at its edge and the
+    others solved again; the whole step shortened; the steepest ascent.  Shortening alone would let a flat
+    direction, whose full step is unbounded, shrink the steps of all other coordinates to nothing and so
+    simulate convergence.
     """
     reach = np.maximum(1.5, 0.5 * np.abs(z))
     low, high = np.maximum(lower - z, -reach), np.minimum(upper - z, reach)
@@ -275,7 +290,7 @@ def bounded_step(
     diagonal = np.maximum(np.diag(information), 1e-300)
     steepest = np.where(free, gradient / (diagonal * (1.0 + damping)), 0.0)
     for direction in (held, shortened, np.clip(steepest, low, high)):
-        # the box is convex: any share of the way stays in it, and the best share promises no loss
+        # the box is convex, so any share of the way stays in it; the best share promises no loss
         slope, curvature = float(gradient @ direction), float(direction @ information @ direction)
         share = min(max(slope / max(curvature, 1e-300), 0.0), 1.0)
         tried.append((share * slope - 0.5 * share**2 * curvature, share * direction))
@@ -294,10 +309,10 @@ def _damped_step(information: np.ndarray, gradient: np.ndarray, damping: float) 
 
 
 def starts(coordinates: Coordinates, values: Mapping[str, float] | None, count: int) -> list[np.ndarray]:
-    """The stated start and `count`−1 more: the noise parameters differ in each, all others in every second one.
+    """The given start and `count`−1 more: each varies the noise parameters, every second one all parameters.
 
-    They fill their ranges evenly by an additive recurrence with the generalised golden ratio (Roberts 2018): the k-th
-    start has the shares ½ + k φ^−j mod 1, φ^(d+1) = φ + 1.
+    They fill their ranges evenly by an additive recurrence with the generalised golden ratio (Roberts 2018):
+    the k-th start has the shares ½ + k φ^−j mod 1, φ^(d+1) = φ + 1.
     """
     first = coordinates.start(values)
     noisy = np.array([p.noise for p in coordinates.free], dtype=bool)
@@ -315,7 +330,7 @@ def starts(coordinates: Coordinates, values: Mapping[str, float] | None, count: 
 
 
 def _start_width(p: Parameter) -> float:
-    """Width of the range of starts in a parameter's coordinate; what a prior knows is not searched for further away."""
+    """Width of the range of starts in a parameter's coordinate, limited by its prior."""
     if p.noise:
         return NOISE_SPREAD
     if p.prior is not None and p.prior.logarithmic == p.positive:
@@ -326,9 +341,10 @@ def _start_width(p: Parameter) -> float:
 def nested_starts(
     coordinates: Coordinates, values: Mapping[str, float] | None, parent: Estimate
 ) -> list[np.ndarray]:
-    """Starts (d,) of a model at the maximum of one that it contains.
+    """Starts (d,) of a model at the maximum of a model that it contains.
 
-    What the parent does not have is at its stated start, and in a second start at its null value where it has one.
+    Parameters that the parent lacks are at their given start, and in a second start at their null value where
+    all have one.
     """
     own = [p for p in coordinates.free if p.name not in parent.values]
     known = {**(values or {}), **parent.values}
@@ -340,15 +356,15 @@ def nested_starts(
 
 
 def least_objective(coordinates: Coordinates, parents: Sequence[Estimate]) -> float:
-    """Penalised log-likelihood that the maximum of a model cannot be below, given those of models that it contains."""
+    """Lower limit of the penalised log-likelihood at a model's maximum, given the maxima of models that it
+    contains."""
     floors = [-math.inf]
     for parent in parents:
-        densities = [
-            p.prior.log_density(p.start if p.null is None else p.null)
-            for p in coordinates.free
-            if p.prior is not None and p.name not in parent.values
+        own = [p for p in coordinates.free if p.name not in parent.values]
+        priors = [
+            p.prior.log_density(p.start if p.null is None else p.null) for p in own if p.prior is not None
         ]
-        floors.append(parent.objective + sum(densities))
+        floors.append(parent.objective + sum(priors))
     return max(floors)
 
 
@@ -363,15 +379,16 @@ def maximise(
     parents: Sequence[Estimate] = (),
     budget: float = BUDGET,
 ) -> Estimate:
-    """Maximum likelihood from several starts; other optima are reported, not hidden.
+    """Maximum likelihood from several starts; other optima are reported too.
 
-    `values` start values of some parameters, `fixed` those to be held, `count` starts (see `starts`), `more_starts` further
-    complete starts.  Short climbs from every start, on a shorter stretch of the record if `search` gives one, are followed
-    to the end on the whole for those that lead to different places.
+    `values` are start values of some parameters, `fixed` those to hold, `count` the number of starts (see
+    `starts`), `more_starts` further complete starts.  Short climbs run from every start, on a shorter stretch
+    of the record if `search` gives one; those that lead to different places are continued to the end on the
+    whole record.
 
-    `parents`: estimates, on the same readings, of models that this one contains, exactly or as a limit.  Climbs begin from
-    each of them too (see `nested_starts`), and an estimate that is less likely than a parent's is never called converged.
-    `budget`: filter steps per instant of the record that each climb may take.
+    `parents`: estimates, on the same readings, of models that this one contains, exactly or as a limit.
+    Climbs also begin from each of them (see `nested_starts`), and an estimate less likely than a parent's is
+    never called converged. `budget`: filter steps per instant of the record for each climb.
     """
     coordinates = Coordinates(likelihood.model.parameters, fixed)
     objective = Objective(likelihood, coordinates)
@@ -395,7 +412,7 @@ def maximise(
     if progress is not None:
         progress("climb")
     for k, o in enumerate(short):
-        # worth following to the end: the best, and others that may still overtake it
+        # continue the best climb, and others that may still overtake it
         if k > 0 and (len(optima) >= 3 or o.objective < short[0].objective - 50.0 or not _far(o, short[0])):
             continue
         done = climb(objective, o.z, budget=budget)
@@ -408,13 +425,13 @@ def maximise(
 
 
 def refused_below(least: float, found: Estimate) -> Estimate:
-    """The estimate, not called converged where it is below what a model that it contains has reached."""
+    """The estimate, marked as not converged where it is below the maximum of a model that it contains."""
     short = least - found.objective
     if not short > BETTER:
         return found
     message = (
-        f"not converged: a model that this one contains is more likely, by {short:.2f} in ln L; give start values nearer to "
-        "that model, more starts or wider bounds"
+        f"not converged: a model that this one contains is more likely, by {short:.2f} in ln L; give start "
+        "values nearer to that model, more starts or wider bounds"
     )
     return replace(found, converged=False, message=message)
 
@@ -422,9 +439,10 @@ def refused_below(least: float, found: Estimate) -> Estimate:
 def climbed_on(
     likelihood: Likelihood, values: Mapping[str, float], passes: int = MAXIMUM_PASSES - 1
 ) -> Estimate:
-    """The estimate that a bounded number of passes of scoring leads to from values near a maximum.
+    """The estimate after a bounded number of scoring passes from values near a maximum.
 
-    No quasi-Newton climb follows where scoring sticks: on a likelihood with edges it goes on for hundreds of passes.
+    There is no quasi-Newton climb where scoring gets stuck: on a likelihood with edges it would take hundreds
+    of passes.
     """
     coordinates = Coordinates(likelihood.model.parameters)
     found = climb(Objective(likelihood, coordinates), coordinates.start(values), passes)
@@ -432,7 +450,7 @@ def climbed_on(
 
 
 def estimate_of(likelihood: Likelihood, coordinates: Coordinates, optima: list[Optimum]) -> Estimate:
-    """The best of some optima, the others beside it."""
+    """The best of some optima, with the others beside it."""
     optima = sorted(optima, key=lambda o: -o.objective)
     best = optima[0]
     values_ = coordinates.values(best.z)
@@ -461,5 +479,5 @@ def estimate_of(likelihood: Likelihood, coordinates: Coordinates, optima: list[O
 
 
 def _far(a: Optimum, b: Optimum) -> bool:
-    """Whether two optima differ by more than unfinished climbing explains."""
+    """Whether two optima differ by more than incomplete climbs explain."""
     return abs(a.objective - b.objective) > 0.5 or float(np.max(np.abs(a.z - b.z))) > 0.7

@@ -1,7 +1,7 @@
-"""Output-error fit (`--criterion simulation`): the paper's own criterion, the free run against the readings.
+"""Output-error fit (`--criterion simulation`): the criterion of the paper, the free run against the readings.
 
-Minimises ½ Σ_j n_j ln(SSE_j/n_j) over the outputs j by Gauss–Newton; bounds from a sandwich with long-run variance, as
-free-run residuals are serially dependent.
+Minimises ½ Σ_j n_j ln(SSE_j/n_j) over the outputs j by Gauss–Newton; bounds from a sandwich with long-run
+variance, because free-run residuals are serially dependent.
 """
 
 from __future__ import annotations
@@ -16,16 +16,18 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.physics.parameters import Coordinates
 
 TRANSIENT_H = 24.0
-"""[h] residuals at the start that are left out: the state there is a guess, and its decay is no evidence."""
+"""[h] residuals at the start that are left out, because the initial state is a guess."""
 FEWEST_BLOCKS = 40
 
 
 @dataclass(frozen=True)
 class OutputError:
-    """Estimates by simulation: all parameters' `values`, covariance of the coordinates `names`, residual sd by output.
+    """Estimates by simulation: `values` of all parameters, covariance of the coordinates `names`, residual sd
+    by output.
 
-    `at_bounds` those that ended at a bound of their range; `unseen` the sensors' constant errors, which are 0 in `values`:
-    in a free run they cannot be told from the model's own parameters, and this criterion has no prior for them.
+    `at_bounds`: parameters that ended at a bound; `unseen`: constant errors of the sensors, which are 0 in
+    `values` because a free run cannot distinguish them from the model's own parameters and this criterion has
+    no prior for them.
     """
 
     values: dict[str, float]
@@ -37,7 +39,8 @@ class OutputError:
     unseen: tuple[str, ...] = ()
 
     def bounds(self, name: str, positive: bool, level: float = 0.95) -> tuple[float, float]:
-        """Symmetric bounds in the parameter's coordinate; open where the estimate ended at a bound of its range."""
+        """Bounds symmetric in the parameter's coordinate; open where the estimate ended at a bound of its
+        range."""
         if name in self.at_bounds:
             return (0.0 if positive else -math.inf), math.inf
         i = self.names.index(name)
@@ -50,9 +53,9 @@ class OutputError:
 
 
 def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: int = 40) -> OutputError:
-    """Free-run least squares from start `values`; noise parameters are held, sensor errors are 0.
+    """Free-run least squares from start `values`; noise parameters are fixed, sensor errors are 0.
 
-    The first day (of short records the first quarter) is run but not counted.
+    The first day (in short records the first quarter) is run but not counted.
     """
     model, time = likelihood.model, likelihood.timeline.time
     counted = time - time[0] >= min(TRANSIENT_H, 0.25 * (time[-1] - time[0]))
@@ -106,7 +109,8 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
         z, e, slopes, value, damping = new, trial, trial_slopes, trial_value, damping / 8.0
     _, matrix, scores = _normal_equations(e, slopes)
     inverse = positive_inverse(matrix)
-    # two days outlast the disturbances; a short record needs shorter blocks, or too few of them are left to count
+    # two days exceed the memory of the disturbances; short records need shorter blocks, to leave enough of
+    # them
     block_h = min(max((time[-1] - time[0]) / FEWEST_BLOCKS, 12.0), 48.0)
     spread = long_run_variance(scores, time, block_h, lags=1)
     sd = tuple(float(np.sqrt(np.nanmean(c**2))) if np.isfinite(c).any() else math.nan for c in e.T)

@@ -1,10 +1,12 @@
-"""The extended Kalman filter in plain numpy: the place to read the filter, to check it against and to port it from.
+"""The extended Kalman filter in plain numpy: the place to read the filter, to check it against and to port it
+from.
 
 Between two instants the moments of the state follow
 
     dm/dt = f(m, u(t)),    dP/dt = A P + P A' + Q,    A = ∂f/∂x at m,
 
-and each reading y = h(x) + e, e ~ N(0, R), corrects them by K = P H'/S, S = H P H' + R, H = ∂h/∂x at m.  The compiled
+and each reading y = h(x) + e, e ~ N(0, R), corrects them by K = P H'/S, S = H P H' + R, H = ∂h/∂x at m.  The
+compiled
 filter (`engine.traced_filter`) does the same with closed-form steps and is some ten thousand times as fast.
 """
 
@@ -28,8 +30,9 @@ TOLERANCE = 1e-12
 def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tuple[float, list[Gaussian]]:
     """The log-likelihood of all readings, and the state (n,) with its covariance (n, n) after each instant.
 
-    `values` maps every parameter of the model to a number in its unit; the first state is the likelihood's own, which
-    must be proper (`initial` other than "diffuse"; ValueError).  Source: Jazwinski 1970, theorem 8.1.
+    `values` maps every parameter of the model to a number in its unit; the first state is the likelihood's
+    own, which must be proper (`initial` other than "diffuse"; ValueError).  Source: Jazwinski 1970, theorem
+    8.1.
     """
     model, line = likelihood.model, likelihood.timeline
     if likelihood.initial == "diffuse":
@@ -57,7 +60,8 @@ def reference_filter(likelihood: Likelihood, values: Mapping[str, float]) -> tup
 def predicted(
     likelihood: Likelihood, values: Mapping[str, float], k: int, m: np.ndarray, P: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Mean (n,) and covariance (n, n) at instant k from those at the instant before, by numerical integration."""
+    """Mean (n,) and covariance (n, n) at instant k from those at the instant before, by numerical
+    integration."""
     from scipy.integrate import solve_ivp
 
     model, line, n = likelihood.model, likelihood.timeline, len(m)

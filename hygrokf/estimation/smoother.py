@@ -1,4 +1,4 @@
-"""Smoothed states, and every model as a `filterpy` object.
+"""Smoothed states, and any model as a `filterpy` object.
 
 Shapes: T instants, n states, k outputs.
 """
@@ -22,11 +22,11 @@ def smooth(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Smoothed means (T, n) and covariances (T, n, n): every state given all readings.
 
-    Modified Bryson–Frazier recursion, which inverts no covariance: with C_j = I − K_j H_j of the readings j of an
-    instant and Φ the transition to it, backwards
+    Modified Bryson–Frazier recursion, which needs no inverse of a covariance: with C_j = I − K_j H_j of the
+    readings j of an instant and Φ the transition to it, backwards
         λ⁻ = C' λ − H' e/S,   Λ⁻ = C' Λ C + H' H/S  (reading by reading),   λ = Φ' λ⁻,   Λ = Φ' Λ⁻ Φ,
         m^s = m⁻ − P⁻ λ⁻,     P^s = P⁻ − P⁻ Λ⁻ P⁻.
-    A running mean that begins anew carries nothing over its reset.  Without `covariance` the second array is empty.
+    A running mean passes nothing across its reset.  Without `covariance` the second array is empty.
     Source: Bierman 1973, doi:10.1016/0005-1098(73)90051-4.
     """
     found = likelihood.trace(values)
@@ -56,7 +56,8 @@ def smooth(
 def _readings(
     likelihood: Likelihood, values: Mapping[str, float], found: Trace
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the readings of each instant do to the backward recursion: C' (T, n, n), −H' e/S (T, n), H' H/S (T, n, n)."""
+    """Terms of the readings of each instant in the backward recursion: C' (T, n, n), −H' e/S (T, n), H' H/S
+    (T, n, n)."""
     model, t = likelihood.model, likelihood.timeline
     count, n = found.prior_mean.shape
     u = {name: t.input(name) for name in model.inputs}
@@ -66,7 +67,7 @@ def _readings(
     for j, name in enumerate(model.outputs):
         there = np.isfinite(t.y[:, j])
 
-        def shown(state: list, name: str = name) -> np.ndarray:
+        def shown(state: list[np.ndarray], name: str = name) -> np.ndarray:
             return np.broadcast_to(np.asarray(model.evaluate(state, u, values).outputs[name][0]), count)
 
         columns = [mean[:, i] for i in range(n)]
@@ -79,7 +80,7 @@ def _readings(
         error = np.where(there, t.y[:, j] - found.prediction[:, j], 0.0)
         row = np.where(there[:, None], row, 0.0)
         gain = np.einsum("tij,tj->ti", covariance, row) / spread[:, None]
-        # λ⁻ = C₁'(C₂'(…λ…) − H₂' e₂/S₂) − H₁' e₁/S₁: later readings are seen through the earlier ones
+        # λ⁻ = C₁'(C₂'(…λ…) − H₂' e₂/S₂) − H₁' e₁/S₁: later readings act through the earlier ones
         pulled = np.einsum("tij,tj->ti", through, row)
         push -= pulled * (error / spread)[:, None]
         weight += pulled[:, :, None] * pulled[:, None, :] / spread[:, None, None]
@@ -90,7 +91,7 @@ def _readings(
 
 
 def _carried(likelihood: Likelihood) -> np.ndarray:
-    """(T, n) 1 where a state is carried on from an instant, 0 where it begins anew."""
+    """(T, n) 1 where a state continues from an instant, 0 where it restarts."""
     states, resets = likelihood.model.states, likelihood.recursion.system.resets
     result = np.ones((len(likelihood.timeline), len(states)))
     for bit, state in enumerate(resets):
@@ -99,11 +100,12 @@ def _carried(likelihood: Likelihood) -> np.ndarray:
 
 
 def filterpy_filter(likelihood: Likelihood, values: Mapping[str, float]) -> ExtendedKalmanFilter:
-    """The model as a `filterpy.kalman.ExtendedKalmanFilter`, standing before the first instant of the timeline.
+    """The model as a `filterpy.kalman.ExtendedKalmanFilter`, positioned before the first instant of the
+    timeline.
 
-    It has two verbs beside filterpy's own: `advance(k)` predicts to instant k, `observe(k)` takes its readings one
-    after the other (missing ones are left out) and returns the log-likelihood of them.  All matrix algebra is
-    filterpy's; the nonlinear prediction, its Jacobian F and the noise Q come from the model.
+    It adds two methods to filterpy's: `advance(k)` predicts to instant k; `observe(k)` applies the readings
+    of instant k one after the other (missing ones are left out) and returns their log-likelihood.  All matrix
+    algebra is filterpy's; the nonlinear prediction, its Jacobian F and the noise Q come from the model.
     """
     from filterpy.kalman import ExtendedKalmanFilter
 
@@ -112,7 +114,7 @@ def filterpy_filter(likelihood: Likelihood, values: Mapping[str, float]) -> Exte
 
         _next: np.ndarray
 
-        def predict_x(self, u: object = None) -> None:
+        def predict_x(self, u: np.ndarray | None = None) -> None:
             self.x = self._next
 
         def advance(self, k: int) -> None:
@@ -148,12 +150,13 @@ def filterpy_filter(likelihood: Likelihood, values: Mapping[str, float]) -> Exte
 def transition(
     likelihood: Likelihood, values: Mapping[str, float], k: int, mean: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Predicted mean (n,), its derivative F (n, n) and the accumulated noise Q (n, n) of the step to instant k."""
+    """Predicted mean (n,), its derivative F (n, n) and the accumulated noise Q (n, n) of the step to instant
+    k."""
     part = likelihood.timeline.window(k, k + 1)
     part = part.with_readings(np.full_like(part.y, np.nan))
     n = len(mean)
     start = Gaussian(mean, np.zeros((n, n)))
-    # the same sub-steps, whichever rate they were made for
+    # the window keeps the sub-steps of the likelihood
     found = replace(likelihood, timeline=part).trace(values, start=start)
     return found.prior_mean[0].copy(), found.transition[0].copy(), found.prior_covariance[0].copy()
 
@@ -161,7 +164,8 @@ def transition(
 def observation(
     likelihood: Likelihood, values: Mapping[str, float], k: int, j: int, mean: np.ndarray
 ) -> tuple[float, np.ndarray, float]:
-    """Prediction of output j at instant k, its slopes (n,) by complex steps, and the variance of its noise."""
+    """Prediction of output j at instant k, its slopes (n,) by complex steps, and the variance of its
+    noise."""
     model, t = likelihood.model, likelihood.timeline
     u = {name: float(t.input(name)[k]) for name in model.inputs}
     name = model.outputs[j]

@@ -1,14 +1,17 @@
-"""What logged actuators do to a cabinet, in kelvin and percent: the model's free run with each of them and without."""
+"""Effects of logged actuators on a cabinet, in kelvin and percent: the free run with and without each
+actuator."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from hygrokf.data.actuators import Actuator, actuators
 from hygrokf.data.record import Record
+from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import normal_quantile
 from hygrokf.evaluation.simulation import QUANTITIES, simulate
 from hygrokf.modelling.design import Design
@@ -18,15 +21,38 @@ from hygrokf.physics.parameters import Parameter
 LEVEL = 0.95
 
 
+@dataclass(frozen=True)
+class Change:
+    """The change of a quantity [its unit] with 95 % bounds, NaN where a parameter has no standard error."""
+
+    value: float = math.nan
+    lower: float = math.nan
+    upper: float = math.nan
+
+
+@dataclass(frozen=True)
+class ActuatorEffect:
+    """What a logged actuator changes in the cabinet while it is on.
+
+    `used`: whether the model has it; `statement`: how it acts, or why it is left out; `parameters`: names of
+    its coefficients; `on_share`: share of the time that it is on [1]; `changes`: by quantity, None where the
+    model does not have it.
+    """
+
+    signal: str
+    used: bool = False
+    statement: str = ""
+    parameters: tuple[str, ...] = ()
+    on_share: float = optional(math.nan)
+    changes: Mapping[str, Change] | None = optional()
+
+
 def actuator_effects(
     design: Design, values: Mapping[str, float], errors: Mapping[str, float], made: Run, record: Record
-) -> list[dict]:
-    """One entry for each logged actuator of a record, as plain data.
+) -> tuple[ActuatorEffect, ...]:
+    """The effect of each logged actuator [K, 1, g/m³], from free runs with and without it.
 
-    `errors` standard errors of the parameters, in their units; `made` the run of the design on the record.  The effect of
-    an actuator is the mean, over the time that it is above half of its span, of the free run less the free run with its
-    parameters at 0: `changes` quantity → value and 95 % bounds [K], [1], [g/m³], from free runs at the parameters' own
-    bounds; None where a parameter has no standard error.
+    The bounds come from free runs at the bounds of its parameters.
     """
     mechanisms = {one.name: one for one in design.model.mechanisms}
     found = []
@@ -35,16 +61,10 @@ def actuator_effects(
         known = [
             p for name in names if one.signal in mechanisms[name].inputs for p in mechanisms[name].parameters
         ]
-        entry: dict = {
-            "signal": one.signal,
-            "used": bool(known),
-            "statement": one.statement,
-            "parameters": [p.name for p in known],
-        }
-        if known:
-            entry |= _effects(design, values, errors, made, one, known)
-        found.append(entry)
-    return found
+        share, changes = _effects(design, values, errors, made, one, known) if known else (math.nan, None)
+        parameters = tuple(p.name for p in known)
+        found.append(ActuatorEffect(one.signal, bool(known), one.statement, parameters, share, changes))
+    return tuple(found)
 
 
 def _effects(
@@ -54,16 +74,17 @@ def _effects(
     made: Run,
     one: Actuator,
     known: Sequence[Parameter],
-) -> dict:
-    """Share of the time that an actuator is on, and what its parameters change then."""
+) -> tuple[float, dict[str, Change]]:
+    """Share of the time that an actuator is on, and the changes that its parameters cause during that
+    time."""
     step = np.diff(made.timeline.time, prepend=made.timeline.time[0])
     weight = np.where(made.timeline.input(one.signal) > one.half, step, 0.0)
     share = float(weight.sum() / max(step.sum(), 1e-9))
     if share == 0.0:
-        return {"on_share": 0.0, "changes": {}}
+        return 0.0, {}
 
     def means(at: Mapping[str, float]) -> dict[str, float]:
-        """Mean of each quantity while it is on."""
+        """Mean of each quantity while the actuator is on."""
         run = simulate(design, {**values, **at}, made)
         pairs = {name: run.of(name) for name in QUANTITIES}
         return {
@@ -85,12 +106,8 @@ def _effects(
     ends = [means(moved(sign)) for sign in (-1.0, 1.0)] if bounded else []
     changes = {}
     for name in now:
-        reached = [
-            at[name] - without[name] for at in (now, *ends)
-        ]  # two parameters at once need not act monotonically
-        changes[name] = {
-            "value": reached[0],
-            "lower": min(reached) if ends else None,
-            "upper": max(reached) if ends else None,
-        }
-    return {"on_share": share, "changes": changes}
+        # two parameters together need not act monotonically
+        reached = [at[name] - without[name] for at in (now, *ends)]
+        bounds = (min(reached), max(reached)) if ends else (math.nan, math.nan)
+        changes[name] = Change(reached[0], *bounds)
+    return share, changes

@@ -1,15 +1,15 @@
-"""What correlated errors know: their memory, blocks of them, and bounds of root mean squared errors by resampling.
+"""Resampling of correlated errors: their memory, blocks of them, and bounds of root mean squared errors.
 
-The errors of a free run are correlated over half a day and more, so readings are no independent witnesses.  Two ways to
-draw such errors again stand here.  Surrogates (post-blackened: an autoregression takes most of the memory out, what is
-left is drawn in circular blocks, and the memory is put back) answer whether errors go with a condition.  Circular
-blocks of the squared errors themselves answer how far a root mean squared error, and the difference of two on the same
-instants, may be trusted.
+The errors of a free run are correlated over half a day and more, so readings are not independent.  This
+module draws such errors in two ways.  Surrogates (post-blackened: an autoregression removes most of the
+memory, the remainder is drawn in circular blocks, and the memory is restored) test whether errors depend on a
+condition.  Circular blocks of the squared errors give the uncertainty of a root mean squared error, and of
+the difference of two on the same instants.
 
 Shapes: n bins of equal length, T instants, k columns of errors, B draws.
 
-Source: Künsch 1989, doi:10.1214/aos/1176347265; Politis & Romano 1992 (circular blocks); Davison & Hinkley 1997,
-section 8.2.3 (post-blackening).
+Source: Künsch 1989, doi:10.1214/aos/1176347265; Politis & Romano 1992 (circular blocks); Davison & Hinkley
+1997, section 8.2.3 (post-blackening).
 """
 
 from __future__ import annotations
@@ -21,19 +21,19 @@ import numpy as np
 
 SURROGATES = 400
 SEED = 20200925
-"""Fixed: the same record has the same answer."""
+"""Fixed seed: the same record gives the same result."""
 LEAST_BLOCK_H = 24.0
 BLOCKS_PER_TIME = 4.0
-"""Blocks are this many integral times long, and at least a day."""
+"""Length of blocks in integral times; blocks last at least a day."""
 LARGEST_ORDER = 24
 SHORT_HOLE = 6
-"""Bins over which a hole is bridged by a straight line before memory is estimated."""
+"""Longest hole, in bins, that is bridged by a straight line before the memory is estimated."""
 DRAWS = 600
 """Draws of blocks for bounds of root mean squared errors."""
 FEWEST_BLOCKS = 4.0
 """Effective number of blocks below which no bounds are given."""
 MOST_LOST = 0.5
-"""Share of the variance at most for which the blocks' shortness is made up."""
+"""Largest share of the variance for which the shortness of blocks is corrected."""
 HOUR_S = 3600.0
 
 
@@ -54,7 +54,7 @@ def bridged(values: np.ndarray) -> np.ndarray:
 
 
 def autocovariance(values: np.ndarray, lags: int) -> np.ndarray:
-    """Autocovariance (lags + 1,) of deviations (n,), divided by n: never indefinite."""
+    """Autocovariance (lags + 1,) of deviations (n,), divided by n, so that it is never indefinite."""
     n = len(values)
     size = 1 << (n + lags).bit_length()
     spectrum = np.abs(np.fft.rfft(values, size)) ** 2
@@ -62,7 +62,8 @@ def autocovariance(values: np.ndarray, lags: int) -> np.ndarray:
 
 
 def integral_time_h(values: np.ndarray, step_h: float = 1.0) -> float:
-    """Integral time scale [h] of a series (n,), NaN = missing: ∫ρ dt from 0 to where ρ first falls below 0.05.
+    """Integral time scale [h] of a series (n,), NaN = missing: ∫ρ dt from 0 to where ρ first falls below
+    0.05.
 
     An exponential memory of time constant τ gives τ.  At least half a step.
     """
@@ -78,7 +79,7 @@ def integral_time_h(values: np.ndarray, step_h: float = 1.0) -> float:
 
 
 def effective_size(values: np.ndarray, step_h: float = 1.0) -> float:
-    """Number of independent values that know the mean as well as the n correlated ones do."""
+    """Number of independent values that determine the mean as well as the n correlated ones."""
     there = int(np.isfinite(values).sum())
     return max(1.0, there * step_h / (2.0 * integral_time_h(values, step_h)))
 
@@ -120,7 +121,7 @@ def autoregression(values: np.ndarray, largest: int = LARGEST_ORDER) -> tuple[np
 def surrogates(
     values: np.ndarray, step_h: float = 1.0, count: int = SURROGATES, seed: int = SEED
 ) -> np.ndarray:
-    """Series (count, n) with the memory of `values` (n,), but tied to no condition."""
+    """Series (count, n) with the memory of `values` (n,) but independent of any condition."""
     from scipy.signal import lfilter
 
     n = len(values)
@@ -143,10 +144,10 @@ def surrogates(
 
 @dataclass(frozen=True)
 class Resampled:
-    """Root mean squared errors (k,) of columns on the same instants, B draws (B, k) of them, and what they are worth.
+    """Root mean squared errors (k,) of columns on the same instants, with B draws (B, k) of them.
 
-    `n` readings; `blocks` the effective number of blocks that hold them; `length_h` [h] of a block; `lost` [1] share of
-    the variance that blocks of this length leave out.
+    `n` readings; `blocks` effective number of blocks that contain them; `length_h` [h] of a block; `lost` [1]
+    share of the variance that blocks of this length miss.
     """
 
     value: np.ndarray
@@ -157,7 +158,7 @@ class Resampled:
     lost: float
 
     def bounds(self, column: int, level: float = 0.95) -> tuple[float, float] | None:
-        """Bounds of one error, symmetric on its logarithm; None where there are too few blocks."""
+        """Bounds of one error, symmetric in its logarithm; None where there are too few blocks."""
         if self.value[column] <= 0:
             return None
         reach = self._reach(np.log(np.maximum(self.draws[:, column], 1e-300)), level)
@@ -166,13 +167,15 @@ class Resampled:
         return float(self.value[column] * math.exp(-reach)), float(self.value[column] * math.exp(reach))
 
     def difference(self, first: int, second: int, level: float = 0.95) -> tuple[float, float, float] | None:
-        """First less second error with its bounds (value, lower, upper); None where there are too few blocks."""
+        """The first error minus the second with bounds (value, lower, upper); None where there are too few
+        blocks."""
         value = float(self.value[first] - self.value[second])
         reach = self._reach(self.draws[:, first] - self.draws[:, second], level)
         return None if reach is None else (value, value - reach, value + reach)
 
     def skill(self, column: int, rule: int, level: float = 0.95) -> tuple[float, float, float] | None:
-        """1 − MSE/MSE of a rule (value, lower, upper), bounds symmetric on the ratio's logarithm; None as for `bounds`."""
+        """1 − MSE/MSE of a rule (value, lower, upper), with bounds symmetric in the ratio's logarithm; None
+        as for `bounds`."""
         if not (self.value[column] > 0 and self.value[rule] > 0):
             return None
         ratio = 2.0 * math.log(self.value[column] / self.value[rule])
@@ -183,10 +186,12 @@ class Resampled:
         return -math.expm1(ratio), -math.expm1(ratio + reach), -math.expm1(ratio - reach)
 
     def _reach(self, draws: np.ndarray, level: float) -> float | None:
-        """Half the width of bounds: Student's quantile for the blocks' number times the draws' spread.
+        """Half the width of bounds: Student's quantile for the number of blocks, times the spread of the
+        draws.
 
-        A mean of K blocks varies by σ²/K, its bootstrap by σ² (K−1)/K²: the factor K/(K−1) makes up for it, and 1/(1 − τ/L)
-        for what correlation beyond a block's end (length L, integral time τ of the errors) adds to the variance.
+        A mean of K blocks varies by σ²/K, its bootstrap by σ² (K−1)/K²: the factor K/(K−1) corrects this.
+        1/(1 − τ/L) adds the variance due to correlation beyond the end of a block (length L, integral time τ
+        of the errors).
         """
         if self.blocks < FEWEST_BLOCKS:
             return None
@@ -205,9 +210,10 @@ def resampled(
 ) -> Resampled | None:
     """Root mean squared errors of columns (T, k) at times (T,) [s], with draws of circular blocks of hours.
 
-    Only instants at which every column has an error are used, so that differences compare like with like.  `length_h`
-    [h] of the blocks: else four integral times of the slowest column's errors, at least a day and at most a tenth of the
-    span.  Hours without errors are drawn too, and count for nothing.  None without any instant.
+    Only instants at which every column has an error are used, so that differences are comparable.  `length_h`
+    [h] of the blocks; by default four integral times of the slowest column's errors, at least a day and at
+    most a tenth of the span. Hours without errors are drawn too, with zero weight.  None where there is no
+    such instant.
     """
     there = np.isfinite(errors).all(axis=1)
     if not there.any():

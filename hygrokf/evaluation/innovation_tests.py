@@ -1,8 +1,9 @@
-"""What the innovations say about the model: whiteness, distribution, and what they still owe to the inputs.
+"""Tests of the innovations: whiteness, distribution, and remaining correlation with the inputs.
 
-An innovation divided by its own standard deviation, e/√S, is white and of unit variance where the model is right,
-whatever the steps between the readings.  So autocorrelation and spectrum are taken over the *sequence of readings*: a
-lag is a number of readings, and a gap counts as one step.  Hours are lags times the median step.
+An innovation divided by its own standard deviation, e/√S, is white and of unit variance where the model is
+right, whatever the steps between the readings.  Autocorrelation and spectrum are therefore taken over the
+*sequence of readings*: a lag is a number of readings, and a gap counts as one step.  Hours are lags times the
+median step.
 
 Shapes: T instants, n readings of one output, L lags.
 """
@@ -10,27 +11,41 @@ Shapes: T instants, n readings of one output, L lags.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+from hygrokf.evaluation.diagnosis import (
+    Autocorrelation,
+    CrossCorrelation,
+    CumulativePeriodogram,
+    DailyCycle,
+    Diagnosis,
+    InnovationTest,
+    LargestCorrelation,
+    LjungBox,
+    OutputDiagnosis,
+    Periodogram,
+    Statistic,
+)
 
 SMALL = 0.1
 """[1] correlations below this explain less than 1 % of the variance and are called small."""
 FEWEST = 30
-"""Readings below which there is no diagnosis."""
+"""Fewest readings for a diagnosis."""
 POINTS = 400
-"""Longest list in the result; longer ones keep, of each stretch, the value farthest from zero."""
+"""Longest list in the result; longer ones are reduced to the value farthest from zero in each stretch."""
 SPECTRUM_POINTS = 120
-"""Bands of the periodogram, evenly spread over the logarithm of the frequency."""
+"""Bands of the periodogram, evenly spaced in the logarithm of the frequency."""
 LARGEST_ORDER = 48
 """Largest order of the autoregression that whitens an input."""
 BEYOND = 3.0
 NOTE = (
-    "standardised innovations e/√S of the identification period; lags count readings, a gap counts as one step, hours "
-    "are lags times the median step; inputs are whitened by an autoregression before they are correlated (Haugh 1976); "
-    "a correlation counts only where it exceeds its limit under equal and under unequal variance; all tests share one "
-    "error rate (Holm 1979)"
+    "standardised innovations e/√S of the identification period; lags count readings, a gap counts as one "
+    "step, hours are lags times the median step; inputs are whitened by an autoregression before they are "
+    "correlated (Haugh 1976); a correlation counts only where it exceeds its limit under equal and under "
+    "unequal variance; all tests share one error rate (Holm 1979)"
 )
 
 
@@ -41,8 +56,8 @@ def diagnose(
     *,
     level: float = 0.05,
     longest_h: float = 24.0,
-) -> dict:
-    """Whiteness of standardised innovations [1] and their correlation with every input, as plain JSON data.
+) -> Diagnosis:
+    """Whiteness of standardised innovations [1] and their correlation with every input.
 
     time_h: [h] (T,) instants, increasing.
     standardised: output -> (T,) e/√S [1]; NaN where there is no reading.
@@ -50,59 +65,42 @@ def diagnose(
     level: [1] probability of any false alarm among all tests, 0 … 1.
     longest_h: [h] longest lag; none is longer than a tenth of the readings.
 
-    Result: `outputs` by name (moments, `ljung_box`, `autocorrelation`, `cumulative_periodogram`, `periodogram`,
-    `daily_cycle`, `cross_correlation` by input, `statements`), `tests` (name, output, p, p adjusted by Holm's method,
-    rejected), `statements`, `level`, `note`.  Correlations come with `limit` (each lag by itself) and `limit_all` (all
-    lags together).  A positive lag of a cross-correlation: the innovation comes after the input.
-
     An output with fewer than 30 readings, or one that does not vary, has a statement only.
     Raises ValueError that lists everything wrong with the arguments.
 
-    Source: Ljung & Box 1978, doi:10.1093/biomet/65.2.297; Bartlett 1955 (cumulative periodogram, Kolmogorov–Smirnov);
-    Haugh 1976, doi:10.1080/01621459.1976.10480354; Holm 1979.
+    Source: Ljung & Box 1978, doi:10.1093/biomet/65.2.297; Bartlett 1955 (cumulative periodogram,
+    Kolmogorov–Smirnov); Haugh 1976, doi:10.1080/01621459.1976.10480354; Holm 1979.
     """
     time = np.asarray(time_h, dtype=float)
     _check(time, standardised, inputs, level, longest_h)
     tests: list[_Test] = []
-    outputs: dict[str, dict] = {}
+    outputs: dict[str, OutputDiagnosis] = {}
     for name, values in standardised.items():
         e = np.where(np.isfinite(values), np.asarray(values, dtype=float), np.nan)
         there = np.isfinite(e)
         outputs[name], found = _output(name, time[there], e[there], _at(inputs, there), level, longest_h)
         tests += found
     adjusted = _holm([one.p for one in tests])
-    rows = []
-    said: dict[str, list[str]] = {name: list(one.pop("said")) for name, one in outputs.items()}
-    told: set[tuple[str, str]] = set()
-    for test, p in zip(tests, adjusted, strict=True):
-        rejected = p < level
-        rows.append(
-            {"output": test.output, "test": test.name, "p": test.p, "p_adjusted": p, "rejected": rejected}
-        )
-        if rejected and (test.output, test.subject) not in told:
-            said[test.output].append(test.words)
-            told.add((test.output, test.subject))
-        if test.entry is not None:
-            test.entry["p_adjusted"] = p
-    for name, one in outputs.items():
-        count = sum(row["output"] == name for row in rows)
-        if count and not said[name]:
-            said[name].append(f"{name} innovations: none of {count} tests speaks against white noise")
-        one["statements"] = said[name]
-    return {
-        "level": level,
-        "note": NOTE,
-        "outputs": outputs,
-        "tests": rows,
-        "statements": [sentence for sentences in said.values() for sentence in sentences],
-    }
+    rows = tuple(
+        InnovationTest(one.output, one.name, one.p, p, p < level)
+        for one, p in zip(tests, adjusted, strict=True)
+    )
+    for one, p in zip(tests, adjusted, strict=True):
+        if one.source:
+            crossed = dict(outputs[one.output].cross_correlation)
+            crossed[one.source] = replace(crossed[one.source], p_adjusted=p)
+            outputs[one.output] = replace(outputs[one.output], cross_correlation=crossed)
+    for name, data in outputs.items():
+        outputs[name] = replace(data, statements=_statements(name, data, tests, rows))
+    said = tuple(sentence for one in outputs.values() for sentence in one.statements)
+    return Diagnosis(level, NOTE, outputs, rows, said)
 
 
 @dataclass(frozen=True)
 class _Test:
-    """One test: what it is called, its p, what to say if it rejects, and where its adjusted p goes.
+    """One test: its name, its p, the words for a rejection, and the input that it concerns.
 
-    Of several tests of one subject that reject, the first speaks.
+    Of several rejecting tests of one subject, only the first is reported in words.
     """
 
     output: str
@@ -110,10 +108,29 @@ class _Test:
     name: str
     p: float
     words: str
-    entry: dict | None = field(default=None, compare=False)
+    source: str = ""
 
 
-def _check(time: np.ndarray, standardised: Mapping, inputs: Mapping, level: float, longest_h: float) -> None:
+def _statements(
+    name: str, data: OutputDiagnosis, tests: Sequence[_Test], rows: Sequence[InnovationTest]
+) -> tuple[str, ...]:
+    """What the tests of one output say: one sentence for each subject that a test rejects."""
+    said = list(data.statements)
+    pairs = [(one, row) for one, row in zip(tests, rows, strict=True) if row.output == name]
+    first = {one.subject: one.words for one, row in reversed(pairs) if row.rejected}
+    said += [first.pop(one.subject) for one, row in pairs if row.rejected and one.subject in first]
+    if pairs and not said:
+        said.append(f"{name} innovations: none of {len(pairs)} tests speaks against white noise")
+    return tuple(said)
+
+
+def _check(
+    time: np.ndarray,
+    standardised: Mapping[str, np.ndarray],
+    inputs: Mapping[str, np.ndarray],
+    level: float,
+    longest_h: float,
+) -> None:
     faults = []
     if time.ndim != 1:
         faults.append(f"time_h must have one dimension, found shape {time.shape}")
@@ -142,35 +159,44 @@ def _output(
     inputs: Mapping[str, np.ndarray],
     level: float,
     longest_h: float,
-) -> tuple[dict, list[_Test]]:
+) -> tuple[OutputDiagnosis, list[_Test]]:
     n = len(e)
     if n < FEWEST:
         words = f"{name} innovations: {n} reading{'' if n == 1 else 's'}, too few for a diagnosis ({FEWEST})"
-        return {"n": n, "said": [words]}, []
+        return OutputDiagnosis(n, statements=(words,)), []
     if float(np.ptp(e)) <= 1e-12 * max(1.0, float(np.max(np.abs(e)))):
-        return {"n": n, "said": [f"{name} innovations do not vary: nothing to diagnose"]}, []
+        said = f"{name} innovations do not vary: nothing to diagnose"
+        return OutputDiagnosis(n, statements=(said,)), []
     step = float(np.median(np.diff(time)))
     lags = int(min(max(round(longest_h / step), 1), n // 10))
-    result: dict = {"n": n, "step_h": step, "lags": lags, "said": []}
-    tests = [
-        *_moments(name, e, result),
-        *_autocorrelation(name, e, step, lags, level, result),
-        *_spectrum(name, e, step, level, result),
-        *_daily_cycle(name, time, e, result),
-    ]
-    result["cross_correlation"] = {}
+    moments, tests = _moments(name, e)
+    ljung_box, autocorrelation, found = _autocorrelation(name, e, step, lags, level)
+    tests += found
+    cumulative, periodogram, spectral = _spectrum(name, e, step, level)
+    daily, cyclic = _daily_cycle(name, time, e)
+    tests += [spectral, *cyclic]
+    crossed = {}
     for source, values in inputs.items():
-        found, test = _cross_correlation(name, source, e, values, step, lags, level)
-        result["cross_correlation"][source] = found
-        if test is not None:
-            tests.append(test)
+        crossed[source], test = _cross_correlation(name, source, e, values, step, lags, level)
+        tests += [] if test is None else [test]
+    result = replace(
+        moments,
+        step_h=step,
+        lags=lags,
+        ljung_box=ljung_box,
+        autocorrelation=autocorrelation,
+        cumulative_periodogram=cumulative,
+        periodogram=periodogram,
+        daily_cycle=daily,
+        cross_correlation=crossed,
+    )
     return result, tests
 
 
 # --- one series ------------------------------------------------------------------------------
 
 
-def _moments(name: str, e: np.ndarray, result: dict) -> list[_Test]:
+def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[_Test]]:
     """Mean, variance, skewness, excess kurtosis (0 for a normal distribution), share beyond ±3."""
     from scipy.stats import jarque_bera
 
@@ -181,21 +207,22 @@ def _moments(name: str, e: np.ndarray, result: dict) -> list[_Test]:
     beyond = float(np.mean(np.abs(e) > BEYOND))
     expected = _two_sided(BEYOND)
     normality = jarque_bera(e)
-    result |= {
-        "mean": mean,
-        "variance": variance,
-        "skewness": skewness,
-        "excess_kurtosis": kurtosis,
-        "beyond_3": beyond,
-        "beyond_3_expected": expected,
-        "jarque_bera": {"statistic": float(normality.statistic), "p": float(normality.pvalue)},
-    }
-    # the variance of a sample variance follows the kurtosis found, so heavy tails alone raise no alarm here
+    result = OutputDiagnosis(
+        n,
+        mean=mean,
+        variance=variance,
+        skewness=skewness,
+        excess_kurtosis=kurtosis,
+        beyond_3=beyond,
+        beyond_3_expected=expected,
+        jarque_bera=Statistic(float(normality.statistic), float(normality.pvalue)),
+    )
+    # the variance of a sample variance depends on the kurtosis found: heavy tails alone cause no rejection
     spread = math.sqrt(max(kurtosis + 2.0, 1e-12) / n) * variance
     wide = "wider" if variance > 1 else "narrower"
     tails = "heavier" if kurtosis > 0 else "lighter"
     shape = f"tails {tails} than normal" if abs(kurtosis) >= abs(skewness) else "skewed"
-    return [
+    return result, [
         _Test(
             name,
             "mean",
@@ -218,15 +245,16 @@ def _moments(name: str, e: np.ndarray, result: dict) -> list[_Test]:
             "normality",
             "normality",
             float(normality.pvalue),
-            f"{name} innovations are not normal ({shape}: excess kurtosis {_signed(kurtosis)}, skewness {_signed(skewness)}): "
-            f"{100 * beyond:.2f} % lie beyond ±3, where {100 * expected:.2f} % are expected",
+            f"{name} innovations are not normal ({shape}: excess kurtosis {_signed(kurtosis)}, skewness "
+            f"{_signed(skewness)}): {100 * beyond:.2f} % lie beyond ±3, where {100 * expected:.2f} % are "
+            "expected",
         ),
     ]
 
 
 def _autocorrelation(
-    name: str, e: np.ndarray, step: float, lags: int, level: float, result: dict
-) -> list[_Test]:
+    name: str, e: np.ndarray, step: float, lags: int, level: float
+) -> tuple[tuple[LjungBox, ...], Autocorrelation, list[_Test]]:
     from statsmodels.tsa.stattools import acf, q_stat
 
     n = len(e)
@@ -234,18 +262,11 @@ def _autocorrelation(
     statistic, p = q_stat(values, n)
     hour = int(min(max(round(1.0 / step), 1), lags))
     chosen = sorted({1, hour, int(min(max(round(6.0 / step), 1), lags)), lags})
-    result["ljung_box"] = [
-        {"lag": k, "lag_h": k * step, "statistic": float(statistic[k - 1]), "p": float(p[k - 1])}
-        for k in chosen
-    ]
+    ljung_box = tuple(LjungBox(k, k * step, float(statistic[k - 1]), float(p[k - 1])) for k in chosen)
     limit_all = _simultaneous(level, lags) / math.sqrt(n)
     kept = _extremes(values)
-    result["autocorrelation"] = {
-        "lag_h": _plain((kept + 1) * step),
-        "value": _plain(values[kept]),
-        "limit": _two_sided_quantile(level) / math.sqrt(n),
-        "limit_all": limit_all,
-    }
+    limit = _two_sided_quantile(level) / math.sqrt(n)
+    found = Autocorrelation(_rounded((kept + 1) * step), _rounded(values[kept]), limit, limit_all)
     tests = []
     for k in dict.fromkeys((lags, hour)):
         worst = int(np.argmax(np.abs(values[:k])))
@@ -256,14 +277,17 @@ def _autocorrelation(
                 "whiteness",
                 f"autocorrelation up to {span}",
                 float(p[k - 1]),
-                f"{name} innovations are autocorrelated over lags up to {span} (Ljung–Box {_p(float(p[k - 1]))}), most "
-                f"at lag {(worst + 1) * step:.3g} h ({_against(values[worst], limit_all)}){_size(values[worst])}",
+                f"{name} innovations are autocorrelated over lags up to {span} (Ljung–Box "
+                f"{_p(float(p[k - 1]))}), most at lag {(worst + 1) * step:.3g} h "
+                f"({_against(values[worst], limit_all)}){_size(values[worst])}",
             )
         )
-    return tests
+    return ljung_box, found, tests
 
 
-def _spectrum(name: str, e: np.ndarray, step: float, level: float, result: dict) -> list[_Test]:
+def _spectrum(
+    name: str, e: np.ndarray, step: float, level: float
+) -> tuple[CumulativePeriodogram, Periodogram, _Test]:
     """Periodogram over the sequence of readings and its cumulative form with the Kolmogorov–Smirnov test."""
     from scipy.stats import chi2, kstest, kstwo
 
@@ -280,59 +304,54 @@ def _spectrum(name: str, e: np.ndarray, step: float, level: float, result: dict)
     offset = cumulative - np.arange(1, m + 1) / m
     worst = int(np.argmax(np.abs(offset)))
     kept = np.unique(np.linspace(0, m - 1, min(m, POINTS)).astype(int))
-    result["cumulative_periodogram"] = {
-        "frequency_per_h": _plain(frequency[kept]),
-        "value": _plain(cumulative[kept]),
-        "statistic": distance,
-        "limit": limit,
-        "p": p,
-    }
+    summed = CumulativePeriodogram(_rounded(frequency[kept]), _rounded(cumulative[kept]), distance, limit, p)
     edges = np.unique(np.round(np.geomspace(1, m + 1, min(SPECTRUM_POINTS, m) + 1)).astype(int)) - 1
     count = np.diff(edges)
-    result["periodogram"] = {
-        "frequency_per_h": _plain(np.add.reduceat(frequency, edges[:-1]) / count),
-        "power": _plain(np.add.reduceat(power, edges[:-1]) / count),
-        "lower": _plain(chi2.ppf(level / 2.0, 2 * count) / (2 * count)),
-        "upper": _plain(chi2.isf(level / 2.0, 2 * count) / (2 * count)),
-    }
+    banded = Periodogram(
+        _rounded(np.add.reduceat(frequency, edges[:-1]) / count),
+        _rounded(np.add.reduceat(power, edges[:-1]) / count),
+        _rounded(chi2.ppf(level / 2.0, 2 * count) / (2 * count)),
+        _rounded(chi2.isf(level / 2.0, 2 * count) / (2 * count)),
+    )
     side = "too much" if offset[worst] > 0 else "too little"
     words = (
-        f"{name} innovations are not white: their cumulative periodogram leaves its band (distance {distance:.3f}, "
-        f"limit {limit:.3f}), with {side} power at periods longer than {1.0 / frequency[worst]:.2g} h"
+        f"{name} innovations are not white: their cumulative periodogram leaves its band (distance "
+        f"{distance:.3f}, limit {limit:.3f}), with {side} power at periods longer than "
+        f"{1.0 / frequency[worst]:.2g} h"
     )
-    return [_Test(name, "whiteness", "cumulative periodogram", p, words)]
+    return summed, banded, _Test(name, "whiteness", "cumulative periodogram", p, words)
 
 
-def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray, result: dict) -> list[_Test]:
-    """Least-squares sine of 24 h at the readings' own times, where the record is long enough to tell it from a mean."""
-    result["daily_cycle"] = None
+def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> tuple[DailyCycle | None, list[_Test]]:
+    """Least-squares sine of 24 h at the readings' own times, where the record is long enough to separate it
+    from the mean."""
     n = len(e)
     angle = 2.0 * math.pi * time / 24.0
     table = np.column_stack([np.ones(n), np.cos(angle), np.sin(angle)])
     if time[-1] - time[0] < 48.0 or np.linalg.matrix_rank(table) < 3:
-        return []
+        return None, []
     found, *_ = np.linalg.lstsq(table, e, rcond=None)
     rest = float(np.sum((e - table @ found) ** 2))
     explained = 1.0 - rest / float(np.sum((e - e.mean()) ** 2))
     amplitude = float(math.hypot(found[1], found[2]))
     # the ratio F with (2, n−3) degrees of freedom has the closed form of a power
     p = float((1.0 - min(max(explained, 0.0), 1.0)) ** ((n - 3) / 2.0))
-    result["daily_cycle"] = {"amplitude": amplitude, "explained": explained, "p": p}
     words = (
         f"{name} innovations keep a daily cycle of {amplitude:.2f} standard deviations ({_p(p)}), "
         f"{100 * explained:.1f} % of their variance: sun, ventilation or people follow the same clock"
     )
-    return [_Test(name, "daily cycle", "daily cycle", p, words)]
+    return DailyCycle(amplitude, explained, p), [_Test(name, "daily cycle", "daily cycle", p, words)]
 
 
 # --- against the inputs ----------------------------------------------------------------------
 
 
 def whitened(values: np.ndarray) -> tuple[np.ndarray, int]:
-    """An input (n,) [any unit] as the prediction error (n,) of its own autoregression, and the order of it.
+    """An input (n,) [any unit] as the prediction error (n,) of its own autoregression, and the order of the
+    latter.
 
-    The order, up to 48, is chosen by AIC over the Levinson–Durbin recursion.  NaN stays NaN and spreads over the
-    readings that are predicted from it; so do the first ones.
+    AIC chooses the order, up to 48, over the Levinson–Durbin recursion.  NaN remains NaN, also at readings
+    predicted from a missing value and at the first ones.
     """
     from statsmodels.tsa.stattools import acovf, levinson_durbin
 
@@ -354,22 +373,24 @@ def whitened(values: np.ndarray) -> tuple[np.ndarray, int]:
 
 def _cross_correlation(
     name: str, source: str, e: np.ndarray, values: np.ndarray, step: float, lags: int, level: float
-) -> tuple[dict, _Test | None]:
+) -> tuple[CrossCorrelation, _Test | None]:
     words = source.replace("_", " ")
     known = values[np.isfinite(values)]
     if len(known) < FEWEST or float(np.ptp(known)) <= 1e-9 * max(1.0, float(np.max(np.abs(known)))):
-        return {"statement": f"{words}: does not vary, or is hardly known, at the readings"}, None
+        said = f"{words}: does not vary, or is hardly known, at the readings"
+        return CrossCorrelation(statement=said), None
     u, order = whitened(values)
     there = np.isfinite(u)
     n = int(there.sum())
     total = float(np.sum(u[there] ** 2))
     if n < FEWEST or total <= 0.0:
-        return {"statement": f"{words}: foretold by its own past without error, nothing to correlate"}, None
+        said = f"{words}: foretold by its own past without error, nothing to correlate"
+        return CrossCorrelation(statement=said), None
     u = np.where(there, u - float(u[there].mean()), 0.0)
     centred = e - e.mean()
     product = _lagged_products(centred, u, lags)
     r = product / math.sqrt(float(centred @ centred) * float(u @ u))
-    # unequal variances (a few large jumps of an input) are judged by the products' own scatter
+    # unequal variances (a few large jumps of an input) are judged by the scatter of the products
     scatter = np.sqrt(np.maximum(_lagged_products(centred**2, u**2, lags), 1e-300))
     z = np.minimum(np.abs(r) * math.sqrt(n), np.abs(product) / scatter)
     lag = np.arange(-lags, lags + 1)
@@ -384,16 +405,16 @@ def _cross_correlation(
         f"{name} innovations are correlated with the {words} at lag {_lag(at)} "
         f"({_against(value, limit_all)}){_size(value) or _direction(at, words)}"
     )
-    found = {
-        "lag_h": _plain(lag[kept] * step),
-        "value": _plain(r[kept]),
-        "limit": _two_sided_quantile(level) / math.sqrt(n),
-        "limit_all": limit_all,
-        "order": order,
-        "largest": {"lag_h": at, "value": value, "words": sentence},
-        "p": p,
-    }
-    return found, _Test(name, f"input {source}", f"correlation with {words}", p, sentence, found)
+    found = CrossCorrelation(
+        _rounded(lag[kept] * step),
+        _rounded(r[kept]),
+        _two_sided_quantile(level) / math.sqrt(n),
+        limit_all,
+        order,
+        LargestCorrelation(at, value, sentence),
+        p,
+    )
+    return found, _Test(name, f"input {source}", f"correlation with {words}", p, sentence, source)
 
 
 def _lagged_products(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:
@@ -435,12 +456,12 @@ def _two_sided_quantile(level: float) -> float:
 
 
 def _simultaneous(level: float, count: int) -> float:
-    """Quantile that `count` independent normal numbers all keep with probability 1 − level (Šidák)."""
+    """Quantile below which `count` independent normal numbers all stay with probability 1 − level (Šidák)."""
     return _two_sided_quantile(-math.expm1(math.log1p(-level) / count))
 
 
 def _extremes(values: np.ndarray) -> np.ndarray:
-    """Indices of at most `POINTS` values: of each stretch the one farthest from zero."""
+    """Indices of at most `POINTS` values: the one farthest from zero in each stretch."""
     width = math.ceil(len(values) / POINTS)
     if width == 1:
         return np.arange(len(values))
@@ -449,8 +470,9 @@ def _extremes(values: np.ndarray) -> np.ndarray:
     return padded.reshape(-1, width).argmax(axis=1) + width * np.arange(len(padded) // width)
 
 
-def _plain(values: np.ndarray) -> list[float]:
-    return [float(f"{value:.6g}") for value in np.asarray(values, dtype=float)]
+def _rounded(values: np.ndarray) -> tuple[float, ...]:
+    """Six significant digits of each value, enough for a figure."""
+    return tuple(float(f"{value:.6g}") for value in np.asarray(values, dtype=float))
 
 
 def _p(p: float) -> str:
@@ -466,7 +488,7 @@ def _signed(value: float) -> str:
 
 
 def _against(r: float, limit: float) -> str:
-    """A correlation and its limit, with as many digits as it takes to tell them apart."""
+    """A correlation and its limit, with enough digits to distinguish them."""
     digits = 2 if round(abs(r), 2) != round(limit, 2) else 3
     return f"r = {r:.{digits}f}, limit {limit:.{digits}f}".replace("-", "−")
 

@@ -1,8 +1,11 @@
-"""Scores of an identified model: errors by regime, the sceptic's baselines, the sensors' share, band coverage."""
+"""Scores of an identified model: errors by regime, simple baselines, the sensors' share, band coverage."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TypeAlias
 
 import numpy as np
 
@@ -15,6 +18,79 @@ from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_
 
 SCORED = ("temperature_K", "absolute_humidity_g_m3")
 PERIODS = ("identification", "validation")
+REGIMES = ("operation", "standstill", "total")
+
+
+@dataclass(frozen=True)
+class Counts:
+    """Numbers of readings by regime."""
+
+    operation: int = 0
+    standstill: int = 0
+    total: int = 0
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Root mean squared errors [the quantity's unit] by regime, NaN without readings; `n` counts the
+    readings."""
+
+    operation: float = math.nan
+    standstill: float = math.nan
+    total: float = math.nan
+    n: Counts = Counts()
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Readings inside a band.
+
+    `nominal`: probability [1] that the band promises; `coverage`: share [1] of the `n` readings inside it;
+    `scale`: factor by which the band would have to be scaled to contain the nominal share.  NaN without
+    readings.
+    """
+
+    nominal: float = math.nan
+    coverage: float = math.nan
+    n: int = 0
+    scale: float = math.nan
+
+
+Scores: TypeAlias = Mapping[str, Mapping[str, Errors]]
+"""Errors by period and quantity."""
+RuleScores: TypeAlias = Mapping[str, Mapping[str, Mapping[str, Errors]]]
+"""Errors of simple rules by period, rule and quantity."""
+Shares: TypeAlias = Mapping[str, Mapping[str, float]]
+"""A number by period and quantity, NaN where it is unknown."""
+Bands: TypeAlias = Mapping[str, Mapping[str, Coverage]]
+"""Coverage by lead ("1h", "free_run") and quantity."""
+
+
+@dataclass(frozen=True)
+class Scored:
+    """How well a model's free run and forecasts meet the readings.
+
+    `rmse`: errors of the free run by period and quantity, and those of simple rules in `baselines`;
+    `sensor_share`: share of the squared error [1] that the sensors' accuracy explains; `bands`: coverage of
+    the 95 % bands.
+    """
+
+    rmse: Scores = field(default_factory=dict)
+    baselines: RuleScores = field(default_factory=dict)
+    sensor_share: Shares = field(default_factory=dict)
+    bands: Bands = field(default_factory=dict)
+
+    def errors(self, period: str, quantity: str) -> Errors:
+        """Errors of the free run in one period; NaN where nothing was scored."""
+        return self.rmse.get(period, {}).get(quantity, Errors())
+
+    def rule_errors(self, period: str, rule: str, quantity: str) -> Errors:
+        """Errors of a rule that needs no model; NaN where it was not scored."""
+        return self.baselines.get(period, {}).get(rule, {}).get(quantity, Errors())
+
+    def band(self, lead: str, quantity: str) -> Coverage:
+        """Coverage of the 95 % band of a lead ("1h", "free_run"); NaN where it was not checked."""
+        return self.bands.get(lead, {}).get(quantity, Coverage())
 
 
 def period_masks(run: Run, until_s: float | None) -> dict[str, np.ndarray]:
@@ -24,26 +100,20 @@ def period_masks(run: Run, until_s: float | None) -> dict[str, np.ndarray]:
     return {"identification": early, "validation": ~early}
 
 
-def rmse(error: np.ndarray, operating: np.ndarray) -> dict:
-    """Root mean squared error in operation, at standstill, in total, with the numbers; None without readings."""
-    result: dict = {"n": {}}
-    for regime, chosen in (
-        ("operation", operating),
-        ("standstill", ~operating),
-        ("total", np.ones_like(operating)),
-    ):
-        part = error[chosen & np.isfinite(error)]
-        result[regime] = float(np.sqrt(np.mean(part**2))) if len(part) else None
-        result["n"][regime] = len(part)
-    return result
+def rmse(error: np.ndarray, operating: np.ndarray) -> Errors:
+    """Root mean squared error in operation, at standstill and in total of errors (T,); NaN are left out."""
+    there = np.isfinite(error)
+    parts = [error[chosen & there] for chosen in (operating, ~operating, np.ones_like(operating))]
+    on, off, all_ = (float(np.sqrt(np.mean(part**2))) if len(part) else math.nan for part in parts)
+    return Errors(on, off, all_, Counts(*map(len, parts)))
 
 
-def scores(run: Run, predicted: Prediction, until_s: float | None) -> dict:
-    """The paper's Table III for both quantities and both periods; stretches with unknown inputs are left out."""
+def scores(run: Run, predicted: Prediction, until_s: float | None) -> Scores:
+    """The paper's Table III for both quantities and both periods; stretches with unknown inputs are left
+    out."""
     known = measured(run)
-    result: dict = {}
+    result: dict[str, dict[str, Errors]] = {period: {} for period in PERIODS}
     for period, chosen in period_masks(run, until_s).items():
-        result[period] = {}
         for quantity in SCORED:
             pair = predicted.of(quantity)
             error = np.full(len(run.scored), np.nan) if pair is None else known[quantity] - pair[0]
@@ -51,23 +121,22 @@ def scores(run: Run, predicted: Prediction, until_s: float | None) -> dict:
     return result
 
 
-def readings_sd(run: Run, until_s: float | None) -> dict:
-    """Standard deviation of the scored readings by period and quantity [K, g/m³]; None without readings.
+def readings_sd(run: Run, until_s: float | None) -> Shares:
+    """Standard deviation of the scored readings by period and quantity [K, g/m³]; NaN without readings.
 
-    A free run that errs by more is worse than the readings' own mean.
+    A free run with a larger error is worse than the readings' own mean.
     """
     known = measured(run)
-    result: dict = {}
+    result: dict[str, dict[str, float]] = {period: {} for period in PERIODS}
     for period, chosen in period_masks(run, until_s).items():
-        result[period] = {}
         for quantity in SCORED:
             part = known[quantity][chosen & run.scored & np.isfinite(known[quantity])]
-            result[period][quantity] = float(np.std(part)) if len(part) else None
+            result[period][quantity] = float(np.std(part)) if len(part) else math.nan
     return result
 
 
 def guesses(run: Run, until_s: float | None) -> dict[str, dict[str, np.ndarray]]:
-    """What a sceptic would put in the place of a model: readings (T,) by rule and quantity.
+    """Simple rules in place of a model: readings (T,) by rule and quantity.
 
     `ambient`: c = c_amb; `ambient_pressure_balance`: c = c_amb T_amb/T_conv,a with the measured temperature;
     `no_dynamics`: T_amb plus a heat release fitted by least squares to the identification period, without any
@@ -88,19 +157,19 @@ def guesses(run: Run, until_s: float | None) -> dict[str, dict[str, np.ndarray]]
     return found
 
 
-def baselines(run: Run, until_s: float | None) -> dict:
-    """Errors of the sceptic's `guesses` by period, rule and quantity, as `rmse` gives them."""
+def baselines(run: Run, until_s: float | None) -> RuleScores:
+    """Errors of the rules in `guesses`."""
     known, rules = measured(run), guesses(run, until_s)
-    result: dict = {}
-    for period, chosen in period_masks(run, until_s).items():
-        result[period] = {
+    return {
+        period: {
             name: {
                 quantity: rmse(np.where(chosen & run.scored, known[quantity] - value, np.nan), run.operating)
                 for quantity, value in guess.items()
             }
             for name, guess in rules.items()
         }
-    return result
+        for period, chosen in period_masks(run, until_s).items()
+    }
 
 
 def _static(run: Run, temperature: np.ndarray, chosen: np.ndarray) -> np.ndarray | None:
@@ -120,8 +189,9 @@ def _static(run: Run, temperature: np.ndarray, chosen: np.ndarray) -> np.ndarray
     return ambient + features @ found
 
 
-def sensor_share(record: Record, run: Run, found: Mapping) -> dict:
-    """Share of the mean squared error in total that the sensors' stated accuracy explains (accuracy = 95 % bound).
+def sensor_share(record: Record, run: Run, found: Scores) -> Shares:
+    """Share of the total mean squared error explained by the sensors' stated accuracy (accuracy = 95 %
+    bound).
 
     For absolute humidity the errors of the humidity and of the temperature sensor add in quadrature
     (2 % relative humidity is 0.26 g/m³ at 15 °C).
@@ -143,28 +213,24 @@ def sensor_share(record: Record, run: Run, found: Mapping) -> dict:
         variance["absolute_humidity_g_m3"] = float(
             np.mean((saturated * humidity) ** 2 + (slope * temperature) ** 2)
         )
-    result: dict = {}
-    for period in PERIODS:
-        result[period] = {
-            q: None if not found[period][q]["total"] else min(1.0, v / found[period][q]["total"] ** 2)
+    return {
+        period: {
+            q: min(1.0, v / total**2) if (total := found[period][q].total) > 0 else math.nan
             for q, v in variance.items()
         }
-    return result
+        for period in PERIODS
+    }
 
 
-def coverage(reading: np.ndarray, value: np.ndarray, sd: np.ndarray, level: float = 0.95) -> dict:
-    """Share of readings inside the band, and the factor by which the band would have to be scaled to hold `level`."""
+def coverage(reading: np.ndarray, value: np.ndarray, sd: np.ndarray, level: float = 0.95) -> Coverage:
+    """Share of readings inside the band, and the factor by which the band would have to be scaled to contain
+    `level`."""
     z = np.abs(reading - value) / sd
     z = z[np.isfinite(z)]
     if len(z) == 0:
-        return {"nominal": level, "coverage": None, "n": 0, "scale": None}
+        return Coverage(level)
     reach = normal_quantile(level)
-    return {
-        "nominal": level,
-        "coverage": float(np.mean(z <= reach)),
-        "n": len(z),
-        "scale": float(np.quantile(z, level) / reach),
-    }
+    return Coverage(level, float(np.mean(z <= reach)), len(z), float(np.quantile(z, level) / reach))
 
 
 def bands(
@@ -174,12 +240,13 @@ def bands(
     predicted: Prediction,
     until_s: float | None,
     rate_step: float | None = None,
-) -> dict:
-    """Coverage of the 1 h, 6 h, 24 h and free-run bands on the validation period (the whole record without one)."""
+) -> Bands:
+    """Coverage of the 1 h, 6 h, 24 h and free-run bands on the validation period (the whole record without
+    one)."""
     masks = period_masks(run, until_s)
     late = masks["validation"] if masks["validation"].any() else masks["identification"]
     known = measured(run)
-    result: dict = {}
+    result: dict[str, dict[str, Coverage]] = {}
     found = forecast(design, values, run, int(np.flatnonzero(late)[0]), rate_step=rate_step)
     for lead, by_quantity in found.items():
         result[f"{lead:g}h"] = {q: coverage(*rows) for q, rows in by_quantity.items()}

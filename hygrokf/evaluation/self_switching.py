@@ -1,9 +1,10 @@
-"""Simulations that drive their own switches: a heater or a fan follows what the simulated logger would show.
+"""Simulations that drive their own switches: a heater or a fan follows the reading that a simulated logger
+would show.
 
-A filter takes a switch's course from the readings, because they are what the controller saw.  A simulation must not: it
-has no readings, and where a record has some it would be told by them what it is to foretell.  So the mean of the state
-is stepped through the run, the switch decides at every step, and its course, as the share of each step that it was on,
-takes the place of the one by readings.
+A filter derives a switch's state from the readings, because the controller saw them.  A simulation must not
+use readings: they would reveal the quantity to be simulated.  The mean of the state is therefore stepped
+through the run, the switch decides at every step, and the share of each step for which it was on replaces its
+state by readings.
 
 Shapes: T instants, N runs or members side by side, n states.
 """
@@ -27,13 +28,14 @@ from hygrokf.physics.model import Model
 from hygrokf.physics.switches import SWITCHES, Switch, Throttle
 
 DECIDE_H = 1.0 / 12.0
-"""[h] after which a simulated switch looks at its reading again at the latest."""
+"""[h] longest time between two decisions of a simulated switch."""
 DECIDED_H = 720.0
-"""[h] at the end of a longer step in which it does: what it did months ago in a gap, a cabinet of hours has forgotten."""
+"""[h] part at the end of a longer step in which it decides; a cabinet with a memory of hours has forgotten
+earlier switching."""
 
 
 def switches_of(design: Design) -> dict[str, Switch | Throttle]:
-    """A design's switches by their input, as far as its model predicts the reading that they follow."""
+    """The switches of a design by input, as far as the model predicts the reading that they follow."""
     return {
         name: switch
         for name, settings in design.features.items()
@@ -42,14 +44,16 @@ def switches_of(design: Design) -> dict[str, Switch | Throttle]:
 
 
 def all_on(t: Timeline, switches: Mapping[str, Switch | Throttle]) -> Timeline:
-    """The run with its switches on throughout: its range, by which sub-steps are chosen, has them off and on."""
+    """The run with all its switches on, so that the range by which sub-steps are chosen contains both
+    states."""
     return t.with_inputs({name: np.ones(len(t)) for name in switches})
 
 
 def cut(hours: float) -> tuple[np.ndarray, np.ndarray]:
-    """Lengths [h] of the pieces of a step in which switches decide, and the shares of it at which they end.
+    """Lengths [h] of the pieces of a step in which switches decide, and the shares of the step at which they
+    end.
 
-    Of a step longer than `DECIDED_H` the first piece is all but the last `DECIDED_H`.
+    In a step longer than `DECIDED_H` the first piece is everything before the last `DECIDED_H`.
     """
     parts = max(math.ceil(min(hours, DECIDED_H) / DECIDE_H - 1e-9), 1)
     if hours <= DECIDED_H:
@@ -60,7 +64,7 @@ def cut(hours: float) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass
 class Switchboard:
-    """Switches of N simulations of one model: `flags` input → (N,) 1 where it is on.
+    """Switches of N simulations of one model: `flags` input → (N,), or one number, 1 where it is on.
 
     `values` of the parameters, numbers or (N,) each.
     """
@@ -73,12 +77,14 @@ class Switchboard:
     def decide(
         self, mean: np.ndarray, inputs: Mapping[str, np.ndarray | float], idle: np.ndarray | bool
     ) -> None:
-        """Look at what the loggers would show at states (N, n) under inputs, and switch."""
-        # of a single one in numbers: numpy takes three times as long for arrays of one
+        """Evaluate the logger readings at states (N, n) under inputs, and switch accordingly."""
+        # for a single simulation use plain numbers: numpy takes three times as long for arrays of one
         columns = mean[0].tolist() if len(mean) == 1 else list(mean.T)
         made = self.model.evaluate(columns, {**inputs, **self.flags}, self.values)
         for name, switch in self.switches.items():
-            if switch.reads in self.model.averaged:  # the running mean grows by the reading over its interval
+            if (
+                switch.reads in self.model.averaged
+            ):  # the running mean grows by the reading divided by the interval
                 place = self.model.states.index(f"mean_{switch.reads}")
                 reading = made.rates[place] * self.model.averaged[switch.reads]
             else:
@@ -92,9 +98,10 @@ def self_switched(
     runs: Sequence[Run],
     starts: Sequence[Gaussian] | None = None,
 ) -> list[Run]:
-    """Runs whose switches follow their own simulation instead of readings; as they are where the model has none.
+    """Runs whose switches follow their own simulation instead of readings; unchanged where the model has no
+    switch.
 
-    `starts` the state that each run begins from, else the model's own.
+    `starts` are the states that the runs begin from, by default the model's own.
     """
     switches = switches_of(design)
     if not switches:
@@ -122,7 +129,7 @@ def _self_switched(
 
 
 def _control(model: Model, name: str, switch: Switch | Throttle) -> Control:
-    """A switch as the compiled loop has it."""
+    """A switch in the form used by the compiled loop."""
     mean_h = model.averaged.get(switch.reads, 0.0)
     if isinstance(switch, Throttle):
         return Control(name, switch.reads, mean_h, proportional=True)
@@ -131,7 +138,8 @@ def _control(model: Model, name: str, switch: Switch | Throttle) -> Control:
 
 @dataclass(frozen=True)
 class _Pieces:
-    """A run cut into S sub-steps: its `timeline`, `owner` (the instant that each leads to) of `count`, and `idle` (S,)."""
+    """A run cut into S sub-steps: `timeline`, `owner` (the instant that each leads to, of `count`) and `idle`
+    (S,)."""
 
     timeline: Timeline
     hours: np.ndarray
@@ -144,7 +152,7 @@ class _Pieces:
         total = np.bincount(self.owner, self.hours, self.count)
         on = np.bincount(self.owner, self.hours * position, self.count)
         at = np.zeros(self.count)
-        at[self.owner] = position  # of a step that takes no time
+        at[self.owner] = position  # for steps that take no time
         return np.divide(on, total, out=at, where=total > 0.0)
 
 

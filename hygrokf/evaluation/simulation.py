@@ -14,19 +14,20 @@ from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 from hygrokf.evaluation.self_switching import self_switched
 from hygrokf.modelling.design import Design
 from hygrokf.modelling.inputs import Run
-from hygrokf.physics.expression import Value
 from hygrokf.physics.model import Equations
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
 
 QUANTITIES = ("temperature_K", "relative_humidity", "absolute_humidity_g_m3")
+Courses = Mapping[str, np.ndarray]
+"""Values (T,) of states or inputs by name."""
 
 
 @dataclass(frozen=True)
 class Prediction:
-    """What the logger is expected to show: value and standard deviation of the reading (T,) each.
+    """Expected logger readings: value and standard deviation (T,) each.
 
-    `temperature` [K], `relative_humidity` [1], `absolute_humidity` [g/m³] as computed from the other two readings; None
-    where the model lacks the quantity.
+    `temperature` [K], `relative_humidity` [1], `absolute_humidity` [g/m³] as computed from the other two
+    readings; None where the model lacks the quantity.
     """
 
     temperature: tuple[np.ndarray, np.ndarray] | None
@@ -34,12 +35,14 @@ class Prediction:
     absolute_humidity: tuple[np.ndarray, np.ndarray] | None
 
     def of(self, quantity: str) -> tuple[np.ndarray, np.ndarray] | None:
-        """By the names used in reports: temperature_K, relative_humidity, absolute_humidity_g_m3."""
+        """The quantity with a name used in reports: temperature_K, relative_humidity,
+        absolute_humidity_g_m3."""
         return getattr(self, quantity.removesuffix("_K").removesuffix("_g_m3"))
 
 
 def measured(run: Run) -> dict[str, np.ndarray]:
-    """Readings (T,) by quantity; absolute humidity from relative humidity and temperature of the same instant."""
+    """Readings (T,) by quantity; absolute humidity from relative humidity and temperature of the same
+    instant."""
     t = run.timeline
     nothing = np.full(len(t), np.nan)
     temperature = t.reading("cabinet_temperature") if "cabinet_temperature" in t.outputs else None
@@ -76,19 +79,21 @@ def project(
     run: Run,
     mean: np.ndarray,
     covariance: np.ndarray | None,
-    function: Callable,
+    function: Callable[[Equations, Courses, Courses], np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Value (T,) and variance (T,) of a function of the model's equations, to first order in the state's covariance.
+    """Value (T,) and variance (T,) of a function of the model's equations, to first order in the state's
+    covariance.
 
-    `function(equations, x, u)` -> (T,); the slopes come from complex steps.  Without a covariance the variance is zero.
+    `function(equations, x, u)` -> (T,); the slopes come from complex steps.  Without a covariance the
+    variance is zero.
     """
     t = run.timeline
     model = design.model
     u = {name: t.input(name) for name in model.inputs}
     n = len(model.states)
 
-    # the oracle's constants are floats, so inputs broadcast against (T,) states
-    def at(state: list) -> np.ndarray:
+    # constants of the interpreter are floats, so results must be broadcast to (T,)
+    def at(state: list[np.ndarray]) -> np.ndarray:
         equations = model.evaluate(state, u, values)
         return np.broadcast_to(
             np.asarray(function(equations, dict(zip(model.states, state, strict=True)), u)), len(t)
@@ -106,21 +111,21 @@ def project(
     return value, np.einsum("ti,tij,tj->t", slopes, covariance, slopes)
 
 
-def air_temperature(equations: Equations, x: Mapping[str, Value], u: Mapping[str, Value]) -> Value:
+def air_temperature(equations: Equations, x: Courses, u: Courses) -> np.ndarray:
     """T_conv,a [K] of the model."""
     return equations.quantities["cabinet_air_temperature"]
 
 
-def air_humidity(equations: Equations, x: Mapping[str, Value], u: Mapping[str, Value]) -> Value:
+def air_humidity(equations: Equations, x: Courses, u: Courses) -> np.ndarray:
     """c_conv,a [g/m³] of the model, equation (5)."""
     return x["vapour"] * u["ambient_temperature"] / equations.quantities["cabinet_air_temperature"]
 
 
 def predicted_readings(design: Design, values: Mapping[str, float], run: Run, trace: Trace) -> Prediction:
-    """What the logger is expected to show, before the readings of each instant.
+    """Expected logger readings before the readings of each instant are used.
 
-    The spread of the absolute humidity is that of the vapour itself and of both readings' white noise: errors of the
-    predicted temperature change both readings and leave the vapour as it is.
+    The spread of the absolute humidity combines that of the vapour itself with both readings' white noise.
+    Errors of the predicted temperature change both readings and leave the vapour unchanged.
     """
     model = design.model
     found = {
@@ -159,10 +164,11 @@ def _between_means(
     name: str,
     pair: tuple[np.ndarray, np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A reading of an interval mean where there is one; elsewhere, amid its interval, what an instant would show."""
+    """The reading of an interval mean at the instants that have one; at other instants the reading of an
+    instant."""
     state, interval = design.model.states.index(f"mean_{name}"), design.model.averaged[name]
 
-    def instant(equations: Equations, x: Mapping[str, Value], u: Mapping[str, Value]) -> Value:
+    def instant(equations: Equations, x: Courses, u: Courses) -> np.ndarray:
         return equations.rates[state] * interval
 
     value, variance = project(design, values, run, trace.prior_mean, trace.prior_covariance, instant)
@@ -172,7 +178,8 @@ def _between_means(
 
 
 def _noise(design: Design, values: Mapping[str, float], run: Run, output: str) -> float:
-    """Standard deviation of a single reading's white noise, resolution included; 0 for what is no output."""
+    """Standard deviation of a single reading's white noise, including resolution; 0 for a signal that is not
+    an output."""
     model = design.model
     if output not in model.outputs:
         return 0.0
@@ -188,9 +195,9 @@ def simulate(
     covariance: tuple[Sequence[str], np.ndarray] | None = None,
     rate_step: float | None = None,
 ) -> Prediction:
-    """The model driven by its inputs alone, from the start of the run to its end, with the predictive spread.
+    """The model driven by its inputs alone from the start of the run to its end, with the predictive spread.
 
-    Switches follow what the simulation itself would show (`switching`), and the spread takes their course as given.
+    Switches follow the simulated readings (`self_switching`), and the spread takes their course as given.
     `covariance` (names, (r, r) in the parameters' units) adds the parameters' uncertainty to first order;
     `rate_step` as in `Likelihood`.
     """
@@ -204,7 +211,7 @@ def simulate(
     place = {p.name: i for i, p in enumerate(design.model.parameters)}
     directions = np.zeros((len(place), len(names)))
     directions[[place[name] for name in names], np.arange(len(names))] = 1.0
-    # with readings of zero the free run's residuals are minus the predictions, at every instant
+    # with readings of zero, the residuals of the free run are minus the predictions at every instant
     zeros = run.timeline.with_readings(np.zeros_like(run.timeline.y))
     zero = Likelihood(design.model, zeros, rate_step=rate_step)
     _, slopes = zero.residuals(values, directions)
@@ -235,7 +242,9 @@ def _temperature(made: Prediction, run: Run) -> np.ndarray:
     return run.timeline.input("cabinet_temperature")
 
 
-def _wider(pair: tuple | None, jacobian: np.ndarray | None, matrix: np.ndarray) -> tuple | None:
+def _wider(
+    pair: tuple[np.ndarray, np.ndarray] | None, jacobian: np.ndarray | None, matrix: np.ndarray
+) -> tuple[np.ndarray, np.ndarray] | None:
     """A prediction with the variance J V J' of its parameters added."""
     if pair is None or jacobian is None:
         return pair
@@ -252,9 +261,10 @@ def forecast(
     count: int = 250,
     rate_step: float | None = None,
 ) -> dict[float, dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-    """Forecasts from filtered states at `count` instants after instant `first`: (reading, prediction, sd) by lead.
+    """Forecasts from filtered states at `count` instants after instant `first`: (reading, prediction, sd) by
+    lead.
 
-    Inputs are those of the record (a perfect weather forecast), readings after the start are not used.
+    Inputs are those of the record (a perfect weather forecast); readings after the start are not used.
     """
     t = run.timeline
     likelihood = Likelihood(design.model, t, rate_step=rate_step)
@@ -262,7 +272,9 @@ def forecast(
     known = measured(run)
     there = np.flatnonzero(np.isfinite(t.y).any(axis=1) & run.scored)
     there = there[there >= first]
-    result: dict[float, dict[str, list]] = {lead: {q: [] for q in QUANTITIES} for lead in leads_h}
+    result: dict[float, dict[str, list[tuple[float, float, float]]]] = {
+        lead: {q: [] for q in QUANTITIES} for lead in leads_h
+    }
     if len(there) < 10:
         return {}
     starts = there[np.unique(np.linspace(0, len(there) - 1, min(count, len(there))).astype(int))]

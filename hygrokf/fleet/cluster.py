@@ -38,9 +38,10 @@ def batches(jobs: Sequence[Job], workers: int) -> list[Sequence[Job]]:
 def on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
     """Outcomes of jobs as they come, in no order: exactly one for each.
 
-    A batch whose worker dies is done again by another one.  Where that happens more often than the scheduler allows, its
-    jobs are sent one by one, and the one that goes on killing workers is `lost`.  Raises FleetFault where there is no
-    cluster at the address, no worker, or another version of hygrokf on it, and where the scheduler ends before the work.
+    A batch whose worker dies is done again by another one.  Where that happens more often than the scheduler
+    allows, its jobs are sent one by one, and the one that goes on killing workers is `lost`.  Raises
+    FleetFault where there is no cluster at the address, no worker, or another version of hygrokf on it, and
+    where the scheduler ends before the work.
     """
     try:
         from distributed import Client, as_completed
@@ -64,8 +65,9 @@ def on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
                 raise FleetFault(
                     f"--dask {address}",
                     [
-                        f"the scheduler ended before the work, or was not reached any more (the tasks are {future.status}); "
-                        "what is done stays done: start a scheduler with workers, and run the same command again"
+                        "the scheduler ended before the work, or was not reached any more (the tasks are "
+                        f"{future.status}); what is done stays done: start a scheduler with workers, and run "
+                        "the same command again"
                     ],
                 )
             elif len(batch) > 1:
@@ -77,7 +79,8 @@ def on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without the tracebacks that the client logs where a scheduler ends: what became of the work is told by us."""
+    """Without the tracebacks that the client logs where a scheduler ends: what became of the work is told by
+    us."""
     log = logging.getLogger("distributed.client")
     before = log.level
     log.setLevel(logging.CRITICAL)
@@ -113,12 +116,14 @@ def _checked(client: Any, address: str) -> int:
             faults.append(f"worker {worker}: hygrokf cannot be loaded there: {found}; install it there too")
         elif found["version"] != __version__:
             faults.append(
-                f"worker {worker}: expected hygrokf {__version__} as here, found {found['version']}; install the same one"
+                f"worker {worker}: expected hygrokf {__version__} as here, found {found['version']}; install "
+                "the same one"
             )
         elif found["threads"] != "1":
             faults.append(
                 f"worker {worker}: expected one thread for linear algebra, found OMP_NUM_THREADS = "
-                f"{found['threads'] or 'not set'}; start it with a nanny (the default), or set OMP_NUM_THREADS=1 there"
+                f"{found['threads'] or 'not set'}; start it with a nanny (the default), or set "
+                "OMP_NUM_THREADS=1 there"
             )
     if faults:
         raise FleetFault(f"--dask {address}", faults)

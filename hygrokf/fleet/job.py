@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,7 +20,7 @@ from hygrokf.data.files import (
     TRANSFER_SERIES,
     write_text_whole,
 )
-from hygrokf.errors import HygrokfError
+from hygrokf.data.toml_form import FormFault, read_toml
 from hygrokf.identification.results import dump
 from hygrokf.version import __version__
 
@@ -30,27 +29,23 @@ ROW = "row.json"
 DONE, FAILED, LOST = "done", "failed", "lost"
 """How a job ended: with results; with a reason that its data give; because its process died."""
 WRITES = (
-    ROW, FIT, "series.npz", "evaluation.json", REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES, TRANSFER,
+    ROW, FIT, "series.npz", "evaluation.json", REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES,
+    TRANSFER,
     TRANSFER_SERIES, CLIMATE, "climate.csv", "test_profile.csv", "test_profile.png",
 )  # fmt: skip
 
 
-class FleetFault(HygrokfError):
+class FleetFault(FormFault):
     """A fleet that cannot be run, in one message; `faults` lists every reason."""
-
-    def __init__(self, where: str, faults: Sequence[str]) -> None:
-        self.faults = tuple(faults)
-        count = f"{len(self.faults)} fault{'s' if len(self.faults) != 1 else ''}"
-        super().__init__("\n".join([f"{where}: {count}", *(f"  {i}. {f}" for i, f in enumerate(faults, 1))]))
 
 
 @dataclass(frozen=True)
 class Job:
     """One turbine's share of a fleet's work.
 
-    turbine: its name, unique in the fleet. task: a name of `tasks.TASKS`. case: its case file. folder: where its results
-    go. fit: the fitted model that the task uses, or None. options: of the task, complete, as plain data. key: of what
-    it reads (`content_key`).
+    turbine: its name, unique in the fleet. task: a name of `tasks.TASKS`. case: its case file. folder: where
+    its results go. fit: the fitted model that the task uses, or None. options: of the task, complete, as
+    plain data. key: of what it reads (`content_key`).
     """
 
     turbine: str
@@ -105,10 +100,11 @@ def outcome(job: Job, status: str, reason: str = "", seconds: float = 0.0, **col
 
 
 def content_key(job: Job, files: Sequence[Path] = ()) -> str:
-    """SHA-256 of all that the results of a job follow from: version, task, options, and the bytes of its files.
+    """SHA-256 of all that the results of a job follow from: version, task, options, and the bytes of its
+    files.
 
-    Files are the case, those that its sources name, the fit, and `files`.  One that cannot be read counts as absent:
-    the job itself then says why.
+    Files are the case, those that its sources name, the fit, and `files`.  One that cannot be read counts as
+    absent: the job itself then says why.
     """
     digest = hashlib.sha256()
 
@@ -137,10 +133,9 @@ def _digest(path: Path) -> bytes:
 def _source_files(case: Path) -> list[str]:
     """Files that the sources of a case name, as far as it can be read."""
     try:
-        content = tomllib.loads(case.read_bytes().decode("utf-8-sig").replace("\r\n", "\n"))
-    except (OSError, ValueError):
+        tables = read_toml(case)[1].get("source", [])
+    except FormFault:
         return []
-    tables = content.get("source", [])
     tables = tables if isinstance(tables, list) else [tables]
     named = [one.get("file") for one in tables if isinstance(one, dict)]
     return [name for name in named if isinstance(name, str)]
@@ -165,6 +160,7 @@ def begin(job: Job) -> None:
 
 
 def keep(job: Job, found: Outcome) -> None:
-    """Write the row, whole; from then on the job is done.  Its folder may be missing: a process can die before it makes it."""
+    """Write the row, whole; from then on the job is done.  Its folder may be missing: a process can die
+    before it makes it."""
     job.folder.mkdir(parents=True, exist_ok=True)
     write_text_whole(job.folder / ROW, dump(found.to_json()))

@@ -2,11 +2,13 @@
 
 On the logarithm x of a positive quantity, with standard errors e from its bounds,
 
-    z_i = (x_i − med x) / √(S² − ē² + e_i²),   S = 1.4826 med |x − med x|,   ē² = med e²  (S² − ē² at least 0),
+    z_i = (x_i − med x) / √(S² − ē² + e_i²),   S = 1.4826 med |x − med x|,   ē² = med e²  (S² − ē² at least
+    0),
 
-so a turbine with wide bounds must depart further.  z is compared with the largest |z| of as many normal numbers, found by
-simulation (seed stated): the chance that any turbine of a fleet alike is called an outlier is `LEVEL`, shared by the
-quantities that are compared (Bonferroni).
+so a turbine with wide bounds must depart further.  z is compared with the largest |z| of as many normal
+numbers, found by
+simulation (seed stated): the chance that any turbine of a fleet alike is called an outlier is `LEVEL`, shared
+by the quantities that are compared (Bonferroni).
 """
 
 from __future__ import annotations
@@ -33,10 +35,12 @@ NUMBERS_AT_ONCE = 2_000_000
 
 @dataclass(frozen=True)
 class Spread:
-    """A quantity over the fleet: turbines with a value, x = ln value (N,), standard errors (N,), NaN without bounds.
+    """A quantity over the fleet: turbines with a value, x = ln value (N,), standard errors (N,), NaN without
+    bounds.
 
-    `z` (N,) robust distances, `p` (N,) their chances after correction for turbines and quantities; both NaN where
-    there are fewer than `FEWEST` turbines.  `center`, `between` median of x and the turbines' own spread (log).
+    `z` (N,) robust distances, `p` (N,) their chances after correction for turbines and quantities; both NaN
+    where there are fewer than `FEWEST` turbines.  `center`, `between` median of x and the turbines' own
+    spread (log).
     """
 
     compared: Compared
@@ -59,8 +63,8 @@ class Spread:
     def explained(self) -> bool:
         """Whether the bounds explain how the turbines scatter, outliers left out (Cochran's Q).
 
-        `between` alone cannot say so: the median deviation does not see a few turbines that depart, and below `FEWEST`
-        none is called an outlier.
+        `between` alone cannot say so: the median deviation does not see a few turbines that depart, and below
+        `FEWEST` none is called an outlier.
         """
         from scipy.special import chdtrc
 
@@ -73,8 +77,9 @@ class Spread:
 
 
 def spreads(rows: Sequence[Mapping[str, object]], compared: Sequence[Compared]) -> list[Spread]:
-    """The spread of every quantity that any turbine has; turbines without a value and bounds above zero on both sides are
-    set aside by name (`open`), and so are those whose value is not to be believed (`rejected`).
+    """The spread of every quantity that any turbine has; turbines without a value and bounds above zero on
+    both sides are set aside by name (`open`), and so are those whose value is not to be believed
+    (`rejected`).
     """
     there = [one for one in compared if any(number(row, one.column) > 0 for row in rows)]
     return [spread(rows, one, len(there)) for one in there]
@@ -120,7 +125,8 @@ def spread(rows: Sequence[Mapping[str, object]], compared: Compared, quantities:
 
 
 def family_chance(z: np.ndarray) -> np.ndarray:
-    """Chance (N,) that the largest |z| of N normal numbers, scaled by their own median deviation, is as large."""
+    """Chance (N,) that the largest |z| of N normal numbers, scaled by their own median deviation, is as
+    large."""
     largest = _largest(len(z))
     beyond = len(largest) - np.searchsorted(largest, z, side="left")
     return (beyond + 1.0) / (len(largest) + 1.0)

@@ -1,4 +1,5 @@
-"""`report.html` of a fleet: what failed, who departs from the others, the spread of what was found, a ranking."""
+"""`report.html` of a fleet: what failed, who departs from the others, the spread of what was found, a
+ranking."""
 
 from __future__ import annotations
 
@@ -14,11 +15,13 @@ from hygrokf.fleet.outliers import DRAWS, FEWEST, LEVEL, Spread, spreads
 from hygrokf.fleet.plots import figure_spreads
 from hygrokf.fleet.table import CSV
 from hygrokf.fleet.tasks import BETWEEN, TASKS, Compared
+from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import CAUTION, PARTS, REJECT, VERDICTS, WORDS
 from hygrokf.identification.wording import NONE, decimals_for, fixed, percent, plain_number, sentence, text_of
-from hygrokf.report.fit_tables import Table
+from hygrokf.report.blocks import Table
+from hygrokf.report.figures.transfer import figure_type
 from hygrokf.report.html import document, figure_html, moment, prose, section, tables_html
-from hygrokf.report.transfer_page import type_section
+from hygrokf.report.transfer_page import type_table, type_without
 from hygrokf.version import __version__
 
 RANKED = 50
@@ -43,12 +46,26 @@ def fleet_page(fleet: Mapping) -> str:
         _transfers(done),
         _climates(done),
         _spreads_section(found),
-        type_section(fleet.get("type"), [text_of(one) for one in entry(fleet, "type_without") or ()]),
+        _type(fleet),
         _outliers(found),
         _ranking(task.ranking, task.compared, done, found),
         _method(fleet, found),
     ]
     return document(f"{name} – hygrokf fleet", parts)
+
+
+def _type(fleet: Mapping) -> str:
+    """The type of turbine as a section; nothing where there is none."""
+    if not isinstance(fleet.get("type"), Mapping):
+        return ""
+    found = TurbineType.from_json(fleet["type"])
+    left_out = [text_of(one) for one in entry(fleet, "type_without") or ()]
+    return section(
+        "The type of turbine",
+        tables_html((type_table(found), "")),
+        f"<p class=note>{escape(type_without(left_out))}</p>" if left_out else "",
+        figure_html("type", "Type and next turbine", "", partial(figure_type, found)),
+    )
 
 
 def _head(fleet: Mapping, name: str, done: Sequence[Mapping]) -> str:
@@ -110,8 +127,8 @@ def _cards(rows: Sequence[Mapping], done: Sequence[Mapping], found: Sequence[Spr
 
 def _card(label: str, beside: str, value: str, said: str, care: bool = False) -> str:
     return (
-        f"<div class='card{' open' if care else ''}'><p class=label>{escape(label)} <span>{escape(beside)}</span></p>"
-        f"<p class=value>{prose(value)}</p><p>{prose(said)}</p></div>"
+        f"<div class='card{' open' if care else ''}'><p class=label>{escape(label)} "
+        f"<span>{escape(beside)}</span></p><p class=value>{prose(value)}</p><p>{prose(said)}</p></div>"
     )
 
 
@@ -135,7 +152,7 @@ def _believed(done: Sequence[Mapping]) -> str:
     judged = [row for row in done if any(_verdict(row, part) for part in PARTS)]
     if not judged:
         return ""
-    order = {kind: place for place, kind in enumerate(reversed(VERDICTS))}
+    order: dict[str, int] = {kind: place for place, kind in enumerate(reversed(VERDICTS))}
     ranked = sorted(judged, key=lambda r: min(order.get(_verdict(r, part), len(order)) for part in PARTS))
     doubtful = [r for r in ranked if any(_verdict(r, part) in (CAUTION, REJECT) for part in PARTS)]
     rows = tuple(
@@ -215,7 +232,8 @@ def _transfers(done: Sequence[Mapping]) -> str:
 
 
 def _climates(done: Sequence[Mapping]) -> str:
-    """Of a fleet's climates: the limits, the class of wetness, condensation, and what is to be said of each."""
+    """Of a fleet's climates: the limits, the class of wetness, condensation, and what is to be said of
+    each."""
     judged = [row for row in done if "wetness_class" in row]
     if not judged:
         return ""
@@ -235,7 +253,10 @@ def _climates(done: Sequence[Mapping]) -> str:
     marked = tuple(i for i, row in enumerate(judged) if row.get("limits") == "fail")
     shares = [share for row in judged if math.isfinite(share := number(row, "bounds_hold"))]
     held = f" that hold {percent(min(shares))} of single years" if shares else " for a single year"
-    note = f"Limits: the worst of a turbine's verdicts. Wetness: class of ISO 9223:1992. In brackets bounds{held}."
+    note = (
+        "Limits: the worst of a turbine's verdicts. Wetness: class of ISO 9223:1992. In brackets "
+        f"bounds{held}."
+    )
     table = Table("Each turbine", head, rows, left=(0, 1, 2), marked=marked, note=note)
     remarks = Counter(one for row in judged for one in text_of(row.get("statements")).split(BETWEEN) if one)
     told = "".join(
@@ -265,7 +286,8 @@ def _spreads_section(found: Sequence[Spread]) -> str:
             "constants",
             "Time constants" if all(one.compared.unit == "h" for one in constants) else "Climate of a year",
             constants,
-            "Turbines of one type should reach with their bounds into the shade, or to the median where there is none.",
+            "Turbines of one type should reach with their bounds into the shade, or to the median where "
+            "there is none.",
         ),
         (
             "errors",
@@ -360,12 +382,14 @@ def _method(fleet: Mapping, found: Sequence[Spread]) -> str:
         f"Each turbine was treated alone, with the same options ({stated})."
         if stated
         else "Each turbine was treated alone.",
-        f"Outliers: the distance of each turbine’s logarithm from the median, in median absolute deviations from which the "
-        f"turbines’ own bounds are taken out and added again for each, is compared with the largest distance in as many "
-        f"normal numbers ({DRAWS} simulated fleets at most). The chance of any false outlier is {100 * LEVEL:.0f} % for "
-        f"the whole fleet and all quantities together, if turbines differ normally; fewer than {FEWEST} turbines are "
-        "not judged. A turbine that departs is not therefore faulty: it may stand, run or be built otherwise.",
+        "Outliers: the distance of each turbine’s logarithm from the median, in median absolute deviations "
+        "from which the turbines’ own bounds are taken out and added again for each, is compared with the "
+        f"largest distance in as many normal numbers ({DRAWS} simulated fleets at most). The chance of any "
+        f"false outlier is {100 * LEVEL:.0f} % for the whole fleet and all quantities together, if turbines "
+        f"differ normally; fewer than {FEWEST} turbines are not judged. A turbine that departs is not "
+        "therefore faulty: it may stand, run or be built otherwise.",
         f"All numbers are in {CSV}, each turbine’s results in its folder.",
     ]
     made = f"Done by hygrokf {text_of(fleet.get('version'))}; page written by hygrokf {__version__}."
-    return f"<footer><h2>Data and method</h2>{''.join(f'<p>{prose(x)}</p>' for x in lines)}<p>{escape(made)}</p></footer>"
+    said = "".join(f"<p>{prose(line)}</p>" for line in lines)
+    return f"<footer><h2>Data and method</h2>{said}<p>{escape(made)}</p></footer>"

@@ -1,4 +1,5 @@
-"""Pictures of a fleet: every turbine's value with its bounds, in order, beside the fleet's median and spread."""
+"""Pictures of a fleet: every turbine's value with its bounds, in order, beside the fleet's median and
+spread."""
 
 from __future__ import annotations
 
@@ -30,8 +31,8 @@ NAMED = 45
 def figure_spreads(found: Sequence[Spread]) -> Figure:
     """One panel a quantity: turbines from the least to the largest value, bounds as lines, outliers in red.
 
-    The shade is where 95 % of turbines would lie if their bounds were closed to a point: median and spread between them.
-    There is none where the median deviation is no more than the bounds explain.
+    The shade is where 95 % of turbines would lie if their bounds were closed to a point: median and spread
+    between them. There is none where the median deviation is no more than the bounds explain.
     """
     shown = [one for one in found if len(one.turbines)]
     if not shown:

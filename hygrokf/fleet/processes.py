@@ -28,8 +28,9 @@ def cores() -> int:
 def in_processes(jobs: Sequence[Job], workers: int) -> Iterator[Outcome]:
     """Outcomes of jobs as they come, in no order: exactly one for each.
 
-    A process that dies (killed by the system for its memory, a crash of compiled code) takes its one job with it; that
-    is tried once more, and is `lost` if that process dies too.  When the caller stops early all processes end.
+    A process that dies (killed by the system for its memory, a crash of compiled code) takes its one job with
+    it; that is tried once more, and is `lost` if that process dies too.  When the caller stops early all
+    processes end.
     """
     todo: queue.SimpleQueue[Job] = queue.SimpleQueue()
     for job in jobs:
@@ -113,7 +114,10 @@ class _Worker:
                 self._said.seek(0)
                 self._said.truncate()
                 # the same places of modules as here, in the same order
-                begin = f"import sys; sys.path[:] = {sys.path!r}; from hygrokf.fleet.worker import main; sys.exit(main())"
+                begin = (
+                    f"import sys; sys.path[:] = {sys.path!r}; from hygrokf.fleet.worker import main; "
+                    "sys.exit(main())"
+                )
                 self._process = subprocess.Popen(
                     [sys.executable, "-c", begin],
                     stdin=subprocess.PIPE,

@@ -54,13 +54,14 @@ def run_fleet(
     cluster: str | None = None,
     say: Callable[[Outcome, bool], None] = lambda found, known: None,
 ) -> Result:
-    """Do what a plan states for every turbine, and write `fleet.csv`, `fleet.parquet`, `fleet.json` and `report.html`.
+    """Do what a plan states for every turbine, and write `fleet.csv`, `fleet.parquet`, `fleet.json` and
+    `report.html`.
 
-    out: directory of the results; each turbine's are in `turbines/NAME`.  workers: processes on this machine (default:
-    one a core); cluster: address of a Dask scheduler, whose workers see the same files under the same paths.  say: told
-    of each outcome as it comes, and whether it was on disk already.  Work is known by its content: what was done with
-    the same files, options and version is not done again; what failed is tried again.  The table is the same whatever
-    does the work.  Raises FleetFault where there is no cluster.
+    out: directory of the results; each turbine's are in `turbines/NAME`.  workers: processes on this machine
+    (default: one a core); cluster: address of a Dask scheduler, whose workers see the same files under the
+    same paths.  say: told of each outcome as it comes, and whether it was on disk already.  Work is known by
+    its content: what was done with the same files, options and version is not done again; what failed is
+    tried again.  The table is the same whatever does the work.  Raises FleetFault where there is no cluster.
     """
     jobs = plan.jobs(out)
     out.mkdir(parents=True, exist_ok=True)
@@ -120,7 +121,8 @@ def _written(plan: Plan, out: Path, outcomes: Sequence[Outcome]) -> Path:
 def _type_of(plan: Plan, out: Path, rows: Sequence[Mapping]) -> dict:
     """The pooled type of a fleet's fits, also as `type.json`, and the turbines that it is without.
 
-    A turbine whose time constants depart from the others' is none of their type; the type is None where the fits make none.
+    A turbine whose time constants depart from the others' is none of their type; the type is None where the
+    fits make none.
     """
     file = out / TYPE
     file.unlink(missing_ok=True)  # one of an earlier run would be of other fits

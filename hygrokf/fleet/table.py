@@ -17,7 +17,8 @@ def columns_of(task: str) -> dict[str, str]:
 
 
 def table_csv(task: str, rows: Sequence[Mapping[str, object]]) -> str:
-    """Rows as CSV text; what is not known, infinite or does not apply is empty; numbers as they are, unrounded."""
+    """Rows as CSV text; what is not known, infinite or does not apply is empty; numbers as they are,
+    unrounded."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     names = list(columns_of(task))
@@ -55,7 +56,8 @@ def table_parquet(task: str, rows: Sequence[Mapping[str, object]]) -> bytes | No
 
 
 def _kind(name: str, values: Sequence[object]) -> type:
-    """The type of a column; one without any value is of numbers, or of words where its meaning has no unit."""
+    """The type of a column; one without any value is of numbers, or of words where its meaning has no
+    unit."""
     there = {type(value) for value in values if value is not None}
     if there == {int, float}:
         return float
@@ -63,5 +65,6 @@ def _kind(name: str, values: Sequence[object]) -> type:
 
 
 _NUMBERS = (
-    "_h", "_K", "_m3", "_degC", "_percent", "_lower", "_upper", "_coverage", "loglik", "confidence", "n_readings", "warnings",
+    "_h", "_K", "_m3", "_degC", "_percent", "_lower", "_upper", "_coverage", "loglik", "confidence",
+    "n_readings", "warnings",
 )  # fmt: skip

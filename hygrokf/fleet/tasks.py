@@ -1,7 +1,8 @@
-"""What can be done for each turbine of a fleet: a table of tasks, one function each, from a `Job` to columns of its row.
+"""What can be done for each turbine of a fleet: a table of tasks, one function each, from a `Job` to columns
+of its row.
 
-A task is added in `TASKS`: its function, its options, whether it uses a fitted model, the columns that it gives, and
-those of them that turbines are compared by.
+A task is added in `TASKS`: its function, its options, whether it uses a fitted model, the columns that it
+gives, and those of them that turbines are compared by.
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ from typing import TYPE_CHECKING, Any
 
 from hygrokf.data.files import write_text_whole
 from hygrokf.data.lookup import entry, number
+from hygrokf.data.structured import plain
+from hygrokf.data.toml_form import FormFault, setting
 from hygrokf.fleet.job import DONE, FAILED, Job, Outcome, begin, finished, keep, outcome
 from hygrokf.identification.verdict import PARTS, REJECT
 
@@ -28,37 +31,11 @@ BETWEEN = " | "
 
 
 @dataclass(frozen=True)
-class Option:
-    """One option of a task: its default, and what it may be.
-
-    `allowed`: a tuple of words, the least whole number, or "flag" (true or false), "files" (a list of paths).
-    """
-
-    default: Any
-    allowed: tuple[str, ...] | int | str
-    meaning: str
-
-    def fault(self, value: object) -> str:
-        """What is wrong with a value, or nothing."""
-        if self.allowed == "flag":
-            good, expected = isinstance(value, bool), "true or false"
-        elif self.allowed == "files":
-            good = isinstance(value, list) and all(isinstance(one, str) for one in value)
-            expected = "a list of paths in quotes"
-        elif isinstance(self.allowed, tuple):
-            good, expected = value in self.allowed, f"one of {', '.join(self.allowed)}"
-        else:
-            good = isinstance(self.allowed, int) and type(value) is int and value >= self.allowed
-            expected = f"a whole number from {self.allowed} on"
-        return "" if good else f"expected {expected}, found {value!r}"
-
-
-@dataclass(frozen=True)
 class Compared:
     """A positive quantity by which turbines are compared on a logarithmic scale.
 
-    column: its value; lower, upper: columns of its bounds, or empty. title, unit: for tables and pictures. verdict: the
-    column that says whether it can be believed, or empty.
+    column: its value; lower, upper: columns of its bounds, or empty. title, unit: for tables and pictures.
+    verdict: the column that says whether it can be believed, or empty.
     """
 
     column: str
@@ -77,14 +54,14 @@ class Compared:
 class Task:
     """One thing that can be done for every turbine.
 
-    perform: writes results into the job's folder and returns columns of its row; an exception is the turbine's
-    failure. columns: name -> meaning with unit. compared: what turbines are compared by. ranking: the column by which
-    they are ranked, largest first. uses_fit: whether a fitted model is needed.
+    perform: writes results into the job's folder and returns columns of its row; an exception is the
+    turbine's failure. columns: name -> meaning with unit. compared: what turbines are compared by. ranking:
+    the column by which they are ranked, largest first. uses_fit: whether a fitted model is needed.
     """
 
     perform: Callable[[Job], Mapping[str, Any]]
     meaning: str
-    options: Mapping[str, Option]
+    options: type[Any]
     columns: Mapping[str, str]
     compared: tuple[Compared, ...]
     ranking: str
@@ -94,7 +71,8 @@ class Task:
 
 
 def perform(job: Job) -> Outcome:
-    """Do one job: whatever goes wrong becomes the reason in its row.  Work that is on disk already is not repeated."""
+    """Do one job: whatever goes wrong becomes the reason in its row.  Work that is on disk already is not
+    repeated."""
     there = finished(job)
     if there is not None:
         return there
@@ -116,10 +94,14 @@ def perform(job: Job) -> Outcome:
 
 def reason_of(fault: Exception) -> str:
     """A failure on one line; for one that no one foresaw also where it happened."""
+    from hygrokf.cases.case_file import CaseFault
+
     listed = getattr(fault, "faults", ())
     text = " ".join(("; ".join(map(str, listed)) if listed else str(fault)).split())
-    if file := getattr(fault, "file", ""):
-        text = f"{file}: {text}"
+    if isinstance(fault, FormFault) and not isinstance(
+        fault, CaseFault
+    ):  # the turbine's case goes without saying
+        text = f"{fault.file}: {text}"
     if type(fault).__name__.endswith("Fault") or type(fault) in (ValueError, OSError):
         return text or type(fault).__name__
     where = traceback.extract_tb(fault.__traceback__)
@@ -153,7 +135,7 @@ def _fit(job: Job) -> dict:
 
 
 def _of_fit(fit: Fit, record: Record) -> dict:
-    results = fit.results
+    results = fit.to_json()
     return {
         **_of_record(record),
         "converged": results["converged"],
@@ -188,13 +170,15 @@ def _of_time_constants(results: Mapping) -> dict:
 
 
 def _of_verdicts(data: object) -> dict:
-    """The verdict on each time constant of a fit, or of what has inherited its numbers; empty where there is none."""
+    """The verdict on each time constant of a fit, or of what has inherited its numbers; empty where there is
+    none."""
     known = entry(data, "time_constants") or data
     return {f"{part}_verdict": entry(known, part, "verdict") or "" for part in PARTS}
 
 
 def _of_scores(results: Mapping) -> dict:
-    """Free-run errors in total, of the validation period where it was scored and else of the identification period."""
+    """Free-run errors in total, of the validation period where it was scored and else of the identification
+    period."""
     found: dict[str, object] = {}
     scored = math.isfinite(number(results, "rmse", "validation", "temperature_K", "total"))
     found["scored_period"] = period = "validation" if scored else "identification"
@@ -248,7 +232,7 @@ def _evaluate(job: Job) -> dict:
     from hygrokf.identification.tables import evaluate
 
     fit, record = _stored(job), read_case(job.case)
-    results = evaluate(fit, record)
+    results = plain(evaluate(fit, record))
     write_text_whole(job.folder / "evaluation.json", dump(results))
     columns: dict[str, object] = {
         **_of_record(record),
@@ -301,19 +285,21 @@ def _transfer(job: Job) -> dict:
     results = made.results
     columns: dict[str, object] = {
         **_of_record(record),
-        "model": entry(results, "from", "name"),
-        "transfer": results["verdict"],
-        "re_estimate": " ".join(results["re_estimate"]),
-        "sentence": results["sentence"],
-        **_of_verdicts(results["verdicts"]),
-        "scored_period": results["period"],
+        "model": results.source.name,
+        "transfer": results.verdict,
+        "re_estimate": " ".join(results.re_estimate),
+        "sentence": results.sentence,
+        **{f"{p}_verdict": results.verdicts[p].verdict if p in results.verdicts else "" for p in PARTS},
+        "scored_period": results.period,
     }
     for quantity, column in _ERRORS.items():
         for which, name in (("re_estimated", column), ("as_is", f"as_is_{column}")):
-            columns[name] = number(results, "rmse", quantity, which, "total")
-        gain = column.replace("rmse", "gain")
-        for part, name in (("gain", gain), ("lower", f"{gain}_lower"), ("upper", f"{gain}_upper")):
-            columns[name] = number(results, "gains", quantity, "re_estimated", "over_as_is", part)
+            error = results.rmse.get(quantity, {}).get(which)
+            columns[name] = error.total if error is not None else math.nan
+        gains = results.gains.get(quantity, {}).get("re_estimated")
+        gain = gains.over_as_is if gains is not None else None
+        for part, suffix in (("gain", ""), ("lower", "_lower"), ("upper", "_upper")):
+            columns[f"{column.replace('rmse', 'gain')}{suffix}"] = getattr(gain, part, math.nan)
     return columns
 
 
@@ -321,8 +307,8 @@ def _climate(job: Job) -> dict:
     """The climate in a fitted cabinet under the weather and power of a case, as `hygrokf climate` has it."""
     from hygrokf.cases.case_file import read_case
     from hygrokf.climate.limits import read_limits
+    from hygrokf.climate.procedure import climate_profile
     from hygrokf.climate.region import Region, read_power
-    from hygrokf.climate.study import climate_profile
     from hygrokf.report.climate_page import write_climate_report
 
     fit, options = _stored(job), job.options
@@ -337,20 +323,20 @@ def _climate(job: Job) -> dict:
         seed=options["seed"],
     )
     write_climate_report(study, job.folder)
-    (region,) = study.results["regions"]
+    (region,) = study.regions
     columns: dict[str, object] = {
         **_of_record(weather),
         "model": fit.name,
-        **_of_verdicts(study.results["verdicts"]),
-        "bounds_hold": region["bounds_hold"],
+        **_of_verdicts(plain(study.verdicts)),
+        "bounds_hold": region.bounds_hold,
     }
     for name in _CLIMATE:
+        one = region.year.get(name)
         for part, column in (("value", name), ("lower", f"{name}_lower"), ("upper", f"{name}_upper")):
-            columns[column] = number(region, "scopes", "all", name, part)
-    verdicts = [one["verdict"] for one in region["limits"]]
-    columns["limits"] = next((v for v in ("fail", "undecided", "pass") if v in verdicts), "")
-    columns["wetness_class"] = region["wetness_class"] or ""
-    columns["statements"] = BETWEEN.join(region["statements"])
+            columns[column] = getattr(one, part) if one else math.nan
+    columns["limits"] = region.verdict
+    columns["wetness_class"] = region.wetness_class or ""
+    columns["statements"] = BETWEEN.join(region.statements)
     return columns
 
 
@@ -382,7 +368,8 @@ _CONSTANTS = {
     )
 }
 _VERDICTS = {
-    f"{name}_verdict": f"whether the {name} time constant of the model can be believed: believe, caution or reject"
+    f"{name}_verdict": f"whether the {name} time constant of the model can be believed: believe, caution or "
+    "reject"
     for name in PARTS
 }
 _SCORES = {
@@ -406,25 +393,56 @@ _COMPARED_ERRORS = (
     Compared("humidity_rmse_g_m3", "free-run error of the absolute humidity", "g/m³"),
 )
 _ENDS = (("", ""), ("_lower", "lower 95 % bound of "), ("_upper", "upper 95 % bound of "))
-_REPORT = Option(False, "flag", "write each turbine's own page too")
-_STARTS = Option(5, 1, "starts of the search for the maximum")
-_LIBRARY = Option([], "files", "files with causes of your own, which are executed")
+_FILES = "a list of paths in quotes"
+
+
+@dataclass(frozen=True)
+class Library:
+    """The options of tasks that simulate."""
+
+    library: tuple[str, ...] = setting(
+        (), "files with causes of your own, which are executed", expected=_FILES
+    )
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """The options of the task "fit"."""
+
+    criterion: str = setting(
+        "likelihood", "innovations, or the free run's error", choices=("likelihood", "simulation")
+    )
+    kind: str = setting(
+        "cascade", "hygric on the measured temperature, or one filter", choices=("cascade", "joint")
+    )
+    starts: int = setting(5, "starts of the search for the maximum", least=1)
+    profiles: bool = setting(False, "bounds by profile likelihood; without, Wald bounds")
+    report: bool = setting(False, "write each turbine's own page too")
+
+
+@dataclass(frozen=True)
+class DiscoverOptions(Library):
+    """The options of the task "discover"."""
+
+    starts: int = setting(5, "starts of the search for the maximum", least=1)
+    report: bool = setting(True, "write each turbine's own page too")
+
+
+@dataclass(frozen=True)
+class ClimateOptions(Library):
+    """The options of the task "climate"."""
+
+    standstill: bool = setting(False, "no power all year; without, the case has `active_power`")
+    limits: tuple[str, ...] = setting((), "files with limits to hold the climate against", expected=_FILES)
+    members: int = setting(50, "of the ensemble", least=2)
+    seed: int = setting(1, "of the ensemble", least=0)
+
 
 TASKS: Mapping[str, Task] = {
     "fit": Task(
         _fit,
         "identify the models of every case",
-        {
-            "criterion": Option(
-                "likelihood", ("likelihood", "simulation"), "innovations, or the free run's error"
-            ),
-            "kind": Option(
-                "cascade", ("cascade", "joint"), "hygric on the measured temperature, or one filter"
-            ),
-            "starts": _STARTS,
-            "profiles": Option(False, "flag", "bounds by profile likelihood; without, Wald bounds"),
-            "report": _REPORT,
-        },
+        FitOptions,
         {
             **_RECORD,
             "converged": "whether every climb ended at a maximum",
@@ -441,7 +459,7 @@ TASKS: Mapping[str, Task] = {
     "discover": Task(
         _discover,
         "name what every simulation lacks",
-        {"starts": _STARTS, "library": _LIBRARY, "report": Option(True, "flag", _REPORT.meaning)},
+        DiscoverOptions,
         {
             **_RECORD,
             "verdict": "none, named or unexplained",
@@ -460,14 +478,15 @@ TASKS: Mapping[str, Task] = {
     "evaluate": Task(
         _evaluate,
         "score a fitted model on every case",
-        {"library": _LIBRARY},
+        Library,
         {
             **_RECORD,
             "model": "name of the fitted model",
             **_VERDICTS,
             **_SCORES,
             **{
-                f"{name}_rmse_{regime}_{unit}": f"the same of the {text} {words} [{unit.replace('g_m3', 'g/m³')}]"
+                f"{name}_rmse_{regime}_{unit}": f"the same of the {text} {words} "
+                f"[{unit.replace('g_m3', 'g/m³')}]"
                 for name, unit, text in (
                     ("temperature", "K", "temperature"),
                     ("humidity", "g_m3", "absolute humidity"),
@@ -486,7 +505,7 @@ TASKS: Mapping[str, Task] = {
     "transfer": Task(
         _transfer,
         "try a fitted model on every case, and say what travels",
-        {"library": _LIBRARY},
+        Library,
         {
             **_RECORD,
             "model": "name of the fitted model",
@@ -519,13 +538,7 @@ TASKS: Mapping[str, Task] = {
     "climate": Task(
         _climate,
         "simulate a year's climate in every cabinet",
-        {
-            "standstill": Option(False, "flag", "no power all year; without, the case has `active_power`"),
-            "limits": Option([], "files", "files with limits to hold the climate against"),
-            "members": Option(50, 2, "of the ensemble"),
-            "seed": Option(1, 0, "of the ensemble"),
-            "library": _LIBRARY,
-        },
+        ClimateOptions,
         {
             **_RECORD,
             "model": "name of the fitted model",

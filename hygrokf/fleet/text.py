@@ -31,7 +31,8 @@ def outcome_text(found: Outcome, known: bool) -> str:
 
 
 def fleet_text(task: str, rows: Sequence[Mapping[str, object]]) -> str:
-    """The turbines with what they are compared by, as a fixed-width table; the reason where there is no result."""
+    """The turbines with what they are compared by, as a fixed-width table; the reason where there is no
+    result."""
     compared = [
         one for one in TASKS[task].compared if any(math.isfinite(number(row, one.column)) for row in rows)
     ]

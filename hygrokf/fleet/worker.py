@@ -1,7 +1,7 @@
 """A process that does jobs one after the other.
 
-Each line of the standard input is a job, each line of the standard output its outcome, both as JSON; the process ends
-with its input.
+Each line of the standard input is a job, each line of the standard output its outcome, both as JSON; the
+process ends with its input.
 """
 
 from __future__ import annotations

@@ -1,19 +1,20 @@
-"""Offsets between the clocks of a record's sources: how far the readings tell them, and what they do to an estimate.
+"""Offsets between the clocks of a record's sources: their estimates, and their effect on the parameters.
 
-The cabinet's clock is the reference; another source's stamps may be late by δ_j [s] with a prior N(0, σ_j²) from the
-grain of its stamps.  Shifting that source changes every innovation by δ_j ∂e/∂δ_j, found by moving its series once.  With
-the slopes of the innovations by the parameters, to first order (Gauss–Newton),
+The cabinet's clock is the reference; another source's stamps may be late by δ_j [s] with a prior N(0, σ_j²)
+from the resolution of its stamps.  Shifting that source changes every innovation by δ_j ∂e/∂δ_j, which is
+found by moving its series once.  With the slopes of the innovations with respect to the parameters, to first
+order (Gauss–Newton),
 
     [ I_θθ  I_θδ        ] [Δθ]   [0  ]
-    [ I_δθ  I_δδ + 1/σ² ] [Δδ] = [s_δ],
+    [ I_δθ  I_δδ + 1/σ² ] [Δδ] = [s_δ].
 
-so that Δθ is what the most likely offsets do to the parameters, and the inverse matrix has their uncertainty with the
-offsets', which the readings know better than the prior wherever the source drives the cabinet.
+Δθ is the effect of the most likely offsets on the parameters.  The inverse matrix contains the parameters'
+uncertainty including that of the offsets, which the readings determine better than the prior for every source
+that drives the cabinet.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
@@ -27,11 +28,12 @@ from hygrokf.modelling.design import HUMIDITIES, TEMPERATURE, Design
 from hygrokf.modelling.inputs import Run, prepare_run
 
 ONE_SYSTEM_S = 30.0
-"""[s] prior standard deviation of an offset between signals of one source: stamps are often full minutes."""
+"""[s] prior standard deviation of an offset between signals of one source, whose stamps are often full
+minutes."""
 TWO_SYSTEMS_S = 60.0
-"""[s] prior standard deviation of the offset between two sources, where their clocks' uncertainty is not stated."""
+"""[s] prior standard deviation of the offset between two sources without a stated clock uncertainty."""
 STEP_S = 30.0
-"""[s] by which a source is moved to see what its offset does."""
+"""[s] shift of a source by which the effect of its offset is found."""
 DRIVERS = (
     "ambient_temperature",
     "ambient_relative_humidity",
@@ -39,13 +41,16 @@ DRIVERS = (
     "ambient_dew_point_temperature",
     "active_power",
 )
-"""Signals whose clock matters to a time constant."""
+"""Signals whose clock affects a time constant."""
 
 
 @dataclass(frozen=True)
 class ClockOffset:
-    """One source's clock beside the cabinet's: prior standard deviation `prior_s` [s], and by readings and prior together
-    how late its stamps are, `offset_s` ± `sd_s` [s]."""
+    """The offset of one source's clock from the cabinet's.
+
+    `prior_s` [s] is the prior standard deviation; `offset_s` ± `sd_s` [s] is the delay of its stamps by
+    readings and prior.
+    """
 
     source: str
     prior_s: float
@@ -55,8 +60,11 @@ class ClockOffset:
 
 @dataclass(frozen=True)
 class ClockOffsets:
-    """All of them; `shift` how the parameters' coordinates would move with the most likely offsets, `variance` what the
-    offsets' uncertainty adds to the coordinates' variances."""
+    """The offsets of all sources.
+
+    `shift` is the change of the parameters' coordinates with the most likely offsets, `variance` the addition
+    to the coordinates' variances from the offsets' uncertainty.
+    """
 
     sources: tuple[ClockOffset, ...] = ()
     shift: Mapping[str, float] = field(default_factory=dict)
@@ -67,10 +75,10 @@ NO_OFFSETS = ClockOffsets()
 
 
 def prior_s(one: Series, reference: Series) -> float:
-    """Standard uncertainty [s] of the offset between two series before the readings are asked."""
+    """Prior standard uncertainty [s] of the offset between two series."""
     stated = [s.clock_uncertainty_s for s in (one, reference) if s.clock_uncertainty_s is not None]
     if stated:
-        return math.hypot(*stated)
+        return float(np.hypot(stated[0], stated[1])) if len(stated) == 2 else float(stated[0])
     return ONE_SYSTEM_S if _system(one) == _system(reference) else TWO_SYSTEMS_S
 
 
@@ -86,7 +94,8 @@ def clock_offsets(
     found: Uncertainty,
     rate_step: float | None = None,
 ) -> ClockOffsets:
-    """Offsets of the sources that drive a design's run on a record, at its estimate; none that is known exactly."""
+    """Offsets of the sources that drive a design's run on a record, at its estimate; sources without clock
+    uncertainty are left out."""
     reference = next((early[name] for name in (TEMPERATURE, *HUMIDITIES) if name in early), None)
     if reference is None:
         return NO_OFFSETS
@@ -118,7 +127,8 @@ def clock_offsets(
 def _innovations(
     likelihood: Likelihood, estimate: Estimate, found: Uncertainty
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """1/S and innovations (T, k), 0 without reading, and the innovations' slopes (T, k, f) by the coordinates."""
+    """1/S and innovations (T, k), 0 without reading, and slopes (T, k, f) of the innovations with respect to
+    the coordinates."""
     coordinates = estimate.coordinates
     trace = likelihood.trace(estimate.values)
     there = np.isfinite(likelihood.timeline.y)
@@ -133,7 +143,7 @@ def _innovations(
 
 
 def _matched(made: Run, other: Run) -> tuple[np.ndarray, np.ndarray] | None:
-    """Rows of two runs at which the same readings stand, where they differ in the times of their inputs alone."""
+    """Rows of two runs with the same readings, where the runs differ only in the times of their inputs."""
     one, two = made.timeline, other.timeline
     first = np.round((one.origin_s + 3600.0 * one.time) * 1e3)
     second = np.round((two.origin_s + 3600.0 * two.time) * 1e3)
@@ -151,7 +161,8 @@ def _solved(
     slopes: np.ndarray,
     moved: np.ndarray,
 ) -> ClockOffsets:
-    """The equations of the module's text; `moved` (T, k, m) slopes of the innovations by the offsets."""
+    """Solve the equations of the module's text; `moved` (T, k, m) are slopes of the innovations with respect
+    to the offsets."""
     flat = moved.reshape(-1, len(names))
     weighted = flat * weights.reshape(-1, 1)
     cross = slopes.reshape(-1, slopes.shape[-1]).T @ weighted

@@ -1,18 +1,21 @@
-"""The headline interval of a time constant: what it is composed of, in the order in which it grows.
+"""The headline interval of a time constant, composed of several sources of uncertainty.
 
-All in logarithms of the time constant.  It begins with the profile likelihood's bounds of the chosen form, (a, b) below and
-above the value.  Each further source adds a variance v, and the interval becomes
+All terms refer to the logarithm of the time constant.  The interval starts from the profile likelihood's
+bounds of the chosen form, at distances a below and b above the value.  Each further source adds a variance v,
+and the interval becomes
 
     value · exp(−√(a² + z² Σv)) … value · exp(√(b² + z² Σv)),    z the normal quantile of the level:
 
-- parts: (B − 1) σ², where quarters of the record scatter more than their bounds say (Birge's ratio B > 1);
-- forms: what the other forms add to the variance about the value, Σ_i p_i (σ_i² + (ln τ_i − ln τ)²) − σ², p_i their shares
-  of the evidence;
-- free run: ½ (d² − σ² − σ_F²), d the distance to the free run's own estimate, where the two contradict each other at the
-  interval's level (variance between two methods, DerSimonian and Laird 1986);
-- clocks: the variance that offsets within their uncertainty add, and the square of what the most likely offsets would do;
-- sampling: s²/3, where half as many ambient readings move the estimate by s: what lies between the readings is wrong by an
-  amount within ±s, equally likely.
+- parts: (B − 1) σ², where quarters of the record scatter more than their bounds explain (Birge's ratio B >
+  1);
+- forms: the variance that other forms add about the value, Σ_i p_i (σ_i² + (ln τ_i − ln τ)²) − σ², p_i their
+  shares of the evidence;
+- free run: ½ (d² − σ² − σ_F²), d the distance to the free run's own estimate, where the two contradict each
+  other at the interval's level (variance between two methods, DerSimonian and Laird 1986);
+- clocks: the variance due to offsets within their uncertainty, and the square of the effect of the most
+  likely offsets;
+- sampling: s²/3, where half as many ambient readings move the estimate by s: the error between the readings
+  is taken as uniform within ±s.
 """
 
 from __future__ import annotations
@@ -21,29 +24,43 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from hygrokf.data.structured import optional
 from hygrokf.estimation.confidence import normal_quantile
 
 
 @dataclass(frozen=True)
 class Source:
-    """One source of uncertainty: `variance` [1] of the logarithm that it adds, and in words what it rests on."""
+    """One source of uncertainty: the `variance` [1] that it adds to the logarithm, and its evidence in
+    words."""
 
     name: str
     variance: float
     text: str
 
-    def to_json(self) -> dict:
-        return {"source": self.name, "sd_ln": math.sqrt(self.variance), "text": self.text}
-
 
 @dataclass(frozen=True)
 class Alternative:
-    """An estimate of the logarithm of a time constant: by a form, a part, a method."""
+    """An estimate of the logarithm of a time constant from another form, part or method."""
 
     name: str
     log_value: float
     variance: float
     weight: float = 1.0
+
+
+@dataclass(frozen=True)
+class Step:
+    """The interval [h] after one source of uncertainty, which adds `sd_ln` [1] to the logarithm.
+
+    The first step is the profile likelihood's own interval, which adds nothing.  `upper_h` is NaN where it is
+    open; `text`: the evidence in words.
+    """
+
+    source: str
+    lower_h: float = math.nan
+    upper_h: float = math.nan
+    sd_ln: float = optional(math.nan)
+    text: str = optional("")
 
 
 @dataclass(frozen=True)
@@ -55,19 +72,22 @@ class Composed:
     sources: tuple[Source, ...]
     steps: tuple[tuple[str, float, float], ...]
 
-    def to_json(self) -> list[dict]:
-        rows = [{"source": "profile", "lower_h": self.steps[0][1], "upper_h": _finite(self.steps[0][2])}]
-        for source, (_, lower, upper) in zip(self.sources, self.steps[1:], strict=True):
-            rows.append({**source.to_json(), "lower_h": lower, "upper_h": _finite(upper)})
-        return rows
+    def steps_h(self, scale: float = 1.0) -> tuple[Step, ...]:
+        """The steps in hours; `scale` [h per unit of the value]."""
+        told = [(math.nan, ""), *((math.sqrt(one.variance), one.text) for one in self.sources)]
+        return tuple(
+            Step(name, lower * scale, closed(upper) * scale, sd, text)
+            for (name, lower, upper), (sd, text) in zip(self.steps, told, strict=True)
+        )
 
 
-def _finite(value: float) -> float | None:
-    return value if math.isfinite(value) else None
+def closed(bound: float) -> float:
+    """A bound as results state it: NaN where it is open."""
+    return bound if math.isfinite(bound) else math.nan
 
 
 def from_parts(scale: float, variance: float) -> Source:
-    """`scale` Birge's ratio of the parts' scatter, `variance` of the logarithm by the bounds."""
+    """`scale` is Birge's ratio of the parts' scatter, `variance` that of the logarithm by the bounds."""
     return Source(
         "parts",
         max(scale - 1.0, 0.0) * variance,
@@ -76,18 +96,20 @@ def from_parts(scale: float, variance: float) -> Source:
 
 
 def from_forms(log_value: float, variance: float, forms: Sequence[Alternative]) -> Source:
-    """What other forms add to the variance about the value."""
+    """Variance about the value that other forms add."""
     total = sum(f.weight * (f.variance + (f.log_value - log_value) ** 2) for f in forms)
     others = [f for f in forms if f.weight >= 0.01 and abs(f.log_value - log_value) > 1e-9]
     said = ", ".join(
-        f"{f.name} {100.0 * math.expm1(f.log_value - log_value):+.0f} % ({100.0 * f.weight:.0f} % of the evidence)"
+        f"{f.name} {100.0 * math.expm1(f.log_value - log_value):+.0f} % ({100.0 * f.weight:.0f} % of the "
+        "evidence)"
         for f in others
     )
     return Source("forms", max(total - variance, 0.0), said or "no other form has evidence")
 
 
 def from_free_run(log_value: float, variance: float, free: Alternative, level: float = 0.95) -> Source:
-    """What the free run's own estimate says, where it contradicts the likelihood's at the interval's level."""
+    """Variance due to the free run's own estimate, where it contradicts the likelihood's at the interval's
+    level."""
     apart, both = free.log_value - log_value, variance + free.variance
     contradicts = apart**2 > normal_quantile(level) ** 2 * both
     return Source(
@@ -98,12 +120,12 @@ def from_free_run(log_value: float, variance: float, free: Alternative, level: f
 
 
 def from_clocks(variance: float, shift: float, said: str) -> Source:
-    """Offsets of clocks: their uncertainty, and what the most likely ones would change."""
+    """Variance due to clock offsets: their uncertainty, and the effect of the most likely ones."""
     return Source("clocks", variance + shift**2, said)
 
 
 def from_sampling(shift: float, step_h: float) -> Source:
-    """Half as many ambient readings move the estimate by `shift`."""
+    """Variance due to sampling: half as many ambient readings move the estimate by `shift`."""
     return Source(
         "sampling",
         shift**2 / 3.0,
@@ -113,7 +135,7 @@ def from_sampling(shift: float, step_h: float) -> Source:
 
 
 def composed(value: float, lower: float, upper: float, level: float, sources: Sequence[Source]) -> Composed:
-    """The interval that a profile's bounds and further sources give; an open side stays open."""
+    """The interval from a profile's bounds and further sources; an open side stays open."""
     z, total = normal_quantile(level), 0.0
     steps = [("profile", lower, upper)]
     for source in sources:

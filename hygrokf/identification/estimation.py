@@ -46,9 +46,9 @@ Progress = Callable[[str], None]
 class Stage:
     """One identified likelihood.
 
-    `bounds` of its time constants, by the profile likelihood; `clock` what the clocks of other sources do to them;
-    `sampling` their change (ln) with half as many ambient readings; `forms` that competed, the chosen one among them;
-    `response_stated` whether the response time of the humidity's sensor is stated.
+    `bounds`: of its time constants, by the profile likelihood; `clock`: effect of the other sources' clocks
+    on them; `sampling`: their change (ln) with half as many ambient readings; `forms`: all competing forms,
+    including the chosen one; `response_stated`: whether the response time of the humidity sensor is stated.
     """
 
     base: Design
@@ -68,9 +68,9 @@ class Stage:
 
 @dataclass(frozen=True)
 class Estimated:
-    """One likelihood with its maximum, not yet judged.
+    """One likelihood with its maximum, before its uncertainty is known.
 
-    `rate_step`: as in `Likelihood`, for the estimate and for what judges it.
+    `rate_step`: as in `Likelihood`, for the estimate and its uncertainty.
     """
 
     base: Design
@@ -84,17 +84,19 @@ class Estimated:
 
 
 def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say: Progress) -> Stage:
-    """Estimate one likelihood on the identification period `early` in the form that it calls for; say how sure it is."""
+    """Estimate one likelihood on the identification period `early`, in the form that the record supports,
+    with its uncertainty."""
     found, forms = formed(early, estimated(early, base, starts, say), say)
     return judged(early, found, profiles, say, forms)
 
 
 def formed(early: Record, found: Estimated, say: Progress) -> tuple[Estimated, tuple[Form, ...]]:
-    """The form that the evidence of a record chooses, and all forms with their weights.
+    """The form that the evidence of a record selects, and all forms with their weights.
 
-    A form with `ADOPTED` of the evidence becomes the base, its share is divided among what competes with it in turn, and
-    so on until none is adopted.  One whose own parameters end at an end of their range, there or beside a form adopted
-    later, is not: something else is at work.
+    A form with more than `ADOPTED` of the evidence becomes the base, and its share is divided among the forms
+    that compete with it, until no further form is adopted.  A form is not adopted when one of its own
+    parameters ends at a limit of its range, there or beside a form adopted later, because this indicates
+    another cause.
     """
     say("forms of the model")
     forms = weighed(early, found.base, found.run, found.estimate, TIME_CONSTANTS, _search(found.likelihood))
@@ -123,7 +125,7 @@ def judged(
 ) -> Stage:
     """Uncertainty, bounds of the time constants, and their sensitivity to clocks and sampling.
 
-    Where a profile meets a higher likelihood than the estimate's, the estimate is climbed on from there first.
+    Where a profile meets a higher likelihood than the estimate's, the estimate is first refitted from there.
     """
     spread, bounds = _bounded(found, profiles, say)
     better = next((b.better for b in bounds.values() if b.better is not None), None)
@@ -163,7 +165,7 @@ def _bounded(found: Estimated, profiles: bool, say: Progress) -> tuple[Uncertain
 
 
 def _search(likelihood: Likelihood) -> Likelihood | None:
-    """The likelihood of a shorter stretch, for trying starts and forms; None where the record is short."""
+    """The likelihood of a shorter stretch for trying starts and forms; None where the record is short."""
     t = likelihood.timeline
     if t.time[-1] <= 2.0 * 24.0 * SEARCH_DAYS:
         return None
@@ -171,7 +173,7 @@ def _search(likelihood: Likelihood) -> Likelihood | None:
 
 
 def _moved(early: Record, old: Estimated, passes: int) -> dict[str, float]:
-    """The estimate on a record that was changed a little, climbed from the old one."""
+    """The estimate on a slightly changed record, starting from the old estimate."""
     estimate = old.estimate
     likelihood = Likelihood(old.base.model, prepare_run(old.base, early).timeline, rate_step=old.rate_step)
     found = climb(Objective(likelihood, estimate.coordinates), estimate.z, passes=passes, tolerance=0.05)
@@ -181,9 +183,10 @@ def _moved(early: Record, old: Estimated, passes: int) -> dict[str, float]:
 def _sampling(
     early: Record, old: Estimated, names: tuple[str, ...], say: Progress
 ) -> dict[str, float] | None:
-    """Change of the log time constants with ambient readings half as often.
+    """Change of the log time constants with half as many ambient readings.
 
-    What the ambient does between its readings is reconstructed; this says how much that could matter.
+    The course of the ambient between its readings is reconstructed; the change shows how much an error in it
+    could matter.
     """
     sparse = [thinned(s) for s in early.series if s.signal.startswith("ambient_")]
     if not sparse or not all(len(s) > 2 for s in sparse):
@@ -197,13 +200,16 @@ def _sampling(
 def smoothed_temperature(
     base: Design, made: Run, values: Mapping[str, float], early: Record, humidity: str
 ) -> Series:
-    """The cabinet air temperature given all its readings [K], at the run's instants and the times of the humidity.
+    """The cabinet air temperature given all its readings [K], at the run's instants and the times of the
+    humidity.
 
-    `base` a thermal design with its run on `early` and its parameters; `humidity` the signal of the cabinet's humidity.
+    `base` is a thermal design with its run on `early` and its parameters; `humidity` is the signal of the
+    cabinet's humidity.
 
-    The hygric model divides by e_s(T): with raw readings their noise would weaken that dependence, as errors in a
-    regressor do, and end up in the humidity sensor's bias; the smoothed temperature is free of it.  A slow humidity sensor
-    carries the temperature between the readings, which ambient and power tell better than the chord.
+    The hygric model divides by e_s(T).  The noise of raw readings would attenuate that dependence, as errors
+    in a regressor do, and bias the humidity sensor's estimate; the smoothed temperature avoids this.  A slow
+    humidity sensor also responds to the temperature between the readings, which ambient and power determine
+    better than a straight line.
     """
     t = made.timeline
     mean, _ = smooth(Likelihood(base.model, t), values, covariance=False)
@@ -217,7 +223,8 @@ def smoothed_temperature(
 
 
 def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> dict[str, OutputError]:
-    """Output-error estimates: the thermal model on temperature, the hygric one on the measured temperature."""
+    """Output-error estimates: the thermal model on temperature, the hygric one on the measured
+    temperature."""
     plain = _plain(base, values)
     fitted: dict[str, Design] = {}
     if "thermal_network" in [name for name, _ in base.mechanisms]:
@@ -226,7 +233,7 @@ def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> d
             mechanisms=tuple(m for m in base.mechanisms if m[0] in _THERMAL_PLAIN),
             humidity=None,
             averaged={k: v for k, v in base.averaged.items() if k == "cabinet_temperature"},
-            priors={},  # what other turbines say is no part of this criterion
+            priors={},  # priors from other turbines have no place in this criterion
         )
     if base.humidity is not None and "cabinet_temperature" in early:
         fitted["hygric_k"] = _with_sensors_of(base, design(early, kind=CASCADE, coloured=False))
@@ -248,7 +255,7 @@ _THERMAL_PLAIN = (
 
 
 def _with_sensors_of(base: Design, other: Design) -> Design:
-    """The other design with the sensors that the base has, their response included."""
+    """The other design with the sensors of the base, including their response."""
     sensors = {name: settings for name, settings in base.mechanisms if name.endswith("humidity_sensor")}
     return replace(
         other, mechanisms=tuple((name, sensors.get(name, settings)) for name, settings in other.mechanisms)

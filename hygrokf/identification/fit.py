@@ -1,42 +1,64 @@
-"""An identified model as a noun: everything to repeat it, to use it elsewhere, and to report it."""
+"""An identified model with everything needed to repeat it, use it elsewhere and report it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from hygrokf.identification.verdict import with_verdicts
+from hygrokf.data.structured import plain, structured
+from hygrokf.identification.fit_results import FitResults
+from hygrokf.identification.verdict import inherited, told, with_verdicts
 from hygrokf.modelling.design import Design
 
 
 @dataclass(frozen=True)
 class Fit:
-    """An identified model: everything to repeat it and to use it elsewhere.
+    """An identified model: everything needed to repeat it and to use it elsewhere.
 
-    `design` and `values` make the model; `results` is the plain data of `fit.json`; `series` the arrays for pictures.
+    `design` and `values` make the model; `results` is what `fit.json` says; `series` the arrays for figures.
     """
 
     name: str
     design: Design
     values: Mapping[str, float]
-    results: Mapping[str, Any]
+    results: FitResults = field(default_factory=FitResults)
     series: Mapping[str, np.ndarray] = field(default_factory=dict)
 
-    @cached_property
+    @property
     def covariance(self) -> tuple[tuple[str, ...], np.ndarray]:
         """Names and covariance (r, r) of the parameters that have one, in their own units."""
-        found = self.results["covariance"]
-        return tuple(found["names"]), np.array(found["matrix"], dtype=float).reshape(len(found["names"]), -1)
+        found = self.results.covariance
+        count = len(found.names)
+        return found.names, found.matrix.reshape(count, -1) if count else np.empty((0, 0))
 
-    def to_json(self) -> dict:
-        return dict(self.results)
+    def to_json(self) -> dict[str, Any]:
+        """The data of `fit.json`."""
+        data: dict[str, Any] = plain(self.results)
+        return data
 
     @classmethod
-    def from_json(cls, data: Mapping) -> Fit:
-        """A fit from what `to_json` gave; one that states no verdicts on its numbers is judged by its own data."""
-        values = {name: row["value"] for name, row in data["parameters"].items()}
-        return cls(data["name"], Design.from_json(data["design"]), values, with_verdicts(data))
+    def from_json(cls, data: Mapping[str, Any]) -> Fit:
+        """A fit from the data of `to_json`; verdicts that the data lack are decided from the data.
+
+        Raises StructureFault with every fault and its place.
+        """
+        results = with_verdicts(structured(FitResults, dict(data)))
+        if results.design is None:
+            raise ValueError("design: expected, and missing")
+        values = {name: row.value for name, row in results.parameters.items()}
+        return cls(results.name, results.design, values, results)
+
+    def __str__(self) -> str:
+        """The name with its time constants and their verdicts."""
+        return "\n".join([self.name, *told(inherited(self.results))])
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        """The page of the fit, for a notebook."""
+        from hygrokf.report.fit_page import report_page
+
+        return report_page(self.results, self.series)

@@ -1,17 +1,19 @@
-"""Forms of one part of the model that compete with its base, and how much of the evidence each of them has.
+"""Competing forms of one part of the model, and their shares of the evidence.
 
-A time constant belongs to a form: with a second thermal mass, natural convection, a second disturbance or a sensor that
-responds slowly the same readings give another one.  Each form here is the base with one mechanism more, fitted from the
-base's own maximum (so that it is never worse), and has the evidence
+A time constant depends on the model's form: with a second thermal mass, natural convection, a second
+disturbance or a slow sensor, the same readings give another value.  Each form here is the base with one more
+mechanism, fitted from the base's own
+maximum (so that it is never worse), and has the evidence
 
     ln Z = ln L̂/c + Σ ln min(1, √(2π) σ_j / w_j),
 
-over its further parameters j with the posterior standard deviations σ_j (each given those before it) and the widths w_j
-of their ranges, in their coordinates: Laplace's approximation with priors that are flat over the ranges.  At a bound that
-the score g_j points beyond, 1/(|g_j| w_j) takes the factor's place.  c ≥ 1 is the base's ratio of the sandwich variance to
-the plain one: under a model that is not quite right, 2 ln L̂ is too large by that factor.
+over its further parameters j with the posterior standard deviations σ_j (each given those before it) and the
+widths w_j of their ranges, in their coordinates: Laplace's approximation with priors that are flat over the
+ranges.  For a parameter at a bound that the score g_j points beyond, the factor is 1/(|g_j| w_j).  c ≥ 1 is
+the base's ratio of the sandwich variance to the plain one: under a slightly wrong model, 2 ln L̂ is too large
+by that factor.
 
-Weights are the shares of Z, all forms equally likely beforehand.
+Weights are the shares of Z, with equal prior probability of all forms.
 """
 
 from __future__ import annotations
@@ -40,32 +42,36 @@ SECOND = {
     "heat_disturbance": "second heat disturbance",
     "vapour_disturbance": "second vapour disturbance",
 }
-"""Coloured disturbances, and the names of the forms in which another one on another time scale stands beside them."""
+"""Coloured disturbances, and the names of the forms that add another one on another time scale."""
 OTHER_TIMES = (0.2, 5.0)
-"""[1] correlation times of a second disturbance to start from, as multiples of the first one's."""
+"""[1] initial correlation times of a second disturbance, as multiples of the first one's."""
 LONGEST_RESPONSE_H = 1.0 / 3.0
-"""[h] longest response of a humidity sensor that is not stated: behind filters 5 to 15 min are usual."""
+"""[h] longest response time of a humidity sensor without a stated one: behind filters 5 to 15 min are
+usual."""
 ADOPTED = 0.99
-"""[1] share of the evidence with which a form becomes the base; with 0.95 a slow second disturbance took the place of sensors
-that drift, which then were not found."""
+"""[1] share of the evidence with which a form becomes the base; with 0.95 a slow second disturbance replaced
+drifting sensors, which then went undetected.
+"""
 PASSES = 15
-"""Passes of scoring after which a form's climb ends, wherever it is."""
+"""Scoring passes after which a form's climb is stopped."""
 TOLERANCE = 0.02
-"""Promised gain in ln L at which it ends: a fiftieth of what would change a weight by much."""
+"""Promised gain in ln L at which the climb ends: a fiftieth of a gain that changes a weight noticeably."""
 SEARCH_STEP = 0.85
-"""Largest product of the fastest rate and a sub-step while a form is compared; its last digits do not matter."""
+"""Largest product of the fastest rate and a sub-step while forms are compared, where the last digits do not
+matter."""
 SCOUT_GAIN = -3.0
-"""Change of ln L on the shorter stretch below which a form is not followed on the whole record."""
+"""Change of ln L on the shorter stretch below which a form is not tried on the whole record."""
 UNSTATED = {
     "cabinet_relative_humidity": "humidity_sensor",
     "cabinet_absolute_humidity": "absolute_humidity_sensor",
 }
-"""Signals whose sensor's response is estimated where it is not stated, and their mechanisms."""
+"""Signals whose sensor response is estimated where it is not stated, and the mechanisms of these sensors."""
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A form to be tried: `design`, where to start beside the base's maximum, and whether it may become the base."""
+    """A form to try: `design`, start values besides the base's maximum, and whether it may become the
+    base."""
 
     name: str
     design: Design
@@ -77,9 +83,9 @@ class Candidate:
 class Form:
     """A form on one record.
 
-    `estimate` its maximum; `gain` in the penalised ln L over the base; `weight` its share of the evidence [1];
-    `covariance` (f, f) of the coordinates `names` that are inside their bounds, from the wider of expected information and
-    sandwich.
+    `estimate` is its maximum; `gain` its advantage over the base in the penalised ln L; `weight` its share of
+    the evidence [1]; `covariance` (f, f) that of the coordinates `names` inside their bounds, from the wider
+    of expected information and sandwich.
     """
 
     name: str
@@ -92,12 +98,13 @@ class Form:
     adoptable: bool = False
 
     def within(self, chosen: Form) -> Form:
-        """This form as one of those into which the share of an adopted one is divided."""
+        """This form as one of those that share the weight of an adopted form."""
         name = chosen.name if self.name == BASE else f"{chosen.name} + {self.name}"
         return replace(self, name=name, gain=chosen.gain + self.gain, weight=chosen.weight * self.weight)
 
     def variance(self, slopes: Mapping[str, float]) -> float:
-        """Variance of a combination of coordinates with these slopes (delta method); those at a bound have none."""
+        """Variance of a combination of coordinates with these slopes (delta method); coordinates at a bound
+        contribute none."""
         inside = [name for name in slopes if name in self.names]
         places = [self.names.index(name) for name in inside]
         slope = np.array([slopes[name] for name in inside])
@@ -106,7 +113,8 @@ class Form:
 
 @dataclass(frozen=True)
 class _Curvature:
-    """Score and covariance at a maximum, by the expected information of one pass; `factor` as in `Uncertainty`."""
+    """Score and covariance at a maximum, by the expected information of one pass; `factor` as in
+    `Uncertainty`."""
 
     names: tuple[str, ...]
     covariance: np.ndarray
@@ -133,7 +141,7 @@ class _Short:
 
 
 def candidates(base: Design, early: Record, made: Run, values: Mapping[str, float]) -> list[Candidate]:
-    """The forms that a design with these parameters may be compared with on a record; none that it has already."""
+    """The forms to compare with a design on a record, except those that the design already contains."""
     names = [name for name, _ in base.mechanisms]
     found: list[Candidate] = []
     if "thermal_network" in names:
@@ -162,9 +170,10 @@ def candidates(base: Design, early: Record, made: Run, values: Mapping[str, floa
 
 
 def _second(base: Design, first: str, values: Mapping[str, float]) -> Candidate:
-    """A second disturbance of a kind, from a faster and a slower one.
+    """A second disturbance of the same kind, with a faster and a slower start.
 
-    A real disturbance rarely has one time scale alone, and what is left over would be taken for the cabinet's dynamics.
+    Real disturbances rarely have a single time scale, and the remainder would be attributed to the cabinet's
+    dynamics.
     """
     time, sd = values[f"{first}_time"], values[f"{first}_sd"]
     settings = {**dict(base.mechanisms)[first], "start_h": OTHER_TIMES[0] * time}
@@ -189,10 +198,10 @@ def weighed(
     constants: Sequence[str],
     scout: Likelihood | None = None,
 ) -> tuple[Form, ...]:
-    """The base and the forms that compete with it on the identification period `early`, with their weights.
+    """The base and its competing forms on the identification period `early`, with their weights.
 
-    `made` the base's run, `constants` the parameters that the weights are wanted for (their misfit tempers the
-    evidence); `scout`: the base's likelihood of a shorter stretch, on which a form is tried first.
+    `made` is the base's run; `constants` are the parameters of interest, whose misfit tempers the evidence;
+    `scout` is the base's likelihood of a shorter stretch, on which every form is tried first.
     """
     likelihood = Likelihood(base.model, made.timeline)
     at_base = _curvature(Objective(likelihood, estimate.coordinates), estimate)
@@ -226,9 +235,10 @@ def weighed(
 
 
 def ended(found: Estimate, base: Estimate) -> set[str]:
-    """Names of an estimate's parameters beside the base's that are at an end of their range: something else is at work.
+    """Parameters of an estimate, besides the base's, that ended at a limit of their range, which indicates
+    another cause.
 
-    A disturbance's may be: the ends of its time are what step and length of the record resolve.
+    Parameters of disturbances are exempt: their limits are set by the step and the length of the record.
     """
     return {
         p.name
@@ -238,7 +248,7 @@ def ended(found: Estimate, base: Estimate) -> set[str]:
 
 
 def _fitted(one: Candidate, whole: Likelihood, base: Estimate, short: _Short | None) -> Estimate | None:
-    """A form's maximum from its starts; None where the shorter stretch speaks against it."""
+    """A form's maximum from its starts; None where the shorter stretch rules the form out."""
     coordinates = Coordinates(one.design.model.parameters)
     starts = [coordinates.start({**base.values, **start}) for start in one.starts]
     if short is not None:
@@ -275,7 +285,7 @@ def _curvature(objective: Objective, estimate: Estimate) -> _Curvature:
 
 
 def _occam(estimate: Estimate, found: _Curvature, further: Sequence[str], temper: float) -> float:
-    """Logarithm of the share of their ranges that the readings leave to the further parameters."""
+    """Logarithm of the share of the further parameters' ranges that remains after the readings."""
     coordinates = estimate.coordinates
     width = dict(zip(coordinates.names, (coordinates.upper - coordinates.lower).tolist(), strict=True))
     inside = [name for name in further if name in found.names]

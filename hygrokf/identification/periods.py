@@ -1,8 +1,8 @@
 """Quasi-stationary periods of a record: stretches over which temperatures and power hardly change.
 
-A *cell* is a stretch of the power's clock of at least ten minutes; a *period* is a run of cells over which cabinet and
-ambient temperature and power stay within their tolerances; an *episode* is what belongs to one spell of weather,
-within which periods are no independent readings.
+A *cell* is a stretch of at least ten minutes on the power's clock.  A *period* is a run of cells over which
+cabinet and ambient temperature and power stay within their tolerances.  An *episode* groups the periods of
+one spell of weather, which are not independent of each other.
 """
 
 from __future__ import annotations
@@ -23,31 +23,33 @@ POWER = "active_power"
 OPERATION = "operation"
 STANDSTILL = "standstill"
 TEMPERATURE_TOLERANCE_K = 0.5
-"""[K] ambient and cabinet temperature stay within ± this over a period (paper, text before equation 1)."""
+"""[K] tolerance ± of ambient and cabinet temperature within a period (paper, text before equation 1)."""
 POWER_TOLERANCE = 0.025
-"""[1] the power stays within ± this share of the rated power over a period."""
+"""[1] tolerance ± of the power within a period, as a share of the rated power."""
 CELL_S = 600.0
-"""[s] the power is judged by its means over about this long at least, as the paper's SCADA data are."""
+"""[s] shortest averaging time of the power, as in the paper's SCADA data."""
 ENOUGH = (30, 10)
-"""Periods and episodes that a length of period must yield before a shorter one is tried."""
+"""Periods and episodes that a length of period must yield; otherwise a shorter one is tried."""
 KEPT = 0.75
-"""[1] a longer length must keep this share of the classes of power and of ambient temperature of the shortest."""
+"""[1] share of the classes of power and of ambient temperature that a longer length must retain from the
+shortest one."""
 EPISODE_GAP_H = 12.0
-"""[h] a pause of this length between periods begins an episode."""
+"""[h] a pause of this length between periods begins a new episode."""
 EPISODE_LONGEST_H = 72.0
-"""[h] an episode is cut before it lasts longer than this."""
+"""[h] longest episode."""
 LAGS = (1, 2, 3, 6)
-"""Blocks by which the instruments of the rough time constant lie in the past."""
+"""Lags, in blocks, of the instruments of the rough time constant."""
 FEWEST_BLOCKS = 100
-"""Blocks that the rough time constant needs."""
+"""Fewest blocks for the rough time constant."""
 
 
 @dataclass(frozen=True)
 class Periods:
-    """Quasi-stationary periods (N,), one point each, in order of time; no two overlap.
+    """Quasi-stationary periods (N,), one point each, in order of time and without overlap.
 
-    `start_s`, `end_s` [s] since 1970-01-01T00:00Z; means over the period: `power` P/P_rated [1], `difference_K`
-    T_conv,a − T_amb, `ambient_K` T_amb; `change_K` of T_conv,a from start to end; `episode` numbers from 0.
+    `start_s`, `end_s` [s] since 1970-01-01T00:00Z; means over the period: `power` P/P_rated [1],
+    `difference_K` T_conv,a − T_amb, `ambient_K` T_amb; `change_K` of T_conv,a from start to end; `episode`
+    numbers from 0.
     """
 
     start_s: np.ndarray
@@ -72,14 +74,14 @@ class Periods:
         return self.change_K * 3600.0 / (self.end_s - self.start_s)
 
     def classes(self, value: np.ndarray, width: float) -> int:
-        """Classes of this width of a value (N,) that are met in at least two episodes."""
+        """Classes of a value (N,), with this width, that occur in at least two episodes."""
         met = np.unique(np.column_stack([np.floor(value / width), self.episode]), axis=0)
         return int((np.unique(met[:, 0], return_counts=True)[1] > 1).sum())
 
 
 @dataclass(frozen=True)
 class Choice:
-    """Periods of the chosen length `window_h` [h], and `reason`: why they are no longer ("" = they need not be)."""
+    """Periods of the chosen length `window_h` [h]; `reason` says why they are not longer ("" = no need)."""
 
     window_h: float
     periods: Periods
@@ -88,11 +90,13 @@ class Choice:
 
 @dataclass(frozen=True)
 class Cells:
-    """Consecutive cells (N,): bounds [s], means, and what decides whether a cell can be part of a period.
+    """Consecutive cells (N,): bounds [s], means, and the properties that decide whether a cell can be part of
+    a period.
 
-    `ranges` lowest and highest value of (cabinet, ambient, power), in units of what a period may span; `change_K` and
-    `ambient_change_K` of the cabinet and ambient temperature from start to end; `running` share of the cell with
-    P > 0; `regime` 1 in operation, 0 at standstill, -1 mixed; `usable` known throughout, with no logged heater on.
+    `ranges` lowest and highest value of (cabinet, ambient, power), in units of the tolerated range;
+    `change_K` and `ambient_change_K` of the cabinet and ambient temperature from start to end; `running`
+    share of the cell with P > 0; `regime` 1 in operation, 0 at standstill, -1 mixed; `usable` known
+    throughout, with no logged heater on.
     """
 
     start: np.ndarray
@@ -114,7 +118,7 @@ def known(record: Record, name: str) -> bool:
 
 
 def _bridge_h(series: Series) -> float:
-    """Longest hole that one missing reading leaves [h]; a longer one is a gap."""
+    """Longest hole that one missing reading leaves [h]; longer holes are gaps."""
     return max(2.5 * reading_step_h(series) - series.interval_s / 3600.0, 0.0)
 
 
@@ -125,12 +129,12 @@ def cell_edges(series: Series, first: float, last: float) -> np.ndarray:
     edges = edges[(edges >= first) & (edges <= last)]
     if len(edges) == 0:
         return edges
-    # Rounding keeps a clock of about ten minutes whole where its stamps are a few seconds off.
+    # rounding keeps a clock of about ten minutes intact where its stamps are a few seconds off
     return edges[np.unique(np.round((edges - edges[0]) / CELL_S), return_index=True)[1]]
 
 
 def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> Cells:
-    """The cells between the edges: exact means and ranges of each course, which runs by its own hold."""
+    """The cells between the edges, with exact means and ranges of each course under its own hold."""
     edges = edges if len(edges) > 1 else np.empty(0)
     first, last = (edges[0], edges[-1]) if len(edges) else (math.inf, -math.inf)
     heaters = [name for name in HEATERS if name in record]
@@ -168,7 +172,7 @@ def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> C
         power, running = mean(relative), mean((relative > 0).astype(float))
         usable &= np.isfinite(power)
     for name in heaters:
-        # As in `drivers.run`, a duty that nobody wrote down is none.
+        # as in `modelling.inputs.prepare_run`, a missing duty counts as 0
         usable &= ~(mean((np.nan_to_num(at_times(record[name], middle, 24.0)) > 0).astype(float)) > 0)
     width_K, width = 2.0 * TEMPERATURE_TOLERANCE_K, 2.0 * POWER_TOLERANCE
     ranges = (
@@ -195,20 +199,20 @@ def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> C
 def earliest_starts(cells: Cells, longest_h: float) -> np.ndarray:
     """First cell (N,) of the longest stationary run that ends with each cell; N where the cell is in no run.
 
-    The reach doubles: level k knows the ranges over 2^k cells, and a run takes every level that it can, from the
-    highest down.
+    The reach doubles: level k holds the ranges over 2^k cells, and a run takes every level that fits, from
+    the highest down.
     """
     count = len(cells.start)
     if count == 0:
         return np.empty(0, int)
     place = np.arange(count)
-    slack = 1.0 + 1e-6  # 0.1 K readings that differ by 1 K do so to rounding only
+    slack = 1.0 + 1e-6  # readings in steps of 0.1 K that differ by 1 K do so only up to rounding
     fine = cells.usable & (cells.regime >= 0)
     for low, high in cells.ranges:
         fine &= np.nan_to_num(high - low, nan=np.inf) <= slack
     broken = ~fine
     broken[1:] |= (cells.regime[1:] != cells.regime[:-1]) | (cells.start[1:] > cells.end[:-1])
-    # A run may not reach back beyond the cell after the last unusable one, or the last change of regime.
+    # a run may not begin before the cell after the last unusable one or the last change of regime
     barrier = np.maximum.accumulate(np.where(broken, place + (~fine).astype(int), 0))
     typical_h = float(np.quantile(cells.end - cells.start, 0.1)) / 3600.0
     levels = max(1, math.ceil(math.log2(longest_h / typical_h + 2.0)))
@@ -244,7 +248,7 @@ def earliest_starts(cells: Cells, longest_h: float) -> np.ndarray:
 
 
 def periods_of_length(cells: Cells, earliest: np.ndarray, regime: str, window_h: float) -> Periods:
-    """Periods of at least this length [h] that do not overlap, laid from the end backwards."""
+    """Non-overlapping periods of at least this length [h], placed from the end backwards."""
     wanted = cells.regime == (1 if regime == OPERATION else 0)
     begin = np.searchsorted(cells.start, cells.end - window_h * 3600.0 + 1e-3, side="right") - 1
     possible = wanted & (begin >= earliest)
@@ -278,7 +282,8 @@ def periods_of_length(cells: Cells, earliest: np.ndarray, regime: str, window_h:
 
 
 def _episodes(start: np.ndarray, end: np.ndarray) -> np.ndarray:
-    """Number of the episode (N,) of each period: a spell without a long pause, cut where it lasts too long."""
+    """Episode number (N,) of each period: a new one begins after a long pause and where the longest duration
+    is reached."""
     numbers, number = [], -1
     begun = ended = -math.inf
     for a, b in zip(start.tolist(), end.tolist(), strict=True):
@@ -292,11 +297,11 @@ def _episodes(start: np.ndarray, end: np.ndarray) -> np.ndarray:
 def choose_length(
     cells: Cells, earliest: np.ndarray, regime: str, shortest_h: float, longest_h: float
 ) -> Choice:
-    """Periods of the longest length up to `longest_h` [h] that still leaves enough of them.
+    """Periods of the longest length up to `longest_h` [h] that still yields enough of them.
 
-    Enough are `ENOUGH` periods and episodes that keep `KEPT` of the classes of power (tenths of the rated) and of
-    ambient temperature (5 K) which the shortest length meets. Lengths are multiples of the cells', by steps of a
-    quarter; where none is enough it is the shortest.
+    Enough means `ENOUGH` periods and episodes that retain the share `KEPT` of the classes of power (tenths of
+    the rated) and of ambient temperature (5 K) found with the shortest length. Lengths are multiples of the
+    cells' length, increasing by a quarter; where none yields enough, the shortest is taken.
     """
     cell_h = float(np.median(cells.end - cells.start)) / 3600.0 if len(cells.start) else shortest_h
     steps = max(1, math.ceil(math.log(longest_h / shortest_h) / math.log(1.25)))
@@ -321,12 +326,14 @@ def choose_length(
 
 
 def rough_time_constant(cells: Cells) -> float | None:
-    """(R_AT+R_IC) C [h] from all blocks of the record by two-stage least squares; None where they do not tell.
+    """(R_AT+R_IC) C [h] from all blocks of the record by two-stage least squares; None where they do not
+    determine it.
 
     The mean of equations (2) and (3) over a block of length h is exact, with Δ the change over it:
         T_conv,a − T_amb = f_ΔT − τ ΔT_conv,a/h + (1−ρ) τ ΔT_amb/h.
-    Coloured disturbances of f_ΔT move T_conv,a too; power and ambient temperature of earlier blocks do not know them
-    and stand in for ΔT_conv,a. It serves the choice of a length and the settling of periods; the likelihood knows better.
+    Coloured disturbances of f_ΔT also change T_conv,a. Power and ambient temperature of earlier blocks are
+    independent of them and serve as instruments for ΔT_conv,a. The result is used to choose a length and to
+    settle periods; the likelihood gives the accurate value.
     """
     if len(cells.start) < FEWEST_BLOCKS:
         return None

@@ -1,10 +1,10 @@
-"""From a record to a `Fit`: the whole identification, in the order in which it is reported."""
+"""The whole identification from a record to a `Fit`, in the order of the report."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import partial
 from typing import TYPE_CHECKING, Any
@@ -18,8 +18,10 @@ from hygrokf.estimation.confidence import limit_remarks, normal_quantile, standa
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.output_error import OutputError
 from hygrokf.evaluation.actuator_effects import actuator_effects
+from hygrokf.evaluation.diagnosis import Diagnosis
 from hygrokf.evaluation.scoring import bands, baselines, readings_sd, scores, sensor_share
 from hygrokf.evaluation.simulation import Prediction, measured, simulate
+from hygrokf.identification.composition import closed
 from hygrokf.identification.estimation import (
     LEVEL,
     TIME_CONSTANTS,
@@ -33,6 +35,15 @@ from hygrokf.identification.estimation import (
     smoothed_temperature,
 )
 from hygrokf.identification.fit import Fit
+from hygrokf.identification.fit_results import (
+    Covariance,
+    FitResults,
+    Optimum,
+    ParameterRow,
+    Period,
+    PriorTerms,
+    TimeConstant,
+)
 from hygrokf.identification.time_constants import by_simulation, hygric_entry, thermal_entry
 from hygrokf.identification.verdict import PARTS, with_verdicts
 from hygrokf.modelling.design import CASCADE, JOINT, Design, design, merged
@@ -45,11 +56,11 @@ if TYPE_CHECKING:
 
 STARTS = 5
 DEFAULT_KIND = CASCADE
-"""Decided by trial: docs/decisions/0002-joint-or-cascade.md."""
+"""Chosen by trial: docs/decisions/0002-joint-or-cascade.md."""
 FEWEST = 50
-"""Readings below which nothing is identified."""
+"""Fewest readings from which anything is identified."""
 WELL_KNOWN = 0.1
-"""[1] standard error over value below which a parameter is well known, whatever it is correlated with."""
+"""[1] relative standard error below which a parameter counts as well known, whatever its correlations."""
 CRITERIA = ("likelihood", "simulation")
 
 
@@ -66,10 +77,10 @@ def identify(
     """Identify the thermal and, where there is humidity, the hygric model of a record.
 
     Everything is chosen and estimated on the identification period; the validation period is only scored.
-    `criterion`: "likelihood" (innovations) or "simulation" (free run, as in the paper) gives the reported values; both
-    sets of time constants are always shown.  `kind`: "joint" or "cascade".  `prior`: priors of parameters for a design,
-    from other turbines of the type (`TurbineType.prior`).  Raises ValueError for unknown options and
-    for records from which nothing can be identified.
+    `criterion`: "likelihood" (innovations) or "simulation" (free run, as in the paper) determines the
+    reported values; the time constants of both are always shown.  `kind`: "joint" or "cascade".  `prior`:
+    priors of parameters for a design, from other turbines of the type (`TurbineType.prior`).  Raises
+    ValueError for unknown options and for records from which nothing can be identified.
     """
     if kind not in (JOINT, CASCADE):
         raise ValueError(f"kind: expected {JOINT!r} or {CASCADE!r}, found {kind!r}")
@@ -84,9 +95,10 @@ def identify(
 
 @dataclass(frozen=True)
 class Basis:
-    """What was identified on a record's identification period: one stage, or the two of a cascade.
+    """The stages identified on a record's identification period: one, or the two of a cascade.
 
-    `records` the record that drove each stage; `regression` the heat release over quasi-stationary periods.
+    `records` are the records that drove each stage; `regression` is the heat release over quasi-stationary
+    periods.
     """
 
     kind: str
@@ -112,7 +124,7 @@ def identified(
     say: Progress,
     prior: Callable[[Design], Mapping[str, Prior]] | None = None,
 ) -> Basis:
-    """Estimate and judge every stage on the identification period `early`."""
+    """Estimate every stage on the identification period `early`, with its uncertainty."""
     from hygrokf.identification.steady_state import heat_release_regression
 
     expect_readings(early)
@@ -135,24 +147,24 @@ def identified(
     def own() -> tuple[Record, Stage]:
         return early, judged(early, found, profiles, say, forms)
 
-    def moist(second: Design, humidity: str) -> tuple[Record, Stage]:
+    def moist(base: Design, humidity: str) -> tuple[Record, Stage]:
         say("smoothed cabinet temperature")
         values = found.estimate.values
         driven = early.replace_series(smoothed_temperature(found.base, found.run, values, early, humidity))
-        return driven, identify_stage(driven, second, starts, profiles, say)
+        return driven, identify_stage(driven, base, starts, profiles, say)
 
-    # the hygric stage needs the thermal estimate, not its bounds
     jobs: list[Callable[[], tuple[Record, Stage]]] = [own]
     if second is not None and second.humidity is not None:
+        # the hygric stage needs the thermal estimate, not its bounds
         jobs.append(partial(moist, second, second.humidity))
     driven, stages = zip(*mapped(lambda job: job(), jobs), strict=True)
     return Basis(kind, tuple(stages), tuple(driven), regression)
 
 
 def expect_readings(early: Record) -> None:
-    """Say what is missing where nothing can be identified.
+    """Check that both temperatures have enough readings for an identification.
 
-    early: the identification period.  Raises ValueError with every temperature that has too few readings.
+    early: the identification period.  Raises ValueError that lists every temperature with too few readings.
     """
     missing = [
         f"{name}: expected at least {FEWEST} readings in the identification period, found {found}"
@@ -169,11 +181,12 @@ def expect_readings(early: Record) -> None:
 def _orders(regression: HeatRelease) -> dict[str, Any]:
     """Design settings from the regression: start values, and an order of at least two.
 
-    Cross-validation drops terms that do not help to predict a few dozen stationary periods; left out of the likelihood
-    they become a disturbance that follows the power, and bias the time constant (6 % on simulated plants).  So the
-    likelihood keeps the quadratic term and both ambient slopes; where the data do not need them they come out near 0.
+    Cross-validation drops terms that do not help to predict a few dozen stationary periods.  If the
+    likelihood omitted these terms, they would act as a disturbance that follows the power and bias the time
+    constant (by 6 % on simulated plants).  The likelihood therefore keeps the quadratic term and both ambient
+    slopes; where they are not needed their estimates are near 0.
     """
-    settings: dict = {"heat_start": regression.start()}
+    settings: dict[str, Any] = {"heat_start": regression.start()}
     if regression.operation is not None and regression.operation.coefficients:
         settings["power_order"] = max(2, regression.operation.order)
     return settings
@@ -187,7 +200,8 @@ def assembled(
     say: Progress = lambda text: None,
     rate_step: float | None = None,
 ) -> Fit:
-    """A fit from its stages: free run, scores, bands, tables, on the whole record; `rate_step` as in `Likelihood`."""
+    """A fit from its stages: free run, scores, bands and tables on the whole record; `rate_step` as in
+    `Likelihood`."""
     stages, whole, values, regression, kind = (
         list(basis.stages),
         basis.whole,
@@ -212,98 +226,114 @@ def assembled(
     if criterion == "simulation":
         thermal, moist = by_simulation(thermal), by_simulation(moist)
     table = scores(made, predicted, record.until_s)
-    lines = list(dict.fromkeys(line for stage in stages for line in stage.base.statements))
-    if criterion == "simulation" and any(found.unseen for found in simulated.values()):
-        lines.append(
-            "the free run's least error is the criterion: constant errors of the cabinet's sensors are taken as 0, "
-            "and what there is of them is in the model's parameters"
-        )
-    lines += [e["disagreement"] for e in (thermal, moist) if e and e["disagreement"]]
-    lines += [line for stage in stages for line in _remarks(stage)]
-    n = sum(stage.run.timeline.n_readings for stage in stages)
-    d = sum(len(stage.estimate.z) for stage in stages)
-    loglik = sum(stage.estimate.loglik for stage in stages)
-    first = stages[0]
+    unseen = criterion == "simulation" and any(found.unseen for found in simulated.values())
     doubts = all_doubts(record)
-    results: dict = {
-        "name": record.name,
-        "version": __version__,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "synthetic": "synthetic" in record.name.lower(),
-        "criterion": criterion,
-        "kind": kind,
-        "rated_power_kW": None if record.rated_power_W is None else record.rated_power_W / 1e3,
-        "site": None if record.site is None else asdict(record.site),
-        "period": _period(record, first),
-        "design": whole.to_json(),
-        "statements": lines,
-        "warnings": list(record.warnings),
-        "doubts": list(doubts),
-        "doubted": doubted(doubts),
-        "provenance": [list(p) for p in record.provenance],
-        "parameters": _rows(
+    scored = FitResults(
+        rmse=table,
+        baselines=baselines(made, record.until_s),
+        readings_sd=readings_sd(made, record.until_s),
+        sensor_share=sensor_share(record, made, table),
+        bands=bands(whole, values, made, predicted, record.until_s, rate_step),
+        heat_release=regression.thinned(),
+        actuators=actuator_effects(whole, values, errors, made, record),
+    )
+    say("innovations")
+    series = _series(whole, values, made, predicted, record, rate_step)
+    results = replace(
+        _searched(scored, stages),
+        name=record.name,
+        version=__version__,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        synthetic="synthetic" in record.name.lower(),
+        criterion=criterion,
+        kind=kind,
+        rated_power_kW=math.nan if record.rated_power_W is None else record.rated_power_W / 1e3,
+        site=record.site,
+        period=_period(record, stages[0]),
+        design=whole,
+        statements=tuple(_statements(stages, thermal, moist, unseen)),
+        warnings=tuple(record.warnings),
+        doubts=tuple(doubts),
+        doubted={part: tuple(said) for part, said in doubted(doubts).items()},
+        provenance=tuple(record.provenance),
+        parameters=_rows(
             stages,
             values,
             errors,
             simulated if criterion == "simulation" else {},
             {"thermal_time_constant": thermal, "hygric_k": moist},
         ),
-        "covariance": {"names": list(spread[0]), "matrix": spread[1].tolist()},
-        "time_constants": {n: e for n, e in (("thermal", thermal), ("hygric", moist)) if e is not None},
-        "loglik": loglik,
-        "aic": 2.0 * d - 2.0 * loglik,
-        "bic": d * math.log(max(n, 1)) - 2.0 * loglik,
-        "n_obs": n,
-        "converged": all(stage.estimate.converged for stage in stages),
-        "message": "; ".join(dict.fromkeys(stage.estimate.message for stage in stages)),
-        "other_optima": [
-            {"objective": o, **{k: v[k] for k in TIME_CONSTANTS if k in v}}
-            for stage in stages
-            for o, v in stage.estimate.others
-        ],
-        "at_bounds": [name for stage in stages for name in stage.estimate.at_bounds],
-        "flat": [name for stage in stages for name in stage.uncertainty.flat],
-        "trade_offs": [list(t) for stage in stages for t in stage.uncertainty.trade_offs],
-        "rmse": table,
-        "baselines": baselines(made, record.until_s),
-        "readings_sd": readings_sd(made, record.until_s),
-        "sensor_share": sensor_share(record, made, table),
-        "bands": bands(whole, values, made, predicted, record.until_s, rate_step),
-        "heat_release": regression.to_json(),
-        "actuators": actuator_effects(whole, values, errors, made, record),
-    }
-    say("innovations")
-    series = _series(whole, values, made, predicted, record, rate_step)
-    results["innovations"] = _diagnosis(made, series, record)
-    results["identified_on"] = _identified_on(whole, made, record)
+        covariance=Covariance(*spread),
+        time_constants={n: e for n, e in (("thermal", thermal), ("hygric", moist)) if e is not None},
+        innovations=_diagnosis(made, series, record),
+        identified_on=_identified_on(whole, made, record),
+    )
     return Fit(record.name, whole, values, with_verdicts(results), series)
 
 
-def _period(record: Record, stage: Stage) -> dict:
+def _statements(
+    stages: Sequence[Stage], thermal: TimeConstant | None, moist: TimeConstant | None, unseen: bool
+) -> list[str]:
+    """The statements of a fit; `unseen`: the criterion takes constant sensor errors as 0."""
+    lines = list(dict.fromkeys(line for stage in stages for line in stage.base.statements))
+    if unseen:
+        lines.append(
+            "the free run's least error is the criterion: constant errors of the cabinet's sensors are taken "
+            "as 0, and what there is of them is in the model's parameters"
+        )
+    lines += [e.disagreement for e in (thermal, moist) if e and e.disagreement]
+    return lines + [line for stage in stages for line in _remarks(stage)]
+
+
+def _searched(results: FitResults, stages: Sequence[Stage]) -> FitResults:
+    """The results with likelihood, information criteria, and how the search for each maximum ended."""
+    n = sum(stage.run.timeline.n_readings for stage in stages)
+    d = sum(len(stage.estimate.z) for stage in stages)
+    loglik = sum(stage.estimate.loglik for stage in stages)
+    return replace(
+        results,
+        loglik=loglik,
+        aic=2.0 * d - 2.0 * loglik,
+        bic=d * math.log(max(n, 1)) - 2.0 * loglik,
+        n_obs=n,
+        converged=all(stage.estimate.converged for stage in stages),
+        message="; ".join(dict.fromkeys(stage.estimate.message for stage in stages)),
+        other_optima=tuple(
+            Optimum(o, **{k: v[k] for k in TIME_CONSTANTS if k in v})
+            for stage in stages
+            for o, v in stage.estimate.others
+        ),
+        at_bounds=tuple(name for stage in stages for name in stage.estimate.at_bounds),
+        flat=tuple(name for stage in stages for name in stage.uncertainty.flat),
+        trade_offs=tuple(pair for stage in stages for pair in stage.uncertainty.trade_offs),
+    )
+
+
+def _period(record: Record, stage: Stage) -> Period:
     def stamp(seconds: float | None) -> str | None:
         return None if seconds is None else datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
 
-    return {
-        "start": stamp(record.start_s),
-        "until": stamp(record.until_s),
-        "end": stamp(record.end_s),
-        "n_instants": len(stage.run.timeline),
-        "n_readings": stage.run.timeline.n_readings,
-    }
+    start, until, end = (stamp(seconds) for seconds in (record.start_s, record.until_s, record.end_s))
+    return Period(start, until, end, len(stage.run.timeline), stage.run.timeline.n_readings)
 
 
 def shared_error(
     pair: Sequence[Parameter], values: Sequence[float], errors: Sequence[float], correlation: float
 ) -> str:
-    """What a high correlation of two estimates means: `errors` are their standard errors, in the values' units.
+    """The meaning of a high correlation of two estimates; `errors` are their standard errors, in the values'
+    units.
 
-    Where both are well known it takes nothing away; else only a combination is identified.  A difference (a ratio of
-    positive parameters) is better known than either where their errors are of like size.
+    Where both are well known, the correlation does no harm; otherwise only a combination is identified.
+    Their difference (the ratio of positive parameters) is better known than either where their errors are of
+    similar size.
     """
     a, b = (p.name for p in pair)
     if not all(se < WELL_KNOWN * abs(value) for se, value in zip(errors, values, strict=True)):
-        return f"{a} and {b} trade off against each other (correlation {correlation:.2f}): only a combination is identified"
-    # positive parameters are estimated by their logarithms, and correlated so
+        return (
+            f"{a} and {b} trade off against each other (correlation {correlation:.2f}): only a "
+            "combination is identified"
+        )
+    # positive parameters are estimated as logarithms, to which the correlation applies
     sizes = [se / value if p.positive else se for p, se, value in zip(pair, errors, values, strict=True)]
     better = "a combination"
     if pair[0].positive == pair[1].positive and max(sizes) < 2.0 * abs(correlation) * min(sizes):
@@ -315,13 +345,13 @@ def shared_error(
 
 
 def _remarks(stage: Stage) -> list[str]:
-    """Directions that the data do not pin down, in words."""
+    """Sentences about directions that the data do not determine."""
     lines = []
     estimate, found = stage.estimate, stage.uncertainty
     if "resistance_ratio" in estimate.at_bounds and estimate.values["resistance_ratio"] > 0.99:
         lines.append(
-            "resistance_ratio is at its bound 1: the readings show no fast feed-through of the ambient temperature, "
-            "R_IC cannot be told from 0"
+            "resistance_ratio is at its bound 1: the readings show no fast feed-through of the ambient "
+            "temperature, R_IC cannot be told from 0"
         )
     others = [name for name in estimate.at_bounds if name != "resistance_ratio"]
     if others:
@@ -345,10 +375,8 @@ def _covariance(
     simulated: Mapping[str, OutputError],
     values: Mapping[str, float],
 ) -> tuple[tuple[str, ...], np.ndarray]:
-    """Covariance of the whole model's estimated parameters in their units.
-
-    It is the sandwich of every stage, or of the output error.
-    """
+    """Covariance of the whole model's estimated parameters in their units: the sandwich of every stage, or of
+    the output error."""
     blocks: list[tuple[tuple[str, ...], np.ndarray]] = []
     known = {p.name for p in whole.model.parameters}
     for stage in stages:
@@ -357,7 +385,7 @@ def _covariance(
         names = tuple(n for n in stage.uncertainty.names if n not in taken and n in known)
         place = [stage.uncertainty.names.index(n) for n in names]
         scale = np.array([slopes[n] for n in names])
-        # the wider of the two pictures on the diagonal, the sandwich's correlations
+        # the wider of both variances on the diagonal, with the sandwich's correlations
         matrix = stage.uncertainty.sandwich[np.ix_(place, place)]
         wald = np.diag(stage.uncertainty.wald)[place]
         grow = np.sqrt(np.maximum(1.0, wald / np.maximum(np.diag(matrix), 1e-300)))
@@ -380,52 +408,58 @@ def _rows(
     values: Mapping[str, float],
     errors: Mapping[str, float],
     simulated: Mapping[str, OutputError],
-    entries: Mapping[str, dict | None],
-) -> dict:
-    """The parameter table; bounds of what the output error estimated come from its own sandwich.
+    entries: Mapping[str, TimeConstant | None],
+) -> dict[str, ParameterRow]:
+    """The parameter table; parameters estimated by the output error have bounds from its own sandwich.
 
-    Parameters behind a reported time constant have its bounds: one number, one statement.
+    Parameters behind a reported time constant have the bounds of that time constant.
     """
     rows = {name: row for stage in stages for name, row in _parameters(stage, values, errors).items()}
     positive = {p.name: p.positive for stage in stages for p in stage.base.model.parameters}
     for found in simulated.values():
-        for name in found.names:
-            if name in rows:
-                lower, upper = found.bounds(name, positive[name])
-                se = 0.5 * (upper - lower) / normal_quantile(LEVEL)
-                row = {"lower": lower, "upper": upper, "se": se}
-                rows[name] |= {key: v if math.isfinite(v) else None for key, v in row.items()}
-                rows[name] |= {"value": found.values[name], "at_bound": name in found.at_bounds}
+        for name in set(found.names) & rows.keys():
+            lower, upper = found.bounds(name, positive[name])
+            rows[name] = replace(
+                rows[name],
+                value=found.values[name],
+                se=closed(0.5 * (upper - lower) / normal_quantile(LEVEL)),
+                lower=closed(lower),
+                upper=closed(upper),
+                at_bound=name in found.at_bounds,
+            )
         for name in set(found.unseen) & rows.keys():
-            rows[name] |= {"value": 0.0, "se": None, "lower": None, "upper": None}
-            rows[name] |= {"prior": None, "fixed": True, "at_bound": False}
+            rows[name] = ParameterRow(
+                0.0, rows[name].unit, meaning=rows[name].meaning, fixed=True,
+                at_guard=rows[name].at_guard, parts=rows[name].parts,
+            )  # fmt: skip
     for name, entry in entries.items():
         if entry is not None:
-            scale = values[name] / entry["value_h"]
-            end = None if entry["upper_h"] is None else entry["upper_h"] * scale
-            rows[name] |= {"lower": entry["lower_h"] * scale, "upper": end}
+            scale = values[name] / entry.value_h
+            rows[name] = replace(rows[name], lower=entry.lower_h * scale, upper=entry.upper_h * scale)
     return rows
 
 
-def _parameters(stage: Stage, values: Mapping[str, float], errors: Mapping[str, float]) -> dict:
+def _parameters(
+    stage: Stage, values: Mapping[str, float], errors: Mapping[str, float]
+) -> dict[str, ParameterRow]:
     rows = {}
-    parts = [part for part, name in zip(PARTS, TIME_CONSTANTS, strict=True) if name in stage.bounds]
+    parts = tuple(part for part, name in zip(PARTS, TIME_CONSTANTS, strict=True) if name in stage.bounds)
     for p in stage.base.model.parameters:
         b = stage.bounds.get(p.name) or wald_bounds(stage.estimate, stage.uncertainty, p.name)
-        se = errors.get(p.name, math.nan)
-        rows[p.name] = {
-            "value": values[p.name],
-            "unit": p.unit,
-            "se": None if not math.isfinite(se) else se,
-            "lower": b.lower if math.isfinite(b.lower) else None,
-            "upper": b.upper if math.isfinite(b.upper) else None,
-            "meaning": p.meaning,
-            "prior": None if p.prior is None else dict(zip(("mean", "sd"), p.prior.in_unit(), strict=True)),
-            "fixed": p.name in stage.estimate.coordinates.fixed,
-            "at_bound": p.name in stage.estimate.at_bounds,
-            "at_guard": p.name in stage.estimate.at_bounds and p.guarded(values[p.name]),
-            "parts": parts,
-        }
+        at_bound = p.name in stage.estimate.at_bounds
+        rows[p.name] = ParameterRow(
+            values[p.name],
+            p.unit,
+            closed(errors.get(p.name, math.nan)),
+            closed(b.lower),
+            closed(b.upper),
+            p.meaning,
+            None if p.prior is None else PriorTerms(*p.prior.in_unit()),
+            p.name in stage.estimate.coordinates.fixed,
+            at_bound,
+            at_bound and p.guarded(values[p.name]),
+            parts,
+        )
     return rows
 
 
@@ -481,8 +515,8 @@ def _series(
     }
 
 
-def _identified_on(design: Design, whole: Run, record: Record) -> dict:
-    """0.1 and 99.9 % quantiles of the inputs over the instants that the model was identified on."""
+def _identified_on(design: Design, whole: Run, record: Record) -> dict[str, tuple[float, float]]:
+    """0.1 and 99.9 % quantiles of the inputs over the instants used for the identification."""
     t = whole.timeline
     chosen = whole.scored.copy()
     if record.until_s is not None:
@@ -490,13 +524,13 @@ def _identified_on(design: Design, whole: Run, record: Record) -> dict:
     if not chosen.any():
         return {}
     return {
-        key: np.quantile(t.input(name)[chosen], [0.001, 0.999]).tolist()
+        key: tuple(np.quantile(t.input(name)[chosen], [0.001, 0.999]).tolist())
         for name, key in IDENTIFIED_ON.items()
         if name in design.model.inputs
     }
 
 
-def _diagnosis(whole: Run, series: Mapping[str, np.ndarray], record: Record) -> dict:
+def _diagnosis(whole: Run, series: Mapping[str, np.ndarray], record: Record) -> Diagnosis:
     """Whiteness of the innovations on the identification period."""
     from hygrokf.evaluation.innovation_tests import diagnose
 

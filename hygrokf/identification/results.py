@@ -1,4 +1,4 @@
-"""A fit on disk: `fit.json` and `series.npz` in one directory, each written whole or not at all."""
+"""A fit on disk: `fit.json` and `series.npz` in one directory, each written atomically."""
 
 from __future__ import annotations
 
@@ -7,9 +7,8 @@ import json
 import math
 import os
 import re
-import tomllib
-from collections.abc import Mapping
 from pathlib import Path
+from typing import Any, TypeGuard
 
 import numpy as np
 
@@ -22,7 +21,9 @@ from hygrokf.data.files import (
     write_bytes_whole,
     write_text_whole,
 )
-from hygrokf.errors import HygrokfError
+from hygrokf.data.result_file import ResultFault as ResultFault
+from hygrokf.data.structured import StructureFault, plain
+from hygrokf.data.toml_form import FormFault, read_toml
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.derived_inputs import feature_faults
 from hygrokf.modelling.design import Design
@@ -30,23 +31,20 @@ from hygrokf.modelling.registry import absent
 from hygrokf.version import __version__
 
 
-class ResultFault(HygrokfError):
-    """A result file that cannot be read, in one message."""
-
-
 class LibraryAbsent(ResultFault):
-    """A fit whose model has mechanisms of a user's file or of a package that are not loaded."""
+    """A fit whose model has mechanisms from a user's file or package that is not loaded."""
 
 
 def write_fit(fit: Fit, directory: str | os.PathLike[str]) -> Path:
     """Write `fit.json` and `series.npz`; returns the path of fit.json.
 
-    Pages and a discovery of earlier results in the directory are removed first: they would belong to other numbers.
-    Raises OSError as the system gives it.
+    Pages and a discovery of earlier results in the directory are removed first, because they belong to other
+    numbers. Raises OSError from the system.
     """
     directory = Path(directory)
     text, buffer = dump(fit.to_json()), io.BytesIO()
-    np.savez_compressed(buffer, **dict(fit.series))  # type: ignore[arg-type]  # its flag is a keyword too
+    # numpy types the arrays' names as if one of them could be its own option allow_pickle
+    np.savez_compressed(buffer, **fit.series)  # type: ignore[arg-type]
     directory.mkdir(parents=True, exist_ok=True)
     for name in (REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES):
         (directory / name).unlink(missing_ok=True)
@@ -54,29 +52,15 @@ def write_fit(fit: Fit, directory: str | os.PathLike[str]) -> Path:
     return write_text_whole(directory / FIT, text)
 
 
-def dump(data: Mapping) -> str:
-    """JSON text; numbers that JSON cannot hold (NaN, ±∞) become null."""
-    return json.dumps(_plain(data), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-
-
-def _plain(value: object) -> object:
-    if isinstance(value, Mapping):
-        return {str(k): _plain(v) for k, v in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(v) for v in value]
-    if isinstance(value, np.ndarray):
-        return _plain(value.tolist())
-    if isinstance(value, np.generic):
-        return _plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
+def dump(result: object) -> str:
+    """JSON text of a result; numbers that JSON cannot hold (NaN, ±∞) become null."""
+    return json.dumps(plain(result), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
 
 
 def read_fit(path: str | os.PathLike[str]) -> Fit:
-    """A fit from fit.json (or its directory); raises ResultFault with the reason and what to do.
+    """A fit from fit.json (or its directory); raises ResultFault with the reason and the remedy.
 
-    A model with mechanisms of a user's needs them loaded before (`load_library`); else it is LibraryAbsent.
+    Users' mechanisms in the model must be loaded before (`load_library`); otherwise raises LibraryAbsent.
     """
     path = Path(path)
     file = path / FIT if path.is_dir() else path
@@ -114,12 +98,14 @@ def read_fit(path: str | os.PathLike[str]) -> Fit:
             raise LibraryAbsent(f"{file}: {'; '.join(lacking)}")
         fit = Fit.from_json(data)
         faults = _faults(fit)
+    except StructureFault as fault:
+        faults = list(fault.faults)
     except (AttributeError, KeyError, TypeError, ValueError) as fault:
         faults = [f"{type(fault).__name__} {fault}"]
     if faults:
         raise ResultFault(
-            f"{file}: damaged, or written by another version of hygrokf than {__version__}: "
-            f"{'; '.join(faults)}; run `hygrokf fit` again"
+            f"{file}: damaged, or of another version than hygrokf {__version__} (it states "
+            f"{data['version']}): {'; '.join(faults)}; run `hygrokf fit` again"
         )
     return fit
 
@@ -127,25 +113,23 @@ def read_fit(path: str | os.PathLike[str]) -> Fit:
 def _is_case(file: Path) -> bool:
     """Whether a file is TOML that names sources, as a case file does."""
     try:
-        return not {"source", "weather", "identification"}.isdisjoint(
-            tomllib.loads(file.read_text("utf-8-sig"))
-        )
-    except (OSError, ValueError, RecursionError):
+        return not {"source", "weather", "identification"}.isdisjoint(read_toml(file)[1])
+    except FormFault:
         return False
 
 
-def _release(version: object) -> tuple[int, ...]:
-    """Major and minor number of a version; what is none counts as the oldest."""
+def _release(version: Any) -> tuple[int, ...]:
+    """Major and minor number of a version; (0, 0) for anything that is not a version."""
     found = re.match(r"(\d+)\.(\d+)", version) if isinstance(version, str) else None
     return (int(found[1]), int(found[2])) if found else (0, 0)
 
 
 def _faults(fit: Fit) -> list[str]:
-    """What keeps a fit from being used: values and covariance must be those of its model."""
+    """Faults that prevent the use of a fit: values and covariance must belong to its model."""
     faults = []
     for p in fit.design.model.parameters:
         value = fit.values.get(p.name)
-        if value is None or not _is_number(value):
+        if not _is_number(value):
             faults.append(f"parameter {p.name}: expected a number, found {value!r}")
         elif not p.lower * (1 - 1e-9 * math.copysign(1, p.lower)) <= value <= p.upper * (1 + 1e-9):
             faults.append(f"parameter {p.name}: expected {p.lower:g} … {p.upper:g} {p.unit}, found {value:g}")
@@ -162,7 +146,7 @@ def _faults(fit: Fit) -> list[str]:
 
 
 def _design_faults(design: Design) -> list[str]:
-    """Constants by which a design makes inputs of a record, where they cannot be used."""
+    """Faults of the constants with which a design makes inputs from a record."""
     faults = []
     scale, order, mean = design.power_scale_W, design.power_order, design.power_mean
     if scale is not None and not (_is_number(scale) and scale > 0):
@@ -180,5 +164,5 @@ def _design_faults(design: Design) -> list[str]:
     return faults
 
 
-def _is_number(value: object) -> bool:
+def _is_number(value: Any) -> TypeGuard[float]:
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -32,29 +32,30 @@ from hygrokf.physics.mechanisms.thermal import heat_release
 from hygrokf.physics.parameters import Parameter
 
 TIME_CONSTANTS = 3.0
-"""[1] periods are this many thermal time constants long, where there are enough of them."""
+"""[1] length of periods in thermal time constants, where enough periods are that long."""
 SHORTEST_H = 1.0
-"""[h] no period is shorter, nor shorter than two steps of the slowest series."""
+"""[h] shortest period; periods also last at least two steps of the slowest series."""
 LONGEST_H = 12.0
-"""[h] no period is longer: over a day the sun and the weather turn."""
+"""[h] longest period: sun and weather change over a day."""
 FEWEST = (8, 5)
-"""Periods and episodes below which there is no regression."""
+"""Fewest periods and episodes for a regression."""
 EPISODES_A_PARAMETER = 3
-"""Episodes that each coefficient needs."""
+"""Episodes needed for each coefficient."""
 LEAST_AMBIENT_K = 2.0
-"""[K] spread of the ambient temperature without which a slope over it is not tried."""
+"""[K] spread of the ambient temperature needed for a slope over it."""
 WORSE = 2.0
-"""[1] periods are not settled by a time constant that makes their error larger by more than this factor.
-
-Some growth is right: a slow cabinet smooths the disturbances of its heat release, and settling undoes it.
+"""[1] periods are not settled with a time constant that increases their error by more than this factor.  Some
+increase is
+expected: a slow cabinet smooths the disturbances of its heat release, and settling undoes the smoothing.
 """
-JSON_POINTS = 2000
-"""Points that the plain data hold at most."""
+MOST_POINTS = 2000
+"""Largest number of points of a regime in the results of a fit."""
 
 
 @dataclass(frozen=True)
 class Coefficient:
-    """A coefficient of the heat release: `value` by least squares, `se` clustered by episode, `robust` by Huber."""
+    """A coefficient of the heat release: `value` by least squares, `se` clustered by episode, `robust` by
+    Huber."""
 
     value: float
     se: float
@@ -65,8 +66,8 @@ class Coefficient:
 class Candidate:
     """One form tried by leave-one-episode-out cross-validation.
 
-    `error_K` [K] root mean square error over the episodes left out; `excess`, `excess_se` [K²] mean square error above
-    the best form's, and the standard error of this difference over episodes.
+    `error_K` [K] is the root mean square error over the episodes left out; `excess`, `excess_se` [K²] are the
+    mean square error above the best form's and the standard error of this difference over episodes.
     """
 
     order: int
@@ -78,94 +79,99 @@ class Candidate:
 
 
 @dataclass(frozen=True)
-class Regression:
-    """The regression of one regime, "operation" or "standstill".
+class StationaryPoints:
+    """Quasi-stationary periods (N,), one point each, in order of time.
 
-    `window_h` [h] length of the periods; `order` of the polynomial in P/P_rated; `ambient` whether there is a slope
-    over T_amb; `coefficients` by parameter name of `mechanisms.thermal.heat_release`; `points` the periods,
-    `settled_K` (N,) the difference T_conv,a − T_amb that is fitted and `fitted_K` (N,) the fit; `transient_K` [K] root
-    mean square of what the periods' own warming or cooling makes of the difference (None without a time constant),
-    `settled` whether it is taken off; `r2` [1]; `residual_sd_K` [K].
+    `start_s`, `end_s` [s] since 1970-01-01T00:00Z; means over the period: `power` P/P_rated [1],
+    `difference_K` T_conv,a − T_amb, `ambient_K` T_amb; `episode` numbers from 0; `settled_K` the fitted
+    difference T_conv,a − T_amb, `fitted_K` the fit.
     """
 
-    regime: str
-    n_points: int
-    n_episodes: int
-    window_h: float
-    order: int
-    ambient: bool
-    coefficients: Mapping[str, Coefficient]
-    candidates: tuple[Candidate, ...]
-    r2: float
-    residual_sd_K: float
-    transient_K: float | None
-    settled: bool
-    points: Periods
-    settled_K: np.ndarray
-    fitted_K: np.ndarray
-    statement: str
+    start_s: np.ndarray = field(default_factory=lambda: np.empty(0))
+    end_s: np.ndarray = field(default_factory=lambda: np.empty(0))
+    power: np.ndarray = field(default_factory=lambda: np.empty(0))
+    difference_K: np.ndarray = field(default_factory=lambda: np.empty(0))
+    ambient_K: np.ndarray = field(default_factory=lambda: np.empty(0))
+    episode: np.ndarray = field(default_factory=lambda: np.empty(0))
+    settled_K: np.ndarray = field(default_factory=lambda: np.empty(0))
+    fitted_K: np.ndarray = field(default_factory=lambda: np.empty(0))
 
-    def to_json(self) -> dict:
-        """Everything as plain data; of the points at most `JSON_POINTS`, thinned evenly."""
-        kept = slice(None, None, max(1, math.ceil(len(self.points) / JSON_POINTS)))
-        points = {
-            name: getattr(self.points, name)[kept].tolist()
-            for name in ("start_s", "end_s", "power", "difference_K", "ambient_K", "episode")
-        }
-        points |= {"settled_K": self.settled_K[kept].tolist(), "fitted_K": self.fitted_K[kept].tolist()}
-        return {
-            "n_points": self.n_points,
-            "n_episodes": self.n_episodes,
-            "window_h": self.window_h,
-            "order": self.order,
-            "ambient": self.ambient,
-            "coefficients": {name: dict(vars(one)) for name, one in self.coefficients.items()},
-            "cross_validation": [dict(vars(one)) for one in self.candidates],
-            "r2": self.r2,
-            "residual_sd_K": self.residual_sd_K,
-            "transient_K": self.transient_K,
-            "settled": self.settled,
-            "points": points,
-            "statement": self.statement,
-        }
+    def __len__(self) -> int:
+        return len(self.power)
+
+    def thinned(self, most: int) -> StationaryPoints:
+        """At most so many of the points, evenly thinned."""
+        kept = slice(None, None, max(1, math.ceil(len(self) / most)))
+        return StationaryPoints(**{name: value[kept] for name, value in vars(self).items()})
+
+
+@dataclass(frozen=True)
+class Regression:
+    """The regression of one regime, operation or standstill.
+
+    `window_h` [h] length of the periods; `order` of the polynomial in P/P_rated; `ambient` whether there is a
+    slope over T_amb; `coefficients` by parameter name of `mechanisms.thermal.heat_release`;
+    `cross_validation` the forms tried; `points` the periods; `transient_K` [K] root mean square contribution
+    of the periods' own warming or cooling to the difference (None without a time constant), `settled` whether
+    it is subtracted; `r2` [1]; `residual_sd_K` [K].
+    """
+
+    n_points: int = 0
+    n_episodes: int = 0
+    window_h: float = math.nan
+    order: int = 0
+    ambient: bool = False
+    coefficients: Mapping[str, Coefficient] = field(default_factory=dict)
+    cross_validation: tuple[Candidate, ...] = ()
+    r2: float = math.nan
+    residual_sd_K: float = math.nan
+    transient_K: float | None = None
+    settled: bool = False
+    points: StationaryPoints = field(default_factory=StationaryPoints)
+    statement: str = ""
+
+    def thinned(self) -> Regression:
+        """The regression with as many points as results hold."""
+        return replace(self, points=self.points.thinned(MOST_POINTS))
 
 
 @dataclass(frozen=True)
 class HeatRelease:
-    """Heat release of both regimes; a regime is None where there is nothing to fit, and `statement` says why.
+    """Heat release of both regimes; a regime is None where it cannot be fitted, and `statement` gives the
+    reason.
 
-    `reference_K` [K] ambient temperature that the slopes count from; `scale_W` [W] power that counts as 1 (None
-    without power: the whole record is standstill); `time_constant_h` [h] thermal time constant by which the length
-    of the periods was chosen, given or roughly estimated, None where it could not be.
+    `reference_K` [K] ambient temperature at which the slopes are zero; `scale_W` [W] power that counts as 1
+    (None without power: the whole record is standstill); `time_constant_h` [h] thermal time constant that
+    determined the length of the periods, given or roughly estimated, None where it could not be estimated.
     """
 
-    operation: Regression | None
-    standstill: Regression | None
-    reference_K: float | None
-    scale_W: float | None
-    time_constant_h: float | None
-    statement: str
+    operation: Regression | None = None
+    standstill: Regression | None = None
+    reference_K: float | None = None
+    scale_W: float | None = None
+    time_constant_h: float | None = None
+    statement: str = ""
+
+    @property
+    def regimes(self) -> dict[str, Regression]:
+        """The regressions that could be fitted, by regime."""
+        pairs = ((OPERATION, self.operation), (STANDSTILL, self.standstill))
+        return {regime: one for regime, one in pairs if one is not None}
 
     def start(self) -> dict[str, float]:
-        """Start values of the heat release's parameters by name, within their bounds; empty without a regression."""
+        """Start values of the heat release's parameters by name, within their bounds; empty without a
+        regression."""
         values: dict[str, float] = {}
-        for regression in (self.operation, self.standstill):
-            if regression is not None:
-                for parameter in _parameters(regression.regime, regression.order, regression.ambient):
-                    value = regression.coefficients[parameter.name].value
-                    values[parameter.name] = min(max(value, parameter.lower), parameter.upper)
+        for regime, regression in self.regimes.items():
+            for parameter in _parameters(regime, regression.order, regression.ambient):
+                value = regression.coefficients[parameter.name].value
+                values[parameter.name] = min(max(value, parameter.lower), parameter.upper)
         return values
 
-    def to_json(self) -> dict:
-        """Everything as plain data."""
-        return {
-            OPERATION: None if self.operation is None else self.operation.to_json(),
-            STANDSTILL: None if self.standstill is None else self.standstill.to_json(),
-            "reference_K": self.reference_K,
-            "scale_W": self.scale_W,
-            "time_constant_h": self.time_constant_h,
-            "statement": self.statement,
-        }
+    def thinned(self) -> HeatRelease:
+        """The heat release with as many points as results hold."""
+        thinned = {regime: one.thinned() for regime, one in self.regimes.items()}
+        return replace(self, operation=thinned.get(OPERATION), standstill=thinned.get(STANDSTILL))
 
 
 def heat_release_regression(
@@ -177,39 +183,33 @@ def heat_release_regression(
     largest_order: int = 3,
     settle: bool = True,
 ) -> HeatRelease:
-    """Heat release f_ΔT = Q R_AT [K] in operation and at standstill, by regression over quasi-stationary periods.
+    """Heat release f_ΔT = Q R_AT [K] in operation and at standstill, by regression over quasi-stationary
+    periods.
 
-        T_conv,a − T_amb = a₀ + a₁ p + … + a_K p^K + a_T (T_amb − T_ref) in operation,  b₀ + b_T (T_amb − T_ref) else
+        T_conv,a − T_amb = a₀ + a₁ p + … + a_K p^K + a_T (T_amb − T_ref) in operation,  b₀ + b_T (T_amb −
+        T_ref) else
 
-    record: its identification period is used, never what follows; every series on its own clock.
+    record: only its identification period is used; every series on its own clock.
     scale_W: [W] power that counts as p = 1; None: `design.power_scale`.
     reference_K: [K] T_ref; None: the mean of the ambient readings, as in `design.design`.
-    time_constant_h: [h] thermal time constant, where one is known; None: a rough one is estimated.
+    time_constant_h: [h] thermal time constant, where known; None: a rough estimate is made.
     largest_order: [1] 0 … 3, largest K tried.
-    settle: whether what a period still warms or cools is taken off its difference; False: the paper's regression.
+    settle: whether the effect of a period's own warming or cooling is subtracted; False: the paper's
+        regression.
 
-    Periods (`periods.Periods`) are three time constants long, so that what a period's own change ΔT_conv,a makes of
-    its mean difference, −τ ΔT_conv,a/window by equation (2), is a third of a kelvin at most. Where that yields fewer
-    than 30 periods in 10 episodes, or loses a quarter of the range of power or ambient temperature, shorter ones are
-    taken, down to an hour or two steps of the slowest series. As short ones are not settled, this share is taken off
-    the difference before the regression where `settle` is True and cross-validation does not speak against it.
-    Standard errors are clustered by episode; they know neither the sensors' accuracy nor a form left out. Times at which
-    a logged heater is on are left out. Between the powers that periods reach the form is an interpolation.
+    Periods (`periods.Periods`) are three time constants long, so that the contribution of a period's own
+    change ΔT_conv,a to its mean difference, −τ ΔT_conv,a/window by equation (2), is at most a third of a
+    kelvin. Where that yields fewer than 30 periods in 10 episodes, or loses a quarter of the range of power
+    or ambient temperature, shorter periods are used, down to an hour or two steps of the slowest series. As
+    short periods are not settled, this contribution is subtracted before the regression where `settle` is
+    True and cross-validation does not contradict it. Standard errors are clustered by episode; they include
+    neither the sensors' accuracy nor omitted forms. Times at which a logged heater is on are left out.
+    Between the powers of the periods the form is an interpolation.
 
-    A regime with too few periods is None, and the statement says so. Raises ValueError for arguments out of range.
-    Source: equation (1), Fig. 3 and Fig. 4 of the paper.
+    A regime with too few periods is None, and the statement gives the reason. Raises ValueError for arguments
+    out of range. Source: equation (1), Fig. 3 and Fig. 4 of the paper.
     """
-    faults = [
-        f"{name} must be a number above 0, found {value}"
-        for name, value in (
-            ("scale_W", scale_W), ("reference_K", reference_K), ("time_constant_h", time_constant_h),
-        )
-        if value is not None and not 0.0 < value < math.inf
-    ]  # fmt: skip
-    if largest_order not in (0, 1, 2, 3):
-        faults.append(f"largest_order must be 0, 1, 2 or 3, found {largest_order}")
-    if faults:
-        raise ValueError("heat_release_regression: " + "; ".join(faults))
+    _expect_arguments(scale_W, reference_K, time_constant_h, largest_order)
     early = record.identification()
     missing = [name for name in (TEMPERATURE, AMBIENT) if not known(early, name)]
     if missing:
@@ -254,6 +254,23 @@ def heat_release_regression(
     )
 
 
+def _expect_arguments(
+    scale_W: float | None, reference_K: float | None, time_constant_h: float | None, largest_order: int
+) -> None:
+    """Raises ValueError with every argument of `heat_release_regression` that is out of range."""
+    faults = [
+        f"{name} must be a number above 0, found {value}"
+        for name, value in (
+            ("scale_W", scale_W), ("reference_K", reference_K), ("time_constant_h", time_constant_h),
+        )
+        if value is not None and not 0.0 < value < math.inf
+    ]  # fmt: skip
+    if largest_order not in (0, 1, 2, 3):
+        faults.append(f"largest_order must be 0, 1, 2 or 3, found {largest_order}")
+    if faults:
+        raise ValueError("heat_release_regression: " + "; ".join(faults))
+
+
 # --- regression -----------------------------------------------------------------------------
 
 
@@ -272,14 +289,15 @@ def _regressors(points: Periods, order: int, ambient: bool, reference_K: float) 
 
 
 def _left_out(regressors: np.ndarray, response: np.ndarray, episode: np.ndarray) -> np.ndarray | None:
-    """Sums of squares [K²] (G,) of each episode by the fit to all others; None where an episode is indispensable."""
+    """Sums of squares [K²] (G,) of each episode by the fit to all others; None where an episode is
+    indispensable."""
     if np.linalg.matrix_rank(regressors) < regressors.shape[1]:
         return None
     basis = np.linalg.qr(regressors)[0]
     residual = response - basis @ (basis.T @ response)
     sums = []
     for rows in np.split(np.arange(len(response)), np.flatnonzero(np.diff(episode)) + 1):
-        # (I − H_gg)⁻¹ e_g through the small matrix of the coefficients.
+        # (I − H_gg)⁻¹ e_g through the small matrix of the coefficients
         part = basis[rows]
         inner = np.eye(part.shape[1]) - part.T @ part
         if np.linalg.eigvalsh(inner)[0] < 1e-6:
@@ -290,10 +308,11 @@ def _left_out(regressors: np.ndarray, response: np.ndarray, episode: np.ndarray)
 
 
 def _supported_order(points: Periods, largest: int) -> int:
-    """Largest order K of which each of K+1 equal parts of the power's range is met in enough episodes.
+    """Largest order K for which each of K+1 equal parts of the power's range occurs in enough episodes.
 
-    Periods crowd at standstill's edge and at rated power, as the wind between them is never still: without such a
-    rule a curve through both ends swings wide in the middle, where cross-validation has nothing to hold it to.
+    Periods cluster near standstill and at rated power, because the wind in between is rarely steady.  Without
+    this rule a curve through both ends would be unconstrained in the middle, where cross-validation has no
+    data either.
     """
     low, high = points.power.min(), points.power.max()
     for order in range(largest, 0, -1):
@@ -305,7 +324,7 @@ def _supported_order(points: Periods, largest: int) -> int:
 
 
 def _forms(regime: str, points: Periods, largest_order: int) -> list[tuple[int, bool]]:
-    """Forms (order, ambient slope) that the spread of the periods allows, the constant first."""
+    """Forms (order, ambient slope) that the spread of the periods permits, the constant first."""
     orders = 0
     if regime == OPERATION and np.ptp(np.quantile(points.power, [0.02, 0.98])) >= 2.0 * POWER_TOLERANCE:
         orders = _supported_order(points, largest_order)
@@ -320,10 +339,11 @@ def _forms(regime: str, points: Periods, largest_order: int) -> list[tuple[int, 
 def _cross_validate(
     points: Periods, response: np.ndarray, forms: list[tuple[int, bool]], reference_K: float
 ) -> tuple[Candidate, ...]:
-    """Every form, and as chosen the simplest whose error is within a standard error of the best one's.
+    """All forms; the simplest one whose error is within a standard error of the best one's is marked as
+    chosen.
 
-    The standard error is that of the difference of both errors over episodes: what all forms miss alike, such as the
-    disturbance of the day, does not hide a slope.
+    The standard error is that of the difference of both errors over episodes, so that errors common to all
+    forms, such as a day's disturbance, do not hide a slope.
     """
     tried = {}
     for form in forms:
@@ -373,7 +393,7 @@ def _regression(
     fit = OLS(response, regressors).fit(cov_type="cluster", cov_kwds={"groups": points.episode})
     sd = math.sqrt(float(fit.scale))
     robust = fit.params
-    if sd > 1e-6:  # without scatter there is nothing to be robust against, and its scale is 0
+    if sd > 1e-6:  # without scatter there are no outliers, and the scale of Huber's estimate would be 0
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             huber = RLM(response, regressors).fit().params
@@ -392,21 +412,27 @@ def _regression(
         *_doubts(points, coefficients),
     ]
     return Regression(
-        regime=regime,
         n_points=len(points),
         n_episodes=points.n_episodes,
         window_h=choice.window_h,
         order=chosen.order,
         ambient=chosen.ambient,
         coefficients=coefficients,
-        candidates=candidates,
+        cross_validation=candidates,
         r2=0.0 if regressors.shape[1] == 1 else float(fit.rsquared),
         residual_sd_K=sd,
         transient_K=transient_K,
         settled=settled,
-        points=points,
-        settled_K=response,
-        fitted_K=regressors @ fit.params,
+        points=StationaryPoints(
+            points.start_s,
+            points.end_s,
+            points.power,
+            points.difference_K,
+            points.ambient_K,
+            points.episode,
+            response,
+            regressors @ fit.params,
+        ),
         statement="; ".join(words),
     )
 
@@ -419,7 +445,7 @@ def _many(count: int, noun: str) -> str:
 
 
 def _lead(wanted_h: float, shortest_h: float, time_constant_h: float | None, rough: bool, reason: str) -> str:
-    """Why the periods are as long as they are."""
+    """The reason for the length of the periods, in words."""
     if time_constant_h is None:
         wanted = f"the time constant is not known: as long as there are enough, up to {wanted_h:.3g} h"
     else:
@@ -436,15 +462,18 @@ def _too_few(cells: Cells, regime: str, choice: Choice) -> str:
         return f"{regime}: none in the record"
     return (
         f"{regime}: {_many(len(choice.periods), 'quasi-stationary period')} of {choice.window_h:.3g} h in "
-        f"{_many(choice.periods.n_episodes, 'episode')} within {hours:.0f} h are too few for a regression, which takes "
-        f"{FEWEST[0]} in {FEWEST[1]}: the heat release is left to the likelihood"
+        f"{_many(choice.periods.n_episodes, 'episode')} within {hours:.0f} h are too few for a regression, "
+        f"which takes {FEWEST[0]} in {FEWEST[1]}: the heat release is left to the likelihood"
     )
 
 
 def _form_said(regime: str, points: Periods, chosen: Candidate, sd: float, limited: bool) -> str:
     shape = ("constant", "linear in the power", "quadratic in the power", "cubic in the power")[chosen.order]
     slope = "with a slope" if chosen.ambient else "without a slope"
-    text = f"the difference is {shape}, {slope} over the ambient temperature (by cross-validation); residual {sd:.2g} K"
+    text = (
+        f"the difference is {shape}, {slope} over the ambient temperature (by cross-validation); residual "
+        f"{sd:.2g} K"
+    )
     if regime == OPERATION and chosen.order == 0:
         low, high = np.quantile(points.power, [0.02, 0.98])
         if high - low < 2.0 * POWER_TOLERANCE:
@@ -462,7 +491,8 @@ def _transient_said(transient_K: float | None, settled: bool, settle: bool) -> l
         return [f"{transient_K:.2g} K by warming and cooling within the periods is taken off"]
     if settle:
         return [
-            "by the time constant, warming and cooling within the periods would make far more than they show: nothing is taken off"
+            "by the time constant, warming and cooling within the periods would make far more than they "
+            "show: nothing is taken off"
         ]
     return [f"{transient_K:.2g} K of it by warming and cooling within the periods"]
 

@@ -1,19 +1,22 @@
-"""What `hygrokf simulate` and `hygrokf evaluate` give: tables of a fit on another record."""
+"""A fit on another record: what `hygrokf simulate` writes, and the scores of `hygrokf evaluate`."""
 
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Mapping
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from typing import Literal
 
 import numpy as np
 
 from hygrokf.data.record import Record
-from hygrokf.evaluation.scoring import PERIODS, SCORED, bands, baselines, scores, sensor_share
+from hygrokf.evaluation.scoring import Scored, bands, baselines, scores, sensor_share
 from hygrokf.evaluation.simulation import Prediction, simulate
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.verdict import inherited, told
-from hygrokf.identification.wording import RULES
+from hygrokf.identification.verdict import inherited
+from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.modelling.design import HUMIDITIES, Design, read_as
 from hygrokf.modelling.inputs import Run, prepare_run
 
@@ -22,24 +25,57 @@ COLUMNS = {
     "cabinet_relative_humidity_pct": "relative_humidity",
     "cabinet_absolute_humidity_g_m3": "absolute_humidity_g_m3",
 }
-"""Columns of a simulation file and the quantities they hold; each has a second one with its standard deviation."""
+"""Columns of a simulation file and their quantities; each has a second column with its standard deviation."""
+
+
+@dataclass(frozen=True)
+class SimulationSummary:
+    """Span and means of a simulation of the model `fit` with the inputs of `record`.
+
+    `start`, `end` (ISO 8601) of its `n` instants; `share_with_known_inputs` [1]; `means` by quantity [K, 1,
+    g/m³]; `verdicts` on the time constants it rests on; `statements`: what fit and record do not share.
+    """
+
+    fit: str
+    record: str
+    start: str
+    end: str
+    n: int
+    share_with_known_inputs: float = math.nan
+    means: Mapping[str, float] = field(default_factory=dict)
+    verdicts: Mapping[str, Inherited] = field(default_factory=dict)
+    statements: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Evaluation(Scored):
+    """The scores of the model `fit` on `record`, with the verdicts on the time constants they rest on.
+
+    `statements`: what fit and record do not share.
+    """
+
+    fit: str = ""
+    record: str = ""
+    verdicts: Mapping[str, Inherited] = field(default_factory=dict)
+    statements: tuple[str, ...] = ()
 
 
 def simulated(fit: Fit, record: Record) -> tuple[Design, Run, Prediction]:
-    """The fitted model driven by a record's inputs alone; its loggers may average otherwise than the fitted ones."""
+    """The fitted model driven by a record's inputs alone; the averaging intervals are those of the record's
+    loggers."""
     base = read_as(fit.design, record)
     made = prepare_run(base, record)
     return base, made, simulate(base, fit.values, made, fit.covariance)
 
 
 def simulation_csv(fit: Fit, record: Record) -> str:
-    """Free run as CSV text: time (UTC), three quantities with their standard deviations, and whether inputs are known."""
+    """Free run as CSV text: time (UTC), three quantities with their standard deviations, and whether all
+    inputs are known."""
     _, made, predicted = simulated(fit, record)
     t = made.timeline
     milliseconds = np.round(1e3 * (t.origin_s + t.time * 3600.0)).astype("int64")
-    instants = milliseconds.astype("datetime64[ms]")
-    whole = bool(np.all(milliseconds % 1000 == 0))
-    stamps = np.datetime_as_string(instants, unit="s" if whole else "ms")
+    unit: Literal["s", "ms"] = "s" if np.all(milliseconds % 1000 == 0) else "ms"
+    stamps = np.datetime_as_string(milliseconds.astype("datetime64[ms]"), unit=unit)
     columns, names = [], []
     for name, quantity in COLUMNS.items():
         pair = predicted.of(quantity)
@@ -60,7 +96,7 @@ def simulation_csv(fit: Fit, record: Record) -> str:
     return buffer.getvalue()
 
 
-def simulation_summary(fit: Fit, record: Record) -> dict:
+def simulation_summary(fit: Fit, record: Record) -> SimulationSummary:
     """Span and means of a simulation."""
     _, made, predicted = simulated(fit, record)
     t = made.timeline
@@ -73,21 +109,21 @@ def simulation_summary(fit: Fit, record: Record) -> dict:
         for quantity in COLUMNS.values()
         if (pair := predicted.of(quantity)) is not None
     }
-    return {
-        "fit": fit.name,
-        "record": record.name,
-        "start": ends[0],
-        "end": ends[1],
-        "n": len(t),
-        "share_with_known_inputs": float(made.scored.mean()),
-        "means": means,
-        "verdicts": inherited(fit.results),
-        "statements": [*unlike(fit, record), *_unknown_throughout(fit, record, made)],
-    }
+    return SimulationSummary(
+        fit.name,
+        record.name,
+        ends[0],
+        ends[1],
+        len(t),
+        float(made.scored.mean()),
+        means,
+        inherited(fit.results),
+        (*unlike(fit, record), *_unknown_throughout(fit, record, made)),
+    )
 
 
 def _unknown_throughout(fit: Fit, record: Record, made: Run) -> list[str]:
-    """A sentence where no instant has all inputs known, with the input that lacks."""
+    """A sentence for a run in which no instant has all inputs known, with the missing input."""
     if made.scored.any():
         return []
     inputs = fit.design.model.inputs
@@ -100,30 +136,30 @@ def _unknown_throughout(fit: Fit, record: Record, made: Run) -> list[str]:
     return [f"no row has all inputs known (inputs_known is 0 throughout): {lacking}"]
 
 
-def evaluate(fit: Fit, record: Record) -> dict:
+def evaluate(fit: Fit, record: Record) -> Evaluation:
     """Scores, baselines, sensor share and band coverage of a fit on a record."""
     base, made, predicted = simulated(fit, record)
     table = scores(made, predicted, record.until_s)
-    return {
-        "fit": fit.name,
-        "record": record.name,
-        "verdicts": inherited(fit.results),
-        "rmse": table,
-        "baselines": baselines(made, record.until_s),
-        "sensor_share": sensor_share(record, made, table),
-        "bands": bands(base, fit.values, made, predicted, record.until_s),
-        "statements": unlike(fit, record),
-    }
+    return Evaluation(
+        table,
+        baselines(made, record.until_s),
+        sensor_share(record, made, table),
+        bands(base, fit.values, made, predicted, record.until_s),
+        fit.name,
+        record.name,
+        inherited(fit.results),
+        tuple(unlike(fit, record)),
+    )
 
 
 def unlike(fit: Fit, record: Record) -> list[str]:
-    """What the fitted model knows and the record does not, and the other way round, in sentences."""
+    """Sentences about signals that only the fitted model or only the record has."""
     found = []
     scale = fit.design.power_scale_W
     if record.rated_power_W and scale and abs(record.rated_power_W / scale - 1.0) > 0.02:
         found.append(
-            f"this turbine's rated power is {record.rated_power_W / scale:.2f} times that of the fit: another type? "
-            "The heat release counts power in the fit's scale"
+            f"this turbine's rated power is {record.rated_power_W / scale:.2f} times that of the fit: "
+            "another type? The heat release counts power in the fit's scale"
         )
     inputs, outputs = fit.design.model.inputs, fit.design.model.outputs
     if "preheating" in inputs and "preheating" not in record:
@@ -140,58 +176,3 @@ def unlike(fit: Fit, record: Record) -> list[str]:
             if read is not None:
                 found.append(f"the fit reads {read}, the record brings {name}: its humidity is not scored")
     return found
-
-
-def evaluation_text(found: Mapping) -> str:
-    """The evaluation as a fixed-width table: Table III of the paper with the baselines below it."""
-    lines = [f"{found['fit']} on {found['record']}: root mean squared error of the free run"]
-    lines += told(found.get("verdicts"))
-    lines += [f"note: {sentence}" for sentence in found.get("statements", ())]
-    lines.append("")
-    title = len(lines)
-    head = f"{'':36}{'operation':>12}{'standstill':>12}{'total':>12}{'n':>9}"
-    for period in PERIODS:
-        if not any(found["rmse"][period][q]["n"]["total"] for q in SCORED):
-            continue
-        lines += [period, head]
-        for quantity, unit in zip(SCORED, ("temperature [K]", "absolute humidity [g/m3]"), strict=True):
-            lines.append(_row(f"  model, {unit}", found["rmse"][period][quantity]))
-            for name, guess in found["baselines"][period].items():
-                if quantity in guess:
-                    lines.append(_row(f"  {RULES[name]}", guess[quantity]))
-        lines.append("")
-    if len(lines) == title:
-        return "\n".join(
-            [
-                *lines,
-                "nothing to score: no temperature or absolute humidity of the cabinet at a time when all inputs are known",
-                "(relative humidity needs the temperature beside it; a fit that knows the power needs the power; after a",
-                "gap the score waits 12 h); see `hygrokf check`",
-            ]
-        )
-    validated = any(found["rmse"]["validation"][q]["n"]["total"] for q in SCORED)
-    lines.append("coverage of the 95 % bands" + (" (validation)" if validated else ""))
-    for lead, by_quantity in found["bands"].items():
-        cells = [
-            f"{_LABELS[q]} {100 * c['coverage']:.1f} % (n {c['n']})"
-            for q, c in by_quantity.items()
-            if c["coverage"] is not None
-        ]
-        if cells:
-            lines.append(f"  {lead.replace('_', ' '):9} " + ", ".join(cells))
-    return "\n".join(lines)
-
-
-_LABELS = {
-    "temperature_K": "temperature",
-    "relative_humidity": "relative humidity",
-    "absolute_humidity_g_m3": "absolute humidity",
-}
-
-
-def _row(label: str, cells: Mapping) -> str:
-    numbers = "".join(
-        f"{'–':>12}" if cells[r] is None else f"{cells[r]:12.2f}"
-        for r in ("operation", "standstill", "total")
-    )
-    return f"{label:36}{numbers}{cells['n']['total']:9d}"

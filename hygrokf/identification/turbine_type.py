@@ -1,16 +1,17 @@
-"""What several turbines of one type have in common: type-level parameters, their spread from turbine to turbine.
+"""Common parameters of several turbines of one type, and their spread from turbine to turbine.
 
-Random effects, parameter by parameter, with y_i the estimate of turbine i on its scale (ln θ for positive parameters, θ
-otherwise), v_i its squared standard error and K turbines:
+Random effects, parameter by parameter, with y_i the estimate of turbine i on its scale (ln θ for positive
+parameters, θ otherwise), v_i its squared standard error and K turbines:
 
-    y_i = μ + b_i + e_i,    b_i ~ N(0, τ²),    e_i ~ N(0, v_i),    w_i = 1/(τ² + v_i),    μ = Σ w_i y_i / Σ w_i,
+    y_i = μ + b_i + e_i,    b_i ~ N(0, τ²),    e_i ~ N(0, v_i),    w_i = 1/(τ² + v_i),    μ = Σ w_i y_i / Σ
+    w_i,
 
-τ² by restricted maximum likelihood, bounds of μ after Hartung & Knapp (Student's t with K−1 degrees of freedom), and for
-the next turbine's own value the prediction μ ± t √(τ² + se²) with K−2 degrees of freedom, of fewer than four turbines
-K−1: with one degree of freedom the prediction would say nothing.
+τ² by restricted maximum likelihood, bounds of μ after Hartung & Knapp (Student's t with K−1 degrees of
+freedom), and for the next turbine's own value the prediction μ ± t √(τ² + se²) with K−2 degrees of freedom;
+with fewer than four turbines K−1, since a single degree of freedom would make the prediction uninformative.
 
-Sources: Viechtbauer 2005, doi:10.3102/10769986030003261 (REML); Hartung & Knapp 2001, doi:10.1002/sim.1009; Higgins,
-Thompson & Spiegelhalter 2009, doi:10.1111/j.1467-985X.2008.00552.x (prediction).
+Sources: Viechtbauer 2005, doi:10.3102/10769986030003261 (REML); Hartung & Knapp 2001, doi:10.1002/sim.1009;
+Higgins, Thompson & Spiegelhalter 2009, doi:10.1111/j.1467-985X.2008.00552.x (prediction).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,27 +35,29 @@ from hygrokf.physics.parameters import Parameter, Prior
 from hygrokf.version import __version__
 
 FEWEST = 2
-"""Turbines of which a type can be made."""
+"""Fewest turbines that make a type."""
 OWN = ("_bias", "_offset", "_noise")
-"""Ends of the names of parameters that belong to a logger, not to a type of turbine."""
+"""Suffixes of parameters that belong to a logger and not to a type of turbine."""
 AMBIENT_SLOPES = {
     "heat_release_operation": "heat_release_operation_ambient",
     "heat_release_standstill": "heat_release_standstill_ambient",
 }
-"""Levels of the heat release that hold at the design's reference temperature, and their slopes over it."""
+"""Levels of the heat release at the design's reference temperature, and their slopes over the ambient
+temperature."""
 POWERS = tuple(range(1, 6))
 
 
 class TypeFault(HygrokfError, ValueError):
-    """Fits of which no type can be made, or a type file that cannot be read: all reasons in one message."""
+    """Fits that cannot make a type, or a type file that cannot be read: all reasons in one message."""
 
 
 @dataclass(frozen=True)
 class Pooled:
     """One parameter over K turbines, on its scale (`logarithmic`: ln θ).
 
-    `mean`, `se` (Hartung & Knapp) of the type; `lower`, `upper` its 95 % bounds; `spread` τ between turbines; `next_sd`
-    the sd of a normal law whose 95 % are those of the prediction for the next turbine.
+    `mean`, `se` (Hartung & Knapp) of the type; `lower`, `upper` its 95 % bounds; `spread` τ between turbines;
+    `next_sd` the sd of the normal distribution whose 95 % interval is that of the prediction for the next
+    turbine.
     """
 
     unit: str
@@ -67,7 +71,8 @@ class Pooled:
     turbines: int
 
     def expect_sound(self, name: str) -> None:
-        """Raises ValueError for what is no number, for widths below zero, and for a mean that no parameter can have."""
+        """Raises ValueError for values that are not numbers, negative widths, and a mean that no parameter
+        can have."""
         numbers = (self.mean, self.se, self.lower, self.upper, self.spread, self.next_sd)
         if any(
             isinstance(one, bool) or not isinstance(one, (int, float)) or not math.isfinite(one)
@@ -79,18 +84,19 @@ class Pooled:
         if self.logarithmic and max(map(abs, (self.lower, self.upper))) > 300.0:
             raise ValueError(f"{name}: a logarithm of {self.mean:g} is no parameter's")
 
-    def in_unit(self) -> dict:
-        """Value, bounds of the type, and of the next turbine's own value, in the parameter's unit."""
+    def in_unit(self) -> dict[str, float]:
+        """Value and bounds of the type, and bounds of the next turbine's own value, in the parameter's
+        unit."""
         reach = 1.959964 * self.next_sd
-        ends: tuple[float, ...] = (self.mean, self.lower, self.upper, self.mean - reach, self.mean + reach)
+        ends = [self.mean, self.lower, self.upper, self.mean - reach, self.mean + reach]
         if self.logarithmic:
-            ends = tuple(math.exp(v) for v in ends)
+            ends = [math.exp(v) for v in ends]
         return dict(zip(("value", "lower", "upper", "next_lower", "next_upper"), ends, strict=True))
 
 
 @dataclass(frozen=True)
 class TurbineType:
-    """Parameters of a type of turbine, with their spread from turbine to turbine, and the design that they belong to."""
+    """Parameters of a type of turbine with their spread from turbine to turbine, and their design."""
 
     name: str
     design: Design
@@ -98,10 +104,11 @@ class TurbineType:
     parameters: Mapping[str, Pooled]
 
     def prior(self, design: Design | None = None) -> dict[str, Prior]:
-        """Priors of the next turbine's parameters, for a design of it (this type's own without one).
+        """Priors of the next turbine's parameters for its design (by default this type's own).
 
-        The levels of the heat release are moved to the design's reference temperature.  Pass the bound method to
-        `identify(record, prior=TurbineType.prior)`.  Parameters that the design has and the type has not go without.
+        The levels of the heat release are moved to the design's reference temperature.  Pass the bound method
+        to `identify(record, prior=TurbineType.prior)`.  Parameters of the design that the type lacks have no
+        prior.
         """
         wanted = self.design if design is None else design
         shift = reference_K(wanted) - reference_K(self.design)
@@ -121,11 +128,12 @@ class TurbineType:
 
     @property
     def values(self) -> dict[str, float]:
-        """The type's value of every parameter of its design, in its unit; those without one at their start."""
+        """The type's value of every parameter of its design, in its unit; the start value of parameters that
+        the type lacks."""
         found = {p.name: p.start for p in self.design.model.parameters}
         return found | {name: p.in_unit()["value"] for name, p in self.parameters.items() if name in found}
 
-    def to_json(self) -> dict:
+    def to_json(self) -> dict[str, Any]:
         return {
             "name": self.name,
             "version": __version__,
@@ -137,8 +145,8 @@ class TurbineType:
         }
 
     @classmethod
-    def from_json(cls, data: Mapping) -> TurbineType:
-        """A type from what `to_json` gave."""
+    def from_json(cls, data: Mapping[str, Any]) -> TurbineType:
+        """A type from the data of `to_json`."""
         parameters = {
             name: Pooled(**{key: value for key, value in row.items() if key != "in_unit"})
             for name, row in data["type_parameters"].items()
@@ -151,11 +159,12 @@ class TurbineType:
 
 
 def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
-    """The type of several turbines from their fits, each counted with its own covariance.
+    """The type of several turbines from their fits, each weighted by its own covariance.
 
-    The design is that of the first fit.  Parameters of loggers (offsets, noise of a reading) are left out, as are those
-    that a fit took over from another (marked as fixed), time constants that are not to be believed, and those that fewer than two of the fits know with a standard error.  Raises TypeFault where fewer than two fits are given,
-    where the same turbine is given twice, or where nothing is left.
+    The design is that of the first fit.  Left out are parameters of loggers (offsets, noise of a reading),
+    parameters that a fit took over from another one (marked as fixed), rejected time constants, and
+    parameters with a standard error in fewer than two of the fits.  Raises TypeFault where fewer than two
+    fits are given, where the same turbine is given twice, or where nothing is left.
     """
     from hygrokf.estimation.confidence import normal_quantile
 
@@ -176,9 +185,9 @@ def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
     known = {p.name: p for p in base.model.parameters if not p.name.endswith(OWN)}
     estimates: dict[str, list[tuple[float, float]]] = {name: [] for name in known}
     for fit in fits:
-        # what a fit took over from another turbine is no second witness
-        taken = {n for n, row in fit.results.get("parameters", {}).items() if row.get("fixed")}
-        # nor is a number that is not to be believed
+        # a parameter taken over from another turbine is no independent evidence
+        taken = {n for n, row in fit.results.parameters.items() if row.fixed}
+        # neither is a rejected time constant
         taken |= {PARAMETER_OF[part] for part, one in verdicts(fit.results).items() if one.verdict == REJECT}
         for parameter, value, variance in _on(base, fit):
             if (
@@ -208,18 +217,19 @@ def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
         )
     if not found:
         raise TypeFault(
-            "expected parameters that at least two of the fits know with a standard error, found none: are these fits of "
-            "one type of turbine?"
+            "expected parameters that at least two of the fits know with a standard error, found none: are "
+            "these fits of one type of turbine?"
         )
     return TurbineType(name or f"type of {', '.join(names)}", base, tuple(names), found)
 
 
 def random_effects(y: np.ndarray, v: np.ndarray) -> tuple[float, float, float]:
-    """Mean μ, its standard error after Hartung & Knapp, and spread τ by REML of estimates y (K,) with variances v (K,).
+    """Mean μ, its standard error after Hartung & Knapp, and spread τ by REML of estimates y (K,) with
+    variances v (K,).
 
-    The standard error is not let fall below that of the usual random-effects mean: with few turbines that agree by
-    chance, Hartung and Knapp's would be far too small.  Raises ValueError for fewer than two estimates or variances
-    that are not above zero.
+    The standard error is at least that of the usual random-effects mean: with few turbines that agree by
+    chance, Hartung and Knapp's would be far too small.  Raises ValueError for fewer than two estimates or
+    variances that are not above zero.
     """
     y, v = np.asarray(y, dtype=float), np.asarray(v, dtype=float)
     if len(y) < FEWEST or not np.all(v > 0) or not np.all(np.isfinite(y)):
@@ -236,7 +246,8 @@ def random_effects(y: np.ndarray, v: np.ndarray) -> tuple[float, float, float]:
 def restricted_maximum_likelihood(y: np.ndarray, v: np.ndarray) -> float:
     """τ² (≥ 0) that maximises the restricted likelihood −½ [Σ ln(τ²+v) + ln Σw + Σ w (y−μ)²].
 
-    The maximum is looked for on a grid of τ over six decades and zero, then by golden section: it may have two.
+    The likelihood may have two maxima, so the search covers a grid of zero and six decades of τ, followed by
+    golden section.
     """
     from scipy.optimize import minimize_scalar
 
@@ -265,7 +276,7 @@ def student(level: float, freedom: float) -> float:
 
 
 def reference_K(design: Design) -> float:
-    """The ambient temperature [K] at which the levels of the heat release hold."""
+    """The ambient temperature [K] to which the levels of the heat release refer."""
     for name, settings in design.mechanisms:
         if name == "heat_release":
             return float(settings.get("reference_K", 283.15))
@@ -273,19 +284,21 @@ def reference_K(design: Design) -> float:
 
 
 def _power_of(name: str) -> int:
-    """The power of the relative power that a coefficient belongs to, 0 for other parameters."""
+    """The exponent of the relative power that a coefficient belongs to; 0 for other parameters."""
     return next((k for k in POWERS if name == f"heat_release_power_{k}"), 0)
 
 
 def _scale_ratio(wanted: Design, given: Design) -> float:
-    """By what a coefficient of the relative power grows from one design's scale of the power to another's."""
+    """Ratio by which a coefficient of the relative power changes from one design's power scale to
+    another's."""
     if wanted.power_scale_W is None or given.power_scale_W is None:
         return 1.0
     return wanted.power_scale_W / given.power_scale_W
 
 
 def _on(base: Design, fit: Fit) -> list[tuple[str, float, float]]:
-    """(name, value, variance) of a fit's parameters in the terms of another design: reference temperature, power scale."""
+    """(name, value, variance) of a fit's parameters, converted to another design's reference temperature and
+    power scale."""
     names, matrix = fit.covariance
     change = np.eye(len(names))
     shift, ratio = reference_K(base) - reference_K(fit.design), _scale_ratio(base, fit.design)
@@ -299,7 +312,7 @@ def _on(base: Design, fit: Fit) -> list[tuple[str, float, float]]:
 
 
 def _on_scale(parameter: Parameter, value: float, variance: float) -> tuple[float, float] | None:
-    """Estimate and variance on the parameter's scale; None where there is no usable standard error."""
+    """Estimate and variance on the parameter's scale; None without a usable standard error."""
     if not (math.isfinite(value) and variance > 0) or (parameter.positive and value <= 0):
         return None
     if not parameter.positive:
@@ -311,14 +324,14 @@ def _on_scale(parameter: Parameter, value: float, variance: float) -> tuple[floa
 
 
 def write_type(found: TurbineType, path: str | os.PathLike[str]) -> Path:
-    """Write a type as JSON, whole or not at all.  Raises OSError as the system gives it."""
+    """Write a type as JSON, atomically.  Raises OSError from the system."""
     return write_text_whole(
         path, json.dumps(found.to_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
     )
 
 
 def read_type(path: str | os.PathLike[str]) -> TurbineType:
-    """A type from its file.  Raises TypeFault with the reason and what to do."""
+    """A type from its file.  Raises TypeFault with the reason and the remedy."""
     again = "name a file that `hygrokf transfer` or `write_type` wrote"
     try:
         return TurbineType.from_json(json.loads(Path(path).read_text(encoding="utf-8")))

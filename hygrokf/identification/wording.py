@@ -1,10 +1,8 @@
-"""Numbers, names and texts as they are printed, the same on every page and at the terminal."""
+"""Formatting of numbers, names and texts, identical on all pages and at the terminal."""
 
 from __future__ import annotations
 
 import math
-
-from hygrokf.data.lookup import one_line
 
 NONE = "–"
 UNBOUNDED = "not identifiable"
@@ -21,12 +19,12 @@ BASELINES = {
         "ambient_pressure_balance": "c = c_amb T_amb/T_conv,a",
     },
 }
-"""Rules that need no model, by the quantity that they foretell."""
+"""Rules that need no model, by the quantity that they predict."""
 RULES = {key: words for group in BASELINES.values() for key, words in group.items()}
 
 
 def plain_number(value: float, digits: int = 3) -> str:
-    """A number with so many significant digits, without an exponent where that reads better."""
+    """A number with `digits` significant digits, without an exponent where that is more readable."""
     if not math.isfinite(value):
         return NONE
     if value == 0:
@@ -38,12 +36,12 @@ def plain_number(value: float, digits: int = 3) -> str:
 
 
 def fixed(value: float, decimals: int = 2) -> str:
-    """A number with so many decimals."""
+    """A number with `decimals` decimals."""
     return minus(f"{value:.{decimals}f}") if math.isfinite(value) else NONE
 
 
 def signed(value: float, decimals: int = 2) -> str:
-    """A difference with its sign and so many decimals."""
+    """A difference with its sign and `decimals` decimals."""
     return minus(f"{value:+.{decimals}f}") if math.isfinite(value) else NONE
 
 
@@ -57,7 +55,7 @@ def percent(share: float, decimals: int = 0) -> str:
 
 
 def decimals_for(spread: float) -> int:
-    """Decimals that show a spread with one digit, with two where the first is 1 or 2."""
+    """Decimals that show a spread with one significant digit, or with two where the first is 1 or 2."""
     return (
         2
         if not (math.isfinite(spread) and spread > 0)
@@ -66,11 +64,13 @@ def decimals_for(spread: float) -> int:
 
 
 WIDE = 4.0
-"""[1] upper over lower end from which an interval is told as a factor, and its ends with digits of their own."""
+"""[1] ratio of upper to lower end above which an interval is given as a factor and its ends get their own
+digits."""
 
 
 def ends(value: float, low: float, high: float) -> tuple[str, str]:
-    """A number and its interval with the digits that it is known to: ("1.49", "1.44 … 1.54"), ("0.169", "0.017 … 1.6")."""
+    """A number and its interval with the significant digits: ("1.49", "1.44 … 1.54"), ("0.169", "0.017 …
+    1.6")."""
     if high > WIDE * low:
         return plain_number(value), f"{plain_number(low, 2)} … {plain_number(high, 2)}"
     decimals = decimals_for(0.5 * (high - low))
@@ -78,10 +78,11 @@ def ends(value: float, low: float, high: float) -> tuple[str, str]:
 
 
 def interval(value: float, low: float, high: float, unit: str = "h") -> tuple[str, str, bool]:
-    """A number and its interval as they are printed, and whether it is closed: ("1.49 h", "1.44 … 1.54", True).
+    """A number and its interval as printed, and whether the interval is closed: ("1.49 h", "1.44 … 1.54",
+    True).
 
-    Open on one side: ("≤ 0.35 h", "best 0.1 h", False), without any end: ("not identifiable", "best 9 h", False).  A lower
-    end of 0 is none.
+    Open on one side: ("≤ 0.35 h", "best 0.1 h", False); open on both: ("not identifiable", "best 9 h",
+    False).  A lower end of 0 counts as open.
     """
     low = low if low > 0 else math.nan
     if math.isfinite(value) and math.isfinite(low) and math.isfinite(high):
@@ -95,8 +96,13 @@ def interval(value: float, low: float, high: float, unit: str = "h") -> tuple[st
     return UNBOUNDED, best, False
 
 
+def one_line(text: str) -> str:
+    """Text without line breaks and control characters."""
+    return "".join(c if c.isprintable() else " " for c in text)
+
+
 def text_of(value: object) -> str:
-    """A string on one line, without control characters; anything else that is not null as text."""
+    """A value as text on one line, without control characters; empty for null."""
     return "" if value is None else one_line(value if isinstance(value, str) else str(value))
 
 
@@ -107,6 +113,12 @@ def texts(value: object) -> list[str]:
 
 
 def sentence(text: str) -> str:
-    """A text with a capital and a full stop; a name with underscores in front stays as it is."""
+    """A text with a capital letter and a full stop; a leading name with underscores stays unchanged."""
     text = text[:1].upper() + text[1:] if not text.split(" ")[0].count("_") else text
     return text if text.endswith((".", "!", "?")) else text + "."
+
+
+def moment(value: object) -> str:
+    """An instant of a result, "2024-05-01T12:00:00+00:00", as date and time to the minute."""
+    text = text_of(value)
+    return text[:16].replace("T", " ") if len(text) >= 16 else text

@@ -1,31 +1,37 @@
-"""Alarms: when one begins and ends, how severe it is, and what it says.
+"""Alarms: when they begin and end, how severe they are, and what they say.
 
-A rule watches a level.  An alarm begins where the level has been at or above `on` for `hold_s`, and ends where it has been
-below `off` for as long; between the two it stays as it is.  Time is that of the readings, so that a replay gives the same
-alarms; its name follows from turbine, kind and beginning, so that after a crash none is raised twice.
+A rule watches a level.  An alarm begins once the level has been at or above `on` for `hold_s` and ends once
+it has been below `off` for as long; between the two thresholds nothing changes.  Time is that of the
+readings, so that a replay gives the same alarms.  An alarm's id consists of turbine, kind and beginning, so
+that no alarm is raised twice after a crash.
 """
 
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.identification.verdict import PARTS, rests_on
+from hygrokf.data.timestamps import HOUR_S, MINUTE_S
+from hygrokf.identification.verdict import PARTS, Inherited, rests_on
 from hygrokf.live.condition import Condition
 from hygrokf.live.fault_isolation import SENSORS, Finding
-from hygrokf.live.properties import Departure
+from hygrokf.live.properties import ParameterShift
 from hygrokf.live.storage.store import Alarm
 
-MINUTE_S = 60.0
-HOUR_S = 3600.0
-SEVERITIES = ("notice", "warning", "alarm")
+if TYPE_CHECKING:
+    from hygrokf.live.sources.streams import SourceState
 
 
 @dataclass(frozen=True)
 class Rule:
-    """What raises an alarm of a kind: `on`, `off` levels, `hold_s` [s], its severity, and from which level it is an alarm."""
+    """When to raise one kind of alarm.
+
+    `on`, `off`: levels at which it begins and ends; `hold_s`: time [s] the level must persist; `severity`: at
+    first; `severe`: level from which the severity is "alarm".
+    """
 
     kind: str
     on: float
@@ -43,7 +49,7 @@ CONDENSATION = Rule(
 CHANGED = Rule("cabinet changed", 1.0, 0.5, 0.0, "warning", np.inf, "")
 STALE = Rule(
     "data stale", 1.0, 0.5, 5 * MINUTE_S, "warning", 12.0,
-    "check the logger, its power and the way of its data; the estimate goes on without these readings",
+    "check the logger, its power supply and the data path; the estimate continues without these readings",
 )  # fmt: skip
 LOST = Rule(
     "source lost",
@@ -52,7 +58,7 @@ LOST = Rule(
     MINUTE_S,
     "alarm",
     1.0,
-    "run `hygrokf doctor`, which says what cannot be reached and why",
+    "run `hygrokf doctor` to find out what cannot be reached and why",
 )
 SUSPECT = Rule("sensor suspect", 1.0, 0.5, 0.0, "warning", np.inf, "")
 RULES = {rule.kind: rule for rule in (CONDENSATION, CHANGED, SUSPECT, STALE, LOST)}
@@ -60,27 +66,27 @@ RULES = {rule.kind: rule for rule in (CONDENSATION, CHANGED, SUSPECT, STALE, LOS
 LIKELY = {
     ("thermal_time_constant", True): (
         "the cabinet loses its heat more slowly",
-        "look for clogged filters, a fan that stands still, or added insulation",
+        "look for clogged filters, a stopped fan, or added insulation",
     ),
     ("thermal_time_constant", False): (
         "the cabinet loses its heat faster",
-        "look for an open door or flap, missing insulation, or a fan that runs all the time",
+        "look for an open door or flap, missing insulation, or a fan that never stops",
     ),
     ("hygric_k", True): (
         "the cabinet exchanges less air with the ambient",
-        "look for clogged vents and filters, or a seal that was renewed",
+        "look for clogged vents and filters, or a renewed seal",
     ),
     ("hygric_k", False): (
         "the cabinet exchanges more air with the ambient",
         "check door, seals and cable glands",
     ),
     ("humidity_offset", True): (
-        "the air is moister than exchange and heat explain",
+        "the air is moister than air exchange and heat release explain",
         "look for water in the cabinet, and compare the humidity sensor with another one",
     ),
     ("humidity_offset", False): (
-        "the air is drier than exchange and heat explain",
-        "compare the humidity sensor with another one, and look whether something dries the air",
+        "the air is drier than air exchange and heat release explain",
+        "compare the humidity sensor with another one, and check whether something dries the air",
     ),
     ("heat_release_change", True): (
         "more heat is released than the operation explains",
@@ -91,14 +97,14 @@ LIKELY = {
         "check the heater and its thermostat, and the temperature sensor against another one",
     ),
 }
-"""(property, whether it grew) -> (what that says, what to check)."""
+"""(property, whether it increased) -> (statement, what to check)."""
 SENSOR = {
     "temperature_reading_change": (
-        "the temperature sensor reads {0:.1f} K too {1}: humidity does not follow what it says",
-        "compare the temperature sensor with another one, and look where it is mounted",
+        "the temperature sensor reads {0:.1f} K too {1}: the humidity readings do not follow it",
+        "compare the temperature sensor with another one, and check where it is mounted",
     ),
     "humidity_reading_change": (
-        "the humidity sensor reads {0:.0f} % too {1}: neither exchange nor heat explains its level",
+        "the humidity sensor reads {0:.0f} % too {1}: air exchange and heat release do not explain its level",
         "compare the humidity sensor with another one; clean or renew it",
     ),
     "humidity_scale_change": (
@@ -106,7 +112,7 @@ SENSOR = {
         "compare the humidity sensor with another one at low and at high humidity; clean or renew it",
     ),
 }
-"""State of a sensor's error -> (what it says, what to check)."""
+"""State of a sensor's error -> (statement, what to check)."""
 WORDS = {
     "thermal_time_constant": "a changed heat loss", "hygric_k": "a changed exchange of air",
     "heat_release_change": "a changed heat release", "temperature_sensor": "the temperature sensor",
@@ -116,9 +122,9 @@ WORDS = {
 
 @dataclass(frozen=True)
 class Level:
-    """What a rule sees: the level, what it says in words, and a remedy where it is not the rule's own.
+    """A level that a rule judges, with its statement and a remedy that replaces the rule's own.
 
-    `subject` tells several alarms of one kind apart.
+    `subject` distinguishes alarms of one kind.
     """
 
     kind: str
@@ -130,7 +136,8 @@ class Level:
 
 @dataclass(frozen=True)
 class Standing:
-    """Where an alarm stands: since when the level is past the threshold that matters next [s], and the alarm itself."""
+    """State of an alarm: the open `alarm`, if any, and `since` when [s] the level has been past the next
+    threshold."""
 
     since: float | None = None
     alarm: Alarm | None = None
@@ -143,9 +150,9 @@ def judged(
     levels: list[Level],
     kinds: Collection[str] = tuple(RULES),
 ) -> tuple[dict[str, Standing], list[Alarm]]:
-    """Standings after the levels at `now` [s], and the alarms that began, changed or ended.
+    """The standings after judging the levels at `now` [s], and the alarms that began, changed or ended.
 
-    A level of these `kinds` that is no longer told counts as 0; the other kinds stand as they do.
+    A missing level of these `kinds` counts as 0; standings of other kinds stay as they are.
     """
     told = {f"{one.kind} {one.subject}".strip(): one for one in levels}
     standings = {key: one for key, one in known.items() if _kind(key) not in kinds}
@@ -198,7 +205,7 @@ def _kind(key: str) -> str:
 
 
 def condensation_level(found: Condition, place: int = -1) -> list[Level]:
-    """The level of an instant (the last one): the probability that the coldest surface is below the dew point."""
+    """The condensation level at one instant: probability that the coldest surface is below the dew point."""
     margin = found.margin_K
     if found.condensation is None or margin is None or not len(found.time_s):
         return []
@@ -207,19 +214,22 @@ def condensation_level(found: Condition, place: int = -1) -> list[Level]:
         return [Level(CONDENSATION.kind, chance, "")]
     words = (
         f"water condenses on the coldest surface with a probability of {100 * chance:.0f} %: "
-        f"it is {margin.value[place]:+.1f} K ({margin.lower[place]:+.1f} … {margin.upper[place]:+.1f}) from the dew point"
+        f"its margin to the dew point is {margin.value[place]:+.1f} K "
+        f"({margin.lower[place]:+.1f} … {margin.upper[place]:+.1f})"
     )
     return [Level(CONDENSATION.kind, chance, words)]
 
 
 RESTS_ON = {
-    "thermal_time_constant": PARTS[:1], "heat_release_change": PARTS[:1], "hygric_k": PARTS[1:], "humidity_offset": PARTS[1:],
+    "thermal_time_constant": PARTS[:1], "heat_release_change": PARTS[:1], "hygric_k": PARTS[1:],
+    "humidity_offset": PARTS[1:],
 }  # fmt: skip
-"""Property -> the numbers of the fit that a departure of it rests on; everything else rests on both."""
+"""Property -> the numbers of the fit on which its shift rests; all other levels rest on both numbers."""
 
 
-def resting_on(levels: list[Level], verdicts: Mapping[str, Mapping]) -> list[Level]:
-    """The levels, those in words with what they rest on and is not to be believed; `verdicts` as a fit hands them on."""
+def resting_on(levels: list[Level], verdicts: Mapping[str, Inherited]) -> list[Level]:
+    """The levels, with a note in each statement that rests on a rejected number of the fit; `verdicts` are
+    the fit's."""
     made = []
     for one in levels:
         doubt = rests_on(verdicts, RESTS_ON.get(one.subject, PARTS))
@@ -228,29 +238,30 @@ def resting_on(levels: list[Level], verdicts: Mapping[str, Mapping]) -> list[Lev
 
 
 def stale_levels(ages_s: Mapping[str, float], limit_s: float) -> list[Level]:
-    """The level of a turbine's data: the age [s] of its oldest signal in units of the limit [s]."""
+    """The staleness of a turbine's data: age [s] of its oldest signal as a multiple of the limit [s]."""
     silent = {signal: age for signal, age in ages_s.items() if age > limit_s}
     if not silent:
         return []
     oldest = max(silent.values())
     which = "no signal" if len(silent) == len(ages_s) else ", ".join(sorted(silent)).replace("_", " ")
-    verb = "came" if len(silent) == len(ages_s) else "has not come"
+    verb = "has arrived" if len(silent) == len(ages_s) else "has not arrived"
     return [Level(STALE.kind, oldest / limit_s, f"{which} {verb} for {oldest / HOUR_S:.1f} h")]
 
 
-def source_levels(states: Mapping[str, tuple[str, str]]) -> list[Level]:
-    """A level for each source that is lost."""
+def source_levels(states: Mapping[str, SourceState]) -> list[Level]:
+    """One level for each lost source."""
     return [
-        Level(LOST.kind, 1.0, f"{url} is not reached: {words}", subject=url)
+        Level(LOST.kind, 1.0, f"{url} cannot be reached: {words}", subject=url)
         for url, (state, words) in states.items()
         if state == "lost"
     ]
 
 
-def departure_levels(found: Mapping[str, Departure], finding: Finding | None = None) -> list[Level]:
-    """What departures that last say: of the cabinet or, where an inquiry found it, of a sensor.
+def shift_levels(found: Mapping[str, ParameterShift], finding: Finding | None = None) -> list[Level]:
+    """Levels for lasting parameter shifts, attributed to the cabinet or to a sensor by fault isolation.
 
-    Without a finding nothing is said yet; one that names no cause leaves a level for each property.
+    There is no level before fault isolation has a finding; a finding without a cause gives one level for each
+    property.
     """
     lasting = {name: one for name, one in found.items() if one.lasting}
     if not lasting or finding is None:
@@ -264,7 +275,7 @@ def departure_levels(found: Mapping[str, Departure], finding: Finding | None = N
     return [_changed(name, one, finding) for name, one in named.items() if (name, one.change > 0.0) in LIKELY]
 
 
-def _changed(name: str, one: Departure, finding: Finding) -> Level:
+def _changed(name: str, one: ParameterShift, finding: Finding) -> Level:
     said, remedy = LIKELY[name, one.change > 0.0]
     if name == "heat_release_change":
         size = f"{one.change:+.1f} K"

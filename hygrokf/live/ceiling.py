@@ -1,13 +1,15 @@
-"""The filter where a humidity sensor is at its ceiling: the reading then says how moist the air is at least, not how moist.
+"""The filter with censored humidity readings: a sensor at its ceiling gives only a lower bound of the
+humidity.
 
-A reading at the ceiling c is censored: all that it tells is that the sensor would show y ≥ c.  With the prediction ŷ of
-the reading and its variance S, z = (c − ŷ)/√S and λ = φ(z)/Φ(−z), the moments of y given that are
+A reading at the ceiling c is censored: it tells only that y ≥ c.  With the prediction ŷ of the reading, its
+variance S, z = (c − ŷ)/√S and λ = φ(z)/Φ(−z), the conditional moments of y are
     E y = ŷ + λ √S,    var y = S (1 − δ),    δ = λ (λ − z),  between 0 and 1,
-and those of the state follow from them by the gain K of an ordinary reading:
+and the moments of the state follow from them with the gain K of an ordinary reading:
     m + K (E y − ŷ),   P − δ K S K'.
-So a censored reading moves the mean as its own expectation would, and the covariance by the share δ of a reading.  The
-Gaussian with these moments is the one that the filter goes on with (the Tobit Kalman filter; Allik et al. 2016,
-doi:10.1109/TCST.2015.2432155; moments of a truncated normal distribution: Tobin 1958).
+So a censored reading shifts the mean like a reading of E y, and reduces the covariance by the share δ of an
+ordinary reading's reduction.  The filter continues with the Gaussian of these moments (the Tobit Kalman
+filter; Allik et al. 2016, doi:10.1109/TCST.2015.2432155; moments of a truncated normal distribution: Tobin
+1958).
 """
 
 from __future__ import annotations
@@ -25,9 +27,11 @@ HUMIDITY = "cabinet_relative_humidity"
 
 
 def filtered(likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None = None) -> Trace:
-    """The filter's trace where relative humidity from `SATURATED` on is censored, from a state or from the prior.
+    """The filter's trace with relative humidity censored from `SATURATED` on, starting from a state or from
+    the prior.
 
-    A stretch may be filtered in pieces: each goes on, bit for bit, where the one before it ended.
+    A timeline may be filtered in pieces: starting each piece from the last state of the previous one gives
+    the same bits.
     """
     t = likelihood.timeline
     places = np.flatnonzero(t.reading(HUMIDITY) >= SATURATED) if HUMIDITY in t.outputs else ()
@@ -46,7 +50,7 @@ def filtered(likelihood: Likelihood, values: Mapping[str, float], start: Gaussia
 
 
 def _censored(likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None) -> Trace:
-    """One instant whose reading of humidity is at the ceiling."""
+    """The trace of one instant whose humidity reading is at the ceiling."""
     t = likelihood.timeline
     column = t.outputs.index(HUMIDITY)
 
@@ -73,11 +77,11 @@ def _censored(likelihood: Likelihood, values: Mapping[str, float], start: Gaussi
 
 
 def truncated(z: float) -> tuple[float, float, float]:
-    """λ, δ and ln Φ(−z): mean and 1 − variance of a standard normal number that is above z, and how likely it is to be."""
+    """λ, δ and ln Φ(−z) for a standard normal x: E(x | x > z), 1 − var(x | x > z), and ln P(x > z)."""
     from scipy.special import erfcx, log_ndtr
 
     mean = float(np.sqrt(2.0 / np.pi) / erfcx(z / np.sqrt(2.0)))
-    # far above, the difference of two large numbers has no digits left
+    # for large z the difference of two large numbers loses all digits
     return mean, float(np.clip(mean * (mean - z), 0.0, 1.0)), float(log_ndtr(-z))
 
 
@@ -86,7 +90,7 @@ def _on(likelihood: Likelihood, t: Timeline) -> Likelihood:
 
 
 def _joined(found: list[Trace]) -> Trace:
-    """Pieces as one trace."""
+    """Join the traces of consecutive pieces."""
     arrays = {
         name: np.concatenate([getattr(one, name) for one in found])
         for name, value in vars(found[0]).items()

@@ -1,7 +1,7 @@
-"""What the air in a cabinet is like, and how sure that is: from the filter's Gaussian to quantities with bounds.
+"""The condition of a cabinet's air with its uncertainty, derived from the filter's Gaussian.
 
-Everything follows from two numbers, the air's temperature T and its vapour pressure e = c* R_v T_amb (equation 5), and
-their covariance; other quantities are taken to first order in it.  Shapes: T instants, n states.
+All quantities follow from the air's temperature T, its vapour pressure e = c* R_v T_amb (equation 5) and
+their covariance, which is propagated to first order.  Shapes: T instants, n states.
 """
 
 from __future__ import annotations
@@ -12,7 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.engine.timeline import Timeline
-from hygrokf.physics.cold_surface import Surface
+from hygrokf.physics.cold_surface import FREEZING_K
+from hygrokf.physics.cold_surface import Surface as Surface
 from hygrokf.physics.model import Model
 from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
@@ -26,7 +27,6 @@ from hygrokf.physics.psychrometrics import (
 )
 
 Z95 = 1.959964
-FREEZING_K = 273.15
 
 
 @dataclass(frozen=True)
@@ -49,11 +49,10 @@ class Quantity:
 class Condition:
     """The air in a cabinet at instants `time_s` (T,) [s since 1970, UTC].
 
-    `temperature_K`, `relative_humidity` [1] over water, `absolute_humidity_g_m3`, `dew_point_K`, `frost_point_K` (NaN
-    above freezing), `margin_K` of the cold surface above the dew point or, below freezing, the frost point, and the
-    `condensation` probability [1] that it is below at that instant; `surface_humidity` [1] relative humidity of the air that
-    touches it.
-    What the model does not have is None.
+    `relative_humidity` [1] is over water, `frost_point_K` is NaN above freezing.  `margin_K` is the coldest
+    surface's temperature above the dew point or, below freezing, above the frost point; `condensation` (T,)
+    [1] is the probability that the margin is negative; `surface_humidity` [1] is the relative humidity of the
+    air at that surface.  Quantities that the model lacks are None.
     """
 
     time_s: np.ndarray
@@ -67,6 +66,35 @@ class Condition:
     surface_humidity: Quantity | None
 
 
+@dataclass(frozen=True)
+class DisplayedQuantity:
+    """A quantity of `Condition` for the store and the page: displayed value = factor × value + offset [unit].
+
+    `column`: its name in `Condition` and in the store's tables.
+    """
+
+    name: str
+    column: str
+    unit: str
+    factor: float = 1.0
+    offset: float = 0.0
+
+    @property
+    def sd_column(self) -> str:
+        """The store's column of its standard deviation."""
+        return f"{self.name}_sd"
+
+
+QUANTITIES = (
+    DisplayedQuantity("temperature", "temperature_K", "celsius", offset=-FREEZING_K),
+    DisplayedQuantity("relative_humidity", "relative_humidity", "percent", factor=100.0),
+    DisplayedQuantity("absolute_humidity", "absolute_humidity_g_m3", "g_m3"),
+    DisplayedQuantity("dew_point", "dew_point_K", "celsius", offset=-FREEZING_K),
+    DisplayedQuantity("frost_point", "frost_point_K", "celsius", offset=-FREEZING_K),
+    DisplayedQuantity("margin", "margin_K", "kelvin"),
+)
+
+
 def condition(
     model: Model,
     values: Mapping[str, float],
@@ -75,9 +103,8 @@ def condition(
     covariance: np.ndarray,
     surface: Surface,
 ) -> Condition:
-    """The condition at the instants of a timeline, from means (T, n) and covariances (T, n, n) of the state."""
-    seconds = t.origin_s + 3600.0 * t.time
-    return air_condition(model, values, seconds, inputs_of(model, t), mean, covariance, surface)
+    """The condition at a timeline's instants, from the state's means (T, n) and covariances (T, n, n)."""
+    return air_condition(model, values, t.seconds, inputs_of(model, t), mean, covariance, surface)
 
 
 def inputs_of(model: Model, t: Timeline) -> dict[str, np.ndarray]:
@@ -94,9 +121,11 @@ def air_condition(
     covariance: np.ndarray,
     surface: Surface,
 ) -> Condition:
-    """The condition at instants (T,) [s] from inputs `u` (T,), means (T, n) and covariances (T, n, n) of the state.
+    """The condition at instants (T,) [s], from inputs `u` (T,) and the state's means (T, n) and covariances
+    (T, n, n).
 
-    Values, and what a surface follows, may be other ones at each instant (T,): many cabinets of one model at once.
+    Parameter values and the surface may differ between instants (T,), so that many cabinets of one model are
+    evaluated at once.
     """
     nothing = Condition(seconds, *[None] * 8)
     air, air_row = _air(model, values, u, mean)
@@ -109,7 +138,7 @@ def air_condition(
     place = model.states.index("vapour")
     outside = u["ambient_temperature"]
     scale = 1e-3 * GAS_CONSTANT_VAPOUR * outside
-    # the filter's vapour is a linear state and may be negative where the air is all but dry
+    # the filter's vapour state is linear and may become negative in almost dry air
     e = np.maximum(mean[:, place], 1e-3) * scale
     spread = scale**2 * np.maximum(covariance[:, place, place], 0.0)
     common = scale * np.einsum("ti,ti->t", air_row, covariance[:, :, place])
@@ -130,7 +159,7 @@ def air_condition(
     frost = np.where(dew < FREEZING_K, frost_point(e), np.nan)
     by_frost = 1.0 / saturation_pressure_ice_slope(np.clip(frost, ICE_RANGE[0], FREEZING_K))
     cold = surface.temperature(outside, air)
-    # on a surface below freezing vapour becomes frost, at a temperature a little above the dew point
+    # on a surface below freezing vapour deposits as frost, slightly above the dew point
     icy = (cold < FREEZING_K) & np.isfinite(frost)
     margin = derived(cold - np.where(icy, frost, dew), surface.follows, -np.where(icy, by_frost, by_dew))
     at_surface = saturation_pressure_water(cold)
@@ -150,7 +179,7 @@ def air_condition(
 
 
 def only(found: Condition, kept: np.ndarray | slice) -> Condition:
-    """A condition at some of its instants."""
+    """The condition at a selection of its instants."""
     chosen = {
         name: Quantity(q.value[kept], q.sd[kept])
         for name, q in vars(found).items()
@@ -177,9 +206,14 @@ def probability_above(quantity: Quantity, limit: float) -> np.ndarray:
 def _air(
     model: Model, values: Mapping[str, float | np.ndarray], u: Mapping[str, np.ndarray], mean: np.ndarray
 ) -> tuple[np.ndarray | None, np.ndarray]:
-    """Temperature (T,) of the cabinet air [K] and its slopes (T, n) along the states, by complex steps."""
+    """Temperature (T,) of the cabinet air [K], None without it, and its gradient (T, n) with respect to the
+    states.
+
+    The gradient is exact, by complex steps.
+    """
     count, n = mean.shape
-    # row 0 is the state itself, row i + 1 the state moved along i: one evaluation for all slopes
+    # row 0 is the state itself, row i + 1 the state with component i perturbed: one evaluation gives the
+    # whole gradient
     moved = np.zeros((n, n + 1, count), dtype=complex)
     moved += mean.T[:, None, :]
     moved[np.arange(n), np.arange(n) + 1] += 1e-30j

@@ -1,27 +1,63 @@
-"""What a tracker runs on where no file says so: one turbine for each model, and signals under their own names."""
+"""Configurations without a tracker's file: models and sources from the command line, and the demonstration.
+
+The default has one turbine per model, and signals under their own names.
+
+The demonstration tracks a synthetic turbine and needs no server and no file.  The model is identified on the
+first weeks, and the following weeks are played back faster than real time.  From one day on the cabinet loses
+heat more slowly (a clogged filter), which the tracker should find.  The same cabinet is also tracked without
+its humidity sensor and without any sensor, so that the model alone can be compared with the readings.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import SyntheticParameters, synthetic_turbine, write_case
+from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS
-from hygrokf.identification.results import ResultFault, read_fit
+from hygrokf.data.timestamps import DAY_S
+from hygrokf.data.toml_form import Place
+from hygrokf.identification.procedure import identify
+from hygrokf.identification.results import ResultFault, read_fit, write_fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.live.config import Config, ConfigFault
 from hygrokf.live.plan import Form, plan
 from hygrokf.live.properties import standard_errors
 from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.payload import Field, Mapping
+from hygrokf.live.sources.streams import Playback, form_of, record_mapping, record_messages
 from hygrokf.live.storage.postgres import SCHEMES, url_fault
-from hygrokf.live.table_reader import TableReader
 from hygrokf.live.turbines import Turbine
 from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings
 
+NAMES = {
+    "Synthetic 1": (),
+    "Synthetic 2, temperature only": ("cabinet_relative_humidity",),
+    "Synthetic 3, no sensor": ("cabinet_relative_humidity", "cabinet_temperature"),
+}
+"""Turbine -> signals that it lacks."""
+FIRST = next(iter(NAMES))
+DAYS = 120.0
+IDENTIFIED_DAYS = 60.0
+"""Length of the record, and of its first part on which the model is identified [d]."""
+KNOWN_DAYS = 34.0
+"""[d] before the live part that the tracker gets at once, as history for the forecasts."""
+CHANGED_DAYS = 4.0
+"""[d] from the start of the live part to the change of the cabinet."""
+CHANGED = SyntheticParameters(thermal_time_constant_h=2.5)
+PLAYED = (
+    "cabinet_temperature", "cabinet_relative_humidity", "ambient_temperature", "ambient_relative_humidity",
+    "active_power", "preheating",
+)  # fmt: skip
 
-def usual_mapping() -> Mapping:
-    """Signals of the signal table under their own names, in the units that messages show (°C, %, kW, g/m³)."""
+
+def default_mapping() -> Mapping:
+    """The mapping with all signals under their own names, in display units (°C, %, kW, g/m³)."""
     fields = {}
     for name, row in SIGNALS.items():
         stepped = row.unit in ("W", "rad/s") or name == "preheating"
@@ -30,28 +66,32 @@ def usual_mapping() -> Mapping:
 
 
 def page_at(address: str | None) -> PageSettings:
-    """The page at an address (None: the usual one).  Raises ConfigFault."""
-    reader = TableReader()
-    found = page_settings(address or PAGE, Path(), reader)
-    if reader.faults:
-        raise ConfigFault("--page", reader.faults)
+    """Settings of a page at an address (None: the default).  Raises ConfigFault."""
+    place = Place()
+    found = page_settings(address or PAGE, Path(), place)
+    if place.faults:
+        raise ConfigFault("--page", place.faults)
     return found
 
 
 def store_at(url: str) -> str:
-    """A store's URL as it stands on the command line.  Raises ConfigFault, which does not show what may be a password."""
+    """Check a store's URL from the command line.  Raises ConfigFault, whose message never shows a possible
+    password."""
     wrong = url_fault(url)
     if wrong is None and not url.startswith(("sqlite:", *SCHEMES)):
-        wrong = f"expected sqlite:PATH or postgresql://USER@HOST/NAME, found one that begins with {url.partition(':')[0]!r}"
+        wrong = (
+            "expected sqlite:PATH or postgresql://USER@HOST/NAME, found one that begins with "
+            f"{url.partition(':')[0]!r}"
+        )
     if wrong is not None:
         raise ConfigFault("--store", [wrong])
     return url
 
 
-def usual_config(fits: Sequence[Path], sources: Sequence[str], store: str, page: PageSettings) -> Config:
-    """A tracker of the turbines with these models, one each.  Raises ConfigFault with all that is wrong."""
-    reader = TableReader()
-    mapping = usual_mapping()
+def default_config(fits: Sequence[Path], sources: Sequence[str], store: str, page: PageSettings) -> Config:
+    """A configuration with one turbine per model.  Raises ConfigFault with all faults."""
+    place = Place()
+    mapping = default_mapping()
     forms = {one.signal: one.form for one in mapping.fields.values()}
     turbines: dict[str, Turbine] = {}
     for path in fits:
@@ -59,36 +99,94 @@ def usual_config(fits: Sequence[Path], sources: Sequence[str], store: str, page:
             fit = read_fit(path)
             made = plan(fit, forms=forms)
         except (ResultFault, ValueError, KeyError) as fault:
-            reader.faults.append(str(fault))
+            place.fault(str(fault))
             continue
         except OSError as fault:
-            reader.faults.append(f"{path}: {fault.strerror}")
+            place.fault(f"{path}: {fault.strerror}")
             continue
         if made.name in turbines:
-            reader.faults.append(f"{path}: a second model of {made.name!r}; name turbines in a track.toml")
+            place.fault(f"{path}: a second model of {made.name!r}; name turbines in a track.toml")
         turbines[made.name] = Turbine(made, errors=standard_errors(fit), verdicts=inherited(fit.results))
-    # a payload need not name the only turbine that there is
+    # payloads need not name the turbine if there is only one
     mapping = replace(
         mapping, turbine="" if len(turbines) == 1 else "turbine", turbines={name: name for name in turbines}
     )
-    # a URL may hold a password: it is told by its number
+    # messages refer to a source by number, because its URL may contain a password
     streams = [
-        stream_of(table_of(url), f"--source {number}", Path(), mapping, reader)
+        stream_of(table_of(url), replace(place, name=f"--source {number}"), Path(), mapping)
         for number, url in enumerate(sources, start=1)
     ]
     if not sources:
-        reader.faults.append(
+        place.fault(
             'no source: add --source "file:PATH", stdin or "mqtt://BROKER/TOPIC", or write a track.toml'
         )
-    if reader.faults:
-        raise ConfigFault("track", reader.faults)
+    if place.faults:
+        raise ConfigFault("track", place.faults)
     return Config(turbines, tuple(one for one in streams if one is not None), store, page)
 
 
 def table_of(url: str) -> dict[str, object]:
-    """The source's table that a URL alone stands for: behind an MQTT broker stands the topic filter."""
+    """The `[[source]]` table equivalent to a URL; the path of an MQTT URL is the topic filter."""
     scheme, _, rest = url.partition("://")
     broker, _, topic = rest.partition("/")
     if scheme in ("mqtt", "mqtts") and topic:
         return {"url": f"{scheme}://{broker}", "topics": [topic]}
     return {"url": url}
+
+
+# -- the demonstration ---------------------------------------------------------------------------------------
+def demo_turbines(
+    folder: Path, seed: int = 1, progress: Callable[[str], None] = lambda text: None
+) -> tuple[dict[str, Turbine], Record, float]:
+    """The turbines with their model, the record to play back, and the start of its live part [s].
+
+    Files of an earlier demonstration in `folder` are reused.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    record = _record(folder / "turbine", seed, SyntheticParameters())
+    live_s = record.start_s + IDENTIFIED_DAYS * DAY_S
+    model = folder / f"model-{seed}"
+    if not (model / "fit.json").is_file():
+        fit = identify(record.window(record.start_s, live_s), starts=1, progress=progress)
+        write_fit(replace(fit, name=FIRST), model)
+    fit = read_fit(model)
+    changed = _record(folder / "changed", seed, CHANGED)
+    date_s = live_s + CHANGED_DAYS * DAY_S
+    series = tuple(_spliced(s, changed[s.signal], date_s) for s in record.series if s.signal in PLAYED)
+    played = replace(record, series=series).window(live_s - KNOWN_DAYS * DAY_S, record.end_s)
+    forms = {s.signal: form_of(s) for s in series}
+    turbines = {
+        name: Turbine(
+            plan(fit, name=name, forms=forms, site=record.site, rated_power_W=record.rated_power_W),
+            errors=standard_errors(fit),
+            verdicts=inherited(fit.results),
+        )
+        for name in NAMES
+    }
+    return turbines, played, live_s
+
+
+def demo_stream(record: Record, live_s: float, speed: float) -> Playback:
+    """The record as messages, played at once before `live_s` [s] and at `speed` times real time after it."""
+    found = []
+    for name, without in NAMES.items():
+        own = replace(record, series=tuple(s for s in record.series if s.signal not in without))
+        found += record_messages(own, name)
+    mapping = replace(record_mapping(record, FIRST), turbines={name: name for name in NAMES})
+    return Playback("replay:demo", sorted(found, key=lambda one: one[0]), mapping, speed, live_s)
+
+
+def _record(folder: Path, seed: int, parameters: SyntheticParameters) -> Record:
+    return read_case(write_case(synthetic_turbine(seed=seed, days=DAYS, parameters=parameters), folder))
+
+
+def _spliced(before: Series, after: Series, date_s: float) -> Series:
+    """A cabinet signal that switches from one series to another at a date [s]."""
+    if not before.signal.startswith("cabinet_"):
+        return before
+    early, late = before.time < date_s, after.time >= date_s
+    return replace(
+        before,
+        time=np.concatenate([before.time[early], after.time[late]]),
+        value=np.concatenate([before.value[early], after.value[late]]),
+    )

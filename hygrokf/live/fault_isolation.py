@@ -1,8 +1,10 @@
-"""Why something has departed: the cabinet itself, or a sensor, by which of them explains the readings of the last weeks.
+"""Fault isolation: attributes a parameter shift to the cabinet or to a sensor, whichever explains the
+readings of the last weeks best.
 
-Every property and every sensor's error is a state of the tracked model that may wander.  An inquiry lets one of them wander
-at a time and holds all others still: the same filter with other rates, so that likelihoods can be compared as they are.  A
-thermometer that is off, say, makes the humidity reading depart by what saturation demands; a heater that stays on does not.
+Every property and every sensor error is a state of the tracked model that may drift.  Fault isolation lets
+one of them drift at a time and holds the others constant.  This is the same filter with different rates, so
+that likelihoods are comparable.  For example, a thermometer's error shifts the humidity reading as saturation
+demands, while a heater that stays on does not.
 """
 
 from __future__ import annotations
@@ -11,6 +13,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from hygrokf.data.record import Record
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.ceiling import filtered
 from hygrokf.live.plan import Plan
 from hygrokf.modelling.inputs import prepare_run
@@ -25,24 +28,28 @@ STATES = {
         ("humidity_scale_change", (0.03, 0.1, 0.3)),
     ),
 }
-"""Cause -> states that wander where it is the cause, each with rates for a day that are tried."""
+"""Cause -> states that drift if it is the cause, each with the drift rates [per day^0.5] to try."""
 SENSORS = ("temperature_sensor", "humidity_sensor")
 LEAST = 8.0
-"""Gain in ln L from which a cause explains something: there are some twenty combinations to choose from."""
+"""Gain in ln L from which a cause counts as an explanation; fault isolation chooses among about twenty
+combinations."""
 CLOSE = 3.0
-"""Difference in ln L below which two causes are not told apart."""
-BEFORE_S = 20.0 * 86400.0
-"""[s] of readings before a departure that an inquiry looks at."""
-LONGEST_S = 45.0 * 86400.0
-EVERY_S = 86400.0
-"""[s] after which one that lasts is inquired into again."""
+"""Difference in ln L below which two causes cannot be distinguished."""
+BEFORE_S = 20.0 * DAY_S
+"""[s] before a shift from which readings are used."""
+LONGEST_S = 45.0 * DAY_S
+"""Longest period of readings [s]."""
+EVERY_S = DAY_S
+"""[s] after which the cause of a lasting shift is isolated again."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """The likeliest cause ("" where none explains the readings), its state and value there now, and others as likely.
+    """The most likely cause of a parameter shift, "" if none explains the readings.
 
-    `gain` in ln L over a cabinet that has not changed; `lead` over the next cause, None where there is none.
+    `state`, `value`: the state that explains it, and its value now; `gain`: in ln L over an unchanged
+    cabinet; `lead`: over the next cause, None without one; `alike`: causes that cannot be distinguished from
+    it.
     """
 
     time_s: float
@@ -54,17 +61,26 @@ class Finding:
     alike: tuple[str, ...] = ()
 
 
-def inquire(plan: Plan, record: Record) -> Iterator[Finding | None]:
-    """Look for the cause in a record; None after each step, and in the end the finding.
+@dataclass(frozen=True)
+class Explanation:
+    """How well a cause explains the readings: `gain` in ln L, the drifting `state`, and its value now."""
 
-    Raises ValueError where nothing can be filtered.
+    gain: float
+    state: str
+    value: float
+
+
+def isolate(plan: Plan, record: Record) -> Iterator[Finding | None]:
+    """Search for the cause in a record, step by step: yields None after each step and the finding at the end.
+
+    Raises ValueError if the record cannot be filtered.
     """
     t = prepare_run(plan.design, record).timeline
     likelihood = plan.likelihood(t)
     still = {**plan.values, **_standing(plan)}
     base = filtered(likelihood, still).loglik
-    end_s = float(t.origin_s + 3600.0 * t.time[-1])
-    gains: dict[str, tuple[float, str, float]] = {}
+    end_s = float(t.seconds[-1])
+    gains: dict[str, Explanation] = {}
     for cause, options in STATES.items():
         for state, rates in options:
             if state not in plan.model.states:
@@ -73,25 +89,25 @@ def inquire(plan: Plan, record: Record) -> Iterator[Finding | None]:
             for rate in rates:
                 found = filtered(likelihood, {**still, f"{state}_rate": rate})
                 gain = found.loglik - base
-                if cause not in gains or gain > gains[cause][0]:
-                    gains[cause] = (gain, state, float(found.mean[-1, place]))
+                if cause not in gains or gain > gains[cause].gain:
+                    gains[cause] = Explanation(gain, state, float(found.mean[-1, place]))
                 yield None
     yield judged_by(gains, end_s)
 
 
-def judged_by(gains: Mapping[str, tuple[float, str, float]], time_s: float) -> Finding:
-    """The finding from each cause's (gain, state, value)."""
-    ordered = sorted(gains, key=lambda cause: -gains[cause][0])
-    if not ordered or gains[ordered[0]][0] < LEAST:
+def judged_by(gains: Mapping[str, Explanation], time_s: float) -> Finding:
+    """The finding from the best explanation by each cause."""
+    ordered = sorted(gains, key=lambda cause: -gains[cause].gain)
+    if not ordered or gains[ordered[0]].gain < LEAST:
         return Finding(time_s, "")
     best = ordered[0]
-    gain, state, value = gains[best]
-    lead = gain - gains[ordered[1]][0] if len(ordered) > 1 else None
-    alike = tuple(cause for cause in ordered[1:] if gain - gains[cause][0] < CLOSE)
+    gain, state, value = gains[best].gain, gains[best].state, gains[best].value
+    lead = gain - gains[ordered[1]].gain if len(ordered) > 1 else None
+    alike = tuple(cause for cause in ordered[1:] if gain - gains[cause].gain < CLOSE)
     return Finding(time_s, best, state, value, gain, lead, alike)
 
 
 def _standing(plan: Plan) -> dict[str, float]:
-    """Rates at which nothing wanders: the least that the model allows."""
+    """Drift rates that hold every state constant: the smallest that the model allows."""
     wandering = {f"{state}_rate" for options in STATES.values() for state, _ in options}
     return {p.name: p.lower for p in plan.model.parameters if p.name in wandering}

@@ -1,4 +1,5 @@
-"""One turbine's forecast and advice, from its tracker's state and what the store holds of the last weeks."""
+"""One turbine's forecast and restart advice, from its tracker's state and the stored readings of the last
+weeks."""
 
 from __future__ import annotations
 
@@ -9,24 +10,28 @@ import numpy as np
 
 from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.data.record import Record, Series
-from hygrokf.live.fault_isolation import BEFORE_S, LONGEST_S, Finding, inquire
+from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.live.fault_isolation import BEFORE_S, LONGEST_S, Finding, isolate
 from hygrokf.live.forecast import Advice, Forecast, NoForecast, forecast, restart
 from hygrokf.live.plan import Plan
-from hygrokf.live.properties import Departure
-from hygrokf.live.scenarios import DAY_S, DAYS, NoOutlook, Outlook, persistence, weather_forecast
+from hygrokf.live.properties import ParameterShift
+from hygrokf.live.scenarios import DAYS, NoScenarios, Scenarios, persistence, weather_forecast
 from hygrokf.live.storage.store import Batch, Store
 from hygrokf.live.tracker import AMBIENT_HUMIDITIES, Point, Tracker, record_of
 from hygrokf.live.turbines import Turbine
 
 DRIVERS = ("ambient_temperature", *AMBIENT_HUMIDITIES, "active_power", "preheating")
 CABINET = ("cabinet_temperature", "cabinet_relative_humidity", "cabinet_absolute_humidity")
-EVERY_S = 3600.0
+EVERY_S = HOUR_S
 """[s] between two forecasts of a turbine."""
 
 
 @dataclass(frozen=True)
-class Ahead:
-    """What is expected of a turbine: a forecast, and at standstill the advice; or in words why there is none."""
+class ForecastResult:
+    """The forecast of a turbine and, at standstill, the advice.
+
+    `words` describe the scenarios or say why there are none.
+    """
 
     time_s: float
     forecast: Forecast | None
@@ -34,8 +39,8 @@ class Ahead:
     words: str
 
 
-def ahead_batch(name: str, found: Ahead, limit: float) -> Batch:
-    """What the store keeps of it."""
+def forecast_batch(name: str, found: ForecastResult, limit: float) -> Batch:
+    """The batch that stores a forecast and advice."""
     said = {"made": found.time_s, "weather": found.words, "limit": limit}
     advice = None if found.advice is None else asdict(found.advice)
     return Batch(
@@ -43,8 +48,8 @@ def ahead_batch(name: str, found: Ahead, limit: float) -> Batch:
     )
 
 
-def look_ahead(name: str, one: Turbine, tracker: Tracker, store: Store) -> Ahead | None:
-    """What is expected of a turbine from its newest state on; None before it has one."""
+def make_forecast(name: str, one: Turbine, tracker: Tracker, store: Store) -> ForecastResult | None:
+    """Forecast and advice for a turbine from its newest state on; None before it has a state."""
     state = tracker.newest_state
     if state is None:
         return None
@@ -52,36 +57,36 @@ def look_ahead(name: str, one: Turbine, tracker: Tracker, store: Store) -> Ahead
     signals = (*DRIVERS, *plan.further)
     history = _history(store, name, plan, signals, state.time - (DAYS + 5) * DAY_S, state.time)
     try:
-        outlook = _outlook(store, name, plan.further, history, state)
-        found = forecast(plan, state, outlook, one.surface, one.limit)
-        # while it runs nobody waits for a restart
-        advice = None if tracker.running else restart(plan, state, outlook, one.surface, one.limit)
-    except (NoOutlook, NoForecast) as fault:
-        return Ahead(state.time, None, None, str(fault))
-    return Ahead(state.time, found, advice, outlook.words)
+        scenarios = _scenarios(store, name, plan.further, history, state)
+        found = forecast(plan, state, scenarios, one.surface, one.limit)
+        # a running turbine needs no restart advice
+        advice = None if tracker.running else restart(plan, state, scenarios, one.surface, one.limit)
+    except (NoScenarios, NoForecast) as fault:
+        return ForecastResult(state.time, None, None, str(fault))
+    return ForecastResult(state.time, found, advice, scenarios.words)
 
 
-def _outlook(store: Store, name: str, further: tuple[str, ...], history: Record, state: Point) -> Outlook:
-    coming = _coming(store, name, state.time)
-    if coming:
+def _scenarios(store: Store, name: str, further: tuple[str, ...], history: Record, state: Point) -> Scenarios:
+    weather = _stored_weather(store, name, state.time)
+    if weather:
         try:
             seed = int(state.time) % 2**32
-            return weather_forecast(history, state.time, coming, further, seed=seed)
-        except NoOutlook:
-            pass  # one that has run out says less than the last weeks do
+            return weather_forecast(history, state.time, weather, further, seed=seed)
+        except NoScenarios:
+            pass  # the last weeks are better than an expired forecast
     return persistence(history, state.time, further)
 
 
-def inquiry_into(
-    name: str, one: Turbine, departures: Iterable[Departure], store: Store
+def isolation_steps(
+    name: str, one: Turbine, shifts: Iterable[ParameterShift], store: Store
 ) -> Iterator[Finding | None]:
-    """The steps of an inquiry into a turbine's departures, on its readings since some weeks before them."""
-    since = min(departure.since for departure in departures)
+    """The steps of fault isolation for a turbine's shifts, on readings from some weeks before them."""
+    since = min(shift.since for shift in shifts)
     newest = store.rows("SELECT MAX(time) FROM estimate WHERE turbine = ?", (name,))[0][0]
     first = max(since - BEFORE_S, newest - LONGEST_S)
     signals = (*CABINET, *DRIVERS, *one.plan.further)
     try:
-        yield from inquire(one.plan, _history(store, name, one.plan, signals, first, newest))
+        yield from isolate(one.plan, _history(store, name, one.plan, signals, first, newest))
     except ValueError:
         yield Finding(newest, "")
 
@@ -97,8 +102,8 @@ def _history(
     return record_of(plan, times, values)
 
 
-def _coming(store: Store, name: str, now_s: float) -> Mapping[str, Series]:
-    """The weather forecast that is stored for a turbine, or for all of them; nothing where there is none."""
+def _stored_weather(store: Store, name: str, now_s: float) -> Mapping[str, Series]:
+    """The stored weather forecast for a turbine or, else, for all; empty without one."""
     rows: dict[str, list[tuple[float, float]]] = {}
     for signal, at, value in store.weather(name, now_s - DAY_S):
         rows.setdefault(signal, []).append((at, value))

@@ -1,4 +1,5 @@
-"""How one turbine is tracked: its model with slowly varying properties, and when an estimate is final."""
+"""The plan for tracking one turbine: its model with slowly varying properties, and when an estimate is
+final."""
 
 from __future__ import annotations
 
@@ -12,6 +13,7 @@ from hygrokf.data.ambient import AMBIENT_BRIDGE_H
 from hygrokf.data.input_paths import readings_ahead
 from hygrokf.data.record import Site
 from hygrokf.data.signals import SIGNALS
+from hygrokf.data.timestamps import HOUR_S
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.identification.fit import Fit
@@ -23,9 +25,9 @@ from hygrokf.physics.psychrometrics import absolute_humidity
 
 FEATURES_H = 48.0
 BEFORE = 12
-"""Readings of each signal that are kept from before the context: they tell its usual step, and so which gap is a long one."""
+"""Readings of each signal kept from before the context, to know its usual step and so recognise long gaps."""
 LATENESS_S = 1800.0
-"""[s] readings may come this much later than the newest one and still count."""
+"""[s] a reading may be older than the newest one and still be used."""
 WANDERING = {
     "wandering_time_constant": ("converter_temperature", 0.02),
     "wandering_exchange": ("vapour", 0.02),
@@ -34,22 +36,22 @@ WANDERING = {
     "wandering_humidity_reading": ("cabinet_relative_humidity", 0.005),
     "wandering_humidity_scale": ("cabinet_relative_humidity", 1e-6),
 }
-"""What is tracked: mechanism -> (state or output that it needs, rate for a day).
+"""Tracked properties: mechanism -> (state or output that it requires, drift rate per day^0.5).
 
-An offset of the thermometer and a change of the heat release look alike from hour to hour, and so do offset and scale of the
-humidity sensor: one of each stands still until an inquiry asks for it.
+Over hours an offset of the thermometer looks like a change of the heat release, and an offset of the humidity
+sensor like a scale error.  One of each pair is held almost constant; fault isolation varies it.
 """
 TEMPERATURES_K = (238.15, 253.15, 268.15, 283.15, 298.15, 313.15, 323.15)
 HUMIDITIES = (0.05, 0.5, 1.0)
-"""Climate that sub-steps are made for: from −35 to 50 °C, dry to saturated."""
+"""Climates for which the filter's sub-steps are chosen: −35 to 50 °C, dry to saturated."""
 MARGIN = 1.5
-"""Factor on the fastest rate of that climate, for what a cabinet may add to it."""
+"""Safety factor on the fastest rate in these climates, for conditions that the cabinet adds."""
 
 
 @dataclass(frozen=True)
 class Form:
-    """How a source gives a signal: `hold`, averaging `interval_s` [s], `resolution` and `accuracy` in SI units,
-    `response_time_s` [s] of the sensor where it is stated."""
+    """How a source reports a signal: `hold` between readings, averaging `interval_s` [s], `resolution` and
+    `accuracy` [SI unit], and `response_time_s` [s] of the sensor, None if unknown."""
 
     hold: str = "linear"
     interval_s: float = 0.0
@@ -60,10 +62,11 @@ class Form:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a tracker of one turbine needs, none of which changes while it runs.
+    """The constant data that a tracker of one turbine needs.
 
-    `design`, `values` the model; `fastest` [1/h] the rate that sub-steps are made for; `lateness_s` how late a reading may
-    come after the newest one; `forms` signal → how its source gives it; `site`, `rated_power_W` of the turbine.
+    `design`, `values`: the model and its parameters; `fastest`: rate [1/h] for which sub-steps are chosen;
+    `lateness_s`: how much older than the newest reading a reading may be [s]; `forms`: signal → how its
+    source reports it; `site`, `rated_power_W`: of the turbine.
     """
 
     name: str
@@ -84,11 +87,12 @@ class Plan:
         return Likelihood(self.model, t, fastest=self.fastest)
 
     def form(self, signal: str) -> Form:
-        """How a signal is given; instants where nothing is stated."""
+        """The form of a signal; by default instantaneous readings."""
         return self.forms.get(signal, Form())
 
     def readings_ahead(self, signal: str) -> int:
-        """How many later readings the path of an input depends on, beside the next one; what holds over steps has none."""
+        """Number of later readings, besides the next one, on which an input's path depends; 0 for a step
+        signal."""
         form = self.form(signal)
         if HOLDS[signal] == ZERO_ORDER:
             return 0
@@ -96,21 +100,22 @@ class Plan:
 
     @property
     def context_s(self) -> float:
-        """How far before a final estimate readings are kept [s]: inputs look back over gaps and what settles after them.
+        """[s] before a final estimate for which readings are kept, because inputs look back over gaps and
+        settling times.
 
         Features may look back over a day.
         """
-        return 3600.0 * (FEATURES_H if self.design.features else AMBIENT_BRIDGE_H + SETTLING_H + 2.0)
+        return HOUR_S * (FEATURES_H if self.design.features else AMBIENT_BRIDGE_H + SETTLING_H + 2.0)
 
     @cached_property
     def longest_mean_s(self) -> float:
-        """Longest interval [s] over which readings of the cabinet are averaged."""
+        """Longest averaging interval of the cabinet's readings [s]."""
         intervals = (form.interval_s for signal, form in self.forms.items() if signal.startswith("cabinet_"))
         return max(intervals, default=0.0)
 
     @cached_property
     def further(self) -> tuple[str, ...]:
-        """Signals of the signal table that an added mechanism reads as they are."""
+        """Signals of the signal table that an added mechanism uses directly as inputs."""
         own = {"ambient_temperature", "ambient_absolute_humidity", "cabinet_temperature", "preheating"}
         return tuple(sorted((set(self.model.inputs) & set(SIGNALS)) - own))
 
@@ -127,8 +132,9 @@ def plan(
 ) -> Plan:
     """The plan for a turbine with an identified model.
 
-    `wandering`: rate for a day of each property that is tracked (by default all that the model has, at the rates of
-    `WANDERING`).  The ambient's readings are used as they come: smoothing them needs those that come later.
+    `wandering`: drift rate of each tracked property, by default all properties of the model at the rates of
+    `WANDERING`. The ambient's readings are used without smoothing, because smoothing would need later
+    readings.
     """
     model = fit.design.model
     rates = {m: rate for m, (_, rate) in WANDERING.items()} if wandering is None else dict(wandering)
@@ -153,7 +159,8 @@ def plan(
 
 
 def fastest_rate(model: Model, values: Mapping[str, float]) -> float:
-    """Bound [1/h] on the model's rates in any climate that a cabinet may stand in: no step depends on the record then."""
+    """Upper bound [1/h] of the model's rates in any climate, so that the sub-steps do not depend on the
+    record."""
     kelvin, humidity, switched = (
         grid.ravel() for grid in np.meshgrid(TEMPERATURES_K, HUMIDITIES, (0.0, 1.0), indexing="ij")
     )

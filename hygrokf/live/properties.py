@@ -1,25 +1,27 @@
-"""The cabinet's properties as they are now: time constants and heat release with bounds, and lasting departures."""
+"""The cabinet's present properties: time constants and heat release with bounds, and lasting shifts."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.identification.fit import Fit
 from hygrokf.live.condition import Z95
 from hygrokf.physics.model import Model
 
-DAY_S = 86400.0
-
 
 @dataclass(frozen=True)
 class Watched:
-    """A property that is tracked: its state, the fit's parameter that it multiplies by e^x (none: x is added to 0), its
-    unit, the least departure that matters, the standard deviation of x from which it is not observable, and the readings
-    that show it.
+    """A tracked property with its state x.
+
+    `parameter`: parameter of the fit that e^x multiplies, None if the property is x itself; `least`: smallest
+    shift of x that matters; `blind`: standard deviation of x from which the property is not observable;
+    `shown_by`: signals that make it observable.
     """
 
     name: str
@@ -47,20 +49,28 @@ WATCHED = (
     Watched("heat_release_change", "release_change", None, "K", 1.0, 2.0, TEMPERATURES),
     Watched("humidity_offset", "humidity_reading_change", None, "1", 0.04, 0.1, HUMIDITIES[:1]),
 )
-"""What a tracker watches; the least departures are 15 %, 1 K and 4 % relative humidity."""
+"""The tracked properties; the smallest shifts that matter are 15 %, 1 K and 4 % relative humidity."""
 SURE = 4.0
-"""Standard deviations by which a property must differ from the fit's."""
+"""Number of standard deviations by which a property must differ from the fit's value."""
 SILENT_S = 3.0 * DAY_S
-"""[s] without a reading that shows it after which a property is not observable."""
+"""[s] without a reading in `shown_by` after which a property is not observable."""
 LASTING_S = 2.0 * DAY_S
-"""[s] for how long it must do so."""
+"""[s] after which a shift counts as lasting."""
 BACK = 0.5
-"""Share of a departure below which a property is back."""
+"""Share of the largest shift below which a property counts as back."""
+
+
+class TrackedState(NamedTuple):
+    """The state x of a watched property and its standard deviation."""
+
+    x: float
+    sd: float
 
 
 @dataclass(frozen=True)
 class Property:
-    """A property now: `value`, bounds of 95 %, the fit's `reference` value; all None where it is `observable` no more."""
+    """A property now: `value` with 95 % bounds, which are None if it is not `observable`, and the fit's
+    `reference` value."""
 
     name: str
     unit: str
@@ -72,10 +82,11 @@ class Property:
 
 
 @dataclass(frozen=True)
-class Departure:
-    """A property that has departed from the fit's value: since when [s], whether that lasts, and the largest change yet.
+class ParameterShift:
+    """A property's shift from the fit's value: since when [s], whether it is lasting, and the largest
+    change so far.
 
-    `change` [1] logarithm of the ratio, or [K]; negative where it fell.
+    `change`: logarithm of the ratio [1], or difference [K] or [1]; negative for a decrease.
     """
 
     name: str
@@ -85,8 +96,8 @@ class Departure:
 
 
 def standard_errors(fit: Fit) -> dict[str, float]:
-    """What the fit itself does not know of each watched property, in units of its state."""
-    if "covariance" not in fit.results:
+    """The fit's own standard error of each watched property, in units of its state."""
+    if fit.results.covariance is None:
         return {}
     names, covariance = fit.covariance
     sd = dict(zip(names, np.sqrt(np.maximum(np.diag(covariance), 0.0)), strict=True))
@@ -99,10 +110,12 @@ def standard_errors(fit: Fit) -> dict[str, float]:
 
 def states_of(
     model: Model, mean: np.ndarray, covariance: np.ndarray, time: float, heard: Mapping[str, float]
-) -> dict[str, tuple[float, float]]:
-    """(x, standard deviation) of each watched property that the model has, from mean (n,) and covariance (n, n).
+) -> dict[str, TrackedState]:
+    """The state of each watched property that the model has, from mean (n,) and covariance (n,
+    n).
 
-    `heard` signal → time [s] of its newest reading; the deviation is infinite where nothing shows the property at `time`.
+    `heard`: signal → time [s] of its newest reading.  The standard deviation is infinite if no recent reading
+    shows the property at `time` [s].
     """
     found = {}
     for one in WATCHED:
@@ -110,14 +123,14 @@ def states_of(
             i = model.states.index(one.state)
             newest = max((heard.get(signal, -math.inf) for signal in one.shown_by), default=-math.inf)
             sd = math.sqrt(max(float(covariance[i, i]), 0.0)) if time - newest < SILENT_S else math.inf
-            found[one.name] = (float(mean[i]), sd)
+            found[one.name] = TrackedState(float(mean[i]), sd)
     return found
 
 
 def properties(
-    states: Mapping[str, tuple[float, float]], values: Mapping[str, float], errors: Mapping[str, float]
+    states: Mapping[str, TrackedState], values: Mapping[str, float], errors: Mapping[str, float]
 ) -> list[Property]:
-    """The properties now; bounds hold the filter's uncertainty and, of time constants, the fit's own."""
+    """The properties now; the bounds include the filter's uncertainty and, for time constants, the fit's."""
     found = []
     for one in WATCHED:
         if one.name not in states:
@@ -135,16 +148,17 @@ def properties(
     return found
 
 
-def departures(
-    known: Mapping[str, Departure],
+def parameter_shifts(
+    known: Mapping[str, ParameterShift],
     time: float,
-    states: Mapping[str, tuple[float, float]],
+    states: Mapping[str, TrackedState],
     errors: Mapping[str, float],
-) -> dict[str, Departure]:
-    """Departures at `time` [s], from those known before.
+) -> dict[str, ParameterShift]:
+    """Parameter shifts at `time` [s], updated from the known ones.
 
-    One begins where a property differs from the fit's value by more than the least that matters and by `SURE` standard
-    deviations, lasts after `LASTING_S`, and ends where the property is back within half of it, or cannot be observed.
+    A shift begins when a property differs from the fit's value by more than the smallest change that
+    matters and by `SURE` standard deviations.  It is lasting after `LASTING_S`.  It ends when less than the
+    share `BACK` of it is left, or when the property cannot be observed.
     """
     found = {}
     for one in WATCHED:
@@ -157,7 +171,7 @@ def departures(
             continue
         if before is None or before.change * x < 0.0:
             if abs(x) > max(one.least, SURE * spread):
-                found[one.name] = Departure(one.name, time, False, x)
+                found[one.name] = ParameterShift(one.name, time, False, x)
             continue
         if abs(x) < BACK * abs(before.change):
             continue

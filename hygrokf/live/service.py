@@ -1,7 +1,9 @@
-"""The tracker's loop: deliveries in, rounds of the fleet, batches into the store, acknowledgements back.
+"""The tracker's loop: it takes deliveries, runs rounds of the fleet, commits batches and acknowledges
+deliveries.
 
-Nothing is acknowledged before it is committed.  Where the store fails the loop keeps what it holds, opens the store anew
-until that works, and begins again from what the store has: what was not committed has not happened.
+Nothing is acknowledged before it is committed.  If the store fails, the loop keeps its deliveries, reopens
+the store until that succeeds, and starts again from the stored state: whatever was not committed has not
+happened.
 """
 
 from __future__ import annotations
@@ -18,34 +20,38 @@ from dataclasses import dataclass, field
 from functools import partial
 
 from hygrokf.live.fault_isolation import Finding
-from hygrokf.live.forecast_job import EVERY_S, ahead_batch, inquiry_into, look_ahead
-from hygrokf.live.sources.streams import Stream, taken_from
+from hygrokf.live.forecast_job import EVERY_S, forecast_batch, isolation_steps, make_forecast
+from hygrokf.live.sources.streams import SourceState, Stream, taken_from
 from hygrokf.live.storage.retention import Retention
 from hygrokf.live.storage.store import Batch, Store, StoreFault, open_store
 from hygrokf.live.turbines import SOURCE, Delivery, Fleet, Turbine
 
 LOG = logging.getLogger("hygrokf.track")
 WAITING = 20_000
-"""Deliveries that wait at most; a source that is faster is slowed down."""
+"""Largest number of waiting deliveries; a faster source is blocked."""
 MOST = 2_000
-"""Deliveries of one round."""
+"""Largest number of deliveries per round."""
 PATIENCE_S = 0.1
-"""[s] for which a round waits for its first delivery."""
+"""[s] a round waits for its first delivery."""
 FILTER_S = 0.2
-"""[s] of a round that go into the filter: turbines that find no room wait, while deliveries are still taken and acknowledged."""
+"""[s] per round for filtering; the other turbines wait, while deliveries are still taken and acknowledged."""
 TICK_S = 10.0
-"""[s] between two looks at what did not come."""
+"""[s] between two checks for stale data and lost sources."""
 SHARE = 0.3
-"""Largest share of the time that goes into forecasts while deliveries come."""
+"""Largest share of time spent on forecasts while deliveries come."""
 LEAST_SHARE = 0.05
-"""The same while deliveries, or turbines with readings that are not filtered, wait."""
+"""The same while deliveries or unfiltered turbines wait."""
 RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0)
-"""[s] between attempts to reach a store that failed; the last one repeats."""
+"""[s] between attempts to reopen a failed store; the last value repeats."""
 
 
 @dataclass
 class Health:
-    """What the loop does: rounds, deliveries, the last commit and how long deliveries waited for theirs [s]."""
+    """Counts of the loop.
+
+    `failures` of the store; `committed_s`: time of the last commit [s]; `waits_s`: times [s] from delivery to
+    commit; `store`: why the store fails now, empty if it does not.
+    """
 
     rounds: int = 0
     deliveries: int = 0
@@ -57,12 +63,17 @@ class Health:
     def note(self, waits: Sequence[float]) -> None:
         self.waits_s = [*self.waits_s, *waits][-10_000:]
 
+    def wait_s(self, share: float) -> float | None:
+        """The wait [s] that a share [1] of the deliveries did not exceed; None without deliveries."""
+        waits = sorted(self.waits_s)
+        return waits[int(share * (len(waits) - 1))] if waits else None
+
 
 class Service:
     """Streams, a fleet and a store, run by one thread.
 
-    `settle` turns a finished batch into what is published beside the store (alarms, pages); it is called after a commit.
-    `retention_s` [s] of history are kept, as far back as each turbine's filter has come.
+    `settle` is called after each commit with its batch, and publishes it outside the store (the page).  The
+    store keeps `retention_s` [s] of history before each turbine's newest final estimate.
     """
 
     def __init__(
@@ -82,43 +93,42 @@ class Service:
         self._settle = settle
         self._tick = self._forecasts = self._latest = 0.0
         self._words: dict[str, str] = {}
-        self._inquiry: tuple[str, Iterator[Finding | None]] | None = None
+        self._isolation: tuple[str, Iterator[Finding | None]] | None = None
         self._waiting: queue.Queue[tuple[str, Delivery, float]] = queue.Queue(WAITING)
         self.store: Store | None = None
         self.fleet: Fleet | None = None
 
     @property
-    def _store(self) -> Store:
-        """The store, while the service runs."""
-        assert self.store is not None, "the service does not run yet"
+    def _opened(self) -> Store:
+        """The open store; a different object after a failure."""
+        assert self.store is not None
         return self.store
 
     @property
-    def _fleet(self) -> Fleet:
-        """The fleet, while the service runs."""
-        assert self.fleet is not None, "the service does not run yet"
+    def _tracked(self) -> Fleet:
+        """The fleet of the open store; a different object after a failure."""
+        assert self.fleet is not None
         return self.fleet
 
     def stop(self) -> None:
-        """Drain and end: what was delivered is filtered and committed first."""
+        """Drain and end: deliveries that have arrived are filtered and committed first."""
         self.ending.set()
 
     def run(self, until_ended: bool = False, begun: Callable[[], None] = lambda: None) -> None:
-        """Run until `stop`, or with `until_ended` until every source has ended and all of it is committed.
+        """Run until `stop`, or with `until_ended` until every source has ended and everything is committed.
 
-        `begun` is called once the store is open.  Raises StoreFault where the store cannot be opened at the start, or has not
-        come back when all is to end: what was
-        not committed then is delivered again.
+        `begun` is called once the store is open.  Raises StoreFault if the store cannot be opened at the
+        start or is still unavailable at the end; the sources then deliver again what was not committed.
         """
         self._open()
         try:
             begun()
             for url, stream in self.streams.items():
-                stream.start(self._store.place(url), partial(self._put, url))
-                stream.tell(self._fleet.open_alarms())  # what was told before a crash may not have arrived
+                stream.start(self._opened.place(url), partial(self._put, url))
+                stream.tell(self._tracked.open_alarms())  # alarms told before a crash may not have arrived
             while not self.ending.is_set():
                 idle = not self.round()
-                self._aside(idle)
+                self._work_between_rounds(idle)
                 if idle and until_ended and self._ended() and not self._busy():
                     break
             for stream in self.streams.values():
@@ -133,7 +143,7 @@ class Service:
             LOG.info("ended", extra={"deliveries": self.health.deliveries, "rounds": self.health.rounds})
 
     def _open(self) -> None:
-        """The store, and the fleet as the store has it, for this tracker alone."""
+        """Open the store, claim its turbines and sources for this tracker, and open the fleet."""
         store = open_store(self.store_url)
         try:
             store.claim("turbine", self.turbines)
@@ -145,7 +155,8 @@ class Service:
         self.store = store
 
     def _put(self, url: str, one: Delivery) -> None:
-        """Called by the streams' threads; waits where too much waits, unless all is about to end."""
+        """Queue a delivery, called from the streams' threads; blocks while the queue is full, unless the
+        service is ending."""
         while not self.ending.is_set():
             try:
                 self._waiting.put((url, one, time.monotonic()), timeout=0.5)
@@ -155,19 +166,20 @@ class Service:
 
     def _ended(self) -> bool:
         return self._waiting.empty() and all(
-            s.state[0] in ("ended", "lost", "stopped") for s in self.streams.values()
+            s.state.word in ("ended", "lost", "stopped") for s in self.streams.values()
         )
 
     def _busy(self) -> bool:
-        """Whether something is still to be found out or foretold from what has come."""
-        return bool(self._inquiry or self._fleet.asked() or self._fleet.due(EVERY_S))
+        """Whether fault isolation or a forecast is still due."""
+        return bool(self._isolation or self._tracked.isolation_due() or self._tracked.forecast_due(EVERY_S))
 
     def round(self) -> bool:
-        """One round of deliveries, or of turbines that wait for their filter; whether there was either."""
-        found = taken_from(self._waiting, MOST, 0.0 if self._fleet.waiting else PATIENCE_S)
-        self.retention.bite(self._store, self._fleet)
-        if not found and self._fleet.waiting:
-            self._told(self._kept(lambda: self._fleet.filtered(Batch(), FILTER_S)))
+        """Run one round of deliveries or, without any, of waiting turbines; returns whether there was
+        either."""
+        found = taken_from(self._waiting, MOST, 0.0 if self._tracked.waiting else PATIENCE_S)
+        self.retention.bite(self._opened, self._tracked)
+        if not found and self._tracked.waiting:
+            self._told(self._kept(lambda: self._tracked.filtered(Batch(), FILTER_S)))
             return True
         by_source: dict[str, list[Delivery]] = {}
         for url, one, _ in found:
@@ -182,38 +194,40 @@ class Service:
         return bool(found)
 
     def _committed(self, url: str, deliveries: Sequence[Delivery]) -> None:
-        """Take deliveries in, commit what that gives, and acknowledge them."""
+        """Process deliveries, commit the resulting batch and acknowledge them."""
         stream = self.streams[url]
-        batch = self._kept(lambda: self._fleet.round(deliveries, stream.mapping, url, FILTER_S), url)
+        batch = self._kept(lambda: self._tracked.round(deliveries, stream.mapping, url, FILTER_S), url)
         stream.acknowledge(deliveries)
         self._told(batch)
 
-    def _looked_ahead(self, name: str) -> Batch:
-        """The forecast of a turbine; the next one is due an hour later, also where there is none."""
-        one, tracker = self.turbines[name], self._fleet.trackers[name]
-        found = look_ahead(name, one, tracker, self._store)
+    def _forecasted(self, name: str) -> Batch:
+        """Forecast a turbine; the next forecast is due an hour later, even if none could be made."""
+        one, tracker = self.turbines[name], self._tracked.trackers[name]
+        found = make_forecast(name, one, tracker, self._opened)
         if found is None:
             return Batch()
-        self._fleet.looked[name] = found.time_s
-        return ahead_batch(name, found, one.limit)
+        self._tracked.forecast_made_s[name] = found.time_s
+        return forecast_batch(name, found, one.limit)
 
     def _kept(self, make: Callable[[], Batch], source: str = "") -> Batch:
-        """Make a batch and commit it, however often the store has to be opened anew; the fleet is then another one."""
+        """Make a batch and commit it, reopening the store (and so the fleet) as often as necessary."""
         attempt, mark = 0, secrets.token_hex(8)
         while True:
             try:
-                # a commit whose answer was lost has been made where its mark is there
-                if not attempt or not source or self._store.memory(SOURCE, f"batch of {source}") != mark:
+                # if the mark is stored, the commit succeeded and only its answer was lost
+                if not attempt or not source or self._opened.memory(SOURCE, f"batch of {source}") != mark:
                     batch = make()
                     if source:
                         batch.memories[SOURCE, f"batch of {source}"] = mark
-                        self._store.claim("source", batch.place)
+                        self._opened.claim("source", batch.place)
                     if not batch.empty:
-                        self._store.commit(batch)
+                        self._opened.commit(batch)
                 break
             except StoreFault as fault:
                 self.health.store = str(fault).strip()
-                self.health.failures += 1  # after the words: who sees the failure finds them
+                self.health.failures += (
+                    1  # set after the message, so that whoever sees the failure finds the message
+                )
                 LOG.warning("the store failed", extra={"fault": self.health.store, "attempt": attempt + 1})
                 if attempt and self.ending.is_set():
                     raise
@@ -223,7 +237,7 @@ class Service:
         return batch
 
     def _told(self, batch: Batch) -> None:
-        """Tell what was committed to the page, and alarms to the sources that have a place for them."""
+        """Publish a committed batch: to the page, and its alarms to the sources that can take them."""
         if batch.empty:
             return
         if batch.alarms:
@@ -233,58 +247,61 @@ class Service:
 
     @property
     def now(self) -> float:
-        """The time [s] that data are judged by: a record that is played back has its own."""
+        """The time [s] against which the age of data is judged; a played-back record has its own clock."""
         clocks = [stream.now() for stream in self.streams.values() if not stream.mapping.weather]
         return min(clocks, default=time.time())
 
-    def _aside(self, idle: bool) -> None:
-        """What is done between rounds: what did not come, and forecasts, for a share of the time at most."""
+    def _work_between_rounds(self, idle: bool) -> None:
+        """Check for missing data, make forecasts and isolate faults, for a limited share of the time."""
         begin = time.monotonic()
         if begin >= self._tick:
             self._tick = begin + TICK_S
             states = {url: stream.state for url, stream in self.streams.items()}
             self._noted(states)
-            self._told(self._kept(lambda: self._fleet.tick(self.now, states)))
-        behind = self._fleet.waiting or not self._waiting.empty()
+            self._told(self._kept(lambda: self._tracked.tick(self.now, states)))
+        behind = self._tracked.waiting or not self._waiting.empty()
         if idle or begin >= (self._latest if behind else self._forecasts):
-            name = self._fleet.due(EVERY_S)
+            name = self._tracked.forecast_due(EVERY_S)
             if name is not None:
-                self._told(self._kept(lambda: self._looked_ahead(name)))
-            self._inquired()
+                self._told(self._kept(lambda: self._forecasted(name)))
+            self._isolated()
             end = time.monotonic()
             self._forecasts, self._latest = (
                 end + (end - begin) * (1.0 / share - 1.0) for share in (SHARE, LEAST_SHARE)
             )
 
-    def _noted(self, states: MappingOf[str, tuple[str, str]]) -> None:
-        """Log sources that are in another state than before."""
+    def _noted(self, states: MappingOf[str, SourceState]) -> None:
+        """Log sources whose state has changed."""
         for url, (word, behind) in states.items():
             if self._words.get(url) != word:
                 self._words[url] = word
                 LOG.info("source", extra={"source": url, "state": word, "behind": behind})
 
-    def _inquired(self) -> None:
-        """One step of the inquiry that is under way, or the first one of another."""
-        if self._inquiry is None:
-            name = self._fleet.asked()
+    def _isolated(self) -> None:
+        """Take one step of the current fault isolation, or start the next one."""
+        if self._isolation is None:
+            name = self._tracked.isolation_due()
             if name is None:
                 return
-            lasting = [one for one in self._fleet.departures[name].values() if one.lasting]
-            self._inquiry = (name, inquiry_into(name, self.turbines[name], lasting, self._store))
-        name, steps = self._inquiry
+            lasting = [one for one in self._tracked.shifts[name].values() if one.lasting]
+            self._isolation = (name, isolation_steps(name, self.turbines[name], lasting, self._opened))
+        name, steps = self._isolation
         try:
             found = next(steps)
-        except StoreFault:  # the next commit notices it too, and opens the store anew
-            self._inquiry = None
+        except StoreFault:  # the next commit notices it too and reopens the store
+            self._isolation = None
             return
         if found is not None:
-            self._inquiry = None
-            self._told(self._kept(lambda: self._fleet.answered(name, found)))
+            self._isolation = None
+            self._told(self._kept(lambda: self._tracked.keep_finding(name, found)))
 
     def _reopened(self, attempt: int) -> int:
-        """Open the store anew, as often as it takes, once more when all is to end; the next attempt's number."""
+        """Reopen the store, trying until it succeeds or, once the service is ending, only once.
+
+        Returns the number of the attempt that succeeded.
+        """
         while True:
-            self._store.close()
+            self._opened.close()
             self.ending.wait(RETRY_S[min(attempt, len(RETRY_S) - 1)])
             attempt += 1
             try:
@@ -293,7 +310,7 @@ class Service:
             except StoreFault as fault:
                 self.health.store = str(fault).strip()
                 LOG.warning(
-                    "the store is not reached", extra={"fault": self.health.store, "attempt": attempt}
+                    "the store cannot be reached", extra={"fault": self.health.store, "attempt": attempt}
                 )
                 if self.ending.is_set():
                     raise

@@ -1,9 +1,10 @@
-"""One turbine's filter on readings as they come: late, twice, in any order, and in the end that of the whole record.
+"""One turbine's filter for live readings, which may be late, repeated and in any order.
 
-Readings are kept by their own times.  Up to the **point**, `lateness_s` before the newest reading, the estimate is final
-and kept as a Gaussian; from there on the filter runs again whenever something comes in.  What is final is bit for bit
-what the offline filter gives on the same readings (`whole`), because both take the same steps: instants and inputs come
-from `drivers.run`, and an instant's inputs depend on the readings around it alone.
+Readings are stored by their own times.  Up to the **point**, about `lateness_s` before the newest reading,
+the estimate is final and kept as a Gaussian; from there on the filter runs again whenever readings come in.
+Final estimates equal those of the offline filter on the same readings (`whole`) bit for bit, because both
+take the same steps: instants and inputs come from `modelling.inputs.prepare_run`, and the inputs at an
+instant depend only on the readings around it.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ import numpy as np
 
 from hygrokf.data.ambient import middle
 from hygrokf.data.record import Record, Series
+from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Trace
 from hygrokf.live.ceiling import filtered
@@ -30,15 +32,16 @@ AMBIENT_HUMIDITIES = (
     "ambient_absolute_humidity",
     "ambient_dew_point_temperature",
 )
-AHEAD_S = 30 * 86400.0
-"""[s] how far ahead of the newest reading a gap is taken to end that is too long to be bridged."""
+AHEAD_S = 30 * DAY_S
+"""[s] after the newest reading at which a gap that is too long to be bridged is assumed to end."""
 SAME_S = 1e-3
-"""[s] times closer than this are one."""
+"""[s] times closer than this count as equal."""
 
 
 @dataclass(frozen=True)
 class Reading:
-    """One reading: a signal's name, time [s since 1970, UTC] (of a mean: the end of its interval), value [SI unit]."""
+    """One reading of a signal: time [s since 1970, UTC], which for a mean is the end of its interval, and
+    value [SI unit]."""
 
     signal: str
     time: float
@@ -55,25 +58,24 @@ class Point:
 
 @dataclass(frozen=True)
 class Course:
-    """Estimates after the point: their run, and the filter's moments at its instants."""
+    """Estimates after the point: the run, and the filter's moments at its instants."""
 
     run: Run
     trace: Trace
 
     @property
     def seconds(self) -> np.ndarray:
-        t = self.run.timeline
-        return t.origin_s + 3600.0 * t.time
+        return self.run.timeline.seconds
 
 
 class Tracker:
     """The state of one turbine's filter.
 
-    `point` is what a restart begins from, with the readings that `readings()` gives; `newest_state` is the estimate at the
-    newest instant, which may still change, and `running` whether the turbine operates then; `newest` is the time [s] of the
-    newest reading, −∞ without any.  `counts` says what was set aside:
-    "repeated" readings that were there already, "contradicting" ones (one stamp with several values: none of them is
-    used), "late" ones, which came after their time was final.
+    A restart begins from `point` and `readings()`.  `newest_state` is the estimate at the newest instant,
+    which may still change, and `running` tells whether the turbine operates then; `newest` is the time [s] of
+    the newest reading, −∞ without any.  `counts` counts the readings that are not used: "repeated" (already
+    present), "contradicting" (several values with one stamp, of which none is used) and "late" (received
+    after the estimate at their time was final).
     """
 
     def __init__(self, plan: Plan, point: Point | None = None, readings: Iterable[Reading] = ()) -> None:
@@ -88,9 +90,9 @@ class Tracker:
         for one in readings:
             self._insert(one)
 
-    # -- readings ---------------------------------------------------------------------------------------------
+    # -- readings --------------------------------------------------------------------------------------------
     def take(self, readings: Iterable[Reading]) -> None:
-        """Take readings in, in any order; values must be finite."""
+        """Add readings in any order; values must be finite."""
         for one in readings:
             if not math.isfinite(one.value):
                 raise ValueError(
@@ -102,7 +104,7 @@ class Tracker:
                 self._insert(one)
 
     def is_late(self, one: Reading) -> bool:
-        """Whether the estimate at a reading's time is final already."""
+        """Whether the estimate at a reading's time is already final."""
         return self.point is not None and one.time <= self.point.time + SAME_S
 
     def _has(self, one: Reading) -> bool:
@@ -114,7 +116,7 @@ class Tracker:
         if one.signal not in self._times:
             self._times[one.signal], self._values[one.signal] = array("d"), array("d")
         times, values = self._times[one.signal], self._values[one.signal]
-        if not times or one.time > times[-1]:  # the usual one comes in order
+        if not times or one.time > times[-1]:  # most readings come in order
             times.append(one.time)
             values.append(one.value)
             self.newest = max(self.newest, one.time)
@@ -123,7 +125,7 @@ class Tracker:
         if times[place] == one.time:
             if values[place] == one.value:
                 self.counts["repeated"] += 1
-            elif math.isnan(values[place]):  # the third of its stamp
+            elif math.isnan(values[place]):  # at least the third value with this stamp
                 self.counts["contradicting"] += 1
             else:
                 self.counts["contradicting"] += 2
@@ -133,7 +135,7 @@ class Tracker:
         values.insert(place, one.value)
 
     def readings(self) -> list[Reading]:
-        """All readings that are kept, by signal and time; NaN where two contradict each other."""
+        """All stored readings, sorted by signal and time; NaN where readings contradict each other."""
         return [
             Reading(signal, time, value)
             for signal in sorted(self._times)
@@ -145,22 +147,24 @@ class Tracker:
         return {signal: times[-1] for signal, times in self._times.items() if times}
 
     def record(self) -> Record:
-        """The readings that are kept, as a record."""
+        """The stored readings as a record."""
         return record_of(self.plan, self._times, self._values)
 
     def awaited(self) -> tuple[str, ...]:
-        """Signals that the model needs and that have not come yet; of the ambient's humidities the first one named."""
+        """Signals that the model needs but that are still missing; a missing ambient humidity is named by its
+        first variant."""
         there = {signal for signal, values in self._values.items() if any(map(math.isfinite, values))}
         needed = {"ambient_temperature", *self.plan.further} - there
         if "ambient_absolute_humidity" in self.plan.model.inputs and not there & set(AMBIENT_HUMIDITIES):
             needed.add(AMBIENT_HUMIDITIES[0])
         return tuple(sorted(needed))
 
-    # -- the filter -------------------------------------------------------------------------------------------
+    # -- the filter ------------------------------------------------------------------------------------------
     def advance(self) -> Course | None:
-        """Filter what came in since the point, and move the point on; the course after the old point, None without any.
+        """Filter the readings after the point and advance the point; returns the course after the old point.
 
-        None also while `awaited` names signals, and until the ambient is known over some stretch of time.
+        Returns None without new instants, while `awaited` names signals, and until the ambient is known over
+        some period.
         """
         if self.awaited() or not self._spanned():
             return None
@@ -169,7 +173,7 @@ class Tracker:
         if course is None:
             return None
         seconds = course.seconds
-        # the interval of a mean that ends after the run may have begun within it
+        # a mean that ends after the run may have an interval that begins within it
         final = min(self._final(), float(seconds[-1]) - self.plan.longest_mean_s)
         last = int(np.searchsorted(seconds, final + SAME_S, side="right"))
         self.newest_state = Point(float(seconds[-1]), self._state_at(course, len(seconds) - 1))
@@ -180,7 +184,8 @@ class Tracker:
         return course
 
     def _spanned(self) -> bool:
-        """Whether cabinet and ambient, or the ambient alone, are known over a stretch of time."""
+        """Whether the readings of ambient and, if any, cabinet overlap for longer than an averaging
+        interval."""
         if self.point is not None:
             return True
         known = {
@@ -196,7 +201,7 @@ class Tracker:
 
     def _course(self, made: Run) -> Course | None:
         t = made.timeline
-        seconds = t.origin_s + 3600.0 * t.time
+        seconds = t.seconds
         after = -math.inf if self.point is None else self.point.time + SAME_S
         first = int(np.searchsorted(seconds, after, side="right"))
         if first == len(t):
@@ -206,7 +211,8 @@ class Tracker:
         return Course(piece, self._filtered(part, self._start()))
 
     def _state_at(self, course: Course, place: int) -> Gaussian:
-        """The state that the filter goes on with after an instant: a mean that begins there starts from nothing."""
+        """The state from which the filter continues after an instant; the accumulator of a mean that begins
+        there is reset."""
         t, trace = course.run.timeline, course.trace
         if t.reset[place]:
             return self._filtered(t.window(0, place + 1), self._start()).last
@@ -220,14 +226,15 @@ class Tracker:
 
     @property
     def _limit(self) -> float:
-        """Time [s] up to which every reading is there that will be used."""
+        """Time [s] up to which all readings that will be used have arrived."""
         return self.newest - self.plan.lateness_s
 
     def _final(self) -> float:
-        """Time [s] up to which no reading that may still come changes anything.
+        """Time [s] up to which no future reading can change the estimates.
 
-        Between two readings a driver follows both, and a path through means or one freed of a sensor's response the next
-        ones too; whether a gap is bridged is known when it ends or is too long.
+        Between two readings a driver depends on both.  A path through means, or one corrected for a sensor's
+        response, depends on further readings, too.  Whether a gap is bridged is known once it ends or is too
+        long.
         """
         final = self._limit
         for signal, times in self._times.items():
@@ -237,23 +244,24 @@ class Tracker:
                 final = (
                     min(final, times[last] - self.plan.form(signal).interval_s) if last >= 0 else -math.inf
                 )
-        # a reading of the cabinet acts at its own time, and a mean where its interval begins
+        # a cabinet reading acts at its own time, but a mean acts from the beginning of its interval
         return min(final, self._limit - self.plan.longest_mean_s)
 
     def _stale(self, signal: str) -> bool:
-        """Whether a driver's last reading is so old that its gap will not be bridged."""
+        """Whether a driver's last reading is so old that the gap after it will not be bridged."""
         times = self._times[signal]
         place = bisect.bisect_right(times, self._limit)
         if place < len(times) or not place:
             return False
-        age, bridge_s = self._limit - times[-1], 3600.0 * longest_gap_h(signal)
+        age, bridge_s = self._limit - times[-1], HOUR_S * longest_gap_h(signal)
         if age <= bridge_s or len(times) < 2:
             return age > bridge_s
         usual = middle(np.sort(np.diff(np.array(times))))
         return age > max(bridge_s, 1.5 * usual - self.plan.form(signal).interval_s)
 
     def _guarded(self) -> Record:
-        """The readings, with one far ahead for each stale driver: its gap is then known as one that is not bridged."""
+        """The readings, with one far ahead for each stale driver, so that its gap is recognised as too
+        long."""
         stale = {s for s in self._times if not s.startswith("cabinet_") and self._stale(s)}
         if any(s.startswith("ambient_") for s in stale):
             stale |= {s for s in self._times if s.startswith("ambient_")}
@@ -263,7 +271,7 @@ class Tracker:
         return record_of(self.plan, times, values)
 
     def _forget(self) -> None:
-        """Drop readings that no later instant looks at; the last ones before them stay, as the edge of a gap."""
+        """Drop readings that no later instant needs, but keep `BEFORE` older ones to delimit gaps."""
         assert self.point is not None
         oldest = self.point.time - self.plan.context_s
         for signal, times in self._times.items():
@@ -280,7 +288,7 @@ def _last_of(values: Sequence[float]) -> float:
 def record_of(
     plan: Plan, times: Mapping[str, Iterable[float]], values: Mapping[str, Iterable[float]]
 ) -> Record:
-    """Readings by signal as a record of the plan's turbine."""
+    """A record of the plan's turbine from times and values by signal."""
     series = []
     for signal in sorted(times):
         form = plan.form(signal)
@@ -306,7 +314,8 @@ def record_of(
 
 
 def whole(plan: Plan, record: Record) -> Course:
-    """The offline filter on a whole record, with the tracker's model and steps; missing readings are none."""
+    """The offline filter on a whole record, with the tracker's model and steps; missing readings are
+    skipped."""
     times = {s.signal: s.time for s in record.series}
     values = {s.signal: s.value for s in record.series}
     made = prepare_run(plan.design, record_of(plan, times, values))

@@ -1,18 +1,27 @@
-"""The whole tracker: service, page and signals, from a configuration to the end that it is told."""
+"""The complete tracker: service, page, log and operating-system signals, run from a configuration until it is
+told to end.
+
+The log has one line per event, as text for people or as JSON for machines.
+"""
 
 from __future__ import annotations
 
+import json
 import logging
 import signal
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
+from datetime import UTC, datetime
 
 from hygrokf.live.config import Config
 from hygrokf.live.service import Service
 from hygrokf.live.sources.streams import SourceFault, TailedFile
 
 LOG = logging.getLogger("hygrokf.track")
+_OWN = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
+FORMS = ("text", "json")
 
 
 def track(
@@ -22,13 +31,13 @@ def track(
     until_ended: bool = False,
     begun: Callable[[Service, str | None], None] = lambda service, page: None,
 ) -> Service:
-    """Track until a signal to end (SIGTERM, SIGINT), or with `until_ended` until every source has ended.
+    """Track until SIGTERM or SIGINT, or with `until_ended` until every source has ended.
 
-    A file that is followed then ends where it ends now; raises SourceFault where a source was lost instead.  `begun` is
-    told the service and the page's address once the store is open.  What was delivered is committed before it
-    returns; the service is returned for what it counted.
+    With `until_ended` a followed file ends at its present end, and SourceFault is raised if a source was
+    lost.  `begun` is called with the service and the page's URL once the store is open.  All deliveries are
+    committed before this function returns the service, which holds the counts.
     """
-    from hygrokf.live.web.events import Hub
+    from hygrokf.live.web.server import Hub
 
     if until_ended:
         for stream in config.streams:
@@ -54,15 +63,14 @@ def track(
         service.run(until_ended, lambda: begun(service, page))
     lost = [said for word, said in (one.state for one in config.streams) if word == "lost"]
     if until_ended and lost:
-        raise SourceFault(
-            f"{'; '.join(lost)}. All that was delivered ({service.health.deliveries}) is committed"
-        )
+        raise SourceFault(f"{'; '.join(lost)}. All {service.health.deliveries} deliveries are committed")
     return service
 
 
 @contextmanager
 def ended_by_signals(service: Service) -> Iterator[None]:
-    """While it lasts SIGTERM and SIGINT let the service drain and end; a second one ends at once."""
+    """Within this context SIGTERM and SIGINT let the service drain and end; a second signal ends it at
+    once."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -71,7 +79,7 @@ def ended_by_signals(service: Service) -> Iterator[None]:
         if service.ending.is_set():
             raise KeyboardInterrupt
         LOG.info(
-            "told to end: what was delivered is committed first",
+            "ending: committing what has been delivered",
             extra={"signal": signal.Signals(number).name},
         )
         service.stop()
@@ -82,3 +90,43 @@ def ended_by_signals(service: Service) -> Iterator[None]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+# -- the log -------------------------------------------------------------------------------------------------
+class LogLines(logging.Formatter):
+    """Formats time (UTC), level, logger, message and extra fields."""
+
+    def __init__(self, form: str = "text") -> None:
+        super().__init__()
+        self.form = form
+
+    def format(self, record: logging.LogRecord) -> str:
+        at = datetime.fromtimestamp(record.created, UTC).isoformat(timespec="milliseconds")
+        beside = {key: value for key, value in vars(record).items() if key not in _OWN}
+        if record.exc_info:
+            beside["trace"] = self.formatException(record.exc_info)
+        if self.form == "json":
+            said = {
+                "time": at,
+                "level": record.levelname.lower(),
+                "name": record.name,
+                "message": record.getMessage(),
+            }
+            return json.dumps({**said, **beside}, default=str, ensure_ascii=False)
+        # an event stays on one line, whatever characters an external name contains
+        more = "".join(f" {key}={_flat(value)}" for key, value in beside.items())
+        return f"{at} {record.levelname.lower():7} {record.name}: {_flat(record.getMessage())}{more}"
+
+
+def _flat(value: object) -> str:
+    return "".join(c if c.isprintable() else " " for c in str(value))
+
+
+def log_to_stderr(form: str = "text", level: int = logging.INFO) -> None:
+    """Send the package's logs to standard error in one of the `FORMS`."""
+    handler = logging.StreamHandler(sys.stderr)
+    handler.setFormatter(LogLines(form))
+    own = logging.getLogger("hygrokf")
+    own.handlers[:] = [handler]
+    own.setLevel(level)
+    own.propagate = False

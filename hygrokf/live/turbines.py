@@ -1,7 +1,7 @@
-"""All tracked turbines: one round takes what was delivered and gives the batch that the store is to keep.
+"""All tracked turbines: each round turns deliveries into the batch that the store has to keep.
 
-A round has no side effect but on the trackers.  Where the store refuses a batch, the fleet is opened anew from the store,
-and the source delivers again what was not acknowledged.
+A round changes nothing but the trackers.  If the store refuses a batch, the fleet is reopened from the store,
+and the source repeats the deliveries that were not acknowledged.
 """
 
 from __future__ import annotations
@@ -14,10 +14,12 @@ from collections import Counter, defaultdict
 from collections.abc import Iterable, Sequence
 from collections.abc import Mapping as MappingOf
 from dataclasses import asdict, dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol
 
 import numpy as np
 
+from hygrokf.data.timestamps import HOUR_S
+from hygrokf.identification.verdict import Inherited
 from hygrokf.live.alarms import (
     CHANGED,
     CONDENSATION,
@@ -27,53 +29,64 @@ from hygrokf.live.alarms import (
     Level,
     Standing,
     condensation_level,
-    departure_levels,
     judged,
     resting_on,
+    shift_levels,
     source_levels,
     stale_levels,
 )
 from hygrokf.live.condition import Condition, Surface, air_condition, inputs_of, only
-from hygrokf.live.fault_isolation import EVERY_S as INQUIRE_S
+from hygrokf.live.fault_isolation import EVERY_S as ISOLATE_S
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.plan import Plan
-from hygrokf.live.properties import LASTING_S, Departure, departures, properties, states_of
-from hygrokf.live.sources.payload import Mapping, Refused, parsed, taken
-from hygrokf.live.storage.store import Alarm, Batch, Observation, Store
+from hygrokf.live.properties import LASTING_S, ParameterShift, parameter_shifts, properties, states_of
+from hygrokf.live.sources.payload import Mapping, Payload, Refused, parsed, taken
+from hygrokf.live.storage.store import Alarm, Batch, Estimates, Observation, Store
 from hygrokf.live.tracker import SAME_S, Course, Tracker
 
-PROPERTY_S = 3600.0
-"""[s] for which the store keeps one row of each property."""
+if TYPE_CHECKING:
+    from hygrokf.live.sources.streams import SourceState
+
+PROPERTY_S = HOUR_S
+"""[s] between two stored rows of a property."""
 THIN_S = 600.0
-"""[s] between two estimates of a turbine whose cabinet nobody measures."""
+"""[s] between two stored estimates of a cabinet without sensors."""
 WARNED = (CONDENSATION.kind, CHANGED.kind, SUSPECT.kind)
-"""Kinds of alarms that estimates raise."""
-STALE_S = 7200.0
+"""Kinds of alarms that follow from estimates."""
+STALE_S = 2.0 * HOUR_S
 SOURCE = ""
-"""Turbine under which what belongs to no turbine is counted."""
+"""Name under which counts, alarms and memories that belong to no turbine are kept."""
+
+
+class Receipt(Protocol):
+    """The source's handle on a delivery, used to acknowledge it."""
+
+    def acknowledge(self) -> None: ...
 
 
 @dataclass(frozen=True)
 class Delivery:
-    """What a source hands over: a payload, its topic, where the source goes on after it, and when it came [s].
+    """A payload that a source delivers.
 
-    `token` is the source's own: what it needs to acknowledge this delivery.
+    `received`: time of arrival [s]; `topic`: MQTT topic; `place`: position from which the source resumes
+    after this delivery; `token`: the source's receipt, None if there is nothing to acknowledge.
     """
 
-    content: bytes | str | MappingOf[str, object]
+    content: bytes | str | Payload
     received: float
     topic: str = ""
     place: str = ""
-    token: Any = field(default=None, compare=False)
+    token: Receipt | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
 class Turbine:
-    """A turbine to be tracked: its plan, its coldest surface, and the fit's own uncertainty of its properties.
+    """A turbine to be tracked: its plan and its coldest surface.
 
-    `limit` [1] relative humidity that forecasts and the advice for a restart ask for; `stale_s` [s] age from which its data
-    are stale; `verdicts` on the numbers of the fit, as it hands them on.
+    `errors`: the fit's standard errors of the tracked properties; `limit` [1]: relative humidity for
+    forecasts and restart advice; `stale_s` [s]: age above which its data are stale; `verdicts`: the fit's
+    verdicts on its numbers.
     """
 
     plan: Plan
@@ -81,61 +94,61 @@ class Turbine:
     errors: MappingOf[str, float] = field(default_factory=dict)
     limit: float = LIMIT
     stale_s: float = STALE_S
-    verdicts: MappingOf[str, MappingOf] = field(default_factory=dict)
+    verdicts: MappingOf[str, Inherited] = field(default_factory=dict)
 
 
 class Fleet:
-    """Trackers by turbine, and what each remembers between rounds."""
+    """The trackers by turbine, and the data that each turbine carries from round to round."""
 
     def __init__(self, turbines: MappingOf[str, Turbine]) -> None:
         self.turbines = dict(turbines)
         self.trackers = {name: Tracker(one.plan) for name, one in turbines.items()}
-        self.departures: dict[str, dict[str, Departure]] = defaultdict(dict)
+        self.shifts: dict[str, dict[str, ParameterShift]] = defaultdict(dict)
         self.standings: dict[str, dict[str, Standing]] = defaultdict(dict)
         self.faults: dict[str, str] = {}
-        self.looked: dict[str, float] = {}
+        self.forecast_made_s: dict[str, float] = {}
         self.findings: dict[str, Finding] = {}
-        self.waiting: dict[
-            str, None
-        ] = {}  # turbines with readings that are not filtered yet, the longest waiting first
+        # turbines with readings that are not yet filtered, longest waiting first
+        self.waiting: dict[str, None] = {}
         self._slots: dict[str, float] = {}
         self._warned: dict[str, float] = {}
         self._began = math.inf
-        self._counted: dict[str, Counter] = defaultdict(Counter)
+        self._counted: dict[str, Counter[str]] = defaultdict(Counter)
 
     @classmethod
     def opened(cls, turbines: MappingOf[str, Turbine], store: Store) -> Fleet:
-        """The fleet as the store has it."""
+        """The fleet in the state that the store holds."""
         store.add_turbines({name: digest(one.plan) for name, one in turbines.items()})
         fleet = cls(turbines)
         for name, one in turbines.items():
             point = store.point(name)
             since = -1e18 if point is None else point.time - one.plan.context_s
             fleet.trackers[name] = Tracker(one.plan, point, store.readings(name, since))
-            fleet.waiting[name] = None  # what was committed may not have been filtered yet
+            fleet.waiting[name] = None  # committed readings may not have been filtered yet
             known = store.memories(name)
-            fleet.departures[name] = {k: Departure(**d) for k, d in known.get("departures", {}).items()}
+            shifts = known.get("parameter_shifts", known.get("departures", {}))  # older stores
+            fleet.shifts[name] = {k: ParameterShift(**d) for k, d in shifts.items()}
             fleet.standings[name] = {k: standing_of(d) for k, d in known.get("alarms", {}).items()}
             if "finding" in known:
                 fleet.findings[name] = Finding(
                     **{**known["finding"], "alike": tuple(known["finding"]["alike"])}
                 )
             if "forecast" in known:
-                fleet.looked[name] = known["forecast"]["made"]
-        alarms = store.memory(SOURCE, "alarms") or {}
-        fleet.standings[SOURCE] = {k: standing_of(d) for k, d in alarms.items()}
+                fleet.forecast_made_s[name] = known["forecast"]["made"]
+        lost = store.memory(SOURCE, "alarms") or {}
+        fleet.standings[SOURCE] = {k: standing_of(d) for k, d in lost.items()}
         return fleet
 
     def round(
         self, deliveries: Sequence[Delivery], mapping: Mapping, source: str = "", filter_s: float = math.inf
     ) -> Batch:
-        """Take deliveries of one source in, read by its mapping, and filter the turbines that they touch.
+        """Read the deliveries of one source by its mapping, and filter the turbines that they belong to.
 
-        All of them are taken and are in the batch; turbines that are not filtered within `filter_s` [s] wait for the next
-        round.
+        The batch contains all deliveries; turbines that are not filtered within `filter_s` [s] wait for the
+        next round.
         """
         batch = Batch()
-        counts: Counter = Counter()
+        counts: Counter[tuple[str, str]] = Counter()
         touched: dict[str, list[Observation]] = defaultdict(list)
         for one in deliveries:
             try:
@@ -169,7 +182,8 @@ class Fleet:
         return batch
 
     def filtered(self, batch: Batch, filter_s: float = math.inf) -> Batch:
-        """Filter turbines that wait for `filter_s` [s], the longest waiting first, one at least; the batch with what that gives."""
+        """Filter waiting turbines for `filter_s` [s], longest waiting first and at least one; returns the
+        batch."""
         end = time.monotonic() + filter_s
         courses: dict[str, Course] = {}
         while self.waiting:
@@ -188,20 +202,18 @@ class Fleet:
     def _advanced(self, name: str) -> Course | None:
         try:
             course = self.trackers[name].advance()
-        except (
-            ValueError
-        ) as fault:  # nothing of the readings is lost: they are in the tracker, and in the batch
+        except ValueError as fault:  # no reading is lost: all are in the tracker and in the batch
             self.faults[name] = str(fault)
             return None
         self.faults.pop(name, None)
         return course
 
     def _follow(self, name: str, course: Course, found: Condition, batch: Batch) -> None:
-        """What follows from a course and its condition."""
+        """Put estimates, properties and alarms that follow from a course into the batch."""
         point = self.trackers[name].point
         if len(found.time_s):
             final = 0 if point is None else int(np.sum(found.time_s <= point.time + SAME_S))
-            batch.estimates[name] = (found, final, float(course.seconds[0]))
+            batch.estimates[name] = Estimates(found, final, float(course.seconds[0]))
         if point is None:
             return
         batch.points[name] = point
@@ -209,7 +221,8 @@ class Fleet:
         self._warn(name, found, batch)
 
     def _watch(self, name: str, plan: Plan, course: Course, final_s: float, batch: Batch) -> None:
-        """Properties and departures, once an hour of final estimates, however many came at once."""
+        """Update properties and parameter shifts once per hour of final estimates, however many hours came at
+        once."""
         slots = np.floor(course.seconds / PROPERTY_S)
         before = self._slots.get(name, -math.inf)
         begins = (slots > np.append(before, slots[:-1])) & (course.seconds <= final_s + SAME_S)
@@ -221,22 +234,22 @@ class Fleet:
                 return
             self._slots[name] = slots[i]
             batch.properties.append((name, at, properties(states, plan.values, errors)))
-            self.departures[name] = departures(self.departures[name], at, states, errors)
-            batch.memories[name, "departures"] = {k: asdict(d) for k, d in self.departures[name].items()}
+            self.shifts[name] = parameter_shifts(self.shifts[name], at, states, errors)
+            batch.memories[name, "parameter_shifts"] = {k: asdict(d) for k, d in self.shifts[name].items()}
 
     def _warn(self, name: str, found: Condition, batch: Batch) -> None:
-        """Alarms by every estimate that is newer than the last one judged, and the properties."""
+        """Judge alarms at every estimate newer than the last one judged."""
         after = self._warned.get(name, -math.inf)
         for i in np.flatnonzero(found.time_s > after):
-            levels = condensation_level(found, int(i)) + departure_levels(
-                self.departures[name], self.findings.get(name)
+            levels = condensation_level(found, int(i)) + shift_levels(
+                self.shifts[name], self.findings.get(name)
             )
             levels = resting_on(levels, self.turbines[name].verdicts)
             self._judge(name, float(found.time_s[i]), levels, WARNED, batch)
         self._warned[name] = max(after, float(found.time_s[-1]))
 
-    def tick(self, now: float, sources: MappingOf[str, tuple[str, str]]) -> Batch:
-        """Alarms by what did not come: turbines whose data are old at `now` [s], and sources that are lost."""
+    def tick(self, now: float, sources: MappingOf[str, SourceState]) -> Batch:
+        """Judge alarms about missing data: turbines with stale data at `now` [s], and lost sources."""
         batch = Batch()
         self._began = min(self._began, now)
         for name, tracker in self.trackers.items():
@@ -245,38 +258,40 @@ class Fleet:
         self._judge(SOURCE, now, source_levels(sources), (LOST.kind,), batch)
         return batch
 
-    def asked(self) -> str | None:
-        """A turbine of which something departs that lasts, and which was not inquired into since or for a day."""
-        for name, found in self.departures.items():
+    def isolation_due(self) -> str | None:
+        """A turbine with a lasting shift whose cause was not isolated since it became lasting, or not for a
+        day."""
+        for name, found in self.shifts.items():
             lasting = [one for one in found.values() if one.lasting]
             newest = max((one.since for one in lasting), default=-math.inf) + LASTING_S
             known = self.findings.get(name)
             state = self.trackers[name].newest_state
-            if lasting and state and (known is None or known.time_s < max(newest, state.time - INQUIRE_S)):
+            if lasting and state and (known is None or known.time_s < max(newest, state.time - ISOLATE_S)):
                 return name
         return None
 
     def open_alarms(self) -> list[Alarm]:
-        """Alarms that have begun and not ended."""
+        """The open alarms."""
         return [
             one.alarm for known in self.standings.values() for one in known.values() if one.alarm is not None
         ]
 
-    def answered(self, name: str, finding: Finding) -> Batch:
-        """What an inquiry found is remembered and said."""
+    def keep_finding(self, name: str, finding: Finding) -> Batch:
+        """Keep the finding of fault isolation and judge the alarms that it explains."""
         self.findings[name] = finding
         batch = Batch(memories={(name, "finding"): asdict(finding)})
-        levels = departure_levels(self.departures[name], finding)
+        levels = shift_levels(self.shifts[name], finding)
         levels = resting_on(levels, self.turbines[name].verdicts)
         self._judge(name, finding.time_s, levels, (CHANGED.kind, SUSPECT.kind), batch)
         return batch
 
-    def due(self, every_s: float) -> str | None:
-        """The turbine whose last forecast is oldest, where it is older than `every_s` [s] of its own time."""
+    def forecast_due(self, every_s: float) -> str | None:
+        """The turbine whose forecast is oldest, if it is at least `every_s` [s] old in the turbine's own
+        time."""
         best, oldest = None, every_s
         for name, tracker in self.trackers.items():
             if tracker.newest_state is not None:
-                age = tracker.newest_state.time - self.looked.get(name, -math.inf)
+                age = tracker.newest_state.time - self.forecast_made_s.get(name, -math.inf)
                 if age >= oldest:
                     best, oldest = name, age
         return best
@@ -284,7 +299,7 @@ class Fleet:
     def _judge(
         self, name: str, now: float, levels: list[Level], kinds: tuple[str, ...], batch: Batch
     ) -> None:
-        """Alarms of these kinds by their levels."""
+        """Judge the alarms of some kinds by their levels."""
         before = self.standings[name]
         after, changed = judged(name, before, now, levels, kinds)
         if after != before:
@@ -293,8 +308,8 @@ class Fleet:
         batch.alarms += changed
 
 
-def standing_of(data: MappingOf) -> Standing:
-    """A standing from what the store has of it."""
+def standing_of(data: MappingOf[str, Any]) -> Standing:
+    """A standing from its stored JSON data."""
     alarm = data["alarm"]
     return Standing(data["since"], None if alarm is None else Alarm(**alarm))
 
@@ -302,7 +317,8 @@ def standing_of(data: MappingOf) -> Standing:
 def conditions(courses: MappingOf[str, tuple[Turbine, Course]]) -> dict[str, Condition]:
     """The condition of each turbine at the instants of its course that the store keeps.
 
-    Turbines of one model are looked at together: for the few instants of one alone numpy takes longer to begin than to end.
+    Turbines of one model are evaluated together, because numpy's overhead exceeds the work for the few
+    instants of one.
     """
     alike: dict[int, list[str]] = defaultdict(list)
     for name, (one, _) in courses.items():
@@ -340,7 +356,8 @@ def _joined(arrays: Iterable[np.ndarray]) -> np.ndarray:
 
 
 def instants_kept(course: Course) -> np.ndarray:
-    """Places of a course's instants that the store keeps: those of the cabinet's readings, or a few, and the last one."""
+    """Indices of the instants that the store keeps: those with cabinet readings, else one per `THIN_S`;
+    always the last one."""
     kept = np.isfinite(course.run.timeline.y).any(axis=1)
     if not kept.any():
         slot = np.floor(course.seconds / THIN_S)
@@ -350,7 +367,7 @@ def instants_kept(course: Course) -> np.ndarray:
 
 
 def digest(plan: Plan) -> str:
-    """What a point belongs to: the model, its values, and how readings are given."""
+    """Digest of what a point depends on: the model, its parameter values and the forms of the readings."""
     said = {
         "design": plan.design.to_json(),
         "values": dict(plan.values),

@@ -1,30 +1,32 @@
-"""Inputs that a mechanism acts through, made from a record's own signals: sun, wind, calendar, dates, switches.
+"""Features: inputs of mechanisms derived from a record's signals (sun, wind, calendar, dates, switches).
 
-A design names its features with their settings, so that an extended model can be driven by any record:
-`{"after_step": {"date_s": 1.6e9}}`.  `time` (T,) [s] are the instants of a run; a feature that holds over steps is
-taken in the middle of the step that ends at each instant.
+A design stores its features with their settings, so that an extended model can be driven by any record:
+`{"after_step": {"date_s": 1.6e9}}`.  `time` (T,) [s] are the instants of a run; a feature that holds over
+steps is evaluated in the middle of the step that ends at each instant.
 """
 
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H, ambient_absolute_humidity, at_times, bridge_h
 from hygrokf.data.input_paths import Same, input_path
 from hygrokf.data.record import Record, Series, Site
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.physics.holds import LINEAR, ZERO_ORDER
 from hygrokf.physics.switches import SWITCHES, Switch, Throttle
 
-DAY_S = 86400.0
 SOLAR_CONSTANT = 1361.0
 """[W/m²] irradiance outside the atmosphere."""
 RATE_WINDOW_S = 5400.0
 READING_BRIDGE_H = 2.0
-"""[h] a switch that follows a reading is interpolated over gaps up to this length and stays as it is in longer ones."""
+"""[h] a switch follows an interpolated reading over gaps up to this length, and keeps its state in longer
+ones."""
 
 
 def elapsed(record: Record, time: np.ndarray, start_s: float, end_s: float) -> np.ndarray:
@@ -33,13 +35,13 @@ def elapsed(record: Record, time: np.ndarray, start_s: float, end_s: float) -> n
 
 
 def after_step(record: Record, time: np.ndarray, date_s: float, days: float = 0.0) -> np.ndarray:
-    """0 before a date [s], 1 after it; a straight ramp over `days` where the change takes time."""
+    """0 before a date [s] and 1 after it, with a linear ramp over `days` where that is above 0."""
     if days <= 0:
         return (time > date_s).astype(float)
     return np.clip((time - date_s) / (days * DAY_S), 0.0, 1.0)
 
 
-def door_open(record: Record, time: np.ndarray, spans: list) -> np.ndarray:
+def door_open(record: Record, time: np.ndarray, spans: Sequence[Sequence[float]]) -> np.ndarray:
     """1 within spans (start, end) [s], 0 outside."""
     inside = np.zeros(len(time))
     for start, end in spans:
@@ -58,16 +60,18 @@ def sunshine(record: Record, time: np.ndarray) -> np.ndarray:
         return _signal(record, "global_horizontal_irradiance", time) / 1e3
     if record.site is None:
         raise ValueError(
-            "the model needs the sun: expected global_horizontal_irradiance or [site] in the case, found neither"
+            "the model needs the sun: expected global_horizontal_irradiance or [site] in the case, found "
+            "neither"
         )
     return clear_sky(time, record.site) / 1e3
 
 
 def sunlit_wall(record: Record, time: np.ndarray, azimuth_deg: float) -> np.ndarray:
-    """Irradiance of a vertical wall [kW/m²] that looks toward `azimuth_deg` (clockwise from north).
+    """Irradiance [kW/m²] on a vertical wall facing `azimuth_deg` (clockwise from north).
 
-    Beam and sky are split by the clearness index (Erbs, Klein and Duffie 1982), the sky is isotropic, the ground
-    reflects a fifth.  Below six degrees of height the beam counts as at six: trees and hills stand before it.
+    Beam and diffuse radiation are split by the clearness index (Erbs, Klein and Duffie 1982); the sky is
+    isotropic, the ground reflects a fifth.  Below six degrees of elevation the beam counts as at six, since
+    trees and hills obstruct it.
     """
     horizontal = 1e3 * sunshine(record, time)
     sine, azimuth = sun_place(time, _site(record))
@@ -80,9 +84,9 @@ def sunlit_wall(record: Record, time: np.ndarray, azimuth_deg: float) -> np.ndar
 
 
 def night_sky(record: Record, time: np.ndarray) -> np.ndarray:
-    """How much the night sky draws heat, 0 to 1: 0 by day; by night how clear the day before was.
+    """Radiative cooling by the night sky, 0 to 1: 0 by day, by night the clearness of the last 24 h.
 
-    Clearness is measured irradiance over that of a clear sky, both over the last 24 h; 1 where it is not measured.
+    Clearness is measured irradiance divided by that of a clear sky; 1 where irradiance is not measured.
     """
     site = _site(record)
     sine, _ = sun_place(time, site)
@@ -104,7 +108,7 @@ def wind_square(record: Record, time: np.ndarray) -> np.ndarray:
 
 
 def heavy_rain(record: Record, time: np.ndarray, above: float) -> np.ndarray:
-    """What the rain signal has above a threshold, in its own unit; gaps count as dry."""
+    """Excess of the rain signal over a threshold, in its own unit; gaps count as dry."""
     series = record["rain"]
     value = np.nan_to_num(at_times(series, time, bridge_h(series, AMBIENT_BRIDGE_H)))
     return np.maximum(value - above, 0.0)
@@ -113,7 +117,7 @@ def heavy_rain(record: Record, time: np.ndarray, above: float) -> np.ndarray:
 def scheduled(
     record: Record, time: np.ndarray, start_h: float, hours: float, workdays: bool = False
 ) -> np.ndarray:
-    """1 for so many `hours` from `start_h` [h, UTC] on, every day or from Monday to Friday; 0 else."""
+    """1 for `hours` hours from `start_h` [h, UTC], every day or on Monday to Friday only; 0 otherwise."""
     begun = time - 3600.0 * start_h
     day = np.floor(begun / DAY_S)
     inside = begun - DAY_S * day < 3600.0 * hours
@@ -122,12 +126,12 @@ def scheduled(
 
 
 def fading(record: Record, time: np.ndarray, date_s: float, days: float) -> np.ndarray:
-    """0 before a date [s], then 1 and falling by 1/e in so many days."""
+    """0 before a date [s], then 1, decaying with the time constant `days`."""
     return np.where(time > date_s, np.exp(-np.maximum(time - date_s, 0.0) / (days * DAY_S)), 0.0)
 
 
 def since(record: Record, time: np.ndarray, date_s: float, days: float) -> np.ndarray:
-    """0 before a date [s], then toward 1, by all but 1/e in so many days."""
+    """0 before a date [s], then approaching 1 with the time constant `days`."""
     return 1.0 - np.exp(-np.maximum(time - date_s, 0.0) / (days * DAY_S))
 
 
@@ -139,14 +143,19 @@ def ambient_temperature_rate(record: Record, time: np.ndarray) -> np.ndarray:
 def ambient_vapour_rate(record: Record, time: np.ndarray) -> np.ndarray:
     """Rate of the ambient absolute humidity [g/(m³ h)]; see `rate`."""
     vapour = ambient_absolute_humidity(record)
-    assert vapour is not None, "a model with this input has the ambient's humidity"
+    if vapour is None:
+        raise ValueError(
+            "the model reads an ambient humidity (relative, absolute or dew point), which the record does "
+            "not have; add the signal"
+        )
     return 1e3 * rate(vapour, time)
 
 
 def rate(series: Series, time: np.ndarray) -> np.ndarray:
-    """Rate of a series [1/h] at `time` (T,) [s]: slope of a straight line through 1.5 h of it, 0 in longer gaps.
+    """Rate of a series [1/h] at `time` (T,) [s]: slope of a straight line fitted over 1.5 h; 0 in longer
+    gaps.
 
-    A difference of neighbouring readings would be mostly their noise.
+    A difference of neighbouring readings would be mostly noise.
     """
     step = RATE_WINDOW_S / 10.0
     lag = step * np.arange(-5, 6)
@@ -160,28 +169,32 @@ def standstill(record: Record, time: np.ndarray) -> np.ndarray:
 
 
 def cooling(record: Record, time: np.ndarray, on_K: float, off_K: float) -> np.ndarray:
-    """A cooling stage by the cabinet's readings; see `switches`."""
+    """State of a cooling stage that follows the cabinet's readings; see `physics.switches`."""
     return _switched(record, time, SWITCHES["cooling"](on_K, off_K))
 
 
 def heating(
     record: Record, time: np.ndarray, reads: str, on: float, off: float, idle: bool = True
 ) -> np.ndarray:
-    """A heater by the cabinet's readings; see `switches`.  `reads` the signal, `idle` at standstill alone."""
+    """State of a heater that follows the signal `reads`, at standstill only with `idle`; see
+    `physics.switches`."""
     return _switched(record, time, SWITCHES["heating"](reads, on, off, idle))
 
 
 def throttled(record: Record, time: np.ndarray, reads: str, start: float, full: float) -> np.ndarray:
-    """A controller in proportion to one of the cabinet's readings; see `switches`.  `reads` the signal."""
+    """Position of a proportional controller that follows the signal `reads`; see `physics.switches`."""
     return _switched(record, time, Throttle(reads, start, full))
 
 
 def drying(record: Record, time: np.ndarray, on: float, off: float) -> np.ndarray:
-    """A drier by the cabinet's readings; see `switches`."""
+    """State of a drier that follows the cabinet's readings; see `physics.switches`."""
     return _switched(record, time, SWITCHES["drying"](on, off))
 
 
-FEATURES: dict[str, tuple[Callable, str]] = {
+Feature = tuple[Callable[..., np.ndarray], str]
+"""A function (record, time, **settings) -> values (T,), and the hold of the input that it gives."""
+
+FEATURES: dict[str, Feature] = {
     "elapsed": (elapsed, LINEAR),
     "sunshine": (sunshine, LINEAR),
     "sunlit_wall": (sunlit_wall, LINEAR),
@@ -204,10 +217,10 @@ FEATURES: dict[str, tuple[Callable, str]] = {
     "open_hours": (scheduled, ZERO_ORDER),
     "drying": (drying, ZERO_ORDER),
 }
-"""Features by the name of the input that they give, with its hold."""
+"""Features, with their holds, by the name of the input that they provide."""
 
 
-def feature(record: Record, name: str, settings: Mapping, time: np.ndarray) -> np.ndarray:
+def feature(record: Record, name: str, settings: Mapping[str, Any], time: np.ndarray) -> np.ndarray:
     """Values (T,) of a feature at the instants `time` (T,) [s] of a run."""
     function, hold = FEATURES[name]
     if hold == ZERO_ORDER:
@@ -215,8 +228,8 @@ def feature(record: Record, name: str, settings: Mapping, time: np.ndarray) -> n
     return function(record, time, **settings)
 
 
-def feature_faults(features: Mapping[str, Mapping]) -> list[str]:
-    """What keeps stored features from being made: unknown names, settings that are missing or unknown."""
+def feature_faults(features: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    """Faults of stored features: unknown names, and settings that are missing or unknown."""
     faults = []
     for name, settings in features.items():
         if name not in FEATURES:
@@ -230,7 +243,7 @@ def feature_faults(features: Mapping[str, Mapping]) -> list[str]:
 
 
 def operating(record: Record, time: np.ndarray) -> np.ndarray:
-    """Whether the turbine feeds power (T,) at `time` [s]; False where the power is unknown or there is none."""
+    """True (T,) where the turbine feeds power at `time` [s]; False where the power is unknown or absent."""
     if "active_power" not in record:
         return np.zeros(len(time), bool)
     return _feeds(record["active_power"], time)
@@ -241,9 +254,10 @@ def _feeds(power: Series, time: np.ndarray) -> np.ndarray:
 
 
 def sun_place(time: np.ndarray, site: Site) -> tuple[np.ndarray, np.ndarray]:
-    """Sine of the sun's height (T,) [1] and its azimuth (T,) [rad] clockwise from north, at `time` (T,) [s].
+    """Sine of the sun's elevation (T,) [1] and its azimuth (T,) [rad] clockwise from north, at `time` (T,)
+    [s].
 
-    By Spencer's series (1971), good to a quarter of a degree.
+    Spencer's series (1971), accurate to a quarter of a degree.
     """
     day = np.floor(time / DAY_S)
     date = day.astype("datetime64[D]")
@@ -270,7 +284,8 @@ def sun_place(time: np.ndarray, site: Site) -> tuple[np.ndarray, np.ndarray]:
 
 
 def clear_sky(time: np.ndarray, site: Site) -> np.ndarray:
-    """Global irradiance of a clear sky [W/m²] at `time` (T,) [s]: 1098 cos z exp(−0.057/cos z) (Haurwitz 1945)."""
+    """Global irradiance of a clear sky [W/m²] at `time` (T,) [s]: 1098 cos z exp(−0.057/cos z) (Haurwitz
+    1945)."""
     sine, _ = sun_place(time, site)
     up = np.maximum(sine, 1e-3)
     return np.where(sine > 0.0, 1098.0 * up * np.exp(-0.057 / up), 0.0)
@@ -292,9 +307,9 @@ def _signal(record: Record, name: str, time: np.ndarray) -> np.ndarray:
 
 
 def _switched(record: Record, time: np.ndarray, switch: Switch | Throttle) -> np.ndarray:
-    """State (T,) of a switch by the record's readings; a run without any reading of the cabinet has it off.
+    """State (T,) of a switch that follows the record's readings; off in a run without any cabinet reading.
 
-    That run can only be simulated, and a simulation drives its switches itself (`switching`).
+    Such a run can only be simulated, and simulations drive their own switches (`evaluation.self_switching`).
     """
     if not any(signal.startswith("cabinet_") for signal in record.signals):
         return np.zeros(len(time))
@@ -309,7 +324,8 @@ def _switched(record: Record, time: np.ndarray, switch: Switch | Throttle) -> np
 
 @lru_cache(maxsize=8)
 def _followed(reads: Same, power: Same | None, time: bytes) -> tuple[np.ndarray, np.ndarray]:
-    """What a switch follows at `time` (T,) [s]: the reading (T,) and the standstills (T,); a search asks for it hundreds of times."""
+    """The reading (T,) that a switch follows at `time` (T,) [s], and True (T,) at standstill; cached, since
+    searches repeat it often."""
     at = np.frombuffer(time)
     idle = np.ones(len(at), bool) if power is None else ~_feeds(power.series, at)
     return at_times(input_path(reads.series), at, READING_BRIDGE_H), idle

@@ -1,7 +1,7 @@
-"""Which model a record calls for: a `Design` is a model with the constants that turn any record into its inputs.
+"""The model for a record: a `Design` is a model with the constants that turn any record into its inputs.
 
-A design is made from the identification period alone and then used, unchanged, on every record: the same one later, a
-sister turbine, a forecast.
+A design is made from the identification period alone and then applied unchanged to every record: the later
+part of the same one, a sister turbine, a forecast.
 """
 
 from __future__ import annotations
@@ -11,24 +11,25 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property
+from typing import Any
 from weakref import WeakValueDictionary
 
 import numpy as np
 
-from hygrokf.data.actuators import actuators
+from hygrokf.data.actuators import Chosen, actuators
 from hygrokf.data.ambient import ambient_absolute_humidity, bridge_h, reading_noise
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS, signal_named
 from hygrokf.modelling.derived_inputs import FEATURES
 from hygrokf.modelling.registry import origins
 from hygrokf.physics.holds import LINEAR, REGIME, ZERO_ORDER
-from hygrokf.physics.mechanisms import LIBRARY
+from hygrokf.physics.mechanisms import LIBRARY, Factory
 from hygrokf.physics.mechanisms.hygric import SHORTEST_H
 from hygrokf.physics.model import Mechanism, Model, compose
 from hygrokf.physics.parameters import Prior
 
 STEPPED = ("W", "1", "rad/s")
-"""Units of signals that are taken to hold over steps (power, duties, speeds of machines); humidities are not among them."""
+"""Units of signals that hold over steps (power, duties, speeds of machines), except humidities."""
 HOLDS = {
     **{
         one.name: ZERO_ORDER if one.unit in STEPPED and "humidity" not in one.name else LINEAR
@@ -49,34 +50,35 @@ HOLDS = {
 TEMPERATURE = "cabinet_temperature"
 HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
 BRIDGE_H = 1.0
-"""[h] gaps of the power up to this length are bridged by the value before them; over longer ones it is unknown."""
+"""[h] longest gap of the power bridged by the preceding value; in longer gaps the power is unknown."""
 SETTLING_H = 12.0
-"""[h] after a long gap of the ambient series readings are left out for this long, until the state has forgotten it."""
+"""[h] time after a long gap of the ambient series for which readings are left out, until the state has
+forgotten the gap."""
 FEWEST = 50
-"""Readings of a humidity below which it is no humidity to identify."""
+"""Fewest readings of a humidity from which it is identified."""
 PARTS = ("thermal", "hygric")
 """The two networks of a model."""
 JOINT = "joint"
 CASCADE = "cascade"
 
 
-_models: WeakValueDictionary[tuple, Model] = WeakValueDictionary()
-"""Models in use, by what makes them."""
+_models: WeakValueDictionary[tuple[tuple[Factory, ...], str], Model] = WeakValueDictionary()
+"""Existing models, by what determines them."""
 
 
 @dataclass(frozen=True)
 class Design:
-    """A model and how its inputs come from a record.
+    """A model, and how its inputs are made from a record.
 
-    `mechanisms` pairs (name, settings) of the library; `averaged` outputs read as interval means, with the interval
-    [h]; `power_scale_W` the power that counts as 1; `power_order` the largest power of it; `power_mean` the means of
-    the features (operating, p, …) that stand for an unknown power; `humidity` the humidity signal that is observed;
-    `ambient_noise` (q, r) of ambient signals whose readings are smoothed before use (see `ambient`); `features` inputs
-    that are made from the record's signals, with their settings; `priors` (mean, sd, logarithmic) of parameters, from
-    other turbines (see `turbine_type`).
+    `mechanisms`: pairs (name, settings) of the library.  `averaged`: outputs read as interval means, with the
+    interval [h]. `power_scale_W`: power that counts as 1; `power_order`: its highest exponent; `power_mean`:
+    means of the features (operating, p, …) that replace an unknown power.  `humidity`: the observed humidity
+    signal.  `ambient_noise`: (q, r) of the ambient signals that are smoothed before use (see `data.ambient`).
+    `features`: inputs made from the record's signals, with their settings.  `priors`: (mean, sd, logarithmic)
+    of parameters, from other turbines (see `turbine_type`).
     """
 
-    mechanisms: tuple[tuple[str, dict], ...]
+    mechanisms: tuple[Chosen, ...]
     averaged: Mapping[str, float] = field(default_factory=dict)
     power_scale_W: float | None = None
     power_order: int = 0
@@ -85,12 +87,12 @@ class Design:
     ambient_noise: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     statements: tuple[str, ...] = ()
     holds: Mapping[str, str] = field(default_factory=dict)
-    features: Mapping[str, dict] = field(default_factory=dict)
+    features: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     priors: Mapping[str, tuple[float, float, bool]] = field(default_factory=dict)
 
     @cached_property
     def model(self) -> Model:
-        """The model; designs that call for the same one share it, as tracing and compiling it costs time and memory."""
+        """The model; equal designs share it, because tracing and compiling takes time and memory."""
         features = {name: FEATURES[name][1] for name in self.features if name in FEATURES}
         holds = {**HOLDS, **features, **self.holds}
         said = [
@@ -108,25 +110,26 @@ class Design:
             found = _models[key] = compose(made, holds, self.averaged)
         return found
 
-    def to_json(self) -> dict:
-        """Everything that makes the design again, as plain data; `origins` of what is not the package's own."""
+    def to_json(self) -> dict[str, Any]:
+        """All fields as plain data, with the `origins` of mechanisms and features that a user brought."""
         own = origins([*(name for name, _ in self.mechanisms), *self.features])
         said = {one.name: getattr(self, one.name) for one in fields(self)}
         return said | ({"origins": own} if own else {})
 
     @classmethod
-    def from_json(cls, data: Mapping) -> Design:
+    def from_json(cls, data: Mapping[str, Any]) -> Design:
+        """A design from the data of `to_json`; what they lack has its default."""
         known = {name: value for name, value in data.items() if name != "origins"}
-        known["mechanisms"] = tuple((name, dict(settings)) for name, settings in known["mechanisms"])
-        known["power_mean"] = tuple(known["power_mean"])
-        known["statements"] = tuple(known["statements"])
-        known["ambient_noise"] = {name: tuple(pair) for name, pair in known["ambient_noise"].items()}
-        known["priors"] = {name: tuple(prior) for name, prior in known.get("priors", {}).items()}
-        return cls(**known)
+        mechanisms = tuple((name, dict(settings)) for name, settings in known.pop("mechanisms", ()))
+        for name in ("power_mean", "statements"):
+            known[name] = tuple(known.get(name, ()))
+        for name in ("ambient_noise", "priors"):
+            known[name] = {key: tuple(one) for key, one in known.get(name, {}).items()}
+        return cls(mechanisms, **known)
 
 
 def _informed(mechanism: Mechanism, priors: Mapping[str, tuple[float, float, bool]]) -> Mechanism:
-    """The mechanism with priors of its parameters."""
+    """The mechanism with priors for its parameters."""
     if not any(p.name in priors for p in mechanism.parameters):
         return mechanism
     known = tuple(
@@ -136,11 +139,11 @@ def _informed(mechanism: Mechanism, priors: Mapping[str, tuple[float, float, boo
 
 
 RESOLVED = 0.02
-"""Share of the readings' step below which a time constant cannot be told from none."""
+"""Share of the readings' step below which a time constant cannot be distinguished from 0."""
 
 
 def reading_step_h(series: Series) -> float:
-    """Median distance of readings [h]."""
+    """Median time between readings [h]."""
     time = series.time[~series.missing]
     return float(np.median(np.diff(time))) / 3600.0 if len(time) > 1 else 1.0
 
@@ -153,7 +156,7 @@ def accuracy_of(series: Series) -> float:
 
 
 def observed_humidity(record: Record) -> str | None:
-    """The humidity signal of the cabinet that a likelihood uses: the logger's own relative humidity if there is one."""
+    """The cabinet humidity used in the likelihood: the logger's relative humidity where there is one."""
     vapour = ambient_absolute_humidity(record)
     if vapour is None or np.isfinite(vapour.value).sum() < FEWEST:
         return None
@@ -185,13 +188,13 @@ def design(
     heat_start: Mapping[str, float] | None = None,
     coloured: bool = True,
 ) -> Design:
-    """The base model that a record calls for.
+    """The base model for a record.
 
-    `kind`: "joint" (thermal and hygric state in one filter), "thermal" (temperature alone), or "cascade" (the hygric
-    model on the measured temperature).  `coloured=False` leaves the coloured disturbances out.
+    `kind`: "joint" (thermal and hygric state in one filter), "thermal" (temperature alone), or "cascade" (the
+    hygric model on the measured temperature).  `coloured=False` omits the coloured disturbances.
     """
     statements: list[str] = []
-    chosen: list[tuple[str, dict]] = []
+    chosen: list[Chosen] = []
     averaged: dict[str, float] = {}
     seen = observed_humidity(record)
     humidity = seen if kind != "thermal" else None
@@ -248,7 +251,8 @@ def design(
 
 
 def ambient_noise(record: Record) -> dict[str, tuple[float, float]]:
-    """Noise of the ambient readings that a model uses; for humidity that of the absolute humidity computed from them."""
+    """Noise of the ambient readings used by a model; for humidity, that of the absolute humidity computed
+    from them."""
     found = {"ambient_temperature": reading_noise(record["ambient_temperature"])}
     vapour = ambient_absolute_humidity(record)
     if vapour is not None:
@@ -257,7 +261,7 @@ def ambient_noise(record: Record) -> dict[str, tuple[float, float]]:
 
 
 def _sensor(series: Series, scale: float = 1.0) -> dict[str, float]:
-    """Settings of a sensor's mechanism; `scale` from SI to the output's unit."""
+    """Settings of a sensor's mechanism; `scale` converts SI to the output's unit."""
     settings = {"accuracy": scale * accuracy_of(series), "resolution": scale * float(series.resolution)}
     if series.response_time_s:
         settings["response_h"] = series.response_time_s / 3600.0
@@ -265,7 +269,8 @@ def _sensor(series: Series, scale: float = 1.0) -> dict[str, float]:
 
 
 def _correlation_bounds(series: Series, record: Record) -> dict[str, float]:
-    """Bounds of a disturbance's correlation time: what the readings' step and the record's length can resolve."""
+    """Bounds of a disturbance's correlation time that the readings' step and the record's length can
+    resolve."""
     step = reading_step_h(series)
     length = (record.end_s - record.start_s) / 3600.0
     shortest = max(step, 0.1)
@@ -280,10 +285,10 @@ def _release(
     standstill_ambient: bool,
     reference: float,
     start: Mapping[str, float],
-) -> tuple[dict, tuple[float, ...], list[str]]:
-    """Settings of the heat release, the mean features, and what is to be said about it."""
+) -> tuple[dict[str, Any], tuple[float, ...], list[str]]:
+    """Settings of the heat release, the means of its features, and statements about it."""
     statements = []
-    settings: dict = {"reference_K": reference, "start": dict(start)}
+    settings: dict[str, Any] = {"reference_K": reference, "start": dict(start)}
     if "preheating" in record and np.nanmax(record["preheating"].value, initial=0.0) > 0:
         settings["preheating"] = True
     if scale is None:
@@ -362,11 +367,11 @@ def _correlation_time_h(series: Series) -> float:
 
 def extended(
     base: Design,
-    additions: Sequence[tuple[str, dict]],
+    additions: Sequence[Chosen],
     holds: Mapping[str, str] | None = None,
-    features: Mapping[str, dict] | None = None,
+    features: Mapping[str, Mapping[str, Any]] | None = None,
 ) -> Design:
-    """The design with more mechanisms of the library, and the features that they read."""
+    """The design with further mechanisms of the library and the features that they read."""
     return replace(
         base,
         mechanisms=(*base.mechanisms, *additions),
@@ -376,9 +381,10 @@ def extended(
 
 
 def read_as(base: Design, record: Record) -> Design:
-    """The design for a record whose loggers average otherwise: interval means belong to the readings, not the cabinet.
+    """The design for a record with other averaging intervals, which belong to the loggers and not to the
+    cabinet.
 
-    Outputs that the record does not have are predicted for instants.
+    Outputs that the record lacks are predicted for instants.
     """
     averaged = {
         name: record[name].interval_s / 3600.0
@@ -389,7 +395,8 @@ def read_as(base: Design, record: Record) -> Design:
 
 
 def merged(parts: Sequence[Design]) -> Design:
-    """One joint design from those of a cascade: the hygric part's air temperature comes from the thermal part."""
+    """The joint design of a cascade, in which the thermal part supplies the air temperature of the hygric
+    part."""
     first = parts[0]
     for part in parts[1:]:
         first = replace(

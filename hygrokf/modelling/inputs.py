@@ -1,4 +1,5 @@
-"""From a record to the instants of a run: inputs by their holds, readings at their own times, gaps as gaps."""
+"""From a record to the instants of a run: inputs by their holds, readings at their own times, gaps kept as
+gaps."""
 
 from __future__ import annotations
 
@@ -20,15 +21,15 @@ IDENTIFIED_ON = {
     "ambient_absolute_humidity": "ambient_absolute_humidity_g_m3",
     "power_1": "power_share",
 }
-"""Inputs whose range of the identification period a fit keeps, and the keys of its `identified_on`."""
+"""Inputs whose range in the identification period is stored with a fit, and their keys in `identified_on`."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """A timeline and what is known about its instants.
+    """A timeline with flags for its instants.
 
-    `operating` (T,) True where the turbine feeds power (a record without power counts as standstill); `scored` (T,)
-    False where an input is unknown or was until shortly before.
+    `operating` (T,) is True where the turbine feeds power (a record without power counts as standstill);
+    `scored` (T,) is False where an input is unknown or was unknown until shortly before.
     """
 
     timeline: Timeline
@@ -37,7 +38,7 @@ class Run:
 
 
 def _changes(series: Series, first: float, last: float) -> np.ndarray:
-    """Times at which a series' course has a corner or a jump [s]."""
+    """Times [s] at which a series' course has a corner or a jump."""
     time = series.time
     if series.interval_s > 0:
         time = np.concatenate([time, time - series.interval_s])
@@ -45,50 +46,24 @@ def _changes(series: Series, first: float, last: float) -> np.ndarray:
 
 
 def longest_gap_h(signal: str) -> float:
-    """Longest gap [h] of a driver that is bridged, where its own usual step is not longer."""
+    """Longest gap [h] of an input that is bridged, unless its own usual step is longer."""
     return {"active_power": BRIDGE_H, "preheating": 24.0}.get(signal, AMBIENT_BRIDGE_H)
 
 
 def prepare_run(design: Design, record: Record) -> Run:
     """The instants of a record for a design.
 
-    The run spans the cabinet's readings as far as ambient series exist.  Interval means of the ambient give the path that
-    keeps them (`paths`); of interval means of the cabinet that overlap, the later ones are left out.  Raises ValueError where nothing is left, and where the record averages otherwise than the
-    design (`read_as` makes one that fits).
+    The run spans the cabinet's readings as far as ambient series exist.  Interval means of the ambient are
+    replaced by a path with the same means (`data.input_paths`); of overlapping interval means of the cabinet,
+    the later ones are left out. Raises ValueError where nothing is left, and where the record's averaging
+    intervals differ from the design's (`read_as` makes a design that fits).
     """
     model = design.model
     outputs = [name for name in model.outputs if name in record]
     _same_intervals(design, record, outputs)
     inputs_of = set(model.inputs)
-    vapour = ambient_absolute_humidity(record) if "ambient_absolute_humidity" in inputs_of else None
-    ambient = {"ambient_temperature": without_response(record["ambient_temperature"])}
-    if vapour is not None:
-        ambient["ambient_absolute_humidity"] = vapour
-    ambient = {
-        name: input_path(smoothed(series, noise), noise)
-        for name, series in ambient.items()
-        for noise in [design.ambient_noise.get(name)]
-    }
-    if TEMPERATURE in inputs_of:
-        ambient[TEMPERATURE] = input_path(without_response(record[TEMPERATURE]))
-    observed = [record[name] for name in (TEMPERATURE, *HUMIDITIES) if name in record]
-    spans = observed or list(ambient.values())
-    known = [s.known[0] for s in ambient.values()]
-    if not all(len(time) for time in known):
-        empty = ", ".join(
-            "the ambient humidity" if name == "ambient_absolute_humidity" else name
-            for name, time in zip(ambient, known, strict=True)
-            if not len(time)
-        )
-        raise ValueError(f"no reading of {empty} can be used: without it no model runs; check the source")
-    first = max(min(s.time[0] - s.interval_s for s in spans), *(time[0] for time in known))
-    last = min(max(s.time[-1] for s in spans), *(time[-1] for time in known))
-    if not first < last:
-        what = "the cabinet's readings and the ambient series" if observed else "the ambient series"
-        raise ValueError(
-            f"{what} have no stretch of time in common (a single reading is none): "
-            "check the spans with `hygrokf check`"
-        )
+    ambient = _courses(design, record)
+    first, last = _common_span(record, ambient)
     switched = [
         record[name]
         for name in ("active_power", "preheating")
@@ -116,6 +91,58 @@ def prepare_run(design: Design, record: Record) -> Run:
     for name in sorted(inputs_of - set(values)):  # further signals that an added mechanism reads
         values[name] = _further(record, name, time, model.holds[name])
     near = _spread(time, unknown_ambient, SETTLING_H)
+    readings, resets = _readings(design, record, outputs, time, near)
+    made = timeline(model, (time - first) / 3600.0, values, readings, resets, origin_s=first)
+    scored = ~near & ~_spread(time, unknown_power, SETTLING_H)
+    return Run(made, operating, scored)
+
+
+def _courses(design: Design, record: Record) -> dict[str, Series]:
+    """The paths of the ambient, and of the cabinet's own temperature where it drives the model, by input."""
+    inputs_of = set(design.model.inputs)
+    vapour = ambient_absolute_humidity(record) if "ambient_absolute_humidity" in inputs_of else None
+    ambient = {"ambient_temperature": without_response(record["ambient_temperature"])}
+    if vapour is not None:
+        ambient["ambient_absolute_humidity"] = vapour
+    ambient = {
+        name: input_path(smoothed(series, noise), noise)
+        for name, series in ambient.items()
+        for noise in [design.ambient_noise.get(name)]
+    }
+    if TEMPERATURE in inputs_of:
+        ambient[TEMPERATURE] = input_path(without_response(record[TEMPERATURE]))
+    return ambient
+
+
+def _common_span(record: Record, ambient: dict[str, Series]) -> tuple[float, float]:
+    """First and last instant [s] of the cabinet's readings as far as the ambient series reach."""
+    observed = [record[name] for name in (TEMPERATURE, *HUMIDITIES) if name in record]
+    spans = observed or list(ambient.values())
+    known = [s.known[0] for s in ambient.values()]
+    if not all(len(time) for time in known):
+        empty = ", ".join(
+            "the ambient humidity" if name == "ambient_absolute_humidity" else name
+            for name, time in zip(ambient, known, strict=True)
+            if not len(time)
+        )
+        raise ValueError(f"no reading of {empty} can be used: without it no model runs; check the source")
+    first = max(min(s.time[0] - s.interval_s for s in spans), *(time[0] for time in known))
+    last = min(max(s.time[-1] for s in spans), *(time[-1] for time in known))
+    if not first < last:
+        what = "the cabinet's readings and the ambient series" if observed else "the ambient series"
+        raise ValueError(
+            f"{what} have no stretch of time in common (a single reading is none): "
+            "check the spans with `hygrokf check`"
+        )
+    return first, last
+
+
+def _readings(
+    design: Design, record: Record, outputs: list[str], time: np.ndarray, near: np.ndarray
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Readings (T,) of every output, NaN where there is none or an input is unknown; flags (T,) where running
+    means restart."""
+    first, last = time[0], time[-1]
     readings, resets = {}, {}
     for name in outputs:
         series = record[name]
@@ -132,9 +159,7 @@ def prepare_run(design: Design, record: Record) -> Run:
             begin = np.zeros(len(time), bool)
             begin[np.searchsorted(time, start[inside & np.isfinite(start)])] = True
             resets[name] = begin
-    made = timeline(model, (time - first) / 3600.0, values, readings, resets, origin_s=first)
-    scored = ~near & ~_spread(time, unknown_power, SETTLING_H)
-    return Run(made, operating, scored)
+    return readings, resets
 
 
 def _same_intervals(design: Design, record: Record, outputs: list[str]) -> None:
@@ -149,17 +174,17 @@ def _same_intervals(design: Design, record: Record, outputs: list[str]) -> None:
 
 
 def _beginnings(series: Series, first: float) -> np.ndarray:
-    """Times at which the intervals of averaged readings begin [s]; NaN for readings that cannot be predicted.
+    """Start times of the intervals of averaged readings [s]; NaN for readings that cannot be predicted.
 
-    Those are the missing ones, those of an interval that begins before the run, and those of an interval that begins
-    before the one taken before it ends: a running mean serves one interval at a time.
+    Those are missing readings, readings whose interval begins before the run, and readings whose interval
+    begins before the previous one ends, since a running mean covers one interval at a time.
     """
     start = np.where(
         series.missing | (series.time - series.interval_s < first), np.nan, series.time - series.interval_s
     )
     free = -np.inf
     for i in np.flatnonzero(np.isfinite(start)):
-        if start[i] < free - 1e-3:  # a millisecond is rounding, no overlap
+        if start[i] < free - 1e-3:  # a millisecond is rounding, not an overlap
             start[i] = np.nan
             continue
         start[i] = max(start[i], free)
@@ -170,7 +195,8 @@ def _beginnings(series: Series, first: float) -> np.ndarray:
 def _ambient_inputs(
     ambient: dict[str, Series], time: np.ndarray, wanted: set[str]
 ) -> tuple[dict[str, np.ndarray], np.ndarray]:
-    values, unknown = {}, np.zeros(len(time), bool)
+    values: dict[str, np.ndarray] = {}
+    unknown = np.zeros(len(time), bool)
     middle = 0.5 * (time[:-1] + time[1:])
     for name, series in ambient.items():
         longest = bridge_h(series, AMBIENT_BRIDGE_H)
@@ -178,16 +204,18 @@ def _ambient_inputs(
         value, between = both[: len(time)], both[len(time) :]
         missing = np.isnan(value)
         unknown |= missing
-        # where all loggers were down no instant lies inside the gap: it is the step over it that is unknown
+        # where all loggers failed, no instant lies inside the gap: the step across it is unknown
         unknown[1:] |= np.isnan(between)
         there = ~missing
         if not there.any():
             raise ValueError(
-                f"{name}: no reading within the span of the cabinet's readings; check both with `hygrokf check`"
+                f"{name}: no reading within the span of the cabinet's readings; check both with `hygrokf "
+                "check`"
             )
         scale = 1e3 if name == "ambient_absolute_humidity" else 1.0
         if missing.any():
-            # within a gap that is not bridged the last value holds: what comes later must not change what was filtered
+            # in a gap that is not bridged the last value holds: later readings must not change what was
+            # filtered before
             place = np.searchsorted(np.flatnonzero(there), np.arange(len(time)), side="right") - 1
             value = value[there][np.maximum(place, 0)]
         values[name] = value * scale
@@ -199,13 +227,13 @@ def _ambient_inputs(
 def _power_inputs(
     design: Design, record: Record, time: np.ndarray
 ) -> tuple[dict[str, np.ndarray], np.ndarray, np.ndarray]:
-    """Power features, where the turbine operates, and where its power is unknown."""
+    """Power features, True where the turbine operates, and True where its power is unknown."""
     nothing = np.zeros(len(time), bool)
     if design.power_scale_W is None or "active_power" not in record:
-        if design.power_mean:  # the model knows a power, this record does not
-            values = dict(zip(_feature_names(design), design.power_mean, strict=True))
+        if design.power_mean:  # the model uses a power that this record lacks
+            means = zip(_feature_names(design), design.power_mean, strict=True)
             return (
-                {n: np.full(len(time), v) for n, v in values.items()} | {"power_unknown": np.ones(len(time))},
+                {n: np.full(len(time), v) for n, v in means} | {"power_unknown": np.ones(len(time))},
                 nothing,
                 ~nothing,
             )
@@ -217,12 +245,12 @@ def _power_inputs(
     unknown = np.isnan(relative)
     features = power_features(np.where(unknown, 0.0, relative), design.power_order)
     features[unknown] = np.array(design.power_mean) if design.power_mean else 0.0
-    courses = dict(zip(_feature_names(design), features.T, strict=True))
+    values = dict(zip(_feature_names(design), features.T, strict=True))
     wanted = set(design.model.inputs)
-    courses = {name: course for name, course in courses.items() if name in wanted}
+    values = {name: v for name, v in values.items() if name in wanted}
     if "power_unknown" in wanted:
-        courses["power_unknown"] = unknown.astype(float)
-    return courses, (relative > 0) & ~unknown, unknown
+        values["power_unknown"] = unknown.astype(float)
+    return values, (relative > 0) & ~unknown, unknown
 
 
 def _feature_names(design: Design) -> list[str]:
@@ -230,7 +258,7 @@ def _feature_names(design: Design) -> list[str]:
 
 
 def _over_steps(series: Series, time: np.ndarray, longest_h: float) -> np.ndarray:
-    """What a series is over the step that ends at each instant; NaN outside it and in longer gaps.
+    """Values of a series over the step that ends at each instant; NaN outside the series and in longer gaps.
 
     Instants are joined by straight lines, whose mean over a step is the value in its middle.
     """
@@ -240,7 +268,7 @@ def _over_steps(series: Series, time: np.ndarray, longest_h: float) -> np.ndarra
 
 
 def _further(record: Record, name: str, time: np.ndarray, hold: str) -> np.ndarray:
-    """Any other signal as an input; unknown values take the record's mean."""
+    """Any other signal as an input; unknown values are replaced by the record's mean."""
     if name not in record:
         wanted = name
         if name == "ambient_absolute_humidity":
@@ -257,7 +285,7 @@ def _further(record: Record, name: str, time: np.ndarray, hold: str) -> np.ndarr
 
 
 def _spread(time: np.ndarray, flag: np.ndarray, hours: float) -> np.ndarray:
-    """Instants at which the flag holds or held within the last `hours`."""
+    """True at instants where the flag holds or held within the last `hours`."""
     if not flag.any():
         return flag
     last = np.where(flag, time, -np.inf)

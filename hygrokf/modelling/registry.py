@@ -1,31 +1,28 @@
-"""Mechanisms and features that users bring: taken into the tables of the package in this one place, with their origin.
+"""Registration of mechanisms and features that users bring, with their origin.
 
-A design names its mechanisms and features, so whoever reads a stored one needs the same ones again.  An origin says where
-they come from: {"file": name, "sha256": hash}, {"package": name, "version": version}, or {"python": module} for what was
-made in a session without a file.
+A design stores its mechanisms and features by name, so that reading it requires the same ones.  An origin
+says where they come from: {"file": name, "sha256": hash}, {"package": name, "version": version}, or
+{"python": module} for those defined in a session without a file.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 
 from hygrokf.data.signals import SIGNALS
-from hygrokf.modelling.derived_inputs import FEATURES
-from hygrokf.physics.mechanisms import LIBRARY
-from hygrokf.physics.model import Mechanism
+from hygrokf.modelling.derived_inputs import FEATURES, Feature
+from hygrokf.physics.mechanisms import LIBRARY, Factory
 
-Factory = Callable[..., Mechanism]
-Feature = tuple[Callable, str]
 Origin = Mapping[str, str]
 
 _PACKAGE = frozenset({*LIBRARY, *FEATURES, *SIGNALS})
 _origins: dict[str, Origin] = {}
-_TABLES: tuple[tuple[str, dict], ...] = (("mechanisms", LIBRARY), ("features", FEATURES))
-_held: dict[str, dict] = {"mechanisms": {}, "features": {}}
+_held: dict[str, set[str]] = {"mechanisms": set(), "features": set()}
+"""Names that users brought, by kind."""
 
 
 def name_faults(mechanisms: Iterable[str], features: Iterable[str]) -> list[str]:
-    """Names that are taken: those of the package's mechanisms, features and signals, and one for two things."""
+    """Faults of names that the package already uses, and of one name used for a mechanism and a feature."""
     mechanisms, features = list(mechanisms), list(features)
     faults = [
         f"{kind} {name!r}: the package has a mechanism, feature or signal of that name; choose another one"
@@ -38,7 +35,7 @@ def name_faults(mechanisms: Iterable[str], features: Iterable[str]) -> list[str]
 
 
 def admit(mechanisms: Mapping[str, Factory], features: Mapping[str, Feature], origin: Origin) -> None:
-    """Take factories and features into the package's tables; what a user brought before gives way to its new form.
+    """Add factories and features to the package's tables, replacing those that a user brought before.
 
     Raises ValueError for names of the package.
     """
@@ -48,27 +45,30 @@ def admit(mechanisms: Mapping[str, Factory], features: Mapping[str, Feature], or
     withdraw((*mechanisms, *features))
     LIBRARY.update(mechanisms)
     FEATURES.update(features)
-    for kind, brought in (("mechanisms", mechanisms), ("features", features)):
-        _held[kind].update(brought)
+    _held["mechanisms"].update(mechanisms)
+    _held["features"].update(features)
     _origins.update({name: dict(origin) for name in (*mechanisms, *features)})
 
 
 def withdraw(names: Iterable[str]) -> None:
-    """Take out of the tables what a user brought under these names."""
+    """Remove from the tables what a user brought under these names."""
     for name in names:
         if _origins.pop(name, None) is not None:
-            for kind, table in _TABLES:
-                if _held[kind].pop(name, None) is not None:
-                    del table[name]
+            if name in _held["mechanisms"]:
+                _held["mechanisms"].remove(name)
+                del LIBRARY[name]
+            if name in _held["features"]:
+                _held["features"].remove(name)
+                del FEATURES[name]
 
 
-def origins(names: Iterable[str]) -> dict[str, dict]:
-    """Origin of every one of these mechanisms and features that a user brought."""
+def origins(names: Iterable[str]) -> dict[str, dict[str, str]]:
+    """Origins of those mechanisms and features that a user brought."""
     return {name: dict(_origins[name]) for name in names if name in _origins}
 
 
 def origin_text(origin: Origin) -> str:
-    """Where something comes from, in words."""
+    """An origin in words."""
     if "file" in origin:
         return f"{origin['file']} (SHA-256 {origin['sha256'][:12]}…)"
     if "package" in origin:
@@ -77,7 +77,8 @@ def origin_text(origin: Origin) -> str:
 
 
 def absent(stored: Mapping[str, Origin]) -> list[str]:
-    """What a stored design has of users and what is not here as it was, one sentence for each origin."""
+    """Sentences about mechanisms and features of users that a stored design needs and that are missing or
+    differ here."""
     wanted: dict[str, list[str]] = {}
     for name, origin in stored.items():
         here = _origins.get(name)

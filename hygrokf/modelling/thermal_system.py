@@ -36,7 +36,8 @@ def _network(design: Design) -> Model:
 
 
 AT_K = 283.15
-"""[K] ambient temperature at which a network with natural convection is linearised; only differences matter."""
+"""[K] ambient temperature at which a network with natural convection is linearised; only differences
+matter."""
 
 
 def state_space(
@@ -44,8 +45,8 @@ def state_space(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """A (n, n) [1/h], B (n, 2), C (1, n), D (1, 2) of the network; inputs `INPUTS`, output T_conv,a.
 
-    Derivatives by complex steps, exact to rounding.  The paper's network is linear; with natural convection they are those
-    of small changes at the difference to the ambient that its exponent refers to.
+    Derivatives by complex steps, exact to rounding.  The paper's network is linear.  With natural convection
+    the network is linearised at the temperature difference that the exponent refers to.
     """
     model = _network(design)
     n = len(model.states)
@@ -65,9 +66,10 @@ def state_space(
 def thermal_system(design: Design, values: Mapping[str, float]) -> control.StateSpace:
     """Equations (2) and (3) as a `control.StateSpace`, time in hours.
 
-    Inputs `ambient_temperature` [K] and `heat_release` [K] (f_ΔT), output `cabinet_air_temperature` [K], state
-    `converter_temperature` [K].  `control.sample_system(system, step_h, "zoh")` gives the F and G of the filter;
-    `control.step_response`, `control.frequency_response` and `control.damp` work on it as on any other system.
+    Inputs `ambient_temperature` [K] and `heat_release` [K] (f_ΔT), output `cabinet_air_temperature` [K],
+    state `converter_temperature` [K].  `control.sample_system(system, step_h, "zoh")` gives the F and G of
+    the filter; `control.step_response`, `control.frequency_response` and `control.damp` work on it as on any
+    other system.
     """
     import control
 

@@ -15,23 +15,23 @@ FREEZING_K = 273.15
 class Surface:
     """The coldest surface in a cabinet: T_s = T_amb + follows (T − T_amb) + offset_K.
 
-    `follows` 0 for a wall that has the ambient's temperature, 1 for a part that has the cabinet air's.  Arrays (T,) are other surfaces at each
-    instant.
+    `follows` is 0 for a wall at ambient temperature and 1 for a part at the temperature of the cabinet air.
+    Both may be arrays, which describe a different surface at each instant.
     """
 
     follows: float | np.ndarray = 0.3
     offset_K: float | np.ndarray = 0.0
 
     def temperature(self, outside: np.ndarray, air: np.ndarray) -> np.ndarray:
-        """Temperature [K] of the surface, from those of the ambient and of the cabinet air [K], any shape."""
+        """Surface temperature [K] from the ambient and the cabinet air temperature [K], any shape."""
         return outside + self.follows * (air - outside) + self.offset_K
 
 
 def condenses(vapour_pressure: np.ndarray, surface_K: np.ndarray) -> np.ndarray:
-    """Whether air of a vapour pressure [Pa] leaves water, or below 0 °C frost, on a surface [K]; any shape.
+    """Whether air with a vapour pressure [Pa] condenses on a surface [K], as frost below 0 °C; any shape.
 
-    It does where the vapour pressure is above the surface's saturation pressure, over ice below freezing: the same as a
-    surface below dew or frost point.
+    Condensation occurs where the vapour pressure exceeds the saturation pressure at the surface temperature,
+    taken over ice below freezing.  This is the same as a surface colder than the dew point or frost point.
     """
     cold = np.minimum(surface_K, FREEZING_K)
     saturated = np.where(

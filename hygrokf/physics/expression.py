@@ -1,13 +1,16 @@
-"""Scalar expression graphs: models are traced once, differentiated exactly, and compiled.
+"""Scalar expression graphs: a model is traced once, differentiated exactly, and compiled.
 
-A mechanism is written as an ordinary Python function of numbers.  Called with floats, arrays or complex
-numbers it computes; called with `Expression`s it is *traced*: every operation becomes a node of a `Graph`.
-From the graph come exact derivatives (`jacobian`, `reverse`, `forward`), an interpreter (`evaluate`, the
-oracle of the tests) and the compiled filter (`hygrokf.engine`).
+A mechanism is an ordinary Python function of numbers.  Called with floats, arrays or complex numbers, it
+computes. Called with `Expression`s, it is *traced*: every operation becomes a node of a `Graph`.  The graph
+yields exact
+derivatives (`jacobian`, `reverse`, `forward`), an interpreter (`evaluate`, the reference in the tests) and
+the compiled
+filter (`hygrokf.engine.traced_filter`).
 
-Equal nodes are made once (hash-consing), zeros and ones vanish when they are met: a sparse model costs what its
-non-zeros cost.  A product that meets a sum becomes one fused multiply-add *in the graph*, so that every program
-made from it rounds alike, wherever the compiler puts it.
+Equal nodes are created once (hash-consing), and zeros and ones are simplified away, so that a sparse model
+costs as much as its non-zero entries.  A product that is added to something becomes one fused multiply-add
+*in the graph*, so that every program made from the graph rounds in the same way wherever the compiler places
+the operation.
 """
 
 from __future__ import annotations
@@ -15,41 +18,44 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from threading import Lock
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
 Value = Any
-"""A number, an array, a complex number or a traced `Expression`: what the functions of a mechanism compute with."""
-Named = SimpleNamespace
-"""Values by name: parameters p, states x, inputs u or shared quantities q, as the functions of a mechanism get them."""
-UNARY = ("neg", "exp", "log", "sqrt")
-BINARY = ("add", "sub", "mul", "div", "lt")
-TERNARY = ("fma", "select")  # fma(a, b, c) = a b + c ; select(a, b, c) = b where a else c
+"""A number that a model computes with: a float, a complex number, an array of either, or an `Expression`."""
+Node = tuple[Any, ...]
+"""`("const", float)`, `("symbol", name)` or `(operation, index of argument, …)`.
+
+Operations: neg, exp, log, sqrt; add, sub, mul, div, lt; fma(a, b, c) = a b + c, select(a, b, c) = b where a
+else c.
+"""
+Coefficients = Sequence[float | None]
+"""The values of an operation's arguments; None for an argument that is not a constant."""
 
 
 class Given(float):
-    """A number of one record or logger, such as a mean temperature or a resolution.
+    """A number that belongs to one record or logger, such as a mean temperature or a resolution.
 
-    Traced it becomes a leaf, not a constant: models that differ in such numbers alone are one program, compiled once.
-    Anywhere else it is the float that it is; what is computed from it is a plain float.
+    Tracing makes it a leaf instead of a constant: models that differ only in such numbers share one compiled
+    program. Elsewhere it behaves as the float it is, and results computed from it are plain floats.
     """
 
     __slots__ = ()
 
 
 class Graph:
-    """A growing list of nodes `(operation, arguments)`; arguments are indices of earlier nodes; `given` the numbers of the leaves `c:i`."""
+    """A growing list of nodes; arguments are indices of earlier nodes, `given` holds the numbers of the
+    leaves `c:i`."""
 
     def __init__(self) -> None:
-        self.nodes: list[tuple] = []
+        self.nodes: list[Node] = []
         self.given: list[Given] = []
-        self._index: dict[tuple, int] = {}
+        self._index: dict[Node, int] = {}
         self._growing = Lock()
         self._orders: dict[tuple[int, ...], list[int]] = {}
 
-    def _node(self, key: tuple) -> Expression:
+    def _node(self, key: Node) -> Expression:
         index = self._index.get(key)
         if index is None:
             with self._growing:  # likelihoods of one model may run on several threads
@@ -72,19 +78,23 @@ class Graph:
             if value.graph is not self:
                 raise ValueError("an expression of another graph was mixed in: trace the model once, whole")
             return value
-        if isinstance(value, Given) and value not in (0.0, 1.0, -1.0):  # those simplify what they meet
+        if isinstance(value, Given) and value not in (
+            0.0,
+            1.0,
+            -1.0,
+        ):  # 0 and ±1 stay constants, because they simplify the operations they enter
             return self._given(value)
         return self.constant(value)
 
     def _given(self, value: Given) -> Expression:
-        """The leaf `c:i` of the given number i; the same object gives the same leaf."""
+        """The leaf `c:i` of the given number i; the same object always yields the same leaf."""
         place = next((i for i, known in enumerate(self.given) if known is value), len(self.given))
         if place == len(self.given):
             self.given.append(value)
         return self.symbol(f"c:{place}")
 
     def number(self, index: int) -> float | None:
-        """The value of a constant node, None for every other node."""
+        """The value of a constant node; None for any other node."""
         node = self.nodes[index]
         return node[1] if node[0] == "const" else None
 
@@ -92,9 +102,9 @@ class Graph:
     def make(self, operation: str, *arguments: Expression) -> Expression:
         index = [a.index for a in arguments]
         value = [self.number(i) for i in index]
-        known = [v for v in value if v is not None]
-        if len(known) == len(value):
-            return self.constant(_fold(operation, known))
+        constants = [v for v in value if v is not None]
+        if len(constants) == len(value):
+            return self.constant(_fold(operation, constants))
         rule = getattr(self, "_make_" + operation, None)
         if rule is not None:
             simple = rule(arguments, value)
@@ -106,7 +116,7 @@ class Graph:
             index[0], index[1] = index[1], index[0]
         return self._node((operation, *index))
 
-    def _make_add(self, a: Sequence[Expression], v: list) -> Expression | None:
+    def _make_add(self, a: Sequence[Expression], v: Coefficients) -> Expression | None:
         if v[0] == 0.0:
             return a[1]
         if v[1] == 0.0:
@@ -119,7 +129,7 @@ class Graph:
                 return self.make("sub", y, Expression(self, node[1]))
         return None
 
-    def _make_sub(self, a: Sequence[Expression], v: list) -> Expression | None:
+    def _make_sub(self, a: Sequence[Expression], v: Coefficients) -> Expression | None:
         if v[1] == 0.0:
             return a[0]
         if v[0] == 0.0:
@@ -137,7 +147,7 @@ class Graph:
             return self.make("fma", Expression(self, left[1]), Expression(self, left[2]), minus)
         return None
 
-    def _make_mul(self, a: Sequence[Expression], v: list) -> Expression | None:
+    def _make_mul(self, a: Sequence[Expression], v: Coefficients) -> Expression | None:
         if v[0] == 0.0 or v[1] == 0.0:
             return self.constant(0.0)
         for k in (0, 1):
@@ -145,11 +155,13 @@ class Graph:
                 return a[1 - k]
             if v[k] == -1.0:
                 return self.make("neg", a[1 - k])
-            if v[k] is not None and self.nodes[a[1 - k].index][0] == "mul":
+            c = v[k]
+            if c is not None and self.nodes[a[1 - k].index][0] == "mul":
                 _, i, j = self.nodes[a[1 - k].index]
                 for p, q in ((i, j), (j, i)):
-                    if self.number(p) is not None:  # c (d x) = (c d) x
-                        return self.make("mul", self.constant(v[k] * self.number(p)), Expression(self, q))
+                    d = self.number(p)
+                    if d is not None:  # c (d x) = (c d) x
+                        return self.make("mul", self.constant(c * d), Expression(self, q))
         left, right = self.nodes[a[0].index], self.nodes[a[1].index]
         if left[0] == "neg" and right[0] == "neg":
             return self.make("mul", Expression(self, left[1]), Expression(self, right[1]))
@@ -159,7 +171,7 @@ class Graph:
             return self.make("neg", self.make("mul", a[0], Expression(self, right[1])))
         return None
 
-    def _make_fma(self, a: Sequence[Expression], v: list) -> Expression | None:
+    def _make_fma(self, a: Sequence[Expression], v: Coefficients) -> Expression | None:
         if v[0] == 0.0 or v[1] == 0.0:
             return a[2]
         if v[2] == 0.0:
@@ -173,16 +185,18 @@ class Graph:
             return self.make("add", self.constant(v[0] * v[1]), a[2])
         return None
 
-    def _make_div(self, a: Sequence[Expression], v: list) -> Expression | None:
+    def _make_div(self, a: Sequence[Expression], v: Coefficients) -> Expression | None:
         if v[0] == 0.0:
             return self.constant(0.0)
         if v[1] is not None:
             return self.make("mul", a[0], self.constant(1.0 / v[1]))
-        if v[0] != 1.0:  # reciprocals are nodes of their own: those of parameters leave the time loop
+        if (
+            v[0] != 1.0
+        ):  # a reciprocal is a node of its own, so that reciprocals of parameters leave the time loop
             return self.make("mul", a[0], self.make("div", self.constant(1.0), a[1]))
         return None
 
-    def _make_neg(self, a: Sequence[Expression], v: list) -> Expression | None:
+    def _make_neg(self, a: Sequence[Expression], v: Coefficients) -> Expression | None:
         node = self.nodes[a[0].index]
         if node[0] == "neg":
             return Expression(self, node[1])
@@ -190,16 +204,16 @@ class Graph:
             return self.make("sub", Expression(self, node[2]), Expression(self, node[1]))
         return None
 
-    def _make_select(self, a: Sequence[Expression], v: list) -> Expression | None:
+    def _make_select(self, a: Sequence[Expression], v: Coefficients) -> Expression | None:
         if v[0] is not None:
             return a[1] if v[0] else a[2]
         return a[1] if a[1].index == a[2].index else None
 
     # -- walking ---------------------------------------------------------------------------------------------
     def needed(self, outputs: Iterable[Expression], stop: Iterable[int] = ()) -> list[int]:
-        """Indices of the nodes that `outputs` need, in an order in which they can be computed.
+        """Indices of the nodes that `outputs` depend on, in an order in which they can be computed.
 
-        Nodes in `stop` are included but not looked into.
+        Nodes in `stop` are included, their arguments are not.
         """
         halt = set(stop)
         seen: set[int] = set()
@@ -213,10 +227,10 @@ class Graph:
                 stack.extend(arguments(self.nodes[i]))
         return sorted(seen)
 
-    def evaluate(self, outputs: Sequence[Expression | float], values: Mapping[str, object]) -> list:
-        """Compute `outputs` with numbers, arrays or complex numbers put in for the symbols (an interpreter)."""
+    def evaluate(self, outputs: Sequence[Expression | float], values: Mapping[str, Value]) -> list[Value]:
+        """Interpreter: compute `outputs` with numbers, arrays or complex numbers in place of the symbols."""
         lifted = [self.lift(e) for e in outputs]
-        result: dict[int, object] = {}
+        result: dict[int, Value] = {}
         wanted = tuple(e.index for e in lifted)
         if wanted not in self._orders:
             self._orders[wanted] = self.needed(lifted)
@@ -231,8 +245,10 @@ class Graph:
                 result[i] = _compute(node[0], [result[j] for j in node[1:]])
         return [result[e.index] for e in lifted]
 
-    def substitute(self, outputs: Sequence[Expression | float], values: Mapping[int, Expression]) -> list:
-        """`outputs` with the nodes whose indices are in `values` replaced."""
+    def substitute(
+        self, outputs: Sequence[Expression | float], values: Mapping[int, Expression]
+    ) -> list[Expression]:
+        """Copies of `outputs` in which the nodes listed in `values` (index -> replacement) are replaced."""
         lifted = [self.lift(e) for e in outputs]
         result: dict[int, Expression] = dict(values)
         for i in self.needed(lifted, values):
@@ -244,7 +260,7 @@ class Graph:
 
 
 class Expression:
-    """One node of a graph, with the operators of a number."""
+    """One node of a graph; it supports the operators of a number."""
 
     __slots__ = ("graph", "index")
     __array_priority__ = 1000
@@ -257,40 +273,40 @@ class Expression:
     def _make(self, operation: str, left: Expression | float, right: Expression | float) -> Expression:
         return self.graph.make(operation, self.graph.lift(left), self.graph.lift(right))
 
-    def __add__(self, other: Value) -> Expression:
+    def __add__(self, other: Expression | float) -> Expression:
         return self._make("add", self, other)
 
-    def __radd__(self, other: Value) -> Expression:
+    def __radd__(self, other: Expression | float) -> Expression:
         return self._make("add", other, self)
 
-    def __sub__(self, other: Value) -> Expression:
+    def __sub__(self, other: Expression | float) -> Expression:
         return self._make("sub", self, other)
 
-    def __rsub__(self, other: Value) -> Expression:
+    def __rsub__(self, other: Expression | float) -> Expression:
         return self._make("sub", other, self)
 
-    def __mul__(self, other: Value) -> Expression:
+    def __mul__(self, other: Expression | float) -> Expression:
         return self._make("mul", self, other)
 
-    def __rmul__(self, other: Value) -> Expression:
+    def __rmul__(self, other: Expression | float) -> Expression:
         return self._make("mul", other, self)
 
-    def __truediv__(self, other: Value) -> Expression:
+    def __truediv__(self, other: Expression | float) -> Expression:
         return self._make("div", self, other)
 
-    def __rtruediv__(self, other: Value) -> Expression:
+    def __rtruediv__(self, other: Expression | float) -> Expression:
         return self._make("div", other, self)
 
-    def __lt__(self, other: Value) -> Expression:
+    def __lt__(self, other: Expression | float) -> Expression:
         return self._make("lt", self, other)
 
-    def __gt__(self, other: Value) -> Expression:
+    def __gt__(self, other: Expression | float) -> Expression:
         return self._make("lt", other, self)
 
     def __neg__(self) -> Expression:
         return self.graph.make("neg", self)
 
-    def __pow__(self, exponent: Value) -> Expression:
+    def __pow__(self, exponent: Expression | float) -> Expression:
         if isinstance(exponent, int) and 0 <= exponent <= 8:
             result = self.graph.constant(1.0)
             for _ in range(exponent):
@@ -298,7 +314,7 @@ class Expression:
             return result
         return exp(exponent * log(self))
 
-    def __bool__(self) -> bool:
+    def __bool__(self) -> NoReturn:
         raise TypeError("a model must not branch on a traced value with `if`: write where(condition, a, b)")
 
     def __repr__(self) -> str:
@@ -309,7 +325,7 @@ def _fold(operation: str, value: Sequence[float]) -> float:
     return float(_compute(operation, value))
 
 
-def _compute(operation: str, v: Sequence) -> Value:
+def _compute(operation: str, v: Sequence[Value]) -> Value:
     match operation:
         case "add":
             return v[0] + v[1]
@@ -331,13 +347,13 @@ def _compute(operation: str, v: Sequence) -> Value:
             return getattr(np, operation)(v[0])
 
 
-def arguments(node: tuple) -> tuple[int, ...]:
+def arguments(node: Node) -> tuple[int, ...]:
     """The indices of a node's arguments."""
     return () if node[0] in ("const", "symbol") else node[1:]
 
 
 # -- functions for those who write mechanisms ----------------------------------------------------------------
-def _unary(name: str, number: Callable) -> Callable[[Value], Value]:
+def _unary(name: str, number: Callable[[Value], Value]) -> Callable[[Value], Value]:
     def function(value: Value) -> Value:
         return value.graph.make(name, value) if isinstance(value, Expression) else number(value)
 
@@ -352,7 +368,7 @@ sqrt = _unary("sqrt", np.sqrt)
 
 
 def where(condition: Value, yes: Value, no: Value) -> Value:
-    """`yes` where `condition` holds, else `no`; for numbers, arrays and traced expressions alike."""
+    """`yes` where `condition` holds, else `no`; accepts numbers, arrays and traced expressions."""
     for value in (condition, yes, no):
         if isinstance(value, Expression):
             g = value.graph
@@ -361,12 +377,12 @@ def where(condition: Value, yes: Value, no: Value) -> Value:
 
 
 def maximum(a: Value, b: Value) -> Value:
-    """The larger of two; its derivative is that of the larger."""
+    """The larger of two values; the derivative is that of the larger one."""
     return where(_less(a, b), b, a)
 
 
 def minimum(a: Value, b: Value) -> Value:
-    """The smaller of two; its derivative is that of the smaller."""
+    """The smaller of two values; the derivative is that of the smaller one."""
     return where(_less(b, a), b, a)
 
 
@@ -376,7 +392,7 @@ def _less(a: Value, b: Value) -> Value:
 
 # -- derivatives ---------------------------------------------------------------------------------------------
 def _partials(graph: Graph, i: int) -> list[tuple[int, Expression]]:
-    """(argument, derivative of node i with respect to it)."""
+    """Pairs (argument, derivative of node i with respect to that argument)."""
     node = graph.nodes[i]
     e = [Expression(graph, j) for j in arguments(node)]
     one = graph.constant(1.0)
@@ -408,9 +424,9 @@ def _partials(graph: Graph, i: int) -> list[tuple[int, Expression]]:
 
 
 def reverse(graph: Graph, seeds: Mapping[int, Expression], leaves: Iterable[int]) -> dict[int, Expression]:
-    """Adjoints of `leaves` (node indices), given the adjoints `seeds` of output nodes: reverse mode.
+    """Reverse mode: adjoints of `leaves` (node indices), given the adjoints `seeds` of output nodes.
 
-    The walk stops at the leaves; what does not depend on a leaf is not visited.
+    The walk stops at the leaves and skips nodes that do not depend on any leaf.
     """
     stop = set(leaves)
     order = graph.needed([Expression(graph, i) for i in seeds], stop)
@@ -432,7 +448,7 @@ def forward(
     tangents: Mapping[int, Expression],
     stop: Iterable[int] = (),
 ) -> list[Expression]:
-    """Directional derivatives of `outputs` along `tangents` of leaf nodes: forward mode."""
+    """Forward mode: directional derivatives of `outputs` along `tangents` of leaf nodes."""
     halt = set(stop) | set(tangents)
     order = graph.needed(outputs, halt)
     active = _depends(graph, order, set(tangents))
@@ -449,8 +465,9 @@ def forward(
     return [dot.get(e.index, zero) for e in outputs]
 
 
-def jacobian(outputs: Sequence[Expression | float], variables: Sequence[Expression]) -> list[list]:
-    """Exact partial derivatives, rows = outputs, columns = variables; structural zeros are the float 0.0."""
+def jacobian(outputs: Sequence[Expression | float], variables: Sequence[Expression]) -> Matrix:
+    """Exact partial derivatives: rows are outputs, columns are variables, structural zeros are the float
+    0.0."""
     graph = variables[0].graph
     lifted = [graph.lift(e) for e in outputs]
     rows = []
@@ -485,7 +502,8 @@ def depends_on(graph: Graph, expression: Expression | float, names: Iterable[str
 
 
 # -- small matrices of expressions ---------------------------------------------------------------------------
-Matrix = list[list]
+Matrix = list[list[Value]]
+"""Rows of expressions and numbers; a structural zero is the float 0.0."""
 
 
 def product(a: Matrix, b: Matrix) -> Matrix:
@@ -497,7 +515,7 @@ def product(a: Matrix, b: Matrix) -> Matrix:
     ]
 
 
-def dot(a: Sequence, b: Sequence) -> Value:
+def dot(a: Sequence[Value], b: Sequence[Value]) -> Value:
     """Scalar product that skips structural zeros."""
     total: Value = 0.0
     for x, y in zip(a, b, strict=True):

@@ -1,22 +1,24 @@
 """Mechanisms, and models composed of them.
 
-A `Mechanism` is one piece of physics: its parameters, its states, the inputs it reads, and up to six functions of
-numbers.  A `Model` is a tuple of mechanisms.  Composition runs in four rounds, so that the order of the
-mechanisms does not matter:
+A `Mechanism` is one piece of physics: its parameters, its states, the inputs it reads, and up to six
+functions of numbers.  A `Model` is a tuple of mechanisms.  Composition runs in four rounds, so that the order
+of the mechanisms does not matter:
 
-1. `conductance(p, u)`        -> a conductance between cabinet air and ambient beside 1/R_AT, in its units; their sum is g;
+1. `conductance(p, u)`        -> a conductance between cabinet air and ambient in parallel to 1/R_AT and in
+   units of it; their sum is g, available as the quantity `air_conductance`;
 2. `quantities(p, x, u, g)`   -> shared quantities, such as the temperature of the cabinet air;
 3. `contributions(p, x, u, q)` -> terms added to named sums, such as the heat release;
 4. `drift(p, x, u, q, s)`     -> the rates of the mechanism's own states [unit/h], with the sums in `s`.
 
-The sum g is the quantity `air_conductance`.  `p` parameters, `x` states, `u` inputs, `q` quantities and `s` sums are read as attributes.  A sum that is
-neither in `SUMS` nor read by any mechanism is misspelt: the first trace raises an error.  `diffusion(p)` gives white noise
-intensities [unit²/h] of the mechanism's own states, `initial(p, u)` their (mean, variance) at the first instant,
-`outputs(p, x, u, q, s)` what a sensor is expected to show and the variance of its noise.
-All functions are pure; they are called with expressions when a model is traced and with numbers everywhere else.
+Functions read parameters `p`, states `x`, inputs `u`, quantities `q` and sums `s` as attributes.  A sum that
+is neither in `SUMS` nor read by any mechanism is a misspelling: the first trace raises an error.
+`diffusion(p)` gives the white noise intensities [unit²/h] of the mechanism's own states, `initial(p, u)`
+their (mean, variance) at the first instant, and `outputs(p, x, u, q, s)` the expected reading of a sensor and
+the variance of its noise. All functions are pure.  They are called with expressions when a model is traced
+and with numbers everywhere else.
 
-Units inside a model: time h, temperature K, vapour concentration g/m³, relative humidity 1, heat as the temperature
-difference in K that it would hold up across R_AT.
+Units inside a model: time h, temperature K, vapour concentration g/m³, relative humidity 1, heat as the
+temperature difference [K] that it sustains across R_AT.
 """
 
 from __future__ import annotations
@@ -26,10 +28,27 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
 
 from hygrokf.errors import suggestion
-from hygrokf.physics.expression import Value
+from hygrokf.physics.expression import Matrix, Value
 from hygrokf.physics.parameters import Parameter, unique
+
+Space = SimpleNamespace
+"""Named values that a mechanism's function reads as attributes: parameters, states, inputs, quantities or
+sums."""
+Values = Mapping[str, Value]
+"""Values by name."""
+Pair = tuple[Value, Value]
+"""A mean, or a prediction, and its variance."""
+Initial = Callable[[Space, Space], Mapping[str, Pair]]
+"""(p, u) -> mean and variance of each of the mechanism's states."""
+Output = Callable[[Space, Space, Space, Space, Space], Pair]
+"""(p, x, u, q, s) -> expected reading and the variance of its noise."""
+TracedOutput = Callable[[Sequence[Value], Values, Values], Pair]
+"""(x, u, p) -> expected reading and the variance of its noise."""
 
 SUMS = {
     "heat_release": "heat released into the cabinet, as Q R_AT [K]",
@@ -41,38 +60,38 @@ SUMS = {
     "cabinet_relative_humidity_reading": "error of the humidity reading [1]",
     "cabinet_absolute_humidity_reading": "error of the absolute humidity reading [g/m³]",
 }
-"""Sums that mechanisms may contribute to; a mechanism that owns a further network may read sums of its own."""
+"""Sums that mechanisms may contribute to; a mechanism with a network of its own may read further sums."""
 
 
 @dataclass(frozen=True)
 class Mechanism:
-    """One piece of physics; see the module's text for the functions.
+    """One piece of physics; the module's text describes the functions.
 
-    `amounts` are states of which there cannot be less than nothing; the filter does not know that, simulations keep to it.
-    `settings` are the numbers that the mechanism was made with (they make it again: `library[name](**settings)`);
-    `leaves` says what its absence leaves in the residuals, `source` where the equations come from.
+    `amounts` are states that cannot be negative; simulations enforce this, the filter does not.
+    `settings` are the arguments that the mechanism was made with; `library[name](**settings)` makes it again.
+    `leaves` describes what its absence leaves in the residuals, `source` cites the origin of the equations.
     """
 
     name: str
     parameters: tuple[Parameter, ...] = ()
     states: tuple[str, ...] = ()
     inputs: tuple[str, ...] = ()
-    conductance: Callable | None = None
-    quantities: Callable | None = None
-    contributions: Callable | None = None
-    drift: Callable | None = None
-    diffusion: Callable | None = None
-    initial: Callable | None = None
-    outputs: Mapping[str, Callable] = field(default_factory=dict)
+    conductance: Callable[[Space, Space], Value] | None = None
+    quantities: Callable[[Space, Space, Space, Value], Values] | None = None
+    contributions: Callable[[Space, Space, Space, Space], Values] | None = None
+    drift: Callable[[Space, Space, Space, Space, Space], Values] | None = None
+    diffusion: Callable[[Space], Values] | None = None
+    initial: Initial | None = None
+    outputs: Mapping[str, Output] = field(default_factory=dict)
     amounts: tuple[str, ...] = ()
-    settings: Mapping[str, object] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
     meaning: str = ""
     leaves: str = ""
     source: str = ""
 
     @property
     def null(self) -> dict[str, float]:
-        """Values at which a model with this mechanism is the model without it."""
+        """Parameter values at which the mechanism has no effect on a model."""
         return {p.name: p.null for p in self.parameters if p.null is not None}
 
 
@@ -80,18 +99,19 @@ class Mechanism:
 class System:
     """A continuous-time model as functions of expressions, ready to be traced.
 
-    `inputs` maps names to holds (`linear`, `zero-order`, or `regime`: piecewise constant with few distinct values);
-    `drift(x, u, p)` -> n rates [1/h]; `noise(p)` -> (n, n) intensity [1/h]; `outputs` are pairs (name,
-    function (x, u, p) -> (prediction, noise variance)); `averages` maps a state index to the output whose running
-    mean it is: it is set to zero where an averaging interval begins.
+    `inputs` maps names to holds (`linear`, `zero-order`, or `regime`: piecewise constant with few distinct
+    values); `drift(x, u, p)` -> n rates [1/h]; `noise(p)` -> (n, n) intensity [1/h]; `outputs` are pairs
+    (name,
+    function (x, u, p) -> (prediction, noise variance)); `resets` are the indices of the states that are
+    running means of an output, set to zero where an averaging interval begins.
     """
 
     parameters: tuple[str, ...]
     states: tuple[str, ...]
     inputs: Mapping[str, str]
-    drift: Callable
-    noise: Callable
-    outputs: tuple[tuple[str, Callable], ...]
+    drift: Callable[[Sequence[Value], Values, Values], list[Value]]
+    noise: Callable[[Values], Matrix]
+    outputs: tuple[tuple[str, TracedOutput], ...]
     resets: tuple[int, ...] = ()
 
 
@@ -99,7 +119,8 @@ class System:
 class Model:
     """A tuple of mechanisms; `averaged` maps outputs that are read as interval means to the interval [h].
 
-    `holds` maps every input to its hold: linear, zero-order, or regime (piecewise constant with few values).
+    `holds` maps every input to its hold: linear, zero-order, or regime (piecewise constant with few distinct
+    values).
     """
 
     mechanisms: tuple[Mechanism, ...]
@@ -120,12 +141,12 @@ class Model:
 
     @cached_property
     def states(self) -> tuple[str, ...]:
-        """The mechanisms' states and one running mean for every output that is read as an interval mean."""
+        """The mechanisms' states, and one running mean for every output that is read as an interval mean."""
         return self.own_states + tuple(f"mean_{name}" for name in self.averaged)
 
     @cached_property
     def amounts(self) -> tuple[bool, ...]:
-        """Which of the states cannot be below 0."""
+        """For every state, whether it cannot be negative."""
         names = {name for m in self.mechanisms for name in m.amounts}
         return tuple(name in names for name in self.states)
 
@@ -138,22 +159,23 @@ class Model:
         return tuple(name for m in self.mechanisms for name in m.outputs)
 
     def mechanism(self, name: str) -> Mechanism:
-        """The mechanism of that name."""
+        """The mechanism with this name; raises KeyError where there is none."""
         for m in self.mechanisms:
             if m.name == name:
                 return m
         raise KeyError(f"no mechanism {name!r}; the model has {[m.name for m in self.mechanisms]}")
 
     # -- the model as functions ------------------------------------------------------------------------------
-    def evaluate(self, x: Sequence, u: Mapping[str, object], p: Mapping[str, object]) -> Equations:
+    def evaluate(self, x: Sequence[Value] | np.ndarray, u: Values, p: Values) -> Equations:
         """All quantities, sums, rates and outputs at a state x (n,), inputs u and parameters p.
 
-        Works with numbers, arrays (broadcast), complex numbers and traced expressions.
+        Accepts numbers, arrays (broadcast), complex numbers and traced expressions.
         """
         return self._equations(x, u, p, lambda sums: SimpleNamespace(**sums))
 
-    def _traced(self, x: Sequence, u: Mapping[str, object], p: Mapping[str, object]) -> Equations:
-        """`evaluate`, which also makes sure that every sum that is added to exists; raises ValueError where one does not."""
+    def _traced(self, x: Sequence[Value], u: Values, p: Values) -> Equations:
+        """`evaluate`, with a check that some mechanism reads every sum that is contributed to; raises
+        ValueError otherwise."""
         read: set[str] = set()
         found = self._equations(x, u, p, lambda sums: _Sums(sums, read))
         known = (*SUMS, *sorted(read - set(SUMS)))
@@ -162,7 +184,8 @@ class Model:
             added = self._contributions(*self._spaces(x, u, p), SimpleNamespace(**found.quantities))
             raise ValueError(
                 "; ".join(
-                    f'mechanism "{mechanism}" adds to the sum "{name}", which no mechanism reads{suggestion(name, known, 1)}'
+                    f'mechanism "{mechanism}" adds to the sum "{name}", which no mechanism '
+                    f"reads{suggestion(name, known, 1)}"
                     for mechanism, name, _ in added
                     if name in unknown
                 )
@@ -172,12 +195,13 @@ class Model:
 
     def _equations(
         self,
-        x: Sequence,
-        u: Mapping[str, object],
-        p: Mapping[str, object],
-        as_read: Callable[[Mapping[str, object]], object],
+        x: Sequence[Value] | np.ndarray,
+        u: Values,
+        p: Values,
+        as_read: Callable[[Values], Space],
     ) -> Equations:
-        """The values of `evaluate`; `as_read` makes of all sums the object that mechanisms read them from."""
+        """The values of `evaluate`; `as_read` turns all sums into the object that mechanisms read them
+        from."""
         spaces = self._spaces(x, u, p)
         state = vars(spaces[1])
         quantities = self._quantities(spaces)
@@ -189,7 +213,7 @@ class Model:
         outputs = {
             name: function(*spaces, q, s) for m in self.mechanisms for name, function in m.outputs.items()
         }
-        rates: dict[str, object] = {}
+        rates: dict[str, Value] = {}
         for m in self.mechanisms:
             if m.drift is not None:
                 rates.update(m.drift(*spaces, q, s))
@@ -203,42 +227,38 @@ class Model:
             )
         return Equations(quantities, dict(sums), [rates[n] for n in self.states], outputs)
 
-    def quantities(self, x: Sequence, u: Mapping[str, object], p: Mapping[str, object]) -> dict[str, object]:
-        """Shared quantities alone, as `evaluate` has them."""
+    def quantities(self, x: Sequence[Value] | np.ndarray, u: Values, p: Values) -> dict[str, Value]:
+        """The shared quantities of `evaluate` alone."""
         return self._quantities(self._spaces(x, u, p))
 
-    def _spaces(
-        self, x: Sequence, u: Mapping[str, object], p: Mapping[str, object]
-    ) -> tuple[SimpleNamespace, SimpleNamespace, SimpleNamespace]:
-        """Parameters, states and inputs as mechanisms read them."""
+    def _spaces(self, x: Sequence[Value] | np.ndarray, u: Values, p: Values) -> tuple[Space, Space, Space]:
+        """Parameters, states and inputs in the form that mechanisms read."""
         state = dict(zip(self.states, x, strict=True))
         return SimpleNamespace(**p), SimpleNamespace(**state), SimpleNamespace(**u)
 
-    def _contributions(
-        self, p: SimpleNamespace, x: SimpleNamespace, u: SimpleNamespace, q: SimpleNamespace
-    ) -> Iterator[tuple[str, str, object]]:
-        """Every term of every sum: the mechanism that adds it, the sum, the value."""
+    def _contributions(self, p: Space, x: Space, u: Space, q: Space) -> Iterator[tuple[str, str, Value]]:
+        """Every term of every sum as (mechanism, sum, value)."""
         for m in self.mechanisms:
             if m.contributions is not None:
                 for name, value in m.contributions(p, x, u, q).items():
                     yield m.name, name, value
 
-    def _quantities(self, spaces: Sequence[SimpleNamespace]) -> dict[str, object]:
+    def _quantities(self, spaces: tuple[Space, Space, Space]) -> dict[str, Value]:
         p, x, u = spaces
-        g: object = 0.0
+        g: Value = 0.0
         for m in self.mechanisms:
             if m.conductance is not None:
                 g = g + m.conductance(p, u)
-        found: dict[str, object] = {"air_conductance": g}
+        found: dict[str, Value] = {"air_conductance": g}
         for m in self.mechanisms:
             if m.quantities is not None:
                 found.update(m.quantities(p, x, u, g))
         return found
 
-    def noise(self, p: Mapping[str, object]) -> list[list]:
+    def noise(self, p: Values) -> Matrix:
         """White noise intensity Q (n, n) [unit²/h] of the states."""
         n = len(self.states)
-        result: list[list] = [[0.0] * n for _ in range(n)]
+        result: Matrix = [[0.0] * n for _ in range(n)]
         for m in self.mechanisms:
             if m.diffusion is not None:
                 for name, value in m.diffusion(SimpleNamespace(**p)).items():
@@ -246,9 +266,9 @@ class Model:
                     result[i][i] = result[i][i] + value
         return result
 
-    def initial(self, p: Mapping[str, object], u: Mapping[str, object]) -> tuple[list, list]:
+    def initial(self, p: Values, u: Values) -> tuple[list[Value], list[Value]]:
         """Mean and variance (n,) of the states at an instant with inputs u, before any reading."""
-        given: dict[str, tuple] = {f"mean_{name}": (0.0, 0.0) for name in self.averaged}
+        given: dict[str, Pair] = {f"mean_{name}": (0.0, 0.0) for name in self.averaged}
         for m in self.mechanisms:
             if m.initial is not None:
                 given.update(m.initial(SimpleNamespace(**p), SimpleNamespace(**u)))
@@ -256,6 +276,9 @@ class Model:
         if missing:
             raise ValueError(f"no initial mean and variance for the states {missing}")
         return [given[n][0] for n in self.states], [given[n][1] for n in self.states]
+
+    def _traced_output(self, name: str) -> TracedOutput:
+        return lambda x, u, p: self._traced(x, u, p).outputs[name]
 
     @cached_property
     def system(self) -> System:
@@ -268,22 +291,20 @@ class Model:
             inputs={name: self.holds[name] for name in self.inputs},
             drift=lambda x, u, p: self._traced(x, u, p).rates,
             noise=self.noise,
-            outputs=tuple(
-                (name, lambda x, u, p, name=name: self._traced(x, u, p).outputs[name])
-                for name in self.outputs
-            ),
+            outputs=tuple((name, self._traced_output(name)) for name in self.outputs),
             resets=tuple(self.states.index(f"mean_{name}") for name in self.averaged),
         )
 
 
-class _Sums:
-    """The sums of a model as a mechanism reads them, which remembers the names that were read."""
+class _Sums(SimpleNamespace):
+    """The sums of a model as a mechanism reads them; records the names that were read."""
 
-    def __init__(self, sums: Mapping[str, object], read: set[str]) -> None:
+    def __init__(self, sums: Values, read: set[str]) -> None:
+        super().__init__()
         self._sums = sums
         self._read = read
 
-    def __getattr__(self, name: str) -> object:
+    def __getattr__(self, name: str) -> Value:
         self._read.add(name)
         if name in self._sums:
             return self._sums[name]
@@ -295,12 +316,13 @@ class _Sums:
 
 @dataclass(frozen=True)
 class Equations:
-    """A model's values at one point: shared quantities, sums, rates (n,) [unit/h], outputs (prediction, variance)."""
+    """A model's values at one point: shared quantities, sums, rates (n,) [unit/h], outputs (prediction,
+    variance)."""
 
-    quantities: dict
-    sums: dict
-    rates: list
-    outputs: dict
+    quantities: dict[str, Value]
+    sums: dict[str, Value]
+    rates: list[Value]
+    outputs: dict[str, Pair]
 
 
 def compose(
@@ -313,11 +335,11 @@ def compose(
 
 
 def extend(model: Model, mechanism: Mechanism, holds: Mapping[str, str] | None = None) -> Model:
-    """The model with one mechanism more; at the mechanism's null values it is the old model exactly."""
+    """The model with one more mechanism; at the mechanism's null values it equals the original model."""
     return replace(model, mechanisms=(*model.mechanisms, mechanism), holds={**model.holds, **(holds or {})})
 
 
 def without(model: Model, name: str) -> Model:
-    """The model with one mechanism less."""
+    """The model without one of its mechanisms."""
     model.mechanism(name)
     return replace(model, mechanisms=tuple(m for m in model.mechanisms if m.name != name))

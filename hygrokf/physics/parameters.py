@@ -1,6 +1,6 @@
-"""Parameters: what a number is called, where it may lie, and in which coordinate it is estimated.
+"""Parameters: the name of a number, its range, and the coordinate in which it is estimated.
 
-Structure (a `Parameter`), numbers (a mapping name -> value) and what is held fixed are three separate things.
+Structure (a `Parameter`), numbers (a mapping name -> value) and the set of fixed parameters are kept apart.
 Estimation moves in the coordinate z: z = ln θ for positive parameters, z = θ otherwise.
 """
 
@@ -13,14 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 
 LIFT = 20.0
-"""How far a lifted guard reaches: by this factor, of a parameter that need not be positive from the middle of its range."""
+"""Factor by which lifted guards widen the range of a parameter; of one that need not be positive, about the
+middle of its range."""
 
 
 @dataclass(frozen=True)
 class Prior:
     """A normal prior of one parameter [the parameter's unit]: knowledge from outside the record.
 
-    `logarithmic`: of its natural logarithm instead, `mean` and `sd` those of ln θ.
+    `logarithmic`: the prior applies to ln θ, and `mean` and `sd` are those of ln θ.
     """
 
     mean: float
@@ -31,15 +32,16 @@ class Prior:
         return -0.5 * self._distance(value) ** 2 - math.log(self.sd * math.sqrt(2 * math.pi))
 
     def log_slope(self, value: float) -> float:
-        """Derivative of the log density by the value."""
+        """Derivative of the log density with respect to the value."""
         return -self._distance(value) * self._rate(value)
 
     def information(self, value: float) -> float:
-        """Expected information about the value, 1/sd² in its own unit."""
+        """Expected information about the value [1/unit²], 1/sd²."""
         return self._rate(value) ** 2
 
     def in_unit(self) -> tuple[float, float]:
-        """Mean and standard deviation in the parameter's unit; of a logarithmic prior its median and, to first order, sd."""
+        """Mean and standard deviation in the parameter's unit; for a logarithmic prior the median and the
+        first-order sd."""
         median = math.exp(self.mean) if self.logarithmic else self.mean
         return median, self.sd * (median if self.logarithmic else 1.0)
 
@@ -55,10 +57,11 @@ class Parameter:
     """One parameter: name, unit, start value, bounds, coordinate, prior, meaning.
 
     `positive` parameters are estimated as logarithms; their lower bound must be above zero.
-    `noise` marks parameters of disturbances and sensors: estimation starts several times over these.
-    `null` is the value at which the parameter's mechanism has no effect (None: it has none).
-    `physical` is the range that the quantity can have at all.  A limit of the search, `lower` or `upper`, that lies within
-    it is a guard against senseless numbers: the profile of another parameter may pass it (see `confidence.profile`).
+    `noise` marks parameters of disturbances and sensors, over which the estimation varies its starts.
+    `null` is the value at which the parameter's mechanism has no effect; None where there is no such value.
+    `physical` is the physically possible range.  A search limit (`lower` or `upper`) inside this range is a
+    guard against meaningless numbers, which the profile of another parameter may pass (see
+    `confidence.profile`).
     """
 
     name: str
@@ -82,8 +85,8 @@ class Parameter:
             )
         if not self.physical[0] <= self.lower or not self.upper <= self.physical[1]:
             raise ValueError(
-                f"{self.name}: expected a search within what is physical, {self.physical[0]} … {self.physical[1]}, "
-                f"found {self.lower} … {self.upper}"
+                f"{self.name}: expected a search within what is physical, {self.physical[0]} … "
+                f"{self.physical[1]}, found {self.lower} … {self.upper}"
             )
         if self.prior is not None and self.prior.logarithmic and not self.positive:
             raise ValueError(f"{self.name}: a prior of its logarithm needs a positive parameter")
@@ -99,9 +102,9 @@ class Parameter:
         return math.exp(z) if self.positive else z
 
     def guarded(self, value: float) -> bool:
-        """Whether a value at a limit of its search was stopped by a guard.
+        """Whether a guard stopped a value that ended at a limit of its search.
 
-        A physical limit is none, nor is the null value, nor the lower limit of a noise: there is no less of it.
+        Physical limits, the null value and the lower limit of a noise parameter are not guards.
         """
         meant = [*self.physical, *(() if self.null is None else (self.null,))]
         if self.noise and self.positive:
@@ -113,7 +116,7 @@ class Parameter:
         return value if self.positive else 1.0
 
     def beyond_guards(self) -> tuple[float, float]:
-        """Limits of the coordinate with its guards lifted (`LIFT`); a physical limit stays."""
+        """Limits of the coordinate with guards lifted by `LIFT`; physical limits stay."""
         low, high = self.to_coordinate(self.lower), self.to_coordinate(self.upper)
         reach = math.log(LIFT) if self.positive else 0.5 * (LIFT - 1.0) * (high - low)
         least, most = self.physical
@@ -124,9 +127,9 @@ class Parameter:
 
 
 class Coordinates:
-    """The free parameters of an estimation and the way between their values θ and coordinates z.
+    """The free parameters of an estimation, and the mapping between their values θ and coordinates z.
 
-    `parameters` all parameters of a model; `fixed` values of those that are not estimated.
+    `parameters` are all parameters of a model; `fixed` holds the values of those that are not estimated.
     """
 
     def __init__(self, parameters: Sequence[Parameter], fixed: Mapping[str, float] | None = None) -> None:
@@ -142,13 +145,14 @@ class Coordinates:
         self.upper = np.array([p.to_coordinate(p.upper) for p in self.free])
 
     def start(self, values: Mapping[str, float] | None = None) -> np.ndarray:
-        """z (d,) of the stated values, else of the parameters' starts; moved into the bounds."""
+        """z (d,) of the given values, of the parameters' starts where none is given; moved into the
+        bounds."""
         given = values or {}
         z = [p.to_coordinate(_inside(p, given.get(p.name, p.start))) for p in self.free]
         return np.clip(np.array(z, dtype=float), self.lower, self.upper)
 
     def values(self, z: np.ndarray) -> dict[str, float]:
-        """All parameters' values (free and fixed) at z."""
+        """Values of all parameters, free and fixed, at z."""
         free = {p.name: p.from_coordinate(float(v)) for p, v in zip(self.free, z, strict=True)}
         return {p.name: free.get(p.name, self.fixed.get(p.name, math.nan)) for p in self.parameters}
 
@@ -157,7 +161,7 @@ class Coordinates:
         return np.array([p.slope(p.from_coordinate(float(v))) for p, v in zip(self.free, z, strict=True)])
 
     def place(self) -> np.ndarray:
-        """Positions (d,) of the free parameters among all."""
+        """Positions (d,) of the free parameters among all parameters."""
         index = {p.name: i for i, p in enumerate(self.parameters)}
         return np.array([index[name] for name in self.names], dtype=int)
 
@@ -168,7 +172,8 @@ class Coordinates:
     def log_prior(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Log prior density, its gradient (d,) and minus its second derivative (d,) in z.
 
-        The density is that of θ (no Jacobian): the maximum stays where the penalised likelihood has it.
+        The density is that of θ, without the Jacobian of z, so that the maximum is that of the penalised
+        likelihood.
         """
         total, gradient, curvature = 0.0, np.zeros(len(self.free)), np.zeros(len(self.free))
         for i, (p, v) in enumerate(zip(self.free, z, strict=True)):
@@ -186,7 +191,7 @@ def _inside(p: Parameter, value: float) -> float:
 
 
 def unique(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
-    """The parameters, refusing a name that two mechanisms use for different things."""
+    """The parameters as a tuple; raises ValueError where two mechanisms use one name."""
     seen: dict[str, Parameter] = {}
     for p in parameters:
         if p.name in seen:

@@ -1,4 +1,4 @@
-"""Controllers that no signal reports: two-point switches and throttles of a heater, a cooling stage, a vent, a drier."""
+"""Unlogged controllers: two-point switches and throttles of a heater, a cooling stage, a vent or a drier."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ HUMIDITY = "cabinet_relative_humidity"
 class Switch:
     """A two-point switch that follows a reading of the cabinet, `reads` [K] or [1].
 
-    It starts beyond `on` and stops beyond `off`, on the other side: `rising` for one that starts above and stops below.
-    `idle`: it runs at standstill alone.
+    With `rising`, the switch starts above `on` and stops below `off`; otherwise it starts below `on` and
+    stops above `off`. With `idle`, it runs at standstill only.
     """
 
     reads: str
@@ -30,7 +30,8 @@ class Switch:
         return self.on, self.off
 
     def course(self, value: np.ndarray, idle: np.ndarray) -> np.ndarray:
-        """State (T,) along readings (T,), of which a missing one changes nothing; `idle` (T,) the standstills."""
+        """State (T,) for a series of readings (T,); a missing reading keeps the state.  `idle` (T,) is True
+        at standstill."""
         allowed = idle if self.idle else np.ones(len(value), bool)
         sign = 1.0 if self.rising else -1.0
         return two_point(sign * value, sign * self.on, sign * self.off, allowed)
@@ -38,7 +39,7 @@ class Switch:
     def after(
         self, before: np.ndarray | float, value: np.ndarray | float, idle: np.ndarray | bool
     ) -> np.ndarray | float:
-        """State of one such switch, or of N of them (N,), after one reading each."""
+        """State after one reading, of one switch or of N such switches (N,)."""
         started = value > self.on if self.rising else value < self.on
         stopped = value < self.off if self.rising else value > self.off
         if self.idle:
@@ -47,9 +48,10 @@ class Switch:
 
 
 def two_point(value: np.ndarray, on_above: float, off_below: float, allowed: np.ndarray) -> np.ndarray:
-    """State (T,) of a two-point switch: 1 from the first value above `on_above` to the first below `off_below`.
+    """State (T,) of a two-point switch: 1 from the first value above `on_above` to the first below
+    `off_below`.
 
-    value: (T,), a missing one changes nothing. allowed: (T,) bool, off elsewhere.
+    value: (T,); a missing value keeps the state. allowed: (T,) bool; the switch is off where it is False.
     """
     event = np.where(~allowed | (value < off_below), -1, np.where(value > on_above, 1, 0))
     last = np.maximum.accumulate(np.where(event != 0, np.arange(len(value)), -1))
@@ -58,7 +60,8 @@ def two_point(value: np.ndarray, on_above: float, off_below: float, allowed: np.
 
 @dataclass(frozen=True)
 class Throttle:
-    """A controller in proportion to a reading of the cabinet, `reads` [K] or [1]: 0 at `start`, 1 from `full` on."""
+    """A proportional controller that follows a reading of the cabinet, `reads` [K] or [1]: 0 at `start`, 1
+    from `full` on."""
 
     reads: str
     start: float
@@ -69,32 +72,35 @@ class Throttle:
         return self.start, self.full
 
     def course(self, value: np.ndarray, idle: np.ndarray) -> np.ndarray:
-        """Position (T,) along readings (T,), of which a missing one changes nothing."""
+        """Position (T,) for a series of readings (T,); a missing reading keeps the position."""
         known = np.maximum.accumulate(np.where(np.isfinite(value), np.arange(len(value)), 0))
         return np.nan_to_num(self.after(0.0, value[known], idle))
 
     def after(
         self, before: np.ndarray | float, value: np.ndarray | float, idle: np.ndarray | bool
     ) -> np.ndarray | float:
-        """Position of one such controller, or of N of them (N,), after one reading each."""
+        """Position after one reading, of one controller or of N such controllers (N,)."""
         return np.clip((value - self.start) / (self.full - self.start), 0.0, 1.0)[()]
 
 
 def cooling_stage(on_K: float, off_K: float) -> Switch:
-    """A cooling stage that starts above `on_K` and stops below `off_K` of the cabinet temperature."""
+    """A cooling stage that starts when the cabinet temperature exceeds `on_K` and stops when it falls below
+    `off_K`."""
     return Switch(TEMPERATURE, on_K, off_K)
 
 
 def heater(reads: str, on: float, off: float, idle: bool = True) -> Switch:
-    """A heater: a thermostat starts below `on` [K] and stops above `off`, a humidistat [1] the other way round.
+    """A heater: a thermostat starts below `on` [K] and stops above `off`; a humidistat [1] starts above `on`
+    and stops below `off`.
 
-    `idle`: it runs at standstill alone.
+    With `idle`, the heater runs at standstill only.
     """
     return Switch(reads, on, off, rising=reads != TEMPERATURE, idle=idle)
 
 
 def drier(on: float, off: float) -> Switch:
-    """A drier that starts above `on` and stops below `off` of the cabinet's relative humidity [1]."""
+    """A drier that starts when the cabinet's relative humidity [1] exceeds `on` and stops when it falls below
+    `off`."""
     return Switch(HUMIDITY, on, off)
 
 
@@ -105,4 +111,4 @@ SWITCHES: Mapping[str, Callable[..., Switch | Throttle]] = {
     "venting": Throttle,
     "drying": drier,
 }
-"""Controllers by the name of the feature (and input) that they give."""
+"""Controllers by the name of the feature, and input, that they provide."""

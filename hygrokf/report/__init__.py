@@ -1,4 +1,5 @@
-"""Everything that is read by people: pages, tables and texts of fits, discoveries, climates, comparisons and transfers.
+"""Everything that is read by people: pages, tables and texts of fits, discoveries, climates, comparisons and
+transfers.
 
 Reads results; computes nothing that a result should hold.
 """

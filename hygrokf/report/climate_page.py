@@ -1,171 +1,269 @@
-"""`report.html` of a climate: limits, numbers with bounds, distributions, and the test profile."""
+"""The page and the terminal text of a climate, from the same blocks."""
 
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping, Sequence
-from html import escape
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from typing import Literal
 
+from hygrokf.climate.acceleration import Acceleration
 from hygrokf.climate.results import read_climate, write_climate
-from hygrokf.climate.study import Study
-from hygrokf.data.files import CLIMATE, REPORT, write_bytes_whole, write_text_whole
-from hygrokf.data.lookup import entry
-from hygrokf.identification.results import ResultFault
+from hygrokf.climate.study import RegionClimate, Study
+from hygrokf.climate.test_profile import ChamberProfile
+from hygrokf.data.files import REPORT, write_bytes_whole, write_text_whole
 from hygrokf.identification.verdict import REJECT, rests_on
-from hygrokf.identification.wording import percent, plain_number, sentence, text_of
+from hygrokf.identification.wording import moment, percent, plain_number, sentence
+from hygrokf.report.blocks import (
+    Banner,
+    Block,
+    Card,
+    Cards,
+    Details,
+    Figure,
+    Heading,
+    Items,
+    Page,
+    Prose,
+    section,
+    table_or,
+)
 from hygrokf.report.climate_tables import (
     class_text,
     excursions_table,
     hours_text,
     limits_table,
-    part_of_year,
     profile_table,
     rates_table,
     regimes_table,
     regions_table,
     share_held,
     span_text,
-    with_shares,
+    value_and_bounds,
     year_table,
 )
 from hygrokf.report.figures.climate import figure_duration, figure_joint, figure_profile, figure_regions
 from hygrokf.report.figures.drawing import png
-from hygrokf.report.html import (
-    document,
-    figure_html,
-    mark_html,
-    moment,
-    numbers_html,
-    prose,
-    section,
-    tables_html,
-)
+from hygrokf.report.inherited import inherited_verdicts
+from hygrokf.report.page import page_html
+from hygrokf.report.terminal import page_text
 
 PICTURE = "test_profile.png"
+TONES: dict[str, Literal["open", "plain", "reject"]] = {
+    "pass": "plain", "undecided": "open", "fail": "reject"
+}  # fmt: skip
+"""How the verdict on limits is shown."""
+MOST_CARDS = 4
+"""Regions that have a card each on the first screen."""
 JOINT_CAPTION = (
-    "Hours a year in bins of 2.5 K and 5 %. The red line is 80 %, above which a surface counts as wet. The cabinet is drier "
-    "than the outside air because it is warmer, not because it holds less vapour."
+    "Hours a year in bins of 2.5 K and 5 %. Above the red line (80 %) a surface counts as wet. At the same "
+    "content of vapour a warmer cabinet has a lower relative humidity than the outside air."
 )
 DURATION_CAPTION = (
-    "For how much of the time a value lies above the curve. The band holds {share} of single years: parameters that the fit "
-    "leaves open, disturbances, and the spread between the years of weather."
+    "The share of the time for which a value is exceeded. The band holds {share} of single years; it "
+    "contains the uncertainty of the parameters, the disturbances, and the differences between the years of "
+    "weather."
 )
 PROFILE_CAPTION = (
-    "Days of the simulated climate, chosen so that together they are like all of it, and warmed as far as the law of "
-    "acceleration asks for. Relative humidity is the site's own."
+    "Days of the simulated climate that together resemble all of it, warmed until they age as much as the "
+    "years of service. The relative humidity is the site's own."
+)
+REGIONS_CAPTION = (
+    "Thin: bounds that hold {years} of single years. Thick: bounds that hold {means} of the means over all "
+    "years."
 )
 
 
 def write_climate_report(study: Study | None, directory: str | os.PathLike[str]) -> Path:
-    """Write climate.json, climate.csv, the test profile as CSV and PNG, and `report.html`; returns the page's path.
+    """Write climate.json, climate.csv, the test profile as CSV and PNG, and `report.html`; returns the page's
+    path.
 
-    study: None where the directory holds climate.json already: then the page and the picture alone are made again.
-    Raises ResultFault where it is missing or damaged, OSError as the system gives it.
+    study: None where the directory holds climate.json already: then the page and the picture alone are made
+    again. Raises ResultFault where it is missing or damaged, OSError from the system.
     """
     folder = Path(directory)
-    if study is not None:
-        write_climate(study, folder)
-    found = read_climate(folder).results
-    try:
-        single = len(found["regions"]) == 1 and found["regions"][0]["test_profile"] is not None
-        picture = png(figure_profile(found["regions"][0])) if single else None
-        page = climate_page(found)
-    except (LookupError, TypeError, AttributeError, ValueError) as fault:
-        raise ResultFault(
-            f"{folder / CLIMATE}: expected what `hygrokf climate` wrote, found it changed or of another version "
-            f"({type(fault).__name__}: {fault}); run `hygrokf climate` again"
-        ) from None
-    if picture is None:
-        (folder / PICTURE).unlink(missing_ok=True)
+    if study is None:
+        study = read_climate(folder)
     else:
-        write_bytes_whole(folder / PICTURE, picture)
+        write_climate(study, folder)
+    page = climate_page(study)
+    if len(study.regions) == 1 and study.regions[0].test_profile is not None:
+        write_bytes_whole(folder / PICTURE, png(figure_profile(study.regions[0])))
+    else:
+        (folder / PICTURE).unlink(missing_ok=True)
     return write_text_whole(folder / REPORT, page)
 
 
-def climate_page(found: Mapping) -> str:
-    """The whole page as HTML text, from the data of `climate.json`."""
-    regions = with_shares(found)
-    name = text_of(entry(found, "name")).strip() or "unnamed model"
-    parts = [_head(found, regions, name)]
-    if len(regions) > 1:
-        drawing = figure_html(
-            "regions",
-            "Regions side by side",
-            f"Thin: bounds that hold {share_held(regions)} of single years. Thick: bounds that hold "
-            f"{share_held(regions, 'mean_bounds_hold')} of the means over all years.",
-            lambda: figure_regions(regions),
-        )
-        parts.append(section("Regions side by side", drawing, tables_html((regions_table(regions), ""))))
-    for place, region in enumerate(regions, 1):
-        parts += _region(region, place, len(regions) > 1, found.get("verdicts"))
-    parts.append(_method(found))
-    return document(f"{name} – hygrokf climate", parts)
+def climate_page(study: Study) -> str:
+    """The whole page as HTML text."""
+    return page_html(climate_blocks(study))
 
 
-def _head(found: Mapping, regions: Sequence[Mapping], name: str) -> str:
-    where = ", ".join(text_of(one["name"]) for one in regions)
-    line = (
-        f"{where}; {found['members']} members, seed {found['seed']}, bounds that hold {share_held(regions)} of single years; cold surface "
-        f"follows the cabinet air by {found['surface']['follows']:g}, offset {found['surface']['offset_K']:g} K"
+def climate_text(study: Study) -> str:
+    """The answer and the tables as text of at most 100 columns, for the command line."""
+    return page_text(climate_blocks(study))
+
+
+def climate_blocks(study: Study) -> Page:
+    """What a climate says: the answer with the picture of the year, then statements, tables and the test."""
+    regions = study.regions
+    several = len(regions) > 1
+    inherited = inherited_verdicts(study.verdicts, "The time constants of the model")
+    cards = Cards(_region_cards(study) if several else _cards(regions[0], _doubt(study)))
+    answer: tuple[Block, ...] = (cards,) if cards.cards else ()
+    side_by_side = regions_table(regions)
+    parts = [_region(region, place, several) for place, region in enumerate(regions, 1)]
+    brief: list[Block] = [*answer, *([inherited] if inherited else [])]
+    for region in regions:
+        brief += _brief(region, several)
+    return Page(
+        "Climate report",
+        study.name.strip() or "unnamed model",
+        _about(study),
+        (*_banners(study), *answer, _regions_figure(regions) if several else _year_figure(regions[0], 1)),
+        (
+            *section("Regions side by side", side_by_side),
+            *section("The model", inherited),
+            *(block for part in parts for block in part),
+        ),
+        _method(study),
+        (*brief, *([side_by_side] if side_by_side else [])),
     )
-    banner = ""
-    if found.get("synthetic") is True or any(one.get("synthetic") for one in regions):
-        banner = (
-            "<p class='banner synthetic'><b>SYNTHETIC</b> The model or the weather was made by a computer. "
-            "Nothing on this page was measured.</p>"
-        )
+
+
+def _about(study: Study) -> tuple[str, ...]:
+    where = ", ".join(region.name for region in study.regions)
+    held = f"bounds hold {share_held(study.regions)} of single years"
+    return (f"Simulated for {where}: {study.members} members, seed {study.seed}; {held}",)
+
+
+def _banners(study: Study) -> tuple[Banner, ...]:
+    if not study.synthetic and not any(one.synthetic for one in study.regions):
+        return ()
+    said = "A computer made the model or the weather. Nothing on this page was measured."
+    return (Banner("SYNTHETIC", said),)
+
+
+def _doubt(study: Study) -> str:
+    """A sentence where the climate rests on numbers of the fit that are not to be believed; else empty."""
+    doubt = rests_on(study.verdicts)
+    return sentence(doubt) if doubt else ""
+
+
+# --- the answer ------------------------------------------------------------------------------
+
+
+def _cards(region: RegionClimate, doubt: str) -> tuple[Card, ...]:
+    """The verdict on the limits, then hours of wetness and of condensation."""
+    cards = [_limits_card(region)] if region.limits else []
+    scaled = f"scaled up from {region.part_of_year}" if region.part_of_year else ""
+    wet = f"class {class_text(region)}, ISO 9223:1992"
+    for name, label, note in (
+        ("wetness_h", "Time of wetness", wet),
+        ("condensation_h", "Condensation", "on the coldest surface"),
+    ):
+        if name in region.year:
+            lines = (f"{note}{', ' if scaled else ''}{scaled}",)
+            cards.append(_hours_card(region, name, label, doubt, lines))
+    if "wetness_h" not in region.year:
+        value, bounds = value_and_bounds(region.year["mean_temperature_degC"])
+        said = f"Mean temperature: {value} °C{f' ({bounds})' if bounds else ''}"
+        kind = REJECT if doubt else ""
+        cards.append(Card("Mean temperature", f"{value} °C", said, kind, bounds, doubt, tone="plain"))
+    return tuple(cards)
+
+
+def _hours_card(
+    region: RegionClimate, name: str, label: str, doubt: str, lines: tuple[str, ...] = ()
+) -> Card:
+    """A card of hours a year with bounds."""
+    one = region.year[name]
+    value, bounds = value_and_bounds(one, hours_text)
+    held = f"{share_held([region])} of single years: {bounds}" if bounds else "in every member and year"
+    said = f"{label}: {span_text(one, hours_text)} h/a{f', {lines[0]}' if lines else ''}"
+    return Card(label, f"{value} h/a", said, REJECT if doubt else "", held, doubt, lines=lines, tone="plain")
+
+
+def _limits_card(region: RegionClimate) -> Card:
+    counted = _counted(region)
+    failed = [one for one in region.limits if one.verdict == "fail"]
+    lines = tuple(f"Fails: {one.name}, {span_text(one.hours, hours_text)} h/a" for one in failed[:2])
+    part = f", judged on {region.part_of_year} of weather, not a year" if region.part_of_year else ""
+    said = f"Limits: {counted}{part}"
+    label = f"Limits, {len(region.limits)} in all{part}"
+    return Card(label, counted, said, lines=lines, wide=True, words=True, tone=TONES[region.verdict])
+
+
+def _counted(region: RegionClimate) -> str:
+    """The verdicts on the limits: "2 pass, 1 fail"."""
+    found = [one.verdict for one in region.limits]
+    return ", ".join(f"{found.count(v)} {v}" for v in ("pass", "undecided", "fail") if v in found)
+
+
+def _region_cards(study: Study) -> tuple[Card, ...]:
+    """A card for each of a few regions: hours of wetness, condensation, limits."""
+    if len(study.regions) > MOST_CARDS:
+        return ()
+    cards = []
+    for region in study.regions:
+        lines = []
+        if "condensation_h" in region.year:
+            lines.append(f"condensation {span_text(region.year['condensation_h'], hours_text)} h/a")
+        if region.limits:
+            lines.append(f"limits: {_counted(region)}")
+        if "wetness_h" in region.year:
+            label = f"{region.name}: time of wetness"
+            cards.append(_hours_card(region, "wetness_h", label, _doubt(study), tuple(lines)))
+    return tuple(cards)
+
+
+def _year_figure(region: RegionClimate, place: int) -> Figure:
+    """The picture of the year: temperature with humidity, or duration curves without humidity."""
+    if region.joint is None:
+        return _duration_figure(region, place)
+    heading = "The year by temperature and relative humidity"
+    return Figure(f"r{place}-joint", heading, JOINT_CAPTION, partial(figure_joint, region))
+
+
+def _duration_figure(region: RegionClimate, place: int) -> Figure:
+    caption = DURATION_CAPTION.format(share=share_held([region]))
+    return Figure(f"r{place}-duration", "Duration curves", caption, partial(figure_duration, region))
+
+
+def _regions_figure(regions: Sequence[RegionClimate]) -> Figure:
+    means = percent(min(one.mean_bounds_hold for one in regions))
+    caption = REGIONS_CAPTION.format(years=share_held(regions), means=means)
+    return Figure("regions", "Regions side by side", caption, partial(figure_regions, regions))
+
+
+# --- a region --------------------------------------------------------------------------------
+
+
+def _region(region: RegionClimate, place: int, several: bool) -> tuple[Block, ...]:
+    """The sections of a region; those of several regions begin with the region's name."""
+    limits = table_or(limits_table(region), "No limits were given (--limits FILE).")
+    title = f"{region.name}: " if several else ""
+    one_kind = "The cabinet is only in operation, or only at standstill, all year."
     return (
-        "<header><p class=kind>Hygrothermal model of an enclosure · simulated climate</p>"
-        f"<h1>{escape(name)}</h1><p class=meta>{prose(line)}</p>{banner}"
-        f"{numbers_html(found.get('verdicts'), 'The numbers of the model')}</header>"
+        *section(
+            _heading(title, "weather and power"),
+            Prose(_weather(region)),
+            _statements(region),
+        ),
+        *(section(_heading(title, "limits"), limits) if not several or region.limits else ()),
+        *section(
+            _heading(title, "the year"),
+            _year_figure(region, place) if several else None,
+            year_table(region),
+            table_or(regimes_table(region), one_kind),
+            Details(
+                "Excursions, rates of change and cycles", (excursions_table(region), rates_table(region))
+            ),
+            _duration_figure(region, place) if region.joint is not None else None,
+        ),
+        *section(_heading(title, "test profile"), *_profile(region, place)),
     )
-
-
-def _region(region: Mapping, place: int, several: bool, verdicts: object) -> list[str]:
-    title = f"{text_of(region['name'])}: " if several else ""
-    short = f"r{place}-"
-    spans = region["years"]
-    many = f"{len(spans)} {'year' if len(spans) == 1 else 'years'}"
-    if part := part_of_year(region):
-        many = part if len(spans) == 1 else f"parts of {many}, the fullest of {part}"
-    meta = f"Weather of {moment(spans[0]['from'])} to {moment(spans[-1]['until'])} UTC, {many}, from {', '.join(map(text_of, region['files'])) or 'a record'}."
-    said = "".join(f"<p>{prose(sentence(one))}</p>" for one in region["statements"])
-    return [
-        f"<section class=cards>{''.join(_cards(region, verdicts))}</section>" if not several else "",
-        section(_heading(title, "weather and power"), f"<p class=meta>{prose(meta)}</p>", said),
-        section(
-            _heading(title, "limits"),
-            tables_html((limits_table(region), "No limits were given (--limits FILE).")),
-        )
-        if not several or region["limits"]
-        else "",
-        section(
-            _heading(title, "hours, rates, cycles"),
-            tables_html(
-                (year_table(region), ""),
-                (regimes_table(region), "All of the year is of one kind, operation or standstill."),
-                (excursions_table(region), ""),
-                (rates_table(region), ""),
-            ),
-        ),
-        section(
-            _heading(title, "distributions"),
-            figure_html(
-                f"{short}joint",
-                "Temperature and relative humidity",
-                JOINT_CAPTION,
-                lambda: figure_joint(region),
-            ),
-            figure_html(
-                f"{short}duration",
-                "Duration curves",
-                DURATION_CAPTION.format(share=share_held([region])),
-                lambda: figure_duration(region),
-            ),
-        ),
-        section(_heading(title, "test profile"), *_profile(region, short)),
-    ]
 
 
 def _heading(title: str, words: str) -> str:
@@ -173,83 +271,91 @@ def _heading(title: str, words: str) -> str:
     return title + words if title else words[:1].upper() + words[1:]
 
 
-def _cards(region: Mapping, verdicts: object) -> list[str]:
-    year, cards = region["scopes"]["all"], []
-    doubt = rests_on(verdicts)
-    doubtful = f"<p class=verdict>{mark_html(REJECT)} {prose(sentence(doubt))}</p>" if doubt else ""
-    kind = f" {REJECT} resting" if doubt else ""
-    part = part_of_year(region)
-    scaled = f", scaled up from {part}" if part else ""
-    verdicts = [one["verdict"] for one in region["limits"]]
-    if verdicts:
-        worst = next(v for v in ("fail", "undecided", "pass") if v in verdicts)
-        counted = ", ".join(
-            f"{verdicts.count(v)} {v}" for v in ("pass", "undecided", "fail") if v in verdicts
-        )
-        cards.append(
-            f"<div class='card wide{'' if worst == 'pass' else ' open'}'><p class=label>Limits "
-            f"<span>{len(verdicts)} asked{escape(_of_a_part(region))}</span></p><p class='value words'>{escape(counted)}</p></div>"
-        )
-    for name, label, note in (
-        ("wetness_h", "Time of wetness", f"class {class_text(region)}, ISO 9223:1992"),
-        ("condensation_h", "Condensation", "on the coldest surface"),
-    ):
-        if name in year:
-            found = span_text(year[name], hours_text)
-            value, _, rest = found.partition(" (")
-            note += scaled
-            share = share_held([region])
-            bounds = f"{share} of single years: {rest.rstrip(')')}" if rest else "in every member and year"
-            cards.append(
-                f"<div class='card{kind}'><p class=label>{label} <span>{escape(note)}</span></p><p class=value>{escape(value)} h/a</p>"
-                f"<p class=bounds>{escape(bounds)}</p>{doubtful}</div>"
-            )
-    return cards
+def _statements(region: RegionClimate) -> Items:
+    return Items(tuple(map(sentence, region.statements)))
 
 
-def _of_a_part(region: Mapping) -> str:
-    """What a verdict rests on, where that is less than a year."""
-    part = part_of_year(region)
-    return f", of {part} of weather, not a year" if part else ""
+def _weather(region: RegionClimate) -> str:
+    spans = region.years
+    many = f"{len(spans)} {'year' if len(spans) == 1 else 'years'}"
+    if part := region.part_of_year:
+        many = part if len(spans) == 1 else f"parts of {many}, the fullest of {part}"
+    files = ", ".join(region.files) or "a record"
+    return f"Weather from {moment(spans[0].start)} to {moment(spans[-1].end)} UTC ({many}), from {files}."
 
 
-def _profile(region: Mapping, short: str) -> list[str]:
-    profile = region["test_profile"]
+def _profile(region: RegionClimate, place: int) -> tuple[Block, ...]:
+    profile = region.test_profile
     if profile is None:
-        return ["<p class=left-out>There is none: see above.</p>"]
-    close = profile["closeness"]
-    years, hours = close["ageing"]["years"], len(profile["hour"])
-    words = (
-        f"{hours} hours that age as much as {plain_number(years)} years at the site "
-        f"({plain_number(close['ageing']['years_lower'])} … {plain_number(close['ageing']['years_upper'])}), an acceleration "
-        f"of {plain_number(profile['acceleration'])} before the chamber's limits; "
-        f"{percent(profile['share_at_chamber_limit'])} of the hours stand at a limit of the chamber's temperature."
+        return (Prose("There is no test profile; the statements above say why.", "missing"),)
+    table = profile_table(region)
+    return (
+        Prose(_profile_text(profile)),
+        Figure(
+            f"r{place}-profile", "Set points of the chamber", PROFILE_CAPTION, partial(figure_profile, region)
+        ),
+        *([Details("What the test profile reproduces", (table,))] if table else []),
     )
-    if not profile["reached"]:
-        too_little = close["ageing"]["test_h"] < close["ageing"]["service_h"]
-        words += (
-            " The stated years of service are out of reach within these limits and this length: state "
-            f"{'a longer test, fewer years, or a hotter chamber' if too_little else 'a shorter test, more years, or a colder chamber'}."
-        )
-    return [
-        f"<p>{prose(words)}</p>",
-        figure_html(f"{short}profile", "Test profile", PROFILE_CAPTION, lambda: figure_profile(region)),
-        tables_html((profile_table(region), "")),
-    ]
 
 
-def _method(found: Mapping) -> str:
-    law = found["plan"]["law"]
-    kind = "Peck's law" if law["humidity_exponent"] else "Arrhenius' law"
-    lines = [
-        "Every member of the ensemble is the fitted model with parameters drawn from their estimated distribution, driven by "
-        "the weather and the power alone, with disturbances simulated as the fit found them. Nothing was measured in these years.",
-        "Bounds hold what the fit does not know of its own parameters, what the disturbances may do, and how years differ where "
-        "there are several. They do not hold what the model leaves out: heaters and doors that no signal reports, moisture "
-        "stored in materials and condensed water unless the model has them, another cabinet, another climate to come.",
-        "Where the model has no condensation its air may be above saturation; such hours count as wet.",
-        f"Ageing is {kind}, rate ∝ RH^{law['humidity_exponent']:g} exp(−{law['activation_energy_eV']:g} eV/kT), in hours at "
-        f"{law['reference_degC']:g} °C and {law['reference_percent']:g} %. Its exponents are of single failure mechanisms "
-        "(Peck 1986: aluminium corrosion in plastic packages); state those of yours.",
-    ]
-    return section("How this was made", *(f"<p>{prose(line)}</p>" for line in lines))
+def _profile_text(profile: ChamberProfile) -> str:
+    aged = profile.closeness.ageing
+    said = (
+        f"{len(profile.hour)} hours in the chamber age as much as {plain_number(aged.years)} years at the "
+        f"site ({plain_number(aged.years_lower)} … {plain_number(aged.years_upper)}). The acceleration is "
+        f"{plain_number(profile.acceleration)} before the chamber's limits; "
+        f"{percent(profile.share_at_chamber_limit)} of the hours are at a limit of the chamber's temperature."
+    )
+    if profile.reached:
+        return said
+    too_little = aged.test_h < aged.service_h
+    remedy = (
+        "a longer test, fewer years, or a hotter chamber"
+        if too_little
+        else "a shorter test, more years, or a colder chamber"
+    )
+    return (
+        f"{said} The stated years of service cannot be reached within these limits and this length: state "
+        f"{remedy}."
+    )
+
+
+def _brief(region: RegionClimate, several: bool) -> list[Block]:
+    """What a terminal prints of a region."""
+    tables = (limits_table(region), year_table(region), regimes_table(region), excursions_table(region))
+    title = [Heading(region.name)] if several else []
+    return [*title, _statements(region), *(table for table in tables if table is not None)]
+
+
+def _method(study: Study) -> tuple[Block, ...]:
+    return (
+        Heading("How this was computed"),
+        Prose(
+            "Each member of the ensemble is the fitted model with parameters drawn from their estimated "
+            "distribution. Weather and power alone drive it, and disturbances are simulated with the "
+            "strength and memory that the fit found. Nothing was measured in these years."
+        ),
+        Prose(
+            "The bounds contain the uncertainty of the parameters, the effect of the disturbances and, with "
+            "several years, the differences between them. They do not contain what the model lacks: "
+            "heaters and doors that no signal reports, moisture stored in materials and condensed water "
+            "unless the model has them, another cabinet, a future climate."
+        ),
+        Prose(
+            "In a model without condensation the air may exceed saturation; such hours count as wet. The "
+            f"cold surface on which vapour condenses follows the cabinet air by {study.surface.follows:g}, "
+            f"offset {study.surface.offset_K:g} K."
+        ),
+        Prose(_law(study.plan.law)),
+        Prose(f"Simulated by hygrokf {study.version}."),
+    )  # fmt: skip
+
+
+def _law(law: Acceleration) -> str:
+    kind = "Peck's law" if law.humid else "Arrhenius' law"
+    return (
+        f"Ageing follows {kind}, rate ∝ RH^{law.humidity_exponent:g} "
+        f"exp(−{law.activation_energy_eV:g} eV/kT), "
+        f"in hours at {law.reference_degC:g} °C and {law.reference_percent:g} %. Its parameters describe a "
+        "single failure mechanism (Peck 1986: aluminium corrosion in plastic packages); state those of yours."
+    )

@@ -1,241 +1,351 @@
-"""`report.html` of a comparison: Table III with bounds, differences, the sceptic's rules, pictures."""
+"""The blocks of a comparison: which column errs less, Table III with bounds, differences, rules, pictures."""
 
 from __future__ import annotations
 
-import json
+import csv
+import io
+import math
 import os
-from collections.abc import Mapping
+from collections.abc import Sequence
 from functools import partial
-from html import escape
 from pathlib import Path
 
-import numpy as np
-
-from hygrokf.data.files import COMPARISON, COMPARISON_TABLE, REPORT, write_text_whole
-from hygrokf.identification.results import ResultFault, dump
-from hygrokf.identification.wording import NONE, RULES, fixed, minus, percent, sentence, text_of
-from hygrokf.report.figures.transfer import QUANTITIES, figure_errors, figure_weeks
-from hygrokf.report.fit_tables import Table
-from hygrokf.report.html import document, figure_html, numbers_html, prose, section, tables_html
-from hygrokf.transfer.comparison import ALL_PERIODS, REGIMES, Comparison, comparison_csv
+from hygrokf.data.files import COMPARISON, COMPARISON_SERIES, COMPARISON_TABLE, REPORT, write_text_whole
+from hygrokf.data.result_file import read_result, result_text
+from hygrokf.identification.wording import (
+    NONE,
+    QUANTITIES,
+    RULES,
+    SCORED,
+    fixed,
+    percent,
+    sentence,
+    signed,
+    text_of,
+)
+from hygrokf.report.blocks import (
+    Banner,
+    Block,
+    Card,
+    Cards,
+    Details,
+    Figure,
+    Heading,
+    Page,
+    Prose,
+    Table,
+    section,
+    table_or,
+)
+from hygrokf.report.figures.comparison import (
+    figure_column_courses,
+    figure_errors,
+    figure_weeks,
+    short_labels,
+)
+from hygrokf.report.inherited import inherited_verdicts
+from hygrokf.report.page import page_html
+from hygrokf.report.terminal import page_text
+from hygrokf.transfer.comparison import (
+    REGIMES,
+    TABLE_HEAD,
+    Comparison,
+    ComparisonResults,
+    ErrorDifference,
+    PairDifference,
+)
+from hygrokf.transfer.course import Course, read_courses, write_courses
 from hygrokf.version import __version__
 
-PERIODS = {
-    "whole": "whole record (as the paper's Table III)",
-    "validation": "validation (after the end of each record's identification period)",
-    "identification": "identification",
-}
+PERIODS = ("whole", "validation", "identification")
+COMMAND = "hygrokf compare"
+MOST_PAIRS = 3
+"""Pairs whose differences are not folded."""
+
+
+# --- files -----------------------------------------------------------------------------------
 
 
 def write_comparison(found: Comparison | None, directory: str | os.PathLike[str]) -> Path:
-    """Write compare.json, compare.csv and report.html; with None the page again from compare.json.
+    """Write compare.json, compare.csv, compare.npz and report.html; with None the page again from these.
 
-    Returns the path of report.html.  Raises ResultFault where compare.json is missing or damaged, OSError as the system
-    gives it.
+    Returns the path of report.html.  Raises ResultFault where compare.json is missing or damaged, OSError
+    from the system.
     """
     folder = Path(directory)
-    if found is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        text, table, page = (
-            dump(found.to_json()),
-            comparison_csv(found.results),
-            comparison_page(found.results),
-        )
-        (folder / REPORT).unlink(missing_ok=True)
-        write_text_whole(folder / COMPARISON, text)
-        write_text_whole(folder / COMPARISON_TABLE, table)
-        return write_text_whole(folder / REPORT, page)
-    path = folder / COMPARISON
-    try:
-        page = comparison_page(json.loads(path.read_text(encoding="utf-8")))
-    except (OSError, ValueError, RecursionError, KeyError, TypeError, AttributeError) as fault:
-        raise ResultFault(
-            f"{path}: expected the results of `hygrokf compare`, found {type(fault).__name__} {fault}; run it again"
-        ) from None
+    if found is None:
+        return write_text_whole(folder / REPORT, comparison_page(*read_comparison(folder)))
+    courses = [one.course for one in found.columns]
+    text, table = result_text(found.results), comparison_csv(found.results)
+    page = comparison_page(found.results, courses)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / REPORT).unlink(missing_ok=True)
+    write_text_whole(folder / COMPARISON, text)
+    write_text_whole(folder / COMPARISON_TABLE, table)
+    write_courses(courses, folder / COMPARISON_SERIES)
     return write_text_whole(folder / REPORT, page)
 
 
-def comparison_page(found: Mapping) -> str:
-    """The whole page as HTML text: a pure function of the data of compare.json."""
-    labels = [text_of(one["label"]) for one in found["columns"]]
-    parts = [
-        _head(found, labels),
-        *(numbers_html(one.get("verdicts"), f"{one['label']}: the fit {one['fit']}") for one in found["columns"]),
-        section("In short", *(f"<p>{prose(line)}</p>" for line in summary(found))),
-        section(
-            "Errors side by side",
-            *tables(found),
-            *(
-                figure_html(f"errors-{period}", f"Errors, {period}", caption, partial(figure_errors, found, period))
-                for period, caption in _CAPTIONS.items()
+def read_comparison(directory: str | os.PathLike[str]) -> tuple[ComparisonResults, tuple[Course, ...]]:
+    """The results and courses in a directory; no courses where compare.npz is missing, as in earlier results.
+
+    Raises ResultFault with all faults.
+    """
+    folder = Path(directory)
+    found = read_result(ComparisonResults, folder / COMPARISON, COMMAND)
+    path = folder / COMPARISON_SERIES
+    if not path.exists():
+        return found, ()
+    return found, read_courses(path, len(found.columns), COMMAND)
+
+
+def comparison_csv(found: ComparisonResults) -> str:
+    """Every number of compare.json, one a line (`ComparisonResults.rows`)."""
+    buffer = io.StringIO()
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(TABLE_HEAD)
+    for row in found.rows():
+        writer.writerow(("" if math.isnan(v) else f"{v:.6g}") if isinstance(v, float) else v for v in row)
+    return buffer.getvalue()
+
+
+# --- the page --------------------------------------------------------------------------------
+
+
+def comparison_page(found: ComparisonResults, courses: Sequence[Course] = ()) -> str:
+    """The whole page as HTML text."""
+    return page_html(comparison_blocks(found, courses))
+
+
+def comparison_text(found: ComparisonResults) -> str:
+    """The answer and the tables as text, for the command line."""
+    return page_text(comparison_blocks(found))
+
+
+def comparison_blocks(found: ComparisonResults, courses: Sequence[Course] = ()) -> Page:
+    """What a comparison says: which column errs less, and the courses, first."""
+    cards = _cards(found)
+    scores = [table for quantity in SCORED if (table := scores_table(found, quantity)) is not None]
+    differences = [table for pair in found.differences if (table := differences_table(pair)) is not None]
+    skill = skill_table(found)
+    verdicts = [
+        one
+        for column in found.columns
+        if (one := inherited_verdicts(column.verdicts, f"{column.label}: the fit {column.fit}")) is not None
+    ]
+    notes = tuple(
+        Prose(f"{one.label}: {sentence(line)}", "note") for one in found.columns for line in one.statements
+    )
+    errors = (
+        Figure(f"errors-{period}", f"Errors, {period}", caption, partial(figure_errors, found, period))
+        for period, caption in _CAPTIONS.items()
+    )
+    body = (
+        *section("Errors side by side", *scores, _PERIODS, *errors),
+        *section("Differences on the same instants", *_differences(differences)),
+        *section("Skill against rules without a model", table_or(skill, "No rule could be tried.")),
+        Details(
+            "Errors over time",
+            (
+                Figure(
+                    "weeks",
+                    "Errors by week",
+                    "Look at the weeks in which only one column errs.",
+                    partial(figure_weeks, found),
+                ),
             ),
         ),
-        section("Differences on the same instants", tables_html((differences_table(found), "No two columns have instants in common.")), _NOTE),
-        section("Against rules that need no model", tables_html((skill_table(found), "No rule could be tried."))),
-        section("In the course of time", figure_html("weeks", "Errors by week", "Weeks in which one column alone goes astray show where to look.", lambda: figure_weeks(_weeks(found)))),
-        _foot(found),
-    ]  # fmt: skip
-    return document(f"{', '.join(labels)} – hygrokf comparison", parts)
+        *section("What the columns rest on", *verdicts, *notes),
+    )
+    return Page(
+        "Comparison",
+        _name([text_of(one.label) for one in found.columns]),
+        (_about(found),),
+        (
+            *_banners(found),
+            cards,
+            Figure(
+                "courses",
+                "Readings and simulations",
+                "The days after the identification period, twelve at most. The model saw the weather and the "
+                "power of these days, and no reading of the cabinet.",
+                partial(figure_column_courses, found, courses),
+            ),
+        ),
+        body,
+        _method(found),
+        (*verdicts, *notes, cards, *scores, *differences, *([skill] if skill else [])),
+    )
 
 
 _CAPTIONS = {
-    "whole": "Points with 95 % bounds of a block bootstrap; upright strokes: the best rule without a model, in total.",
+    "whole": "Points with 95 % bounds of a block bootstrap. Upright strokes: the best rule without a model, "
+    "in total.",
     "validation": "The same after the end of each record's identification period.",
 }
-_NOTE = (
-    "<p class=note>Both columns’ errors are drawn in the same blocks of time, so what the weather did to both at once "
-    "cancels: bounds of a difference may exclude zero where those of the two errors overlap.</p>"
+
+
+_PERIODS = Prose(
+    "Whole: as in the paper's Table III. Validation: after the end of each record's identification period.",
+    "note",
+)
+_BOLD = Prose(
+    "Bold: the bounds exclude zero. The errors of both columns are drawn in the same blocks of time, which "
+    "cancels what the weather did to both: bounds of a difference may exclude zero where those of the two "
+    "errors overlap. Other readings: the columns stand for different cabinets or loggers, which may cause "
+    "the difference.",
+    "note",
 )
 
 
-def _head(found: Mapping, labels: list[str]) -> str:
-    banner = ""
-    if found.get("synthetic"):
-        banner = (
-            "<p class='banner synthetic'><b>SYNTHETIC</b> At least one of these records was made by a computer: its "
-            "numbers were not measured.</p>"
-        )
-    rows = [
-        f"{one['label']}: fit {one['fit']} on {one['case']}"
-        + (", identified there" if one["identified_here"] else "")
-        for one in found["columns"]
-    ]
-    notes = [f"{one['label']}: {line}" for one in found["columns"] for line in one["statements"]]
-    meta = "".join(f"<p class=meta>{prose(line)}</p>" for line in (*rows, *notes))
-    return (
-        "<header><p class=kind>Hygrothermal model of an enclosure · comparison</p>"
-        f"<h1>{escape(' · '.join(labels))}</h1>{meta}{banner}</header>"
+def _differences(tables: Sequence[Table]) -> tuple[Block, ...]:
+    """The differences of the first pairs, those of further ones folded."""
+    if not tables:
+        return (Prose("No two columns have common instants.", "missing"),)
+    rest = (Details("The other pairs", tuple(tables[MOST_PAIRS:])),) if tables[MOST_PAIRS:] else ()
+    return (*tables[:MOST_PAIRS], _BOLD, *rest)
+
+
+def _name(labels: Sequence[str]) -> str:
+    return " · ".join(labels) if len(labels) < 3 else f"{labels[0]} and {len(labels) - 1} others"
+
+
+def _about(found: ComparisonResults) -> str:
+    """What each column combines."""
+    here = (", identified there" if one.identified_here else "" for one in found.columns)
+    return " · ".join(
+        f"{one.label}: fit {one.fit} on {one.case}{there}"
+        for one, there in zip(found.columns, here, strict=True)
     )
 
 
-def summary(found: Mapping) -> list[str]:
-    """Which differences are sure, in sentences: in validation; where that is too short for bounds, also as a whole."""
-    said = []
-    for one in found["differences"]:
-        for quantity in QUANTITIES:
-            rows = [(p, _total(one, p, quantity)) for p in ("validation", "whole")]
-            there = [(p, row) for p, row in rows if row is not None]
-            last = next((i for i, (_, row) in enumerate(there) if row["lower"] is not None), 0)
-            said += [_sentence(one, quantity, period, row) for period, row in there[: last + 1]]
-    return said or ["The columns have no instants in common: compare their errors with their own bounds."]
+def _banners(found: ComparisonResults) -> tuple[Banner, ...]:
+    said = "At least one of these records was made by a computer: its numbers were not measured."
+    return (Banner("SYNTHETIC", said),) if found.synthetic else ()
 
 
-def _sentence(one: Mapping, quantity: str, period: str, row: Mapping) -> str:
+# --- the answer ------------------------------------------------------------------------------
+
+
+def _cards(found: ComparisonResults) -> Cards:
+    """One card for each quantity: the difference of two columns, or the column of several that errs least."""
+    cards = tuple(_card(found, q) for q in SCORED if any(one.total("whole", q) for one in found.columns))
+    if cards:
+        return Cards(cards)
+    said = "Nothing could be scored"
+    return Cards((Card("Comparison", said, f"{said}.", wide=True, words=True),))
+
+
+def _card(found: ComparisonResults, quantity: str) -> Card:
     name, unit = QUANTITIES[quantity]
-    where = "in validation" if period == "validation" else "over the whole record"
-    less, more = (one["of"], one["less"]) if row["value"] < 0 else (one["less"], one["of"])
-    if row["lower"] is None:
+    period = "validation" if any(c.total("validation", quantity) for c in found.columns) else "whole"
+    scored = {c.label: row.rmse for c in found.columns if (row := c.total(period, quantity)) is not None}
+    best = min(scored, key=lambda label: scored[label])
+    value = f"{best}: {fixed(scored[best])} {unit}"
+    lines = summary(found, quantity, best)
+    label = f"Smallest error of the {name}, {_WHERE[period]}"
+    text = f"{label}: {value}. {' '.join(lines)}".strip()
+    return Card(label, value, text, lines=tuple(lines[:2]), words=True, tone="plain")
+
+
+_WHERE = {"validation": "in validation", "whole": "over the whole record"}
+
+
+def summary(found: ComparisonResults, quantity: str, best: str) -> list[str]:
+    """The differences of the best column from the others in one quantity, in sentences: in validation, and
+    over the whole record where the validation is too short for bounds."""
+    said = []
+    for pair in (one for one in found.differences if best in (one.of, one.less)):
+        rows = [(p, row) for p in _WHERE if (row := pair.total(p, quantity)) is not None]
+        last = next((i for i, (_, row) in enumerate(rows) if math.isfinite(row.lower)), 0)
+        said += [_sentence(pair, quantity, period, row) for period, row in rows[: last + 1]]
+    if not said and len(found.columns) > 1:
+        return ["The columns have no common instants: compare their errors by their own bounds."]
+    return said
+
+
+def _sentence(pair: PairDifference, quantity: str, period: str, row: ErrorDifference) -> str:
+    less, more = (pair.of, pair.less) if row.value < 0 else (pair.less, pair.of)
+    if math.isnan(row.lower):
         sure = "; too few blocks for bounds"
-    elif row["lower"] > 0 or row["upper"] < 0:
-        ends = sorted((abs(row["lower"]), abs(row["upper"])))
-        sure = f" (95 % {fixed(ends[0])} … {fixed(ends[1])})"
+    elif row.sure:
+        low, high = sorted((abs(row.lower), abs(row.upper)))
+        sure = f" (95 % {fixed(low)} … {fixed(high)})"
     else:
         sure = "; the bounds include no difference"
-    size = f"{fixed(abs(row['value']))} {unit}"
-    return sentence(f"{less} simulates the {name} {where} with {size} less error than {more}{sure}")
+    unit = QUANTITIES[quantity][1]
+    if abs(row.value) < 0.005:
+        return f"{pair.of} and {pair.less} differ by less than 0.01 {unit} {_WHERE[period]}{sure}."
+    size = f"{fixed(abs(row.value))} {unit}"
+    return f"{less} errs by {size} less than {more} {_WHERE[period]}{sure}."
 
 
-def _total(one: Mapping, period: str, quantity: str) -> Mapping | None:
-    """A difference's total in a period, None where no instants are common."""
-    row = one["scores"].get(period, {}).get(quantity, {}).get("total")
-    return None if row is None or row["value"] is None else row
+# --- tables ----------------------------------------------------------------------------------
 
 
-def tables(found: Mapping) -> list[str]:
-    """Table III for each period that holds readings."""
-    return [
-        tables_html((table, "")) for period in PERIODS if (table := scores_table(found, period)) is not None
-    ]
-
-
-def scores_table(found: Mapping, period: str) -> Table | None:
-    """Table III of one period: op, st, tot for both quantities, bounds and n of the total."""
+def scores_table(found: ComparisonResults, quantity: str) -> Table | None:
+    """Table III of one quantity: operation, standstill and total by column and period."""
     rows = []
-    for one in found["columns"]:
-        cells = [one["label"]]
-        for quantity in QUANTITIES:
-            by = one["scores"][period].get(quantity)
-            if by is None or by["total"]["rmse"] is None:
-                cells += [NONE] * 5
-                continue
-            cells += [_value(by[regime]["rmse"]) for regime in REGIMES]
-            cells += [_span(by["total"]), str(by["total"]["n"])]
-        if any(cell != NONE for cell in cells[1:]):
-            rows.append(tuple(cells))
+    for period in PERIODS:
+        for one, label in zip(found.columns, _labels(found), strict=True):
+            total = one.total(period, quantity)
+            if total is not None:
+                by_regime = one.scores[period][quantity]
+                cells = (fixed(by_regime[regime].rmse) for regime in REGIMES)
+                rows.append((label, period, *cells, _span(total.lower, total.upper), str(total.n)))
     if not rows:
         return None
-    columns = ("op", "st", "tot", "tot, 95 %", "n")
+    name, unit = QUANTITIES[quantity]
     return Table(
-        f"RMSE, {PERIODS[period]}",
-        ("", *columns, *columns),
+        f"RMSE of the {name} [{unit}]",
+        ("", "period", *REGIMES, "total, 95 %", "n"),
         tuple(rows),
-        groups=(("", 1), ("temperature [K]", 5), ("absolute humidity [g/m³]", 5)),
+        left=(0, 1),
     )
 
 
-def differences_table(found: Mapping) -> Table | None:
-    """RMSE of one column less that of another, by period and regime; those that bounds keep from zero are set off."""
+def differences_table(pair: PairDifference) -> Table | None:
+    """RMSE of one column less that of another; rows whose bounds exclude zero are bold."""
     rows: list[tuple[str, ...]] = []
     marked: list[int] = []
-    for one in found["differences"]:
-        for period in (p for p in PERIODS if p in ALL_PERIODS):
-            for quantity, by in one["scores"][period].items():
-                if by["total"]["value"] is None:
-                    continue
-                name, unit = QUANTITIES[quantity]
-                total = by["total"]
-                if total["lower"] is not None and (total["lower"] > 0 or total["upper"] < 0):
-                    marked.append(len(rows))
-                cells = [_signed(by[regime]["value"]) for regime in REGIMES]
-                rows.append(
-                    (
-                        f"{one['of']} − {one['less']}",
-                        f"{name} [{unit}]",
-                        period,
-                        *cells,
-                        _span(total),
-                        str(total["n"]),
-                    )
-                )
+    for quantity in SCORED:
+        for period in PERIODS:
+            total = pair.total(period, quantity)
+            if total is None:
+                continue
+            if total.sure:
+                marked.append(len(rows))
+            name, unit = QUANTITIES[quantity]
+            others = "" if pair.same_readings[quantity] else ", other readings"
+            cells = (signed(pair.scores[period][quantity][regime].value) for regime in REGIMES)
+            span = _span(total.lower, total.upper)
+            rows.append((f"{name} [{unit}]{others}", period, *cells, span, str(total.n)))
     if not rows:
         return None
     return Table(
-        "Difference of RMSE",
-        ("", "quantity", "period", "op", "st", "tot", "tot, 95 %", "n"),
+        f"RMSE of {pair.of} less that of {pair.less}",
+        ("", "period", *REGIMES, "total, 95 %", "n"),
         tuple(rows),
-        left=(0, 1, 2),
+        left=(0, 1),
         marked=tuple(marked),
-        note=(
-            "Set off: bounds that exclude zero. Other readings: the columns stand for different cabinets or loggers, so the "
-            "difference is also one of these."
-        ),
     )
 
 
-def skill_table(found: Mapping) -> Table | None:
-    """Skill 1 − MSE/MSE of each rule, in validation (the whole record without one), in total."""
+def skill_table(found: ComparisonResults) -> Table | None:
+    """Skill against each rule, in total, in validation (over the whole record where there is none)."""
     rows = []
-    for one in found["columns"]:
-        for quantity, (name, _) in QUANTITIES.items():
-            period = next(
-                (
-                    p
-                    for p in ("validation", "whole")
-                    if (one["scores"][p].get(quantity) or {}).get("total", {}).get("n")
-                ),
-                None,
-            )
+    for one, label in zip(found.columns, _labels(found), strict=True):
+        for quantity in SCORED:
+            period = next((p for p in _WHERE if one.total(p, quantity) is not None), None)
             if period is None:
                 continue
-            total = one["scores"][period][quantity]["total"]
-            for rule, said in total["rules"].items():
-                rows.append(
-                    (
-                        one["label"], name, RULES.get(rule, rule), period, _value(said["rmse"]), _value(total["rmse"]),
-                        minus(percent(said["skill"])) if said["skill"] is not None else NONE,
-                        NONE if said["lower"] is None else f"{minus(percent(said['lower']))} … {minus(percent(said['upper']))}",
-                    )
-                )  # fmt: skip
+            total = one.scores[period][quantity]["total"]
+            for rule, said in total.rules.items():
+                bounds = NONE
+                if math.isfinite(said.lower):
+                    bounds = f"{_percent(said.lower)} … {_percent(said.upper)}"
+                cells = (fixed(said.rmse), fixed(total.rmse), _percent(said.skill), bounds)
+                rows.append((label, QUANTITIES[quantity][0], RULES.get(rule, rule), period, *cells))
     if not rows:
         return None
     return Table(
@@ -244,42 +354,33 @@ def skill_table(found: Mapping) -> Table | None:
         tuple(rows),
         left=(0, 1, 2, 3),
         groups=(("", 4), ("RMSE", 2), ("", 2)),
-        note=(
-            "Skill: 1 − MSE of the model / MSE of the rule; 100 % is no error, 0 % no gain, below zero the rule is better. "
-            "The rule of the temperature was fitted to the record's own identification period."
-        ),
+        note="Skill: 1 − MSE of the model / MSE of the rule. 100 % is no error, 0 % no gain; below zero the "
+        "rule is better. The rule of the temperature was fitted to the record's own identification period.",
+        brief=(0, 2, 3, 6, 7),
     )
 
 
-def _weeks(found: Mapping) -> list[tuple[str, dict]]:
-    return [
-        (
-            one["label"],
-            {q: tuple(np.array(part, dtype=float) for part in pair) for q, pair in one["weeks"].items()},
-        )
-        for one in found["columns"]
-    ]
+def _labels(found: ComparisonResults) -> list[str]:
+    return short_labels([one.label for one in found.columns])
 
 
-def _value(value: float | None) -> str:
-    return NONE if value is None else fixed(value)
+def _span(lower: float, upper: float) -> str:
+    return NONE if math.isnan(lower) else f"{fixed(lower)} … {fixed(upper)}"
 
 
-def _signed(value: float | None) -> str:
-    return NONE if value is None else f"{'+' if value > 0 else ''}{fixed(value)}"
+def _percent(share: float) -> str:
+    return percent(share).replace("-", "−")
 
 
-def _span(row: Mapping) -> str:
-    return NONE if row["lower"] is None else f"{fixed(row['lower'])} … {fixed(row['upper'])}"
-
-
-def _foot(found: Mapping) -> str:
+def _method(found: ComparisonResults) -> tuple[Block, ...]:
     lines = (
-        "Errors are those of the free run: the model driven by its inputs alone, where all inputs are known.",
-        "Bounds come from a bootstrap of circular blocks of hours, each four times as long as the errors remember and at "
-        "least a day, widened for the blocks’ small number by Student’s t. They know how much an error varies within this "
-        "record, not in another season. Where standstills fill fewer than four blocks no bounds are given.",
+        "Errors are those of the free run: the model sees its inputs and no reading of the cabinet. Instants "
+        "at which an input is unknown are not scored.",
+        "Bounds come from a bootstrap of circular blocks of hours. Each block is four times as long as the "
+        "errors remember, and at least a day. Student's t widens the bounds for the small number of blocks. "
+        "They state how much an error varies within this record, not in another season. Where standstills "
+        "fill fewer than four blocks no bounds are given.",
         "Differences are taken on the instants that both columns score, with the same blocks drawn for both.",
+        f"Compared by hygrokf {text_of(found.version)}; page written by hygrokf {__version__}.",
     )
-    made = f"Compared by hygrokf {text_of(found['version'])}; page written by hygrokf {__version__}."
-    return f"<footer><h2>Method</h2>{''.join(f'<p>{prose(line)}</p>' for line in (*lines, made))}</footer>"
+    return (Heading("Method"), *(Prose(line) for line in lines))

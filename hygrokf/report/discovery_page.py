@@ -1,4 +1,5 @@
-"""`report.html` of a discovery: what the simulation gets wrong, the cause, what to check, and what that gained."""
+"""`report.html` of a discovery: what the simulation gets wrong, the cause, what to check, and what that
+gained."""
 
 from __future__ import annotations
 
@@ -77,11 +78,13 @@ TITLES = {"temperature": "temperature", "humidity": "absolute humidity"}
 
 
 def write_discovery_report(found: Discovery | None, directory: str | os.PathLike[str]) -> Path:
-    """Write `report.html`, the page of a discovery, and `fit_report.html`, that of the model that it ends with.
+    """Write `report.html`, the page of a discovery, and `fit_report.html`, that of the model that it ends
+    with.
 
-    found: a discovery, whose results are written first (`write_discovery`); None: `directory` holds them already.
-    Returns the path of report.html.  The page is a pure function of `discovery.json` and `discovery.npz`.  Raises
-    ResultFault where these are missing or damaged, ReportFault where fit.json or series.npz are.
+    found: a discovery, whose results are written first (`write_discovery`); None: `directory` holds them
+    already. Returns the path of report.html.  The page is a pure function of `discovery.json` and
+    `discovery.npz`.  Raises ResultFault where these are missing or damaged, ReportFault where fit.json or
+    series.npz are.
     """
     folder = Path(directory)
     if found is not None:
@@ -99,8 +102,8 @@ def discovery_page(
 ) -> str:
     """The whole page as HTML text.
 
-    found: the data of `discovery.json`; before, after: residuals of the base and of the extended model, for the
-    pictures; fit_page: the file beside it to which the page points ("" = none).
+    found: the data of `discovery.json`; before, after: residuals of the base and of the extended model, for
+    the pictures; fit_page: the file beside it to which the page points ("" = none).
     """
     name = text_of(entry(found, "name")).strip() or "unnamed record"
     parts = [
@@ -137,7 +140,8 @@ def _head(found: Mapping, name: str, before: Residuals | None) -> str:
 
 
 def _numbers(found: Mapping) -> str:
-    """The time constants of the model that the discovery ends with, and of the base where that is another one."""
+    """The time constants of the model that the discovery ends with, and of the base where that is another
+    one."""
     extended = isinstance(entry(found, "extended"), Mapping)
     base = numbers_html(
         numbers_of(found, "baseline"),
@@ -188,7 +192,8 @@ def _headline(found: Mapping) -> str:
 
 
 def _error_cards(found: Mapping) -> list[str]:
-    """A card for each scored quantity: its free-run error before and after, and the best rule of the sceptic."""
+    """A card for each scored quantity: its free-run error before and after, and the best rule of the
+    sceptic."""
     gains, cards = gains_by_quantity(found), []
     for quantity in SCORED:
         before, after, period = scored_error(found, quantity)
@@ -212,8 +217,8 @@ def _error_cards(found: Mapping) -> list[str]:
                 (after if math.isfinite(after) else before) / rules[best] - 1.0 if rules[best] > 0 else 0.0
             )
             lines.append(
-                f"<p>{percent(abs(against))} {'below' if against <= 0 else 'above'} the rule “{escape(best)}” "
-                f"({fixed(rules[best])} {escape(unit)})</p>"
+                f"<p>{percent(abs(against))} {'below' if against <= 0 else 'above'} the rule "
+                f"“{escape(best)}” ({fixed(rules[best])} {escape(unit)})</p>"
             )
         cards.append(
             f"<div class=card><p class=label>Error of the {escape(name)} <span>free run, "
@@ -224,12 +229,16 @@ def _error_cards(found: Mapping) -> list[str]:
 
 
 def _gain_words(gain: Mapping | None, before: float, after: float, unit: str) -> str:
-    """The measured gain with its bounds; where it compares better simulators than the card does, with their errors."""
+    """The measured gain with its bounds; where it compares better simulators than the card does, with their
+    errors."""
     first, last, low, high = (number(gain, key) for key in ("rmse_before", "rmse_after", "lower", "upper"))
     bounds = f"falls by {fixed(low)} … {fixed(high)} {unit} (95 %)" if low <= high else ""
     if not math.isfinite(first) or [fixed(first), fixed(last)] == [fixed(before), fixed(after)]:
         return bounds
-    return f"as the better simulators that both can be: {fixed(first)} → {fixed(last)} {unit}{f', {bounds}' if bounds else ''}"
+    return (
+        f"as the better simulators that both can be: {fixed(first)} → {fixed(last)} "
+        f"{unit}{f', {bounds}' if bounds else ''}"
+    )
 
 
 # --- sections --------------------------------------------------------------------------------
@@ -242,7 +251,8 @@ def _misfits(found: Mapping, before: Residuals | None) -> str:
 
 
 def _on_the_whole(before: Residuals | None) -> list[str]:
-    """Mean and root mean square of the free run's errors in the identification period: no condition tells a constant."""
+    """Mean and root mean square of the free run's errors in the identification period: no condition tells a
+    constant."""
     if before is None:
         return []
     import numpy as np
@@ -268,8 +278,8 @@ def _causes(found: Mapping) -> str:
     together = ""
     if len(causes) > 1:
         together = (
-            "<p>In the order in which they were accepted, each beside those before it. What the extended model gained "
-            "was measured with all of them together.</p>"
+            "<p>In the order in which they were accepted, each beside those before it. What the extended "
+            "model gained was measured with all of them together.</p>"
         )
     heading = "The cause" if len(causes) == 1 else "The causes"
     return section(heading, together, *(_cause(one) for one in causes))
@@ -316,10 +326,10 @@ def _scores(found: Mapping) -> str:
     note = ""
     if gains_by_quantity(found):
         note = (
-            "<p class=note>Both models of these tables, and of the cards, are those identified by their innovations; the "
-            "fit’s own page shows the same numbers. The gain of a cause is measured between the better simulators that they "
-            "can be: each as it is, or moved toward its least free-run error, whichever simulates the identification period "
-            "better. So it may be smaller.</p>"
+            "<p class=note>Both models of these tables, and of the cards, are those identified by their "
+            "innovations; the fit’s own page shows the same numbers. The gain of a cause is measured between "
+            "the better simulators that they can be: each as it is, or moved toward its least free-run "
+            "error, whichever simulates the identification period better. So it may be smaller.</p>"
         )
     return section("Errors before and after", tables_html(*rows), note)
 
@@ -339,8 +349,8 @@ def _left(found: Mapping) -> str:
         which = "extended model" if isinstance(entry(found, "extended"), Mapping) else "base model"
         return section(
             "What is left unexplained",
-            f"<p>Nothing: the errors of the {which} show no structure under any condition that was asked, no readings "
-            "that repeat those of the day before, and no excursions to one side.</p>",
+            f"<p>Nothing: the errors of the {which} show no structure under any condition that was asked, no "
+            "readings that repeat those of the day before, and no excursions to one side.</p>",
         )
     lines = [sentence(left), *([sentence(driver)] if driver else [])]
     return section("What is left unexplained", *(f"<p>{prose(line)}</p>" for line in lines))
@@ -349,21 +359,22 @@ def _left(found: Mapping) -> str:
 def _method(found: Mapping, before: Residuals | None, fit_page: str) -> str:
     count = tried(found)
     lines = [
-        "The base model was identified on the identification period by its innovations, and once more by its free run. "
-        "What its free run gets wrong was asked under every condition (episodes, regimes, hour, season, level, rate and "
-        "lag of every driver, steps and drifts), with a block bootstrap that keeps the errors’ own memory and a rate of "
-        "false discoveries held over all conditions together.",
-        f"{count} {'cause was' if count == 1 else 'causes were'} tried, each in several forms and settings, every time "
-        "with all parameters estimated again. One is accepted where its gain in likelihood pays for its parameters and for the settings searched with evidence to "
-        "spare, where the squared error of the free run falls materially, also without the days that gained most, and "
-        "where no free run gets worse; then the others are tried again beside it. p-values are corrected for the "
-        "number of causes and settings.",
-        "The held-out period took no part in any choice. Bounds of a gain come from a bootstrap of blocks of days: they "
-        "know how much the gain varies within this period, not how it would in another season.",
-        "Confidence estimates the probability that the name, or one of those from which this record cannot tell it, is "
-        "right, by the distance to its rivals and the gain that lasts; how well it holds can be measured on simulated "
-        "plants alone. A cause that is not in the library cannot be named, and one that acts alike can be named in its "
-        "stead: check in the turbine before you act on it.",
+        "The base model was identified on the identification period by its innovations, and once more by its "
+        "free run. What its free run gets wrong was asked under every condition (episodes, regimes, hour, "
+        "season, level, rate and lag of every driver, steps and drifts), with a block bootstrap that keeps "
+        "the errors’ own memory and a rate of false discoveries held over all conditions together.",
+        f"{count} {'cause was' if count == 1 else 'causes were'} tried, each in several forms and settings, "
+        "every time with all parameters estimated again. One is accepted where its gain in likelihood pays "
+        "for its parameters and for the settings searched with evidence to spare, where the squared error of "
+        "the free run falls materially, also without the days that gained most, and where no free run gets "
+        "worse; then the others are tried again beside it. p-values are corrected for the number of causes "
+        "and settings.",
+        "The held-out period took no part in any choice. Bounds of a gain come from a bootstrap of blocks of "
+        "days: they know how much the gain varies within this period, not how it would in another season.",
+        "Confidence estimates the probability that the name, or one of those from which this record cannot "
+        "tell it, is right, by the distance to its rivals and the gain that lasts; how well it holds can be "
+        "measured on simulated plants alone. A cause that is not in the library cannot be named, and one "
+        "that acts alike can be named in its stead: check in the turbine before you act on it.",
     ]
     version = text_of(entry(found, "version"))
     made = f"Found by hygrokf {version or '(version not stated)'}; page written by hygrokf {__version__}."
@@ -402,8 +413,8 @@ def _pictures(found: Mapping, before: Residuals | None, after: Residuals | None)
             "Error against what drives the cabinet",
             "Medians should lie on zero along every driver"
             + (
-                "; where the red ones bend and the green ones lie flat, the cause explains the bend. Where only green is "
-                "seen both are alike."
+                "; where the red ones bend and the green ones lie flat, the cause explains the bend. Where "
+                "only green is seen both are alike."
                 if after is not None
                 else "; a bend names what the model lacks."
             ),
@@ -416,8 +427,8 @@ def _pictures(found: Mapping, before: Residuals | None, after: Residuals | None)
             figure_html(
                 f"days-{quantity}",
                 f"Error of the {TITLES[quantity]} by day and hour",
-                "Level stripes are a matter of the hour, upright ones of weather or operation, a change of colour from a "
-                "date on of something that was changed then."
+                "Level stripes are a matter of the hour, upright ones of weather or operation, a change of "
+                "colour from a date on of something that was changed then."
                 + (" The extended model leaves these errors as they are." if after is not changed else ""),
                 _draw(figure_day_hour, before, quantity, changed),
             )
@@ -426,8 +437,8 @@ def _pictures(found: Mapping, before: Residuals | None, after: Residuals | None)
         figure_html(
             "innovations",
             "Innovations: periods and what they go with",
-            "Curves should stay within the grey bands: a peak names a period, a correlation at lags above zero an answer "
-            "to that driver, that the one-step prediction still lacks.",
+            "Curves should stay within the grey bands: a peak names a period, a correlation at lags above "
+            "zero an answer to that driver, that the one-step prediction still lacks.",
             lambda: figure_innovations(before, after),
         )
     )
@@ -451,7 +462,8 @@ def _draw(make: Callable[..., Figure], *arguments: object) -> Callable[[], Figur
 
 
 def _events(found: Mapping) -> list[tuple[str, Misfit]]:
-    """Accepted causes that were found in stretches of time, each as a misfit of the quantity that gained most there."""
+    """Accepted causes that were found in stretches of time, each as a misfit of the quantity that gained most
+    there."""
     result = []
     for cause in rows_of(found, "causes"):
         spans = entry(cause, "settings", "spans")
@@ -471,7 +483,8 @@ def _events(found: Mapping) -> list[tuple[str, Misfit]]:
                 (
                     text_of(cause.get("cause")),
                     Misfit(
-                        quantity, "", "", 0.0, "", None, len(known), len(known), 0.0, statement, 0.0, 0.0, "", "episode",
+                        quantity, "", "", 0.0, "", None, len(known), len(known), 0.0, statement, 0.0, 0.0, "",
+                        "episode",
                         spans=known,
                     ),
                 )

@@ -1,4 +1,5 @@
-"""The tables of a discovery, once as data: misfits, parameters of causes, time constants, scores, what was left out."""
+"""The tables of a discovery, once as data: misfits, parameters of causes, time constants, scores, what was
+left out."""
 
 from __future__ import annotations
 
@@ -8,9 +9,11 @@ from collections.abc import Mapping
 from hygrokf.data.lookup import entry, number
 from hygrokf.identification.verdict import REJECT, verdicts
 from hygrokf.identification.wording import NONE, SCORED, fixed, percent, plain_number, text_of
+from hygrokf.report.blocks import Table
 from hygrokf.report.discovery_text import (
     PARTS,
     chance,
+    fit_like,
     parameter_cells,
     rows_of,
     share_words,
@@ -18,7 +21,7 @@ from hygrokf.report.discovery_text import (
     spoken,
     title,
 )
-from hygrokf.report.fit_tables import REGIMES, Table, rmse_table
+from hygrokf.report.fit_tables import REGIMES, rmse_table
 from hygrokf.report.fit_text import simulated, time_constant
 
 WHICH = ("baseline", "extended")
@@ -51,9 +54,9 @@ def misfits_table(found: Mapping) -> Table | None:
         ("in the identification period", "size", "episodes", "sensors", "p"),
         tuple(rows),
         note=(
-            "Size: against all other times of the same record. Episodes: in how many of all that there were it is seen. "
-            "Sensors: share of its square that their accuracy explains. p: chance of it without a cause, corrected for "
-            "everything that was asked."
+            "Size: against all other times of the same record. Episodes: in how many of all that there were "
+            "it is seen. Sensors: share of its square that their accuracy explains. p: chance of it without "
+            "a cause, corrected for everything that was asked."
         ),
     )
 
@@ -78,9 +81,7 @@ def constants_table(found: Mapping) -> Table | None:
         return None
     rows = []
     for name in ("thermal", "hygric"):
-        pair = [
-            time_constant({"time_constants": entry(found, which, "time_constants")}, name) for which in WHICH
-        ]
+        pair = [time_constant(fit_like(found, which), name) for which in WHICH]
         if all(one.found is None for one in pair):
             continue
         cells = []
@@ -91,7 +92,7 @@ def constants_table(found: Mapping) -> Table | None:
                 one.bounds.split(",")[0] if one.closed else NONE,
                 one.verdict.words if known else NONE,
             ]
-        a, b = (number(one.found, "value_h") if one.closed else math.nan for one in pair)
+        a, b = (one.found.value_h if one.found and one.closed else math.nan for one in pair)
         rows.append((name, *cells, signed_percent(b / a - 1.0) if a > 0 and math.isfinite(b) else NONE))
         value, _, span = simulated(pair[0].found).partition(" (")
         if value:
@@ -119,11 +120,13 @@ def constants_sentences(found: Mapping) -> list[str]:
         after = number(found, "extended", "time_constants", name, "value_h")
         if not (math.isfinite(value) and math.isfinite(after) and after > 0 and value > 0):
             continue
-        verdict = verdicts(_fit_like(found, "extended"))[name]
+        verdict = verdicts(fit_like(found, "extended")).get(name)
+        if verdict is None:
+            continue
         if verdict.verdict == REJECT:
             said.append(
-                f"The {name} time constant of the extended model is {verdict.words} either, so it does not tell how wrong the "
-                f"base model's is: {verdict.why}."
+                f"The {name} time constant of the extended model is {verdict.words} either, so it does not "
+                f"tell how wrong the base model's is: {verdict.why}."
             )
             continue
         off = value / after - 1.0
@@ -141,18 +144,20 @@ def constants_sentences(found: Mapping) -> list[str]:
         )
         direction = "too long" if off > 0 else "too short"
         said.append(
-            f"Without the cause the {name} time constant was {percent(abs(off), 1 if abs(off) < 0.095 else 0)} {direction}{bounds}."
+            f"Without the cause the {name} time constant was "
+            f"{percent(abs(off), 1 if abs(off) < 0.095 else 0)} {direction}{bounds}."
         )
     return said
 
 
 def scores_table(found: Mapping, period: str) -> Table | None:
-    """Free-run errors of base and extended model in one period, with the sceptic's baselines; None without scores."""
-    base = rmse_table(_fit_like(found, "baseline"), period)
+    """Free-run errors of base and extended model in one period, with the sceptic's baselines; None without
+    scores."""
+    base = rmse_table(fit_like(found, "baseline"), period)
     if base is None:
         return None
     first, *rest = base.rows
-    wider = rmse_table(_fit_like(found, "extended"), period)
+    wider = rmse_table(fit_like(found, "extended"), period)
     rows = [("base model, free run", *first[1:])]
     if wider is not None:
         rows.append(("extended model, free run", *wider.rows[0][1:]))
@@ -164,11 +169,6 @@ def scores_table(found: Mapping, period: str) -> Table | None:
         marked=(1 if wider is not None else 0,),
         groups=base.groups,
     )
-
-
-def _fit_like(found: Mapping, which: str) -> Mapping:
-    value = entry(found, which)
-    return value if isinstance(value, Mapping) else {}
 
 
 def _changes(found: Mapping, period: str) -> list[str]:
@@ -212,9 +212,9 @@ def rejected_table(found: Mapping) -> Table | None:
         left=(0, 6),
         groups=(("", 1), ("2 ln L", 3), ("free run", 2), ("", 1)),
         note=(
-            "2 ln L: gain in twice the log-likelihood, all parameters estimated again; df: new parameters; net: gain less "
-            "the price (BIC) of parameters and of the settings searched. Free run: share of the squared error of temperature "
-            "and humidity that is gone; below zero it gets worse."
+            "2 ln L: gain in twice the log-likelihood, all parameters estimated again; df: new parameters; "
+            "net: gain less the price (BIC) of parameters and of the settings searched. Free run: share of "
+            "the squared error of temperature and humidity that is gone; below zero it gets worse."
         ),
     )
 

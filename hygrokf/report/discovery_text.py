@@ -1,4 +1,5 @@
-"""A discovery in words: verdict, gain, settings and remedy as sentences, and all of it as text for the terminal.
+"""A discovery in words: verdict, gain, settings and remedy as sentences, and all of it as text for the
+terminal.
 
 Everything here reads the plain data of `discovery.json`; what is null is said to be so.
 """
@@ -10,8 +11,11 @@ from collections.abc import Mapping
 from datetime import UTC, datetime
 
 from hygrokf.data.lookup import entry, number
+from hygrokf.data.structured import StructureFault, structured
 from hygrokf.discovery.repeats import REPEATED
+from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import REJECT, handed_on, inherited, told
+from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.identification.wording import (
     NONE,
     QUANTITIES,
@@ -25,7 +29,8 @@ from hygrokf.identification.wording import (
     text_of,
     texts,
 )
-from hygrokf.report.fit_tables import TEXT_WIDTH, unit, wrapped
+from hygrokf.report.fit_tables import unit
+from hygrokf.report.terminal import TEXT_WIDTH, wrapped
 
 VERDICTS = {
     "none": "nothing that is both significant and worth having",
@@ -35,8 +40,8 @@ VERDICTS = {
 PERIOD = {"validation": "the held-out period", "identification": "the identification period"}
 PARTS = {"thermal": "temperature", "hygric": "humidity"}
 NO_GAIN = (
-    "no gain is stated: what was seen in one episode only, or was an event, no held-out data can show again; for one "
-    "episode the confidence is capped"
+    "no gain is stated: what was seen in one episode only, or was an event, no held-out data can show again; "
+    "for one episode the confidence is capped"
 )
 MOST_SENTENCES = 5
 """Sentences on the verdict's card; the rest stands below."""
@@ -94,14 +99,16 @@ def verdict_sentences(found: Mapping) -> list[str]:
     ]
     if verdict == "none" and doubts:
         return [
-            f"none of {tried(found)} causes of the library is both significant and worth having, and yet the base model is not right",
+            f"none of {tried(found)} causes of the library is both significant and worth having, and yet the "
+            "base model is not right",
             *doubts,
         ]
     if verdict == "none":
         return [
-            f"none of {tried(found)} causes of the library is both significant and worth having, and what the simulation "
-            "gets wrong looks like what the disturbances of any cabinet look like",
-            "keep the base model; this does not prove that nothing is missing, only that this record does not show it",
+            f"none of {tried(found)} causes of the library is both significant and worth having, and what "
+            "the simulation gets wrong looks like what the disturbances of any cabinet look like",
+            "keep the base model; this does not prove that nothing is missing, only that this record does "
+            "not show it",
         ]
     if repeats_itself(found):
         check = "find out why the logger writes readings again, and see to that first"
@@ -111,14 +118,16 @@ def verdict_sentences(found: Mapping) -> list[str]:
         said.append(f"none of {tried(found)} causes of the library explains it, so none is named")
     else:
         said.append(
-            f"{listed([spoken(one.get('cause')) for one in causes])} explains a part only; take the name with caution"
+            f"{listed([spoken(one.get('cause')) for one in causes])} explains a part only; take the name "
+            "with caution"
         )
     said.append("do not rely on the simulation where this shows; look there for what is not logged")
     return said
 
 
 def card_sentences(found: Mapping) -> list[str]:
-    """The verdict in at most five sentences: what it is, what it gained, what it may also be, what to check, what is left."""
+    """The verdict in at most five sentences: what it is, what it gained, what it may also be, what to check,
+    what is left."""
     causes = rows_of(found, "causes")
     if len(causes) == 1 and verdict_of(found) == "named":
         (one,) = causes
@@ -223,8 +232,9 @@ def gain_sentence(cause: Mapping) -> str:
     own = [number(gain, f"identified_{when}") for when in ("before", "after")]
     if all(map(math.isfinite, own)) and [fixed(v) for v in own] != [fixed(before), fixed(after)]:
         said += (
-            f". This compares the models as the better simulators that they can be; as they were identified, they err by "
-            f"{fixed(own[0])} and {fixed(own[1])} {symbol}, and these are the numbers of the tables and of the fit's page"
+            ". This compares the models as the better simulators that they can be; as they were identified, "
+            f"they err by {fixed(own[0])} and {fixed(own[1])} {symbol}, and these are the numbers of the "
+            "tables and of the fit's page"
         )
     if period == "identification":
         said += "; there is no held-out period, so the data that chose the cause also score it"
@@ -241,7 +251,10 @@ def evidence_sentence(cause: Mapping) -> str:
         if math.isfinite(df):
             said += f" for {df:.0f} {'parameter' if df == 1 else 'parameters'}"
         if math.isfinite(price):
-            said += f"; tempered by the base’s misfit and less the price of what was searched, that is evidence of {minus(f'{price:.0f}')}"
+            said += (
+                "; tempered by the base’s misfit and less the price of what was searched, that is "
+                f"evidence of {minus(f'{price:.0f}')}"
+            )
         parts.append(said)
     score = number(found, "score_statistic")
     if math.isfinite(score):
@@ -405,15 +418,24 @@ def _time_constants(found: Mapping) -> list[str]:
     return ["", "time constants", *said] if said else []
 
 
-def numbers_of(found: Mapping, which: str) -> dict[str, dict]:
+def numbers_of(found: Mapping, which: str) -> dict[str, Inherited]:
     """The numbers of the base ("baseline") or the extended model with their verdicts."""
-    data = entry(found, which)
-    return inherited(data) if isinstance(data, Mapping) else {}
+    return inherited(fit_like(found, which))
+
+
+def fit_like(found: Mapping, which: str) -> FitResults:
+    """What is kept of the base ("baseline") or the extended model, as the results of a fit."""
+    value = entry(found, which)
+    try:
+        return structured(FitResults, value if isinstance(value, Mapping) else {})
+    except StructureFault:
+        return FitResults()
 
 
 def signed_percent(share: float) -> str:
     """A change [1] in per cent with its sign."""
-    return f"{'+' if share >= 0.0005 else '−' if share <= -0.0005 else '±'}{percent(abs(share), 1 if abs(share) < 0.095 else 0)}"
+    sign = "+" if share >= 0.0005 else "−" if share <= -0.0005 else "±"
+    return sign + percent(abs(share), 1 if abs(share) < 0.095 else 0)
 
 
 def scored_error(found: Mapping, quantity: str) -> tuple[float, float, str]:

@@ -1,16 +1,17 @@
 """Numbers and judgements in words: what the report says about a fit before it shows a figure.
 
-Everything here reads the plain data of `fit.json` and expects nothing to be there.  Whether a time constant can be
-believed is not decided here: that is its `verdict`.
+Any part of the results may be missing.  Whether a time constant can be believed is not decided here: that is
+its `verdict`.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from hygrokf.data.lookup import entry, number
+from hygrokf.evaluation.diagnosis import InnovationTest
+from hygrokf.identification import fit_results
+from hygrokf.identification.fit_results import FitResults, Interval
 from hygrokf.identification.verdict import (
     BELIEVE,
     CARRIES_OVER,
@@ -42,8 +43,6 @@ from hygrokf.identification.wording import (
     percent,
     plain_number,
     sentence,
-    text_of,
-    texts,
 )
 
 METHODS = {
@@ -60,7 +59,8 @@ METHODS = {
 
 @dataclass(frozen=True)
 class TimeConstant:
-    """A time constant in words: `value` ("1.49 h", "≤ 0.4 h", "not identifiable"), `bounds`, `closed` on both sides.
+    """A time constant in words: `value` ("1.49 h", "≤ 0.4 h", "not identifiable"), `bounds`, `closed` on both
+    sides.
 
     `verdict`: whether it can be believed.
     """
@@ -69,7 +69,7 @@ class TimeConstant:
     value: str
     bounds: str
     closed: bool
-    found: Mapping | None
+    found: fit_results.TimeConstant | None
     verdict: Verdict = field(default_factory=Verdict)
 
     @property
@@ -83,36 +83,40 @@ class TimeConstant:
         return f"{self.name} {self.span}" if self.found is None else line(self.name, self.span, self.verdict)
 
 
-def time_constant(fit: Mapping, name: str) -> TimeConstant:
+def time_constant(fit: FitResults, name: str) -> TimeConstant:
     """The headline of one time constant, "thermal" or "hygric"."""
-    found = entry(fit, "time_constants", name)
-    if not isinstance(found, Mapping):
+    found = fit.time_constants.get(name)
+    if found is None:
         return TimeConstant(name, "not identified", "", False, None)
-    value, bounds, closed = interval(
-        number(found, "value_h"), number(found, "lower_h"), number(found, "upper_h")
-    )
-    level = number(found, "level")
-    how = (percent(level) if math.isfinite(level) else "", method(found))
+    value, bounds, closed = interval(found.value_h, found.lower_h, found.upper_h)
+    how = (percent(found.level) if math.isfinite(found.level) else "", method(found))
     tail = ", ".join(part for part in (bounds, *how) if part)
     return TimeConstant(name, value, tail, closed, found, verdicts(fit)[name])
 
 
-def method(found: Mapping) -> str:
+def method(found: fit_results.TimeConstant) -> str:
     """How bounds were made, in words."""
-    text = text_of(entry(found, "method"))
-    first, _, rest = text.partition(" ")
+    first, _, rest = found.method.partition(" ")
     return f"{METHODS.get(first, first)} {rest}".strip()
 
 
-def simulated(found: Mapping | None) -> str:
+def simulated(found: fit_results.TimeConstant | None) -> str:
     """The estimate by the simulation criterion with its bounds [h]; empty where there is none."""
-    value, low, high = (number(found, "simulation", part) for part in ("value_h", "lower_h", "upper_h"))
+    free = (None if found is None else found.simulation) or Interval()
+    value, low, high = free.value_h, free.lower_h, free.upper_h
     if not math.isfinite(value):
         return ""
     if not (math.isfinite(low) and math.isfinite(high) and high > low):
         return f"{plain_number(value)} h"
     shown, span = ends(value, low, high)
     return f"{shown} h ({span})"
+
+
+def range_of(found: fit_results.TimeConstant | None) -> tuple[float, float]:
+    """The time constant [h] at the ends of the record's temperatures; NaN where it has no such range."""
+    ends_h = (found.range_h if found is not None else None) or ()
+    known = len(ends_h) == 2 and all(map(math.isfinite, ends_h))
+    return (ends_h[0], ends_h[1]) if known else (math.nan, math.nan)
 
 
 # --- judgements ------------------------------------------------------------------------------
@@ -122,8 +126,9 @@ def simulated(found: Mapping | None) -> str:
 class Judgement:
     """One sentence, what to make of it ("believe", "caution", "reject"), and what it is about.
 
-    `about`: a time constant ("thermal", "hygric"), a scored quantity, "bands", "innovations" or "record".  Of one subject
-    nothing is believed and rejected at once.  `reason`: whether it belongs to the judgement before it.
+    `about`: a time constant ("thermal", "hygric"), a scored quantity, "bands", "innovations" or "record".  Of
+    one subject nothing is believed and rejected at once.  `reason`: whether it belongs to the judgement
+    before it.
     """
 
     kind: str
@@ -132,30 +137,32 @@ class Judgement:
     reason: bool = False
 
 
-def judgements(fit: Mapping) -> list[Judgement]:
-    """What to believe and what not: the time constants with the reasons of their verdicts, then what the model does."""
+def judgements(fit: FitResults) -> list[Judgement]:
+    """What to believe and what not: the time constants with the reasons of their verdicts, then what the
+    model does."""
     found = [one for name in PARTS for one in _time_constant(fit, name)]
     found += [one for name in PARTS for one in _errors(fit, name)]
     return [*found, *_bands(fit), *_innovations(fit)]
 
 
-def doubted(fit: Mapping) -> list[Judgement]:
+def doubted(fit: FitResults) -> list[Judgement]:
     """What a sceptic would ask about the record itself; to be shown before everything else."""
     return [
         Judgement(CAUTION, f"Doubt about the record: {line}{'' if line[-1] in '.?!' else '.'}", "record")
-        for line in texts(entry(fit, "doubts"))
+        for line in fit.doubts
+        if line
     ]
 
 
-def _time_constant(fit: Mapping, name: str) -> list[Judgement]:
+def _time_constant(fit: FitResults, name: str) -> list[Judgement]:
     constant = time_constant(fit, name)
     if constant.found is None:
         said = f"There is no {name} time constant: nothing in the record determines one."
         return [Judgement(CAUTION, said, name)]
     known = constant.value
     if constant.closed:
-        ends_h = (number(constant.found, part) for part in ("value_h", "lower_h", "upper_h"))
-        known += f", known to {spread_words(*ends_h)}"
+        found = constant.found
+        known += f", known to {spread_words(found.value_h, found.lower_h, found.upper_h)}"
     verdict = constant.verdict
     head = {
         BELIEVE: f"The {name} time constant, {known}, is to be believed.",
@@ -166,7 +173,7 @@ def _time_constant(fit: Mapping, name: str) -> list[Judgement]:
     made += [
         Judgement(one.verdict, sentence(one.text), name, reason=True)
         for one in verdict.reasons
-        if one.code != "record_doubted" or one.text.partition(": ")[2] not in texts(entry(fit, "doubts"))
+        if one.code != "record_doubted" or one.text.partition(": ")[2] not in fit.doubts
     ]
     other = simulated(constant.found)
     if verdict.verdict == BELIEVE and other and free_run_says(constant.found):
@@ -175,13 +182,12 @@ def _time_constant(fit: Mapping, name: str) -> list[Judgement]:
     return made
 
 
-def _errors(fit: Mapping, part: str) -> list[Judgement]:
-    """The free run's error in the validation period (else the identification period), beside the best rule, in one."""
+def _errors(fit: FitResults, part: str) -> list[Judgement]:
+    """The free run's error in the validation period (else the identification period), beside the best rule,
+    in one."""
     quantity = QUANTITY_OF[part]
     name, unit = QUANTITIES[quantity]
-    early, late = (
-        number(fit, "rmse", period, quantity, "total") for period in ("identification", "validation")
-    )
+    early, late = (fit.errors(period, quantity).total for period in ("identification", "validation"))
     if not (math.isfinite(early) or math.isfinite(late)):
         return []
     validated = math.isfinite(late)
@@ -190,14 +196,17 @@ def _errors(fit: Mapping, part: str) -> list[Judgement]:
         beyond = beyond_readings(fit, quantity, one)
         if beyond is not None:
             said = (
-                f"The free run's {name} error is {fixed(beyond[0])} {unit} in {one}, more than the standard deviation of "
-                f"the readings ({fixed(beyond[1])} {unit}): their mean alone would do better."
+                f"The free run's {name} error is {fixed(beyond[0])} {unit} in {one}, more than the standard "
+                f"deviation of the readings ({fixed(beyond[1])} {unit}): their mean alone would do better."
             )
             return [Judgement(REJECT, said, quantity)]
     kind, ends = BELIEVE, ""
     if not validated:
         kind = CAUTION
-        begins = f"The free run's {name} error is {fixed(early)} {unit}, on data which the fit has seen: nothing validates it"
+        begins = (
+            f"The free run's {name} error is {fixed(early)} {unit}, on data which the fit has seen: "
+            "nothing validates it"
+        )
     else:
         begins = f"The free run's {name} error is {fixed(late)} {unit} in validation"
         if math.isfinite(early) and early > 0:
@@ -221,29 +230,29 @@ def _errors(fit: Mapping, part: str) -> list[Judgement]:
             verdict = verdicts(fit).get(part)
             if verdict is not None and verdict.verdict != REJECT:
                 ends += "; the time constant says something about the cabinet, not about accuracy"
-    share = number(fit, "sensor_share", period, quantity)
+    share = fit.sensor_share.get(period, {}).get(quantity, math.nan)
     tail = f" The sensors' accuracy alone explains {percent(share)} of it." if share >= 0.5 else ""
     return [Judgement(kind, f"{begins}{': ' if ends else ''}{ends}.{tail}", quantity)]
 
 
-def _bands(fit: Mapping) -> list[Judgement]:
-    found = entry(fit, "bands")
+def _bands(fit: FitResults) -> list[Judgement]:
     narrow: list[str] = []
     wide: list[str] = []
     right: list[str] = []
-    for lead, by_quantity in found.items() if isinstance(found, Mapping) else ():
+    for lead in fit.bands:
         for quantity in SCORED:
-            share, n = number(by_quantity, quantity, "coverage"), number(by_quantity, quantity, "n")
-            if math.isfinite(share) and n >= FEWEST_IN_BAND:
+            band = fit.band(lead, quantity)
+            share = band.coverage
+            if math.isfinite(share) and band.n >= FEWEST_IN_BAND:
                 words = f"{lead_words(lead)} {QUANTITIES[quantity][0]} {percent(share)}"
                 (narrow if share < COVERAGE[0] else wide if share > COVERAGE[1] else right).append(words)
     made = []
     for quantity in SCORED:
         if band_failed(fit, quantity):
-            late = math.isfinite(number(fit, "rmse", "validation", quantity, "total"))
+            late = math.isfinite(fit.errors("validation", quantity).total)
             said = (
                 f"The free run's 95 % band of the {QUANTITIES[quantity][0]} holds only "
-                f"{percent(number(found, 'free_run', quantity, 'coverage'))} of the readings in "
+                f"{percent(fit.band('free_run', quantity).coverage)} of the readings in "
                 f"{'validation' if late else 'identification'}: do not rely on the free run."
             )
             made.append(Judgement(REJECT, said, f"band of {quantity}"))
@@ -261,22 +270,17 @@ def _bands(fit: Mapping) -> list[Judgement]:
     return made
 
 
-def lead_words(lead: object) -> str:
+def lead_words(lead: str) -> str:
     """ "24h" -> "24 h ahead", "free_run" -> "free run"."""
-    text = text_of(lead)
-    return (
-        f"{text[:-1]} h ahead"
-        if text.endswith("h") and text[:-1].replace(".", "").isdigit()
-        else text.replace("_", " ")
-    )
+    hours = lead.removesuffix("h")
+    return f"{hours} h ahead" if hours.replace(".", "").isdigit() else lead.replace("_", " ")
 
 
-def _innovations(fit: Mapping) -> list[Judgement]:
-    tests = entry(fit, "innovations", "tests")
-    rows = [row for row in tests if isinstance(row, Mapping)] if isinstance(tests, (list, tuple)) else []
+def _innovations(fit: FitResults) -> list[Judgement]:
+    rows = fit.innovations.tests
     if not rows:
         return []
-    against = [row for row in rows if row.get("rejected") is True]
+    against = [row for row in rows if row.rejected]
     kinds = list(dict.fromkeys(text for row in against if (text := _test_in_words(row))))
     named = f" ({', '.join(kinds)})" if kinds else ""
     count = f"{len(against)} of {len(rows)} tests {'speaks' if len(against) == 1 else 'speak'}"
@@ -286,9 +290,7 @@ def _innovations(fit: Mapping) -> list[Judgement]:
     if kinds and set(kinds) <= set(NO_CORRELATION):
         said = f"{count} against white innovations{named}, none of them by a correlation (below)."
         return [Judgement(CAUTION, said, "innovations")]
-    outputs = entry(fit, "innovations", "outputs")
-    names = [text_of(name) for name in outputs] if isinstance(outputs, Mapping) else []
-    largest = max((largest_correlation(fit, name)[0] for name in names), default=0.0)
+    largest = max((largest_correlation(fit, name)[0] for name in fit.innovations.outputs), default=0.0)
     small = largest < SMALL
     size = f", by correlations of at most {fixed(largest)}" if largest > 0 else ""
     words = (
@@ -302,7 +304,7 @@ NO_CORRELATION = ("mean", "variance", "normality")
 """Kinds of tests that ask for the size and the shape of innovations, not for what they follow."""
 
 
-def _test_in_words(row: Mapping) -> str:
+def _test_in_words(row: InnovationTest) -> str:
     """The kind of a test: "mean", "autocorrelation", "correlation with inputs"."""
-    test = text_of(row.get("test")).split(" up to ")[0]
+    test = row.test.split(" up to ")[0]
     return "correlation with inputs" if test.startswith("correlation with ") else test

@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from html import escape
 from typing import TYPE_CHECKING
 
-from hygrokf.data.lookup import number, one_line
 from hygrokf.identification.verdict import BELIEVE, MARKS, REJECT, VERDICTS, WORDS, Verdict, handed_on
-from hygrokf.identification.wording import interval, text_of
+from hygrokf.identification.verdict_terms import Inherited
+from hygrokf.identification.wording import interval, one_line, text_of
+from hygrokf.report.blocks import Table
 from hygrokf.report.figures.drawing import FONTS, NothingToShow, inline_svg
-from hygrokf.report.fit_tables import Table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,14 +47,14 @@ def verdict_html(found: Verdict) -> str:
     return f"<p class='verdict {found.verdict}'>{mark_html(found.verdict)} <b>{found.words}</b>{why}</p>"
 
 
-def numbers_html(inherited: object, whose: str = "") -> str:
+def numbers_html(inherited: Mapping[str, Inherited] | None, whose: str = "") -> str:
     """The numbers that a page rests on, with the verdicts that they came with; nothing where there are none.
 
     A number that is not to be believed is struck through.
     """
     items = ""
     for part, data, found in handed_on(inherited):
-        value, bounds, _ = interval(number(data, "value_h"), number(data, "lower_h"), number(data, "upper_h"))
+        value, bounds, _ = interval(data.value_h, data.lower_h, data.upper_h)
         span = prose(f"{value} ({bounds})" if bounds else value)
         span = (
             f"<s>{span}</s>"
@@ -64,7 +64,10 @@ def numbers_html(inherited: object, whose: str = "") -> str:
             else span
         )
         why = f": {prose(found.why)}" if found.why else ""
-        items += f"<li class={found.verdict}>{mark_html(found.verdict)}{part} time constant {span}, {found.words}{why}</li>"
+        items += (
+            f"<li class={found.verdict}>{mark_html(found.verdict)}{part} time constant {span}, "
+            f"{found.words}{why}</li>"
+        )
     label = f"<p class=key>{prose(whose)}</p>" if whose and items else ""
     return f"<div class=numbers>{label}<ul class=judgements>{items}</ul></div>" if items else ""
 

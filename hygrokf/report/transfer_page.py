@@ -1,85 +1,111 @@
-"""`report.html` of a transfer: the verdict, what travels, what differs, what re-estimating gains."""
+"""The blocks of a transfer: the verdict, what travels, what differs, what re-estimating gains."""
 
 from __future__ import annotations
 
-import io
-import json
 import math
 import os
 import re
-from collections.abc import Mapping, Sequence
-from html import escape
+from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
+from typing import Literal
 
-import numpy as np
-
-from hygrokf.data.files import REPORT, TRANSFER, TRANSFER_SERIES, TYPE, write_bytes_whole, write_text_whole
-from hygrokf.data.lookup import number
-from hygrokf.identification.results import ResultFault, dump, write_fit
+from hygrokf.data.files import REPORT, TRANSFER, TRANSFER_SERIES, TYPE, write_text_whole
+from hygrokf.data.result_file import read_result, result_text
+from hygrokf.identification.results import write_fit
 from hygrokf.identification.turbine_type import TurbineType, write_type
-from hygrokf.identification.verdict import told
-from hygrokf.identification.wording import NONE, fixed, plain_number, sentence, text_of
-from hygrokf.report.figures.transfer import (
+from hygrokf.identification.wording import (
+    NONE,
     QUANTITIES,
-    SETS,
-    figure_course,
-    figure_parameters,
-    figure_sets,
-    figure_type,
+    SCORED,
+    fixed,
+    percent,
+    plain_number,
+    sentence,
+    text_of,
 )
+from hygrokf.report.blocks import (
+    Banner,
+    Block,
+    Card,
+    Cards,
+    Details,
+    Facts,
+    Figure,
+    Heading,
+    Page,
+    Prose,
+    Table,
+    section,
+    table_or,
+)
+from hygrokf.report.figures.transfer import SETS, figure_course, figure_parameters, figure_sets, figure_type
 from hygrokf.report.fit_page import write_report
-from hygrokf.report.fit_tables import Table
-from hygrokf.report.html import document, figure_html, numbers_html, prose, section, tables_html
-from hygrokf.transfer.procedure import Transfer, transfer_json
-from hygrokf.transfer.verdict import NOT
+from hygrokf.report.inherited import inherited_verdicts
+from hygrokf.report.page import page_html
+from hygrokf.report.terminal import page_text
+from hygrokf.transfer.course import Course, read_courses, write_courses
+from hygrokf.transfer.results import (
+    NOT,
+    OPEN,
+    PARTLY,
+    TRANSFERS,
+    Decision,
+    Transfer,
+    TransferResult,
+    TransferResults,
+    transfer_results,
+)
 from hygrokf.version import __version__
+
+COMMAND = "hygrokf transfer"
+TONES: dict[Decision, Literal["plain", "open", "reject"]] = {
+    TRANSFERS: "plain",
+    PARTLY: "open",
+    OPEN: "open",
+    NOT: "reject",
+}
+
+
+# --- files -----------------------------------------------------------------------------------
 
 
 def write_transfer(
     transfers: Sequence[Transfer], directory: str | os.PathLike[str], pooled: TurbineType | None = None
 ) -> Path:
-    """Write transfer.json, transfer.npz and report.html, each record's own fit in a folder of its name, and type.json.
+    """Write transfer.json, transfer.npz and report.html, each record's own fit in a folder of its name, and
+    type.json.
 
-    The fit in a record's folder is the one to use there: re-estimated where that was called for.  Returns the path of
-    report.html.  Raises OSError as the system gives it.
+    The fit in a record's folder is the one to use there: re-estimated where that was called for.  Returns the
+    path of report.html.  Raises OSError from the system.
     """
     folder = Path(directory)
-    data, series = transfer_json(transfers, pooled), [one.series for one in transfers]
-    text, page, buffer = dump(data), transfer_page(json.loads(dump(data)), series), io.BytesIO()
-    np.savez_compressed(
-        buffer,
-        **{f"{i}/{name}": v for i, one in enumerate(series) for name, v in one.items()},  # type: ignore[arg-type]  # its flag is a keyword too
-    )
+    found, courses = transfer_results(transfers, pooled), [one.course for one in transfers]
+    text, page = result_text(found), transfer_page(found, courses)
     folder.mkdir(parents=True, exist_ok=True)
     (folder / REPORT).unlink(missing_ok=True)
-    for one, name in zip(transfers, folders([str(t.results["name"]) for t in transfers]), strict=True):
+    for one, name in zip(transfers, folders([one.name for one in found.records]), strict=True):
         if one.adapted is not None:
             write_fit(one.adapted, folder / name)
             write_report(folder / name)
     if pooled is not None:
         write_type(pooled, folder / TYPE)
-    write_bytes_whole(folder / TRANSFER_SERIES, buffer.getvalue())
+    write_courses(courses, folder / TRANSFER_SERIES)
     write_text_whole(folder / TRANSFER, text)
     return write_text_whole(folder / REPORT, page)
 
 
 def rewrite_transfer(directory: str | os.PathLike[str]) -> Path:
-    """Write report.html again from transfer.json and transfer.npz.  Raises ResultFault where these cannot be read."""
+    """Write report.html again from transfer.json and transfer.npz.  Raises ResultFault where these cannot be
+    read."""
+    return write_text_whole(Path(directory) / REPORT, transfer_page(*read_transfer(directory)))
+
+
+def read_transfer(directory: str | os.PathLike[str]) -> tuple[TransferResults, tuple[Course, ...]]:
+    """The results and courses in a directory.  Raises ResultFault with all faults."""
     folder = Path(directory)
-    try:
-        data = json.loads((folder / TRANSFER).read_text(encoding="utf-8"))
-        series: list[dict] = [{} for _ in data["records"]]
-        with open(folder / TRANSFER_SERIES, "rb") as stream, np.load(stream, allow_pickle=False) as file:
-            for key in file.files:
-                place, _, name = key.partition("/")
-                series[int(place)][name] = np.asarray(file[key])
-        page = transfer_page(data, series)
-    except Exception as fault:  # whatever a damaged file leads to
-        raise ResultFault(
-            f"{folder}: expected {TRANSFER} and {TRANSFER_SERIES} as `hygrokf transfer` writes them, found "
-            f"{type(fault).__name__} {fault}; run it again"
-        ) from None
-    return write_text_whole(folder / REPORT, page)
+    found = read_result(TransferResults, folder / TRANSFER, COMMAND)
+    return found, read_courses(folder / TRANSFER_SERIES, len(found.records), COMMAND)
 
 
 def folders(names: Sequence[str]) -> list[str]:
@@ -87,288 +113,311 @@ def folders(names: Sequence[str]) -> list[str]:
     result: list[str] = []
     for name in names:
         plain = re.sub(r"[^A-Za-z0-9._-]+", "-", name).strip("-.") or "record"
-        number_, made = 2, plain
+        number, made = 2, plain
         while made in result:
-            made, number_ = f"{plain}-{number_}", number_ + 1
+            made, number = f"{plain}-{number}", number + 1
         result.append(made)
     return result
 
 
-def transfer_page(found: Mapping, series: Sequence[Mapping[str, np.ndarray]]) -> str:
-    """The whole page as HTML text: a pure function of transfer.json and transfer.npz."""
-    records = found["records"]
-    source = text_of(found["from"]["name"])
-    names = [text_of(one["name"]) for one in records]
-    parts = [_head(found, source, names), _cards(records)]
-    for i, one in enumerate(records):
-        parts.append(_record(one, series[i] if i < len(series) else {}, i, len(records) > 1))
-    parts += [type_section(found.get("type")), _foot(found)]
-    return document(f"{source} on {', '.join(names)} – hygrokf transfer", parts)
+# --- the page --------------------------------------------------------------------------------
 
 
-def _head(found: Mapping, source: str, names: Sequence[str]) -> str:
-    banner = ""
-    if any(one.get("synthetic") for one in found["records"]):
-        banner = (
-            "<p class='banner synthetic'><b>SYNTHETIC</b> At least one of these records was made by a computer: its "
-            "numbers were not measured.</p>"
+def transfer_page(found: TransferResults, courses: Sequence[Course]) -> str:
+    """The whole page as HTML text."""
+    return page_html(transfer_blocks(found, courses))
+
+
+def transfer_text(found: TransferResults) -> str:
+    """The verdicts and the tables as text, for the command line."""
+    return page_text(transfer_blocks(found, ()))
+
+
+def transfer_blocks(found: TransferResults, courses: Sequence[Course]) -> Page:
+    """What a transfer says: the verdict on each record, and the held-out course of the first, first."""
+    source, names = text_of(found.source.name), [text_of(one.name) for one in found.records]
+    cards = Cards(tuple(_card(found, one) for one in found.records))
+    pictures = [
+        Figure(
+            f"course-{i}",
+            "The first held-out days" if len(names) == 1 else f"The first held-out days of {names[i]}",
+            "Twelve days at most. Each simulation sees the weather and the power, and no reading of the "
+            "cabinet: it should stay with the blue readings.",
+            partial(figure_course, course, bool(one.re_estimate)),
         )
-    kind = "type of turbine" if found["from"]["kind"] == "type" else "fit"
-    return (
-        "<header><p class=kind>Hygrothermal model of an enclosure · transfer</p>"
-        f"<h1>{escape(source)} on {escape(', '.join(names))}</h1>"
-        f"<p class=meta>The {kind} of {escape(source)}, tried on other records.</p>{banner}"
-        f"{numbers_html(found['from'].get('verdicts'), f'The numbers of {source}')}</header>"
+        for i, (one, course) in enumerate(zip(found.records, courses, strict=False))
+    ]
+    body: list[Block] = []
+    brief: list[Block] = [cards]
+    for i, one in enumerate(found.records):
+        body += _record(found, i, pictures[i] if 0 < i < len(pictures) else None)
+        heading = Heading(names[i]) if names[1:] else None
+        parts = (heading, _groups_in_brief(one), *errors_tables(one), _notes(one))
+        brief += [block for block in parts if block is not None]
+    kind = "type of turbine" if found.source.kind == "type" else "fit"
+    handed = inherited_verdicts(found.source.verdicts, f"The time constants of {source}")
+    body += section("What the transfer rests on", handed)
+    body += type_section(found.type)
+    return Page(
+        "Transfer",
+        f"{source} on {', '.join(names) if len(names) < 3 else f'{len(names)} records'}",
+        (f"The {kind} of {source}, tried on the record{'s' if names[1:] else ''} of {', '.join(names)}.",),
+        (*_banners(found), cards, *pictures[:1]),
+        tuple(body),
+        _method(found),
+        (
+            *([handed] if handed else []),
+            *brief,
+            *([type_table(found.type)] if found.type else []),
+        ),
     )
 
 
-def _cards(records: Sequence[Mapping]) -> str:
-    cards = []
-    for one in records:
-        reasons = "".join(f"<p>{prose(sentence(text_of(line)))}</p>" for line in one["reasons"])
-        open_ = " open" if one["verdict"] == NOT else ""
-        own = numbers_html(one.get("verdicts"), "The numbers of the model to use here")
-        cards.append(
-            f"<div class='card wide{open_}'><p class=label>{escape(text_of(one['name']))}</p>"
-            f"<p class='value words'>{escape(sentence(text_of(one['sentence'])))}</p>{reasons}{own}</div>"
-        )
-    return f"<section class=cards>{''.join(cards)}</section>"
+def _banners(found: TransferResults) -> tuple[Banner, ...]:
+    said = "At least one of these records was made by a computer: its numbers were not measured."
+    return (Banner("SYNTHETIC", said),) if any(one.synthetic for one in found.records) else ()
 
 
-def _record(one: Mapping, series: Mapping[str, np.ndarray], place: int, several: bool) -> str:
-    heading = f"{text_of(one['name'])}: what travels" if several else "What travels"
-    said = "".join(f"<p class=note>{prose(sentence(text_of(line)))}</p>" for line in one["statements"])
+def _card(found: TransferResults, one: TransferResult) -> Card:
+    """The verdict on one record with its reasons; of several records, with the first reason."""
+    reasons = tuple(sentence(text_of(line)) for line in one.reasons)
+    said = f"{found.source.name} on {one.name}: {one.sentence}."
+    alone = len(found.records) == 1
+    return Card(
+        text_of(one.name),
+        sentence(text_of(one.sentence)),
+        " ".join((said, *reasons)),
+        lines=reasons if alone else reasons[:1],
+        wide=alone,
+        words=True,
+        tone=TONES[one.verdict],
+    )
+
+
+def _record(found: TransferResults, place: int, course: Figure | None) -> tuple[Block, ...]:
+    one = found.records[place]
+    several = len(found.records) > 1
+    reasons = [Prose(sentence(text_of(line))) for line in one.reasons] if several else []
+    own = inherited_verdicts(one.verdicts, "The time constants of the model to use here")
     return section(
-        heading,
-        said,
-        tables_html((groups_table(one), "No group of parameters could be judged.")),
-        figure_html(
+        f"{text_of(one.name)}: what travels" if several else "What travels",
+        *reasons,
+        table_or(groups_table(one), "No group of parameters could be judged."),
+        _notes(one),
+        Figure(
             f"parameters-{place}",
             "Parameters, own against the fit's",
-            "95 % bounds count the uncertainty of both; shaded is what does not matter. Red groups differ.",
-            lambda: figure_parameters(one),
+            "The 95 % bounds count the uncertainty of both. Shaded: differences too small to matter. Red: "
+            "groups that differ.",
+            partial(figure_parameters, one),
         ),
-        tables_html((errors_table(one), "Nothing was scored.")),
-        figure_html(
+        *(errors_tables(one) or (Prose("Nothing was scored.", "missing"),)),
+        Prose(
+            "The errors are those at the instants that every set and rule scores; the fit's own page scores "
+            "each by itself. The rule of the temperature was fitted to this record's own identification "
+            "period.",
+            "note",
+        ),
+        Figure(
             f"sets-{place}",
-            "Held-out errors" if one["period"] == "validation" else "Errors of the identification period",
+            "Held-out errors" if one.period == "validation" else "Errors of the identification period",
             "With 95 % bounds.",
-            lambda: figure_sets(one),
+            partial(figure_sets, one),
         ),
-        figure_html(
-            f"course-{place}",
-            "The first held-out days",
-            "The free run should stay with the blue readings.",
-            lambda: figure_course(series, bool(one["re_estimate"])),
+        course,
+        own,
+        Details(
+            "All parameters, and likelihood ratios",
+            (
+                table_or(parameters_table(one), "There are no parameters."),
+                table_or(ratios_table(one), "No likelihood ratio was needed."),
+            ),
         ),
-        tables_html((parameters_table(one), "There are no parameters."), (ratios_table(one), "No likelihood ratio was needed.")),
-    )  # fmt: skip
+    )
 
 
-def groups_table(one: Mapping) -> Table | None:
-    """Group by group: the statistic, p, what the difference does to the simulation, and what follows."""
+def _notes(one: TransferResult) -> Block | None:
+    return (
+        Prose(" ".join(sentence(text_of(line)) for line in one.statements), "note")
+        if one.statements
+        else None
+    )
+
+
+# --- tables ----------------------------------------------------------------------------------
+
+
+def groups_table(one: TransferResult) -> Table | None:
+    """Group by group: the statistic, p, the effect of the difference on the simulation, and the outcome."""
     rows: list[tuple[str, ...]] = []
     marked: list[int] = []
-    for row in one["groups"]:
-        if "p" not in row:
-            rows.append((text_of(row["group"]), NONE, NONE, NONE, NONE, NONE, text_of(row["statement"])))
-            continue
-        if row["outcome"] == "differs":
+    for row in one.groups:
+        cells: tuple[str, ...] = (NONE,) * 5
+        if row.statistic is not None and row.p_adjusted is not None:
+            effect = row.effect or {}
+            changes = (fixed(effect.get(q, math.nan)) for q in SCORED)
+            cells = (fixed(row.statistic, 1), str(row.df), _chance(row.p_adjusted), *changes)
+        if row.outcome == "differs":
             marked.append(len(rows))
-        effect = [fixed(number(row, "effect", q)) for q in QUANTITIES]
-        rows.append(
-            (
-                text_of(row["group"]), fixed(row["statistic"], 1), str(row["df"]), _chance(row["p_adjusted"]), *effect,
-                text_of(row["statement"]),
-            )
-        )  # fmt: skip
+        rows.append((text_of(row.group), *cells, text_of(row.statement)))
     if not rows:
         return None
     return Table(
         "Groups of parameters",
-        ("", "χ²", "df", "p", "[K]", "[g/m³]", "what follows"),
+        ("", "χ²", "df", "p", "[K]", "[g/m³]", "outcome"),
         tuple(rows),
         left=(0, 6),
         marked=tuple(marked),
         groups=(("", 4), ("changes the simulation by", 2), ("", 1)),
-        note=(
-            "χ²: what letting this group differ explains, beside the groups that were let differ before it. p: corrected for "
-            "the number of groups. Changes: root mean square over the record."
-        ),
+        note="χ²: how much of the difference is explained when this group may differ too, beside the groups "
+        "that were found to differ before it. p: corrected for the number of groups. Changes: root mean "
+        "square over the record.",
     )
 
 
-def errors_table(one: Mapping) -> Table | None:
-    """Errors of the four sets and the rules on the held-out instants that all of them score."""
-    names = [n for n in SETS if any(n in one["rmse"].get(q, {}) for q in QUANTITIES)]
+def _groups_in_brief(one: TransferResult) -> Facts:
+    """The outcome of each group, for a terminal."""
     rows = []
-    for name in names:
-        cells = [SETS[name]]
-        for q in QUANTITIES:
-            row = one["rmse"].get(q, {}).get(name)
-            if row is None:
-                cells += [NONE] * 4
-                continue
-            bounds = (
-                NONE if row["bounds"] is None else f"{fixed(row['bounds'][0])} … {fixed(row['bounds'][1])}"
+    for row in one.groups:
+        p = "" if row.p_adjusted is None else f" (p {_chance(row.p_adjusted)})"
+        rows.append((text_of(row.group), f"{text_of(row.statement)}{p}"))
+    return Facts(tuple(rows))
+
+
+def errors_tables(one: TransferResult) -> tuple[Table, ...]:
+    """For each quantity the errors of the four sets and the rules on the instants that all of them score."""
+    held_out = one.period == "validation"
+    where = "held out" if held_out else "identification period: nothing is held out"
+    tables = []
+    for quantity, by_set in one.rmse.items():
+        rows = []
+        for name in (n for n in SETS if n in by_set):
+            row = by_set[name]
+            bounds = NONE if row.bounds is None else f"{fixed(row.bounds[0])} … {fixed(row.bounds[1])}"
+            numbers = (fixed(v) for v in (row.operation, row.standstill, row.total))
+            rows.append((SETS[name], *numbers, bounds, str(row.n.total)))
+        tables.append(
+            Table(
+                "RMSE of the {} [{}], {}".format(*QUANTITIES[quantity], where),
+                ("", "operation", "standstill", "total", "total, 95 %", "n"),
+                tuple(rows),
             )
-            cells += [fixed(_number(row[r])) for r in ("operation", "standstill", "total")] + [bounds]
-        rows.append(tuple(cells))
-    if not rows:
-        return None
-    columns = ("op", "st", "tot", "tot, 95 %")
-    n = "; ".join(
-        f"{QUANTITIES[q][0]} n = {rows['as_is']['n']['total']}"
-        for q, rows in one["rmse"].items()
-        if "as_is" in rows
-    )
-    return Table(
-        f"RMSE, {'held out' if one['period'] == 'validation' else 'identification period: nothing is held out'}",
-        ("", *columns, *columns),
-        tuple(rows),
-        groups=(("", 1), ("temperature [K]", 4), ("absolute humidity [g/m³]", 4)),
-        note=f"{n}: the instants that every set and rule scores, so a number may differ from that of a fit's own page, which scores "
-        "each by itself. The rule of the temperature was fitted to this record's own identification period.",
-    )
+        )
+    return tuple(tables)
 
 
-def parameters_table(one: Mapping) -> Table | None:
+def parameters_table(one: TransferResult) -> Table | None:
     """Every parameter of the cabinet: original, own, difference."""
     rows = []
-    for name, row in one["parameters"].items():
-        d, ratio = row["difference"], row["difference_is"] == "ratio"
-        cells = [NONE, NONE]
-        if d is not None:
-            cells = [
-                ("× " if ratio else "") + plain_number(d["value"]),
-                f"{plain_number(d['lower'])} … {plain_number(d['upper'])}",
-            ]
-        both = [_with_se(row["original"], row["original_se"]), _with_se(row["own"], row["own_se"])]
-        rows.append((f"{name} [{row['unit']}]", *both, *cells))
+    for name, row in one.parameters.items():
+        cells = (NONE, NONE)
+        if row.difference is not None:
+            times = "× " if row.difference_is == "ratio" else ""
+            low, high = plain_number(row.difference.lower), plain_number(row.difference.upper)
+            cells = (f"{times}{plain_number(row.difference.value)}", f"{low} … {high}")
+        both = (_with_se(row.original, row.original_se), _with_se(row.own, row.own_se))
+        rows.append((f"{name} [{row.unit}]", *both, *cells))
     if not rows:
         return None
     return Table(
         "Parameters",
         ("parameter", "original", "own", "difference", "95 %"),
         tuple(rows),
-        note="± standard error. ×: ratio of own to original value. The values to go on with are in the record's own folder.",
+        note="± standard error. ×: ratio of own to original value. The values to go on with are in the "
+        "record's own folder.",
     )
 
 
-def ratios_table(one: Mapping) -> Table | None:
+def ratios_table(one: TransferResult) -> Table | None:
     """Exact likelihood ratios on this record."""
-    rows = [
-        (
-            text_of(row["of"]), fixed(row["likelihood_ratio"], 1), str(row["df"]), fixed(row["factor"]), _chance(row["p"]),
-        )
-        for row in one["likelihood_ratios"]
-    ]  # fmt: skip
+    rows = tuple(
+        (text_of(r.of), fixed(r.likelihood_ratio, 1), str(r.df), fixed(r.factor), _chance(r.p))
+        for r in one.likelihood_ratios
+    )
     if not rows:
         return None
     return Table(
         "Likelihood ratios on this record alone",
         ("", "2 ln L", "df", "factor", "p"),
+        rows,
+        note="The original values count as exact here, so a small p of the rest need not mean that it "
+        "differs: the table of groups counts both uncertainties. Factor: how much coloured noise widens the "
+        "bounds; 2 ln L is divided by it.",
+    )
+
+
+# --- the type of turbine ---------------------------------------------------------------------
+
+
+def type_section(found: TurbineType | None, left_out: Sequence[str] = ()) -> tuple[Block, ...]:
+    """A type of turbine as a section; nothing where there is none.  `left_out`: turbines that it is
+    without."""
+    if found is None:
+        return ()
+    return section(
+        "The type of turbine",
+        type_table(found),
+        Prose(type_without(left_out), "note") if left_out else None,
+        Figure("type", "Type and next turbine", "", partial(figure_type, found)),
+    )
+
+
+def type_without(left_out: Sequence[str]) -> str:
+    """The turbines that a type is without."""
+    return f"Left out, because they differ from the others by more than chance: {', '.join(left_out)}."
+
+
+def type_table(found: TurbineType) -> Table:
+    """Each parameter of a type with bounds, its spread, and the range of the next turbine."""
+    rows, alike = [], False
+    for name, row in found.parameters.items():
+        ends = {key: plain_number(value) for key, value in row.in_unit().items()}
+        spread = percent(row.spread) if row.logarithmic else plain_number(row.spread)
+        if row.spread < 0.01 * row.se:
+            spread, alike = "0", True
+        span, following = f"{ends['lower']} … {ends['upper']}", f"{ends['next_lower']} … {ends['next_upper']}"
+        rows.append((name, ends["value"], span, spread, following, row.unit, str(row.turbines)))
+    note = (
+        "Spread: standard deviation from turbine to turbine beyond the uncertainty of the estimates (REML)."
+    )
+    return Table(
+        f"{len(found.turbines)} turbines: {', '.join(map(text_of, found.turbines))}",
+        ("parameter", "type", "95 %", "spread", "next turbine, 95 %", "unit", "n"),
         tuple(rows),
-        note=(
-            "The original values are taken as exact here, so small p of the rest need not mean that it differs: the table of "
-            "groups counts both uncertainties. Factor: by which coloured noise widens; 2 ln L is divided by it."
-        ),
+        left=(0, 5),
+        note=f"{note} {_ALIKE}" if alike else note,
+        brief=(0, 1, 2, 4, 5),
     )
 
 
 _ALIKE = (
-    "A spread of 0 says that these turbines differ by no more than their own uncertainty explains, not that the next one is "
-    "like them: of few turbines the spread is hardly known, and the prediction is then too narrow."
+    "A spread of 0 means that the uncertainty of these turbines' own estimates explains their differences, "
+    "not that the next turbine is like them: a few turbines hardly determine the spread, and the range of "
+    "the next turbine is then too narrow."
 )
 
 
-def type_section(data: object, left_out: Sequence[str] = ()) -> str:
-    """A pooled type as a section, from its plain data; nothing where there is none.  `left_out`: turbines that it is without."""
-    if not isinstance(data, Mapping):
-        return ""
-    rows, none = [], False
-    for name, row in data["type_parameters"].items():
-        ends = row["in_unit"]
-        alike = row["spread"] < 0.01 * row["se"]
-        none = none or alike
-        spread = f"{100 * row['spread']:.0f} %" if row["logarithmic"] else plain_number(row["spread"])
-        spread = "0" if alike else spread
-        rows.append(
-            (
-                name, plain_number(ends["value"]), f"{plain_number(ends['lower'])} … {plain_number(ends['upper'])}", spread,
-                f"{plain_number(ends['next_lower'])} … {plain_number(ends['next_upper'])}", row["unit"], str(row["turbines"]),
-            )
-        )  # fmt: skip
-    table = Table(
-        f"{len(data['turbines'])} turbines: {', '.join(map(text_of, data['turbines']))}",
-        ("parameter", "type", "95 %", "spread", "next turbine, 95 %", "unit", "n"),
-        tuple(rows),
-        left=(0, 5),
-        note="Spread: standard deviation from turbine to turbine beyond the estimates' own uncertainty (REML)."
-        + (f" {_ALIKE}" if none else ""),
-    )
-    without = (
-        f"<p class=note>Left out, for they depart from the others by more than chance: {escape(', '.join(left_out))}.</p>"
-        if left_out
-        else ""
-    )
-    return section(
-        "The type of turbine",
-        tables_html((table, "")),
-        without,
-        figure_html("type", "Type and next turbine", "", lambda: figure_type(data)),
-    )
-
-
-def _number(value: object) -> float:
-    return float(value) if isinstance(value, (int, float)) else math.nan
-
-
-def _with_se(value: float, se: float | None) -> str:
-    return plain_number(value) if se is None else f"{plain_number(value)} ± {plain_number(se, 2)}"
+def _with_se(value: float, se: float) -> str:
+    return plain_number(value) if math.isnan(se) else f"{plain_number(value)} ± {plain_number(se, 2)}"
 
 
 def _chance(p: float) -> str:
     return "< 0.0001" if p < 1e-4 else plain_number(p, 2)
 
 
-def _foot(found: Mapping) -> str:
+def _method(found: TransferResults) -> tuple[Block, ...]:
     lines = (
-        "All parameters were estimated on the record's identification period by the innovations of the fit's own model. A "
-        "group of parameters differs where the estimates are further apart than both covariances explain (forward "
-        "selection, corrected for the number of groups) and where the difference matters: 10 % of a time constant, 0.05 of "
+        "All parameters were estimated on the record's identification period from the innovations (readings "
+        "less their one-step predictions) of the fit's own model. A group of parameters differs where the "
+        "estimates are further apart than both covariances explain (forward selection, corrected for the "
+        "number of groups) and where the difference matters: 10 % of a time constant, 0.05 of "
         "R_AT/(R_AT+R_IC), 0.3 K or 0.26 g/m³ in the simulation.",
-        "Sensor offsets and disturbances belong to a logger, a site and a season: they are always estimated on the record.",
-        "A model does not transfer where every group of the cabinet differs, where a re-estimated parameter ends at a bound, "
-        "where even the record's own estimate errs by far more than the fit did at home, or where the re-estimated model "
-        "is worse than a rule without a model, or than the fit as it is.",
+        "Sensor offsets and disturbances belong to a logger, a site and a season: they are always estimated "
+        "on the record.",
+        "A model does not transfer where every group of the cabinet differs, where a re-estimated parameter "
+        "ends at a bound, where the record's own estimate errs by far more than the fit did on its own "
+        "record, or where the re-estimated model is worse than a rule without a model, or than the fit as it "
+        "is.",
+        f"Judged by hygrokf {text_of(found.version)}; page written by hygrokf {__version__}.",
     )
-    made = f"Judged by hygrokf {text_of(found['version'])}; page written by hygrokf {__version__}."
-    return f"<footer><h2>Method</h2>{''.join(f'<p>{prose(line)}</p>' for line in (*lines, made))}</footer>"
-
-
-def transfer_text(found: Mapping) -> str:
-    """The verdicts as text for the terminal."""
-    lines = [f"{found['from']['name']}: {line}" for line in told(found["from"].get("verdicts"))]
-    for one in found["records"]:
-        lines += [f"{found['from']['name']} on {one['name']}: {one['sentence']}"]
-        lines += [f"  {line}" for line in told(one.get("verdicts"))]
-        lines += [f"  note: {line}" for line in one["statements"]]
-        lines += [f"  {line}" for line in one["reasons"]]
-        for row in one["groups"]:
-            p = f" (p {_chance(row['p_adjusted'])})" if "p_adjusted" in row else ""
-            lines.append(f"  {row['group']}: {row['statement']}{p}")
-        for q, rows in one["rmse"].items():
-            name, unit = QUANTITIES[q]
-            cells = ", ".join(f"{SETS[n]} {fixed(_number(rows[n]['total']))}" for n in SETS if n in rows)
-            lines.append(f"  RMSE of the {name} [{unit}], {one['period']}: {cells}")
-        lines.append("")
-    if found["type"] is not None:
-        lines.append(f"type of {len(found['type']['turbines'])} turbines:")
-        for name, row in found["type"]["type_parameters"].items():
-            ends = row["in_unit"]
-            lines.append(
-                f"  {name}: {plain_number(ends['value'])} {row['unit']} ({plain_number(ends['lower'])} … "
-                f"{plain_number(ends['upper'])}), next turbine {plain_number(ends['next_lower'])} … {plain_number(ends['next_upper'])}"
-            )
-    return "\n".join(lines).rstrip()
+    return (Heading("Method"), *(Prose(line) for line in lines))

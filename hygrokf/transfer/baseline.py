@@ -1,10 +1,11 @@
-"""What all sets of values share: where the model comes from, the record's periods, and what it can tell."""
+"""The baseline of a transfer: the origin of the model, the record's periods, and what the record can tell."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from typing import Literal
 
 import numpy as np
 
@@ -16,8 +17,9 @@ from hygrokf.evaluation.simulation import measured
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import expect_readings
 from hygrokf.identification.turbine_type import TurbineType
-from hygrokf.identification.verdict import Reason, handed_on, inherited
-from hygrokf.modelling.design import Design, read_as
+from hygrokf.identification.verdict import Reason, inherited
+from hygrokf.identification.verdict_terms import Inherited
+from hygrokf.modelling.design import HUMIDITIES, Design, read_as
 from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.parameters import Coordinates
 from hygrokf.transfer.groups import OF_THE_RECORD, UNKNOWN, Difference, group_of
@@ -27,15 +29,16 @@ EARLY_SHARE = 0.75
 
 @dataclass(frozen=True)
 class Origin:
-    """What is taken elsewhere: a design, its values, and how sure they are (covariance of `names`, in their units).
+    """The fit or type that is tried on a record: a design, its values, and their covariance (`names`, in
+    their units).
 
-    `rmse` [K] and [g/m³]: the free run's errors where it comes from, by quantity, if known.  `kind` "fit" or "type".
-    `files`: hashes of the files that a fit was made from; `turbines`: names of those that a type was made of; `verdicts`
-    on a fit's numbers, as handed on.
+    `rmse` [K], [g/m³] the errors of the free run on its own record, by quantity, if known; `files` hashes of
+    the files that a fit was made from; `turbines` names of those that a type was made of; `verdicts` on a
+    fit's time constants.
     """
 
     name: str
-    kind: str
+    kind: Literal["fit", "type"]
     design: Design
     values: Mapping[str, float]
     names: tuple[str, ...]
@@ -43,16 +46,12 @@ class Origin:
     rmse: Mapping[str, float] = field(default_factory=dict)
     files: frozenset[str] = frozenset()
     turbines: tuple[str, ...] = ()
-    verdicts: Mapping[str, Mapping] = field(default_factory=dict)
+    verdicts: Mapping[str, Inherited] = field(default_factory=dict)
 
     def reasons(self, part: str) -> tuple[Reason, ...]:
-        """What speaks against a number that is taken over from here."""
-        return tuple(
-            replace(reason, text=f"on {self.name}: {reason.text}")
-            for name, _, verdict in handed_on(self.verdicts)
-            for reason in verdict.reasons
-            if name == part
-        )
+        """The reasons against a time constant, for a fit that takes it over from here."""
+        known = self.verdicts[part].reasons if part in self.verdicts else ()
+        return tuple(replace(reason, text=f"on {self.name}: {reason.text}") for reason in known)
 
     @classmethod
     def of(cls, source: Fit | TurbineType) -> Origin:
@@ -72,17 +71,20 @@ class Origin:
                 turbines=source.turbines,
             )
         names, matrix = source.covariance
-        scored = source.results.get("rmse", {}).get("identification", {})
-        known = {q: row["total"] for q, row in scored.items() if row.get("total")}
+        scored = source.results.rmse.get("identification", {})
+        known = {q: row.total for q, row in scored.items() if row.total > 0}
         values = {p.name: source.values[p.name] for p in source.design.model.parameters}
-        files = frozenset(digest for _, digest in source.results.get("provenance", ()))
+        files = frozenset(digest for _, digest in source.results.provenance)
         handed = inherited(source.results)
         return cls(source.name, "fit", source.design, values, names, matrix, known, files, verdicts=handed)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """What all four sets share."""
+    """The origin, the record, its identification period and the model, which all sets of values share.
+
+    `held` values of parameters that the record says nothing about; `groups` of all parameters.
+    """
 
     origin: Origin
     record: Record
@@ -110,12 +112,13 @@ class Scene:
 
 
 def scene_of(origin: Origin, record: Record) -> tuple[Scene, list[str]]:
-    """The record's periods, its run, and which parameters it can say nothing about."""
+    """The scene of a transfer, and statements about it.
+
+    Raises ValueError where the record cannot judge a model.
+    """
     statements = []
     if record.until_s is None:
-        cabinet = [record[n] for n in ("cabinet_temperature", *_HUMIDITIES) if n in record]
-        first, last = min(s.time[0] for s in cabinet), max(s.time[-1] for s in cabinet)
-        until_s = float(first + EARLY_SHARE * (last - first))
+        until_s = _three_quarters(record)
         record = replace(record, until_s=until_s)
         statements.append(
             f"no `until` is stated: estimated on the first three quarters, up to {stamp(until_s)}"
@@ -128,8 +131,9 @@ def scene_of(origin: Origin, record: Record) -> tuple[Scene, list[str]]:
     early_run = prepare_run(base, early)
     if not any(np.isfinite(one[early_run.scored]).any() for one in measured(early_run).values()):
         raise ValueError(
-            "nothing to judge by: no reading of the cabinet in the identification period at a time when all inputs are known "
-            "(a model that reads the power needs the power); check the case with `hygrokf check`"
+            "nothing to judge by: no reading of the cabinet in the identification period at a time when all "
+            "inputs are known (a model that reads the power needs the power); check the case with `hygrokf "
+            "check`"
         )
     unknown = [n for n, g in groups.items() if g not in OF_THE_RECORD and n not in origin.names]
     if origin.kind == "type" and unknown:
@@ -137,6 +141,29 @@ def scene_of(origin: Origin, record: Record) -> tuple[Scene, list[str]]:
         statements.append(
             f"the type does not know {', '.join(unknown)}: estimated on this record, not judged"
         )
+    held = _unknowable(origin, base, early_run)
+    if held:
+        statements.append(f"this record says nothing about {', '.join(held)}: kept as they were")
+    ratio = None
+    if record.rated_power_W and origin.design.power_scale_W:
+        ratio = record.rated_power_W / origin.design.power_scale_W
+    if ratio is not None and abs(ratio - 1.0) > 0.02:
+        statements.append(
+            f"this turbine's rated power is {ratio:.2f} times that of the fit: another type? The heat "
+            "release counts power in the fit's scale"
+        )
+    return Scene(origin, record, early, base, prepare_run(base, record), early_run, held, groups), statements
+
+
+def _three_quarters(record: Record) -> float:
+    """The end [s since 1970] of the first three quarters of the cabinet's readings."""
+    cabinet = [record[n] for n in ("cabinet_temperature", *HUMIDITIES) if n in record]
+    first, last = min(s.time[0] for s in cabinet), max(s.time[-1] for s in cabinet)
+    return float(first + EARLY_SHARE * (last - first))
+
+
+def _unknowable(origin: Origin, base: Design, early_run: Run) -> dict[str, float]:
+    """Original values of the parameters whose range the identification period cannot narrow."""
     coordinates = Coordinates(base.model.parameters)
     objective = Objective(Likelihood(base.model, early_run.timeline), coordinates)
     information = np.diag(objective.information(coordinates.start(origin.values))[2])
@@ -145,17 +172,7 @@ def scene_of(origin: Origin, record: Record) -> tuple[Scene, list[str]]:
         width = p.to_coordinate(p.upper) - p.to_coordinate(p.lower)
         if not known * width**2 > 1.0:
             held[p.name] = origin.values[p.name]
-    if held:
-        statements.append(f"this record says nothing about {', '.join(held)}: kept as they were")
-    ratio = None
-    if record.rated_power_W and origin.design.power_scale_W:
-        ratio = record.rated_power_W / origin.design.power_scale_W
-    if ratio is not None and abs(ratio - 1.0) > 0.02:
-        statements.append(
-            f"this turbine's rated power is {ratio:.2f} times that of the fit: another type? The heat release counts power "
-            "in the fit's scale"
-        )
-    return Scene(origin, record, early, base, prepare_run(base, record), early_run, held, groups), statements
+    return held
 
 
 def _kinship(origin: Origin, record: Record) -> list[str]:
@@ -163,15 +180,12 @@ def _kinship(origin: Origin, record: Record) -> list[str]:
     files = frozenset(digest for _, digest in record.provenance)
     if files and files == origin.files:
         return [
-            "the files of this record are those of the fit: if its columns are too, both estimates are of the same readings, "
-            "and nothing is tried by this"
+            "the files of this record are those of the fit: if its columns are too, both estimates are of "
+            "the same readings, and nothing is tried by this"
         ]
     if record.name in origin.turbines:
         return [f"the type was made of {record.name} among others: its own record says little about the type"]
     return []
-
-
-_HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
 
 
 def stamp(seconds: float) -> str:
@@ -181,8 +195,8 @@ def stamp(seconds: float) -> str:
 def difference(origin: Origin, own: Estimate, spread: Uncertainty, names: Sequence[str]) -> Difference:
     """Own less original values of the named parameters in their coordinates; both covariances add up.
 
-    A parameter that the origin knows without standard error (at a bound there) counts as known as well as here.  Those at
-    a bound here are left out.
+    A parameter that the origin knows without standard error (at a bound there) counts as known as well as
+    here.  Those at a bound here are left out.
     """
     free = {p.name: p for p in own.coordinates.free}
     kept = [n for n in names if n in spread.names]

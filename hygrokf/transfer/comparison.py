@@ -1,87 +1,242 @@
-"""Cases, models or ambient sources side by side: the paper's Table III with bounds, differences, and a sceptic's rules.
+"""Cases, models or ambient sources side by side: the paper's Table III with bounds, differences, and the
+skill against rules that need no model.
 
-A column is one fit's free run on one record.  Errors of two columns are compared on the instants that both have, with
-the blocks of both drawn together: what the weather did to both at once cancels.  Columns without instants in common (other
-years, other clocks) are not compared instant by instant.
+A column is the free run of one fit on one record.  The errors of two columns are compared on the instants
+that both score, with the same blocks drawn for both: errors that the weather causes in both cancel.  Columns
+without common instants (other years, other clocks) are not compared instant by instant.
 
-Periods: `identification`, `validation` (by the record's own `until`) and `whole`, what the paper's Table III shows.
+Periods: `identification`, `validation` (by the record's own `until`) and `whole`, as in the paper's Table
+III.
 """
 
 from __future__ import annotations
 
-import io
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import combinations
-from typing import Any
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from hygrokf.data.record import Record
+from hygrokf.data.structured import optional
+from hygrokf.data.timestamps import DAY_S, WEEK_S
 from hygrokf.evaluation.bootstrap import resampled
 from hygrokf.evaluation.scoring import PERIODS, SCORED, guesses, period_masks, rmse
 from hygrokf.evaluation.simulation import measured
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.tables import simulated, unlike
-from hygrokf.identification.verdict import inherited, told
-from hygrokf.identification.wording import NONE, RULES
+from hygrokf.identification.verdict import inherited
+from hygrokf.identification.verdict_terms import Inherited
+from hygrokf.transfer.course import Course
 from hygrokf.version import __version__
+
+if TYPE_CHECKING:
+    import pandas
 
 REGIMES = ("operation", "standstill", "total")
 ALL_PERIODS = (*PERIODS, "whole")
 SAME = 1e-6
 """Readings of one instant that differ by less [K], [g/m³] are the same reading."""
-CSV_HEAD = (
-    "kind", "column", "against", "fit", "case", "quantity", "unit", "period", "regime", "n", "value", "lower", "upper",
-)  # fmt: skip
 UNSCORED = (
-    "nothing to score: no temperature or absolute humidity of the cabinet at a time when all inputs are known (a fit that "
-    "knows the power needs the power); see `hygrokf check`"
+    "nothing to score: no temperature or absolute humidity of the cabinet at a time when all inputs are "
+    "known (a fit that knows the power needs the power); see `hygrokf check`"
 )
 UNITS = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m3"}
+T = TypeVar("T")
+ByRegime = Mapping[str, Mapping[str, Mapping[str, T]]]
+"""By period, quantity and regime."""
+
+
+# --- what a comparison finds -----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class RuleScore:
+    """A rule without a model, on the instants that it and the model score.
+
+    `n` readings; `rmse` [K], [g/m³] of the rule; `skill` [1] 1 − MSE/MSE of the rule, with 95 % bounds.
+    """
+
+    n: int
+    rmse: float
+    skill: float = math.nan
+    lower: float = math.nan
+    upper: float = math.nan
+
+
+@dataclass(frozen=True)
+class Score:
+    """Root mean squared error [K], [g/m³] of `n` readings with 95 % bounds (NaN where there are too few).
+
+    `rules` by name; `blocks` the effective number of bootstrap blocks, where anything was scored.
+    """
+
+    n: int
+    rmse: float = math.nan
+    lower: float = math.nan
+    upper: float = math.nan
+    rules: Mapping[str, RuleScore] = field(default_factory=dict)
+    blocks: float | None = optional()
+
+
+@dataclass(frozen=True)
+class ErrorDifference:
+    """RMSE of one column less that of another [K], [g/m³] on `n` common readings, with 95 % bounds."""
+
+    n: int
+    value: float = math.nan
+    lower: float = math.nan
+    upper: float = math.nan
+
+    @property
+    def sure(self) -> bool:
+        """Whether the bounds exclude zero."""
+        return self.lower > 0.0 or self.upper < 0.0
+
+
+@dataclass(frozen=True)
+class ColumnScores:
+    """The errors of one column.
+
+    `fit`, `case` what was combined; `identified_here` whether the fit was identified on this record;
+    `verdicts` on the fit's time constants; `weeks` by quantity: middle [s since 1970] and RMSE of each week.
+    """
+
+    label: str
+    fit: str
+    case: str
+    identified_here: bool
+    statements: tuple[str, ...]
+    scores: ByRegime[Score]
+    weeks: Mapping[str, tuple[np.ndarray, np.ndarray]]
+    verdicts: Mapping[str, Inherited] = field(default_factory=dict)
+
+    def total(self, period: str, quantity: str) -> Score | None:
+        """The error of all scored instants of a period; None where nothing is scored."""
+        found = self.scores.get(period, {}).get(quantity, {}).get("total")
+        return found if found is not None and math.isfinite(found.rmse) else None
+
+
+@dataclass(frozen=True)
+class PairDifference:
+    """Errors of the column `of` less those of the column `less`, on their common instants.
+
+    `same_readings` by quantity: whether both are scored on the same readings.
+    """
+
+    of: str
+    less: str
+    same_readings: Mapping[str, bool]
+    scores: ByRegime[ErrorDifference]
+
+    def total(self, period: str, quantity: str) -> ErrorDifference | None:
+        """The difference over a period; None without common instants."""
+        found = self.scores.get(period, {}).get(quantity, {}).get("total")
+        return found if found is not None and math.isfinite(found.value) else None
+
+
+@dataclass(frozen=True)
+class ComparisonResults:
+    """The content of compare.json.  `synthetic`: whether any record was made by a computer."""
+
+    version: str
+    created: str
+    synthetic: bool
+    columns: tuple[ColumnScores, ...]
+    differences: tuple[PairDifference, ...]
+
+    def rows(self) -> Iterator[tuple[str | int | float, ...]]:
+        """Every number, with the cells of `TABLE_HEAD`; NaN where there are no bounds.
+
+        `kind`: rmse (value RMSE), rule (RMSE of a rule without a model, named in `against`), skill (1 −
+        MSE/MSE of that rule), difference (RMSE of `column` less that of `against` on common instants).
+        """
+        none = (math.nan, math.nan)
+        for one in self.columns:
+            names = (one.fit, one.case)
+            for (period, quantity, regime), row in cells(one.scores):
+                if not math.isfinite(row.rmse):
+                    continue
+                place = (quantity, UNITS[quantity], period, regime)
+                yield "rmse", one.label, "", *names, *place, row.n, row.rmse, row.lower, row.upper
+                for rule, said in row.rules.items():
+                    yield "rule", one.label, rule, *names, *place, said.n, said.rmse, *none
+                    ends = (said.n, said.skill, said.lower, said.upper)
+                    yield "skill", one.label, rule, *names, quantity, "1", period, regime, *ends
+        for pair in self.differences:
+            for (period, quantity, regime), apart in cells(pair.scores):
+                if math.isfinite(apart.value):
+                    place = (quantity, UNITS[quantity], period, regime)
+                    ends = (apart.n, apart.value, apart.lower, apart.upper)
+                    yield "difference", pair.of, pair.less, "", "", *place, *ends
+
+    def to_frame(self) -> pandas.DataFrame:
+        """Every number of the comparison in one row, as in compare.csv."""
+        import pandas as pd
+
+        return pd.DataFrame(list(self.rows()), columns=list(TABLE_HEAD))
+
+
+TABLE_HEAD = (
+    "kind", "column", "against", "fit", "case", "quantity", "unit", "period", "regime", "n", "value", "lower",
+    "upper",
+)  # fmt: skip
+"""Columns of compare.csv."""
+
+
+def cells(scores: ByRegime[T]) -> Iterator[tuple[tuple[str, str, str], T]]:
+    """(period, quantity, regime) and the score of each cell."""
+    for period, by_quantity in scores.items():
+        for quantity, by_regime in by_quantity.items():
+            for regime, row in by_regime.items():
+                yield (period, quantity, regime), row
+
+
+# --- comparing -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
 class Column:
-    """A fit's free run on a record: errors (T,) by quantity at times (T,) [s], NaN where nothing is scored.
+    """The free run of a fit on a record: `errors` (T,) by quantity, NaN where nothing is scored.
 
     `label` short name; `fit`, `case` what was combined; `own` whether the fit was identified on this record;
-    `rules` errors of the sceptic's rules by quantity and rule; `masks` (T,) by period; `operating` (T,); `verdicts` on the
-    numbers of the fit.
+    `course` its readings and simulation; `rules` errors of the rules without a model, by quantity and rule;
+    `masks` (T,) by period; `verdicts` on the fit's time constants.
     """
 
     label: str
     fit: str
     case: str
     own: bool
-    time_s: np.ndarray
-    operating: np.ndarray
-    readings: Mapping[str, np.ndarray]
+    course: Course
     errors: Mapping[str, np.ndarray]
     rules: Mapping[str, Mapping[str, np.ndarray]]
     masks: Mapping[str, np.ndarray]
     statements: tuple[str, ...]
     synthetic: bool
-    verdicts: Mapping[str, Mapping] = field(default_factory=dict)
+    verdicts: Mapping[str, Inherited] = field(default_factory=dict)
 
     def shown(self, quantity: str, period: str, regime: str) -> np.ndarray:
         """(T,) True at the scored instants of a period and a regime."""
         chosen = self.masks[period] & np.isfinite(self.errors[quantity])
-        return chosen if regime == "total" else chosen & (self.operating == (regime == "operation"))
+        return chosen if regime == "total" else chosen & (self.course.operating == (regime == "operation"))
 
 
 def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -> Column:
-    """The free run of a fit on a record.  Raises ValueError where the record lacks an input that the model reads."""
+    """The free run of a fit on a record.  Raises ValueError where the record lacks an input that the model
+    reads."""
     _, made, predicted = simulated(fit, record)
     known = measured(made)
     errors, rules = {}, {}
+    runs = {q: pair[0] for q in SCORED if (pair := predicted.of(q)) is not None}
     ruled = guesses(made, record.until_s)
-    for quantity in SCORED:
-        pair = predicted.of(quantity)
-        if pair is None or not np.isfinite(known[quantity][made.scored]).any():
+    for quantity, run in runs.items():
+        if not np.isfinite(known[quantity][made.scored]).any():
             continue
-        errors[quantity] = np.where(made.scored, known[quantity] - pair[0], np.nan)
+        errors[quantity] = np.where(made.scored, known[quantity] - run, np.nan)
         rules[quantity] = {
             name: np.where(made.scored, known[quantity] - guess[quantity], np.nan)
             for name, guess in ruled.items()
@@ -93,37 +248,39 @@ def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -
     statements = unlike(fit, record)
     if not errors:
         statements.append(UNSCORED)
-    synthetic = bool(fit.results.get("synthetic")) or "synthetic" in record.name.lower()
+    course = Course(
+        t.origin_s + 3600.0 * t.time,
+        math.nan if record.until_s is None else record.until_s,
+        made.scored,
+        made.operating,
+        {q: known[q] for q in SCORED},
+        {"simulated": runs},
+    )
     return Column(
         label,
         fit.name,
         record.name,
         own,
-        t.origin_s + 3600.0 * t.time,
-        made.operating,
-        known,
+        course,
         errors,
         rules,
         masks,
         tuple(statements),
-        synthetic,
+        fit.results.synthetic or "synthetic" in record.name.lower(),
         inherited(fit.results),
     )
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """Columns side by side: plain `results` (compare.json), `columns` for pictures."""
+    """Free runs side by side: `results` (compare.json), and `columns` with the courses for pictures."""
 
     columns: tuple[Column, ...]
-    results: Mapping[str, Any]
-
-    def to_json(self) -> dict:
-        return dict(self.results)
+    results: ComparisonResults
 
 
 def compare(columns: Sequence[Column]) -> Comparison:
-    """Scores of all columns, differences between any two, skill against the sceptic's rules.
+    """Scores of all columns, differences between any two, skill against rules that need no model.
 
     Raises ValueError for columns of the same label, and where no column has anything to score.
     """
@@ -133,214 +290,88 @@ def compare(columns: Sequence[Column]) -> Comparison:
         raise ValueError(f"expected columns of different names, found several called {', '.join(twice)}")
     if not any(one.errors for one in columns):
         raise ValueError(f"no column can be scored: {UNSCORED}")
-    results = {
-        "version": __version__,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "synthetic": any(one.synthetic for one in columns),
-        "columns": [
-            {
-                "label": one.label,
-                "fit": one.fit,
-                "case": one.case,
-                "identified_here": one.own,
-                "verdicts": dict(one.verdicts),
-                "statements": list(one.statements),
-                "scores": _scores(one),
-                "weeks": {q: [part.tolist() for part in rmse_by_week(one, q)] for q in one.errors},
-            }
-            for one in columns
-        ],
-        "differences": [_difference(a, b) for a, b in combinations(columns, 2)],
-    }
+    results = ComparisonResults(
+        __version__,
+        datetime.now(UTC).isoformat(timespec="seconds"),
+        any(one.synthetic for one in columns),
+        tuple(_column_scores(one) for one in columns),
+        tuple(_difference(a, b) for a, b in combinations(columns, 2)),
+    )
     return Comparison(tuple(columns), results)
 
 
-def _scores(one: Column) -> dict:
-    """Errors with bounds and skill by period, quantity and regime; the rules' errors beside them on the same instants."""
-    found: dict = {}
-    for period in ALL_PERIODS:
-        found[period] = {}
-        for quantity, error in one.errors.items():
-            rows = found[period][quantity] = {}
-            for regime in REGIMES:
-                rows[regime] = _scored(one, quantity, error, one.shown(quantity, period, regime))
-    return found
-
-
-def _scored(one: Column, quantity: str, error: np.ndarray, chosen: np.ndarray) -> dict:
-    row: dict = {"n": int(chosen.sum()), "rmse": None, "lower": None, "upper": None, "rules": {}}
-    drawn = resampled(one.time_s, np.where(chosen, error, np.nan)[:, None])
-    if drawn is None:
-        return row
-    low, high = drawn.bounds(0) or (None, None)
-    row |= {"rmse": float(drawn.value[0]), "lower": low, "upper": high, "blocks": drawn.blocks}
-    for name, rule in one.rules[quantity].items():
-        both = resampled(one.time_s, np.column_stack([np.where(chosen, error, np.nan), rule]))
-        if both is None:
-            continue
-        value, low, high = both.skill(0, 1) or (_skill(both.value), None, None)
-        row["rules"][name] = {
-            "n": both.n,
-            "rmse": float(both.value[1]),
-            "skill": value,
-            "lower": low,
-            "upper": high,
+def _column_scores(one: Column) -> ColumnScores:
+    scores = {
+        period: {
+            quantity: {
+                regime: _scored(one, quantity, one.shown(quantity, period, regime)) for regime in REGIMES
+            }
+            for quantity in one.errors
         }
-    return row
+        for period in ALL_PERIODS
+    }
+    weeks = {quantity: rmse_by_week(one, quantity) for quantity in one.errors}
+    return ColumnScores(
+        one.label, one.fit, one.case, one.own, one.statements, scores, weeks, dict(one.verdicts)
+    )
 
 
-def _skill(value: np.ndarray) -> float | None:
-    return None if not value[1] > 0 else float(1.0 - (value[0] / value[1]) ** 2)
+def _scored(one: Column, quantity: str, chosen: np.ndarray) -> Score:
+    """The error on the chosen instants (T,); the rules' errors beside it on the same instants."""
+    time, error = one.course.time_s, np.where(chosen, one.errors[quantity], np.nan)
+    drawn = resampled(time, error[:, None])
+    if drawn is None:
+        return Score(int(chosen.sum()))
+    rules = {}
+    for name, rule in one.rules[quantity].items():
+        both = resampled(time, np.column_stack([error, rule]))
+        if both is not None:
+            skill = both.skill(0, 1) or (_skill(both.value), math.nan, math.nan)
+            rules[name] = RuleScore(both.n, float(both.value[1]), *skill)
+    ends = drawn.bounds(0) or (math.nan, math.nan)
+    return Score(int(chosen.sum()), float(drawn.value[0]), *ends, rules, drawn.blocks)
 
 
-def _difference(a: Column, b: Column) -> dict:
+def _skill(value: np.ndarray) -> float:
+    return float(1.0 - (value[0] / value[1]) ** 2) if value[1] > 0 else math.nan
+
+
+def _difference(a: Column, b: Column) -> PairDifference:
     """RMSE of `a` less that of `b` on the instants that both score."""
-    common, i, j = np.intersect1d(a.time_s, b.time_s, assume_unique=True, return_indices=True)
-    found: dict = {"of": a.label, "less": b.label, "same_readings": {}, "scores": {}}
+    common, i, j = np.intersect1d(a.course.time_s, b.course.time_s, assume_unique=True, return_indices=True)
+    same: dict[str, bool] = {}
+    pairs: dict[str, np.ndarray] = {}
     for quantity in (q for q in a.errors if q in b.errors):
-        first, second = a.errors[quantity][i], b.errors[quantity][j]
-        there = np.isfinite(first) & np.isfinite(second)
+        pair = np.column_stack([a.errors[quantity][i], b.errors[quantity][j]])
+        there = np.isfinite(pair).all(axis=1)
         if there.any():
-            apart = np.abs(a.readings[quantity][i] - b.readings[quantity][j])[there]
-            found["same_readings"][quantity] = bool(apart.max() <= SAME)
-    for period in ALL_PERIODS:
-        found["scores"][period] = {}
-        for quantity in found["same_readings"]:
-            rows: dict[str, dict[str, float | None]] = {}
-            found["scores"][period][quantity] = rows
-            for regime in REGIMES:
-                chosen = a.shown(quantity, period, regime)[i] & b.shown(quantity, period, regime)[j]
-                pair = np.column_stack([a.errors[quantity][i], b.errors[quantity][j]])
-                drawn = resampled(common, np.where(chosen[:, None], pair, np.nan))
-                if drawn is None:
-                    rows[regime] = {"n": 0, "value": None, "lower": None, "upper": None}
-                    continue
-                value, low, high = drawn.difference(0, 1) or (
-                    float(drawn.value[0] - drawn.value[1]),
-                    None,
-                    None,
-                )
-                rows[regime] = {"n": drawn.n, "value": value, "lower": low, "upper": high}
-    return found
+            apart = np.abs(a.course.measured[quantity][i] - b.course.measured[quantity][j])[there]
+            same[quantity], pairs[quantity] = bool(apart.max() <= SAME), pair
+
+    def apart_in(period: str, quantity: str, regime: str) -> ErrorDifference:
+        chosen = a.shown(quantity, period, regime)[i] & b.shown(quantity, period, regime)[j]
+        drawn = resampled(common, np.where(chosen[:, None], pairs[quantity], np.nan))
+        if drawn is None:
+            return ErrorDifference(0)
+        alone = (float(drawn.value[0] - drawn.value[1]), math.nan, math.nan)
+        return ErrorDifference(drawn.n, *(drawn.difference(0, 1) or alone))
+
+    scores = {
+        period: {q: {regime: apart_in(period, q, regime) for regime in REGIMES} for q in pairs}
+        for period in ALL_PERIODS
+    }
+    return PairDifference(a.label, b.label, same, scores)
 
 
 def rmse_by_week(one: Column, quantity: str) -> tuple[np.ndarray, np.ndarray]:
     """Middle [s] and root mean squared error of every week with at least a day of scored readings."""
-    error = one.errors[quantity]
+    error, time = one.errors[quantity], one.course.time_s
     there = np.isfinite(error)
-    week = np.floor(one.time_s / 604800.0).astype(int)
+    week = np.floor(time / WEEK_S).astype(int)
     middles, values = [], []
     for number in np.unique(week[there]):
         part = there & (week == number)
-        if np.ptp(one.time_s[part]) >= 86400.0:
-            middles.append((number + 0.5) * 604800.0)
-            values.append(rmse(error[part], one.operating[part])["total"])
+        if np.ptp(time[part]) >= DAY_S:
+            middles.append((number + 0.5) * WEEK_S)
+            values.append(rmse(error[part], one.course.operating[part]).total)
     return np.array(middles), np.array(values, dtype=float)
-
-
-# --- as text ---------------------------------------------------------------------------------
-
-
-def comparison_csv(found: Mapping) -> str:
-    """Everything of compare.json that is a number, one a line.
-
-    `kind`: rmse (value RMSE), rule (RMSE of a sceptic's rule, named in `against`), skill (1 − MSE/MSE of that rule),
-    difference (RMSE of `column` less that of `against` on common instants).
-    """
-    import csv
-
-    buffer = io.StringIO()
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow(CSV_HEAD)
-
-    def cell(value: object) -> object:
-        return "" if value is None else f"{value:.6g}" if isinstance(value, float) else value
-
-    for one in found["columns"]:
-        names = (one["fit"], one["case"])
-        for period, quantity, regime, row in _cells(one["scores"]):
-            place = (quantity, UNITS[quantity], period, regime)
-            if row["rmse"] is None:
-                continue
-            ends = (row["n"], row["rmse"], row["lower"], row["upper"])
-            writer.writerow(map(cell, ("rmse", one["label"], "", *names, *place, *ends)))
-            for rule, said in row["rules"].items():
-                writer.writerow(
-                    map(
-                        cell,
-                        ("rule", one["label"], rule, *names, *place, said["n"], said["rmse"], None, None),
-                    )
-                )
-                place_ = (quantity, "1", period, regime)
-                ends = (said["n"], said["skill"], said["lower"], said["upper"])
-                writer.writerow(map(cell, ("skill", one["label"], rule, *names, *place_, *ends)))
-    for one in found["differences"]:
-        for period, quantity, regime, row in _cells(one["scores"]):
-            if row["value"] is not None:
-                place = (quantity, UNITS[quantity], period, regime)
-                ends = (row["n"], row["value"], row["lower"], row["upper"])
-                writer.writerow(map(cell, ("difference", one["of"], one["less"], "", "", *place, *ends)))
-    return buffer.getvalue()
-
-
-def _cells(scores: Mapping) -> list[tuple[str, str, str, Mapping]]:
-    return [
-        (period, quantity, regime, row)
-        for period, by_quantity in scores.items()
-        for quantity, by_regime in by_quantity.items()
-        for regime, row in by_regime.items()
-    ]
-
-
-def comparison_text(found: Mapping) -> str:
-    """Table III as fixed-width text, the rules below it, then the differences in total."""
-    labels = [one["label"] for one in found["columns"]]
-    widest = max(map(len, labels))
-    # names are cut only where they can still be told apart
-    cut = 30 if len({label[:30] for label in labels}) == len(labels) else widest
-    width = max(min(widest, cut), 12) + 2
-    lines = []
-    for one in found["columns"]:
-        lines += [f"{one['label']}: {line}" for line in told(one.get("verdicts"))]
-        lines += [f"note: {one['label']}: {sentence}" for sentence in one["statements"]]
-    for quantity, name in (
-        ("temperature_K", "temperature [K]"),
-        ("absolute_humidity_g_m3", "absolute humidity [g/m³]"),
-    ):
-        for period in ALL_PERIODS:
-            rows = [(one["label"], one["scores"][period].get(quantity)) for one in found["columns"]]
-            rows = [(label, row) for label, row in rows if row and row["total"]["rmse"] is not None]
-            if not rows:
-                continue
-            lines.append(f"RMSE of the {name}, {period}")
-            lines.append(
-                f"{'':{width}}" + "".join(f"{regime:>13}" for regime in REGIMES) + f"{'95 %':>17}{'n':>9}"
-            )
-            for label, row in rows:
-                cells = "".join(f"{_plain(row[regime]['rmse']):>13}" for regime in REGIMES)
-                total = row["total"]
-                lines.append(f"{label[: width - 2]:{width}}{cells}{_span(total):>17}{total['n']:>9}")
-                for rule, said in total["rules"].items():
-                    skill = NONE if said["skill"] is None else f"{100 * said['skill']:.0f} %"
-                    ends = (f"{100 * said[end]:.0f}" for end in ("lower", "upper"))
-                    bounds = "" if said["lower"] is None else f" ({' … '.join(ends)})"
-                    lines.append(f"  against {RULES.get(rule, rule)}: skill {skill}{bounds}")
-            for one in found["differences"]:
-                row = one["scores"][period].get(quantity, {}).get("total")
-                if row and row["value"] is not None:
-                    words = f"{one['of']} − {one['less']}"
-                    words += "" if one["same_readings"][quantity] else " (other readings)"
-                    bounds = "too few blocks for bounds"
-                    if row["lower"] is not None:
-                        bounds = f"95 % {row['lower']:+.3f} … {row['upper']:+.3f}"
-                    lines.append(f"  {words}: {row['value']:+.3f} ({bounds}; n {row['n']})")
-            lines.append("")
-    return "\n".join(lines).rstrip()
-
-
-def _plain(value: float | None) -> str:
-    return NONE if value is None else f"{value:.2f}"
-
-
-def _span(row: Mapping) -> str:
-    return "" if row["lower"] is None else f"{row['lower']:.2f} … {row['upper']:.2f}"

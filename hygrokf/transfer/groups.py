@@ -1,14 +1,15 @@
-"""Groups of parameters that travel from turbine to turbine together, and which of them differ between two estimates.
+"""Groups of parameters that travel from turbine to turbine together, and which of them differ between two
+estimates.
 
-With δ = z₁ − z₀ the difference of two independent estimates in the parameters' coordinates, Σ = V₁ + V₀ its covariance
-and S the groups that are let differ, what the others' equality leaves unexplained is
+With δ = z₁ − z₀ the difference of two independent estimates in the parameters' coordinates, Σ = V₁ + V₀ its
+covariance and S the groups that are let differ, what the others' equality leaves unexplained is
 
     Q(S) = min_Δ (δ − D_S Δ)' Σ⁻¹ (δ − D_S Δ),
 
-D_S the columns of the identity that belong to S.  Where all groups outside S ∪ {G} are shared, Q(S) − Q(S ∪ {G}) is
-χ² with as many degrees of freedom as G has parameters: the likelihood ratio of two quadratic likelihoods.  Groups are let
-differ one by one, the most telling first, as long as its p times the number of groups left is below the level
-(Holm 1979; Bonferroni within a step).
+D_S the columns of the identity that belong to S.  Where all groups outside S ∪ {G} are shared, Q(S) − Q(S ∪
+{G}) is χ² with as many degrees of freedom as G has parameters: the likelihood ratio of two quadratic
+likelihoods.  Groups are let differ one by one, the most telling first, as long as its p times the number of
+groups left is below the level (Holm 1979; Bonferroni within a step).
 
 Shapes: d parameters.
 """
@@ -63,7 +64,8 @@ def members(groups: Mapping[str, str], *chosen: str) -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Difference:
-    """Difference of two estimates (d,) in the coordinates of `names`, with the covariance (d, d) of the difference."""
+    """Difference of two estimates (d,) in the coordinates of `names`, with the covariance (d, d) of the
+    difference."""
 
     names: tuple[str, ...]
     value: np.ndarray
@@ -87,7 +89,8 @@ class Difference:
 
 @dataclass(frozen=True)
 class Step:
-    """One step of the selection: each group's statistic beside those let differ before, and which was taken, if any."""
+    """One step of the selection: each group's statistic beside those let differ before, and which was taken,
+    if any."""
 
     statistic: Mapping[str, float]
     degrees: Mapping[str, int]
@@ -97,7 +100,8 @@ class Step:
 
 
 def unexplained(found: Difference, differing: Sequence[str]) -> float:
-    """Q(S): squared distance that is left when the parameters `differing` may differ and all others are the same."""
+    """Q(S): squared distance that is left when the parameters `differing` may differ and all others are the
+    same."""
     others = [i for i, name in enumerate(found.names) if name not in set(differing)]
     if not others:
         return 0.0

@@ -1,19 +1,35 @@
-"""What a transfer found, as plain data and in words: parameters, groups, likelihood ratios, the verdict."""
+"""The judgement of a transfer: parameters, groups, likelihood ratios, and the verdict with its reasons."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 
 from hygrokf.estimation.confidence import Uncertainty
 from hygrokf.estimation.optimiser import Estimate
 from hygrokf.evaluation.scoring import SCORED
-from hygrokf.identification.wording import RULES
+from hygrokf.identification.wording import QUANTITIES, RULES
 from hygrokf.transfer.baseline import Scene
 from hygrokf.transfer.groups import HYGRIC, OF_THE_RECORD, THERMAL, Difference, Step, members, unexplained
+from hygrokf.transfer.results import (
+    NOT,
+    OPEN,
+    PARTLY,
+    TRANSFERS,
+    Change,
+    ChiSquare,
+    Decision,
+    Gain,
+    GroupChange,
+    LikelihoodRatio,
+    Outcome,
+    ParameterChange,
+    TransferResult,
+)
 
 MATTERS = {
     "ln_time_constant": 0.10,
@@ -21,12 +37,12 @@ MATTERS = {
     "temperature_K": 0.3,
     "absolute_humidity_g_m3": 0.26,
 }
-"""Smaller differences do not matter, however significant: 10 % of a time constant, 0.05 of R_AT/(R_AT+R_IC), and in the
-simulated readings the paper's loggers' accuracy (0.3 K; 2 % relative humidity, 0.26 g/m³ at 15 °C)."""
+"""Smaller differences do not matter, however significant: 10 % of a time constant, 0.05 of R_AT/(R_AT+R_IC),
+and in the simulated readings the paper's loggers' accuracy (0.3 K; 2 % relative humidity, 0.26 g/m³ at 15
+°C)."""
 STRUCTURE = 1.5
-"""Free-run error of the record's own model over that of the fit on its own record, beyond which the form is doubted."""
-TRANSFERS, PARTLY, NOT = "transfers", "transfers after re-estimating", "does not transfer"
-OPEN = "cannot be judged"
+"""Free-run error of the record's own model over that of the fit on its own record, beyond which the form is
+doubted."""
 
 
 def matters(group: str, apart: Difference, effect: Mapping[str, float]) -> bool:
@@ -43,38 +59,41 @@ def matters(group: str, apart: Difference, effect: Mapping[str, float]) -> bool:
 
 
 def parameters_of(
-    scene: Scene, apart: Difference, values: Mapping[str, Mapping], spread: Uncertainty, own: Estimate
-) -> dict:
-    """Every parameter: original and own value with standard errors, and by how much they differ with bounds."""
+    scene: Scene,
+    apart: Difference,
+    values: Mapping[str, Mapping[str, float]],
+    spread: Uncertainty,
+    own: Estimate,
+) -> dict[str, ParameterChange]:
+    """Every parameter: its original and own value with standard errors, and their difference with bounds."""
     known = {n: i for i, n in enumerate(scene.origin.names)}
     rows = {}
     for p in scene.base.model.parameters:
-        i = known.get(p.name)
-        old = None if i is None else math.sqrt(max(float(scene.origin.covariance[i, i]), 0.0))
-        place = spread.place(p.name)
-        new = None
+        i, place = known.get(p.name), spread.place(p.name)
+        old = new = math.nan
+        if i is not None:
+            old = math.sqrt(max(float(scene.origin.covariance[i, i]), 0.0))
         if place is not None:
-            new = math.sqrt(spread.wald[place, place] * spread.factor[place]) * abs(
-                p.slope(own.values[p.name])
-            )
+            sd = math.sqrt(spread.wald[place, place] * spread.factor[place])
+            new = sd * abs(p.slope(own.values[p.name]))
         change = None
         if p.name in apart.names:
-            change = dict(zip(("value", "lower", "upper"), apart.bounds(p.name), strict=True))
-            if p.positive:  # as a ratio
-                change = {key: math.exp(min(max(v, -50.0), 50.0)) for key, v in change.items()}
-        rows[p.name] = {
-            "group": scene.groups[p.name],
-            "unit": p.unit,
-            "meaning": p.meaning,
-            "original": values["as_is"][p.name],
-            "original_se": old,
-            "own": own.values[p.name],
-            "own_se": new if new is None or math.isfinite(new) else None,
-            "re_estimated": values["re_estimated"][p.name],
-            "difference": change,
-            "difference_is": None if change is None else "ratio" if p.positive else "difference",
-            "kept": p.name in scene.held,
-        }
+            change = Change(*apart.bounds(p.name))
+            if p.positive:
+                change = change.ratio
+        rows[p.name] = ParameterChange(
+            scene.groups[p.name],
+            p.unit,
+            p.meaning,
+            original=values["as_is"][p.name],
+            original_se=old,
+            own=own.values[p.name],
+            own_se=new if math.isfinite(new) else math.nan,
+            re_estimated=values["re_estimated"][p.name],
+            difference=change,
+            difference_is=None if change is None else "ratio" if p.positive else "difference",
+            kept=p.name in scene.held,
+        )
     return rows
 
 
@@ -83,62 +102,55 @@ def groups_of(
     apart: Difference,
     steps: Sequence[Step],
     effects: Mapping[str, Mapping[str, float]],
-    significant: Sequence[str],
     differing: Sequence[str],
-) -> list[dict]:
-    """One row a group: the statistic at the step that decided on it, what the difference does, and what follows."""
-    rows: list[dict[str, Any]] = []
+) -> tuple[GroupChange, ...]:
+    """For each group the statistic at the step that decided on it, its effect, and the outcome."""
+    from scipy.stats import chi2
+
+    significant = [step.taken for step in steps if step.taken]
+    rows = []
     for group in dict.fromkeys(scene.groups.values()):
         names = members(scene.groups, group)
         if group in OF_THE_RECORD:
             said = "belongs to the record: always estimated there"
-            rows.append({"group": group, "parameters": list(names), "outcome": "own", "statement": said})
+            rows.append(GroupChange(group, names, "own", said))
             continue
         if group not in effects:
-            said = "this record cannot tell"
-            rows.append(
-                {"group": group, "parameters": list(names), "outcome": "not judged", "statement": said}
-            )
+            rows.append(GroupChange(group, names, "not judged", "this record cannot tell"))
             continue
         step = next(s for s in reversed(steps) if group in s.p)
         alone = apart.of(names)
-        from scipy.stats import chi2
-
-        single = unexplained(alone, ())
-        outcome = "travels"
+        single, df = unexplained(alone, ()), len(alone.names)
+        outcome: Outcome = "travels"
         said = "no difference that both uncertainties do not explain"
         if group in differing:
             outcome, said = "differs", "differs by more than both uncertainties explain, and enough to matter"
         elif group in significant:
-            outcome, said = "travels", "differs measurably, but by less than matters"
+            said = "differs measurably, but by less than matters"
         elif _could_matter(group, alone, effects[group]):
             said += "; one that would matter cannot be excluded by this record"
         rows.append(
-            {
-                "group": group,
-                "parameters": list(alone.names),
-                "statistic": step.statistic[group],
-                "df": step.degrees[group],
-                "p": step.p[group],
-                "p_adjusted": step.p_adjusted[group],
-                "alone": {
-                    "statistic": single,
-                    "df": len(alone.names),
-                    "p": float(chi2.sf(single, len(alone.names))),
-                },
-                "effect": dict(effects[group]),
-                "outcome": outcome,
-                "statement": said,
-            }
+            GroupChange(
+                group,
+                alone.names,
+                outcome,
+                said,
+                step.statistic[group],
+                step.degrees[group],
+                step.p[group],
+                step.p_adjusted[group],
+                ChiSquare(single, df, float(chi2.sf(single, df))),
+                dict(effects[group]),
+            )
         )
-    return rows
+    return tuple(rows)
 
 
 def _could_matter(group: str, alone: Difference, effect: Mapping[str, float]) -> bool:
     """Whether a difference that would matter is within the uncertainty of this record.
 
-    Of time constants and the resistance ratio: whether their bounds hold one. Of other groups: whether the estimate itself,
-    which is within its bounds, changes the simulation by what matters.
+    Of time constants and the resistance ratio: whether their bounds hold one. Of other groups: whether the
+    estimate itself, which is within its bounds, changes the simulation by what matters.
     """
     watched = {
         THERMAL: {"thermal_time_constant": "ln_time_constant", "resistance_ratio": "resistance_ratio"},
@@ -157,110 +169,123 @@ def ratios_of(
     own: Estimate,
     spread: Uncertainty,
     differing: Sequence[str],
-) -> list[dict]:
-    """Exact likelihood ratios on this record alone, the fit's own uncertainty left out, scaled by the mean of the factors
-    by which the noise's real colour widens bounds (Kent 1982)."""
+) -> tuple[LikelihoodRatio, ...]:
+    """Exact likelihood ratios on this record alone, without the uncertainty of the original values.
+
+    They are scaled by the mean factor by which the real colour of the noise widens bounds (Kent 1982).
+    """
     from scipy.stats import chi2
 
     rows = []
-    for first, second, names, label in (
-        (
-            logger,
-            adapted,
-            [n for n in scene.cabinet if scene.groups[n] in differing],
-            "re-estimating what differs",
-        ),
-        (
-            adapted,
-            own,
-            [n for n in scene.cabinet if scene.groups[n] not in differing],
-            "re-estimating the rest",
-        ),
+    for first, second, differ, label in (
+        (logger, adapted, True, "re-estimating what differs"),
+        (adapted, own, False, "re-estimating the rest"),
     ):
+        names = tuple(n for n in scene.cabinet if (scene.groups[n] in differing) is differ)
         if not names:
             continue
         place = [spread.names.index(n) for n in names if n in spread.names]
         factor = float(np.mean(spread.factor[place])) if place else 1.0
         ratio = max(2.0 * (second.objective - first.objective), 0.0)
-        rows.append(
-            {
-                "of": label,
-                "parameters": names,
-                "likelihood_ratio": ratio,
-                "factor": factor,
-                "df": len(names),
-                "p": float(chi2.sf(ratio / factor, len(names))),
-            }
-        )
-    return rows
+        p = float(chi2.sf(ratio / factor, len(names)))
+        rows.append(LikelihoodRatio(label, names, ratio, factor, len(names), p))
+    return tuple(rows)
 
 
-def judged(found: Mapping, differing: Sequence[str]) -> tuple[str, list[str]]:
-    """Verdict and reasons from what was found."""
-    against, reasons, doubts = [], [], []
-    tried = [row["group"] for row in found["groups"] if row["outcome"] in ("travels", "differs")]
-    unit = {"temperature_K": ("temperature", "K"), "absolute_humidity_g_m3": ("absolute humidity", "g/m³")}
-    if len(tried) > 1 and set(tried) == set(differing):
+# --- the verdict -----------------------------------------------------------------------------
+
+
+def judged(found: TransferResult) -> TransferResult:
+    """The result with its verdict, the sentence of the verdict, and the reasons, objections first."""
+    worse_than_rules, doubts = _against_the_rules(found)
+    against = [*_of_the_model(found), *worse_than_rules, *_worse_than_before(found)]
+    differing = found.re_estimate
+    verdict: Decision = NOT if against else OPEN if doubts else PARTLY if differing else TRANSFERS
+    return replace(
+        found,
+        verdict=verdict,
+        sentence=f"{verdict} {_list(differing)}" if verdict == PARTLY else verdict,
+        reasons=(*against, *(() if against else doubts), *_errors_before_and_after(found)),
+    )
+
+
+def _of_the_model(found: TransferResult) -> list[str]:
+    """Objections to the model: no group in common, parameters at bounds, errors of the structure."""
+    against = []
+    differing = found.re_estimate
+    tried = {row.group for row in found.groups if row.outcome in ("travels", "differs")}
+    if len(tried) > 1 and tried == set(differing):
         against.append(
-            f"nothing of the cabinet is the same: {_list(differing)} all differ; identify this turbine by itself"
+            f"nothing of the cabinet is the same: {_list(differing)} all differ; identify this turbine by "
+            "itself"
         )
-    if found["at_bounds"]:
-        against.append(f"re-estimated at the edge of its range: {', '.join(found['at_bounds'])}")
-    for quantity, row in found["structure"].items():
-        if row["lower"] is not None and row["lower"] > STRUCTURE:
-            name, u = unit[quantity]
+    if found.at_bounds:
+        against.append(f"re-estimated at the edge of its range: {', '.join(found.at_bounds)}")
+    for quantity, row in found.structure.items():
+        if row.lower > STRUCTURE:
+            name, unit = QUANTITIES[quantity]
             against.append(
-                f"even with all parameters estimated here the simulated {name} errs by {row['rmse']:.2f} {u}, "
-                f"{row['ratio']:.1f} times as much as the fit did on its own record: the model lacks something here; "
-                "`hygrokf discover` may name it"
+                f"even with all parameters estimated here the simulated {name} errs by {row.rmse:.2f} "
+                f"{unit}, {row.ratio:.1f} times as much as the fit did on its own record: the model lacks "
+                "something here; `hygrokf discover` may name it"
             )
-    for quantity, rows in found["gains"].items():
-        over = rows.get("re_estimated", {}).get("over_rule")
-        name, u = unit[quantity]
-        if over and over["upper"] is None and over["gain"] < 0.0:
+    return against
+
+
+def _against_the_rules(found: TransferResult) -> tuple[list[str], list[str]]:
+    """Objections and doubts where a rule without a model errs less than the re-estimated model."""
+    against, doubts = [], []
+    for _, (name, unit), over in _gains(found, "over_rule"):
+        rule = f"“{RULES.get(over.against, over.against)}”"
+        size = f"{-over.gain:.2f} {unit}"
+        if math.isnan(over.upper) and over.gain < 0.0:
             doubts.append(
-                f"the simulated {name} errs by {-over['gain']:.2f} {u} more than the rule “{RULES.get(over['against'], over['against'])}”, "
-                f"and {found['n_readings']} readings are too few for bounds: take a longer record"
+                f"the simulated {name} errs by {size} more than the rule {rule}, and {found.n_readings} "
+                "readings are too few for bounds: take a longer record"
             )
-        if over and over["upper"] is not None and over["upper"] < 0.0:
+        if over.upper < 0.0:
             against.append(
-                f"no gain over the sceptic's rule: the simulated {name} errs by {-over['gain']:.2f} {u} more than "
-                f"“{RULES.get(over['against'], over['against'])}” does"
+                f"no gain over the sceptic's rule: the simulated {name} errs by {size} more than {rule} does"
             )
-    for quantity, rows in found["gains"].items():
-        gain = rows.get("re_estimated", {}).get("over_as_is")
-        if differing and gain and gain["upper"] is not None and gain["upper"] < 0.0:
-            name, u = unit[quantity]
-            against.append(
-                f"re-estimating {_list(differing)} makes the error of the simulated {name} larger by {-gain['gain']:.2f} {u}, "
-                "beyond its bounds: what the identification period says does not hold afterwards; take a longer one"
-            )
-        if gain:
-            name, u = unit[quantity]
-            table = found["rmse"][quantity]
-            before, after = table["as_is"]["total"], table["re_estimated"]["total"]
-            bounds = (
-                ""
-                if gain["lower"] is None
-                else f", a gain of {gain['gain']:.2f} {u} ({gain['lower']:.2f} … {gain['upper']:.2f}, 95 %)".replace(
-                    "-", "−"
-                )
-            )
-            where = "held-out error" if found["period"] == "validation" else "error"
-            what = "own offsets" if not differing else "re-estimating"
-            reasons.append(
-                f"{where} of the {name}: {before:.2f} {u} as it is, {after:.2f} {u} after {what}{bounds}"
-            )
-    if against:
-        return NOT, against + reasons
-    if doubts:
-        return OPEN, doubts + reasons
-    return (PARTLY if differing else TRANSFERS), reasons
+    return against, doubts
 
 
-def sentence(verdict: str, differing: Sequence[str]) -> str:
-    """The verdict in words."""
-    return f"{verdict} {_list(differing)}" if verdict == PARTLY else verdict
+def _worse_than_before(found: TransferResult) -> list[str]:
+    """Objections where re-estimating enlarges the error beyond its bounds."""
+    return [
+        f"re-estimating {_list(found.re_estimate)} makes the error of the simulated {name} larger by "
+        f"{-gain.gain:.2f} {unit}, beyond its bounds: what the identification period says does not hold "
+        "afterwards; take a longer one"
+        for _, (name, unit), gain in _gains(found, "over_as_is")
+        if found.re_estimate and gain.upper < 0.0
+    ]
+
+
+def _errors_before_and_after(found: TransferResult) -> list[str]:
+    """The error of each quantity with the original values and with the re-estimated ones."""
+    reasons = []
+    where = "held-out error" if found.period == "validation" else "error"
+    what = "re-estimating" if found.re_estimate else "own offsets"
+    for quantity, (name, unit), gain in _gains(found, "over_as_is"):
+        table = found.rmse[quantity]
+        bounds = ""
+        if not math.isnan(gain.lower):
+            bounds = f", a gain of {gain.gain:.2f} {unit} ({gain.lower:.2f} … {gain.upper:.2f}, 95 %)"
+        reasons.append(
+            f"{where} of the {name}: {table['as_is'].total:.2f} {unit} as it is, "
+            f"{table['re_estimated'].total:.2f} {unit} after {what}{bounds.replace('-', '−')}"
+        )
+    return reasons
+
+
+def _gains(
+    found: TransferResult, over: Literal["over_as_is", "over_rule"]
+) -> Iterator[tuple[str, tuple[str, str], Gain]]:
+    """Quantity, its name and unit, and the gain of the re-estimated set."""
+    for quantity, rows in found.gains.items():
+        gain: Gain | None = getattr(rows.get("re_estimated"), over, None)
+        if gain is not None:
+            yield quantity, QUANTITIES[quantity], gain
 
 
 def _list(names: Sequence[str]) -> str:

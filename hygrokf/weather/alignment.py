@@ -2,12 +2,14 @@
 
 A lag is found twice, by what two clocks that differ must both show:
 
-- by the weather: both courses without their slow part (the running mean of a day) and without the mean day of each month;
-  the lag at which they correlate best.  Fronts, clouds and showers set it, the sun's warming of a sensor does not.
-- by the mean day: the phase between the daily waves of both courses.  A sensor in the sun, or in a slow housing, moves it
-  by half an hour; a front that reaches the one place before the other does not.
+- by the weather: both courses without their slow part (the running mean of a day) and without the mean day of
+  each month; the lag at which they correlate best.  Fronts, clouds and showers set it, the sun's warming of a
+  sensor does not.
+- by the mean day: the phase between the daily waves of both courses.  A sensor in the sun, or in a slow
+  housing, moves it by half an hour; a front that reaches the one place before the other does not.
 
-Bounds are quantiles of a bootstrap of blocks of five days, which keeps what is correlated within a weather situation.
+Bounds are quantiles of a bootstrap of blocks of five days, which keeps what is correlated within a weather
+situation.
 """
 
 from __future__ import annotations
@@ -20,9 +22,8 @@ import numpy as np
 from hygrokf.data.ambient import at_times, bridge_h
 from hygrokf.data.input_paths import centred
 from hygrokf.data.record import Series
-from hygrokf.data.timestamps import summer_time
+from hygrokf.data.timestamps import DAY_S, summer_time
 
-DAY_S = 86400.0
 GRID_S = 600.0
 """[s] grid on which both are held against each other; lags are found between its points by a parabola."""
 REACH_H = 14.0
@@ -76,7 +77,8 @@ class Alignment:
     offset: [SI unit] mean of one less other, at their stamps.
     amplitude, other_amplitude: [SI unit] of the daily wave. amplitude_ratio: one over other.
     whole: lag over all; winter, summer: outside and inside summer time, or None where either is too short.
-    change: [s] lag by the weather in summer less that in winter. mean_day_change: [s] the same by the mean day.
+    change: [s] lag by the weather in summer less that in winter. mean_day_change: [s] the same by the mean
+        day.
     months: (start [s], lag by the weather, lag by the mean day) of every month with enough days.
     """
 
@@ -99,7 +101,8 @@ class Alignment:
 
 
 def align(one: Series, other: Series, *, america: bool = False, seed: int = 0) -> Alignment | None:
-    """Lag, offset and daily course of one series against another of the same signal; None below 20 common days.
+    """Lag, offset and daily course of one series against another of the same signal; None below 20 common
+    days.
 
     one, other: any holds and steps up to an hour or two; means stand in the middle of their interval.
     america: whether summer time is North America's. seed: of the bootstrap.
@@ -150,7 +153,8 @@ def align(one: Series, other: Series, *, america: bool = False, seed: int = 0) -
             lag, _ = _lag(sums, inside, random)
             months.append((float(month.astype("datetime64[s]").astype(int)), lag.weather, lag.mean_day))
     return Alignment(
-        one.signal, _file(one), _file(other), float(start), float(end), days, offset, size * wave, size * other_wave,
+        one.signal, _file(one), _file(other), float(start), float(end), days, offset, size * wave,
+        size * other_wave,
         ratio, whole, winter, summer, change, mean_day_change, tuple(months),
     )  # fmt: skip
 
@@ -161,8 +165,8 @@ def mean_days(
     """Mean daily courses of both by the hour of UTC, winter and summer apart, for a picture.
 
     one, other: as for `align`. shift: [s] added to the stamps of `one` in winter and in summer.
-    Returns "winter" and "summer" -> (hour [h] (24,), one (24,), other (24,)), deviations from the day's mean [SI unit];
-    a season without 10 days is left out.
+    Returns "winter" and "summer" -> (hour [h] (24,), one (24,), other (24,)), deviations from the day's mean
+    [SI unit]; a season without 10 days is left out.
     """
     first, second = centred(one), centred(other)
     start, end = (f(first.known[0][k], second.known[0][k]) for f, k in ((max, 0), (min, -1)))
@@ -250,7 +254,8 @@ def _moved(value: np.ndarray, steps: int) -> np.ndarray:
 
 
 def _without_slow(value: np.ndarray) -> np.ndarray:
-    """Values less their running mean over a day; NaN where less than 60 % of that day are known, and at either end."""
+    """Values less their running mean over a day; NaN where less than 60 % of that day are known, and at
+    either end."""
     half = round(0.5 * DAY_S / GRID_S)
     known = np.isfinite(value)
     total = np.concatenate([[0.0], np.cumsum(np.where(known, value, 0.0))])
@@ -317,7 +322,8 @@ def _lag(
 
 
 def _peaks(lags: np.ndarray, curves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where curves (N, L) are highest [s] (N,), between their points by a parabola through seven, and how high they are there."""
+    """Where curves (N, L) are highest [s] (N,), between their points by a parabola through seven, and how
+    high they are there."""
     top = np.argmax(curves, axis=1)
     reach = 3
     middle = np.clip(top, reach, curves.shape[1] - 1 - reach)

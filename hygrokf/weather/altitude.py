@@ -24,7 +24,8 @@ def pressure_ratio(temperature: np.ndarray, rise_m: float, lapse_rate: float = L
     lapse_rate: [K/m] Γ, by which temperature falls with height.
 
     Hydrostatic balance of dry air dp/dz = −g p/(R_d T) with T(z + Δz) = T − Γ Δz:
-    (1 − Γ Δz/T)^(g/(R_d Γ)), and exp(−g Δz/(R_d T)) for Γ = 0.  Moisture changes it by less than 0.1 % over 500 m.
+    (1 − Γ Δz/T)^(g/(R_d Γ)), and exp(−g Δz/(R_d T)) for Γ = 0.  Moisture changes it by less than 0.1 % over
+    500 m.
     """
     kelvin = np.asarray(temperature, dtype=float)
     if abs(lapse_rate) < 1e-9:
@@ -37,14 +38,15 @@ def at_altitude(
 ) -> Record:
     """A record of weather, moved to the height of the site.
 
-    record: of ambient signals. altitude_m: [m] of the site. from_m: [m] that the record is of; None: that of its site.
+    record: of ambient signals. altitude_m: [m] of the site. from_m: [m] that the record is of; None: that of
+        its site.
     lapse_rate: [K/m] by which temperature falls with height, -0.02 … 0.02.
 
-    Temperature changes by the lapse rate, pressure by hydrostatic balance.  The mixing ratio ε e/(p − e) of the air stays,
-    so that vapour pressure and pressure change by the same factor; where the cooled air could not hold it, the dew point
-    is the temperature (the rest has condensed on the way up), and how often is said.  Sun, wind, cloud and rain stay as
-    they are.  The lapse rate of single hours differs, in winter inversions even in sign; what is right on average is
-    not right each hour.
+    Temperature changes by the lapse rate, pressure by hydrostatic balance.  The mixing ratio ε e/(p − e) of
+    the air stays, so that vapour pressure and pressure change by the same factor; where the cooled air could
+    not hold it, the dew point is the temperature (the rest has condensed on the way up), and how often is
+    said.  Sun, wind, cloud and rain stay as they are.  The lapse rate of single hours differs, in winter
+    inversions even in sign; what is right on average is not right each hour.
 
     Raises ValueError where the record's height is not known, or a number is out of its range.
     """

@@ -1,7 +1,7 @@
 """The bytes of a weather file: what it is, and what a ZIP or gzip file holds, within limits.
 
-An archive is read in memory, a piece at a time, up to a stated size and ratio; the sizes that it states about itself
-are not believed, and no path of it is ever written to.
+An archive is read in memory, a piece at a time, up to a stated size and ratio; the sizes that it states about
+itself are not believed, and no path of it is ever written to.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ from hygrokf.errors import suggestion
 MOST_BYTES = 2**31
 """Bytes that a file may hold, packed or unpacked: a decade of one country's grid of hourly fields is 1 GB."""
 MOST_RATIO = 200.0
-"""Unpacked over packed size: weather as text packs to a tenth, packed fields hardly at all, a bomb to a thousandth."""
+"""Unpacked over packed size: weather as text packs to a tenth, packed fields hardly at all, a bomb to a
+thousandth."""
 RATIO_FROM = 2**20
 """Bytes from which the ratio counts: a small file may hold one value only, and does no harm."""
 MOST_MEMBERS = 100

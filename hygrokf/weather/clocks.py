@@ -1,20 +1,20 @@
-"""What two weather sources say about each other's clocks: right, off by a constant, or off with summer time."""
+"""What two weather sources say about each other's clocks: right, off by a constant, or off with summer
+time."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from hygrokf.data.record import Record
-from hygrokf.data.signals import difference_from_si, signal_named
-from hygrokf.data.timestamps import modal_step
-from hygrokf.weather.alignment import DAY_S, UNKNOWN, Alignment, Bounded, Lag, align
+from hygrokf.data.timestamps import DAY_S, modal_step
+from hygrokf.weather.alignment import UNKNOWN, Alignment, Bounded, Lag, align
 
 MINUTE_S = 60.0
 TOLERANCE_S = 20.0 * MINUTE_S
-"""[s] within which a lag is no clock error: slow housings, and fronts that meet a grid cell's middle before the site."""
+"""[s] within which a lag is no clock error: slow housings, and fronts that meet a grid cell's middle before
+the site."""
 APART_S = 60.0 * MINUTE_S
 """[s] by which the lags by the weather and by the mean day may differ where both come from a clock."""
 NOT_COMPARED = ("wind_direction", "rain")
@@ -27,8 +27,8 @@ JUDGES = ("ambient_temperature", "global_horizontal_irradiance")
 class ClockError:
     """How one source's clock goes against another's.
 
-    one, other: the sources. kind: "right", "constant", "seasonal", or "unclear": nothing can be told, or what moves the
-        weather does not move the mean day, as between distant places.
+    one, other: the sources. kind: "right", "constant", "seasonal", or "unclear": nothing can be told, or what
+        moves the weather does not move the mean day, as between distant places.
     winter, summer: [s] how much later readings of `one` are stamped; equal unless seasonal.
     mean_day_winter, mean_day_summer: [s] the same by the mean day. alignments: what it is judged by.
     """
@@ -44,7 +44,8 @@ class ClockError:
 
     @property
     def corrections_s(self) -> tuple[float, float]:
-        """What to add to the stamps of `one` in winter and in summer [s], rounded as zones are; (0, 0) if nothing."""
+        """What to add to the stamps of `one` in winter and in summer [s], rounded as zones are; (0, 0) if
+        nothing."""
         if self.kind not in ("constant", "seasonal"):
             return 0.0, 0.0
         winter = rounded(-self.winter.value)
@@ -52,7 +53,8 @@ class ClockError:
 
 
 def rounded(seconds: float) -> float:
-    """A correction as clocks are set wrong [s]: 0 within 20 min, whole hours within 15, half hours within 10, else 5 min."""
+    """A correction as clocks are set wrong [s]: 0 within 20 min, whole hours within 15, half hours within 10,
+    else 5 min."""
     hour, half = 3600.0 * round(seconds / 3600.0), 1800.0 * round(seconds / 1800.0)
     if abs(seconds) <= TOLERANCE_S:
         return 0.0
@@ -67,8 +69,8 @@ def alignments(record: Record, seed: int = 0) -> tuple[Alignment, ...]:
     """Every series of a record that is compared, against that of the same signal which is used.
 
     record: with `compared` series. seed: of the bootstrap.
-    What is held against is the series with the longer step, as those of reanalyses are, else the one that is only
-    compared; it is the `other` of an alignment.
+    What is held against is the series with the longer step, as those of reanalyses are, else the one that is
+    only compared; it is the `other` of an alignment.
     """
     america = record.site is not None and record.site.in_north_america
     found = []
@@ -87,10 +89,10 @@ def alignments(record: Record, seed: int = 0) -> tuple[Alignment, ...]:
 def clock_errors(found: Sequence[Alignment]) -> tuple[ClockError, ...]:
     """What the comparisons say about clocks, one for each pair of sources.
 
-    found: of `alignments`. A clock is off where the weather's lag lies beyond 20 min with its bounds, and the mean day's
-    lag to the same side, within an hour of it: what moves one alone is no clock.  It is off with summer time where both
-    change by more than 20 min (the mean day: 15 min) between winter and summer.  Where no mean day can be judged, of wind
-    alone for instance, 30 min are asked of the weather.
+    found: of `alignments`. A clock is off where the weather's lag lies beyond 20 min with its bounds, and the
+    mean day's lag to the same side, within an hour of it: what moves one alone is no clock.  It is off with
+    summer time where both change by more than 20 min (the mean day: 15 min) between winter and summer.  Where
+    no mean day can be judged, of wind alone for instance, 30 min are asked of the weather.
     """
     pairs: dict[tuple[str, str], list[Alignment]] = {}
     for one in found:
@@ -137,7 +139,8 @@ def _mean_day(found: Sequence[Alignment], name: str) -> Bounded:
 
 
 def _combined(estimates: Sequence[Bounded]) -> Bounded:
-    """Mean of estimates of the same lag, weighed by their variances; its bounds take in how far they lie apart."""
+    """Mean of estimates of the same lag, weighed by their variances; its bounds take in how far they lie
+    apart."""
     known = [one for one in estimates if one.known]
     if len(known) < 2:
         return known[0] if known else UNKNOWN
@@ -168,9 +171,11 @@ def _off(weather: Bounded, day: Bounded) -> bool:
 
 
 def clock_sentences(errors: Sequence[ClockError], south: bool = False) -> list[str]:
-    """What is wrong with clocks, one sentence a pair of sources, with what to do; nothing for those that are right.
+    """What is wrong with clocks, one sentence a pair of sources, with what to do; nothing for those that are
+    right.
 
-    south: whether the site lies in the southern half of the Earth, where summer time is that of the other season.
+    south: whether the site lies in the southern half of the Earth, where summer time is that of the other
+        season.
     """
     return [_sentence(one, south) for one in errors if one.kind in ("constant", "seasonal")]
 
@@ -179,7 +184,8 @@ def _sentence(error: ClockError, south: bool) -> str:
     winter, summer = error.corrections_s
     if error.kind == "constant":
         return (
-            f"the clock of {error.one} runs {_pace(winter)} against {error.other}: by their stamps the weather comes "
+            f"the clock of {error.one} runs {_pace(winter)} against {error.other}: by their stamps the "
+            "weather comes "
             f"{_late(error.winter)}; its stamps need {_signed(winter)}. If {error.other} is right, state "
             f'clock_correction = "{_signed(winter).replace(" ", "")}" in that source'
         )
@@ -189,18 +195,20 @@ def _sentence(error: ClockError, south: bool) -> str:
     remedy = ""
     if abs((summer - winter) - 3600.0) < 1.0:
         remedy = (
-            ": it has no summer time although its stamps are read with it. Read them at the clock's own fixed offset: "
-            f"timezone = {_zone(winter)}, with ignore_offset = true where the stamps carry offsets"
+            ": it has no summer time although its stamps are read with it. Read them at the clock's own "
+            f"fixed offset: timezone = {_zone(winter)}, with ignore_offset = true where the stamps carry "
+            "offsets"
         )
     elif abs((summer - winter) + 3600.0) < 1.0:
         remedy = (
-            ": it follows summer time although its stamps are read at a fixed offset. State its zone by name, such as "
+            ": it follows summer time although its stamps are read at a fixed offset. State its zone by "
+            "name, such as "
             'timezone = "Europe/Berlin"'
         )
     return (
         f"the clock of {error.one} runs {paces} against {error.other}: by their stamps the weather comes "
-        f"{_late(error.winter)} in winter and {_late(error.summer)} in summer; its stamps need {_signed(winter)} in "
-        f"winter and {_signed(summer)} in summer{remedy}"
+        f"{_late(error.winter)} in winter and {_late(error.summer)} in summer; its stamps need "
+        f"{_signed(winter)} in winter and {_signed(summer)} in summer{remedy}"
     )
 
 
@@ -209,19 +217,21 @@ def _southern(error: ClockError, first_s: float, second_s: float) -> str:
     remedy = ""
     if abs((second_s - first_s) - 3600.0) < 1.0:
         remedy = (
-            ": it seems to follow summer time although its stamps are read at a fixed offset. State its zone by name, such as "
+            ": it seems to follow summer time although its stamps are read at a fixed offset. State its zone "
+            "by name, such as "
             'timezone = "Australia/Sydney"'
         )
     elif abs((second_s - first_s) + 3600.0) < 1.0:
         remedy = (
-            ": it seems to have no summer time although its stamps are read with it. Read them at the clock's own fixed "
-            "offset, with ignore_offset = true where the stamps carry offsets"
+            ": it seems to have no summer time although its stamps are read with it. Read them at the "
+            "clock's own fixed offset, with ignore_offset = true where the stamps carry offsets"
         )
     early, late = "from November to March", "from April to October"
     return (
-        f"the clock of {error.one} runs {_pace(first_s)} {early} and {_pace(second_s)} {late} against {error.other}: by "
-        f"their stamps the weather comes {_late(error.winter)} {early} and {_late(error.summer)} {late}; its stamps need "
-        f"{_signed(first_s)} {early} and {_signed(second_s)} {late}{remedy}"
+        f"the clock of {error.one} runs {_pace(first_s)} {early} and {_pace(second_s)} {late} against "
+        f"{error.other}: by their stamps the weather comes {_late(error.winter)} {early} and "
+        f"{_late(error.summer)} {late}; its stamps need {_signed(first_s)} {early} and {_signed(second_s)} "
+        f"{late}{remedy}"
     )
 
 
@@ -258,78 +268,71 @@ def _late(lag: Bounded) -> str:
     return f"{abs(lag.value) / MINUTE_S:.0f} min {way} ({ends[0]:.0f} … {ends[1]:.0f})"
 
 
-def described(errors: Sequence[ClockError]) -> list[dict[str, Any]]:
-    """The comparisons as plain numbers, ready for JSON: one dictionary a signal; lags in seconds, None where not told.
+@dataclass(frozen=True)
+class LagFound:
+    """How much later one source is stamped than another [s], with 95 % bounds (value, lower, upper).
 
-    errors: of `clock_errors`. Offsets and amplitudes are in the SI unit of the signal.
+    `weather_s` by the weather's changes, `mean_day_s` by the mean day, None where nothing can be told;
+    `correlation` [1] of the changes; `days` [d] in common.
     """
-    rows = []
-    for error in errors:
-        for one in error.alignments:
-            rows.append(
-                {
-                    "signal": one.signal,
-                    "one": one.one,
-                    "other": one.other,
-                    "days": round(one.days, 2),
-                    "offset": _plain(one.offset),
-                    "daily_amplitude": float(f"{one.amplitude:.4g}"),
-                    "other_daily_amplitude": float(f"{one.other_amplitude:.4g}"),
-                    "lags": {
-                        name: None
-                        if lag is None
-                        else {
-                            "weather_s": _plain(lag.weather),
-                            "mean_day_s": _plain(lag.mean_day),
-                            "correlation": float(f"{lag.correlation:.3g}"),
-                            "days": round(lag.days, 2),
-                        }
-                        for name, lag in (
-                            ("whole", one.whole),
-                            ("winter", one.winter),
-                            ("summer", one.summer),
-                        )
-                    },
-                    "clock": error.kind,
-                    "corrections_s": list(error.corrections_s),
-                }
-            )
-    return rows
+
+    weather_s: tuple[float, float, float] | None
+    mean_day_s: tuple[float, float, float] | None
+    correlation: float
+    days: float
 
 
-def _plain(one: Bounded) -> list[float] | None:
-    """Value and bounds, or None."""
-    return [float(f"{number:.4g}") for number in (one.value, one.low, one.high)] if one.known else None
+@dataclass(frozen=True)
+class SourceComparison:
+    """One signal of two sources.
 
-
-def comparison_rows(rows: Sequence[dict[str, Any]]) -> list[tuple[str, ...]]:
-    """The comparisons as cells of a table with its head, for the terminal.
-
-    rows: of `described`. Lags are minutes by the weather, with bounds; positive where the first source is late.
+    `days` [d] in common; `offset` of `one` against `other` with bounds, and both daily amplitudes, in the SI
+    unit of the signal; `lags` over the whole record ("whole") and by season; `clock` the kind of the clock's
+    error (`ClockError.kind`); `corrections_s` what to add to the stamps of `one` in winter and in summer.
     """
-    head = ("compared", "source", "against", "offset", "lag in winter", "lag in summer", "daily wave")
-    table: list[tuple[str, ...]] = [head]
-    for row in rows:
-        signal = signal_named(row["signal"])
-        unit = "K" if signal.display == "degC" else signal.display
-        offset = difference_from_si(row["offset"][0], signal.display, signal)
-        share = (
-            row["daily_amplitude"] / row["other_daily_amplitude"]
-            if row["other_daily_amplitude"]
-            else math.nan
+
+    signal: str
+    one: str
+    other: str
+    days: float
+    offset: tuple[float, float, float] | None
+    daily_amplitude: float
+    other_daily_amplitude: float
+    lags: Mapping[str, LagFound | None]
+    clock: str
+    corrections_s: tuple[float, float]
+
+
+def source_comparisons(errors: Sequence[ClockError]) -> tuple[SourceComparison, ...]:
+    """The comparisons of `clock_errors`, one for each signal, with rounded numbers."""
+    return tuple(
+        SourceComparison(
+            one.signal,
+            one.one,
+            one.other,
+            round(one.days, 2),
+            _rounded(one.offset),
+            float(f"{one.amplitude:.4g}"),
+            float(f"{one.other_amplitude:.4g}"),
+            {name: _lag_found(getattr(one, name)) for name in ("whole", "winter", "summer")},
+            error.kind,
+            error.corrections_s,
         )
-        lags = [_lag_text(row["lags"][season] or row["lags"]["whole"]) for season in ("winter", "summer")]
-        table.append(
-            (
-                row["signal"], row["one"], row["other"], f"{offset:+.2g} {unit}".rstrip(" 1"), *lags,
-                f"{100 * share:.0f} %" if math.isfinite(share) else "-",
-            )
-        )  # fmt: skip
-    return table
+        for error in errors
+        for one in error.alignments
+    )
 
 
-def _lag_text(lag: dict[str, Any]) -> str:
-    if lag["weather_s"] is None:
-        return "-"
-    value, low, high = (number / MINUTE_S for number in lag["weather_s"])
-    return f"{value:+.0f} min ({low:+.0f} … {high:+.0f})"
+def _lag_found(lag: Lag | None) -> LagFound | None:
+    if lag is None:
+        return None
+    correlation = float(f"{lag.correlation:.3g}")
+    return LagFound(_rounded(lag.weather), _rounded(lag.mean_day), correlation, round(lag.days, 2))
+
+
+def _rounded(one: Bounded) -> tuple[float, float, float] | None:
+    """Value and bounds; None where they are not known."""
+    if not one.known:
+        return None
+    value, low, high = (float(f"{number:.4g}") for number in (one.value, one.low, one.high))
+    return value, low, high

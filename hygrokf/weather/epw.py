@@ -1,4 +1,5 @@
-"""Reads EPW, the weather of building simulation: 8760 hours of a typical or of a real year, in local standard time."""
+"""Reads EPW, the weather of building simulation: 8760 hours of a typical or of a real year, in local standard
+time."""
 
 from __future__ import annotations
 
@@ -17,11 +18,11 @@ import numpy as np
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import from_si, signal_named, to_si
+from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.physics.psychrometrics import dew_point, vapour_pressure
 from hygrokf.weather.archive import contents
 from hygrokf.weather.fields import saturation_doubt
 
-HOUR_S = 3600.0
 _HEADER = 8
 _COLUMNS = {
     # signal: column (from 0), unit, code from which a value is missing, hold
@@ -47,7 +48,8 @@ _NINES = (99.0, 99.9, 99.99, *(10.0**power - 1.0 for power in range(3, 10)), 999
 class _Lines:
     """What stands in the file, hour by hour.
 
-    calendar: (T, 4) year, month, day, hour 1…24 as written. value: signal -> (T,) in the unit of `_COLUMNS`, NaN = missing.
+    calendar: (T, 4) year, month, day, hour 1…24 as written. value: signal -> (T,) in the unit of `_COLUMNS`,
+        NaN = missing.
     """
 
     calendar: np.ndarray
@@ -57,15 +59,18 @@ class _Lines:
 def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     """Record of ambient signals from an EPW file, in SI units and UTC.
 
-    path: .epw, gzip of it, or a ZIP archive with one in it. year: a typical year is put together from months of different years; it needs the
-        calendar year in which it is to stand, and every hour is moved there. None: the file's own year.
+    path: .epw, gzip of it, or a ZIP archive with one in it. year: a typical year is put together from months
+        of different years; it needs the calendar year in which it is to stand, and every hour is moved there.
+        None: the file's own year.
 
-    Hour h of a day ends at h o'clock of local standard time, with the header's time zone.  Temperature, humidity, pressure,
-    wind and cloud are instants at that end; radiation (Wh/m² within the hour, so W/m² as its mean) and rain belong to the
-    hour.  The codes for a missing value (99.9, 999, 9999, 99999, 999999) are NaN.  Where the dew point is missing it is
-    made from relative humidity over water.  In a leap year 28 February is repeated where the file has no 29 February.
+    Hour h of a day ends at h o'clock of local standard time, with the header's time zone.  Temperature,
+    humidity, pressure, wind and cloud are instants at that end; radiation (Wh/m² within the hour, so W/m² as
+    its mean) and rain belong to the hour.  The codes for a missing value (99.9, 999, 9999, 99999, 999999) are
+    NaN.  Where the dew point is missing it is made from relative humidity over water.  In a leap year 28
+    February is repeated where the file has no 29 February.
 
-    Raises TableFault with every fault: not an EPW file, lines missing, text among numbers, a typical year without `year`.
+    Raises TableFault with every fault: not an EPW file, lines missing, text among numbers, a typical year
+    without `year`.
     """
     file = Path(path)
     found, digest = contents(file)
@@ -87,8 +92,8 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     if year is None and len(years) > 1:
         raise TableFault(
             [
-                f"is a typical year put together from months of {years[0]} … {years[-1]}; state the calendar year in "
-                "which it is to stand, such as year = 2019"
+                f"is a typical year put together from months of {years[0]} … {years[-1]}; state the calendar "
+                "year in which it is to stand, such as year = 2019"
             ]
         )
     if year is not None:
@@ -104,7 +109,23 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     warnings += _dew_point_completed(value, faults)
     warnings += saturation_doubt(value["ambient_temperature"], value["ambient_dew_point_temperature"])
     warnings.append("wind_speed is that at 10 m, not at hub height")
-    source = f"{file.name}, column"
+    series = _series(value, time, file.name, place, faults)
+    if "ambient_temperature" not in {one.signal for one in series} and not faults:
+        faults.append("no dry-bulb temperature: all values of column 7 are missing")
+    if faults:
+        raise TableFault(faults)
+    if "wind_speed" not in {one.signal for one in series}:
+        warnings.remove("wind_speed is that at 10 m, not at hub height")
+    return Record(file.name, tuple(series), site, warnings=tuple(warnings), provenance=((file.name, digest),))
+
+
+def _series(
+    value: dict[str, np.ndarray], time: np.ndarray, file: str, place: str, faults: list[str]
+) -> list[Series]:
+    """Series in SI units of the values (T,) in the file's units; what cannot be goes to `faults`.
+
+    time: (T,) [s] ends of the hours.  file: its name.  place: in words, for the sources of the series.
+    """
     series = []
     for signal, (column, unit, _, kind) in _COLUMNS.items():
         if signal == "ambient_relative_humidity" or signal not in value or np.isnan(value[signal]).all():
@@ -115,8 +136,8 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
         if low < row.low or high > row.high:
             shown = [f"{float(from_si(end, row.display, row)):.4g}" for end in (low, high)]
             faults.append(
-                f"column {column + 1}: {signal} would lie at {shown[0]} … {shown[1]} {row.display}, which cannot be: "
-                "the columns are moved, or in other units"
+                f"column {column + 1}: {signal} would lie at {shown[0]} … {shown[1]} {row.display}, which "
+                "cannot be: the columns are moved, or in other units"
             )
             continue
         held = kind != "instant"
@@ -127,17 +148,11 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
                 number,
                 "zero-order" if held else "linear",
                 HOUR_S if held else 0.0,
-                source=f"{source} {column + 1} at {place}",
+                source=f"{file}, column {column + 1} at {place}",
                 height_m=_WIND_HEIGHT_M if signal.startswith("wind_") else None,
             )
         )
-    if "ambient_temperature" not in {one.signal for one in series} and not faults:
-        faults.append("no dry-bulb temperature: all values of column 7 are missing")
-    if faults:
-        raise TableFault(faults)
-    if "wind_speed" not in {one.signal for one in series}:
-        warnings.remove("wind_speed is that at 10 m, not at hub height")
-    return Record(file.name, tuple(series), site, warnings=tuple(warnings), provenance=((file.name, digest),))
+    return series
 
 
 def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float, str]:
@@ -148,7 +163,8 @@ def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float
         latitude, longitude, zone, altitude = (float(cells[column]) for column in (6, 7, 8, 9))
     except (IndexError, ValueError):
         faults.append(
-            f"line 1: expected LOCATION with {', '.join(names)} in cells 7 to 10, found {', '.join(cells[6:10]) or 'none'}"
+            f"line 1: expected LOCATION with {', '.join(names)} in cells 7 to 10, found "
+            f"{', '.join(cells[6:10]) or 'none'}"
         )
         return None, 0.0, ""
     if not -14.0 <= zone <= 14.0:
@@ -225,7 +241,8 @@ def _expect_hour(year: int, month: int, day: int, hour: int) -> None:
 
 
 def _expected_hours(periods: Sequence[str]) -> int | None:
-    """Hours from the first to the last day of the header's period, without 29 February; None where it names none."""
+    """Hours from the first to the last day of the header's period, without 29 February; None where it names
+    none."""
     days = []
     for cell in periods[5:7]:
         parts = [part.strip() for part in cell.split("/")]
@@ -241,7 +258,8 @@ def _expected_hours(periods: Sequence[str]) -> int | None:
 
 
 def _placed(lines: _Lines, year: int) -> tuple[_Lines, list[str]]:
-    """The hours in one calendar year; 28 February comes twice in a leap year, 29 February is left out of others."""
+    """The hours in one calendar year; 28 February comes twice in a leap year, 29 February is left out of
+    others."""
     if not 1900 <= year <= 2200:
         raise TableFault([f"year must lie within 1900 … 2200, found {year}"])
     month, day = lines.calendar[:, 1], lines.calendar[:, 2]
@@ -271,7 +289,7 @@ def _local_seconds(stamps: np.ndarray) -> np.ndarray:
     """Ends of hours as seconds since 1970-01-01T00:00 of the local clock [s]."""
     months = (stamps[:, 0] - 1970) * 12 + stamps[:, 1] - 1
     days = months.astype("datetime64[M]").astype("datetime64[D]").astype(int) + stamps[:, 2] - 1
-    return days * 86400.0 + stamps[:, 3] * HOUR_S
+    return days * DAY_S + stamps[:, 3] * HOUR_S
 
 
 def _dew_point_completed(value: dict[str, np.ndarray], faults: list[str]) -> list[str]:
@@ -288,6 +306,7 @@ def _dew_point_completed(value: dict[str, np.ndarray], faults: list[str]) -> lis
     highest = float(np.nanmax(value["ambient_relative_humidity"]))
     if highest <= 1.5:
         faults.append(
-            f"column 9: relative humidity reaches {highest:.3g} only, expected per cent: its numbers look like fractions"
+            f"column 9: relative humidity reaches {highest:.3g} only, expected per cent: its numbers look "
+            "like fractions"
         )
     return [f"{int(lacking.sum())} dew points are missing and made from relative humidity over water"]

@@ -25,13 +25,15 @@ if TYPE_CHECKING:
 def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
     """Record of ambient signals from a file of ERA5 (or ERA5-Land), in SI units and UTC.
 
-    path: NetCDF in the layout of today (`valid_time`) or before September 2024 (`time`, perhaps `expver`), a ZIP
-        archive of such (instantaneous and accumulated fields come apart), the point product's CSV, or a ZIP of it.
+    path: NetCDF in the layout of today (`valid_time`) or before September 2024 (`time`, perhaps `expver`), a
+        ZIP archive of such (instantaneous and accumulated fields come apart), the point product's CSV, or a
+        ZIP of it.
     site: the nearest cell of a grid is taken; may be None for a file of one point.
 
-    The record's site is the point of the reanalysis, with the height of its ground where the file has the geopotential;
-    each series names the point and its distance from the site in its source.  Temperature, dew point, pressure, wind and
-    cloud are instants; radiation and rain belong to the hour that ends at the stamp.
+    The record's site is the point of the reanalysis, with the height of its ground where the file has the
+    geopotential; each series names the point and its distance from the site in its source.  Temperature, dew
+    point, pressure, wind and cloud are instants; radiation and rain belong to the hour that ends at the
+    stamp.
 
     Raises TableFault with every fault, for an archive with the member that has it.
     """
@@ -102,8 +104,8 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
         listed = ", ".join(frame.columns[:12])
         raise TableFault(
             [
-                "expected the point product's CSV with valid_time and fields such as t2m, d2m, sp; found the columns "
-                f"{listed}: name another table as a plain source, with its columns"
+                "expected the point product's CSV with valid_time and fields such as t2m, d2m, sp; found the "
+                f"columns {listed}: name another table as a plain source, with its columns"
             ]
         )
     if not len(frame):
@@ -126,8 +128,8 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
         if spots.isna().any(axis=None):
             row = int(np.argmax(spots.isna().any(axis=1).to_numpy()))
             faults.append(
-                f"line {int(spots.index[row]) + 2}: no latitude and longitude: the file is damaged or cut short; "
-                "fetch it again"
+                f"line {int(spots.index[row]) + 2}: no latitude and longitude: the file is damaged or cut "
+                "short; fetch it again"
             )
         elif len(spots) > 1:
             faults.append(f"holds {len(spots)} points; expected one: write each into a file of its own")
@@ -154,7 +156,8 @@ def _csv_time(column: pandas.Series, name: str) -> np.ndarray:
         row = int(np.argmax(wrong))
         raise TableFault(
             [
-                f'column "{name}": expected stamps such as 2024-01-01 00:00:00, found "{column.iloc[row]}" in line '
+                f'column "{name}": expected stamps such as 2024-01-01 00:00:00, found "{column.iloc[row]}" '
+                "in line "
                 f"{row + 2}: the file is damaged or cut short; fetch it again"
             ]
         )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -11,9 +11,8 @@ import numpy as np
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import from_si, signal_named
-from hygrokf.data.timestamps import duration_text, modal_step
+from hygrokf.data.timestamps import DAY_S, HOUR_S, duration_text, modal_step
 
-HOUR_S = 3600.0
 GRAVITY = 9.80665
 """[m/s²] by which geopotential becomes height; the value of the reanalysis itself."""
 NO_HUMIDITY = (
@@ -33,8 +32,10 @@ class Field:
 class PointFields:
     """Fields of a reanalysis at one point, as in the file.
 
-    file: its name. time: [s] (T,) since 1970-01-01T00:00Z, in any order, repeats allowed. fields: name in the file -> field.
-    latitude_deg, longitude_deg: of the point, or None. altitude_m: [m] of the reanalysis' ground there, or None.
+    file: its name. time: [s] (T,) since 1970-01-01T00:00Z, in any order, repeats allowed. fields: name in the
+        file -> field.
+    latitude_deg, longitude_deg: of the point, or None. altitude_m: [m] of the reanalysis' ground there, or
+        None.
     place: of the point, in words. warnings: what was chosen or left out on the way.
     """
 
@@ -89,19 +90,23 @@ _UNITS: dict[str, dict[str, tuple[float, float]]] = {
 """What a field is of -> unit in the file -> (factor, offset) to K, Pa, m/s, W/m² over the hour, mm, 1, m."""
 
 _KINDS = {
-    "t2m": "temperature", "d2m": "temperature", "sp": "pressure", "u10": "speed", "v10": "speed", "u100": "speed",
-    "v100": "speed", "ssrd": "radiation", "fdir": "radiation", "avg_sdswrf": "radiation", "tp": "depth", "tcc": "share",
+    "t2m": "temperature", "d2m": "temperature", "sp": "pressure", "u10": "speed", "v10": "speed",
+    "u100": "speed",
+    "v100": "speed", "ssrd": "radiation", "fdir": "radiation", "avg_sdswrf": "radiation", "tp": "depth",
+    "tcc": "share",
     "z": "geopotential",
 }  # fmt: skip
 _OWN_UNIT = {
-    "temperature": "K", "pressure": "Pa", "speed": "m s**-1", "radiation": "J m**-2", "depth": "m", "share": "1",
+    "temperature": "K", "pressure": "Pa", "speed": "m s**-1", "radiation": "J m**-2", "depth": "m",
+    "share": "1",
     "geopotential": "m**2 s**-2",
 }  # fmt: skip
 _ACCUMULATED = ("ssrd", "fdir", "tp")
 
 
 def short_name(name: str) -> str | None:
-    """Short name of a field of ERA5, such as "t2m" for "2m_temperature"; None for a field that is not used."""
+    """Short name of a field of ERA5, such as "t2m" for "2m_temperature"; None for a field that is not
+    used."""
     for short, names in NAMES.items():
         if name in names or name.lower() in names:
             return short
@@ -120,18 +125,17 @@ def altitude_of(value: np.ndarray, unit: str | None) -> float | None:
 def point_record(points: PointFields, sha256: str = "", *, temperature: bool = True) -> Record:
     """Record of the fields at a point: SI units, each series with the hold of its own field.
 
-    points: the fields. sha256: of the file. temperature: whether there must be one; False for one of several files.
+    points: the fields. sha256: of the file. temperature: whether there must be one; False for one of several
+        files.
 
-    Instantaneous fields (temperature, dew point, pressure, wind, cloud) are instants.  Accumulated ones (radiation, rain)
-    are sums over the hour that ends at the stamp: radiation becomes the mean of that hour, J/m² / 3600 s, and both
-    hold over it.  Sums since midnight, as ERA5-Land has them, are told from hourly ones and turned into them first.
-    Diffuse radiation is the global less the direct one, both on a horizontal plane.  Wind is that at 100 m where it is
-    given, else that at 10 m, which is said.
+    Instantaneous fields (temperature, dew point, pressure, wind, cloud) are instants.  Accumulated ones
+    (radiation, rain) are sums over the hour that ends at the stamp: radiation becomes the mean of that hour,
+    J/m² / 3600 s, and both hold over it.  Sums since midnight, as ERA5-Land has them, are told from hourly
+    ones and turned into them first. Diffuse radiation is the global less the direct one, both on a horizontal
+    plane.  Wind is that at 100 m where it is given, else that at 10 m, which is said.
 
     Raises TableFault with every fault: an unknown unit, values that cannot be in their unit, no temperature.
     """
-    faults: list[str] = []
-    warnings = list(points.warnings)
     given = {short: (name, one) for name, one in points.fields.items() if (short := short_name(name))}
     if temperature and "t2m" not in given:
         raise TableFault(
@@ -145,60 +149,99 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
     order = np.argsort(points.time, kind="stable")
     time = points.time[order]
     fresh = np.append(True, np.diff(time) > 0.0)
+    made = _Making(points, given, time[fresh], [], list(points.warnings))
     if not fresh.all():
-        warnings.append(f"{int((~fresh).sum())} stamps occur more than once; the first of each kept")
-    time = time[fresh]
-    value: dict[str, np.ndarray] = {}
-    for short, (name, one) in given.items():
-        if short != "z":
-            raw = np.asarray(one.value, dtype=float)[order][fresh]
-            endless = np.isinf(raw)
-            if endless.any():
-                warnings.append(f"{name}: {int(endless.sum())} values are infinite, taken as missing")
-            value[short] = _converted(short, name, np.where(endless, np.nan, raw), one.unit, faults)
-            faults += _power_for_energy(short, name, one.unit, time, value[short])
-    for short in _ACCUMULATED:
-        if short in value and _since_midnight(time, value[short]):
-            if modal_step(time)[0] > HOUR_S:
-                faults.append(
-                    f"{given[short][0]}: sums since 00:00 UTC, every {duration_text(modal_step(time)[0])}; expected "
-                    "every hour, of which means can be made: ask for all 24 hours of the day"
-                )
-            value[short] = _hourly_sums(time, value[short])
-            warnings.append(f"{given[short][0]}: sums since 00:00 UTC, turned into those of each hour")
+        made.warnings.append(f"{int((~fresh).sum())} stamps occur more than once; the first of each kept")
+    value = _values(made, order[fresh])
+    series = _instants(made, value) + _sums(made, value) + _wind(made, value)
+    if made.faults:
+        raise TableFault(made.faults)
+    if temperature and "d2m" not in value:
+        made.warnings.append(NO_HUMIDITY)
+    if {"t2m", "d2m"} <= set(value):
+        made.warnings += saturation_doubt(value["t2m"], value["d2m"])
+    found = tuple(one for one in series if one is not None)
+    return Record(
+        points.file, found, _site(points), warnings=tuple(made.warnings),
+        provenance=((points.file, sha256),),
+    )  # fmt: skip
 
-    def made(
+
+@dataclass
+class _Making:
+    """A record on its way: the fields with their short names, the times (T,) [s], and what was found."""
+
+    points: PointFields
+    given: Mapping[str, tuple[str, Field]]
+    time: np.ndarray
+    faults: list[str]
+    warnings: list[str]
+
+    def series(
+        self,
         signal: str,
         number: np.ndarray,
         shorts: str,
         interval_s: float = 0.0,
         height_m: float | None = None,
     ) -> Series | None:
+        """A series of the values (T,) from the fields `shorts`; None where there is none, or a fault."""
         row = signal_named(signal)
-        names = " and ".join(given[short][0] for short in shorts.split())
+        names = " and ".join(self.given[short][0] for short in shorts.split())
         finite = number[np.isfinite(number)]
         if not len(finite):
-            warnings.append(f"{names}: no value at this point, {signal} is left out")
+            self.warnings.append(f"{names}: no value at this point, {signal} is left out")
             return None
         low, high = np.quantile(finite, [0.02, 0.98])
         if low < row.low or high > row.high:
             shown = [f"{float(from_si(end, row.display, row)):.4g}" for end in (low, high)]
             unit = "" if row.display == "1" else f" {row.display}"
-            faults.append(
-                f"{names}: {signal} would lie at {shown[0]} … {shown[1]}{unit}, which cannot be: the file states "
-                f"{_stated(given, shorts)}; correct it or fetch the file again"
+            self.faults.append(
+                f"{names}: {signal} would lie at {shown[0]} … {shown[1]}{unit}, which cannot be: the file "
+                f"states {_stated(self.given, shorts)}; correct it or fetch the file again"
             )
             return None
+        points = self.points
         source = f'{points.file}, column "{names}"' + (f" at {points.place}" if points.place else "")
         hold = "zero-order" if interval_s or row.dimension == "angle" else "linear"
-        # a direction holds over the hour before its stamp: between two of them a straight line may lead the wrong way
+        # a direction holds over the hour before its stamp: a straight line between two directions may turn
+        # the wrong way
         return Series(
-            signal, time, number, hold, interval_s or (HOUR_S if hold == "zero-order" else 0.0), source=source,
+            signal, self.time, number, hold, interval_s or (HOUR_S if hold == "zero-order" else 0.0),
+            source=source,
             height_m=height_m,
         )  # fmt: skip
 
-    series = [
-        made(signal, value[short], short)
+
+def _values(made: _Making, places: np.ndarray) -> dict[str, np.ndarray]:
+    """The values (T,) of each field at some of the file's times, in inner units; sums are of one hour."""
+    value: dict[str, np.ndarray] = {}
+    for short, (name, one) in made.given.items():
+        if short != "z":
+            raw = np.asarray(one.value, dtype=float)[places]
+            endless = np.isinf(raw)
+            if endless.any():
+                made.warnings.append(f"{name}: {int(endless.sum())} values are infinite, taken as missing")
+            value[short] = _converted(short, name, np.where(endless, np.nan, raw), one.unit, made.faults)
+            made.faults += _power_for_energy(short, name, one.unit, made.time, value[short])
+    for short in _ACCUMULATED:
+        if short in value and _since_midnight(made.time, value[short]):
+            name = made.given[short][0]
+            step = modal_step(made.time)[0]
+            if step > HOUR_S:
+                made.faults.append(
+                    f"{name}: sums since 00:00 UTC, every {duration_text(step)}; expected every hour, of "
+                    "which means can be made: ask for all 24 hours of the day"
+                )
+            value[short] = _hourly_sums(made.time, value[short])
+            made.warnings.append(f"{name}: sums since 00:00 UTC, turned into those of each hour")
+    return value
+
+
+def _instants(made: _Making, value: Mapping[str, np.ndarray]) -> list[Series | None]:
+    """Series of the instantaneous fields."""
+    return [
+        made.series(signal, value[short], short)
         for short, signal in (
             ("t2m", "ambient_temperature"),
             ("d2m", "ambient_dew_point_temperature"),
@@ -207,33 +250,34 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
         )
         if short in value
     ]
+
+
+def _sums(made: _Making, value: Mapping[str, np.ndarray]) -> list[Series | None]:
+    """Series of radiation and rain, which belong to the hour before their stamp."""
+    series = []
     if "ssrd" in value:
         sun = np.maximum(value["ssrd"], 0.0)  # NaN stays NaN
-        series.append(made("global_horizontal_irradiance", sun, "ssrd", HOUR_S))
+        series.append(made.series("global_horizontal_irradiance", sun, "ssrd", HOUR_S))
         if "fdir" in value:
             diffuse = np.maximum(sun - value["fdir"], 0.0)
-            series.append(made("diffuse_horizontal_irradiance", diffuse, "ssrd fdir", HOUR_S))
+            series.append(made.series("diffuse_horizontal_irradiance", diffuse, "ssrd fdir", HOUR_S))
     elif "avg_sdswrf" in value:
         sun = np.maximum(value["avg_sdswrf"], 0.0)
-        series.append(made("global_horizontal_irradiance", sun, "avg_sdswrf", HOUR_S))
+        series.append(made.series("global_horizontal_irradiance", sun, "avg_sdswrf", HOUR_S))
     if "tp" in value:
-        series.append(made("rain", np.maximum(value["tp"], 0.0), "tp", HOUR_S))
-    series += _wind(value, made, warnings)
-    if faults:
-        raise TableFault(faults)
-    if temperature and "d2m" not in value:
-        warnings.append(NO_HUMIDITY)
-    if {"t2m", "d2m"} <= set(value):
-        warnings += saturation_doubt(value["t2m"], value["d2m"])
-    site = None
-    if points.latitude_deg is not None and points.longitude_deg is not None:
-        east = (points.longitude_deg + 180.0) % 360.0 - 180.0
-        try:
-            site = Site(points.latitude_deg, east, points.altitude_m)
-        except ValueError as outside:
-            raise TableFault([f"the point of the file cannot be: {outside}"]) from None
-    found = tuple(one for one in series if one is not None)
-    return Record(points.file, found, site, warnings=tuple(warnings), provenance=((points.file, sha256),))
+        series.append(made.series("rain", np.maximum(value["tp"], 0.0), "tp", HOUR_S))
+    return series
+
+
+def _site(points: PointFields) -> Site | None:
+    """The point as a site; None where the file does not state it.  Raises TableFault."""
+    if points.latitude_deg is None or points.longitude_deg is None:
+        return None
+    east = (points.longitude_deg + 180.0) % 360.0 - 180.0
+    try:
+        return Site(points.latitude_deg, east, points.altitude_m)
+    except ValueError as outside:
+        raise TableFault([f"the point of the file cannot be: {outside}"]) from None
 
 
 def _converted(short: str, name: str, raw: np.ndarray, unit: str | None, faults: list[str]) -> np.ndarray:
@@ -263,12 +307,12 @@ def _power_for_energy(
     known = value[np.isfinite(value)]
     highest = float(known.max()) if len(known) else 0.0
     # even under the clouds of a winter at 60 degrees some hour in three days has more than 1 W/m²
-    if not 1e-3 < highest < 1.0 or time[-1] - time[0] < 3.0 * 86400.0:
+    if not 1e-3 < highest < 1.0 or time[-1] - time[0] < 3.0 * DAY_S:
         return []
     said = f'the file states "{unit}"' if unit else "it has no unit, so J/m² of an hour was taken"
     return [
-        f"{name}: the radiation would reach {highest:.2g} W/m² only; {said}, and its numbers look like W/m²: correct "
-        "the unit or multiply by 3600"
+        f"{name}: the radiation would reach {highest:.2g} W/m² only; {said}, and its numbers look like W/m²: "
+        "correct the unit or multiply by 3600"
     ]
 
 
@@ -280,9 +324,7 @@ def _stated(given: Mapping[str, tuple[str, Field]], shorts: str) -> str:
     return " and ".join(dict.fromkeys(units))
 
 
-def _wind(
-    value: Mapping[str, np.ndarray], made: Callable[..., Series | None], warnings: list[str]
-) -> list[Series | None]:
+def _wind(made: _Making, value: Mapping[str, np.ndarray]) -> list[Series | None]:
     """Speed and direction of the wind, at 100 m before 10 m."""
     for height in ("100", "10"):
         east, north = f"u{height}", f"v{height}"
@@ -291,14 +333,14 @@ def _wind(
     else:
         return []
     if height == "10":
-        warnings.append("wind_speed is that at 10 m, not at hub height: the file has no u100 and v100")
+        made.warnings.append("wind_speed is that at 10 m, not at hub height: the file has no u100 and v100")
     speed = np.hypot(value[east], value[north])
     # where the wind comes from, clockwise from north
     direction = np.mod(np.arctan2(-value[east], -value[north]), 2.0 * math.pi)
     both = f"{east} {north}"
     return [
-        made("wind_speed", speed, both, height_m=float(height)),
-        made("wind_direction", direction, both, height_m=float(height)),
+        made.series("wind_speed", speed, both, height_m=float(height)),
+        made.series("wind_direction", direction, both, height_m=float(height)),
     ]
 
 
@@ -308,7 +350,7 @@ def _since_midnight(time: np.ndarray, value: np.ndarray) -> bool:
     Sums of single hours fall within 24 hours wherever the sun sets or rain ends.
     """
     # the sum at 00:00 is the last of the day before, that at 01:00 the first of the new one
-    inside = np.diff(np.ceil(np.round(time) / 86400.0)) == 0.0
+    inside = np.diff(np.ceil(np.round(time) / DAY_S)) == 0.0
     steps = np.diff(value)
     inside &= np.isfinite(steps)
     top = float(np.nanmax(value)) if np.isfinite(value).any() else 0.0
@@ -320,18 +362,20 @@ def _since_midnight(time: np.ndarray, value: np.ndarray) -> bool:
 
 def _hourly_sums(time: np.ndarray, value: np.ndarray) -> np.ndarray:
     """Sums of each hour from sums since 00:00 UTC; NaN after a gap."""
-    first = np.round(np.mod(time, 86400.0)) == HOUR_S
+    first = np.round(np.mod(time, DAY_S)) == HOUR_S
     before = np.append(np.nan, value[:-1])
     before[np.append(True, np.round(np.diff(time)) != HOUR_S)] = np.nan
     return np.where(first, value, np.maximum(value - before, 0.0))
 
 
 def saturation_doubt(temperature: np.ndarray, dew_point: np.ndarray) -> list[str]:
-    """A dew point (T,) above the temperature (T,), both [K] or [degC], by more than packing explains, in words."""
+    """A dew point (T,) above the temperature (T,), both [K] or [degC], by more than packing explains, in
+    words."""
     above = dew_point - temperature
     share = float(np.mean(above[np.isfinite(above)] > 0.5)) if np.isfinite(above).any() else 0.0
     if share <= 0.01:
         return []
     return [
-        f"the dew point lies above the temperature for {100 * share:.0f} % of the hours: are the two exchanged?"
+        f"the dew point lies above the temperature for {100 * share:.0f} % of the hours: are the two "
+        "exchanged?"
     ]

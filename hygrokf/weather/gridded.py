@@ -1,8 +1,8 @@
 """Fields at one point of an xarray data set, in whichever layout the reanalysis was delivered.
 
-New layout (since September 2024): time axis `valid_time`, `number` and `expver` as coordinates that need no dimension.
-Legacy layout: `time` in hours since 1900, and where a request reaches into the last months a dimension `expver` whose
-two halves, final and preliminary, are NaN where the other has values.
+New layout (since September 2024): time axis `valid_time`, `number` and `expver` as coordinates that need no
+dimension. Legacy layout: `time` in hours since 1900, and where a request reaches into the last months a
+dimension `expver` whose two halves, final and preliminary, are NaN where the other has values.
 """
 
 from __future__ import annotations
@@ -83,9 +83,13 @@ def distance_km(latitude_deg: float, longitude_deg: float, site: Site) -> float:
 
 
 def place_text(latitude_deg: float, longitude_deg: float, site: Site | None) -> str:
-    """A point in words, with its distance from the site where there is one: "48.50° N 5.50° E, 11 km from the site"."""
+    """A point in words, with its distance from the site where there is one: "48.50° N 5.50° E, 11 km from the
+    site"."""
     east = (longitude_deg + 180.0) % 360.0 - 180.0
-    text = f"{abs(latitude_deg):.2f}° {'N' if latitude_deg >= 0 else 'S'} {abs(east):.2f}° {'E' if east >= 0 else 'W'}"
+    text = (
+        f"{abs(latitude_deg):.2f}° {'N' if latitude_deg >= 0 else 'S'} {abs(east):.2f}° "
+        f"{'E' if east >= 0 else 'W'}"
+    )
     if site is None:
         return text
     return f"{text}, {distance_km(latitude_deg, east, site):.0f} km from the site"
@@ -94,12 +98,14 @@ def place_text(latitude_deg: float, longitude_deg: float, site: Site | None) -> 
 def point_fields(dataset: xarray.Dataset, file: str, site: Site | None = None) -> PointFields:
     """Fields of a data set at the site.
 
-    dataset: with a time axis (`valid_time` or `time`, decoded) and latitude and longitude as scalars or axes; other
-        axes must have one entry, except `expver`, whose halves are merged. Names short (t2m) or long (2m_temperature).
-    file: name for messages. site: whose nearest grid cell with data is taken; may be None where there is one cell.
+    dataset: with a time axis (`valid_time` or `time`, decoded) and latitude and longitude as scalars or axes;
+        other axes must have one entry, except `expver`, whose halves are merged. Names short (t2m) or long
+        (2m_temperature).
+    file: name for messages. site: whose nearest grid cell with data is taken; may be None where there is one
+        cell.
 
-    Raises TableFault: no time, a time that is not decoded, a grid without a site, a site outside of the grid, ensemble
-    members, levels.
+    Raises TableFault: no time, a time that is not decoded, a grid without a site, a site outside of the grid,
+    ensemble members, levels.
     """
     time_name = _time_name(dataset)
     used = {str(name): short for name in dataset.data_vars if (short := short_name(str(name)))}
@@ -150,19 +156,21 @@ def _time_name(dataset: xarray.Dataset) -> str:
             found = dataset[name].attrs.get("units", "no unit")
             raise TableFault(
                 [
-                    f'{name}: expected times such as "hours since 1900-01-01", found {found} and no calendar time'
+                    f'{name}: expected times such as "hours since 1900-01-01", found {found} and no '
+                    "calendar time"
                 ]
             )
     raise TableFault(
         [
-            f"{there[0]} has the axes {', '.join(map(str, dataset[there[0]].dims))}; expected one axis of time: "
-            "ask for NetCDF, not for a converted forecast with steps"
+            f"{there[0]} has the axes {', '.join(map(str, dataset[there[0]].dims))}; expected one axis of "
+            "time: ask for NetCDF, not for a converted forecast with steps"
         ]
     )
 
 
 def _stamps(dataset: xarray.Dataset, time_name: str) -> np.ndarray:
-    """Times [s] (T,) at which the fields hold: those of a forecast's hour (`valid_time` = `time` + `step`) where given."""
+    """Times [s] (T,) at which the fields hold: those of a forecast's hour (`valid_time` = `time` + `step`)
+    where given."""
     at = dataset[time_name]
     if "valid_time" in dataset.variables and dataset["valid_time"].dims == at.dims:
         at = dataset["valid_time"]
@@ -217,7 +225,8 @@ def _without_single_axes(dataset: xarray.Dataset, kept: set[str | None]) -> xarr
             dataset = dataset.isel({name: 0}, drop=True)
         elif name == "number":
             faults.append(
-                f'holds {size} members of an ensemble; ask for product_type "reanalysis", or choose one member'
+                f'holds {size} members of an ensemble; ask for product_type "reanalysis", or choose one '
+                "member"
             )
         else:
             faults.append(
@@ -236,7 +245,8 @@ def _nearest(
     site: Site | None,
     used: dict[str, str],
 ) -> tuple[xarray.Dataset, tuple[float, float]]:
-    """The data set at the cell next to the site that has a temperature, and the cell's latitude and longitude [deg]."""
+    """The data set at the cell next to the site that has a temperature, and the cell's latitude and longitude
+    [deg]."""
     rows, columns = (np.atleast_1d(dataset[name].values.astype(float)) for name in (latitude, longitude))
     gridded = [name for name in (latitude, longitude) if name in dataset.dims]
     for name in (latitude, longitude):
@@ -261,8 +271,8 @@ def _nearest(
         if outside:
             raise TableFault(
                 [
-                    f"the site at {place_text(site.latitude_deg, site.longitude_deg, None)} lies outside of the grid "
-                    f"({', '.join(outside)}): ask for an area around it, or correct [site]"
+                    f"the site at {place_text(site.latitude_deg, site.longitude_deg, None)} lies outside of "
+                    f"the grid ({', '.join(outside)}): ask for an area around it, or correct [site]"
                 ]
             )
         narrowing = math.cos(math.radians(site.latitude_deg))

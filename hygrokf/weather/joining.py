@@ -12,11 +12,12 @@ from hygrokf.data.masks import order_readings
 from hygrokf.data.record import Record, Series, Site
 
 SAME_PLACE_DEG = 0.02
-"""[deg] within which two files are of the same point: that of a reanalysis' cell is written with two digits."""
+"""[deg] within which two files are of the same point: that of a reanalysis' cell is written with two
+digits."""
 
 PACKED = 5e-5
-"""Share of a field's range by which two files may differ that are packed in two bytes each with a scale of its own: three
-times 1/65536, rounded up."""
+"""Share of a field's range by which two files may differ that are packed in two bytes each with a scale of
+its own: three times 1/65536, rounded up."""
 
 
 def joined(records: Sequence[Record], name: str) -> Record:
@@ -24,9 +25,9 @@ def joined(records: Sequence[Record], name: str) -> Record:
 
     records: one at least; each with any signals over any time. name: of the result.
 
-    Readings of a signal are put in order of time; of equal ones (to the rounding of packed files) one is kept, contradicting
-    ones are masked and said.
-    Raises TableFault where the records are of different places, or have a signal with different holds.
+    Readings of a signal are put in order of time; of equal ones (to the rounding of packed files) one is
+    kept, contradicting ones are masked and said. Raises TableFault where the records are of different places,
+    or have a signal with different holds.
     """
     if len(records) == 1:
         return dataclasses.replace(records[0], name=name)
@@ -43,7 +44,8 @@ def joined(records: Sequence[Record], name: str) -> Record:
         if len(heights) > 1:
             listed = " and ".join(f"{one:g} m" for one in heights)
             faults.append(
-                f"{signal}: at {listed} in different files; ask for the same height in all of them, or leave it out of some"
+                f"{signal}: at {listed} in different files; ask for the same height in all of them, or leave "
+                "it out of some"
             )
             continue
         made, said = _one_series(parts)
@@ -56,10 +58,11 @@ def joined(records: Sequence[Record], name: str) -> Record:
 
 
 def follows(one: Record, other: Record) -> bool:
-    """Whether a record goes on where another of the same place ends, or the other way round, as files of single years do.
+    """Whether a record goes on where another of the same place ends, or the other way round, as files of
+    single years do.
 
-    one, other: of weather. True where they have a signal in common, and the common time of every such signal is less than
-    half of the shorter one; False for two opinions on the same time, and for other places.
+    one, other: of weather. True where they have a signal in common, and the common time of every such signal
+    is less than half of the shorter one; False for two opinions on the same time, and for other places.
     """
     if one.site is not None and other.site is not None and _apart_deg(one.site, other.site) > SAME_PLACE_DEG:
         return False
@@ -84,8 +87,9 @@ def _one_place(records: Sequence[Record], faults: list[str]) -> Site | None:
         first = sites[0][1]
         if _apart_deg(site, first) > SAME_PLACE_DEG:
             faults.append(
-                f"{sites[0][0]} and {name} are of different places ({first.latitude_deg:g}, {first.longitude_deg:g} "
-                f"and {site.latitude_deg:g}, {site.longitude_deg:g} deg); give files of one place"
+                f"{sites[0][0]} and {name} are of different places ({first.latitude_deg:g}, "
+                f"{first.longitude_deg:g} and {site.latitude_deg:g}, {site.longitude_deg:g} deg); give files "
+                "of one place"
             )
     with_altitude = [site for _, site in sites if site.altitude_m is not None]
     return next((site for site in (*with_altitude, *(site for _, site in sites))), None)
@@ -116,7 +120,8 @@ def _one_series(parts: Sequence[Series]) -> tuple[Series, list[str]]:
 
 
 def _as_before(before: Sequence[Series], values: Sequence[np.ndarray], part: Series) -> np.ndarray:
-    """Values of a part (T,); at stamps that came before, those from before where packing alone explains the difference."""
+    """Values of a part (T,); at stamps that came before, those from before where packing alone explains the
+    difference."""
     value = part.value.copy()
     for earlier, known in zip(before, values, strict=True):
         _, i, j = np.intersect1d(earlier.time, part.time, return_indices=True)

@@ -1,4 +1,5 @@
-"""One weather file of any kind as the record of a site: read, its place compared with the site, moved to its height."""
+"""One weather file of any kind as the record of a site: read, its place compared with the site, moved to its
+height."""
 
 from __future__ import annotations
 
@@ -32,9 +33,10 @@ def read_weather_file(
 
     path: of ERA5 or EPW. form: "era5" or "epw"; None: see `form_of`.
     site: of the cabinet; the nearest cell of a grid is taken, and a weather from afar is said.
-    year: calendar year of a typical year. altitude_m: [m] that the weather is of, where the file does not say or is wrong.
-    to_site_altitude: move temperature, dew point and pressure to the site's altitude, see `at_altitude`; without it a
-        difference above 100 m is said. lapse_rate: [K/m] for this.
+    year: calendar year of a typical year. altitude_m: [m] that the weather is of, where the file does not say
+        or is wrong.
+    to_site_altitude: move temperature, dew point and pressure to the site's altitude, see `at_altitude`;
+        without it a difference above 100 m is said. lapse_rate: [K/m] for this.
 
     Raises TableFault with every fault.
     """
@@ -61,8 +63,8 @@ def read_weather_file(
             )
         if station_m is None:
             faults.append(
-                "to be moved to the site's altitude, its own must be known: state altitude_m in this source (of a "
-                "reanalysis: the height of its ground in that cell, geopotential / 9.80665)"
+                "to be moved to the site's altitude, its own must be known: state altitude_m in this source "
+                "(of a reanalysis: the height of its ground in that cell, geopotential / 9.80665)"
             )
         if faults or wanted_m is None:
             raise TableFault(faults)
@@ -70,15 +72,17 @@ def read_weather_file(
     if wanted_m is not None and station_m is not None and abs(wanted_m - station_m) > SAID_FROM_M:
         colder = 6.5e-3 * (wanted_m - station_m)
         said = (
-            f"its height is {station_m:.0f} m, the site's {wanted_m:.0f} m: the site will be about {abs(colder):.1f} K "
-            f"{'colder' if colder > 0 else 'warmer'}; to_site_altitude = true corrects this"
+            f"its height is {station_m:.0f} m, the site's {wanted_m:.0f} m: the site will be about "
+            f"{abs(colder):.1f} K {'colder' if colder > 0 else 'warmer'}; to_site_altitude = true corrects "
+            "this"
         )
         record = dataclasses.replace(record, warnings=(*record.warnings, said))
     return record
 
 
 def form_of(path: Path) -> str:
-    """ "epw" or "era5": by the name of a file, else by its first bytes or, in a ZIP archive, by the names of its members."""
+    """ "epw" or "era5": by the name of a file, else by its first bytes or, in a ZIP archive, by the names of
+    its members."""
     if path.name.lower().endswith((".epw", ".epw.gz")):
         return "epw"
     try:
@@ -94,7 +98,8 @@ def form_of(path: Path) -> str:
 
 
 def _within_range(record: Record) -> Record:
-    """The record without single readings that cannot be, such as codes for what is missing, and what was left out."""
+    """The record without single readings that cannot be, such as codes for what is missing, and what was left
+    out."""
     series, warnings = [], list(record.warnings)
     for one in record.series:
         kept, said = mask_out_of_range(one)

@@ -33,15 +33,16 @@ def read_weather(
 ) -> Record:
     """Record of ambient signals over the years of one or several weather files, in SI units and UTC.
 
-    paths: ERA5 (NetCDF, ZIP, CSV) or EPW files, known by name and first bytes; several are put after each other.
+    paths: ERA5 (NetCDF, ZIP, CSV) or EPW files, known by name and first bytes; several are put after each
+        other.
     site: of the cabinet; needed where a file holds a grid.
     year: first calendar year of a typical year (EPW); needed where its months are of different years.
-    years: calendar years from `year` on over which a typical year is repeated. Each has its own 29 February, on which the
-        28 is repeated.
+    years: calendar years from `year` on over which a typical year is repeated. Each has its own 29 February,
+        on which the 28 is repeated.
     altitude_m, to_site_altitude, lapse_rate: as in `read_weather_file`.
 
-    The record's warnings name the gaps: hours that are missing although the files go on after them. Its site is that of
-    the weather, not the cabinet's, unless the weather was moved to the site's altitude.
+    The record's warnings name the gaps: hours that are missing although the files go on after them. Its site
+    is that of the weather, not the cabinet's, unless the weather was moved to the site's altitude.
 
     Raises TableFault with the faults of every file; ValueError for numbers out of range.
     """
@@ -88,7 +89,8 @@ def read_weather(
 
 
 def gaps_text(series: Series) -> list[str]:
-    """The gaps of a series in one sentence, or nothing: what is longer than three steps between known readings.
+    """The gaps of a series in one sentence, or nothing: what is longer than three steps between known
+    readings.
 
     series: any.
     """

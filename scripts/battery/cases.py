@@ -19,7 +19,8 @@ GROUPS = ("hidden", "none", "convection", "pair", "outside", "paper", "measured"
 NULLS = 40
 """Plants a round that hide nothing: 200 in five rounds."""
 CONVECTING = 20
-"""Plants a round that hide nothing in a cabinet of another make, which no network of resistances describes."""
+"""Plants a round that hide nothing in a cabinet of another make, which no network of resistances
+describes."""
 OUTSIDE = 2
 """Plants a round, effect and strength that hide what no library holds."""
 LATER = (("unlogged_heater", 2), ("cooling_switching", 2), ("scheduled_heat", 0), ("scheduled_heat", 1))
@@ -47,14 +48,16 @@ HYGRIC = (
     "dehumidifier",
     "internal_moisture_source",
 )
-"""Causes that act on the temperature, and on the moisture: each of the one kind goes beside each of the other."""
+"""Causes that act on the temperature, and on the moisture: each of the one kind goes beside each of the
+other."""
 _PAIRINGS = 2
 _PAIR_STREAM = 35
 
 
 @dataclass(frozen=True)
 class Case:
-    """One case: what is hidden (`causes` with their forms), at which strength [1], in a plant of `seed` and `days` [d].
+    """One case: what is hidden (`causes` with their forms), at which strength [1], in a plant of `seed` and
+    `days` [d].
 
     decoy: of the paper's case. record, effect: a measured record and the effect put into it.
     """
@@ -143,7 +146,8 @@ CI_CAUSES = {
     6: ("humidity_sensor_drift", 0),
     7: ("clock_shift", 0),
 }
-"""Place among the small list's seeds -> cause and form; what costs minutes each, such as a film of condensate, is left to the full one."""
+"""Place among the small list's seeds -> cause and form; what costs minutes each, such as a film of
+condensate, is left to the full one."""
 
 
 def ci() -> list[Case]:

@@ -42,8 +42,8 @@ def remaining(
 ) -> list[Case]:
     """The cases that have no line yet.
 
-    strict: lines of other sources of the package do not count. retry: neither do failures. A measured record that was
-    not there is looked for again.
+    strict: lines of other sources of the package do not count. retry: neither do failures. A measured record
+    that was not there is looked for again.
     """
     done = {
         line["key"]
@@ -124,11 +124,13 @@ def length(text: str) -> float:
 def parser() -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(
         prog="scripts/discovery_battery",
-        description="Hide causes in simulated and measured records, let `discover` name them, print how often it is right.",
+        description="Hide causes in simulated and measured records, let `discover` name them, print how "
+        "often it is right.",
     )
     made.add_argument(
         "--results", type=Path, nargs="+", metavar="FILE",
-        help=f"JSON lines; the first is appended to, all are read (default: build/{RESULTS.name}; with --ci: none)",
+        help=f"JSON lines; the first is appended to, all are read (default: build/{RESULTS.name}; with --ci: "
+             "none)",
     )  # fmt: skip
     made.add_argument("--jobs", type=whole, metavar="N", help="processes (default: 1; with --ci: 2)")
     made.add_argument("--groups", nargs="+", choices=GROUPS, help="some groups of cases")
@@ -137,7 +139,8 @@ def parser() -> argparse.ArgumentParser:
     )
     made.add_argument(
         "--seeds", type=int, nargs=2, default=(FIRST_SEED, ROUNDS), metavar=("FIRST", "COUNT"),
-        help=f"first seed and number of rounds (default: {FIRST_SEED} {ROUNDS}); a round has every cell once and 40 plants "
+        help=f"first seed and number of rounds (default: {FIRST_SEED} {ROUNDS}); a round has every cell once "
+             "and 40 plants "
         "that hide nothing",
     )  # fmt: skip
     made.add_argument(
@@ -203,7 +206,7 @@ def told(lines: Sequence[Mapping], engine: str, as_json: bool = False) -> str:
         return json.dumps({**head, **{table.name: table.to_json() for table in tables}}, indent=1)
     mixed = " (mixed: run with --strict for one)" if len(hashes) > 1 else ""
     head = (
-        f"# Battery: {len(lines)} lines, engine {engine}, records of {', '.join(f'{d:g}' for d in days)} days, "
-        f"sources {', '.join(hashes)}{mixed}"
+        f"# Battery: {len(lines)} lines, engine {engine}, records of {', '.join(f'{d:g}' for d in days)} "
+        f"days, sources {', '.join(hashes)}{mixed}"
     )
     return "\n\n".join([head, *(table.markdown() for table in tables)])

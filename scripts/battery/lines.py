@@ -1,6 +1,7 @@
 """One line of the battery's results: what is hidden in its case, what was answered, what that is worth.
 
-A case that failed counts as one that was not named: nothing is dropped but measured records that are not there.
+A case that failed counts as one that was not named: nothing is dropped but measured records that are not
+there.
 """
 
 from __future__ import annotations
@@ -89,9 +90,11 @@ def excused(line: Line) -> set[str]:
 
 
 def gain_share(line: Line, attainable: str = "attainable_there") -> float | None:
-    """Achieved over attainable gain; None where there is less than a twentieth to gain, or it was not measured.
+    """Achieved over attainable gain; None where there is less than a twentieth to gain, or it was not
+    measured.
 
-    attainable: "attainable_there" on the stretch on which the gain was achieved, "attainable" on the whole record.
+    attainable: "attainable_there" on the stretch on which the gain was achieved, "attainable" on the whole
+        record.
     """
     account = line["truth"][0] if line["truth"] else {}
     if line["failure"]:

@@ -1,8 +1,8 @@
 """Measured records, and known effects in them.
 
-Attics: the air in the middle under the roof stands for the cabinet, the weather station for the ambient.  House: the
-living room.  Neither has a converter, so there is no power.  The loggers inside and the weather station are two sources
-with a clock each, although they come in one file.
+Attics: the air in the middle under the roof stands for the cabinet, the weather station for the ambient.
+House: the living room.  Neither has a converter, so there is no power.  The loggers inside and the weather
+station are two sources with a clock each, although they come in one file.
 """
 
 from __future__ import annotations
@@ -155,7 +155,8 @@ _PUT_IN: dict[str, Callable[[Record, np.random.Generator], tuple[list[Series], d
 
 
 def injected(record: Record, effect: str, seed: int) -> tuple[Record, dict]:
-    """The record with a known effect in the readings inside, and the account of it: size drawn from the seed."""
+    """The record with a known effect in the readings inside, and the account of it: size drawn from the
+    seed."""
     random = np.random.default_rng([seed, list(_PUT_IN).index(effect), list(RECORDS).index(record.name)])
     series, parameters = _PUT_IN[effect](record, random)
     made = record.replace_series(*series)
@@ -164,7 +165,8 @@ def injected(record: Record, effect: str, seed: int) -> tuple[Record, dict]:
 
 
 def _added(before: Record, after: Record) -> dict[str, float]:
-    """Root mean square change of the readings about its mean: temperature [K], vapour at the told temperature [g/m3]."""
+    """Root mean square change of the readings about its mean: temperature [K], vapour at the told temperature
+    [g/m3]."""
     time = before["cabinet_temperature"].time
     found = []
     for record in (before, after):

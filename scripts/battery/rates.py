@@ -10,8 +10,8 @@ from dataclasses import dataclass
 def clopper_pearson(hits: float, n: float, level: float = 0.95) -> tuple[float, float]:
     """Bounds of a probability of which `hits` of `n` were seen: never narrower than they say.
 
-    Quantiles of beta distributions (Clopper and Pearson 1934, Biometrika 26, 404); (0, 1) where nothing was seen.
-    hits, n need not be whole: effective numbers of a weighted sample.
+    Quantiles of beta distributions (Clopper and Pearson 1934, Biometrika 26, 404); (0, 1) where nothing was
+    seen. hits, n need not be whole: effective numbers of a weighted sample.
     """
     from scipy.stats import beta
 
@@ -71,7 +71,10 @@ class WeightedShare:
 
     def __str__(self) -> str:
         low, high = self.bounds
-        return f"{100 * self.share:.0f} % ({100 * low:.0f} … {100 * high:.0f}), n = {self.n}, effective {self.effective:.0f}"
+        return (
+            f"{100 * self.share:.0f} % ({100 * low:.0f} … {100 * high:.0f}), n = {self.n}, effective "
+            f"{self.effective:.0f}"
+        )
 
     def to_json(self) -> dict:
         low, high = self.bounds

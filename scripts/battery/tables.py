@@ -39,7 +39,8 @@ from battery.required import requirements
 STRENGTH_BINS = (0.0, 0.2, 0.4, 0.6, 0.85, 1.15, math.inf)
 CONFIDENCE_BINS = (0.0, 0.5, 0.7, 0.8, 0.9, 0.95, 1.0)
 PRIOR_NULL = 0.5
-"""Stated prior of the calibration: half of the plants hide nothing, the others one cause, each as often as the others."""
+"""Stated prior of the calibration: half of the plants hide nothing, the others one cause, each as often as
+the others."""
 
 
 @dataclass(frozen=True)
@@ -78,7 +79,7 @@ def _json(cell: object) -> object:
     return cell.to_json() if hasattr(cell, "to_json") else cell
 
 
-# -- tables ----------------------------------------------------------------------------------------------------------
+# -- tables --------------------------------------------------------------------------------------------------
 def named_first(lines: Sequence[Line]) -> Table:
     """How often the cause is named first, by cause, form and strength."""
     head = ["cause"]
@@ -102,8 +103,8 @@ def named_first(lines: Sequence[Line]) -> Table:
     if everything:
         rows.append(row("all", everything))
     notes = (
-        f"Strength as reached: full from {FULL_FROM:g} on, half from {HALF_FROM:g} on, weaker where a cause's ranges do "
-        "not lead there. 95 % bounds by Clopper and Pearson.",
+        f"Strength as reached: full from {FULL_FROM:g} on, half from {HALF_FROM:g} on, weaker where a "
+        "cause's ranges do not lead there. 95 % bounds by Clopper and Pearson.",
     )
     return Table("named_first", "Named first", tuple(head), tuple(rows), notes)
 
@@ -260,9 +261,9 @@ def gains(lines: Sequence[Line]) -> Table:
     )  # fmt: skip
     periods = sorted({str(one.get("achieved_by")) for line in of(lines, "hidden") for one in line["truth"]})
     notes = (
-        f"Plants of which the true mechanism with true parameters takes at least {100 * LEAST_GAIN:.0f} % of the error, "
-        "on the stretch on which the gain was measured. What was not named has gained nothing, what failed neither. "
-        f"Read from: {'; '.join(periods) or 'nothing'}.",
+        f"Plants of which the true mechanism with true parameters takes at least {100 * LEAST_GAIN:.0f} % of "
+        "the error, on the stretch on which the gain was measured. What was not named has gained nothing, "
+        f"what failed neither. Read from: {'; '.join(periods) or 'nothing'}.",
     )
     return Table("gains", "Share of the attainable gain", head, tuple(rows), notes)
 
@@ -300,8 +301,8 @@ def calibration(lines: Sequence[Line]) -> Table:
     )
     strict, wide = (shown(calibration_error(told, classes)) for classes in (False, True))
     notes = (
-        f"Prior: {100 * PRIOR_NULL:.0f} % of the plants hide nothing, the others one cause of the library, each as often as "
-        "the others, half of them at half strength; cases are weighted to it.",
+        f"Prior: {100 * PRIOR_NULL:.0f} % of the plants hide nothing, the others one cause of the library, "
+        "each as often as the others, half of them at half strength; cases are weighted to it.",
         f"Expected calibration error: {strict} for the name itself, {wide} for the name or one of its class.",
     )
     return Table("calibration", "Calibration of confidence", head, tuple(rows), notes)
@@ -320,7 +321,8 @@ def _right(line: Line, classes: bool) -> bool:
 
 
 def calibration_error(told: Sequence[tuple[Line, float, float]], classes: bool) -> float | None:
-    """Distance between mean confidence and share right over the bins, by weight, of (line, weight, confidence)."""
+    """Distance between mean confidence and share right over the bins, by weight, of (line, weight,
+    confidence)."""
     total = sum(w for _, w, _ in told)
     if not total:
         return None
@@ -358,7 +360,8 @@ def paper(lines: Sequence[Line]) -> Table:
 
 
 def parameters(lines: Sequence[Line]) -> Table:
-    """How often true values lie inside the reported bounds, where the plant's form has the library's parameter."""
+    """How often true values lie inside the reported bounds, where the plant's form has the library's
+    parameter."""
     seen: dict[tuple[str, str], list[tuple[float, float, bool]]] = {}
     for line in of(lines, "hidden", "paper"):
         if line["failure"]:

@@ -50,7 +50,8 @@ def case_key(case: Case, engine: str) -> str:
 
 
 def run_case(case: Case, engine: str = "discover", starts: int | None = None) -> dict:
-    """The line of a case.  What is raised is part of the result; a record that is not there leaves a reason."""
+    """The line of a case.  What is raised is part of the result; a record that is not there leaves a
+    reason."""
     line: dict = {
         "key": case_key(case, engine),
         "group": case.group,
@@ -86,7 +87,7 @@ def run_case(case: Case, engine: str = "discover", starts: int | None = None) ->
     return plain(line)
 
 
-# -- records ---------------------------------------------------------------------------------------------------------
+# -- records -------------------------------------------------------------------------------------------------
 def make(case: Case) -> tuple[Record, list[dict]]:
     """The record of a case and the accounts of what is hidden in it."""
     if case.record:
@@ -113,16 +114,19 @@ def make(case: Case) -> tuple[Record, list[dict]]:
     until_s = identified_until(record, made)
     accounts = [account_of(one, made) for one in made.truth.hidden]
     if case.group == "hidden":
-        # The cause's own model is wrong by the disturbances, which are not equally large in all parts of a record.
+        # The cause's own model is wrong by the disturbances, which are not equally large in all parts of a
+        # record.
         shares = disturbance_shares(hidden_plant(case.seed, "none", days=case.days), until_s)
         accounts = [{**one, "disturbance_shares": shares[one["quantity"]]} for one in accounts]
     return to_record(made, until_s=until_s), accounts
 
 
 def identified_until(record: Record, made: Plant) -> float:
-    """End of the identification period [s]: two thirds of the record, later where a change would else lie behind it.
+    """End of the identification period [s]: two thirds of the record, later where a change would else lie
+    behind it.
 
-    What begins in the validation period cannot be identified; so that it can, a seventh of the record follows the date.
+    What begins in the validation period cannot be identified; so that it can, a seventh of the record follows
+    the date.
     """
     span = record.end_s - record.start_s
     dates = [float(np.median(one.dates)) for one in made.truth.hidden if len(one.dates)]
@@ -131,7 +135,8 @@ def identified_until(record: Record, made: Plant) -> float:
 
 
 def disturbance_shares(nothing: Plant, until_s: float) -> dict[str, dict[str, float]]:
-    """Size of the disturbances before and after an instant [s] over that in the whole record [-], by quantity."""
+    """Size of the disturbances before and after an instant [s] over that in the whole record [-], by
+    quantity."""
     with_them, without = nothing.trajectory, undisturbed(nothing)
     early = nothing.drivers.time <= until_s
     found = {}
@@ -143,7 +148,8 @@ def disturbance_shares(nothing: Plant, until_s: float) -> dict[str, dict[str, fl
 
 
 def account_of(hidden: Hidden, made: Plant) -> dict:
-    """The truth of a hidden cause as plain data, with the gain to be had, and what can be held against an estimate."""
+    """The truth of a hidden cause as plain data, with the gain to be had, and what can be held against an
+    estimate."""
     return {
         **asdict(hidden),
         "attainable": 1.0 - hidden.rmse_true / hidden.rmse_with,
@@ -175,7 +181,7 @@ def comparable(cause: str, truth: Mapping[str, float], volume_m3: float) -> dict
     return found
 
 
-# -- engines ---------------------------------------------------------------------------------------------------------
+# -- engines -------------------------------------------------------------------------------------------------
 def _discovered(record: Record, truth: list[dict], starts: int | None) -> dict:
     from hygrokf.discovery.procedure import discover
 
@@ -184,7 +190,8 @@ def _discovered(record: Record, truth: list[dict], starts: int | None) -> dict:
 
 
 def read_discovery(results: Mapping, truth: list[dict]) -> dict:
-    """What the battery keeps of `discovery.json`; gains in the hidden quantities go into the accounts of the truth."""
+    """What the battery keeps of `discovery.json`; gains in the hidden quantities go into the accounts of the
+    truth."""
     for account in truth:
         if account.get("quantity"):
             before, after, source = errors(results, QUANTITY[account["quantity"]])
@@ -217,8 +224,8 @@ def read_discovery(results: Mapping, truth: list[dict]) -> dict:
 def errors(results: Mapping, quantity: str) -> tuple[float | None, float | None, str]:
     """Free-run errors in a quantity without and with the causes that were named, and where they were read.
 
-    From the reported gain where a cause's is in that quantity (against the better of two bases); else those of both
-    models on the validation period; without a cause nothing was gained.
+    From the reported gain where a cause's is in that quantity (against the better of two bases); else those
+    of both models on the validation period; without a cause nothing was gained.
     """
     for one in results["causes"]:
         gain = one["gain"] or {}
@@ -237,7 +244,8 @@ def errors(results: Mapping, quantity: str) -> tuple[float | None, float | None,
 def gained(
     account: Mapping, before: float | None, after: float | None, period: str, source: str
 ) -> dict[str, object]:
-    """Achieved gain, and the gain to be had on the same stretch: that of the true mechanism with true parameters.
+    """Achieved gain, and the gain to be had on the same stretch: that of the true mechanism with true
+    parameters.
 
     before, after: [K] or [g/m3] free-run errors on a period.
     """

@@ -59,7 +59,8 @@ def _recursion(factor: float, drive: np.ndarray, start: float) -> np.ndarray:
 
 
 def _ramp(rate: np.ndarray | float, drive: np.ndarray) -> np.ndarray:
-    """What a linear course of the drive adds over each step to a first-order lag; `rate` step over time constant [1]."""
+    """What a linear course of the drive adds over each step to a first-order lag; `rate` step over time
+    constant [1]."""
     factor = np.exp(-rate)
     late = 1.0 - (1.0 - factor) / rate
     before = np.concatenate([drive[:1], drive[:-1]])
@@ -94,7 +95,8 @@ def _with_gaps(random: np.random.Generator, values: np.ndarray) -> np.ndarray:
 def _temperature(
     random: np.random.Generator, u: Mapping[str, np.ndarray], v: Mapping[str, float], release: np.ndarray
 ) -> np.ndarray:
-    """Converter temperature [K] of the thermal network with white diffusion: ambient linear, release held over a step."""
+    """Converter temperature [K] of the thermal network with white diffusion: ambient linear, release held
+    over a step."""
     rate = STEP_H / v["thermal_time_constant"]
     factor = np.exp(-rate)
     ambient = u["ambient_temperature"]
@@ -104,7 +106,8 @@ def _temperature(
 
 
 def thermal(count: int, seed: int = 1) -> Case:
-    """One state: the thermal network with R_IC = 0 and white diffusion, driven by ambient and heat release."""
+    """One state: the thermal network with R_IC = 0 and white diffusion, driven by ambient and heat
+    release."""
     random = np.random.default_rng(seed)
     v = {
         "thermal_time_constant": 1.5,
@@ -128,7 +131,8 @@ def thermal(count: int, seed: int = 1) -> Case:
 
 
 def joint(count: int, seed: int = 2) -> Case:
-    """Four states, two readings, sixteen parameters: thermal and hygric model with their coloured disturbances."""
+    """Four states, two readings, sixteen parameters: thermal and hygric model with their coloured
+    disturbances."""
     random = np.random.default_rng(seed)
     v = {
         "thermal_time_constant": 1.5,
@@ -194,7 +198,7 @@ def _case(parts: tuple, v: dict[str, float], u: Mapping[str, np.ndarray], readin
     return Case(Likelihood(model, run), {p.name: v[p.name] for p in model.parameters}, inputs, readings)
 
 
-# -- two thermal masses, seven parameters --------------------------------------------------------------------------
+# -- two thermal masses, seven parameters --------------------------------------------------------------------
 LOGARITHMS = ("lC1", "lC2", "lR12", "lRa", "ls1", "ls2", "lsy")
 STARTS = {"lC1": 0.0, "lC2": 1.0, "lR12": 0.0, "lRa": 0.0, "ls1": -2.0, "ls2": -2.0, "lsy": -2.0}
 """Start values of the logarithms; the noise parameters' are those that several starts would vary."""
@@ -203,7 +207,8 @@ TRUTH |= {"ls1": np.log(0.15), "ls2": np.log(0.05), "lsy": np.log(0.08)}
 
 
 def two_masses(time: np.ndarray, ambient: np.ndarray, power: np.ndarray, reading: np.ndarray) -> Likelihood:
-    """dT1 = ((T2−T1)/(C1 R12) + (Ta−T1)/(C1 Ra) + P/C1) dt + s1 dW,  dT2 = (T1−T2)/(C2 R12) dt + s2 dW,  y = T1 + v.
+    """dT1 = ((T2−T1)/(C1 R12) + (Ta−T1)/(C1 Ra) + P/C1) dt + s1 dW,  dT2 = (T1−T2)/(C2 R12) dt + s2 dW,  y =
+    T1 + v.
 
     Inputs are held from their instant on; T1, T2 start from N(15, 0.1).
     """

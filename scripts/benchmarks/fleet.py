@@ -65,7 +65,8 @@ def fits(quick: bool) -> Iterator[Figure]:
                 f"{kind}, {starts} starts, records of {5.0 if quick else DAYS:g} d",
                 "1/s",
                 rates(Times(seconds)),
-                note="reading, regression, second disturbances tried, Wald bounds, clocks, sampling, scores, forecasts",
+                note="reading, regression, second disturbances tried, Wald bounds, clocks, sampling, scores, "
+                "forecasts",
             )
 
 
@@ -160,7 +161,10 @@ def dask(quick: bool) -> Iterator[Figure]:
                     sent = len(batches(jobs, 1))
                 finally:
                     module.LARGEST = usual
-                note = f"{count} turbines in {sent} tasks; connecting ({begin:.2f} s) and the work itself taken out"
+                note = (
+                    f"{count} turbines in {sent} tasks; connecting ({begin:.2f} s) and the work itself "
+                    "taken out"
+                )
                 yield timed("dask", f"overhead a fit, {name}", "ms", Times(1e3 * np.array(spent)), note=note)
 
 

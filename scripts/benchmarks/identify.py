@@ -86,7 +86,8 @@ def joint(quick: bool) -> Iterator[Figure]:
             ratio(found["filterpy"] * scale, value),
             at_least=300.0,
             note=f"filterpy's calls and the Gaussian terms alone, its steps computed beforehand: "
-            f"{found['filterpy'].median / stretch * 1e6:.0f} µs a step over {stretch:,} instants, scaled to {count:,}",
+            f"{found['filterpy'].median / stretch * 1e6:.0f} µs a step over {stretch:,} instants, scaled to "
+            f"{count:,}",
         )
         yield timed(
             section,
@@ -211,7 +212,8 @@ def _last_line(done: subprocess.CompletedProcess) -> str:
 
 
 def memory(quick: bool) -> Iterator[Figure]:
-    """Bytes an instant: the timeline's arrays and what a likelihood, a score and an information allocate and keep."""
+    """Bytes an instant: the timeline's arrays and what a likelihood, a score and an information allocate and
+    keep."""
     count = 26_000 if quick else 262_000
     for name, make in (("thermal, 1 state", cases.thermal), ("joint, 4 states", cases.joint)):
         case = make(count)

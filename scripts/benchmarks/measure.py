@@ -65,7 +65,8 @@ def repeated(run: Callable[[], object], repetitions: int) -> Times:
 
 @dataclass(frozen=True)
 class Figure:
-    """One number: `reached` with its quartiles, and the target, `at_most` or `at_least` (None: told, not judged)."""
+    """One number: `reached` with its quartiles, and the target, `at_most` or `at_least` (None: told, not
+    judged)."""
 
     section: str
     name: str

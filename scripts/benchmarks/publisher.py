@@ -1,4 +1,5 @@
-"""Messages into a broker at quality 1, in a process of its own: `publisher.py PORT FILE RATE`, a line of the file a message.
+"""Messages into a broker at quality 1, in a process of its own: `publisher.py PORT FILE RATE`, a line of the
+file a message.
 
 `RATE` messages a second, 0 as fast as the broker confirms them.  Ends when all are confirmed.
 """

@@ -17,16 +17,17 @@ LOG_2PI = math.log(2.0 * math.pi)
 SONNTAG = (-6096.9385, 16.635794 + math.log(100.0), -2.711193e-2, 1.673952e-5, 2.433502)
 
 
-# -- statsmodels: one thermal state ----------------------------------------------------------------------------------
+# -- statsmodels: one thermal state --------------------------------------------------------------------------
 def statsmodels_variants(case: Case) -> dict[str, Callable[[], float]]:
     """Log-likelihood of the thermal case by `statsmodels.tsa.statespace.kalman_filter.KalmanFilter`.
 
-    Every variant sets the system's matrices for the parameters and filters; all are exact.  `loglike` keeps no moments
-    (memory_conserve) in each.  "conventional": the default filter, inputs as a time-varying `state_intercept`;
-    "univariate": Durbin and Koopman's univariate treatment of it, the fastest found; "response subtracted": the
-    deterministic response is taken from the readings beforehand, which leaves a time-invariant system.  The symmetry
-    enforcement, inversion method and filter timing move none of them by more than 3 %; the Chandrasekhar recursions
-    take no missing readings, the collapsed filter is for more readings than states.
+    Every variant sets the system's matrices for the parameters and filters; all are exact.  `loglike` keeps
+    no moments (memory_conserve) in each.  "conventional": the default filter, inputs as a time-varying
+    `state_intercept`; "univariate": Durbin and Koopman's univariate treatment of it, the fastest found;
+    "response subtracted": the deterministic response is taken from the readings beforehand, which leaves a
+    time-invariant system.  The symmetry enforcement, inversion method and filter timing move none of them by
+    more than 3 %; the Chandrasekhar recursions take no missing readings, the collapsed filter is for more
+    readings than states.
     """
     from scipy.signal import lfilter
     from statsmodels.tsa.statespace.kalman_filter import FILTER_CONVENTIONAL, FILTER_UNIVARIATE, KalmanFilter
@@ -86,7 +87,7 @@ def statsmodels_variants(case: Case) -> dict[str, Callable[[], float]]:
     }
 
 
-# -- filterpy: four states, two readings -----------------------------------------------------------------------------
+# -- filterpy: four states, two readings ---------------------------------------------------------------------
 Moments = tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
@@ -209,8 +210,8 @@ def joint_observation(case: Case, k: int, output: int, x: np.ndarray) -> tuple[f
 def filterpy_loop(case: Case, count: int, step: Callable[[int, np.ndarray], Moments]) -> Callable[[], float]:
     """Log-likelihood of the joint case's first `count` instants by filterpy's extended Kalman filter.
 
-    The Gaussian term is computed from the innovation and its variance (`.log_likelihood` is four times as slow as the
-    whole update).  `step` gives next mean, F and Q; filterpy does the rest.
+    The Gaussian term is computed from the innovation and its variance (`.log_likelihood` is four times as
+    slow as the whole update).  `step` gives next mean, F and Q; filterpy does the rest.
     """
     from filterpy.kalman import ExtendedKalmanFilter
 

@@ -1,4 +1,5 @@
-"""Figures of the live tracker: messages a second, waits, start, memory, one turbine's update and its parts."""
+"""Figures of the live tracker: messages a second, waits, start, memory, one turbine's update and its
+parts."""
 
 from __future__ import annotations
 
@@ -17,7 +18,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from brokers import Mosquitto, mosquitto
+from builders.brokers import Mosquitto, mosquitto
 
 from benchmarks import track_cases as cases
 from benchmarks.measure import Figure, Times, interleaved, timed
@@ -47,9 +48,10 @@ def _stamps(days: float, end_s: float) -> list:
     return cases.rows(end_s, round(days * cases.DAY_S / cases.STEP_S))
 
 
-# -- one turbine alone -----------------------------------------------------------------------------------------------
+# -- one turbine alone ---------------------------------------------------------------------------------------
 def update(quick: bool) -> Iterator[Figure]:
-    """What a stamp of one turbine costs: taken in, filtered, committed; alone, and a hundred of them together."""
+    """What a stamp of one turbine costs: taken in, filtered, committed; alone, and a hundred of them
+    together."""
     stamps = _stamps(DAYS, 1.7e9)
     more = 10 if quick else 100
     for count in (1,) if quick else (1, 100):
@@ -95,7 +97,8 @@ def _parts(fleet: Fleet, repetitions: int) -> Iterator[Figure]:
 
 
 def step(quick: bool) -> Iterator[Figure]:
-    """One step of many turbines in the lanes of one call: the fitted model, and the tracked one with what wanders in it."""
+    """One step of many turbines in the lanes of one call: the fitted model, and the tracked one with what
+    wanders in it."""
     count = 100 if quick else 10_000
     for words, wandering in (("the fitted model", {}), ("the tracked model", None)):
         runs, move = _side_by_side(count, wandering)
@@ -107,7 +110,8 @@ def step(quick: bool) -> Iterator[Figure]:
 
 
 def _side_by_side(count: int, wandering: Mapping | None) -> tuple[SideBySide, Callable[[float], None]]:
-    """So many runs, each with values of its own, and what takes them a step of so many hours on, all readings there."""
+    """So many runs, each with values of its own, and what takes them a step of so many hours on, all readings
+    there."""
     made = cases.record()
     fit = cases.fit()
     forms = {s.signal: Form(s.hold, s.interval_s) for s in made.series}
@@ -123,7 +127,7 @@ def _side_by_side(count: int, wandering: Mapping | None) -> tuple[SideBySide, Ca
     return runs, lambda hours: runs.step(hours, inputs, readings)
 
 
-# -- through a broker ------------------------------------------------------------------------------------------------
+# -- through a broker ----------------------------------------------------------------------------------------
 class Watched:
     """What was committed when, and how long readings waited for an estimate that holds them."""
 
@@ -196,9 +200,11 @@ def _until(happened: Callable[[], object], seconds: float) -> None:
 
 
 def _through(
-    turbines: dict[str, Turbine], folder: Path, url: str, begin_s: float, sweeps: int, rate: float, seconds: float = math.inf
+    turbines: dict[str, Turbine], folder: Path, url: str, begin_s: float, sweeps: int, rate: float,
+    seconds: float = math.inf
 ) -> tuple[Watched, float]:  # fmt: skip
-    """Stamps of all turbines, turbine by turbine, through a broker: what was seen, and the CPU time [s] that it took."""
+    """Stamps of all turbines, turbine by turbine, through a broker: what was seen, and the CPU time [s] that
+    it took."""
     stamps = [
         (begin_s + cases.STEP_S * (i + 1), values) for i, (_, values) in enumerate(cases.rows(0.0, sweeps))
     ]
@@ -260,13 +266,15 @@ def waits(quick: bool) -> Iterator[Figure]:
         yield Figure(section, "median", "ms", float(middle), float(low), float(high))
         yield Figure(
             section, "99 %", "ms", float(most), at_most=250.0,
-            note=f"{watched.a_second:,.0f} a second were stored, {spent / seconds:.2f} of a core; load {os.getloadavg()[0]:.1f}",
+            note=f"{watched.a_second:,.0f} a second were stored, {spent / seconds:.2f} of a core; load "
+                 f"{os.getloadavg()[0]:.1f}",
         )  # fmt: skip
 
 
-# -- start and memory ------------------------------------------------------------------------------------------------
+# -- start and memory ----------------------------------------------------------------------------------------
 def start(quick: bool) -> Iterator[Figure]:
-    """From `hygrokf track` to its subscription at the broker, with a fit and two days of readings of every turbine."""
+    """From `hygrokf track` to its subscription at the broker, with a fit and two days of readings of every
+    turbine."""
     count = 20 if quick else 1_000
     with filled(count, DAYS, time.time()) as (folder, turbines, url):
         lines = [f'store = "{url}"']
@@ -318,7 +326,8 @@ def filled(names):
     fleet = Fleet({name: turbines[name] for name in names})
     for name in names:
         for first in range(0, len(stamps), 48):
-            fleet.round([Delivery(text, 1.7e9) for text in cases.messages(name, stamps[first : first + 48])], how)
+            texts = cases.messages(name, stamps[first : first + 48])
+            fleet.round([Delivery(text, 1.7e9) for text in texts], how)
     return fleet
 names = list(turbines)
 kept = [filled(names[:few])]

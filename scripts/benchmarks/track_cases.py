@@ -1,4 +1,5 @@
-"""What the tracker is measured on: turbines of one model, five signals each ten minutes, and a store that they fill."""
+"""What the tracker is measured on: turbines of one model, five signals each ten minutes, and a store that
+they fill."""
 
 from __future__ import annotations
 
@@ -29,7 +30,8 @@ PER_STAMP = 5
 
 @cache
 def record(days: float = 6.0, end_s: float = 1.7e9) -> Record:
-    """Weather, power and a cabinet's readings, all of them on one clock of ten minutes; nothing is missing."""
+    """Weather, power and a cabinet's readings, all of them on one clock of ten minutes; nothing is
+    missing."""
     random = np.random.default_rng(3)
     time = end_s - STEP_S * np.arange(round(days * DAY_S / STEP_S))[::-1]
     count = len(time)
@@ -52,7 +54,7 @@ def record(days: float = 6.0, end_s: float = 1.7e9) -> Record:
 def fit() -> Fit:
     """The record's model at its start values."""
     base = merged([design(record(), kind="thermal"), design(record(), kind=CASCADE)])
-    return Fit("T", base, {p.name: p.start for p in base.model.parameters}, {})
+    return Fit("T", base, {p.name: p.start for p in base.model.parameters})
 
 
 def turbines(count: int) -> dict[str, Turbine]:
@@ -62,7 +64,7 @@ def turbines(count: int) -> dict[str, Turbine]:
     found = {}
     for number in range(count):
         own = {**usual.values, "hygric_k": 0.4 + 0.2 * number / count}
-        one = Fit(f"T{number}", replace(usual.design), own, {})
+        one = Fit(f"T{number}", replace(usual.design), own)
         found[one.name] = Turbine(plan(one, forms=forms, site=made.site, rated_power_W=made.rated_power_W))
     return found
 
@@ -74,18 +76,20 @@ def write_model(one: Turbine, folder: Path) -> None:
     )
     values = {p.name: one.plan.values[p.name] for p in made.model.parameters}
     results = {
-        "name": one.plan.name, "version": __version__, "design": made.to_json(), "synthetic": True, "time_constants": {},
+        "name": one.plan.name, "version": __version__, "design": made.to_json(), "synthetic": True,
+        "time_constants": {},
         "parameters": {name: {"value": value} for name, value in values.items()},
         "covariance": {"names": ["thermal_time_constant"], "matrix": [[0.01]]},
     }  # fmt: skip
-    write_fit(Fit(one.plan.name, made, values, results), folder)
+    write_fit(Fit.from_json(results), folder)
 
 
 def fields() -> list[str]:
     """The rows of `[mapping.signals]`."""
     form = ', stamp = "end", interval = "10min"'
     return [
-        f'{s.signal} = {{ signal = "{s.signal}", unit = "{SIGNALS[s.signal].unit}"{form if s.interval_s else ""} }}'
+        f'{s.signal} = {{ signal = "{s.signal}", unit = '
+        f'"{SIGNALS[s.signal].unit}"{form if s.interval_s else ""} }}'
         for s in record().series
     ]
 

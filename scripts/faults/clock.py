@@ -1,4 +1,5 @@
-"""The clock of the tracker's machine jumps: forward, back a little, and back so far that messages come from its future."""
+"""The clock of the tracker's machine jumps: forward, back a little, and back so far that messages come from
+its future."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from brokers import mosquitto
+from builders.brokers import mosquitto
 
 from faults.outcome import Outcome
 from faults.plant import Plant, counted, stored
@@ -32,7 +33,8 @@ DAY_S = 86400.0
 
 
 def jumping_clock(folder: Path, seed: int) -> Outcome:
-    """Four jumps while messages flow; only what is more than 15 min ahead of the clock is refused, and it is counted."""
+    """Four jumps while messages flow; only what is more than 15 min ahead of the clock is refused, and it is
+    counted."""
     random, plant = np.random.default_rng(seed), Plant(folder)
     store, rows = f"sqlite:{folder / 'live.db'}", plant.timed()
     cuts = [0, *(_cut(rows, share) for share in (0.2, 0.4, 0.6, 0.7, 0.9)), len(rows)]

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
-from databases import Server
+from builders.databases import Server
 
 from faults.clock import jumping_clock
 from faults.disk import DAMAGES, damaged_store, full_disk
@@ -61,7 +61,8 @@ def _damages(folder: Path, seed: int, count: int) -> Outcome:
 
 @dataclass(frozen=True)
 class Scenario:
-    """`run` takes a folder, a seed and how much is done; `usual` and `thorough` amounts, and what they count."""
+    """`run` takes a folder, a seed and how much is done; `usual` and `thorough` amounts, and what they
+    count."""
 
     run: Callable[[Path, int, int], Outcome]
     usual: int

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from brokers import mosquitto
+from builders.brokers import mosquitto
 
 from faults.outcome import Outcome
 from faults.plant import Plant, parts, stored
@@ -17,7 +17,8 @@ DAMAGES = ("beginning", "page", "cut", "another file")
 
 
 def full_disk(folder: Path, seed: int, fillings: int = 1) -> Outcome:
-    """The system refuses every byte beyond a size (RLIMIT_FSIZE), takes them again, refuses them: and then comes a kill.
+    """The system refuses every byte beyond a size (RLIMIT_FSIZE), takes them again, refuses them: and then
+    comes a kill.
 
     What was acknowledged and not written would be missing after that.
     """
@@ -64,7 +65,8 @@ def full_disk(folder: Path, seed: int, fillings: int = 1) -> Outcome:
 
 
 def damaged_store(folder: Path, seed: int, damage: str = "page") -> Outcome:
-    """A damaged file is refused in words, and is afterwards what it was, byte for byte; put right, all goes on."""
+    """A damaged file is refused in words, and is afterwards what it was, byte for byte; put right, all goes
+    on."""
     random, plant = np.random.default_rng(seed), Plant(folder, days=2.0)
     path = folder / "live.db"
     store, file = f"sqlite:{path}", folder / "messages.ndjson"
@@ -111,5 +113,6 @@ def damaged(whole: bytes, damage: str, random: np.random.Generator) -> bytes:
 
 
 def _bytes(folder: Path) -> dict[str, bytes]:
-    """The store's files but for the lock, which holds nothing; to look at one SQLite puts an empty log beside it."""
+    """The store's files but for the lock, which holds nothing; to look at one SQLite puts an empty log beside
+    it."""
     return {one.name: one.read_bytes() for one in folder.glob("live.db*") if one.suffix != ".lock"}

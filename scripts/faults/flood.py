@@ -1,4 +1,5 @@
-"""Many messages: late, in any order, twice, the last of them all once more; and a million with memory that does not grow."""
+"""Many messages: late, in any order, twice, the last of them all once more; and a million with memory that
+does not grow."""
 
 from __future__ import annotations
 
@@ -7,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from brokers import mosquitto, peer, publish
+from builders.brokers import mosquitto, peer, publish
 
 from faults.outcome import Outcome
 from faults.plant import LATENESS_S, Message, Plant, counted, stored
@@ -24,14 +25,17 @@ CHUNK = 2_000
 AHEAD = 20_000
 """Messages that are sent ahead of what the store knows."""
 WARM = 400_000
-"""Messages after which memory is looked at first: forecasts then have all the weeks of history that they ask for."""
+"""Messages after which memory is looked at first: forecasts then have all the weeks of history that they ask
+for."""
 MOST_GROWTH = 1.05
-"""The most memory in the second half of the rest may be so many times that of the first: some 40 bytes a message."""
+"""The most memory in the second half of the rest may be so many times that of the first: some 40 bytes a
+message."""
 PATIENCE_S = 600.0
 
 
 def flood(folder: Path, seed: int, count: int = 50_000, turbines: int = 10, through: str = "file") -> Outcome:
-    """About `count` messages of some turbines, each up to `LATE_S` late; `through` a "file" that grows or a "broker"."""
+    """About `count` messages of some turbines, each up to `LATE_S` late; `through` a "file" that grows or a
+    "broker"."""
     shares = (1.0 + TWICE) * 1.1
     plant = Plant(folder, days=count / shares / turbines / A_DAY, turbines=turbines)
     store = f"sqlite:{folder / 'live.db'}"

@@ -7,8 +7,8 @@ from contextlib import suppress
 from pathlib import Path
 
 import numpy as np
-from brokers import mosquitto
-from databases import Server
+from builders.brokers import mosquitto
+from builders.databases import Server
 
 from faults.outcome import Outcome
 from faults.plant import Message, Plant, counted, parts, stored
@@ -26,11 +26,13 @@ from faults.tracker import (
 from hygrokf.live.sources.streams import record_messages
 
 FLOW_S = 1.5
-"""[s] over which a part of the messages is published; the kill comes at a random moment after the first commit."""
+"""[s] over which a part of the messages is published; the kill comes at a random moment after the first
+commit."""
 STARTING = 0.25
 """Share of the kills that come while a tracker starts, with the messages of its predecessor waiting."""
 UNCONFIRMED_S = 10.0
-"""[s] after which a part that a killed broker has not confirmed is given up; all of it is published once more."""
+"""[s] after which a part that a killed broker has not confirmed is given up; all of it is published once
+more."""
 EVERY = 40
 """One message in so many is none: it must be counted, and change nothing."""
 GOOD = 0
@@ -39,7 +41,8 @@ RUBBISH: Message = ("scada/T1", b'{"turbine": "T1"')
 
 
 def killed_tracker(folder: Path, seed: int, kills: int = 5, store: str = "") -> Outcome:
-    """The tracker dies at random moments of its start and of its rounds; what it was sent meanwhile waits at the broker."""
+    """The tracker dies at random moments of its start and of its rounds; what it was sent meanwhile waits at
+    the broker."""
     random, plant = np.random.default_rng(seed), Plant(folder)
     store = store or f"sqlite:{folder / 'live.db'}"
     messages = plant.messages()
@@ -78,7 +81,10 @@ def killed_tracker(folder: Path, seed: int, kills: int = 5, store: str = "") -> 
     rubbish, set_aside = len(messages) - whole, counted(store)["malformed"]
     if set_aside < rubbish:
         fault = f"{rubbish} payloads were none, {set_aside} were counted"
-    words = f"{midway} kills amid the messages of their part; {rubbish} payloads were none, {set_aside} were counted"
+    words = (
+        f"{midway} kills amid the messages of their part; {rubbish} payloads were none, {set_aside} were "
+        "counted"
+    )
     kind = "PostgreSQL" if store.startswith("postgresql") else "SQLite"
     return plant.judged(
         f"tracker killed, {kind}", seed, kills, len(messages), store, words=words, fault=fault
@@ -117,7 +123,8 @@ def killed_broker(folder: Path, seed: int, kills: int = 1) -> Outcome:
 
 
 def killed_database(folder: Path, seed: int, server: Server, kills: int = 1) -> Outcome:
-    """All of PostgreSQL's processes die at random moments; the tracker waits for it, and the broker for the tracker."""
+    """All of PostgreSQL's processes die at random moments; the tracker waits for it, and the broker for the
+    tracker."""
     random, plant = np.random.default_rng(seed), Plant(folder)
     store, messages = server.url(server.database()), plant.messages()
     (folder / "broker").mkdir()
@@ -150,7 +157,7 @@ def killed_database(folder: Path, seed: int, server: Server, kills: int = 1) -> 
 
 def killed_server(folder: Path, seed: int, kills: int = 1) -> Outcome:
     """An OPC UA server dies while it tells values; what its history has of the outage is read back."""
-    from opcua_peer import Peer
+    from builders.opcua_peer import Peer
 
     random, plant = np.random.default_rng(seed), Plant(folder, days=2.0)
     store = f"sqlite:{folder / 'live.db'}"
@@ -163,7 +170,10 @@ def killed_server(folder: Path, seed: int, kills: int = 1) -> Outcome:
     nodes = {f"ns=2;s=T1.{s.signal}": s.signal for s in plant.record.series}
     rows = [f'"{id}" = {{ turbine = "T1", field = "{field}" }}' for id, field in nodes.items()]
     with Peer(folder) as server:
-        settings = f'[[source]]\nurl = "{server.url}"\nsampling = "0s"\npublishing = "0.05s"\nqueue = 5000\nlook_back = "9000d"'
+        settings = (
+            f'[[source]]\nurl = "{server.url}"\nsampling = "0s"\npublishing = "0.05s"\nqueue = '
+            '5000\nlook_back = "9000d"'
+        )
         config = plant.config("\n".join([settings, "[source.nodes]", *rows]), store)
         server.prepare()
         server.add(nodes)

@@ -10,9 +10,9 @@ from dataclasses import asdict, dataclass
 class Outcome:
     """What was done to a tracker with a seed, and what was found afterwards.
 
-    `blows` how often something was done (kills, full disks, damaged files, payloads), `messages` that were sent in all.
-    `missing` and `doubled` observations; `equal` whether the state is the offline filter's, bit for bit; `words` what else
-    was seen; `fault` what did not hold, "" where all did.
+    `blows` how often something was done (kills, full disks, damaged files, payloads), `messages` that were
+    sent in all. `missing` and `doubled` observations; `equal` whether the state is the offline filter's, bit
+    for bit; `words` what else was seen; `fault` what did not hold, "" where all did.
     """
 
     scenario: str

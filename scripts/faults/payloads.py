@@ -1,4 +1,5 @@
-"""Payloads that are none: each is made to be set aside for a reason, which is the kind under which it must be counted."""
+"""Payloads that are none: each is made to be set aside for a reason, which is the kind under which it must be
+counted."""
 
 from __future__ import annotations
 
@@ -8,7 +9,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
-from brokers import mosquitto, peer, publish
+from builders.brokers import mosquitto, peer, publish
 
 from faults.outcome import Outcome
 from faults.plant import Message, Plant, counted, stored
@@ -16,21 +17,27 @@ from faults.tracker import mqtt_source, tracking, unacknowledged, until
 from hygrokf.live.sources.payload import DEEPEST, LARGEST
 
 NAMES = (
-    "<script>alert(1)</script>", "T1<img src=x onerror=alert(1)>", "T1\x00", "T1\r\n", "\x1b[31mT1", "T1\u202e", "t1", " T1", "T1 ",
-    "", "../T1", "'; DROP TABLE turbine; --", "T" * 300, "\ud800T1", "T1\udfff", "\U0010ffff", "%s%n", "{1}", None, True, 1, -0.0, [],
+    "<script>alert(1)</script>", "T1<img src=x onerror=alert(1)>", "T1\x00", "T1\r\n", "\x1b[31mT1",
+    "T1\u202e", "t1", " T1", "T1 ",
+    "", "../T1", "'; DROP TABLE turbine; --", "T" * 300, "\ud800T1", "T1\udfff", "\U0010ffff", "%s%n", "{1}",
+    None, True, 1, -0.0, [],
     ["T1"], {"name": "T1"}, 10**300, "T１",
 )  # fmt: skip
 """What stands for no turbine that is tracked."""
 TIMES = (
-    None, True, False, [], {}, [1.6e9], {"time": 1.6e9}, "", "soon", "<b>now</b>", "2026-03-01T12:00:00", "2026-13-01T12:00:00Z",
-    "9999-12-31T23:59:59-23:00", "0000-00-00T00:00:00Z", "\ud800", "\x00", "1" * 300, float("nan"), float("inf"), float("-inf"), 10**400,
+    None, True, False, [], {}, [1.6e9], {"time": 1.6e9}, "", "soon", "<b>now</b>", "2026-03-01T12:00:00",
+    "2026-13-01T12:00:00Z",
+    "9999-12-31T23:59:59-23:00", "0000-00-00T00:00:00Z", "\ud800", "\x00", "1" * 300, float("nan"),
+    float("inf"), float("-inf"), 10**400,
     "nan", "Infinity", "2026-03-01T12:00:00Z; DROP TABLE observation",
 )  # fmt: skip
 """What is no time."""
-IMPOSSIBLE = (0, -1, 1e-300, -1e308, 1e300, 631_151_999, 4e9, 1e15, 10**17, "0", "-5", "1e18", "9999-12-31T23:59:59Z", "0001-01-01T00:00:00+00:00")  # fmt: skip
+IMPOSSIBLE = (0, -1, 1e-300, -1e308, 1e300, 631_151_999, 4e9, 1e15, 10**17, "0", "-5", "1e18",
+    "9999-12-31T23:59:59Z", "0001-01-01T00:00:00+00:00")  # fmt: skip
 """Times that are none of a turbine."""
 NO_NUMBERS = (
-    True, False, [], {}, [290.0], {"value": 290.0}, "warm", "<b>290</b>", "290 K", "2,9e2", "\ud800", "\x00", "9" * 300, "0x122",
+    True, False, [], {}, [290.0], {"value": 290.0}, "warm", "<b>290</b>", "290 K", "2,9e2", "\ud800", "\x00",
+    "9" * 300, "0x122",
     float("nan"), float("inf"), float("-inf"), 10**400, "nan", "-Infinity", "290\ud800",
 )  # fmt: skip
 """What is no number."""
@@ -78,7 +85,9 @@ def _deep(random: np.random.Generator, at: float) -> bytes:
 
 def _no_object(random: np.random.Generator, at: float) -> bytes:
     whole = _stated(random, at)
-    return bytes(_any(random, (b"[" + whole + b"]", b"null", b"true", b'"T1"', b"290", whole + whole, b"NaN", b"9" * 5_000, whole + b"\x00")))  # fmt: skip
+    return bytes(_any(random,
+        (b"[" + whole + b"]", b"null", b"true", b'"T1"', b"290", whole + whole, b"NaN", b"9" * 5_000,
+            whole + b"\x00")))  # fmt: skip
 
 
 def _twice(random: np.random.Generator, at: float) -> bytes:
@@ -95,16 +104,19 @@ KINDS: dict[str, tuple[str, Callable[[np.random.Generator, float], bytes]]] = {
     "flipped": ("malformed", _flipped),
     "no object": ("malformed", _no_object),
     "a key twice": ("malformed", _twice),
-    "giant": ("malformed", lambda random, at: b'{"turbine": "T1", "time": ' + b"9" * int(random.integers(4_400, 60_000)) + b"}"),
+    "giant": ("malformed", lambda random,
+        at: b'{"turbine": "T1", "time": ' + b"9" * int(random.integers(4_400, 60_000)) + b"}"),
     "huge": ("too large", _huge),
     "deep": ("too deep", _deep),
     "unknown": ("unknown turbine", lambda random, at: _stated(random, at, turbine=_any(random, NAMES))),
     "no time": ("no time", lambda random, at: _stated(random, at, time=_any(random, TIMES))),
-    "impossible time": ("impossible time", lambda random, at: _stated(random, at, time=_any(random, IMPOSSIBLE))),
+    "impossible time": ("impossible time", lambda random,
+        at: _stated(random, at, time=_any(random, IMPOSSIBLE))),
     "no number": ("no number", lambda random, at: _stated(random, at, **{SIGNAL: _any(random, NO_NUMBERS)})),
     "beyond": ("impossible value", lambda random, at: _stated(random, at, **{SIGNAL: _any(random, BEYOND)})),
 }  # fmt: skip
-"""What is wrong -> (the kind under which it is counted, how it is made from a random generator and a time [s])."""
+"""What is wrong -> (the kind under which it is counted, how it is made from a random generator and a time
+[s])."""
 
 
 def spoiled(random: np.random.Generator, count: int, at: float) -> list[tuple[str, bytes]]:
@@ -117,7 +129,8 @@ def spoiled(random: np.random.Generator, count: int, at: float) -> list[tuple[st
 
 
 def malformed(folder: Path, seed: int, count: int = 1_000) -> Outcome:
-    """Payloads that are none among those of a turbine, through a broker into a tracker: it is as if they were not there."""
+    """Payloads that are none among those of a turbine, through a broker into a tracker: it is as if they were
+    not there."""
     random, plant = np.random.default_rng(seed), Plant(folder)
     store, messages = f"sqlite:{folder / 'live.db'}", plant.messages()
     rows = plant.timed()

@@ -1,4 +1,5 @@
-"""A plant of a few turbines: their model, their tracker's file, their messages, and what must be in the store afterwards."""
+"""A plant of a few turbines: their model, their tracker's file, their messages, and what must be in the store
+afterwards."""
 
 from __future__ import annotations
 
@@ -9,11 +10,13 @@ from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
-from live_case import expect_offline, live_fit, live_record
+from builders.live_case import expect_offline, live_fit, live_record
 
 from faults.outcome import Outcome
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS
+from hygrokf.data.structured import structured
+from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.results import write_fit
 from hygrokf.live.config import read_config
 from hygrokf.live.sources.streams import record_messages
@@ -36,11 +39,12 @@ class Plant:
         self.names = [f"T{n + 1}" for n in range(turbines)]
         fit = live_fit(self.record)
         results = {
-            "name": fit.name, "version": "0.1.0", "design": fit.design.to_json(), "synthetic": True, "time_constants": {},
+            "name": fit.name, "version": "0.1.0", "design": fit.design.to_json(), "synthetic": True,
+            "time_constants": {},
             "parameters": {name: {"value": value} for name, value in fit.values.items()},
             "covariance": {"names": ["thermal_time_constant"], "matrix": [[0.01]]},
         }  # fmt: skip
-        write_fit(replace(fit, results=results), folder / "model")
+        write_fit(replace(fit, results=structured(FitResults, results)), folder / "model")
 
     def config(self, sources: str, store: str) -> Path:
         """The tracker's file with these sources and this store."""
@@ -68,10 +72,12 @@ class Plant:
         return [message for _, message in self.timed()]
 
     def judged(
-        self, scenario: str, seed: int, blows: int, messages: int, store: str, record: Record | None = None, words: str = "",
+        self, scenario: str, seed: int, blows: int, messages: int, store: str, record: Record | None = None,
+        words: str = "",
         fault: str = "",
     ) -> Outcome:  # fmt: skip
-        """What is in a store, held against every reading of a record (the plant's own) and the offline filter."""
+        """What is in a store, held against every reading of a record (the plant's own) and the offline
+        filter."""
         record = record or self.record
         sent = Counter(
             (s.signal, t, v)
@@ -98,7 +104,10 @@ class Plant:
 def _field(series: Series) -> str:
     unit = SIGNALS[series.signal].unit
     form = f', stamp = "end", interval = "{series.interval_s:g}s"' if series.interval_s else ""
-    return f'{series.signal} = {{ signal = "{series.signal}", unit = "{unit}", resolution = {series.resolution!r}{form} }}'
+    return (
+        f'{series.signal} = {{ signal = "{series.signal}", unit = "{unit}", resolution = '
+        f"{series.resolution!r}{form} }}"
+    )
 
 
 def stored(store: str) -> int:

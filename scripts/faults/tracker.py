@@ -1,4 +1,5 @@
-"""The tracker as its users run it, in a process of its own that may be killed; and a broker with a publisher."""
+"""The tracker as its users run it, in a process of its own that may be killed; and a broker with a
+publisher."""
 
 from __future__ import annotations
 
@@ -12,8 +13,8 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from brokers import PATIENCE_S as CONFIRMING_S
-from brokers import Mosquitto, peer, publish
+from builders.brokers import PATIENCE_S as CONFIRMING_S
+from builders.brokers import Mosquitto, peer, publish
 
 from faults.plant import Message
 
@@ -22,7 +23,8 @@ PATIENCE_S = 120.0
 CLIENT, TOPICS = "tracker", "scada/#"
 
 
-def until(happened: Callable[[], object], words: Callable[[], object] = lambda: "", patience_s: float = PATIENCE_S) -> None:  # fmt: skip
+def until(happened: Callable[[], object], words: Callable[[], object] = lambda: "",
+    patience_s: float = PATIENCE_S) -> None:  # fmt: skip
     """Wait until something has happened; AssertionError with these words where it does not in time."""
     end = time.monotonic() + patience_s
     while not happened():
@@ -31,7 +33,8 @@ def until(happened: Callable[[], object], words: Callable[[], object] = lambda: 
 
 
 class Tracker:
-    """`hygrokf track` on a tracker's file, without its page; what it says goes to `track.log` beside that file."""
+    """`hygrokf track` on a tracker's file, without its page; what it says goes to `track.log` beside that
+    file."""
 
     def __init__(self, config: Path, *arguments: str, hook: Path | None = None) -> None:
         self.log = config.with_name("track.log")
@@ -100,7 +103,7 @@ def later(seconds: float, what: Callable[[], None]) -> Iterator[None]:
         raise faults[0]
 
 
-# -- MQTT ------------------------------------------------------------------------------------------------------------
+# -- MQTT ----------------------------------------------------------------------------------------------------
 def mqtt_source(broker: Mosquitto) -> str:
     return f'[[source]]\nurl = "{broker.url}"\ntopics = ["{TOPICS}"]\nclient_id = "{CLIENT}"'
 
@@ -122,7 +125,8 @@ def tracking(broker: Mosquitto, config: Path, hook: Path | None = None) -> Itera
 def flow(
     broker: Mosquitto, messages: Sequence[Message], seconds: float, patience_s: float = CONFIRMING_S
 ) -> None:
-    """Publish messages over so many seconds at least; each part is confirmed within `patience_s` [s], or AssertionError."""
+    """Publish messages over so many seconds at least; each part is confirmed within `patience_s` [s], or
+    AssertionError."""
     with peer(broker) as client:
         step = max(len(messages) // 20, 1)
         for first in range(0, len(messages), step):
@@ -131,7 +135,8 @@ def flow(
 
 
 def unacknowledged(broker: Mosquitto) -> str:
-    """What the broker still has for the tracker's session, in words: whatever comes before a message published now."""
+    """What the broker still has for the tracker's session, in words: whatever comes before a message
+    published now."""
     from paho.mqtt.client import Client, MQTTv5
     from paho.mqtt.enums import CallbackAPIVersion
 

@@ -1,1 +1,2 @@
-"""Parts of `scripts/reproduce_paper`: the paper's three experiments on simulated cabinets under measured drivers."""
+"""Parts of `scripts/reproduce_paper`: the paper's three experiments on simulated cabinets under measured
+drivers."""

@@ -1,7 +1,7 @@
 """Simulated cabinets under the measured drivers of a site, and their records with local or with ERA5's air.
 
-The simulator is that of `tests/plants`: physical units and an integrator of its own, coloured disturbances, loggers with
-bias, noise and resolution.
+The simulator is that of `tests/plants`: physical units and an integrator of its own, coloured disturbances,
+loggers with bias, noise and resolution.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ class LocalAir:
     """How the air at a turbine differs from ERA5's: two Ornstein-Uhlenbeck processes.
 
     temperature_sd_K: [K], temperature_time_h: [h]. vapour_sd: [-] of the logarithm of the absolute humidity,
-    vapour_time_h: [h].  The defaults are what `paper.sites` finds in measurements: `nacelle_deviation` for the
-    temperature, without its mean and its course of the day, which belong to a warm sensor high above the ground; the
-    middle house of `eave_deviations` for the humidity.
+    vapour_time_h: [h].  The defaults are what `paper.sites` finds in measurements: `nacelle_deviation` for
+    the temperature, without its mean and its course of the day, which belong to a warm sensor high above the
+    ground; the middle house of `eave_deviations` for the humidity.
     """
 
     temperature_sd_K: float = 1.53
@@ -42,7 +42,8 @@ class LocalAir:
 
 
 def local_drivers(site: Site, days: float, seed: int, air: LocalAir, outdoor: bool = False) -> Drivers:
-    """What a cabinet at the site is exposed to, each minute: measured power, and air that differs from ERA5's.
+    """What a cabinet at the site is exposed to, each minute: measured power, and air that differs from
+    ERA5's.
 
     outdoor: take the temperature of the turbine's own outdoor sensor instead of the simulated local one.
     """
@@ -77,7 +78,8 @@ def local_drivers(site: Site, days: float, seed: int, air: LocalAir, outdoor: bo
 
 
 LOGGING = Logging(logger_step_min=15.0, sensor_errors="all")
-"""Cabinet loggers every 15 min, ambient loggers every 10 min, all with bias, noise and resolution (0.3 K, 2 %)."""
+"""Cabinet loggers every 15 min, ambient loggers every 10 min, all with bias, noise and resolution (0.3 K, 2
+%)."""
 
 
 def first_plant(site: Site, drivers: Drivers, seed: int) -> Plant:
@@ -93,7 +95,8 @@ def first_plant(site: Site, drivers: Drivers, seed: int) -> Plant:
 
 
 def sister_plant(site: Site, drivers: Drivers, seed: int, kin: Cabinet) -> Plant:
-    """A cabinet of the same type: `kin` with each property moved by a factor of its own, other disturbances and loggers."""
+    """A cabinet of the same type: `kin` with each property moved by a factor of its own, other disturbances
+    and loggers."""
     random = np.random.default_rng(np.random.SeedSequence([seed, 22]))
     moved = ("heat_capacity", "outer_resistance", "inner_resistance", "gap")
     factors = np.exp(INDIVIDUAL * random.standard_normal(len(moved) + 1))
@@ -110,7 +113,8 @@ def sister_plant(site: Site, drivers: Drivers, seed: int, kin: Cabinet) -> Plant
 
 def local_record(made: Plant, until_s: float | None) -> Record:
     """Readings in the cabinet, of the local air, and the power."""
-    kept = ("cabinet_temperature", "cabinet_relative_humidity", "ambient_temperature", "ambient_relative_humidity",
+    kept = ("cabinet_temperature", "cabinet_relative_humidity", "ambient_temperature",
+        "ambient_relative_humidity",
             "active_power")  # fmt: skip
     found = to_record(made, until_s=until_s)
     return replace(

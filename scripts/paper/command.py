@@ -25,7 +25,8 @@ from paper.tables import SIMULATED_NOTE, all_tables, csv_text, markdown
 ROOT = Path(__file__).resolve().parents[2]
 DATA = ROOT.parent / "shared" / "data"
 DOCS = ROOT / "docs"
-PICTURES = {"errors": "paper_errors", "time_constants": "paper_time_constants", "era5_temperature": "paper_era5",
+PICTURES = {"errors": "paper_errors", "time_constants": "paper_time_constants",
+    "era5_temperature": "paper_era5",
             "sister_temperature": "paper_sister"}  # fmt: skip
 """Figures that the page in docs shows, and the names of their files."""
 
@@ -69,7 +70,7 @@ def files(found: Mapping, figures: Sequence[Drawn]) -> dict[str, bytes]:
     return made
 
 
-# -- docs --------------------------------------------------------------------------------------------------------------
+# -- docs ----------------------------------------------------------------------------------------------------
 def filled(text: str, found: Mapping) -> str:
     """A page of docs with the tables between its marks made again."""
     for name, table in all_tables(found).items():
@@ -99,23 +100,28 @@ def write_docs(found: Mapping, figures: Sequence[Drawn]) -> None:
         write_bytes_whole(DOCS / "pictures" / f"{PICTURES[one.name]}.png", small.getvalue())
 
 
-# -- the command -------------------------------------------------------------------------------------------------------
+# -- the command ---------------------------------------------------------------------------------------------
 def parser() -> argparse.ArgumentParser:
     default = Plan()
     made = argparse.ArgumentParser(
         prog="scripts/reproduce_paper",
-        description="The paper's three experiments on a simulated cabinet under measured drivers, beside the paper's numbers.",
+        description="The paper's three experiments on a simulated cabinet under measured drivers, beside the "
+        "paper's numbers.",
     )
-    made.add_argument("data", nargs="?", type=Path, default=DATA, help="folder with the measured drivers (default: ../shared/data)")  # fmt: skip
+    made.add_argument("data", nargs="?", type=Path, default=DATA,
+        help="folder with the measured drivers (default: ../shared/data)")  # fmt: skip
     made.add_argument("--out", type=Path, default=ROOT / "build" / "paper", metavar="DIR",
-                      help="folder for paper.json, CSV, PNG, SVG and report.html (default: build/paper)")  # fmt: skip
+                      help="folder for paper.json, CSV, PNG, SVG and report.html (default: "
+                           "build/paper)")  # fmt: skip
     made.add_argument(
         "--seed", type=_seed, default=default.seed, help=f"of what is shown (default: {default.seed})"
     )
     made.add_argument("--others", type=_seeds, default=default.others, metavar="FIRST:LAST",
-                      help=f"seeds of the spread, LAST excluded; 0:0 for none (default: {default.others[0]}:{default.others[-1] + 1})")  # fmt: skip
+                      help="seeds of the spread, LAST excluded; 0:0 for none (default: "
+                           f"{default.others[0]}:{default.others[-1] + 1})")  # fmt: skip
     made.add_argument("--days", type=_days, default=default.days, metavar="N",
-                      help=f"length of the records (default: {default.days:g}); the last 15 %% validate")  # fmt: skip
+                      help=f"length of the records (default: {default.days:g}); the last 15 %% "
+                           "validate")  # fmt: skip
     made.add_argument("--quick", action="store_true", help="one start a fit: a smoke test")
     made.add_argument(
         "--docs", action="store_true", help="also make docs/reproduce_paper.md's tables and pictures again"

@@ -9,6 +9,7 @@ import numpy as np
 from plants.plant import Plant
 
 from hygrokf.data.record import Record
+from hygrokf.data.structured import plain as plain_data
 from paper.cabinets import (
     INDIVIDUAL,
     LocalAir,
@@ -28,9 +29,9 @@ DAY_S = 86400.0
 class Plan:
     """What is run.
 
-    start: (UK, France) UTC; the French one lies four years before the other. days: of each record; until_day: day on
-    which the identification ends. seed: of the results that are shown. others: seeds of the spread. starts: of every
-    fit.
+    start: (UK, France) UTC; the French one lies four years before the other. days: of each record; until_day:
+    day on which the identification ends. seed: of the results that are shown. others: seeds of the spread.
+    starts: of every fit.
     """
 
     start: tuple[str, str] = ("2018-07-15", "2014-07-15")
@@ -70,9 +71,11 @@ def sister(plan: Plan, folder: Path, seed: int, kin: Plant, outdoor: bool = Fals
 
 
 SIMULATIONS = ("local", "era5", "local_on_era5", "sister", "sister_of_local", "sister_own", "sister_outdoor")
-"""local, era5: identified and run with that air. local_on_era5: identified with the local air, run with ERA5's.
+"""local, era5: identified and run with that air. local_on_era5: identified with the local air, run with
+ERA5's.
 sister: the model `era5` on the sister with ERA5's air there. sister_of_local: the model `local` on the same.
-sister_own: identified on the sister's own record with ERA5's air.  sister_outdoor: as `sister`, but the cabinet's air is what the outdoor sensor of the French nacelle measured."""
+sister_own: identified on the sister's own record with ERA5's air.  sister_outdoor: as `sister`, but the
+    cabinet's air is what the outdoor sensor of the French nacelle measured."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +145,9 @@ def plain(found: Outcome) -> dict:
             for name, case in (("home", found.home), ("sister", found.sister))
         },
         "time_constants": {
-            name: {part: _constant(entry) for part, entry in one.fit.results["time_constants"].items()}
+            name: {
+                part: _constant(entry) for part, entry in plain_data(one.fit.results.time_constants).items()
+            }
             for name, one in found.models.items()
         },
         "sensor_errors": {
@@ -153,8 +158,8 @@ def plain(found: Outcome) -> dict:
             }
             for name, one in found.models.items()
         },
-        "converged": {name: bool(one.fit.results["converged"]) for name, one in found.models.items()},
-        "statements": {name: list(one.fit.results["statements"]) for name, one in found.models.items()},
+        "converged": {name: bool(one.fit.results.converged) for name, one in found.models.items()},
+        "statements": {name: list(one.fit.results.statements) for name, one in found.models.items()},
         "rmse": {
             name: {
                 criterion: {"whole": found.runs[name, criterion].whole, **found.runs[name, criterion].periods}
@@ -168,9 +173,9 @@ def plain(found: Outcome) -> dict:
 
 def _true_hygric_h(found: Outcome, model: str) -> float:
     """R_D* V* [h] that was put in, at the temperatures at which a model's estimate is stated."""
-    at = found.models[model].fit.results["time_constants"]["hygric"]["reference"]
+    at = found.models[model].fit.results.time_constants["hygric"].reference
     case = found.sister if model == "sister_own" else found.home
-    return case.plant.cabinet.hygric_h(at["cabinet_temperature_K"], at["ambient_temperature_K"])
+    return case.plant.cabinet.hygric_h(at.cabinet_temperature_K, at.ambient_temperature_K)
 
 
 def _constant(entry: dict | None) -> dict | None:
@@ -185,7 +190,8 @@ def _constant(entry: dict | None) -> dict | None:
 
 
 def local_air(case: Case) -> dict[str, float]:
-    """How far the simulated local air lies from ERA5's: standard deviations of temperature [K] and vapour [g/m3]."""
+    """How far the simulated local air lies from ERA5's: standard deviations of temperature [K] and vapour
+    [g/m3]."""
     drivers, site = case.plant.drivers, case.site
     kelvin = drivers.ambient_K - np.interp(drivers.time, site.hour_s, site.temperature_K)
     vapour = 1e3 * (drivers.ambient_kg_m3 - np.interp(drivers.time, site.hour_s, site.vapour_kg_m3))

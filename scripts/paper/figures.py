@@ -1,4 +1,5 @@
-"""The figures of the experiments: courses as in the paper's Fig. 6 to 10, and all numbers beside the paper's."""
+"""The figures of the experiments: courses as in the paper's Fig. 6 to 10, and all numbers beside the
+paper's."""
 
 from __future__ import annotations
 
@@ -28,7 +29,8 @@ NUMBERS_LABEL = "here: simulated cabinets under measured drivers; paper: a measu
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure with what to write above and below it; `name` is that of its files; drawn once, at the first call."""
+    """A figure with what to write above and below it; `name` is that of its files; drawn once, at the first
+    call."""
 
     name: str
     heading: str
@@ -45,7 +47,8 @@ def all_figures(found: Mapping, shown: Outcome) -> tuple[Drawn, ...]:
 
     drawn = (
         Drawn("errors", "All experiments beside the paper",
-              "Root mean squared errors of the free run; large dots are the seed that the tables show, small ones the others.",
+              "Root mean squared errors of the free run; large dots are the seed that the tables show, small "
+              "ones the others.",
               lambda: figure_errors(found)),
         Drawn("time_constants", "Time constants",
               "Estimates of every seed with 95 % bounds; the line is the value that was put in, the paper's.",
@@ -53,7 +56,8 @@ def all_figures(found: Mapping, shown: Outcome) -> tuple[Drawn, ...]:
         Drawn("local_temperature", "Experiment 1: temperature with the local air (as Fig. 6)",
               "Identified up to the shaded month, which validates.",
               course("local", figure_temperature, LOCAL_LABEL)),
-        Drawn("local_excerpts", "Experiment 1: excerpts (as Fig. 7)", "", course("local", figure_excerpts, LOCAL_LABEL)),
+        Drawn("local_excerpts", "Experiment 1: excerpts (as Fig. 7)", "",
+            course("local", figure_excerpts, LOCAL_LABEL)),
         Drawn("local_humidity", "Experiment 1: absolute humidity with the local air (as Fig. 8)", "",
               course("local", figure_humidity, LOCAL_LABEL)),
         Drawn("era5_temperature", "Experiment 2: temperature with ERA5's air (as Fig. 9)", "",
@@ -100,7 +104,8 @@ def figure_errors(found: Mapping) -> Figure:
                 axes.axhline(place, color=RULE, linewidth=0.5, zorder=0)
                 for shift, criterion in zip((-0.17, 0.17), CRITERIA, strict=True):
                     values = totals(found, run, period, quantity, criterion)
-                    axes.plot(values[1:], np.full(len(values) - 1, place + shift), "o", color=COLOURS[criterion],
+                    axes.plot(values[1:], np.full(len(values) - 1, place + shift), "o",
+                        color=COLOURS[criterion],
                               markersize=2.6, alpha=0.45, markeredgewidth=0)  # fmt: skip
                     axes.plot(values[0], place + shift, "o", color=COLOURS[criterion], markersize=5.5)
                 axes.plot(published_total(found, path, quantity), place, "D", color=SIMULATED, markersize=5.5,
@@ -112,8 +117,10 @@ def figure_errors(found: Mapping) -> Figure:
             axes.set_xlim(left=0.0)
             axes.set_xlabel(f"RMSE of the {('temperature', 'absolute humidity')[column]} [{UNITS[quantity]}]")
         handles = [
-            Line2D([], [], marker="D", color=SIMULATED, linestyle="", markersize=5.0, label="paper, measured cabinet"),
-            *(Line2D([], [], marker="o", color=COLOURS[c], linestyle="", markersize=5.0, label=f"here, {WORDS[c]}")
+            Line2D([], [], marker="D", color=SIMULATED, linestyle="", markersize=5.0,
+                label="paper, measured cabinet"),
+            *(Line2D([], [], marker="o", color=COLOURS[c], linestyle="", markersize=5.0,
+                label=f"here, {WORDS[c]}")
               for c in CRITERIA),
         ]  # fmt: skip
         figure.legend(handles=handles, loc="upper left", bbox_to_anchor=(0.005, 0.935), ncols=3)
@@ -139,7 +146,8 @@ def figure_constants(found: Mapping) -> Figure:
                     axes.plot(
                         [entry["lower_h"], upper], [y, y], color=COLOURS[criterion], linewidth=0.8, alpha=0.75
                     )
-                    axes.plot(entry["value_h"], y, "o", color=COLOURS[criterion], markersize=4.5 if i == 0 else 2.6,
+                    axes.plot(entry["value_h"], y, "o", color=COLOURS[criterion],
+                        markersize=4.5 if i == 0 else 2.6,
                               markeredgewidth=0)  # fmt: skip
             axes.axvline(
                 np.mean([one["truth"][f"{part}_h"] for one in seeds]), color=INK, linewidth=0.8, zorder=0

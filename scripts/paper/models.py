@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.data.record import Record
+from hygrokf.data.structured import plain
 from hygrokf.evaluation.scoring import baselines, scores
 from hygrokf.evaluation.simulation import Prediction, measured
 from hygrokf.evaluation.simulation import simulate as free_run
@@ -57,7 +58,8 @@ def identify_both(record: Record, starts: int, say: Say) -> Identified:
 
 @dataclass(frozen=True)
 class Simulation:
-    """A model's free run on a record: scores of the whole record and of its periods, and arrays for pictures."""
+    """A model's free run on a record: scores of the whole record and of its periods, and arrays for
+    pictures."""
 
     whole: dict
     periods: dict
@@ -76,9 +78,9 @@ def simulate(
     made = prepare_run(base, record)
     predicted = free_run(base, values, made, None if fit is None else fit.covariance)
     return Simulation(
-        whole=scores(made, predicted, None)["identification"],
-        periods=scores(made, predicted, record.until_s),
-        baselines=baselines(made, None)["identification"],
+        whole=plain(scores(made, predicted, None)["identification"]),
+        periods=plain(scores(made, predicted, record.until_s)),
+        baselines=plain(baselines(made, None)["identification"]),
         series=_series(made, predicted, record),
     )
 

@@ -9,7 +9,8 @@ PERIODS = {
     "identification": {"temperature_K": 1.95, "absolute_humidity_g_m3": 0.45},
     "validation": {"temperature_K": 1.43, "absolute_humidity_g_m3": 0.26},
 }
-"""RMSE of the first 5.5 months and of the month after them, with the measured ambient; text below Fig. 7 and Fig. 8."""
+"""RMSE of the first 5.5 months and of the month after them, with the measured ambient; text below Fig. 7 and
+Fig. 8."""
 
 WHOLE = {
     "measured": {

@@ -1,8 +1,10 @@
-"""The measured drivers of two wind farms: ERA5's air and the turbine's power, from the files of the data folder.
+"""The measured drivers of two wind farms: ERA5's air and the turbine's power, from the files of the data
+folder.
 
-Kelmarsh, UK: ERA5 with humidity, hourly power.  La Haute Borne, France: ERA5 without humidity, ten-minute power and an
-outdoor sensor on the nacelle.  Neither has a logger beside a cabinet, so there is no second ambient series to measure
-the paper's comparison of local air and reanalysis with; `paper.local_air` makes one.
+Kelmarsh, UK: ERA5 with humidity, hourly power.  La Haute Borne, France: ERA5 without humidity, ten-minute
+power and an outdoor sensor on the nacelle.  Neither has a logger beside a cabinet, so there is no second
+ambient series to measure the paper's comparison of local air and reanalysis with; `paper.local_air` makes
+one.
 """
 
 from __future__ import annotations
@@ -41,8 +43,9 @@ class Site:
     """Measured drivers of one turbine.
 
     hour_s: [s] (H,) since 1970, each hour. temperature_K, vapour_kg_m3: (H,) ERA5's air at these instants.
-    step_s: [s] (T,) starts of ten-minute intervals. power_W: (T,) mean power of each, filled where power_known is False.
-    outdoor_K: (T,) the turbine's own outdoor sensor, or None. latitude_deg, longitude_deg: [deg].
+    step_s: [s] (T,) starts of ten-minute intervals. power_W: (T,) mean power of each, filled where
+    power_known is False. outdoor_K: (T,) the turbine's own outdoor sensor, or None. latitude_deg,
+    longitude_deg: [deg].
     """
 
     name: str
@@ -85,8 +88,8 @@ def kelmarsh(folder: Path, start: str, days: float, seed: int) -> Site:
 def la_haute_borne(folder: Path, start: str, days: float) -> Site:
     """Turbine R80736 at La Haute Borne from `start` (UTC) over `days`.
 
-    The files have no humidity there: ERA5's dew-point depression at Kelmarsh, at the same hour of the same date four
-    years later, is put on the French temperature.  Raises DataFault.
+    The files have no humidity there: ERA5's dew-point depression at Kelmarsh, at the same hour of the same
+    date four years later, is put on the French temperature.  Raises DataFault.
     """
     weather, turbine, english = _french_weather(folder), _french_turbine(folder), _kelmarsh(folder)
     hours = _window(weather, start, days, FRENCH_WEATHER)
@@ -116,15 +119,17 @@ def la_haute_borne(folder: Path, start: str, days: float) -> Site:
 
 
 def nacelle_deviation(folder: Path) -> dict[str, float]:
-    """How the outdoor sensor of the French nacelle differs from ERA5: n, mean, course of the day, the rest and its time.
+    """How the outdoor sensor of the French nacelle differs from ERA5: n, mean, course of the day, the rest
+    and its time.
 
-    `sd_K` is what is left without the running mean of 30 days and the mean course of the day; `time_h` the lag at which
-    its autocorrelation has fallen to 1/e.
+    `sd_K` is what is left without the running mean of 30 days and the mean course of the day; `time_h` the
+    lag at which its autocorrelation has fallen to 1/e.
     """
     import pandas as pd
 
     weather, turbine = _french_weather(folder), _french_turbine(folder)
-    # a mean over ten minutes belongs to the middle of them; a sensor that repeats itself to the last digit is stuck
+    # a mean over ten minutes belongs to the middle of them; a sensor that repeats itself to the last digit is
+    # stuck
     reading = turbine["Ot_avg"]
     reading = reading.where((reading.diff() != 0) | (reading.diff(-1) != 0))
     air = (
@@ -145,7 +150,8 @@ def nacelle_deviation(folder: Path) -> dict[str, float]:
 
 
 def eave_deviations(folder: Path) -> list[dict[str, float]]:
-    """How loggers outside three Finnish houses differ from the weather station in absolute humidity (relative, ln)."""
+    """How loggers outside three Finnish houses differ from the weather station in absolute humidity
+    (relative, ln)."""
     import pandas as pd
 
     from hygrokf.physics.psychrometrics import absolute_humidity
@@ -179,7 +185,7 @@ def eave_deviations(folder: Path) -> list[dict[str, float]]:
     return rows
 
 
-# -- files -------------------------------------------------------------------------------------------------------------
+# -- files ---------------------------------------------------------------------------------------------------
 def expect_files(folder: Path) -> None:
     """All files of the experiments are there; raises DataFault that names those that are not."""
     missing = [
@@ -194,8 +200,8 @@ def expect_files(folder: Path) -> None:
 
 def _kelmarsh(folder: Path) -> pd.DataFrame:
     table = _read(folder / KELMARSH, index_col="datetime_start_utc", parse_dates=["datetime_start_utc"])
-    return _with(table.tz_localize(None) if table.index.tz is None else table.tz_convert("UTC").tz_localize(None),
-                 KELMARSH, ("T2m_C", "Td2m_C", "P_K2_kW"))  # fmt: skip
+    utc = table if table.index.tz is None else table.tz_convert("UTC")
+    return _with(utc.tz_localize(None), KELMARSH, ("T2m_C", "Td2m_C", "P_K2_kW"))
 
 
 def _french_weather(folder: Path) -> pd.DataFrame:
@@ -220,7 +226,8 @@ def _read(file: Path, **how: object) -> pd.DataFrame:
     except (OSError, ValueError, EOFError) as fault:
         reason = getattr(fault, "strerror", None) or str(fault).splitlines()[0]
         raise DataFault(
-            f"{file}: expected a table as the data folder's README.md describes it, found: {reason}; get the file again"
+            f"{file}: expected a table as the data folder's README.md describes it, found: {reason}; get the "
+            "file again"
         ) from None
 
 
@@ -228,7 +235,8 @@ def _with(table: pd.DataFrame, name: str, columns: tuple[str, ...]) -> pd.DataFr
     missing = [one for one in columns if one not in table]
     if missing:
         raise DataFault(
-            f"{name}: expected the columns {', '.join(columns)}, found no {', '.join(missing)}; get the file again"
+            f"{name}: expected the columns {', '.join(columns)}, found no {', '.join(missing)}; get the file "
+            "again"
         )
     return table
 
@@ -241,8 +249,8 @@ def _window(table: pd.DataFrame, start: str, days: float, name: str) -> pd.DataF
     last = first + pd.Timedelta(days=days)
     if table.index[0] > first or table.index[-1] < last:
         raise DataFault(
-            f"{name}: expected hours from {first:%Y-%m-%d} to {last:%Y-%m-%d}, found {table.index[0]:%Y-%m-%d} to "
-            f"{table.index[-1]:%Y-%m-%d}; ask for fewer days"
+            f"{name}: expected hours from {first:%Y-%m-%d} to {last:%Y-%m-%d}, found "
+            f"{table.index[0]:%Y-%m-%d} to {table.index[-1]:%Y-%m-%d}; ask for fewer days"
         )
     return table.loc[first:last]
 
@@ -262,7 +270,8 @@ def _bridged(time: np.ndarray, value: np.ndarray) -> np.ndarray:
 
 
 def _decay(value: np.ndarray) -> float:
-    """Lag [steps] at which the autocorrelation of a series with gaps has fallen to 1/e, between lags by a straight line."""
+    """Lag [steps] at which the autocorrelation of a series with gaps has fallen to 1/e, between lags by a
+    straight line."""
     value = value - np.nanmean(value)
     before, variance = 1.0, float(np.nanmean(value**2))
     for lag in range(1, len(value) // 2):

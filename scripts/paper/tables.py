@@ -8,7 +8,8 @@ import math
 from collections.abc import Mapping, Sequence
 
 from hygrokf.identification.wording import NONE, SCORED, fixed, percent, plain_number
-from hygrokf.report.fit_tables import REGIMES, Table
+from hygrokf.report.blocks import Table
+from hygrokf.report.fit_tables import REGIMES
 from paper.models import CRITERIA, FREE_RUN, LIKELIHOOD
 
 SIMULATED_NOTE = (
@@ -56,7 +57,8 @@ def constants_table(found: Mapping) -> Table:
         for criterion in CRITERIA:
             entry = shown["time_constants"][air]
             rows.append((f"{words}, {WORDS[criterion]}", OURS,
-                         *(_bounds((entry[part] or {}).get(criterion)) for part in ("thermal", "hygric"))))  # fmt: skip
+                         *(_bounds((entry[part] or {}).get(criterion)) for part in ("thermal",
+                             "hygric"))))  # fmt: skip
     return Table(
         "Time constants",
         ("", "cabinet", "thermal [h]", "hygric [h]"),
@@ -139,8 +141,8 @@ def sister_table(found: Mapping) -> Table:
         marked=(0,),
         groups=GROUPS,
         note=(
-            "The sister stands in France and has properties of its own (each 10 % about those of the type); ERA5's "
-            f"humidity there is lent from the UK. {SIMULATED_NOTE}"
+            "The sister stands in France and has properties of its own (each 10 % about those of the type); "
+            f"ERA5's humidity there is lent from the UK. {SIMULATED_NOTE}"
         ),
     )
 
@@ -192,7 +194,8 @@ def spread_table(found: Mapping) -> Table:
         tuple(rows),
         groups=(("", 1), ("paper", 1), *((f"here, {WORDS[c]}", 2) for c in CRITERIA)),
         note=(
-            f"Root mean squared errors of the free run, operation and standstill together. Shown is seed {found['seeds'][0]['seed']}"
+            "Root mean squared errors of the free run, operation and standstill together. Shown is seed "
+            f"{found['seeds'][0]['seed']}"
             f"{f', the others are {others[0]} to {others[-1]}' if others else ''}. {SIMULATED_NOTE}"
         ),
     )
@@ -203,7 +206,8 @@ def _spread(values: Sequence[float]) -> list[str]:
 
 
 def air_table(found: Mapping) -> Table:
-    """How local air differs from ERA5's or from a weather station: what was measured, and what the simulation uses."""
+    """How local air differs from ERA5's or from a weather station: what was measured, and what the simulation
+    uses."""
     apart, reached = found["deviation"], found["shown"]["local_air"]
     used = apart["used"]
     rows = [
@@ -211,12 +215,14 @@ def air_table(found: Mapping) -> Table:
          fixed(apart["nacelle"]["sd_K"]), fixed(apart["nacelle"]["time_h"], 1), "", "")
     ]  # fmt: skip
     rows += [
-        (f"logger outside house {one['house']} in Finland, to the weather station", "measured", f"{one['n']:,}", "", "",
+        (f"logger outside house {one['house']} in Finland, to the weather station", "measured",
+            f"{one['n']:,}", "", "",
          percent(one["sd"], 1), fixed(one["time_h"], 1))
         for one in apart["eaves"]
     ]  # fmt: skip
     rows.append(
-        ("put into the local air here", "simulated", "", fixed(used["temperature_sd_K"]), fixed(used["temperature_time_h"], 1),
+        ("put into the local air here", "simulated", "", fixed(used["temperature_sd_K"]),
+            fixed(used["temperature_time_h"], 1),
          percent(used["vapour_sd"], 1), fixed(used["vapour_time_h"], 1))
     )  # fmt: skip
     mean, day = apart["nacelle"]["mean_K"], apart["nacelle"]["day_K"]
@@ -228,11 +234,12 @@ def air_table(found: Mapping) -> Table:
         marked=(len(rows) - 1,),
         groups=(("", 3), ("temperature", 2), ("absolute humidity", 2)),
         note=(
-            "Standard deviation, and the lag at which the autocorrelation has fallen to 1/e. Of the nacelle's sensor the "
-            f"mean ({mean:+.2f} K) and the mean course of the day ({day:.2f} K from least to greatest) are left out: it hangs high "
-            "above the ground on a warm machine. Humidity is cut off at saturation. With the shown seed the local air "
-            f"came out {reached['temperature_sd_K']:.2f} K and {reached['vapour_sd_g_m3']:.2f} g/m³ from ERA5's (standard "
-            f"deviations). {SIMULATED_NOTE}"
+            "Standard deviation, and the lag at which the autocorrelation has fallen to 1/e. Of the "
+            f"nacelle's sensor the mean ({mean:+.2f} K) and the mean course of the day ({day:.2f} K from "
+            "least to greatest) are left out: it hangs high above the ground on a warm machine. Humidity is "
+            "cut off at saturation. With the shown seed the local air came out "
+            f"{reached['temperature_sd_K']:.2f} K and {reached['vapour_sd_g_m3']:.2f} g/m³ from ERA5's "
+            f"(standard deviations). {SIMULATED_NOTE}"
         ),
     )
 
@@ -249,7 +256,7 @@ def all_tables(found: Mapping) -> dict[str, Table]:
     }
 
 
-# -- cells -------------------------------------------------------------------------------------------------------------
+# -- cells ---------------------------------------------------------------------------------------------------
 def _rmse(entry: Mapping, regime: str) -> str:
     value = entry.get(regime)
     return NONE if value is None else fixed(value)
@@ -264,10 +271,13 @@ def _bounds(entry: Mapping | None) -> str:
         return NONE
     if entry["upper_h"] is None:
         return f"{plain_number(entry['value_h'])} (from {plain_number(entry['lower_h'])})"
-    return f"{plain_number(entry['value_h'])} ({plain_number(entry['lower_h'])} … {plain_number(entry['upper_h'])})"
+    return (
+        f"{plain_number(entry['value_h'])} ({plain_number(entry['lower_h'])} … "
+        f"{plain_number(entry['upper_h'])})"
+    )
 
 
-# -- as text -----------------------------------------------------------------------------------------------------------
+# -- as text -------------------------------------------------------------------------------------------------
 def _heads(table: Table) -> list[str]:
     """One heading a column: its group's and its own."""
     groups = [heading for heading, count in table.groups for _ in range(count)] or [""] * len(table.columns)

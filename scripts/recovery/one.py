@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from battery.trial import sources_hash
 
 from hygrokf import identify
+from hygrokf.data.structured import plain
 from recovery.rows import ROWS, Quantity
 
 
@@ -23,12 +24,14 @@ def line(row: str, seed: int, days: float) -> dict:
     except Exception as broken:  # a study counts failures, it does not stop at them
         return found | {"failure": f"{type(broken).__name__}: {broken}"}
     found |= {"wall_s": time.perf_counter() - begin, "cpu_s": _cpu_s() - used}
-    found["converged"] = fit.results["converged"]
-    found["statements"] = fit.results["statements"]
-    found["free_run"] = {name: rmse["total"] for name, rmse in fit.results["rmse"]["identification"].items()}
+    found["converged"] = fit.results.converged
+    found["statements"] = list(fit.results.statements)
+    found["free_run"] = {
+        name: rmse["total"] for name, rmse in plain(fit.results.rmse["identification"]).items()
+    }
     found["mechanisms"] = [name for name, _ in fit.design.mechanisms]
     found["quantities"] = {
-        name: compared(quantity, fit.results["time_constants"][quantity.constant])
+        name: compared(quantity, plain(fit.results.time_constants[quantity.constant]))
         for name, quantity in quantities.items()
     }
     return found

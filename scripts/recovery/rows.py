@@ -22,9 +22,9 @@ Entry = Mapping
 class Quantity:
     """A quantity whose truth is known.
 
-    constant: the fit's time constant it is compared with. truth: the true value [h], given the fit's entry, which says
-    at which temperatures or which difference it holds. key: the part of that entry that reports this quantity; where
-    the fit has no such part, and where None, it is the entry itself.
+    constant: the fit's time constant it is compared with. truth: the true value [h], given the fit's entry,
+    which says at which temperatures or which difference it holds. key: the part of that entry that reports
+    this quantity; where the fit has no such part, and where None, it is the entry itself.
     """
 
     constant: str
@@ -47,8 +47,9 @@ def _of_other_make(scenario: Scenario, seed: int, days: float) -> tuple[Record, 
 def other_make_quantities(scenario: Scenario, truth: Truth) -> dict[str, Quantity]:
     """What a plant of tests/other_make is held against.
 
-    Under convection the headline is the small-signal constant, and R·C stands beside it.  With a second mass it is
-    (R_AT+R_IC) C of the converter, the constant of the paper's network; the network's longest constant stands beside it.
+    Under convection the headline is the small-signal constant, and R·C stands beside it.  With a second mass
+    it is (R_AT+R_IC) C of the converter, the constant of the paper's network; the network's longest constant
+    stands beside it.
     """
 
     def small_signal(entry: Entry) -> float:
@@ -69,7 +70,8 @@ def other_make_quantities(scenario: Scenario, truth: Truth) -> dict[str, Quantit
 
 
 def _difference_K(entry: Entry, truth: Truth) -> float:
-    """The median difference [K] at which the fit reports its thermal constant; the plant's where it does not say."""
+    """The median difference [K] at which the fit reports its thermal constant; the plant's where it does not
+    say."""
     stated = entry.get("difference_K")
     return stated[1] if stated else truth.differences_K[1]
 

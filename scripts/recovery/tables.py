@@ -15,9 +15,10 @@ VERDICTS = ("believe", "caution", "reject")
 class Sums:
     """One quantity over the plants of a row; errors and half widths are logarithms.
 
-    profile: plants whose plain profile bound holds the truth, None where fits report none. verdicts: plants by
-    verdict. misses, told: plants whose headline interval misses the truth, and those of them whose verdict is not
-    "believe". free_run_error, free_run_spread: mean and root mean square error of the output-error estimate.
+    profile: plants whose plain profile bound holds the truth, None where fits report none. verdicts: plants
+    by verdict. misses, told: plants whose headline interval misses the truth, and those of them whose verdict
+    is not "believe". free_run_error, free_run_spread: mean and root mean square error of the output-error
+    estimate.
     """
 
     plants: int
@@ -69,7 +70,8 @@ def by_row(lines: Sequence[Mapping]) -> dict[str, list[Mapping]]:
 
 
 HEAD = (
-    "row", "plants", "quantity", "mean error", "spread", "half width, median", "covered", "by the profile bound",
+    "row", "plants", "quantity", "mean error", "spread", "half width, median", "covered",
+    "by the profile bound",
     "believe / caution / reject", "misses told", "free run", "CPU", "wall",
 )  # fmt: skip
 

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-import greenhouse
 from battery.measured import DATA, measured
 from battery.trial import identified_until
+from builders import greenhouse
 from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
@@ -51,7 +51,8 @@ until = "2013-05-15T00:00Z"
 
 @dataclass(frozen=True)
 class Case:
-    """A record to be asked: its `name`, its `kind`, the names that are `right` (None: not known), and how it is made."""
+    """A record to be asked: its `name`, its `kind`, the names that are `right` (None: not known), and how it
+    is made."""
 
     name: str
     kind: str
@@ -100,9 +101,11 @@ def cases() -> list[Case]:
 
 
 def outcome(names: list[str], alike: list[str], right: tuple[str, ...] | None) -> str:
-    """What names are worth, the first one first: "right", "in class", "later" (another one is right), "wrong" or "none".
+    """What names are worth, the first one first: "right", "in class", "later" (another one is right), "wrong"
+    or "none".
 
-    names: in the order in which they were given. alike: causes that the method said it cannot tell from the first.
+    names: in the order in which they were given. alike: causes that the method said it cannot tell from the
+        first.
     right: names that are right, none where nothing is hidden, None where it is not known.
     """
     if not names:

@@ -23,7 +23,8 @@ RESULTS = Path(__file__).resolve().parents[2] / "build" / "head_to_head.jsonl"
 def parser() -> argparse.ArgumentParser:
     made = argparse.ArgumentParser(
         prog="scripts/head_to_head",
-        description="Four ways to say what a model lacks, on the same simulated plants and the same measured boxes.",
+        description="Four ways to say what a model lacks, on the same simulated plants and the same measured "
+        "boxes.",
     )
     made.add_argument(
         "--results",
@@ -61,7 +62,8 @@ def run_case(case: Case, methods: Sequence[str], options: Options) -> list[dict]
     for method in methods:
         line: dict = {
             "case": case.key, "name": case.name, "kind": case.kind, "seed": case.seed, "right": case.right,
-            "method": method, "sources": sources_hash(), "before": shared.held_out(), "moved": shared.moved(), "failure": None,
+            "method": method, "sources": sources_hash(), "before": shared.held_out(), "moved": shared.moved(),
+            "failure": None,
         }  # fmt: skip
         try:
             said = RUN[method](shared, options)

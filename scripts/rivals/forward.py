@@ -1,7 +1,9 @@
-"""Forward selection by likelihood ratios alone, after Bacher and Madsen (2011), doi:10.1016/j.enbuild.2011.02.005.
+"""Forward selection by likelihood ratios alone, after Bacher and Madsen (2011),
+doi:10.1016/j.enbuild.2011.02.005.
 
-From the identified base model on, the variant of the library with the smallest p is added, as long as p < 0.05.  What the package asks
-for beyond that is left out: no price for the settings searched or the number tried, no free run, no held-out period.
+From the identified base model on, the variant of the library with the smallest p is added, as long as p <
+0.05.  What the package asks for beyond that is left out: no price for the settings searched or the number
+tried, no free run, no held-out period.
 """
 
 from __future__ import annotations
@@ -42,7 +44,8 @@ def log_p(trial: Trial) -> float:
 def search(scene: Scene, spent_s: float = 0.0, limit_s: float = LIMIT_S) -> Search:
     """Add the mechanism of the smallest p while p < 0.05.
 
-    spent_s: [s] that the base model took; of a round that the time cut short, the best of what was tried is still added.
+    spent_s: [s] that the base model took; of a round that the time cut short, the best of what was tried is
+        still added.
     """
     begin = time.process_time() - spent_s
     added: list[Trial] = []

@@ -1,4 +1,5 @@
-"""What the methods share on one record: the identified base model, its held-out errors, and the drivers on a grid."""
+"""What the methods share on one record: the identified base model, its held-out errors, and the drivers on a
+grid."""
 
 from __future__ import annotations
 
@@ -35,8 +36,9 @@ DRIVERS = {
 
 @dataclass(frozen=True)
 class Ground:
-    """A record, its base model (`base`; `scene`) and what that took, its simulations (`model`), and the readings by which
-    every method is judged: quantity → (times [s], readings), those that the base model's free run is scored at.
+    """A record, its base model (`base`; `scene`) and what that took, its simulations (`model`), and the
+    readings by which every method is judged: quantity → (times [s], readings), those that the base model's
+    free run is scored at.
     """
 
     record: Record
@@ -54,7 +56,8 @@ class Ground:
         return (TEMPERATURE, HUMIDITY) if HYGRIC in self.base.parts else (TEMPERATURE,)
 
     def held_out(self, simulated: Model | None = None) -> dict[str, float | None]:
-        """Errors of the free run [K], [g/m³] on the validation period, of the base or of another model, as estimated."""
+        """Errors of the free run [K], [g/m³] on the validation period, of the base or of another model, as
+        estimated."""
         of = (simulated or self.model).identified
         return {quantity: of.rmse(quantity, "validation") for quantity in self.quantities}
 
@@ -78,10 +81,11 @@ def ground(record: Record) -> Ground:
 
 
 def drivers(record: Record, grid: np.ndarray) -> dict[str, np.ndarray]:
-    """What drives the cabinet, by the names of `DRIVERS`, `va` [g/m³] and the hour's sine and cosine, at `grid` (T,) [s].
+    """What drives the cabinet, by the names of `DRIVERS`, `va` [g/m³] and the hour's sine and cosine, at
+    `grid` (T,) [s].
 
-    Means stand in the middle of their interval; gaps are bridged by straight lines.  The sun is measured, or that of a clear sky
-    where the site is known.
+    Means stand in the middle of their interval; gaps are bridged by straight lines.  The sun is measured, or
+    that of a clear sky where the site is known.
     """
     found = {short: on(record[name], grid) for name, short in DRIVERS.items() if name in record}
     if "cabinet_relative_humidity" in record:

@@ -1,4 +1,5 @@
-"""A small neural residual: what a network of one hidden layer foretells of the free run's error from drivers and lags."""
+"""A small neural residual: what a network of one hidden layer foretells of the free run's error from drivers
+and lags."""
 
 from __future__ import annotations
 
@@ -15,7 +16,8 @@ HOUR_S = 3600.0
 LAGS_H = (3.0, 24.0)
 """[h] memories of the lagged copies of each driver."""
 DECAYS = (1e-3, 1e-2, 1e-1, 1.0, 10.0)
-"""Weight decays, of which the one with the least error on the last fifth of the identification period is taken."""
+"""Weight decays, of which the one with the least error on the last fifth of the identification period is
+taken."""
 PASSES = 200
 SEED = 0
 
@@ -84,7 +86,8 @@ def foretell(trained: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 
 def train(x: np.ndarray, y: np.ndarray, decay: float) -> np.ndarray:
-    """Weights of the least mean squared error plus `decay` times the mean of the squared weights over the inputs."""
+    """Weights of the least mean squared error plus `decay` times the mean of the squared weights over the
+    inputs."""
     n, m = x.shape
     start = np.random.default_rng(SEED).standard_normal(m * HIDDEN + 2 * HIDDEN + 1) / math.sqrt(m)
 

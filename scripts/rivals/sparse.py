@@ -1,4 +1,5 @@
-"""The sparse regression from outside: courses handed to an interpreter that has PySINDy, its terms mapped to causes."""
+"""The sparse regression from outside: courses handed to an interpreter that has PySINDy, its terms mapped to
+causes."""
 
 from __future__ import annotations
 

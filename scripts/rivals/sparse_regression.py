@@ -1,7 +1,9 @@
-"""PySINDy on the courses in an .npz file; run as a file by an interpreter that has it: sparse_regression.py IN OUT.
+"""PySINDy on the courses in an .npz file; run as a file by an interpreter that has it: sparse_regression.py
+IN OUT.
 
-In: `grid` [s] (T,), `until_s`, `known` (T,) whether the states were read there, and courses by name: `T` [K] and `v` [g/m³] the states,
-the others control inputs.  Out: the simulated states, and as JSON the terms of the chosen model by state.
+In: `grid` [s] (T,), `until_s`, `known` (T,) whether the states were read there, and courses by name: `T` [K]
+and `v` [g/m³] the states, the others control inputs.  Out: the simulated states, and as JSON the terms of the
+chosen model by state.
 """
 
 from __future__ import annotations
@@ -49,7 +51,8 @@ class Model:
         return np.stack([np.prod(values**row, axis=1) for row in self.powers], axis=1)
 
     def simulate(self, start: np.ndarray, inputs: np.ndarray, step_h: float, parts: int) -> np.ndarray:
-        """States (T, n) by Euler steps, `parts` of them in each step of the grid; NaN once it has diverged."""
+        """States (T, n) by Euler steps, `parts` of them in each step of the grid; NaN once it has
+        diverged."""
         own = self.powers[:, : len(self.states)].astype(int)
         driven = np.stack(
             [np.prod(inputs**row, axis=1) for row in self.powers[:, len(self.states) :]], axis=1
@@ -67,7 +70,8 @@ class Model:
 def scaled(
     courses: dict[str, np.ndarray], early: np.ndarray
 ) -> tuple[dict[str, np.ndarray], dict[str, tuple[float, float]]]:
-    """Courses in ordinary units: both temperatures with one zero and scale, both vapours too; others by their largest."""
+    """Courses in ordinary units: both temperatures with one zero and scale, both vapours too; others by their
+    largest."""
     found, units = {}, {}
     for name, course in courses.items():
         like = next((pair for pair in (TEMPERATURES, VAPOURS) if name in pair), None)
@@ -113,9 +117,11 @@ def fitted(
 def base(
     courses: dict, states: tuple[str, ...], pieces: list[slice], step_h: float, derivative: str
 ) -> list[Model]:
-    """One linear model a state: exchange with the ambient, and for the temperature the power and its square."""
+    """One linear model a state: exchange with the ambient, and for the temperature the power and its
+    square."""
     return [
-        fitted(courses, (state,), [n for n in BASE[state] if n in courses], pieces, step_h, 1, 0.0, derivative, state == "T")
+        fitted(courses, (state,), [n for n in BASE[state] if n in courses], pieces, step_h, 1, 0.0,
+            derivative, state == "T")
         for state in states
     ]  # fmt: skip
 
@@ -133,13 +139,15 @@ def simulated(
 
 
 def missed(run: dict[str, np.ndarray], courses: dict[str, np.ndarray], known: np.ndarray) -> float:
-    """Sum over the states of the root mean squared error over the reading's spread; infinite where a run diverged."""
+    """Sum over the states of the root mean squared error over the reading's spread; infinite where a run
+    diverged."""
     parts = [np.sqrt(np.mean((run[n] - courses[n])[known] ** 2)) / np.std(courses[n][known]) for n in run]
     return float(np.sum(parts)) if np.isfinite(parts).all() else float("inf")
 
 
 def told(models: list[Model], courses: dict[str, np.ndarray], early: np.ndarray) -> dict[str, list]:
-    """By state, (term, size) of what the base does not have: the term's spread in the rate's, the largest first."""
+    """By state, (term, size) of what the base does not have: the term's spread in the rate's, the largest
+    first."""
     found: dict[str, list] = {}
     for model in models:
         values = np.stack([courses[name] for name in model.names], axis=1)[early]

@@ -58,7 +58,8 @@ def _row(cells: Sequence[object]) -> str:
 
 
 def _mean_gain(lines: Sequence[Line], quantity: str) -> str:
-    """Median over records of the share of the held-out error that is gone; a run that diverged counts as the least."""
+    """Median over records of the share of the held-out error that is gone; a run that diverged counts as the
+    least."""
     shares = []
     for line in lines:
         before = (line["before"] or {}).get(quantity)
@@ -92,7 +93,8 @@ def _totals(lines: Sequence[Line]) -> str:
         shown = ("–",) * 4 if method == NETWORK else names
         rows.append((method, *shown, *gains, f"{cpu[len(cpu) // 2]:.1f} s"))
     head = (
-        "method", "right first", "no name", "nothing hidden, yet named", "names that are not right, all plants",
+        "method", "right first", "no name", "nothing hidden, yet named",
+        "names that are not right, all plants",
         "median gain, temperature", "median gain, humidity", "median CPU",
     )  # fmt: skip
     return "\n".join(

@@ -1,4 +1,5 @@
-"""Simulated cabinets that are identified on their first weeks and tracked from then on, with the truth beside them."""
+"""Simulated cabinets that are identified on their first weeks and tracked from then on, with the truth beside
+them."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import identify
 from hygrokf.live.condition import FREEZING_K, Surface
 from hygrokf.live.plan import Form, Plan, plan
-from hygrokf.live.scenarios import DAYS, Outlook, persistence
+from hygrokf.live.scenarios import DAYS, Scenarios, persistence
 from hygrokf.live.tracker import Course, Point, whole
 from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
@@ -28,11 +29,12 @@ DAY_S = 86400.0
 SURFACE = Surface(follows=0.6, offset_K=0.0)
 """The cold surface of the trials."""
 HISTORY_S = (DAYS + 6.0) * DAY_S
-"""[s] of readings that an outlook is given."""
+"""[s] of readings that scenarios is given."""
 
 
 def identified(record: Record, until_s: float) -> Fit:
-    """The model of the readings up to `until_s` [s], masked as those of a case file, by the default settings and one start."""
+    """The model of the readings up to `until_s` [s], masked as those of a case file, by the default settings
+    and one start."""
     return identify(mask(record.window(record.start_s, until_s)), starts=1)
 
 
@@ -58,8 +60,8 @@ class Tracked:
         trace = self.course.trace
         return Point(float(self.seconds[i]), Gaussian(trace.mean[i], trace.covariance[i]))
 
-    def outlook(self, now_s: float) -> Outlook:
-        """What may come, from the readings up to a time [s].  Raises NoOutlook."""
+    def scenarios(self, now_s: float) -> Scenarios:
+        """What may come, from the readings up to a time [s].  Raises NoScenarios."""
         history = self.record.window(now_s - HISTORY_S, now_s)
         return persistence(history, self.point(now_s).time, self.plan.further)
 
@@ -74,8 +76,8 @@ def tracked(made: Plant, until_s: float) -> Tracked:
 
 @dataclass(frozen=True)
 class Truth:
-    """What a plant's air was at some times: temperature [K], relative humidity [1] in the air and at the cold surface, and
-    the surface's margin [K] above the dew point or, below freezing, the frost point."""
+    """What a plant's air was at some times: temperature [K], relative humidity [1] in the air and at the cold
+    surface, and the surface's margin [K] above the dew point or, below freezing, the frost point."""
 
     kelvin: np.ndarray
     humidity: np.ndarray

@@ -1,4 +1,5 @@
-"""Cabinets that change at a date, and such that do not: when a lasting departure is reported, and how often wrongly."""
+"""Cabinets that change at a date, and such that do not: when a lasting shift is reported, and how often
+wrongly."""
 
 from __future__ import annotations
 
@@ -19,8 +20,8 @@ from hygrokf.live.plan import Plan
 from hygrokf.live.properties import (
     HUMIDITIES,
     TEMPERATURES,
-    Departure,
-    departures,
+    ParameterShift,
+    parameter_shifts,
     standard_errors,
     states_of,
 )
@@ -62,7 +63,8 @@ WORDS = {
 
 @dataclass(frozen=True)
 class Dates:
-    """Days of a record: up to which the model is identified, on which the cabinet changes, and the last one."""
+    """Days of a record: up to which the model is identified, on which the cabinet changes, and the last
+    one."""
 
     learnt: float = 90.0
     change: float = 150.0
@@ -70,9 +72,10 @@ class Dates:
 
 
 def one(seed: int) -> dict:
-    """Lasting departures of a synthetic turbine under each variant, and of two plants that do not change.
+    """Lasting shifts of a synthetic turbine under each variant, and of two plants that do not change.
 
-    `plant` has the disturbances that the model assumes, `other` those of another kind, and errors of all its sensors.
+    `plant` has the disturbances that the model assumes, `other` those of another kind, and errors of all its
+    sensors.
     """
     dates = Dates()
     return {
@@ -87,7 +90,8 @@ def one(seed: int) -> dict:
 
 
 def changed(seed: int, variants: Sequence[str], dates: Dates) -> dict[str, list]:
-    """Lasting departures after the identification of a synthetic turbine that becomes each of the variants at the date."""
+    """Lasting shifts after the identification of a synthetic turbine that becomes each of the variants at
+    the date."""
     calm = _record(seed, BEFORE, dates.last)
     cut, date = (calm.start_s + day * DAY_S for day in (dates.learnt, dates.change))
     fit = identified(calm, cut)
@@ -133,10 +137,11 @@ def _spliced(before: Record, after: Record, date_s: float) -> Record:
 
 
 def lasting(plan: Plan, record: Record, errors: Mapping[str, float]) -> list:
-    """Lasting departures in a record: [property, day of its beginning, day from which it lasted, largest change]."""
+    """Lasting shifts in a record: [property, day of its beginning, day from which it lasted, largest
+    change]."""
     begin = record.start_s
     found: list[list] = []
-    before: dict[str, Departure] = {}
+    before: dict[str, ParameterShift] = {}
     for time, known in followed(plan, whole(plan, record), errors):
         for name, one in known.items():
             if one.lasting and not (name in before and before[name].lasting):
@@ -150,16 +155,16 @@ def lasting(plan: Plan, record: Record, errors: Mapping[str, float]) -> list:
 
 def followed(
     plan: Plan, course: Course, errors: Mapping[str, float]
-) -> Iterator[tuple[float, dict[str, Departure]]]:
-    """(time [s], departures) once an hour, as the fleet judges them."""
+) -> Iterator[tuple[float, dict[str, ParameterShift]]]:
+    """(time [s], parameter shifts) once an hour, as the fleet judges them."""
     seconds = course.seconds
     first = np.append(True, np.diff(seconds // PROPERTY_S) > 0)
-    known: dict[str, Departure] = {}
+    known: dict[str, ParameterShift] = {}
     for i in np.flatnonzero(first):
         time = float(seconds[i])
         heard = dict.fromkeys((*TEMPERATURES, *HUMIDITIES), time)
         states = states_of(plan.model, course.trace.mean[i], course.trace.covariance[i], time, heard)
-        known = departures(known, float(seconds[i]), states, errors)
+        known = parameter_shifts(known, float(seconds[i]), states, errors)
         yield float(seconds[i]), known
 
 
@@ -190,7 +195,8 @@ def table(lines: Sequence[Mapping]) -> str:
         middle = f"{np.median(seen):.1f}" if seen else "–"
         longest = f"{max(seen):.1f}" if len(seen) == len(days) else f"{len(days) - len(seen)} never"
         out.append(
-            f"| {words} | {len(days)} | {rate(d <= FOUND_DAYS for d in days)} | {middle} | {longest} | {besides} |"
+            f"| {words} | {len(days)} | {rate(d <= FOUND_DAYS for d in days)} | {middle} | {longest} | "
+            f"{besides} |"
         )
     out += [
         "",

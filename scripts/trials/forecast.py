@@ -1,4 +1,5 @@
-"""Forecasts over some weeks against what came: how often probabilities come true, how often bands hold the truth."""
+"""Forecasts over some weeks against what came: how often probabilities come true, how often bands hold the
+truth."""
 
 from __future__ import annotations
 
@@ -9,8 +10,8 @@ from battery.rates import Rate
 from plants import plant
 
 from hygrokf.live.condition import probability_above, probability_below
-from hygrokf.live.forecast import ahead, mixture
-from hygrokf.live.scenarios import HORIZON_S, NoOutlook
+from hygrokf.live.forecast import conditions_by_member, mixture
+from hygrokf.live.scenarios import HORIZON_S, NoScenarios
 from trials.cabinets import DAY_S, SURFACE, tracked, truth
 
 LEARNT_DAYS = 60.0
@@ -46,11 +47,11 @@ def one(seed: int, days: float = 60.0, learnt: float = LEARNT_DAYS) -> dict:
     for after in np.arange(0.0, days * DAY_S - HORIZON_S - EVERY_S, EVERY_S):
         now = begin + after + 3600.0 * random.integers(0, int(EVERY_S // 3600))
         try:
-            outlook = case.outlook(now)
-        except NoOutlook:
+            scenarios = case.scenarios(now)
+        except NoScenarios:
             silent += 1
             continue
-        rows += _rows(case, case.point(now), outlook)
+        rows += _rows(case, case.point(now), scenarios)
     return {
         "seed": seed,
         "days": days,
@@ -60,8 +61,8 @@ def one(seed: int, days: float = 60.0, learnt: float = LEARNT_DAYS) -> dict:
     }
 
 
-def _rows(case, point, outlook) -> list[np.ndarray]:
-    found = ahead(case.plan, point, outlook, SURFACE)
+def _rows(case, point, scenarios) -> list[np.ndarray]:
+    found = conditions_by_member(case.plan, point, scenarios, SURFACE)
     mixed = mixture(found)
     seen = truth(case.made, mixed.time_s)
     chances = [
@@ -105,8 +106,8 @@ class Forecasts:
 def reliability(said: np.ndarray, happened: np.ndarray, seed: np.ndarray) -> list[dict]:
     """By decile of the stated probability: how often it was said, what was said on average, what came.
 
-    Bounds (95 %): `rate` as if every forecast were a trial of its own, `low` and `high` with whole plants drawn again,
-    which keeps neighbouring forecasts together.
+    Bounds (95 %): `rate` as if every forecast were a trial of its own, `low` and `high` with whole plants
+    drawn again, which keeps neighbouring forecasts together.
     """
     found = []
     for low in DECILES:
@@ -181,7 +182,8 @@ def table(lines: Sequence[Mapping]) -> str:
 
 
 def _reliability_rows(f: Forecasts) -> list[str]:
-    """A row a decile: mean of what was stated, what came true with its binomial bounds, and how many, all in percent."""
+    """A row a decile: mean of what was stated, what came true with its binomial bounds, and how many, all in
+    percent."""
     shown = {name: column for name, column in EVENTS.items() if column != "condensation"}
     rows = {
         name: {r["from"]: r for r in reliability(f.columns[c], f.happened(c), f.seed)}

@@ -13,7 +13,7 @@ from plants.operation import turbine_operation
 from plants.outdoors import with_fronts
 
 from hygrokf.live.forecast import LONGEST_H, STAYS_H, restart
-from hygrokf.live.scenarios import NoOutlook
+from hygrokf.live.scenarios import NoScenarios
 from trials.cabinets import DAY_S, SURFACE, tracked, truth
 
 LIMIT = 0.6
@@ -30,9 +30,9 @@ COLUMNS = ("hours", "probability", "humidity", "wettest", "needed", "before")
 def one(seed: int, days: float = 62.0, learnt: float = LEARNT_DAYS) -> dict:
     """Advices at the ends of a plant's standstills, and how long it truly took.
 
-    hours advised (−1: none is enough) with their probability, surface humidity [1] at that time, and the highest of the
-    hour after it; hours needed until it is below the limit and stays there for as long as an advice says (−1: not within
-    the longest); humidity before.
+    hours advised (−1: none is enough) with their probability, surface humidity [1] at that time, and the
+    highest of the hour after it; hours needed until it is below the limit and stays there for as long as an
+    advice says (−1: not within the longest); humidity before.
     """
     random = np.random.default_rng([seed, 99])
     drivers, ends = _drivers(seed, random, days, learnt)
@@ -51,8 +51,8 @@ def one(seed: int, days: float = 62.0, learnt: float = LEARNT_DAYS) -> dict:
     for end in ends:
         point = case.point(float(minutes[end]))
         try:
-            advice = restart(case.plan, point, case.outlook(float(minutes[end])), SURFACE, LIMIT)
-        except NoOutlook:
+            advice = restart(case.plan, point, case.scenarios(float(minutes[end])), SURFACE, LIMIT)
+        except NoScenarios:
             silent += 1
             continue
         here = wet[end : end + HEATED_MIN]
@@ -74,7 +74,8 @@ def _needed(humidity: np.ndarray) -> float:
 
 
 def _drivers(seed: int, random: np.random.Generator, days: float, learnt: float) -> tuple[Drivers, list[int]]:
-    """Weather and operation with planned standstills after the identification period, and the minutes of their ends."""
+    """Weather and operation with planned standstills after the identification period, and the minutes of
+    their ends."""
     drivers = own_drivers(np.random.default_rng(np.random.SeedSequence([seed, 0])), days=learnt + days + 8.0)
     drivers = with_fronts(np.random.default_rng(np.random.SeedSequence([seed, 7])), drivers)
     drivers = turbine_operation(
@@ -100,8 +101,8 @@ def table(lines: Sequence[Mapping]) -> str:
     c = dict(zip(COLUMNS, rows.T, strict=True))
     advised, dry, never = c["hours"] > 0.0, c["hours"] == 0.0, c["hours"] < 0.0
     out = [
-        f"{plants} plants with a pre-heating in their identification period (of {len(lines)}), {len(rows)} restarts, "
-        f"limit {100 * LIMIT:.0f} %.",
+        f"{plants} plants with a pre-heating in their identification period (of {len(lines)}), {len(rows)} "
+        f"restarts, limit {100 * LIMIT:.0f} %.",
         "",
         "| advice | n | dry at that time | probability said | and for the hour after | needed truly |",
         "| --- | --- | --- | --- | --- | --- |",
@@ -109,16 +110,21 @@ def table(lines: Sequence[Mapping]) -> str:
     for name, here in (("pre-heat for … h", advised), ("no pre-heating is needed", dry)):
         needed = c["needed"][here]
         out.append(
-            f"| {name} | {int(here.sum())} | {rate(c['humidity'][here] < LIMIT)} | {100 * c['probability'][here].mean():.0f} % | "
-            f"{rate(c['wettest'][here] < LIMIT)} | {rate(needed > 0.0)} |"
+            f"| {name} | {int(here.sum())} | {rate(c['humidity'][here] < LIMIT)} | "
+            f"{100 * c['probability'][here].mean():.0f} % | {rate(c['wettest'][here] < LIMIT)} | "
+            f"{rate(needed > 0.0)} |"
             if here.any()
             else f"| {name} | 0 | | | | |"
         )
     out.append(
-        f"| {LONGEST_H:.0f} h are not enough | {int(never.sum())} | | | | more than {LONGEST_H:.0f} h in {int((c['needed'][never] < 0).sum())} |"
+        f"| {LONGEST_H:.0f} h are not enough | {int(never.sum())} | | | | more than {LONGEST_H:.0f} h in "
+        f"{int((c['needed'][never] < 0).sum())} |"
     )
     if advised.any():
         known = advised & (c["needed"] >= 0.0)
-        out += ["", f"Advised {c['hours'][known].mean():.1f} h on average (median {np.median(c['hours'][known]):.1f} h); truly needed "
-                f"{c['needed'][known].mean():.1f} h (median {np.median(c['needed'][known]):.1f} h) in the same {int(known.sum())} cases."]  # fmt: skip
+        out += ["",
+            f"Advised {c['hours'][known].mean():.1f} h on average (median {np.median(c['hours'][known]):.1f} "
+            "h); truly needed "
+                f"{c['needed'][known].mean():.1f} h (median {np.median(c['needed'][known]):.1f} h) in the "
+                f"same {int(known.sum())} cases."]  # fmt: skip
     return "\n".join(out)

@@ -1,4 +1,5 @@
-"""Condensation said for surfaces of several kinds against what came, also where it is rare: near saturation."""
+"""Condensation said for surfaces of several kinds against what came, also where it is rare: near
+saturation."""
 
 from __future__ import annotations
 
@@ -11,8 +12,8 @@ from plants import plant
 
 from hygrokf.data.masks import SATURATED
 from hygrokf.live.condition import Condition, condition, only
-from hygrokf.live.forecast import moments_ahead
-from hygrokf.live.scenarios import HORIZON_S, NoOutlook, Outlook
+from hygrokf.live.forecast import moments_by_member
+from hygrokf.live.scenarios import HORIZON_S, NoScenarios, Scenarios
 from trials.cabinets import DAY_S, Surface, Tracked, tracked, truth
 from trials.forecast import between_plants
 
@@ -21,9 +22,9 @@ LEARNT_DAYS = 45.0
 SETTLED_S = 2 * DAY_S
 """[s] of tracking before the first forecast."""
 EVERY_S = {"known": 3 * 3600.0, "persistence": 12 * 3600.0}
-"""Outlook → [s] within which one forecast is made, at a random minute."""
+"""Scenarios → [s] within which one forecast is made, at a random minute."""
 STEP_S = 600.0
-"""[s] between the instants of an outlook that is the truth."""
+"""[s] between the instants of scenarios that is the truth."""
 SURFACES = (Surface(0.0, 0.0), Surface(0.3, 0.0), Surface(0.3, -1.5), Surface(0.6, 0.0), Surface(0.6, -3.0))
 LEADS_H = (0.0, 1.0, 6.0, 24.0, 48.0)
 WITHIN_H = 24.0
@@ -31,17 +32,18 @@ WITHIN_H = 24.0
 KINDS = ("ordinary", "damp", "damp, errors of all sensors")
 """What a seed's plant is, by its remainder: see `cabinet`."""
 BINS = (0.0, 0.02, 0.1, 0.2, 0.4, 0.6, 0.8, 0.9, 0.98, 1.0)
-COLUMNS = ("outlook", "surface", "lead_h", "ceiling", "said", "rank", "margin_true")
-WINDOW_COLUMNS = ("outlook", "surface", "highest", "came")
-OUTLOOKS = tuple(EVERY_S)
+COLUMNS = ("scenarios", "surface", "lead_h", "ceiling", "said", "rank", "margin_true")
+WINDOW_COLUMNS = ("scenarios", "surface", "highest", "came")
+SCENARIOS = tuple(EVERY_S)
 
 
 def one(seed: int, days: float = 60.0, learnt: float = LEARNT_DAYS) -> dict:
     """Forecasts of a plant over some days after those that its model was identified on, and the truth.
 
-    A row is a forecast, a surface, a lead time: whether the newest reading of humidity was at the ceiling, the probability
-    that was said, the rank of the true margin in what was said of it, the margin.  A window is a forecast and a surface:
-    the highest probability within `WITHIN_H`, and whether there was condensation at any instant of them.
+    A row is a forecast, a surface, a lead time: whether the newest reading of humidity was at the ceiling,
+    the probability that was said, the rank of the true margin in what was said of it, the margin.  A window
+    is a forecast and a surface: the highest probability within `WITHIN_H`, and whether there was condensation
+    at any instant of them.
     """
     made = plant(
         seed, days=learnt + days, operation="turbine", weather="fronts", preheating=True, **cabinet(seed)
@@ -50,15 +52,15 @@ def one(seed: int, days: float = 60.0, learnt: float = LEARNT_DAYS) -> dict:
     case = tracked(made, begin)
     rows: list[tuple] = []
     windows: list[tuple] = []
-    for number, name in enumerate(OUTLOOKS):
+    for number, name in enumerate(SCENARIOS):
         random = np.random.default_rng([seed, 43, number])
         for after in np.arange(SETTLED_S, days * DAY_S - HORIZON_S - EVERY_S[name], EVERY_S[name]):
             now = begin + after + 60.0 * random.integers(0, int(EVERY_S[name] // 60))
             try:
-                outlook = _known(case, now) if name == "known" else case.outlook(now)
-            except NoOutlook:
+                scenarios = _known(case, now) if name == "known" else case.scenarios(now)
+            except NoScenarios:
                 continue
-            for surface, found in _conditions(case, now, outlook):
+            for surface, found in _conditions(case, now, scenarios):
                 some, window = _compared(case, found, SURFACES[surface])
                 moist = float(_newest_humidity(case, now) >= SATURATED)
                 rows += [
@@ -76,15 +78,16 @@ def one(seed: int, days: float = 60.0, learnt: float = LEARNT_DAYS) -> dict:
 def cabinet(seed: int) -> dict[str, object]:
     """Options of a seed's plant: an ordinary cabinet, or one that gives little heat, least at standstill.
 
-    Damp ones give 0.5 to 3 K at standstill and 4.5 to 10 K at rated power, where ordinary ones give 4.5 to 6 K and more than
-    10 K: their air is near saturation whenever the ambient's is.
+    Damp ones give 0.5 to 3 K at standstill and 4.5 to 10 K at rated power, where ordinary ones give 4.5 to 6
+    K and more than 10 K: their air is near saturation whenever the ambient's is.
     """
     if seed % len(KINDS) == 0:
         return {}
     random = np.random.default_rng([seed, 77])
     tau_h, rho = np.exp(random.uniform(np.log(0.8), np.log(3.0))), random.uniform(0.72, 0.93)
     outer = 0.025
-    operation_K = (random.uniform(2.0, 5.0), random.uniform(2.5, 5.5), -random.uniform(0.3, 1.0), -random.uniform(0.02, 0.15))  # fmt: skip
+    operation_K = (random.uniform(2.0, 5.0), random.uniform(2.5, 5.5), -random.uniform(0.3, 1.0),
+        -random.uniform(0.02, 0.15))  # fmt: skip
     standstill_K = (random.uniform(0.5, 3.0), -random.uniform(0.01, 0.08))
     return {
         "outer_resistance": outer,
@@ -97,7 +100,7 @@ def cabinet(seed: int) -> dict[str, object]:
     }
 
 
-def _known(case: Tracked, now_s: float) -> Outlook:
+def _known(case: Tracked, now_s: float) -> Scenarios:
     """The weather and the operation that came, as one member."""
     begin = case.point(now_s).time
     time = begin + np.arange(-18 * STEP_S, HORIZON_S + 1.0, STEP_S)
@@ -109,7 +112,7 @@ def _known(case: Tracked, now_s: float) -> Outlook:
     }
     if drivers.preheating.any():
         member["preheating"] = _means(drivers.time, drivers.preheating, time)
-    return Outlook(begin, time, (member,), "what came")
+    return Scenarios(begin, time, (member,), "what came")
 
 
 def _means(minutes: np.ndarray, held: np.ndarray, time: np.ndarray) -> np.ndarray:
@@ -118,12 +121,12 @@ def _means(minutes: np.ndarray, held: np.ndarray, time: np.ndarray) -> np.ndarra
     return (np.interp(time, minutes, area) - np.interp(time - STEP_S, minutes, area)) / STEP_S
 
 
-def _conditions(case: Tracked, now_s: float, outlook: Outlook) -> Iterator[tuple[int, list[Condition]]]:
+def _conditions(case: Tracked, now_s: float, scenarios: Scenarios) -> Iterator[tuple[int, list[Condition]]]:
     """(place of the surface, its condition under each member) of one forecast."""
-    courses = list(moments_ahead(case.plan, case.point(now_s), outlook))
+    courses = list(moments_by_member(case.plan, case.point(now_s), scenarios))
     for place, surface in enumerate(SURFACES):
         found = [condition(case.plan.model, case.plan.values, *course, surface) for course in courses]
-        kept = np.isin(np.round(found[0].time_s), np.round(outlook.time_s))
+        kept = np.isin(np.round(found[0].time_s), np.round(scenarios.time_s))
         yield place, [only(one, kept) for one in found]
 
 
@@ -163,7 +166,8 @@ class Cases:
 def reliability(
     said: np.ndarray, came: np.ndarray, seed: np.ndarray
 ) -> list[tuple[float, float, Rate, float, float]]:
-    """(lower edge, mean of what was said, what came, its bounds over plants) of each bin of the stated probability."""
+    """(lower edge, mean of what was said, what came, its bounds over plants) of each bin of the stated
+    probability."""
     found = []
     for low, high in pairwise(BINS):
         here = (said >= low) & ((said < high) | (high == BINS[-1]))
@@ -185,24 +189,27 @@ def table(lines: Sequence[Mapping]) -> str:
     kinds = ", ".join(f"{sum(line['kind'] == kind for line in lines)} {kind}" for kind in KINDS)
     out = [f"{len(lines)} plants ({kinds})."]
     edges = [f"{100 * a:.0f}–{100 * b:.0f} %" for a, b in pairwise(BINS)]
-    for number, name in enumerate(OUTLOOKS):
-        out += ["", f"Outlook: {name}.", "", "| surface | lead | n | said | came | " + " | ".join(edges) + " |", "|" + " --- |" * (5 + len(edges))]  # fmt: skip
-        own = c["outlook"] == number
+    for number, name in enumerate(SCENARIOS):
+        out += ["", f"Scenarios: {name}.", "",
+            "| surface | lead | n | said | came | " + " | ".join(edges) + " |",
+            "|" + " --- |" * (5 + len(edges))]  # fmt: skip
+        own = c["scenarios"] == number
         for place, words in (*enumerate(map(_words, SURFACES)), (None, "all")):
             for lead in (*LEADS_H, None):
                 here = own & (place is None or c["surface"] == place) & (lead is None or c["lead_h"] == lead)
                 leads = "all" if lead is None else f"{lead:.0f} h"
-                out.append(f"| {words} | {leads} | " + _cells(c["said"][here], came[here], cases.seed[here], edges))  # fmt: skip
+                out.append(f"| {words} | {leads} | " + _cells(c["said"][here], came[here], cases.seed[here],
+                    edges))  # fmt: skip
     out += [
         "",
-        "By the newest reading of humidity, surface 0.3 / 0 K and 0.6 / 0 K, known outlook, up to 6 h:",
+        "By the newest reading of humidity, surface 0.3 / 0 K and 0.6 / 0 K, known scenarios, up to 6 h:",
         "",
     ]
     out += [
         "| newest reading | n | said | came | " + " | ".join(edges) + " |",
         "|" + " --- |" * (4 + len(edges)),
     ]
-    near = (c["outlook"] == 0) & np.isin(c["surface"], (1, 3)) & (c["lead_h"] <= 6.0)
+    near = (c["scenarios"] == 0) & np.isin(c["surface"], (1, 3)) & (c["lead_h"] <= 6.0)
     for flag, words in ((0.0, "below the ceiling"), (1.0, "at the ceiling")):
         here = near & (c["ceiling"] == flag)
         out.append(f"| {words} | " + _cells(c["said"][here], came[here], cases.seed[here], edges))
@@ -233,18 +240,19 @@ def _cells(said: np.ndarray, came: np.ndarray, seed: np.ndarray, edges: Sequence
 
 
 def _rank_rows(cases: Cases) -> list[str]:
-    """How the true margin's rank in what was said is spread where condensation is possible: uniform it would be 2.5 and 5 %."""
+    """How the true margin's rank in what was said is spread where condensation is possible: uniform it would
+    be 2.5 and 5 %."""
     c = cases.columns
     near = (c["said"] > 0.02) & (c["said"] < 0.98)
     out = [
         "Rank of the true margin where 2 to 98 % were said (of a right probability: 5, 50, 5 %):",
         "",
-        "| outlook | lead | n | below 5 % | below 50 % | above 95 % |",
+        "| scenarios | lead | n | below 5 % | below 50 % | above 95 % |",
         "|" + " --- |" * 6,
     ]
-    for number, name in enumerate(OUTLOOKS):
+    for number, name in enumerate(SCENARIOS):
         for lead in LEADS_H:
-            rank = c["rank"][near & (c["outlook"] == number) & (c["lead_h"] == lead)]
+            rank = c["rank"][near & (c["scenarios"] == number) & (c["lead_h"] == lead)]
             if len(rank) >= FEWEST:
                 shares = (100 * np.mean(rank < 0.05), 100 * np.mean(rank < 0.5), 100 * np.mean(rank > 0.95))
                 out.append(
@@ -262,11 +270,11 @@ def _window_rows(lines: Sequence[Mapping], edges: Sequence[str]) -> list[str]:
     out = [
         f"Highest probability of any instant within {WITHIN_H:.0f} h → condensation at any time of them:",
         "",
-        "| outlook | n | highest said | came | " + " | ".join(edges) + " |",
+        "| scenarios | n | highest said | came | " + " | ".join(edges) + " |",
         "|" + " --- |" * (4 + len(edges)),
     ]
-    for number, name in enumerate(OUTLOOKS):
-        here = c["outlook"] == number
+    for number, name in enumerate(SCENARIOS):
+        here = c["scenarios"] == number
         out.append(
             f"| {name} | " + _cells(c["highest"][here], c["came"][here] > 0.5, cases.seed[here], edges)
         )

@@ -1,4 +1,5 @@
-"""The cases of the golden outputs: commands, run in this process in an empty folder, and all that they leave behind."""
+"""The cases of the golden outputs: commands, run in this process in an empty folder, and all that they leave
+behind."""
 
 from __future__ import annotations
 
@@ -53,7 +54,8 @@ Step = tuple[str, ...] | Callable[[Path], str]
 
 @dataclass(frozen=True)
 class Case:
-    """A name, what makes the inputs in its folder, and the steps that are taken there; `large` ones take minutes."""
+    """A name, what makes the inputs in its folder, and the steps that are taken there; `large` ones take
+    minutes."""
 
     name: str
     prepare: Callable[[Path], None]
@@ -68,7 +70,8 @@ class Case:
 
 
 def outputs(case: Case) -> dict:
-    """`made` in a process of its own, where no loop is compiled already, and in a folder that goes with it."""
+    """`made` in a process of its own, where no loop is compiled already, and in a folder that goes with
+    it."""
     with tempfile.TemporaryDirectory() as folder:
         path = f"{HERE.parent}{os.pathsep}{ROOT / 'scripts'}{os.pathsep}{ROOT}"
         command = [sys.executable, "-m", "golden.cases", case.name, str(Path(folder).resolve())]
@@ -79,7 +82,8 @@ def outputs(case: Case) -> dict:
 
 
 def made(case: Case, folder: Path) -> dict:
-    """Everything that a case writes and says: `json`, `text`, `page` by file or command, and the digests of its `loops`."""
+    """Everything that a case writes and says: `json`, `text`, `page` by file or command, and the digests of
+    its `loops`."""
     texts: dict[str, list[str]] = {}
     with in_folder(folder), compiled_texts() as loops:
         case.prepare(folder)
@@ -128,7 +132,8 @@ def named(path: Path, folder: Path) -> str:
 
 
 def table(path: Path, folder: Path) -> dict:
-    """Columns of a CSV file: number of rows, of numbers their mean and standard deviation, of texts their digest."""
+    """Columns of a CSV file: number of rows, of numbers their mean and standard deviation, of texts their
+    digest."""
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.reader(line for line in file if not line.startswith("#")))
     head, body = rows[0], rows[1:]
@@ -145,7 +150,8 @@ def table(path: Path, folder: Path) -> dict:
 
 
 class Page(HTMLParser):
-    """A page as lines, one a tag or a text: no style, pictures by their size alone, no ids of generated drawings."""
+    """A page as lines, one a tag or a text: no style, pictures by their size alone, no ids of generated
+    drawings."""
 
     KEPT = ("class", "href", "alt", "lang", "colspan", "rowspan", "scope", "role", "open")
 
@@ -221,7 +227,7 @@ def fleet(folder: Path) -> None:
 
 def playback(folder: Path) -> str:
     """Ten days of a turbine played back into a store, as quickly as the tracker takes them."""
-    from live_case import live_record, live_turbine
+    from builders.live_case import live_record, live_turbine
 
     from hygrokf.live.service import Service
     from hygrokf.live.sources.streams import Playback, record_mapping, record_messages

@@ -1,4 +1,5 @@
-"""How a revision's outputs differ from their reference: numbers within a tolerance, everything else word for word."""
+"""How a revision's outputs differ from their reference: numbers within a tolerance, everything else word for
+word."""
 
 from __future__ import annotations
 

@@ -1,8 +1,8 @@
 """Simulated cabinets of another make than tests/plants, to judge bounds and verdicts with.
 
-Nothing here imports the package or tests/plants, save `other_make.as_record`, which wraps a finished plant as a record.
-Weather, operation, cabinet, disturbances and loggers are written anew: physical units, Hyland and Wexler's saturation
-pressure, third-order steps of 20 s, true courses that also move between readings.
+Nothing here imports the package or tests/plants, save `other_make.as_record`, which wraps a finished plant as
+a record. Weather, operation, cabinet, disturbances and loggers are written anew: physical units, Hyland and
+Wexler's saturation pressure, third-order steps of 20 s, true courses that also move between readings.
 
     from other_make import ROWS, make_plant
     from other_make.as_record import to_record

@@ -1,11 +1,12 @@
 """A converter cabinet in physical units, and the integrator of its balances.
 
-Heat: the converter (heat capacity C) gives its heat through R_IC to the cabinet air, which stores none, and the air
-through R_AT to the ambient air.  On demand there is a second mass: beside the air, bolted to the converter, or as a wall
-that divides R_AT.  On demand the conductances rise with the temperature difference, as in natural convection.
+Heat: the converter (heat capacity C) gives its heat through R_IC to the cabinet air, which stores none, and
+the air through R_AT to the ambient air.  On demand there is a second mass: beside the air, bolted to the
+converter, or as a wall that divides R_AT.  On demand the conductances rise with the temperature difference,
+as in natural convection.
 
-Vapour: c* = c_a T_a/T_amb exchanges with the ambient air through gaps by diffusion, D = D₂₇₃ (T_amb/273 K)^1.8:
-V (T_amb/T_a) dc*/dt = (A/L) D(T_amb) (c_outside − c*).
+Vapour: c* = c_a T_a/T_amb exchanges with the ambient air through gaps by diffusion, D = D₂₇₃ (T_amb/273
+K)^1.8: V (T_amb/T_a) dc*/dt = (A/L) D(T_amb) (c_outside − c*).
 """
 
 from __future__ import annotations
@@ -18,7 +19,8 @@ from numba import njit
 DIFFUSIVITY_273 = 2.2e-5
 """[m²/s] of water vapour in air at 273 K."""
 CONVECTION_REFERENCE_K = 10.0
-"""[K] difference between cabinet and ambient air at which the conductances are those of the resistances given."""
+"""[K] difference between cabinet and ambient air at which the conductances are those of the resistances
+given."""
 LEAST_DIFFERENCE_K = 0.05
 """[K] below which conduction keeps the conductance up."""
 
@@ -30,14 +32,14 @@ CONVECTIVE_SURFACES = ("both", "outer")
 class Cabinet:
     """Parameters of one cabinet.
 
-    heat_capacity: [J/K] C of the converter. outer_resistance, inner_resistance: [K/W] R_AT (air to ambient) and R_IC
-        (converter to air), at CONVECTION_REFERENCE_K where there is convection.
+    heat_capacity: [J/K] C of the converter. outer_resistance, inner_resistance: [K/W] R_AT (air to ambient)
+        and R_IC (converter to air), at CONVECTION_REFERENCE_K where there is convection.
     volume: [m³] of air. gap: [m] cross-section over length of the diffusion path.
-    operation_W: heat release (idle [W], per share of rated power [W], per its square [W], per K of T_amb above
-        10 °C [W/K]). standstill_W: ([W], [W/K]).
+    operation_W: heat release (idle [W], per share of rated power [W], per its square [W], per K of T_amb
+        above 10 °C [W/K]). standstill_W: ([W], [W/K]).
     second_capacity: [J/K], 0: none. second_resistance: [K/W] between it and the air ("air") or the converter
-        ("converter"). second_place: one of SECOND_MASS_PLACES; a "wall" stands at the share `wall_share` of R_AT from
-        the cabinet air.
+        ("converter"). second_place: one of SECOND_MASS_PLACES; a "wall" stands at the share `wall_share` of
+        R_AT from the cabinet air.
     exponent: [-] n of a conductance ∝ ΔT^n. convective: "both" resistances, or the "outer" one alone.
     """
 
@@ -65,7 +67,7 @@ class Cabinet:
                 "a cabinet has convection or a second mass, not both: its truth would have no one form"
             )
 
-    # -- constants --------------------------------------------------------------------------------------------------
+    # -- constants -------------------------------------------------------------------------------------------
     @property
     def resistance_ratio(self) -> float:
         """R_AT/(R_AT+R_IC) [-]."""
@@ -223,8 +225,8 @@ def integrate(
 ) -> Trajectory:
     """Balances of heat and vapour over a regular grid.
 
-    ambient_K [K], outside_kg_m3 [kg/m³]: (T,), straight between grid points. heat_W: [W] (T,), held over the step
-    that follows. start: converter and second mass [K], c* [kg/m³]; None: the ambient's, 8 K warmer.
+    ambient_K [K], outside_kg_m3 [kg/m³]: (T,), straight between grid points. heat_W: [W] (T,), held over the
+    step that follows. start: converter and second mass [K], c* [kg/m³]; None: the ambient's, 8 K warmer.
     """
     if start is None:
         start = (ambient_K[0] + 8.0, ambient_K[0] + 4.0, outside_kg_m3[0])

@@ -1,4 +1,5 @@
-"""What the plant's three systems write down: readings with the errors of their sensors, on clocks of their own."""
+"""What the plant's three systems write down: readings with the errors of their sensors, on clocks of their
+own."""
 
 from __future__ import annotations
 
@@ -13,9 +14,10 @@ from other_make.random_processes import first_order_lag, interval_means
 class Clock:
     """Stamps of one system.
 
-    step_s: [s] between stamps. phase_s: [s] of the first stamp after the full step. late_s: [s] by which stamps are
-    late: what is stamped t was measured at t − late_s. mean: whether a reading is the mean over the step that ends at
-    its stamp, not the value at its stamp.
+    step_s: [s] between stamps. phase_s: [s] of the first stamp after the full step. late_s: [s] by which
+        stamps are
+    late: what is stamped t was measured at t − late_s. mean: whether a reading is the mean over the step that
+    ends at its stamp, not the value at its stamp.
     """
 
     step_s: float
@@ -28,10 +30,10 @@ class Clock:
 class Sensor:
     """One sensor; all in the unit of the signal.
 
-    noise: standard deviation. bias: constant. resolution: grid of the readings, counted from `zero`. lag_s: [s] of a
-    first-order response. degrees: of freedom of Student's t that the noise follows, None: normal (the standard
-    deviation is the same). outliers: share of readings off by 6 … 12 standard deviations. missing: share of readings
-    that are not there.
+    noise: standard deviation. bias: constant. resolution: grid of the readings, counted from `zero`. lag_s:
+    [s] of a first-order response. degrees: of freedom of Student's t that the noise follows, None: normal
+    (the standard deviation is the same). outliers: share of readings off by 6 … 12 standard deviations.
+    missing: share of readings that are not there.
     """
 
     noise: float = 0.0
@@ -48,8 +50,8 @@ class Sensor:
 class Channel:
     """One signal as it was written, in SI units; time [s] (T,) of the stamps, value (T,), NaN where missing.
 
-    interval_s: [s] that a reading is the mean over, up to its stamp; 0: instants. response_time_s: [s] stated for the
-    sensor, None: not stated.
+    interval_s: [s] that a reading is the mean over, up to its stamp; 0: instants. response_time_s: [s] stated
+    for the sensor, None: not stated.
     """
 
     signal: str
@@ -75,8 +77,8 @@ def write_down(
 ) -> Channel:
     """Readings of a course (T,) on the regular grid `time` [s].
 
-    stated: whether the sensor's response time is known. held: the course is held over the step that follows, not
-    straight between grid points.
+    stated: whether the sensor's response time is known. held: the course is held over the step that follows,
+    not straight between grid points.
     """
     step_s = time[1] - time[0]
     shown = first_order_lag(course, step_s, sensor.lag_s) if sensor.lag_s else course

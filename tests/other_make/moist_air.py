@@ -1,4 +1,5 @@
-"""Water vapour in air: Hyland and Wexler's saturation pressure (ASHRAE Handbook, Fundamentals), over water."""
+"""Water vapour in air: Hyland and Wexler's saturation pressure (ASHRAE Handbook, Fundamentals), over
+water."""
 
 from __future__ import annotations
 

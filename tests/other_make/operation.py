@@ -14,8 +14,8 @@ RATED_M_S = 12.5
 def make_power(random: np.random.Generator, weather: Weather, rated_W: float) -> np.ndarray:
     """Active power [W] (T,) at the grid points of the weather, held over the step that follows.
 
-    In operation it is above zero; at standstill the turbine draws some kilowatts.  Faults come once in about twelve
-    days and last four hours to three days.
+    In operation it is above zero; at standstill the turbine draws some kilowatts.  Faults come once in about
+    twelve days and last four hours to three days.
     """
     size, step_s = len(weather.time), weather.step_s
     gusts = 1.0 + 0.10 * ornstein_uhlenbeck(random, size, step_s / 3600.0, 0.05)

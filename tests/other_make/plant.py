@@ -1,4 +1,5 @@
-"""Random plants: a cabinet under weather, operation and disturbances, what its loggers wrote, and its truth."""
+"""Random plants: a cabinet under weather, operation and disturbances, what its loggers wrote, and its
+truth."""
 
 from __future__ import annotations
 
@@ -29,19 +30,20 @@ Range = tuple[float, float]
 class Scenario:
     """What differs from the right form; a range is drawn from uniformly, None: absent.
 
-    power_held: whether the power is constant over the ten minutes that SCADA averages, so that its means tell all; else
-    it also moves within them, and starts and stops fall anywhere.
-    ambient_step_s: [s]; ambient_mean: whether the ambient readings are means over that step. cabinet_mean: the same
-    for the cabinet's. humidity_lag_s, temperature_lag_s, ambient_humidity_lag_s: [s] response of these sensors;
+    power_held: whether the power is constant over the ten minutes that SCADA averages, so that its means tell
+    all; else it also moves within them, and starts and stops fall anywhere.
+    ambient_step_s: [s]; ambient_mean: whether the ambient readings are means over that step. cabinet_mean:
+    the same for the cabinet's. humidity_lag_s, temperature_lag_s, ambient_humidity_lag_s: [s] response of
+    these sensors;
     lag_stated: whether the record says so. clock_s: [s] by which one system's stamps are off, early or late;
     clock_system: which, None: any. exponent: [-] n of natural convection; convective: see `Cabinet`.
-    second_mass: share of C; second_h: [h] its resistance times its capacity, not used for a wall; second_place: see
-    `Cabinet`.
+    second_mass: share of C; second_h: [h] its resistance times its capacity, not used for a wall;
+    second_place: see `Cabinet`.
     resolution: cabinet readings' grid ([K], [-]). degrees, outliers: see `Sensor`, for the cabinet's.
-    flare: [-] how much disturbances flare up, see `flaring`. solar: share of the heat disturbance's variance that
-    follows the sun. fast: share of the disturbances' variance that comes and goes within two hours.
-    free_run_K [K], free_run_kg_m3 [kg/m³]: how far disturbances carry the cabinet from its undisturbed course (root
-    mean square).
+    flare: [-] how much disturbances flare up, see `flaring`. solar: share of the heat disturbance's variance
+    that follows the sun. fast: share of the disturbances' variance that comes and goes within two hours.
+    free_run_K [K], free_run_kg_m3 [kg/m³]: how far disturbances carry the cabinet from its undisturbed course
+    (root mean square).
     """
 
     power_held: bool = False
@@ -73,11 +75,13 @@ class Scenario:
 class Truth:
     """What estimates are held against.
 
-    thermal_h: [h] (R_AT+R_IC) C of the converter; under convection at the median difference. small_signal_h: [h] the
-    constant of small changes about the median difference, the same without convection. dominant_h: [h] the network's
-    longest time constant, the same without a second mass. resistance_ratio: [-]. hygric_k_h: [h] k of equation (4).
-    differences_K: [K] 10, 50 and 90 % of the difference between cabinet and ambient air. exponent: [-] n.
-    lags_s: [s] by signal. late_s: [s] by system. free_run_K, free_run_kg_m3: distance from the undisturbed course.
+    thermal_h: [h] (R_AT+R_IC) C of the converter; under convection at the median difference. small_signal_h:
+    [h] the constant of small changes about the median difference, the same without convection. dominant_h:
+    [h] the network's longest time constant, the same without a second mass. resistance_ratio: [-].
+    hygric_k_h: [h] k of equation (4). differences_K: [K] 10, 50 and 90 % of the difference between cabinet
+    and ambient air. exponent: [-] n.
+    lags_s: [s] by signal. late_s: [s] by system. free_run_K, free_run_kg_m3: distance from the undisturbed
+        course.
     """
 
     cabinet: Cabinet
@@ -131,7 +135,8 @@ class Plant:
 
 
 def make_plant(seed: int, scenario: Scenario | None = None, days: float = 90.0) -> Plant:
-    """The plant of a seed; scenarios leave alone what they do not name, so that rows can be compared seed by seed."""
+    """The plant of a seed; scenarios leave alone what they do not name, so that rows can be compared seed by
+    seed."""
     scenario = scenario or Scenario()
     weather_random, power_random, cabinet_random, noise_random, logger_random, further = (
         np.random.default_rng(child) for child in np.random.SeedSequence([seed, 0x07E7]).spawn(6)
@@ -163,7 +168,8 @@ def make_plant(seed: int, scenario: Scenario | None = None, days: float = 90.0) 
 def random_cabinet(
     random: np.random.Generator, weather: Weather, scenario: Scenario, further: np.random.Generator
 ) -> Cabinet:
-    """A cabinet with a thermal constant of 0.8 … 4 h and a hygric one of 0.15 … 0.6 h at the weather's mean."""
+    """A cabinet with a thermal constant of 0.8 … 4 h and a hygric one of 0.15 … 0.6 h at the weather's
+    mean."""
     thermal_h = _between(random, 0.8, 4.0)
     hygric_h = _between(random, 0.15, 0.6)
     ratio = random.uniform(0.70, 0.95)

@@ -15,7 +15,8 @@ def ornstein_uhlenbeck(
 ) -> np.ndarray:
     """A course (size,) with autocorrelation exp(−|lag|/correlation_h) and variance 1.
 
-    intensity: [-] (size,) factor on the driving noise, whose mean square is 1 where the variance shall stay 1.
+    intensity: [-] (size,) factor on the driving noise, whose mean square is 1 where the variance shall stay
+        1.
     """
     keep = np.exp(-step_h / correlation_h)
     noise = np.sqrt(1.0 - keep**2) * random.standard_normal(size)

@@ -32,4 +32,5 @@ ROWS: dict[str, Scenario] = {
     "solar": Scenario(solar=0.3),
     "two_scales": Scenario(fast=(0.1, 0.3)),
 }
-"""Row -> scenario: the right form, ordinary records with instants, and what each further row changes in these."""
+"""Row -> scenario: the right form, ordinary records with instants, and what each further row changes in
+these."""

@@ -1,4 +1,5 @@
-"""The weather of a site as a course in time: seasons, weather systems, sun and cloud, and its fine structure."""
+"""The weather of a site as a course in time: seasons, weather systems, sun and cloud, and its fine
+structure."""
 
 from __future__ import annotations
 

@@ -198,37 +198,86 @@ def _decide(on, rest, air, humidity, stopped, dwell, terms):
 
 
 @njit(cache=True)
-def run(
-    start,
-    ambient,
-    outside,
-    heat,
-    vapour,
-    skin,
-    tends,
-    exchange,
-    conductance,
-    water,
-    stopped,
-    step_s,
-    fixed,
-    terms,
-    layers,
-):
+def _fastest(state, ambient, air, mixing, fixed, terms, layers):
+    """The fastest rate of the balances [1/s]; an open door is stiff against a minute."""
+    _, outer, _, volume, permeance, _ = fixed
+    fastest = permeance * (ambient / 273.0) ** 1.8 * mixing
+    fastest += terms.film_m2 * terms.film_m_s + terms.pool_m2 * terms.pool_m_s + terms.dry_m3_s
+    if terms.slab_m2 > 0.0:
+        # Both sides of the layer at the face, twice for the sum with its neighbour; and the
+        # air film in series with half a layer of polymer.
+        spread = terms.slab_m2_s * _arrhenius(max(state[0], air), terms.slab_J_mol)
+        dense = saturated(air) / (VAPOUR_GAS_CONSTANT * air)
+        face = 2.0 * spread * terms.slab_kg_m3 / (layers[0] * dense)
+        fastest += terms.slab_m2 * face * terms.air_m_s / (face + terms.air_m_s)
+        fastest = max(fastest, 1.5 * volume * spread / layers[0] ** 2)
+    fastest /= volume
+    if terms.wall_J_K > 0.0:
+        near = 1.0 / (outer * terms.wall_place)
+        fastest = max(fastest, 2.0 * near / terms.wall_J_K)
+        if terms.outer_wall_J_K > 0.0:
+            fastest = max(fastest, (near + 1.0 / (outer * terms.outer_wall_place)) / terms.wall_J_K)
+    return fastest
+
+
+@njit(cache=True)
+def _advance(state, step, part, parts, width, courses, held, on, fixed, terms, layers):
+    """One Runge-Kutta step of `width` [s] in place; `courses` are linear over the step, `held`
+    constant.
+    """
+    ambient, outside, skin, tends = courses
+    heat, vapour, exchange, conductance, water = held
+    count = state.size
+    trial, total, rates = np.empty(count), np.zeros(count), np.zeros(count)
+    nodes = (0.0, 0.5, 0.5, 1.0)
+    weights = (1.0 / 6.0, 2.0 / 6.0, 2.0 / 6.0, 1.0 / 6.0)
+    for stage in range(4):
+        reach = nodes[stage] * width
+        for which in range(count):
+            trial[which] = state[which] + reach * rates[which]
+        share = (part + nodes[stage]) / parts
+        _rates(
+            trial,
+            rates,
+            ambient[step] + share * (ambient[step + 1] - ambient[step]),
+            outside[step] + share * (outside[step + 1] - outside[step]),
+            skin[step] + share * (skin[step + 1] - skin[step]),
+            tends[step] + share * (tends[step + 1] - tends[step]),
+            heat[step],
+            vapour[step],
+            exchange[step],
+            conductance[step],
+            water[step],
+            on,
+            fixed,
+            terms,
+            layers,
+        )
+        for which in range(count):
+            total[which] += weights[stage] * rates[which]
+    for which in range(count):
+        state[which] += width * total[which]
+
+
+@njit(cache=True)
+def run(start, courses, held, stopped, step_s, fixed, terms, layers):
     """States at all instants, (T, 14): the first nine, air [K], sorbed [kg], heater, fan,
     dehumidifier.
+
+    courses: ambient [K], outside [kg/m3], skin [K] and the surface's [K] at the instants, (T,).
+    held: heat [W], vapour [kg/s], exchange, conductance [W/K] and water [kg/s] over the steps.
     """
-    _, outer, _, volume, permeance, closed = fixed
-    size, count = ambient.size, start.size
+    ambient, _, skin, _ = courses
+    _, _, exchange, conductance, _ = held
+    _, _, _, volume, _, closed = fixed
+    size = ambient.size
     store = np.empty((size, 14))
-    state, trial, total, rates = start.copy(), np.empty(count), np.empty(count), np.zeros(count)
+    state = start.copy()
     on, rest = np.zeros(5), np.zeros(4)
     dwell = terms.dwell_min * 60.0 / step_s
-    nodes = np.array([0.0, 0.5, 0.5, 1.0])
-    weights = np.array([1.0, 2.0, 2.0, 1.0]) / 6.0
     for step in range(size):
-        held = min(step, size - 2)
-        blown = conductance[held] + on[1] * terms.fan_W_K + on[2] * terms.second_W_K
+        last = min(step, size - 2)
+        blown = conductance[last] + on[1] * terms.fan_W_K + on[2] * terms.second_W_K
         air, _, _ = _air(state, ambient[step], skin[step], blown, fixed, terms)
         store[step, :9] = state[:9]
         store[step, 9] = air
@@ -240,56 +289,13 @@ def run(
         store[step, 11], store[step, 12], store[step, 13] = on[0], on[1] + on[2], on[3]
         if step == size - 1:
             break
-        # A fast exchange (an open door) is stiff against a minute: as many parts as it needs.
         mixing = exchange[step] + on[1] * terms.fan_exchange + on[2] * terms.second_exchange
-        fastest = permeance * (ambient[step] / 273.0) ** 1.8 * mixing
-        fastest += terms.film_m2 * terms.film_m_s + terms.pool_m2 * terms.pool_m_s + terms.dry_m3_s
-        if terms.slab_m2 > 0.0:
-            # Both sides of the layer at the face, twice for the sum with its neighbour; and the
-            # air film in series with half a layer of polymer.
-            spread = terms.slab_m2_s * _arrhenius(max(state[0], air), terms.slab_J_mol)
-            dense = saturated(air) / (VAPOUR_GAS_CONSTANT * air)
-            face = 2.0 * spread * terms.slab_kg_m3 / (layers[0] * dense)
-            fastest += terms.slab_m2 * face * terms.air_m_s / (face + terms.air_m_s)
-            fastest = max(fastest, 1.5 * volume * spread / layers[0] ** 2)
-        fastest /= volume
-        if terms.wall_J_K > 0.0:
-            near = 1.0 / (outer * terms.wall_place)
-            fastest = max(fastest, 2.0 * near / terms.wall_J_K)
-            if terms.outer_wall_J_K > 0.0:
-                fastest = max(fastest, (near + 1.0 / (outer * terms.outer_wall_place)) / terms.wall_J_K)
+        fastest = _fastest(state, ambient[step], air, mixing, fixed, terms, layers)
         parts = 1 + int(step_s * fastest / 0.8)
         width = step_s / parts
         for part in range(parts):
             on[4] = 1.0 if state[5] > 0.0 else 0.0
-            total[:] = 0.0
-            rates[:] = 0.0
-            for stage in range(4):
-                reach = nodes[stage] * width
-                for which in range(count):
-                    trial[which] = state[which] + reach * rates[which]
-                share = (part + nodes[stage]) / parts
-                _rates(
-                    trial,
-                    rates,
-                    ambient[step] + share * (ambient[step + 1] - ambient[step]),
-                    outside[step] + share * (outside[step + 1] - outside[step]),
-                    skin[step] + share * (skin[step + 1] - skin[step]),
-                    tends[step] + share * (tends[step + 1] - tends[step]),
-                    heat[step],
-                    vapour[step],
-                    exchange[step],
-                    conductance[step],
-                    water[step],
-                    on,
-                    fixed,
-                    terms,
-                    layers,
-                )
-                for which in range(count):
-                    total[which] += weights[stage] * rates[which]
-            for which in range(count):
-                state[which] += width * total[which]
+            _advance(state, step, part, parts, width, courses, held, on, fixed, terms, layers)
             for which in (5, 6):
                 if state[which] < 0.0:
                     # What evaporated beyond the last drop goes back out of the air: mass is kept.

@@ -63,7 +63,8 @@ def exchange_ramps(random: np.random.Generator, scene: Scene) -> Law:
 
 
 def vent_opens(random: np.random.Generator, scene: Scene) -> Law:
-    """A vent that a controller opens with the warmth that the cabinet would have without it, over a band of 4 to 10 K.
+    """A vent that a controller opens with the warmth that the cabinet would have without it, over a band of 4
+    to 10 K.
 
     Begins to open where 20 to 60 % of the time lies above; wide open it has 2 to 40 times the exchange.
     """

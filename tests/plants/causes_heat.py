@@ -200,7 +200,8 @@ def lamps(random: np.random.Generator, scene: Scene) -> Law:
 
 
 def people_at_work(random: np.random.Generator, scene: Scene) -> Law:
-    """Heat of 20 to 2,000 W on workdays, with half an hour's jitter at begin and end and one day in ten off."""
+    """Heat of 20 to 2,000 W on workdays, with half an hour's jitter at begin and end and one day in ten
+    off."""
     _, begin, long = _hours(random, scene)
     time = scene.drivers.time[:-1]
     day = np.floor(time / DAY_S - begin / 24.0).astype(int)

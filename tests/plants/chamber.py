@@ -160,6 +160,33 @@ def gab(activity: np.ndarray | float, monolayer: float, gab_c: float, gab_k: flo
     return monolayer * gab_c * wet / ((1.0 - wet) * (1.0 - wet + gab_c * wet))
 
 
+def _start(
+    cabinet: Cabinet, ambient_K: np.ndarray, ambient_kg_m3: np.ndarray, forcing: Forcing, terms: Terms
+) -> np.ndarray:
+    """States at the first instant: balances at rest under its inputs, the sorbed water as `terms` say."""
+    outer = cabinet.outer_resistance
+    heat, vapour = float(forcing.heat_W[0]), float(forcing.vapour_kg_s[0])
+    ambient, outside = float(ambient_K[0]), float(ambient_kg_m3[0])
+    air = ambient + outer * heat
+    beyond = 1.0 - terms.wall_place - (terms.outer_wall_place if terms.outer_wall_J_K > 0.0 else 0.0)
+    equivalent = outside + vapour * float(cabinet.diffusion_resistance(np.array(ambient)))
+    closed = cabinet.vapour_balance == "mass"
+    sorbing = 1 if terms.lumped_kg > 0.0 else (LAYERS if terms.slab_m2 > 0.0 else 0)
+    start = np.zeros(9 + sorbing)
+    start[0] = ambient + (outer + cabinet.inner_resistance) * heat
+    start[1] = ambient + outer * (1.0 - terms.wall_place) * heat
+    start[2] = ambient + outer * beyond * heat
+    start[3] = cabinet.volume * equivalent * ambient / air if closed else equivalent
+    start[4] = ambient + terms.surface_share * (air - ambient)
+    if terms.lumped_kg > 0.0:
+        start[9] = terms.lumped_kg * float(
+            gab(terms.start_activity, terms.monolayer, terms.gab_c, terms.gab_k)
+        )
+    elif terms.slab_m2 > 0.0:
+        start[9:] = terms.slab_m2 * slab_layers(terms.slab_m) * terms.slab_kg_m3 * terms.start_activity
+    return start
+
+
 def integrate_hidden(
     cabinet: Cabinet,
     step_s: float,
@@ -173,51 +200,30 @@ def integrate_hidden(
     closed = cabinet.vapour_balance == "mass"
     if cabinet.wall_capacity > 0.0 and terms.wall_J_K == 0.0:
         terms = terms._replace(wall_J_K=cabinet.wall_capacity, wall_place=cabinet.wall_place)
-    outer = cabinet.outer_resistance
-    heat, vapour = float(forcing.heat_W[0]), float(forcing.vapour_kg_s[0])
-    ambient, outside = float(ambient_K[0]), float(ambient_kg_m3[0])
-    air = ambient + outer * heat
-    beyond = 1.0 - terms.wall_place - (terms.outer_wall_place if terms.outer_wall_J_K > 0.0 else 0.0)
-    through = 1.0 - terms.wall_place
-    equivalent = outside + vapour * float(cabinet.diffusion_resistance(np.array(ambient)))
-    stored = cabinet.volume * equivalent * ambient / air if closed else equivalent
-    sorbing = 1 if terms.lumped_kg > 0.0 else (LAYERS if terms.slab_m2 > 0.0 else 0)
-    start = np.zeros(9 + sorbing)
-    start[0] = ambient + (outer + cabinet.inner_resistance) * heat
-    start[1] = ambient + outer * through * heat
-    start[2] = ambient + outer * beyond * heat
-    start[3] = stored
-    start[4] = ambient + terms.surface_share * (air - ambient)
-    layers = slab_layers(terms.slab_m)
-    if terms.lumped_kg > 0.0:
-        start[9] = terms.lumped_kg * float(
-            gab(terms.start_activity, terms.monolayer, terms.gab_c, terms.gab_k)
-        )
-    elif terms.slab_m2 > 0.0:
-        start[9:] = terms.slab_m2 * layers * terms.slab_kg_m3 * terms.start_activity
+    courses = (ambient_K, ambient_kg_m3, exposure.skin_K, exposure.surface_K)
+    held = (
+        forcing.heat_W,
+        forcing.vapour_kg_s,
+        exposure.exchange,
+        exposure.conductance_W_K,
+        exposure.water_kg_s,
+    )
     store = run(
-        start,
-        np.ascontiguousarray(ambient_K),
-        np.ascontiguousarray(ambient_kg_m3),
-        np.ascontiguousarray(forcing.heat_W),
-        np.ascontiguousarray(forcing.vapour_kg_s),
-        np.ascontiguousarray(exposure.skin_K),
-        np.ascontiguousarray(exposure.surface_K),
-        np.ascontiguousarray(exposure.exchange),
-        np.ascontiguousarray(exposure.conductance_W_K),
-        np.ascontiguousarray(exposure.water_kg_s),
+        _start(cabinet, ambient_K, ambient_kg_m3, forcing, terms),
+        tuple(np.ascontiguousarray(one) for one in courses),
+        tuple(np.ascontiguousarray(one) for one in held),
         np.ascontiguousarray(exposure.stopped),
         float(step_s),
         (
             cabinet.heat_capacity,
-            outer,
+            cabinet.outer_resistance,
             cabinet.inner_resistance,
             cabinet.volume,
             cabinet.gap * DIFFUSIVITY_273,
             closed,
         ),
         terms,
-        layers,
+        slab_layers(terms.slab_m),
     )
     cabinet_K = store[:, 9].copy()
     equivalent_kg_m3 = store[:, 3].copy()

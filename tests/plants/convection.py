@@ -1,7 +1,7 @@
 """Cabinets of another make: two nodes, natural convection, breathing, mist, and disturbances that flare up.
 
-Nothing is hidden in them.  They are what no network of two resistances describes: so they show what a likelihood makes
-of a cabinet whose form is not the model's, where no cause is to be named.
+Nothing is hidden in them.  They are what no network of two resistances describes: so they show what a
+likelihood makes of a cabinet whose form is not the model's, where no cause is to be named.
 """
 
 from __future__ import annotations
@@ -134,7 +134,8 @@ def _build(
 
 
 def convecting_plant(seed: int, *, days: float = 180.0, **options: object) -> Plant:
-    """A random cabinet of this make, which hides nothing, under the weather, operation and loggers of hidden plants.
+    """A random cabinet of this make, which hides nothing, under the weather, operation and loggers of hidden
+    plants.
 
     The time constant of its vapour is drawn from 0.3 to 30 h.  options: those of `plant`.
     """

@@ -86,9 +86,21 @@ def log_plant(
     random: np.random.Generator, drivers: Drivers, trajectory: Trajectory, logging: Logging
 ) -> tuple[tuple[PlantSeries, ...], tuple[tuple[str, float], ...]]:
     """All series of a plant, and the bias of each sensor in its unit."""
+    inside, inside_biases = _cabinet_logger(random, drivers, trajectory, logging)
+    outside, outside_biases = _ambient_logger(random, drivers, logging)
+    scada = _scada(random, drivers, logging)
+    if logging.logger_gaps:
+        # The gaps are drawn last: a plant without gaps keeps its readings.
+        inside = _with_gaps(random, inside, logging.logger_gaps)
+    return (*inside, *outside, *scada), (*inside_biases, *outside_biases)
+
+
+def _cabinet_logger(
+    random: np.random.Generator, drivers: Drivers, trajectory: Trajectory, logging: Logging
+) -> tuple[list[PlantSeries], list[tuple[str, float]]]:
+    """Temperature and relative humidity in the cabinet, with the bias of each sensor."""
     begin, end = float(drivers.time[0]), float(drivers.time[-1])
     percent = 100.0 * relative_humidity(trajectory.cabinet_kg_m3, trajectory.cabinet_K)
-
     step = MINUTE_S * logging.logger_step_min
     offset = float(random.integers(0, int(step)))
     true_time = np.arange(begin + offset + (step if logging.logger_mean else 0.0), end, step)
@@ -102,81 +114,57 @@ def log_plant(
         upper = np.interp(true_time, drivers.time, area)
         return (upper - np.interp(true_time - step, drivers.time, area)) / step
 
-    biases = []
-    series = []
-    exact_inside = logging.sensor_errors == "none"
+    exact = logging.sensor_errors == "none"
     stamps = true_time + MINUTE_S * logging.clock_offset_min
-    for signal, unit, true, accuracy, noise, resolution in (
-        (
-            "cabinet_temperature",
-            "degC",
-            logged(trajectory.cabinet_K) - FREEZING_K,
-            TEMPERATURE_ACCURACY_K,
-            0.05,
-            0.1,
-        ),
-        ("cabinet_relative_humidity", "%", logged(percent), HUMIDITY_ACCURACY_PERCENT, 0.3, 0.1),
+    stamp, interval_s = ("end", step) if logging.logger_mean else ("instant", 0.0)
+    series, biases = [], []
+    for signal, unit, true, accuracy, noise in (
+        ("cabinet_temperature", "degC", trajectory.cabinet_K, TEMPERATURE_ACCURACY_K, 0.05),
+        ("cabinet_relative_humidity", "%", percent, HUMIDITY_ACCURACY_PERCENT, 0.3),
     ):
-        value, bias = _sensed(random, true, accuracy, noise, resolution, exact_inside)
+        mean = logged(true) - (FREEZING_K if unit == "degC" else 0.0)
+        value, bias = _sensed(random, mean, accuracy, noise, 0.1, exact)
         if unit == "%":
             value = np.clip(value, 0.0, 100.0)
         value[random.random(value.size) < logging.missing] = np.nan
-        biases.append((signal, bias))
+        resolution = 0.0 if exact else 0.1
+        source = "cabinet logger"
         series.append(
-            PlantSeries(
-                signal,
-                unit,
-                stamps,
-                value,
-                "end" if logging.logger_mean else "instant",
-                step if logging.logger_mean else 0.0,
-                0.0 if exact_inside else resolution,
-                accuracy,
-                "cabinet logger",
-            )
+            PlantSeries(signal, unit, stamps, value, stamp, interval_s, resolution, accuracy, source)
         )
+        biases.append((signal, bias))
+    return series, biases
 
-    exact_outside = logging.sensor_errors != "all"
+
+def _ambient_logger(
+    random: np.random.Generator, drivers: Drivers, logging: Logging
+) -> tuple[list[PlantSeries], list[tuple[str, float]]]:
+    """Temperature, humidity and irradiance outdoors, with the bias of each sensor that has one."""
+    exact = logging.sensor_errors != "all"
     places = slice(drivers.ambient_offset_min, None, drivers.ambient_step_min)
-    outside = 100.0 * relative_humidity(drivers.ambient_kg_m3, drivers.ambient_K)
+    time, source = drivers.time[places], "ambient logger"
     rows = [("ambient_temperature", "degC", drivers.ambient_K - FREEZING_K, 0.3, 0.05, 0.1)]
     if logging.ambient_humidity == "relative":
-        rows.append(("ambient_relative_humidity", "%", outside, 2.0, 0.3, 0.1))
+        percent = 100.0 * relative_humidity(drivers.ambient_kg_m3, drivers.ambient_K)
+        rows.append(("ambient_relative_humidity", "%", percent, 2.0, 0.3, 0.1))
     else:
-        grams = 1e3 * drivers.ambient_kg_m3
-        rows.append(("ambient_absolute_humidity", "g/m3", grams, 0.2, 0.03, 0.01))
+        rows.append(("ambient_absolute_humidity", "g/m3", 1e3 * drivers.ambient_kg_m3, 0.2, 0.03, 0.01))
+    series, biases = [], []
     for signal, unit, true, accuracy, noise, resolution in rows:
-        value, bias = _sensed(random, true[places], accuracy, noise, resolution, exact_outside)
+        value, bias = _sensed(random, true[places], accuracy, noise, resolution, exact)
         if unit == "%":
             value = np.clip(value, 0.0, 100.0)
+        stated = 0.0 if exact else resolution
+        series.append(PlantSeries(signal, unit, time, value, "instant", 0.0, stated, accuracy, source))
         biases.append((signal, bias))
-        series.append(
-            PlantSeries(
-                signal,
-                unit,
-                drivers.time[places],
-                value,
-                "instant",
-                0.0,
-                0.0 if exact_outside else resolution,
-                accuracy,
-                "ambient logger",
-            )
-        )
-    series.append(
-        PlantSeries(
-            "global_horizontal_irradiance",
-            "W/m2",
-            drivers.time[places],
-            drivers.irradiance_W_m2[places],
-            "instant",
-            0.0,
-            0.0,
-            None,
-            "ambient logger",
-        )
-    )
+    signal, value = "global_horizontal_irradiance", drivers.irradiance_W_m2[places]
+    series.append(PlantSeries(signal, "W/m2", time, value, "instant", 0.0, 0.0, None, source))
+    return series, biases
 
+
+def _scada(random: np.random.Generator, drivers: Drivers, logging: Logging) -> list[PlantSeries]:
+    """Means of power, wind speed and, where the turbine pre-heats, pre-heating."""
+    begin, end = float(drivers.time[0]), float(drivers.time[-1])
     intervals = (drivers.time.size - 1) // POWER_STEP_MIN
 
     def mean(values: np.ndarray) -> np.ndarray:
@@ -189,22 +177,21 @@ def log_plant(
     gap_begin = begin + random.uniform(0.2, 0.7) * (end - begin)
     gap_s = 86400.0 * logging.power_gap_days
     power[(ends > gap_begin) & (ends <= gap_begin + gap_s)] = np.nan
-    scada = [("active_power", "kW", power), ("wind_speed", "m/s", mean(drivers.wind_m_s))]
+    rows = [("active_power", "kW", power), ("wind_speed", "m/s", mean(drivers.wind_m_s))]
     if drivers.preheating.any():
-        scada.append(("preheating", "1", mean(drivers.preheating)))
-    for signal, unit, value in scada:
-        series.append(PlantSeries(signal, unit, ends, value, "end", interval_s, 0.0, None, "SCADA"))
-    if logging.logger_gaps:
-        # Drawn last, so that a plant without gaps has the readings that it always had.
-        kept = np.ones(stamps.size, dtype=bool)
-        for _ in range(logging.logger_gaps):
-            place, hours = random.random(), random.uniform(4.0, 40.0)
-            gap = stamps[0] + place * (stamps[-1] - stamps[0])
-            kept &= (stamps < gap) | (stamps > gap + 3600.0 * hours)
-        series = [
-            replace(one, time=one.time[kept], value=one.value[kept])
-            if one.source == "cabinet logger"
-            else one
-            for one in series
-        ]
-    return tuple(series), tuple(biases)
+        rows.append(("preheating", "1", mean(drivers.preheating)))
+    return [
+        PlantSeries(signal, unit, ends, value, "end", interval_s, 0.0, None, "SCADA")
+        for signal, unit, value in rows
+    ]
+
+
+def _with_gaps(random: np.random.Generator, series: list[PlantSeries], gaps: int) -> list[PlantSeries]:
+    """Series of one logger without the readings of that many gaps of 4 to 40 h."""
+    stamps = series[0].time
+    kept = np.ones(stamps.size, dtype=bool)
+    for _ in range(gaps):
+        place, hours = random.random(), random.uniform(4.0, 40.0)
+        gap = stamps[0] + place * (stamps[-1] - stamps[0])
+        kept &= (stamps < gap) | (stamps > gap + 3600.0 * hours)
+    return [replace(one, time=one.time[kept], value=one.value[kept]) for one in series]

@@ -1,1 +1,1 @@
-"""What is wrong with a tracker's surroundings, and what to do: one module for each thing that is looked at."""
+"""The doctor: checks of everything that a tracker needs, with a remedy for each fault."""

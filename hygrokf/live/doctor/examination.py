@@ -1,4 +1,4 @@
-"""The doctor: looks at all that a tracker needs, changes nothing, and says what is wrong and what to do."""
+"""The whole examination: clock, files, sources, store, models and page, without changing anything."""
 
 from __future__ import annotations
 
@@ -7,41 +7,53 @@ import importlib.util
 import json
 import math
 import ssl
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Mapping as MappingOf
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from hygrokf.data.signals import SIGNALS
+from hygrokf.data.timestamps import HOUR_S
+from hygrokf.identification.verdict import REJECT, handed_on
 from hygrokf.live.config import Config
 from hygrokf.live.doctor.check import LEVELS, Check, doubt, fault, ok, worst
-from hygrokf.live.doctor.clock import Watch, machine_checks
-from hygrokf.live.doctor.files import file_checks
-from hygrokf.live.doctor.models import model_checks
+from hygrokf.live.doctor.machine import Watch, file_checks, machine_checks
 from hygrokf.live.doctor.sources import examined
 from hygrokf.live.doctor.store import Kept, store_checks
-from hygrokf.live.sources.streams import Playback
+from hygrokf.live.plan import Plan
+from hygrokf.live.sources.opcua import OpcUa
+from hygrokf.live.sources.streams import Playback, Stream, several
+from hygrokf.live.tracker import AMBIENT_HUMIDITIES, Reading, Tracker, record_of
+from hygrokf.live.turbines import Turbine
 from hygrokf.live.web.page_settings import PageFault, PageSettings
 from hygrokf.live.web.server import bound
+from hygrokf.modelling.inputs import prepare_run
 
 ANSWER_S = 5.0
-"""[s] within which a page answers."""
+"""[s] allowed for a page's answer."""
+TRIED_H = 72
+"""Length of the readings on which a model is tried [h]."""
 
 
 def examine(
     config: Config, file: Path | None = None, wait_s: float = 10.0, with_page: bool = True
 ) -> list[Check]:
-    """Look at the clock, the files that the tracker's `file` names, its sources, store, models and page.
+    """Check the clock, the files that the tracker's `file` names, its sources, store, models and page.
 
-    Sources that speak by themselves are listened to for `wait_s` [s], all at the same time.
+    Sources that send by themselves are observed for `wait_s` [s], all at the same time.
     """
     watch, kept = Watch(), Kept()
-    # what is late for one turbine is late
+    # the strictest turbine decides what counts as late
     lateness_s = min((one.plan.lateness_s for one in config.turbines.values()), default=math.inf)
     sources = examined(config.streams, wait_s, lateness_s)
     played_back = all(isinstance(one, Playback) for one in config.streams if not one.mapping.weather)
     of_store = list(store_checks(config.store, config.turbines, config.retention_s, played_back, kept))
     came = {name: set(signals) for name, signals in kept.signals.items()}
     for one in sources:
-        for turbine, signal in one.tally.newest:
+        for turbine, signal in one.statistics.newest:
             came.setdefault(turbine, set()).add(signal)
     return [
         *machine_checks(watch, kept.received_s),
@@ -54,7 +66,7 @@ def examine(
 
 
 def page_checks(settings: PageSettings) -> Iterator[Check]:
-    """Whether the page can be served, or is served by a tracker that runs."""
+    """Whether the page can be served, or a running tracker already serves it."""
     about = f"page {settings.host}:{settings.port}"
     if None in map(importlib.util.find_spec, ("starlette", "uvicorn", "prometheus_client")):
         yield fault(about, "its packages are missing", "pip install 'hygrokf[live]', or start with --no-page")
@@ -68,22 +80,24 @@ def page_checks(settings: PageSettings) -> Iterator[Check]:
             words, _, remedy = str(error).partition("; ")
             yield fault(about, words, remedy or "give another address")
         elif said:
-            yield doubt(about, f"a tracker's page is there, and says: {said}", "look at that tracker's log")
+            yield doubt(
+                about, f"a tracker's page already runs there and reports: {said}", "read that tracker's log"
+            )
         else:
-            yield ok(about, "a tracker's page is there, and all is well with it")
+            yield ok(about, "a tracker's page already runs there and is healthy")
 
 
 def _page_says(settings: PageSettings) -> str | None:
-    """What a tracker's page at the address has to complain of, empty for nothing; None where there is no such page."""
+    """The fault that a tracker's page at the address reports, empty for none; None if there is no such
+    page."""
     host = {"0.0.0.0": "127.0.0.1", "::": "::1"}.get(settings.host, settings.host)
+    connection: http.client.HTTPConnection
     try:
         if settings.certificate:
-            # it is asked how it is, and told nothing: whose certificate it shows does not matter
+            # the request contains no secret, so the certificate need not be verified
             context = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
             context.check_hostname, context.verify_mode = False, ssl.CERT_NONE
-            connection: http.client.HTTPConnection = http.client.HTTPSConnection(
-                host, settings.port, timeout=ANSWER_S, context=context
-            )
+            connection = http.client.HTTPSConnection(host, settings.port, timeout=ANSWER_S, context=context)
         else:
             connection = http.client.HTTPConnection(host, settings.port, timeout=ANSWER_S)
         try:
@@ -99,18 +113,117 @@ def _page_says(settings: PageSettings) -> str | None:
 
 
 def as_text(checks: list[Check]) -> str:
-    """One line a check, and how many there are of each level."""
+    """One line per check, and the number of checks at each level."""
     return "\n".join([*map(str, checks), summary(checks)])
 
 
-def as_data(checks: list[Check]) -> dict:
-    """The same as plain data."""
+def as_data(checks: list[Check]) -> dict[str, Any]:
+    """The checks as JSON data."""
     return {"level": worst(checks), "checks": [asdict(one) for one in checks]}
 
 
 def summary(checks: list[Check]) -> str:
-    """How many checks there are of each level."""
+    """The number of checks at each level, and a conclusion."""
     counts = [f"{sum(one.level == level for one in checks)} {level}" for level in LEVELS]
     return f"{', '.join(counts)}: " + (
-        "nothing stands in the way" if worst(checks) != "fault" else "mend the faults first"
+        "ready to track" if worst(checks) != "fault" else "fix the faults first"
     )
+
+
+# -- models --------------------------------------------------------------------------------------------------
+def model_checks(
+    turbines: MappingOf[str, Turbine], streams: Sequence[Stream], came: MappingOf[str, Collection[str]]
+) -> Iterator[Check]:
+    """Check every turbine's model; `came`: turbine → signals of which the store or a source has readings."""
+    fine, unheard = [], []
+    for name, one in turbines.items():
+        mapped = mapped_signals(name, streams)
+        for part, _, found in handed_on(one.verdicts):
+            if found.verdict == REJECT:
+                yield doubt(
+                    f"turbine {name}",
+                    f"the {part} time constant of its model is {found.words}: {found.why}",
+                    "read the fit's report; estimates and alarms that rest on this number say so",
+                )
+        wrong = model_fault(one.plan, mapped)
+        if wrong is not None:
+            yield fault(f"turbine {name}", *wrong)
+            continue
+        if mapped.isdisjoint(one.plan.model.outputs):
+            yield ok(
+                f"turbine {name}",
+                "no mapped field is a reading of its cabinet: the estimates come from the model alone",
+            )
+        if "operating" in one.plan.model.inputs and "active_power" not in mapped:
+            yield doubt(
+                f"turbine {name}",
+                "the model needs the operation, but no mapped field is active_power: it assumes standstill",
+                "add the field to [mapping.signals]",
+            )
+        absent = lacking(one.plan, mapped, came.get(name, ()))
+        if not came.get(name):
+            unheard.append(name)
+        elif absent:
+            yield doubt(
+                f"turbine {name}",
+                f"its model reads {several(absent)}, which never arrived",
+                "compare the names in [mapping.signals] with the delivered payloads",
+            )
+        else:
+            fine.append(name)
+    if unheard:
+        yield doubt(
+            "turbines",
+            f"no reading of {several(unheard)} has ever arrived",
+            "compare their known_as with the names in the payloads, or wait longer (--wait 10min)",
+        )
+    if fine:
+        yield ok("turbines", f"{len(fine)} have a model that can run, and have delivered all its inputs")
+
+
+def mapped_signals(turbine: str, streams: Sequence[Stream]) -> set[str]:
+    """Signals of a turbine that some source can deliver."""
+    found: set[str] = set()
+    for stream in streams:
+        fields = stream.mapping.fields
+        if stream.mapping.weather:
+            continue
+        if isinstance(stream, OpcUa):
+            found |= {fields[node.field].signal for node in stream.nodes if node.turbine == turbine}
+        elif turbine in stream.mapping.turbines.values():
+            found |= {one.signal for one in fields.values()}
+    return found
+
+
+def lacking(plan: Plan, mapped: Collection[str], came: Collection[str]) -> list[str]:
+    """Mapped signals that a model uses but that never came; any one of the ambient's humidities is enough."""
+    inputs = {*plan.model.inputs, *plan.model.outputs, "ambient_temperature"}
+    if "operating" in inputs or plan.design.power_order:
+        inputs.add("active_power")
+    if "ambient_absolute_humidity" in inputs and set(came).isdisjoint(AMBIENT_HUMIDITIES):
+        inputs |= set(AMBIENT_HUMIDITIES)
+    elif "ambient_absolute_humidity" in inputs:
+        inputs -= set(AMBIENT_HUMIDITIES)
+    return sorted(inputs & set(mapped) - set(came))
+
+
+def model_fault(plan: Plan, signals: Collection[str]) -> tuple[str, str] | None:
+    """Why a model cannot run on these signals, whatever their readings, and what to do; None if it can."""
+    times = HOUR_S * np.arange(1.0, TRIED_H)
+    values = {name: np.full(len(times), 0.5 * (SIGNALS[name].low + SIGNALS[name].high)) for name in signals}
+    awaited = Tracker(
+        plan, readings=(Reading(name, 0.0, float(v[0])) for name, v in values.items())
+    ).awaited()
+    if awaited:
+        return (
+            f"its model needs {several(awaited)}, but no mapped field provides it",
+            "add it to [mapping.signals]",
+        )
+    try:
+        prepare_run(plan.design, record_of(plan, dict.fromkeys(values, times), values))
+    except (ValueError, KeyError) as error:
+        return (
+            f"its model cannot be run on these signals: {error}",
+            "correct [mapping.signals] or [[turbine]], or fit the model again",
+        )
+    return None

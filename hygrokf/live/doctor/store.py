@@ -1,4 +1,5 @@
-"""The store as the tracker would find it: reached, whole, with room to grow, and up to date.  Nothing is written."""
+"""Checks of the store from the tracker's point of view: reachable, intact, with room to grow, up to date.
+They only read."""
 
 from __future__ import annotations
 
@@ -11,24 +12,24 @@ from collections.abc import Mapping as MappingOf
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok, several
+from hygrokf.data.timestamps import DAY_S
+from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok
+from hygrokf.live.sources.streams import several
 from hygrokf.live.storage.database import StoreUnready
-from hygrokf.live.storage.retention import signals_of
 from hygrokf.live.storage.schema import VERSION
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.turbines import Turbine, digest
 
-DAY_S = 86400.0
-REACH = "check the store's URL, its server or folder, and this user's rights; of a damaged one restore a copy"
+REACH = "check the store's URL, its server or folder, and this user's rights; restore a copy if it is damaged"
 LEAST_FREE = 100_000_000
-"""[bytes] on the disk, below which the store may be full at any time."""
+"""Free space [bytes] below which the disk may be full at any time."""
 SOON_D = 30.0
-"""[d] until the disk is full, from which on it is time to make room."""
+"""Time until the disk is full [d] below which to make room."""
 
 
 @dataclass
 class Kept:
-    """What the store has: turbine -> signals that ever came; when the newest reading was received [s]."""
+    """Contents of the store: turbine -> signals ever received, and the arrival of the newest reading [s]."""
 
     signals: dict[str, set[str]] = field(default_factory=dict)
     received_s: float = -math.inf
@@ -37,7 +38,8 @@ class Kept:
 def store_checks(
     url: str, turbines: MappingOf[str, Turbine], retention_s: float, played_back: bool, kept: Kept
 ) -> Iterator[Check]:
-    """The store at a URL; what it has of the turbines goes to `kept`.  The age of what is `played_back` says nothing."""
+    """Check the store at a URL; its contents go to `kept`.  With `played_back` the age of data is not
+    judged."""
     try:
         store = open_store(url, read_only=True)
     except StoreUnready as found:
@@ -61,7 +63,8 @@ def store_checks(
 
 
 def _parted(words: str) -> tuple[str, str]:
-    """What a fault says, and what to do: after a semicolon or in a sentence of its own."""
+    """Split a fault's message into the finding and the remedy after the first semicolon; `REACH` without
+    one."""
     found, _, remedy = words.partition("; ")
     return found, remedy or REACH
 
@@ -71,18 +74,16 @@ def _before_the_start(url: str, version: int) -> Iterator[Check]:
         yield doubt(
             "store",
             f"{url} has version {version} of the tables, this is version {VERSION}",
-            "make a copy; the next start of the tracker brings it to this version",
+            "make a copy; the tracker migrates it at its next start",
         )
     elif url.startswith("sqlite:") and not os.access(path_of(url).parent, os.W_OK):
-        yield fault(
-            "store", f"nothing can be written in {path_of(url).parent}", "check the folder's permissions"
-        )
+        yield fault("store", f"{path_of(url).parent} is not writable", "check the folder's permissions")
     else:
-        yield ok("store", f"{url} does not exist yet; the first start of the tracker makes it")
+        yield ok("store", f"{url} does not exist yet; the tracker creates it at its first start")
 
 
 def path_of(url: str) -> Path:
-    """The file of an SQLite store."""
+    """Path of an SQLite store's file."""
     return Path(url.removeprefix("sqlite:").removeprefix("//"))
 
 
@@ -92,13 +93,13 @@ def _contents(
     damages = store.database.faults()
     if damages:
         yield fault(
-            "store", f"{store.url} is damaged ({'; '.join(damages)})", "put it aside and restore a copy"
+            "store", f"{store.url} is damaged ({'; '.join(damages)})", "move it away and restore a copy"
         )
         return
     size = store.database.size()
-    yield ok("store", f"{store.url} is reached and whole; version {VERSION}, {_bytes(size)}")
+    yield ok("store", f"{store.url} is reached and intact; version {VERSION}, {_bytes(size)}")
     if not store.database.may_write():
-        yield fault("store", "this user may not write into it", "give the user of the tracker the right to")
+        yield fault("store", "this user may not write into it", "grant the tracker's user write permission")
     spans = _look(store, turbines, kept)
     if store.url.startswith("sqlite:"):
         free = shutil.disk_usage(path_of(store.url).parent).free
@@ -109,10 +110,10 @@ def _contents(
 
 
 def _look(store: Store, turbines: MappingOf[str, Turbine], kept: Kept) -> dict[str, float]:
-    """Note what each turbine has; over how long a time [s] its readings go."""
+    """Note the signals of each turbine in `kept`; returns turbine → time span of its readings [s]."""
     spans = {}
     for name in turbines:
-        kept.signals[name] = set(signals_of(store, name))
+        kept.signals[name] = set(store.signals(name))
         rows = store.rows(
             "SELECT time, received FROM observation WHERE turbine = ? ORDER BY time DESC LIMIT 1", (name,)
         )
@@ -124,16 +125,16 @@ def _look(store: Store, turbines: MappingOf[str, Turbine], kept: Kept) -> dict[s
 
 
 def _room(size: int, free: int, span_s: float, retention_s: float) -> Check:
-    """Whether what is still to come before old rows go has room on the disk."""
+    """Whether the disk has room for the growth until retention stops it."""
     a_day = size * DAY_S / max(span_s, DAY_S)
     coming = a_day * max(retention_s - span_s, 0.0) / DAY_S
-    said = f"{_bytes(free)} free on its disk; it grows by some {_bytes(a_day)} a day"
+    said = f"{_bytes(free)} free on its disk; it grows by about {_bytes(a_day)} a day"
     remedy = "make room, keep less (retention), or move the store"
     if free < LEAST_FREE:
         return fault("store", said, remedy)
     if coming > free:
         days = free / a_day
-        found = f"{said}, and fills it in {days:.0f} d, before retention ends its growth"
+        found = f"{said}, which fills it in {days:.0f} d, before retention stops its growth"
         return (
             (fault if days < 1.0 else doubt)("store", found, remedy) if days < SOON_D else ok("store", found)
         )
@@ -148,23 +149,23 @@ def _claims(store: Store, turbines: MappingOf[str, Turbine]) -> Iterator[Check]:
     for who, names in holders.items():
         yield ok("store", f"{who} tracks {several(sorted(names))} now")
     if not holders:
-        yield ok("store", "nobody tracks these turbines now")
+        yield ok("store", "no process tracks these turbines now")
 
 
 def _turbines(store: Store, turbines: MappingOf[str, Turbine]) -> Iterator[Check]:
-    """Turbines that are in the store or in the tracker's file alone, or were tracked with another model."""
-    known = dict(store.rows("SELECT name, model FROM turbine"))
+    """Turbines that only the store or only the tracker's file has, or that had another model."""
+    known = {name: model for name, model in store.rows("SELECT name, model FROM turbine")}
     claimed = {name for kind, name in store.database.claims() if kind == "turbine"}
     left = sorted(set(known) - set(turbines) - claimed)
     if left:
         yield doubt(
             "store",
-            f"nobody tracks {several(left)}, which it has",
-            "add a [[turbine]], or delete what the store has of them by hand",
+            f"no process tracks {several(left)}, which it contains",
+            "add a [[turbine]], or delete their rows by hand",
         )
     new = [name for name in turbines if name not in known]
     if new:
-        yield ok("store", f"it does not have {several(new)} yet: their first readings begin them")
+        yield ok("store", f"it does not contain {several(new)} yet: their first readings add them")
     changed = [
         name for name, one in turbines.items() if known.get(name, digest(one.plan)) != digest(one.plan)
     ]
@@ -172,7 +173,7 @@ def _turbines(store: Store, turbines: MappingOf[str, Turbine]) -> Iterator[Check
         yield doubt(
             "store",
             f"{several(changed)} had another model, or readings in another form, when last tracked",
-            "nothing, where that is meant: the next start filters their readings anew",
+            "nothing if this is intended: the next start filters their readings again",
         )
 
 
@@ -184,9 +185,7 @@ def _estimates(store: Store, turbines: MappingOf[str, Turbine], played_back: boo
         if at is not None
     }
     if not newest:
-        yield doubt(
-            "store", "it has no estimate yet", "start the tracker, and look at its log where none comes"
-        )
+        yield doubt("store", "it has no estimate yet", "start the tracker; read its log if none appears")
         return
     if played_back:
         yield ok("store", f"it has estimates of {several(newest)}")
@@ -198,14 +197,14 @@ def _estimates(store: Store, turbines: MappingOf[str, Turbine], played_back: boo
         yield doubt(
             "store",
             f"newest estimates are old: {_aged(old)}",
-            "look whether the tracker runs and readings come",
+            "check whether the tracker runs and readings arrive",
         )
     if fresh:
         yield ok("store", f"newest estimates: {_aged(fresh)}")
 
 
 def _aged(ages: MappingOf[str, float]) -> str:
-    """Turbines with the age of what is newest of them [s], the oldest first."""
+    """Text of turbines with their ages [s], in the given order."""
     return several(f"{name} {lasting(age)} ago" for name, age in ages.items())
 
 

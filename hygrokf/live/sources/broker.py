@@ -1,7 +1,8 @@
-"""Where an MQTT broker is, what is asked of it and who asks: from the tracker's file, with every fault in words.
+"""An MQTT broker as configured in the tracker's file: address, topics, session, user and TLS; and why a
+connection to it fails, in plain words.
 
-A password stands in a file or in an environment variable, never in the tracker's file or a URL.  Both are read anew for
-every connection, as certificates are, so that what was renewed is used without a restart.
+A password is kept in a file or an environment variable, never in the tracker's file or a URL.  Passwords and
+certificates are read again for every connection, so that a renewed one needs no restart.
 """
 
 from __future__ import annotations
@@ -11,38 +12,80 @@ import os
 import socket
 import ssl
 from collections.abc import Iterator
-from collections.abc import Mapping as MappingOf
 from dataclasses import dataclass
 from pathlib import Path
+from typing import ClassVar, NamedTuple
 from urllib.parse import quote, unquote, urlsplit
 
-from hygrokf.live.sources.streams import SourceFault
+from hygrokf.data.timestamps import DAY_S, duration
+from hygrokf.data.toml_form import Place, across, setting
+from hygrokf.live.sources.streams import NO_PASSWORD_HERE, WEATHER_HELP, SourceFault, password_of
 from hygrokf.live.storage.store import Alarm
-from hygrokf.live.table_reader import TableReader
 
 PORTS = {"mqtt": 1883, "mqtts": 8883}
-"""Scheme of a URL -> port where none is stated."""
-EXPIRY_S = 7.0 * 86400.0
-"""[s] for which a broker keeps the session of a tracker that is away."""
+"""Scheme of a URL -> default port."""
+EXPIRY_S = 7.0 * DAY_S
+"""[s] a broker keeps the session of a disconnected tracker."""
 LEAST_EXPIRY_S, MOST_EXPIRY_S = 60.0, 2.0**32 - 2.0
 LONGEST_TOPIC = 65_535
-"""[bytes] of a topic in UTF-8."""
+"""Longest topic [bytes in UTF-8]."""
 LONGEST_NAME = 100
 OTHERS_READ = 0o004
-"""Bit of a file's mode: every user of the machine may read it."""
+"""Mode bit of a file that every user of the machine may read."""
 
-_KEYS = (
-    "url", "topics", "alarms", "client_id", "session_expiry", "user", "password_file", "password_env",
-    "ca", "certificate", "key",
-)  # fmt: skip
 _TLS = ("ca", "certificate", "key")
+_TOPICS = 'a list of topic filters such as ["scada/+/cabinet"]'
+_CERTIFICATE_ERRORS = {
+    9: "its certificate is not valid yet: compare the clocks",
+    10: "its certificate has expired",
+    18: "its certificate is self-signed: name its CA's file as ca",
+    19: "its certificate is signed by a CA that is not trusted here: name the CA's file as ca",
+    20: "its certificate is signed by a CA that is not trusted here: name the CA's file as ca",
+    21: "its certificate is signed by a CA that is not trusted here: name the CA's file as ca",
+    62: "its certificate is for another name: connect by the name that the certificate states",
+    64: "its certificate is for another address: connect by the name that the certificate states",
+}
+"""OpenSSL's error code for the server's certificate -> message."""
+_TLS_ERRORS = {
+    "CERTIFICATE_REQUIRED": "it requires a client certificate: name certificate and key",
+    "HANDSHAKE_FAILURE": "it refused the TLS handshake: it may require a client certificate",
+    "ALERT_UNKNOWN_CA": "it does not trust the CA of the client certificate",
+    "ALERT_CERTIFICATE_EXPIRED": "the client certificate has expired",
+    "ALERT_CERTIFICATE_REVOKED": "the client certificate was revoked",
+    "ALERT_BAD_CERTIFICATE": "it does not accept the client certificate",
+    "ALERT_CERTIFICATE_UNKNOWN": "it does not accept the client certificate",
+    "ALERT_PROTOCOL_VERSION": "it offers no safe version of TLS: 1.2 or newer is needed",
+    "WRONG_VERSION_NUMBER": "it does not speak TLS on this port",
+    "EOF": "it closed the connection at the start of TLS: is this its TLS port?",
+}
+"""Part of OpenSSL's name of a TLS error -> message."""
+_REASONS = {
+    132: "it does not speak MQTT 5",
+    133: "it does not accept this client_id",
+    134: "user name or password is wrong",
+    135: "not authorised: user name, password, or the rights of this user and client_id",
+    136: "it is not available now",
+    137: "it is busy",
+    138: "this client was banned",
+    139: "it is shutting down",
+    141: "it received nothing within the agreed keep-alive",
+    142: "another client with this client_id took over the session: give every process its own client_id",
+    149: "it received a packet larger than it accepts",
+    151: "a quota is exceeded",
+    152: "its administrator closed the connection",
+    158: "it does not support shared subscriptions",
+    159: "connections come faster than it allows",
+    162: "it does not support subscriptions with + or #",
+}
+"""MQTT 5 reason code -> message; other codes are reported by their names."""
 
 
 @dataclass(frozen=True)
 class Broker:
-    """A broker and a session on it: `topics` filters, `alarms` the topic below which alarms are told ("" for none).
+    """A broker and a session on it.
 
-    `expiry_s` [s] for which the session outlives a connection; `ca` None trusts what the system trusts.
+    `topics`: topic filters; `alarms`: topic below which alarms are published, "" for none; `expiry_s`: time
+    [s] the session outlives a connection; `ca`: file of trusted CAs, None for those of the system.
     """
 
     host: str
@@ -61,39 +104,21 @@ class Broker:
 
     @property
     def where(self) -> str:
-        """Host and port, as in a URL."""
+        """HOST:PORT as in a URL."""
         return f"{_bracketed(self.host)}:{self.port}"
 
     @property
     def url(self) -> str:
-        """The source's name: broker and session, without user and password."""
+        """The source's URL with broker and session, but without user and password."""
         return f"{'mqtts' if self.tls else 'mqtt'}://{self.where}?client_id={quote(self.client_id)}"
 
     def password(self) -> str | None:
-        """The password as it is now; None where none is used.  Raises SourceFault."""
-        if self.password_env:
-            found = os.environ.get(self.password_env, "")
-            if not found:
-                raise SourceFault(
-                    f"password_env: the environment variable {self.password_env} is not set or empty"
-                )
-            return found
-        if self.password_file is None:
-            return None
-        try:
-            found = self.password_file.read_text(encoding="utf-8").rstrip("\r\n")
-        except OSError as fault:
-            raise SourceFault(f"password_file: {self.password_file}: {fault.strerror}") from None
-        except UnicodeDecodeError:
-            raise SourceFault(f"password_file: {self.password_file}: expected text in UTF-8") from None
-        if not found or "\n" in found:
-            raise SourceFault(
-                f"password_file: {self.password_file}: expected one line, the password, and nothing else"
-            )
-        return found
+        """The present password, None if none is used.  Raises SourceFault."""
+        return password_of(self.password_file, self.password_env)
 
     def context(self) -> ssl.SSLContext | None:
-        """How TLS is spoken, chain and name of the broker's certificate verified; None without TLS.  Raises SourceFault."""
+        """TLS context that verifies chain and host name of the broker's certificate; None without TLS.
+        Raises SourceFault."""
         if not self.tls:
             return None
         try:
@@ -103,7 +128,7 @@ class Broker:
         context.sslsocket_class = _ClosingSocket
         if self.certificate is not None:
             try:
-                # an empty passphrase: a key that has one is refused, not asked for at a terminal
+                # with an empty passphrase a protected key is refused instead of prompting at a terminal
                 context.load_cert_chain(self.certificate, self.key, password="")
             except (OSError, ssl.SSLError) as fault:
                 said = _file_words(
@@ -113,17 +138,17 @@ class Broker:
         return context
 
     def cautions(self) -> Iterator[str]:
-        """What works but should not stay so, in words."""
+        """Warnings about settings that work but are unsafe."""
         for name, path in (("password_file", self.password_file), ("key", self.key)):
             if path is not None and os.name == "posix" and path.exists():
                 if path.stat().st_mode & OTHERS_READ:
-                    yield f"{name}: every user of this machine may read {path}: chmod o-rwx {path}"
+                    yield f"{name}: every user of this machine can read {path}: chmod o-rwx {path}"
         if self.user and not self.tls and self.host not in ("localhost", "127.0.0.1", "::1"):
             yield f"user and password go to {self.where} in plain text: use mqtts://"
 
 
 class _ClosingSocket(ssl.SSLSocket):
-    """A socket that closes itself where the handshake fails: whoever made it keeps no hold of it then."""
+    """A socket that closes itself if the handshake fails, because paho then loses its reference to it."""
 
     def do_handshake(self, block: bool = False) -> None:
         try:
@@ -143,9 +168,9 @@ def _bracketed(host: str) -> str:
     return f"[{host}]" if ":" in host else host
 
 
-# -- topics ----------------------------------------------------------------------------------------------------------
+# -- topics --------------------------------------------------------------------------------------------------
 def filter_fault(text: str) -> str | None:
-    """What is wrong with a topic filter, in words; None for a valid one, shared ones ($share/GROUP/FILTER) included."""
+    """An error message for an invalid topic filter, else None; $share/GROUP/FILTER is valid, too."""
     if not text.isprintable() or not 0 < len(text.encode("utf-8", "surrogatepass")) <= LONGEST_TOPIC:
         return f"a topic filter has 1 to {LONGEST_TOPIC} bytes of printable characters"
     if text.split("/")[0] == "$share":
@@ -155,123 +180,199 @@ def filter_fault(text: str) -> str | None:
         return filter_fault(rest)
     levels = text.split("/")
     if any("#" in level for level in levels[:-1]) or ("#" in levels[-1] and levels[-1] != "#"):
-        return '"#" stands alone, as the last level'
+        return '"#" must be alone, as the last level'
     if any("+" in level and level != "+" for level in levels):
-        return '"+" stands alone in its level'
+        return '"+" must be alone in its level'
     return None
 
 
 def alarm_topic(prefix: str, alarm: Alarm) -> str:
-    """`PREFIX/TURBINE/KIND` of an alarm, KIND with what it is about where a kind has several.
+    """The topic `PREFIX/TURBINE/KIND` of an alarm; KIND includes the alarm's subject if it has one.
 
-    What would divide or stand for levels is written as in a URL; blanks of the kind become "_".
+    Characters that are special in topics are percent-encoded; spaces in the kind become "_".
     """
-    # several alarms of a kind may be open at once, and what tells them apart is in the alarm's name
+    # several alarms of one kind may be open at once; their ids contain the subject that distinguishes them
     name = alarm.id.removeprefix(f"{alarm.turbine}:").rpartition(":")[0]
     kind = name if name.startswith(alarm.kind) else alarm.kind
     return f"{prefix}/{quote(alarm.turbine, safe='')}/{quote(kind.replace(' ', '_'), safe='')}"
 
 
-# -- from the tracker's file -----------------------------------------------------------------------------------------
-def broker_of(table: MappingOf[str, object], where: str, folder: Path, reader: TableReader) -> Broker | None:
-    """The broker of a `[[source]]` table; None where `reader` was told why there is none.  Nothing is connected yet."""
-    before = len(reader.faults)
-    reader.known({key: value for key, value in table.items() if key != "password"}, _KEYS, where)
-    if "password" in table:
-        reader.faults.append(f"{where}: {_NO_PASSWORD_HERE}")
-    scheme, host, port, user = _address(reader.text(table, "url", where), where, reader)
-    if "user" in table:
-        if user:
-            reader.faults.append(f"{where}: user stands in the url and as a key: keep one")
-        user = reader.text(table, "user", where)
-    named = {
-        key: reader.text(table, key, where) for key in ("password_file", "password_env", *_TLS, "alarms")
-    }
-    files = {key: folder / named[key] if named[key] else None for key in ("password_file", *_TLS)}
-    if named["password_file"] and named["password_env"]:
-        reader.faults.append(f"{where}: password_file and password_env: keep one")
-    if (named["password_file"] or named["password_env"]) and not user:
-        reader.faults.append(f"{where}: a password needs its user: add user, or mqtt://USER@HOST")
-    if scheme == "mqtt" and (given := [key for key in _TLS if named[key]]):
-        reader.faults.append(f"{where}: {', '.join(given)}: only with TLS; write mqtts:// or take this away")
-    if bool(named["certificate"]) != bool(named["key"]):
-        reader.faults.append(f"{where}: certificate and key belong together: both, or neither")
-    expiry_s = reader.seconds(table, "session_expiry", where, EXPIRY_S)
-    if not LEAST_EXPIRY_S <= expiry_s <= MOST_EXPIRY_S:
-        reader.faults.append(
-            f"{where}: session_expiry must be 1 min or more (and fit into 32 bits): for so long the broker keeps "
-            f"what comes while the tracker is away, found {table['session_expiry']!r}"
+# -- from the tracker's file ---------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class BrokerForm:
+    """A [[source]] that is an MQTT broker."""
+
+    REFUSED: ClassVar = {"password": NO_PASSWORD_HERE}
+    url: str = setting(help="mqtt://[USER@]HOST[:PORT], or mqtts:// for TLS; never with a password")
+    topics: tuple[str, ...] = setting((), "topic filters", expected=_TOPICS, empty=True)
+    alarms: str = setting("", "topic below which alarms are published")
+    client_id: str | None = setting(
+        None,
+        "name of the session at the broker",
+        fits=lambda name: len(name) <= LONGEST_NAME and name.isprintable(),
+        expected=f"text of 1 to {LONGEST_NAME} printable characters",
+    )
+    session_expiry_s: float = setting(
+        EXPIRY_S,
+        "for how long the broker keeps the session of an absent tracker",
+        read=duration,
+        least=LEAST_EXPIRY_S,
+        most=MOST_EXPIRY_S,
+        expected="1 min or more (and fit into 32 bits): for so long the broker keeps what comes while the "
+        "tracker is away",
+    )
+    user: str | None = setting(None, "if it is not in the url", empty=True)
+    password_file: str = setting("", "file with the password as its only line")
+    password_env: str = setting("", "environment variable with the password")
+    ca: str = setting("", "certificates of the CAs to trust, PEM")
+    certificate: str = setting("", "of this client, PEM")
+    key: str = setting("", "of the certificate, PEM, without a passphrase")
+    weather: bool = setting(False, WEATHER_HELP)
+
+    @across("url")
+    def url_form(self) -> str | None:
+        return self.address.fault
+
+    @across("topics")
+    def filters(self) -> Iterator[str]:
+        if not self.topics:
+            yield f"topics must be {_TOPICS}, found none"
+        for one in self.topics:
+            if (wrong := filter_fault(one)) is not None:
+                yield f"topics: {wrong}, found {one!r}"
+
+    @across("alarms")
+    def alarms_topic(self) -> str | None:
+        wrong = _prefix_fault(self.alarms) if self.alarms else None
+        return None if wrong is None else f"alarms: {wrong}, found {self.alarms!r}"
+
+    @across("user", "url")
+    def one_user(self) -> str | None:
+        if self.user is None or not self.address.user:
+            return None
+        return "user stands in the url and as a key: keep one"
+
+    @across("password_file", "password_env", "user")
+    def password_of_user(self) -> Iterator[str]:
+        if self.password_file and self.password_env:
+            yield "password_file and password_env: keep one"
+        if (self.password_file or self.password_env) and not (self.user or self.address.user):
+            yield "a password needs its user: add user, or mqtt://USER@HOST"
+
+    @across(*_TLS)
+    def tls(self) -> Iterator[str]:
+        if not self.url.startswith("mqtts:") and (given := [key for key in _TLS if getattr(self, key)]):
+            yield f"{', '.join(given)}: only with TLS; write mqtts:// or take this away"
+        if bool(self.certificate) != bool(self.key):
+            yield "certificate and key belong together: both, or neither"
+
+    @property
+    def address(self) -> Address:
+        """The parts of the url."""
+        return _address(self.url)
+
+    def broker(self, folder: Path, place: Place) -> Broker:
+        """The broker; secrets and certificates that cannot be read are faults.  Nothing is connected yet."""
+        scheme, host, port, user, _ = self.address
+        files = {name: getattr(self, name) for name in ("password_file", *_TLS)}
+        broker = Broker(
+            host,
+            port,
+            scheme == "mqtts",
+            tuple(dict.fromkeys(self.topics)),
+            self.client_id or default_client_id(f"{scheme}:{host}:{port}", folder),
+            self.session_expiry_s,
+            self.alarms,
+            self.user or user,
+            password_env=self.password_env,
+            **{name: folder / file if file else None for name, file in files.items()},
         )
-    alarms = named["alarms"]
-    if alarms and (wrong := _prefix_fault(alarms)):
-        reader.faults.append(f"{where}: alarms: {wrong}, found {alarms!r}")
-    client_id = reader.text(table, "client_id", where, default_client_id(f"{scheme}:{host}:{port}", folder))
-    if not 0 < len(client_id) <= LONGEST_NAME or not client_id.isprintable():
-        reader.faults.append(
-            f"{where}: client_id must be text of 1 to {LONGEST_NAME} printable characters, found {client_id!r}"
-        )
-    broker = Broker(
-        host, port, scheme == "mqtts", _topics(table, where, reader), client_id, expiry_s, alarms, user,
-        password_env=named["password_env"], **files,
-    )  # fmt: skip
-    if len(reader.faults) == before:
-        for look in (broker.password, broker.context):
-            try:
-                look()
-            except SourceFault as fault:
-                reader.faults.append(f"{where}: {fault}")
-    return broker if len(reader.faults) == before else None
+        if not place.faults:
+            for look in (broker.password, broker.context):
+                try:
+                    look()
+                except SourceFault as fault:
+                    place.fault(str(fault))
+        return broker
 
 
-_NO_PASSWORD_HERE = (
-    "a password must not stand in this file: put it into a file of its own and name that as password_file, or into an "
-    "environment variable and name that as password_env"
-)
+class Address(NamedTuple):
+    """The parts of mqtt[s]://[USER@]HOST[:PORT], and what is wrong with it."""
+
+    scheme: str
+    host: str
+    port: int
+    user: str
+    fault: str | None = None
 
 
-def _address(url: str, where: str, reader: TableReader) -> tuple[str, str, int, str]:
-    """(scheme, host, port, user) of mqtt[s]://[USER@]HOST[:PORT]; a URL that may hold a password is never shown."""
+def _address(url: str) -> Address:
+    """The parts of a url; a fault never shows one that may contain a password."""
     scheme, _, rest = url.partition(":")
+    default = PORTS.get(scheme, 0)
     login, at, _ = rest.removeprefix("//").rpartition("@")
     if ":" in login:
-        reader.faults.append(f"{where}: url: {_NO_PASSWORD_HERE}")
-        return scheme, "", PORTS[scheme], ""
-    expected = f"{where}: url must be {scheme}://HOST or {scheme}://USER@HOST:PORT"
+        return Address(scheme, "", default, "", f"url: {NO_PASSWORD_HERE}")
+    expected = f"url must be {scheme}://HOST or {scheme}://USER@HOST:PORT"
     try:
         parts = urlsplit(url)
         host, port = parts.hostname or "", parts.port
     except ValueError:
-        reader.faults.append(f"{expected}, with a port of 1 to 65535")
-        return scheme, "", PORTS[scheme], ""
+        return Address(scheme, "", default, "", f"{expected}, with a port of 1 to 65535")
+    fault = None
     if not host or parts.path not in ("", "/") or parts.query or parts.fragment:
-        reader.faults.append(f"{expected} and no more{'' if at else f', found {url!r}'}")
-    if port == 0:
-        reader.faults.append(f"{expected}, with a port of 1 to 65535")
-    return scheme, host, PORTS[scheme] if port is None else port, unquote(login)
-
-
-def _topics(table: MappingOf[str, object], where: str, reader: TableReader) -> tuple[str, ...]:
-    topics = table.get("topics", [])
-    if not isinstance(topics, list) or not topics or not all(isinstance(one, str) for one in topics):
-        reader.faults.append(
-            f'{where}: topics must be a list of topic filters such as ["scada/+/cabinet"], found {topics!r}'
-        )
-        return ()
-    for one in topics:
-        if (wrong := filter_fault(one)) is not None:
-            reader.faults.append(f"{where}: topics: {wrong}, found {one!r}")
-    return tuple(dict.fromkeys(topics))
+        fault = f"{expected} and no more{'' if at else f', found {url!r}'}"
+    elif port == 0:
+        fault = f"{expected}, with a port of 1 to 65535"
+    return Address(scheme, host, default if port is None else port, unquote(login), fault)
 
 
 def _prefix_fault(prefix: str) -> str | None:
-    """What is wrong with a topic to publish below."""
+    """An error message for an invalid topic to publish below, else None."""
     if prefix.startswith(("$", "/")) or prefix.endswith("/") or "+" in prefix or "#" in prefix:
         return 'expected a topic such as "hygrokf/alarms", without +, #, a $ or / in front and a / behind'
     return filter_fault(prefix)
 
 
 def default_client_id(broker: str, folder: Path) -> str:
-    """`hygrokf-HOST-DIGEST`: the same after every restart on this machine, another one for another folder or broker."""
+    """`hygrokf-HOST-DIGEST`: stable across restarts on this machine, but different for each folder and
+    broker."""
     host = "".join(c for c in socket.gethostname().partition(".")[0] if c.isalnum() and c.isascii())[:20]
     digest = hashlib.sha256(f"{broker} {folder.resolve()}".encode()).hexdigest()[:8]
     return f"hygrokf-{host}-{digest}"
+
+
+# -- why a connection fails ----------------------------------------------------------------------------------
+def unreached(fault: BaseException, where: str) -> str:
+    """Message that says why `where` (HOST:PORT) cannot be reached."""
+    if isinstance(fault, ssl.SSLCertVerificationError):
+        said = (
+            _CERTIFICATE_ERRORS.get(fault.verify_code)
+            or f"its certificate is not trusted: {fault.verify_message}"
+        )
+    elif isinstance(fault, ssl.SSLError):
+        said = tls_words(str(fault)) or f"TLS failed: {fault.reason or fault}"
+    elif isinstance(fault, socket.gaierror | UnicodeError):
+        said = "its name cannot be resolved: check the name and this machine's name server"
+    elif isinstance(fault, ConnectionRefusedError):
+        said = "refused: nothing listens there; check host and port, and that it is running"
+    elif isinstance(fault, TimeoutError):
+        said = "it does not answer: check the network and firewalls between"
+    elif isinstance(fault, ConnectionError):
+        said = "it closed the connection during set-up: check the port, and whether it uses TLS"
+    elif isinstance(fault, OSError):
+        said = fault.strerror or str(fault)
+    else:
+        said = f"{type(fault).__name__}: {fault}"
+    return f"{where}: {said}"
+
+
+def tls_words(text: str) -> str | None:
+    """Message for OpenSSL's error text; None if it is not known."""
+    shown = text.upper()
+    return next((words for name, words in _TLS_ERRORS.items() if name in shown), None)
+
+
+def reason_words(code: int, name: str) -> str:
+    """Message for a reason code of MQTT 5 with its `name`."""
+    return _REASONS.get(code, f"{name.lower()} (reason code {code})")

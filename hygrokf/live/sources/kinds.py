@@ -1,42 +1,44 @@
-"""Which source a URL names: every kind is one `Stream`, made from its table in the tracker's file."""
+"""Creates the `Stream` for a `[[source]]` table of the tracker's file, by the scheme of its URL."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping as MappingOf
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
-from hygrokf.live.sources.mqtt import mqtt_stream
-from hygrokf.live.sources.opcua_table import opcua_stream
+from hygrokf.data.toml_form import Place, read_form
+from hygrokf.live.sources.mqtt import MqttForm
+from hygrokf.live.sources.opcua_table import OpcUaForm
 from hygrokf.live.sources.payload import Mapping
-from hygrokf.live.sources.streams import Stream, file_stream, input_stream
-from hygrokf.live.table_reader import TableReader
+from hygrokf.live.sources.streams import FileForm, InputForm, Stream
 
-KINDS = {
-    "file": file_stream, "stdin": input_stream, "mqtt": mqtt_stream, "mqtts": mqtt_stream, "opc.tcp": opcua_stream,
-}  # fmt: skip
-"""Scheme of a URL -> function of (table, where, folder, mapping, reader) that makes the stream, or None with faults told."""
+KINDS: MappingOf[str, Any] = {
+    "file": FileForm,
+    "stdin": InputForm,
+    "mqtt": MqttForm,
+    "mqtts": MqttForm,
+    "opc.tcp": OpcUaForm,
+}
+"""Scheme of a URL -> form of the table; its method `stream` makes the stream, or gives None with faults."""
 
 
-def stream_of(
-    table: MappingOf[str, object], where: str, folder: Path, mapping: Mapping, reader: TableReader
-) -> Stream | None:
-    """The stream that a `[[source]]` table describes; None where `reader` was told why there is none.
+def stream_of(table: MappingOf[str, object], place: Place, folder: Path, mapping: Mapping) -> Stream | None:
+    """The stream of a `[[source]]` table; None if the table is faulty, with the faults in `place`.
 
-    Nothing is connected or opened yet.  Paths are relative to `folder`.  With `weather = true` it brings weather forecasts.
+    Nothing is connected or opened yet.  Paths are relative to `folder`.  With `weather = true` the source
+    delivers weather forecasts.
     """
-    url = reader.text(table, "url", where)
-    scheme = url.partition(":")[0]
+    url = table.get("url")
+    scheme = url.partition(":")[0] if isinstance(url, str) else ""
     kind = KINDS.get(scheme)
     if kind is None:
-        reader.faults.append(
-            f"{where}: url must begin with one of {', '.join(f'{k}:' if k != 'stdin' else k for k in KINDS)}, "
-            f"found {scheme!r}"  # the rest may hold a password
-        )
+        schemes = ", ".join(f"{name}:" if name != "stdin" else name for name in KINDS)
+        # the rest of the url may hold a password
+        place.fault(f"url must begin with one of {schemes}, found {scheme!r}")
         return None
-    weather = table.get("weather", False)
-    if not isinstance(weather, bool):
-        reader.faults.append(f"{where}: weather must be true or false, found {weather!r}")
-        return None
-    own = {key: value for key, value in table.items() if key != "weather"}
-    return kind(own, where, folder, replace(mapping, weather=True) if weather else mapping, reader)
+    own = replace(place, faults=[])
+    form = read_form(kind, table, own)
+    made = form.stream(folder, replace(mapping, weather=True) if form.weather else mapping, own)
+    place.faults.extend(own.faults)
+    return None if own.faults else made

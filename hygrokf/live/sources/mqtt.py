@@ -1,7 +1,8 @@
-"""MQTT 5: messages of a broker as a source, acknowledged when their batch is committed; alarms as retained messages.
+"""An MQTT 5 broker as a source: messages are acknowledged after their batch is committed; alarms are
+published retained.
 
-The broker keeps the session: what is not acknowledged it delivers again, and the store knows what it already has.  Nothing
-but alarms is ever published.
+The broker keeps the session and repeats unacknowledged messages; the store recognises readings that it
+already has. Only alarms are ever published.
 """
 
 from __future__ import annotations
@@ -13,32 +14,45 @@ import random
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from collections.abc import Mapping as MappingOf
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
 
-from hygrokf.live.reasons import unreached
-from hygrokf.live.sources.broker import Broker, alarm_topic, broker_of
+from hygrokf.data.toml_form import Place
+from hygrokf.live.sources.broker import Broker, BrokerForm, alarm_topic, unreached
 from hygrokf.live.sources.mqtt_link import Link, paho_fault, published
 from hygrokf.live.sources.payload import Mapping
-from hygrokf.live.sources.streams import SourceFault
+from hygrokf.live.sources.streams import SourceFault, SourceState
 from hygrokf.live.storage.store import Alarm
-from hygrokf.live.table_reader import TableReader
 from hygrokf.live.turbines import Delivery
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import MQTTMessageInfo
 
 LOG = logging.getLogger("hygrokf.track")
 BACK_OFF_S = (1.0, 60.0)
-"""[s] between attempts to connect, from the first to the longest; each is twice the one before."""
+"""Shortest and longest pause [s] between attempts to connect; each pause is twice the one before."""
 AGAIN_S = 60.0
-"""[s] after which a filter that was denied is asked for again."""
+"""[s] after which a denied filter is requested again."""
 LINGER_S = 10.0
-"""[s] for which a stopped source waits for what it delivered to be committed."""
+"""[s] a stopped source waits for its deliveries to be committed."""
+
+
+class MqttReceipt(NamedTuple):
+    """The link that delivered a message, and the packet identifier there (None at QoS 0)."""
+
+    link: Link
+    identifier: int | None
+
+    def acknowledge(self) -> None:
+        self.link.acknowledge(self.identifier)
 
 
 class Mqtt:
-    """The messages of some topics of a broker; connects again for ever, with pauses that grow to a minute.
+    """The messages of some topics of a broker; reconnects indefinitely, with pauses that grow to a minute.
 
-    The place in the store is the list of filters, so that a session forgets those that are no longer asked for.
+    The place in the store is the list of filters, so that the session can be unsubscribed from filters no
+    longer wanted.
     """
 
     def __init__(self, broker: Broker, mapping: Mapping) -> None:
@@ -49,16 +63,16 @@ class Mqtt:
         self._known = False
         self._reason = ""
         self._uncommitted = 0
-        self._alarms: dict[str, tuple[bytes, object]] = {}
+        self._alarms: dict[str, tuple[bytes, MQTTMessageInfo | None]] = {}
         self._lock = threading.Lock()
         self._ended, self._closing = threading.Event(), threading.Event()
         self._thread: threading.Thread | None = None
-        self._state = ("idle", "not started")
+        self._state = SourceState("idle", "not started")
 
     def start(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         for caution in self.broker.cautions():
             LOG.warning(caution, extra={"source": self.url})
-        self._state = ("waiting", f"connecting to {self.broker.where}")
+        self._state = SourceState("waiting", f"connecting to {self.broker.where}")
         self._known = bool(place)
         former = [one for one in (place or "").split("\n") if one and one not in self.broker.topics]
         self._thread = threading.Thread(target=self._run, args=(former, put), name=self.url, daemon=True)
@@ -67,18 +81,19 @@ class Mqtt:
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
         count = 0
         for one in deliveries:
-            link, identifier = one.token
-            link.acknowledge(identifier)
+            assert one.token is not None, "every delivery of this source has a receipt"
+            one.token.acknowledge()
             count += 1
         with self._lock:
             self._uncommitted -= count
 
     def now(self) -> float:
-        """The time [s] that its data are judged by."""
+        """The time [s] against which the age of the data is judged."""
         return time.time()
 
     def tell(self, alarms: Iterable[Alarm]) -> None:
-        """Publish alarms as retained messages, each at its own topic, when there is a connection; later ones replace earlier."""
+        """Publish each alarm as a retained message at its own topic, now or once connected; later states
+        replace earlier ones."""
         if not self.broker.alarms:
             return
         with self._lock:
@@ -89,7 +104,8 @@ class Mqtt:
                 self._publish(self._link)
 
     def stop(self) -> None:
-        """Deliver nothing more.  The connection ends when all that was delivered is acknowledged; the second time at once."""
+        """Stop delivering; the connection ends once all deliveries are acknowledged, or at once on the second
+        call."""
         if self._ended.is_set() or not self._open_ends():
             self._closing.set()
         self._ended.set()
@@ -99,15 +115,15 @@ class Mqtt:
             self._thread.join(timeout=10.0)
 
     @property
-    def state(self) -> tuple[str, str]:
+    def state(self) -> SourceState:
         link = self._link
-        if link is None or self._state[0] == "stopped":
+        if link is None or self._state.word == "stopped":
             return self._state
         found = link.state
-        # an attempt to connect again is no better news than the loss before it
-        return ("lost", self._reason) if found[0] == "waiting" and self._reason else found
+        # while reconnecting, keep reporting the loss and its reason
+        return SourceState("lost", self._reason) if found.word == "waiting" and self._reason else found
 
-    # -- the source's own thread --------------------------------------------------------------------------------------
+    # -- the source's own thread -----------------------------------------------------------------------------
     def _run(self, former: Sequence[str], put: Callable[[Delivery], None]) -> None:
         pause, longest = BACK_OFF_S
         while not self._ended.is_set():
@@ -118,25 +134,26 @@ class Mqtt:
                 self._hand_over(link, put)
             except SourceFault as fault:
                 link.lose(str(fault))
-            except Exception as fault:  # whatever it was: the next attempt may succeed
+            except Exception as fault:  # of any kind: the next attempt may succeed
                 link.lose(unreached(fault, self.broker.where))
             link.close()
             if self._ended.is_set():
                 break
             if time.monotonic() - began > longest:
                 pause, self._reason = BACK_OFF_S[0], ""
-            if link.reason != self._reason:  # once, not at every attempt
+            if link.reason != self._reason:  # log once, not at every attempt
                 self._reason = link.reason
                 LOG.warning("source lost", extra={"source": self.url, "reason": self._reason})
-            # trackers that lost one broker together do not come back together
+            # a random pause, so that trackers of one broker do not all reconnect at once
             self._ended.wait(pause * random.uniform(0.5, 1.0))
             pause = min(2.0 * pause, longest)
-        self._state = ("stopped", "")
+        self._state = SourceState("stopped", "")
 
     def _hand_over(self, link: Link, put: Callable[[Delivery], None]) -> None:
-        """Put what arrives until the link is lost or the source is told to end; `put` may wait as long as it likes.
+        """Hand over messages until the link is lost or the source is told to stop; `put` may block.
 
-        What arrived before the loss is put too: should the broker lose its session with it, nothing else has these messages.
+        Messages that arrived before the loss are handed over too, because the broker may have lost the
+        session and with it its own copies.
         """
         place = "\n".join(self.broker.topics)
         again = time.monotonic() + AGAIN_S
@@ -144,14 +161,14 @@ class Mqtt:
             try:
                 found = link.arrived.get(timeout=1.0)
             except queue.Empty:
-                found = ()
-            if found is None:
-                break
-            if found:
-                payload, topic, came, identifier = found
+                pass
+            else:
+                if found is None:
+                    break
                 with self._lock:
                     self._uncommitted += 1
-                put(Delivery(payload, came, topic, place, (link, identifier)))
+                receipt = MqttReceipt(link, found.identifier)
+                put(Delivery(found.payload, found.time, found.topic, place, receipt))
             if time.monotonic() > again:
                 link.ask_again()
                 again = time.monotonic() + AGAIN_S
@@ -163,16 +180,16 @@ class Mqtt:
                 break
 
     def _open_ends(self) -> bool:
-        """Whether something that was delivered is not acknowledged, or an alarm that was told is not confirmed."""
+        """Whether a delivery is still unacknowledged or an alarm still unconfirmed."""
         with self._lock:
             return self._uncommitted > 0 or not all(published(info) for _, info in self._alarms.values())
 
-    # -- alarms -----------------------------------------------------------------------------------------------------
+    # -- alarms ----------------------------------------------------------------------------------------------
     def _ready(self, link: Link) -> None:
-        """The broker has accepted the link: publish what former ones could not."""
+        """Called when the broker has accepted the link: publish the alarms that former links could not."""
         if self._known and not link.resumed:
             LOG.warning(
-                "the broker has no session of this client_id any more: what came while it was away is lost",
+                "the broker no longer has a session of this client_id: messages of the meantime are lost",
                 extra={"source": self.url},
             )
         self._known = True
@@ -183,7 +200,7 @@ class Mqtt:
             self._publish(link)
 
     def _publish(self, link: Link) -> None:
-        """Publish what was told and not yet published; keep what is not confirmed.  Under the lock."""
+        """Publish pending alarms and drop confirmed ones.  The caller holds the lock."""
         if not link.accepted or link.lost.is_set():
             return
         for topic, (payload, info) in list(self._alarms.items()):
@@ -193,13 +210,15 @@ class Mqtt:
                 del self._alarms[topic]
 
 
-# -- from the tracker's file -----------------------------------------------------------------------------------------
-def mqtt_stream(
-    table: MappingOf[str, object], where: str, folder: Path, mapping: Mapping, reader: TableReader
-) -> Mqtt | None:
-    """`mqtt://[USER@]HOST[:PORT]`, or `mqtts://` for TLS: docs/live_mqtt.md has all keys."""
-    missing = paho_fault()
-    if missing is not None:
-        reader.faults.append(f"{where}: {missing}")
-    broker = broker_of(table, where, folder, reader)
-    return None if broker is None or missing else Mqtt(broker, mapping)
+# -- from the tracker's file ---------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class MqttForm(BrokerForm):
+    """A [[source]] of `mqtt://[USER@]HOST[:PORT]`, or `mqtts://` for TLS."""
+
+    def stream(self, folder: Path, mapping: Mapping, place: Place) -> Mqtt | None:
+        """The stream, or None with faults."""
+        missing = paho_fault()
+        if missing is not None:
+            place.fault(missing)
+        broker = self.broker(folder, place)
+        return None if missing else Mqtt(broker, mapping)

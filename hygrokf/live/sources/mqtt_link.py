@@ -1,7 +1,8 @@
-"""One connection to an MQTT 5 broker: its network thread, what the broker grants and denies, and why it was lost.
+"""One connection to an MQTT 5 broker: its network thread, granted and denied subscriptions, and why it was
+lost.
 
-A lost link is never used again: an acknowledgement that comes late goes to the link that its message came by, and so
-nowhere.  The broker then delivers that message again.
+A lost link is never reused.  A late acknowledgement goes to the link that delivered the message, where it has
+no effect, and the broker then delivers the message again.
 """
 
 from __future__ import annotations
@@ -14,42 +15,65 @@ import threading
 import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from typing import Any
+from functools import cache
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from hygrokf.live.reasons import reason_words, tls_words
-from hygrokf.live.sources.broker import Broker
-from hygrokf.live.sources.mqtt_client import piecewise_client
+from hygrokf.live.sources.broker import Broker, reason_words, tls_words
 from hygrokf.live.sources.payload import LARGEST
+from hygrokf.live.sources.streams import SourceState
+
+if TYPE_CHECKING:
+    from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage, MQTTMessageInfo
+    from paho.mqtt.properties import Properties
+    from paho.mqtt.reasoncodes import ReasonCode
 
 LOG = logging.getLogger("hygrokf.track")
 KEEPALIVE_S = 30
-"""[s] of silence after which each side looks whether the other one is there."""
+"""[s] of silence after which each side checks the connection (MQTT's keep-alive)."""
 OPEN_MOST = 500
-"""Messages that the broker sends before one is acknowledged (MQTT's receive maximum)."""
+"""Largest number of unacknowledged messages (MQTT's receive maximum)."""
 UNCONFIRMED_MOST = 5_000
-"""Messages of quality 0, which no receive maximum bounds, that wait for the tracker; more are dropped and counted."""
+"""Largest number of waiting QoS 0 messages, which the receive maximum does not limit; more are dropped and
+counted."""
 PACKET_MOST = 2**24
-"""[bytes] of one packet that the broker may send.
+"""Largest packet [bytes] that the broker may send.
 
-Far above what a payload may be, as mosquitto 2.0.11 takes one of `OPEN_MOST` away for every packet that it holds back.
+It is far above the largest payload, because mosquitto 2.0.11 loses one of the `OPEN_MOST` places for every
+packet that it withholds as too large.
 """
 REST_S = 0.02
-"""[s] between two turns of the network thread: what comes meanwhile is taken at once, and the tracker has time of its own."""
+"""[s] between two turns of the network thread, which then takes all packets at once and leaves the tracker
+time to run."""
 CLOSING_S = 3.0
-"""[s] for which a link that is closed may still send what it holds."""
+"""[s] a closing link may still send its pending packets."""
+AT_ONCE = 65_536
+"""[bytes] requested per system call."""
+MOST = 500
+"""Packets processed before sending and keep-alive get their turn."""
+
+
+class Arrival(NamedTuple):
+    """A received message, its arrival `time` [s] and its packet `identifier`, None if it needs no
+    acknowledgement (QoS 0)."""
+
+    payload: bytes
+    topic: str
+    time: float
+    identifier: int | None
 
 
 class Link:
     """One connection to a broker, from its beginning to its loss.
 
-    Its network thread only queues what arrives, so that keep-alives go out however long the tracker takes; the tracker takes
-    from `arrived`: (payload, topic, arrival [s], packet identifier or None), and None where the link was lost.  `dropped`
-    filters are those of former runs that the session is to forget; `ready` is called when the broker has accepted.
+    Its network thread only queues messages, so that keep-alives go out however long the tracker takes.  The
+    tracker reads them from `arrived`, which ends with None once the link is lost.  `dropped`: filters of
+    former runs from which the session is unsubscribed; `ready` is called when the broker has accepted the
+    connection.
     """
 
     def __init__(self, broker: Broker, dropped: Sequence[str], ready: Callable[[Link], None]) -> None:
         self.broker = broker
-        self.arrived: queue.SimpleQueue = queue.SimpleQueue()
+        self.arrived: queue.SimpleQueue[Arrival | None] = queue.SimpleQueue()
         self.lost = threading.Event()
         self.reason = ""
         self.accepted = False
@@ -65,34 +89,36 @@ class Link:
         self._until = math.inf
         self._last_words = _LastWords()
         self._thread: threading.Thread | None = None
-        self.client = self._client()
+        self.client, self._turn = self._client()
 
-    def _client(self) -> Any:
+    def _client(self) -> tuple[Client, Callable[[float], bool]]:
+        """A client that is not connected yet, and its `turn`, which the network thread calls."""
         from paho.mqtt.client import MQTTv5
         from paho.mqtt.enums import CallbackAPIVersion
 
-        client = piecewise_client()(
+        made = piecewise_client()(
             CallbackAPIVersion.VERSION2,
             client_id=self.broker.client_id,
             protocol=MQTTv5,
             manual_ack=True,
             reconnect_on_failure=False,
         )
+        client: Client = made
         client.on_connect = self._on_connect
         client.on_subscribe = self._on_subscribe
         client.on_message = self._on_message
         client.on_publish = self._on_publish
         client.on_disconnect = self._on_disconnect
-        # with it set only the network thread writes, whichever thread acknowledges or publishes
+        # with this callback set only the network thread writes, whichever thread acknowledges or publishes
         client.on_socket_register_write = lambda *_: None
         logger = logging.Logger("paho", logging.ERROR)
         logger.addHandler(self._last_words)
         client.enable_logger(logger)
-        return client
+        return client, made.turn
 
-    # -- what the source does -------------------------------------------------------------------------------------
+    # -- called by the source --------------------------------------------------------------------------------
     def open(self) -> None:
-        """Connect and begin to receive.  Raises SourceFault, OSError or ValueError where there is no connection."""
+        """Connect and start receiving.  Raises SourceFault, OSError or ValueError if the connection fails."""
         from paho.mqtt.packettypes import PacketTypes
         from paho.mqtt.properties import Properties
 
@@ -113,74 +139,76 @@ class Link:
         self._thread.start()
 
     def acknowledge(self, identifier: int | None) -> None:
-        """Tell the broker that a message is committed; nothing where the link is lost.  From any thread."""
+        """Acknowledge a committed message to the broker, unless the link is lost.  Callable from any
+        thread."""
         if identifier is not None and not self.lost.is_set():
             self.client.ack(identifier, 1)
 
-    def publish(self, topic: str, payload: bytes) -> Any:
-        """Publish a retained message; what it gives is asked by `published`.  From any thread."""
+    def publish(self, topic: str, payload: bytes) -> MQTTMessageInfo:
+        """Publish a retained message; `published` tells when it is confirmed.  Callable from any thread."""
         return self.client.publish(topic, payload, qos=1, retain=True)
 
     @property
     def answered(self) -> bool:
-        """Whether the broker has said which filters it grants."""
+        """Whether the broker has answered the subscription."""
         return self._granted
 
     @property
     def denied(self) -> dict[str, str]:
-        """Filters that the broker denied, with the reason in words."""
+        """Filters that the broker denied, with the reason."""
         return dict(self._denied)
 
     def is_own(self, topic: str) -> bool:
-        """Whether a topic is one that alarms are told at."""
+        """Whether a topic is one to which the tracker publishes alarms."""
         own = self.broker.alarms
         return bool(own) and (topic == own or topic.startswith(own + "/"))
 
     def ask_again(self) -> None:
-        """Ask once more for the filters that were denied."""
+        """Subscribe once more to the denied filters."""
         if self._denied and not self.lost.is_set():
             self._subscribe(tuple(self._denied))
 
     def close(self) -> None:
-        """Send what is still to be sent, and end the connection; the session stays."""
+        """Send pending packets and end the connection; the broker keeps the session."""
         self._until = time.monotonic() + CLOSING_S
         self.client.disconnect()
         if self._thread is not None:
             self._thread.join(timeout=2.0 * CLOSING_S)
 
     @property
-    def state(self) -> tuple[str, str]:
+    def state(self) -> SourceState:
         where = self.broker.where
         if self.lost.is_set():
-            return "lost", self.reason
+            return SourceState("lost", self.reason)
         if self._denied:
             said = "; ".join(f"{one}: {words}" for one, words in self._denied.items())
-            return "lost", f"{where} denies a subscription ({said}): give its user the right to read it"
+            words = f"{where} denies a subscription ({said}): give its user the right to read it"
+            return SourceState("lost", words)
         if not self._granted:
-            return "waiting", f"connecting to {where}"
+            return SourceState("waiting", f"connecting to {where}")
         said = f"connected to {where} as {self.broker.client_id}"
         if not self._heard:
             said += (
-                "; nothing has come yet: where that lasts, check topics and rights, as a broker may grant a subscription "
-                "and deliver nothing"
+                "; no message has arrived yet: if this lasts, check topics and rights, because a broker may "
+                "grant a subscription and deliver nothing"
             )
         if self.overrun:
-            said += f"; {self.overrun} messages of QoS 0 came faster than they are taken and were dropped: publish at QoS 1"
+            said += f"; {self.overrun} messages of QoS 0 arrived too fast and were dropped: publish at QoS 1"
         if self._alarms_denied:
-            said += f"; alarms below {self.broker.alarms} are not taken: {self._alarms_denied}"
-        return "connected", said
+            said += f"; the broker refuses alarms below {self.broker.alarms}: {self._alarms_denied}"
+        return SourceState("connected", said)
 
-    # -- the network thread -------------------------------------------------------------------------------------------
+    # -- the network thread ----------------------------------------------------------------------------------
     def _run(self) -> None:
         words = ""
         try:
-            while self.client.turn(1.0) and time.monotonic() < self._until:
+            while self._turn(1.0) and time.monotonic() < self._until:
                 time.sleep(REST_S)
         except Exception as fault:
-            # what a broker sends may be malformed in ways that paho does not name; the next link begins anew
+            # malformed packets can raise any exception in paho; the next link starts afresh
             words = f"{self.broker.where}: {type(fault).__name__}: {fault}"
         finally:
-            # a connection that did not end by itself: the broker must not send into it any more
+            # close a connection that did not end by itself, so that the broker stops sending into it
             found = self.client.socket()
             if found is not None:
                 with suppress(OSError):
@@ -188,7 +216,7 @@ class Link:
             self.lose(words or f"{self.broker.where}: the connection was lost")
 
     def lose(self, reason: str) -> None:
-        """The link is lost; the first reason counts."""
+        """Mark the link as lost; the first reason is kept."""
         if not self.lost.is_set():
             self.reason = reason
             self.lost.set()
@@ -198,11 +226,18 @@ class Link:
         from paho.mqtt.subscribeoptions import SubscribeOptions
 
         self._asked = filters
-        # retained values come with a new subscription only, not again at every connection
+        # the broker sends retained values for a new subscription only, not at every connection
         options = SubscribeOptions(qos=1, retainHandling=SubscribeOptions.RETAIN_SEND_IF_NEW_SUB)
         self.client.subscribe([(one, options) for one in filters])
 
-    def _on_connect(self, client: Any, userdata: Any, flags: Any, reason_code: Any, properties: Any) -> None:
+    def _on_connect(
+        self,
+        client: Client,
+        userdata: object,
+        flags: ConnectFlags,
+        reason_code: ReasonCode,
+        properties: Properties | None,
+    ) -> None:
         if reason_code.is_failure:
             self.lose(f"{self.broker.where}: {reason_words(reason_code.value, str(reason_code))}")
             return
@@ -210,8 +245,8 @@ class Link:
         kept = getattr(properties, "SessionExpiryInterval", None)
         if kept is not None and kept < int(self.broker.expiry_s):
             LOG.warning(
-                "the broker keeps the session for less than was asked",
-                extra={"source": self.broker.url, "asked_s": int(self.broker.expiry_s), "kept_s": kept},
+                "the broker keeps the session for less time than requested",
+                extra={"source": self.broker.url, "requested_s": int(self.broker.expiry_s), "kept_s": kept},
             )
         if self._dropped and self.resumed:
             client.unsubscribe(list(self._dropped))
@@ -219,7 +254,12 @@ class Link:
         self._ready(self)
 
     def _on_subscribe(
-        self, client: Any, userdata: Any, identifier: Any, reason_codes: Any, properties: Any
+        self,
+        client: Client,
+        userdata: object,
+        identifier: int,
+        reason_codes: Sequence[ReasonCode],
+        properties: Properties | None,
     ) -> None:
         for one, code in zip(self._asked, reason_codes, strict=False):
             if code.is_failure:
@@ -228,30 +268,40 @@ class Link:
                 self._denied.pop(one, None)
         self._granted = True
 
-    def _on_message(self, client: Any, userdata: Any, message: Any) -> None:
+    def _on_message(self, client: Client, userdata: object, message: MQTTMessage) -> None:
         identifier = message.mid if message.qos else None
         try:
             topic = message.topic
         except UnicodeDecodeError:
             topic = ""
         if self.is_own(topic):
-            self.acknowledge(identifier)  # what a tracker told is never a reading
+            self.acknowledge(identifier)  # the tracker's own alarms are not readings
         elif identifier is None and self.arrived.qsize() >= UNCONFIRMED_MOST:
             self.overrun += 1
         else:
             self._heard = True
-            # of what is too large one byte too many is kept: it is refused and counted with the other payloads
-            self.arrived.put((bytes(message.payload[: LARGEST + 1]), topic, time.time(), identifier))
+            # an oversized payload keeps one byte too many, so that it is refused and counted with the others
+            self.arrived.put(Arrival(bytes(message.payload[: LARGEST + 1]), topic, time.time(), identifier))
 
     def _on_publish(
-        self, client: Any, userdata: Any, identifier: Any, reason_code: Any, properties: Any
+        self,
+        client: Client,
+        userdata: object,
+        identifier: int,
+        reason_code: ReasonCode,
+        properties: Properties | None,
     ) -> None:
         self._alarms_denied = (
             reason_words(reason_code.value, str(reason_code)) if reason_code.is_failure else ""
         )
 
     def _on_disconnect(
-        self, client: Any, userdata: Any, flags: Any, reason_code: Any, properties: Any
+        self,
+        client: Client,
+        userdata: object,
+        flags: DisconnectFlags,
+        reason_code: ReasonCode,
+        properties: Properties | None,
     ) -> None:
         where = self.broker.where
         if flags.is_disconnect_packet_from_server:
@@ -260,20 +310,20 @@ class Link:
             self.lose(f"{where}: {words}")
         elif not self.accepted:
             self.lose(
-                f"{where}: the connection was closed before an answer came: is this the port of an MQTT broker, "
-                f"and does it expect {'no TLS (mqtt://)' if self.broker.tls else 'TLS (mqtts://)'}?"
+                f"{where}: the connection was closed before the broker answered: is this the port of an MQTT "
+                f"broker, and does it expect {'no TLS (mqtt://)' if self.broker.tls else 'TLS (mqtts://)'}?"
             )
         elif reason_code.getName() == "Keep alive timeout":
             self.lose(f"{where}: it has not answered for {KEEPALIVE_S} s")
         else:
             self.lose(
-                f"{where}: the connection was lost; where this goes on, look for another process with the client_id "
-                f"{self.broker.client_id}"
+                f"{where}: the connection was lost; if this repeats, look for another process with the "
+                f"client_id {self.broker.client_id}"
             )
 
 
 class _LastWords(logging.Handler):
-    """The last error that paho wrote to its log: the only place where it tells what went wrong with a socket."""
+    """Keeps the last error in paho's log, the only place where paho reports socket errors."""
 
     text = ""
 
@@ -281,18 +331,54 @@ class _LastWords(logging.Handler):
         self.text = record.getMessage()
 
 
-def published(info: Any) -> bool:
-    """Whether the broker has confirmed what `Link.publish` sent."""
+def published(info: MQTTMessageInfo | None) -> bool:
+    """Whether the broker has confirmed a message sent by `Link.publish`."""
     try:
         return info is not None and info.is_published()
     except (ValueError, RuntimeError):
-        return False  # it was not sent at all
+        return False  # the message was not sent at all
 
 
 def paho_fault() -> str | None:
-    """What is to be installed before a link can be made, in words; None where all is there."""
+    """An error message if paho-mqtt is missing or too old, else None."""
     try:
         importlib.import_module("paho.mqtt.enums")  # version 2 has it
     except ImportError:
         return "MQTT needs paho-mqtt 2.1 or newer: pip install 'hygrokf[mqtt]'"
     return None
+
+
+# -- reading in large pieces ---------------------------------------------------------------------------------
+@cache
+def piecewise_client() -> type[Any]:
+    """The client class: paho's own with buffered reading; call its `turn` instead of `loop`.
+
+    Each system call releases the interpreter lock to another thread and has to regain it afterwards.  A
+    client that reads every packet's first byte, length and rest separately therefore slows down a busy
+    tracker and waits for it.
+    """
+    from paho.mqtt.client import Client
+
+    class PiecewiseClient(Client):
+        _held, _place = b"", 0
+
+        def turn(self, timeout: float) -> bool:
+            """Wait for incoming or outgoing packets and process them; returns whether the connection still
+            stands."""
+            if self.loop(timeout if self._place == len(self._held) else 0.0) != 0:
+                return False
+            for _ in range(MOST):
+                if self._place == len(self._held):
+                    break
+                if self.loop_read() != 0:
+                    return False
+            return True
+
+        def _sock_recv(self, bufsize: int) -> bytes:
+            if self._place == len(self._held):
+                self._held, self._place = super()._sock_recv(max(bufsize, AT_ONCE)), 0
+            found = self._held[self._place : self._place + bufsize]
+            self._place += len(found)
+            return found
+
+    return PiecewiseClient

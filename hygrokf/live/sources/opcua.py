@@ -1,8 +1,9 @@
-"""An OPC UA server as a source: what it publishes as it comes, and from its history what was missed.
+"""An OPC UA server as a source: published samples as they come, and missed samples from the server's history.
 
-The place is JSON, node id -> time [s] of its last sample that was delivered.  From there on the server's history is read
-at every new connection, and where a queue overflowed, before anything newer is delivered: the filter takes readings in the
-order of their times.  Where the server keeps no history, what was missed is lost, and the state says so.
+The place is JSON: node id -> time [s] of its last delivered sample.  At every new connection, and after a
+queue overflow, the server's history is read from there on before anything newer is delivered, because the
+filter needs readings in the order of their times.  If the server keeps no history, missed samples are lost,
+and the state says so.
 """
 
 from __future__ import annotations
@@ -20,29 +21,29 @@ from hygrokf.live.sources.opcua_client import Connection
 from hygrokf.live.sources.opcua_samples import ConnectionFault, HistoryFault, Node, Rates, Sample, library
 from hygrokf.live.sources.opcua_security import Security, User
 from hygrokf.live.sources.payload import AHEAD_S, EARLIEST_S, Mapping
-from hygrokf.live.sources.streams import PAUSE_S, SourceFault, Threaded
+from hygrokf.live.sources.streams import PAUSE_S, SourceFault, SourceState, Threaded, several
 from hygrokf.live.turbines import Delivery
 
 LOG = logging.getLogger("hygrokf.track")
 RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
-"""[s] between attempts to connect; the last one repeats."""
+"""[s] between attempts to connect; the last value repeats."""
 LASTING_S = 60.0
-"""[s] after which a connection counts as one that holds: the next attempts begin with the shortest pause again."""
+"""[s] after which a connection counts as stable, so that the next attempts start with the shortest pause
+again."""
 FIRST_S = 2.0
-"""[s] for which the first samples of a subscription are waited for, beyond its own interval."""
+"""[s] to wait for the first samples of a subscription, in addition to its publishing interval."""
 AGAIN_S = 60.0
-"""[s] after which nodes and histories that the server refused are asked for again."""
+"""[s] after which refused nodes and histories are requested again."""
 BATCH = 500
-"""Deliveries with one place."""
-NAMED = 5
-"""Nodes that are named in a state; of the others only how many there are."""
+"""Deliveries that share one place."""
 
 
 class OpcUa(Threaded):
-    """A subscription to nodes of one server, in an asyncio loop of its own.
+    """A subscription to nodes of one server, in its own asyncio loop.
 
-    `look_back_s` [s] is how far back the history of a node is read that was never read before.  Each sample is a payload of
-    plain names: turbine, time, quality, and the node's field; the mapping says which qualities count.
+    `look_back_s` [s]: how far back to read the history of a node that was never read before.  Each sample
+    becomes a payload with the names turbine, time, quality and the node's field; the mapping states which
+    qualities count.
     """
 
     def __init__(
@@ -63,7 +64,7 @@ class OpcUa(Threaded):
         self._put: Callable[[Delivery], None] = lambda one: None
         self._reached: dict[str, float] = {}
         self._since_s = 0.0
-        self._last: dict[Node, tuple] = {}
+        self._last: dict[Node, tuple[float | None, object, str]] = {}
         self._owed: set[Node] = set()
         self._refused: dict[Node, str] = {}
         self._bad: dict[Node, str] = {}
@@ -72,22 +73,22 @@ class OpcUa(Threaded):
         self._reading = self._changes_only = False
 
     @property
-    def state(self) -> tuple[str, str]:
+    def state(self) -> SourceState:
         word, behind = self._state
         if word != "connected":
-            return word, behind
+            return self._state
         notes = [
-            "reads back what was missed" if self._reading else "",
-            _named("not there or denied", self._refused),
+            "reading missed samples from the history" if self._reading else "",
+            _named("missing or denied", self._refused),
             _named("bad now", self._bad),
-            _named("no history, what was missed is lost", self._unread),
-            "the server tells changes only" if self._changes_only else "",
+            _named("no history, missed samples are lost", self._unread),
+            "the server reports changes only" if self._changes_only else "",
             *(f"the queue {where} overflowed {n} times" for where, n in self._overflows.items() if n),
         ]
-        return word, "; ".join([behind, *filter(None, notes)])
+        return SourceState(word, "; ".join([behind, *filter(None, notes)]))
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        self._state = ("waiting", "not connected yet")
+        self._state = SourceState("waiting", "not connected yet")
         self._put = put
         self._reached = self._begun(place)
         self._since_s = time.time() - self._look_back_s
@@ -98,7 +99,8 @@ class OpcUa(Threaded):
         asyncio.run(self._follow())
 
     def _begun(self, place: str | None) -> dict[str, float]:
-        """Times up to which nodes were delivered, as the place says; of those that it does not have, none."""
+        """Node id -> time [s] up to which the node was delivered, from the place; nodes without a valid time
+        are left out."""
         try:
             found = json.loads(place or "{}")
         except ValueError:
@@ -112,13 +114,13 @@ class OpcUa(Threaded):
             if isinstance(at, int | float) and EARLIEST_S <= at <= latest
         }
 
-    # -- connections -------------------------------------------------------------------------------------------------
+    # -- connections -----------------------------------------------------------------------------------------
     def connection(self) -> Connection:
-        """A connection to the server, which is not open yet."""
+        """A connection to the server, not open yet."""
         return Connection(self.url, self._rates, self._security, self._user)
 
     async def _follow(self) -> None:
-        """Connect, again and again, until told to stop."""
+        """Connect and reconnect until told to stop."""
         attempt, told = 0, ""
         while not self._ended.is_set():
             connection = self.connection()
@@ -128,10 +130,11 @@ class OpcUa(Threaded):
                 told = ""
                 LOG.info("connected", extra={"source": self.url})
                 await self._serve(connection)
-            except Exception as fault:  # whatever a server sends, the tracker goes on
+            except Exception as fault:  # whatever a server sends, keep trying
                 attempt = 0 if time.monotonic() - began > LASTING_S else attempt
                 pause_s = RETRY_S[min(attempt, len(RETRY_S) - 1)]
-                self._state = ("waiting", f"{self.url}: {fault}; next attempt within {pause_s:g} s")
+                words = f"{self.url}: {fault}; next attempt within {pause_s:g} s"
+                self._state = SourceState("waiting", words)
                 if str(fault) != told:
                     unforeseen = None if isinstance(fault, ConnectionFault) else fault
                     said = {"source": self.url, "fault": str(fault)}
@@ -147,7 +150,7 @@ class OpcUa(Threaded):
             await asyncio.sleep(PAUSE_S)
 
     async def _serve(self, connection: Connection) -> None:
-        """Deliver what one connection brings until it is lost or the stream is stopped."""
+        """Deliver the samples of one connection until it is lost or the stream is stopped."""
         self._refused, self._unread, self._bad = {}, {}, {}
         self._owed = set()
         await self._begin(connection, self.nodes)
@@ -156,11 +159,11 @@ class OpcUa(Threaded):
             connection.check()
             samples = await connection.samples(PAUSE_S)
             overflowed = [one for one in samples if one.overflowed]
-            if overflowed:  # what was lost in the server was before them
+            if overflowed:  # the server lost samples before these
                 self._overflows["in the server"] += len(overflowed)
                 await self._read_back(connection, {one.node: one.time for one in overflowed})
             await self._hand_over(samples)
-            if connection.dropped:  # what is lost here is after them
+            if connection.dropped:  # samples after these were lost here
                 dropped, connection.dropped = connection.dropped, set()
                 self._overflows["here"] += 1
                 await self._read_back(connection, dict.fromkeys(dropped))
@@ -170,12 +173,12 @@ class OpcUa(Threaded):
                 await self._begin(connection, tuple(self._refused))
 
     async def _begin(self, connection: Connection, nodes: Sequence[Node]) -> None:
-        """Subscribe to nodes, and deliver first what their history has before what the subscription begins with."""
+        """Subscribe to nodes; deliver their history first, then the subscription's initial samples."""
         if not nodes:
             return
         self._refused = await connection.subscribe(nodes)
         self._changes_only = connection.unfiltered
-        self._state = ("connected", self.url)
+        self._state = SourceState("connected", self.url)
         first: dict[Node, float | None] = {}
         samples: list[Sample] = []
         awaited = set(nodes) - set(self._refused)
@@ -188,11 +191,11 @@ class OpcUa(Threaded):
         await self._read_back(connection, {node: first.get(node) for node in awaited})
         await self._hand_over(samples)
 
-    # -- what was missed ---------------------------------------------------------------------------------------------
+    # -- what was missed -------------------------------------------------------------------------------------
     async def _read_back(self, connection: Connection, nodes: MappingOf[Node, float | None]) -> None:
-        """Deliver what the server's history has of nodes since they were delivered, all of them in one order of time.
+        """Deliver the history of nodes since their last delivered samples, merged in the order of time.
 
-        nodes: node -> time [s] up to which (None: all of it), which is where what is delivered next begins.
+        nodes: node -> time [s] at which the next deliveries begin and the history ends, None for all of it.
         """
         self._owed |= set(nodes)
         histories = [self._missed(connection, node, until_s) for node, until_s in nodes.items()]
@@ -212,7 +215,8 @@ class OpcUa(Threaded):
     async def _missed(
         self, connection: Connection, node: Node, until_s: float | None
     ) -> AsyncIterator[Sample]:
-        """A node's history since it was delivered; what cannot be read now is owed until it can, or never will be."""
+        """A node's history since its last delivered sample; a node that cannot be read stays owed unless the
+        fault is final."""
         since_s = self._reached.get(node.id, self._since_s)
         until_s = time.time() + AHEAD_S if until_s is None else until_s
         if self._ended.is_set():
@@ -233,9 +237,10 @@ class OpcUa(Threaded):
             if fault.final:
                 self._owed.discard(node)
 
-    # -- deliveries --------------------------------------------------------------------------------------------------
+    # -- deliveries ------------------------------------------------------------------------------------------
     async def _hand_over(self, samples: Sequence[Sample], from_history: bool = False) -> None:
-        """Deliver samples by time, in a thread of their own: where the service is busy they wait there, not the server."""
+        """Deliver samples in the order of time, from a separate thread, so that a busy service does not block
+        the connection."""
         ordered = sorted(samples, key=lambda one: one.received if one.time is None else one.time)
         for start in range(0, len(ordered), BATCH):
             deliveries = [self.delivery(one) for one in ordered[start : start + BATCH] if self._is_new(one)]
@@ -250,12 +255,12 @@ class OpcUa(Threaded):
             self._put(one)
 
     def _is_new(self, one: Sample) -> bool:
-        """Whether a sample is not the node's last one once more, which every new subscription begins with."""
+        """Whether a sample differs from the node's last one, which every new subscription repeats."""
         seen, self._last[one.node] = self._last.get(one.node), (one.time, one.value, one.word)
         return seen != self._last[one.node]
 
     def _note(self, one: Sample, from_history: bool) -> None:
-        """Remember how far a node is delivered, unless something before that is still owed."""
+        """Note the time up to which a node is delivered, unless earlier samples are still owed."""
         if one.time is not None and EARLIEST_S <= one.time <= one.received + AHEAD_S:
             if from_history or one.node not in self._owed:
                 self._reached[one.node.id] = max(one.time, self._reached.get(one.node.id, 0.0))
@@ -265,38 +270,45 @@ class OpcUa(Threaded):
             self._bad.pop(one.node, None)
 
     def delivery(self, one: Sample) -> Delivery:
-        """What a sample delivers."""
+        """The delivery of a sample."""
         content: dict[str, object] = {"turbine": one.node.turbine, "time": one.time, "quality": one.quality}
         if one.quality != "bad":
             content[one.node.field] = self._number(one)
         return Delivery(content, one.received)
 
     def _number(self, one: Sample) -> object:
-        """A number as it is, true and false as 1 and 0 of a field in that unit; of all else its kind, which is no number."""
+        """The value if it is a number, 1 or 0 for a boolean of a field with unit "1", else the name of its
+        type."""
         if isinstance(one.value, bool) and self.mapping.fields[one.node.field].unit == "1":
             return int(one.value)
         return one.value if type(one.value) in (int, float) else type(one.value).__name__
 
 
 async def in_order(histories: Iterable[AsyncIterator[Sample]]) -> AsyncIterator[Sample]:
-    """Samples of several nodes, of which each is in order, in one order of time."""
+    """Merge the samples of several nodes, each in order, by time."""
     heads: list[tuple[float, int, Sample, AsyncIterator[Sample]]] = []
     for number, history in enumerate(histories):
         sample = await anext(history, None)
         if sample is not None:
-            heapq.heappush(heads, (sample.time or 0.0, number, sample, history))
+            heapq.heappush(heads, (_time(sample), number, sample, history))
     while heads:
         _, number, sample, history = heads[0]
         yield sample
-        sample = await anext(history, None)
-        if sample is None:
+        following = await anext(history, None)
+        if following is None:
             heapq.heappop(heads)
         else:
-            heapq.heapreplace(heads, (sample.time or 0.0, number, sample, history))
+            heapq.heapreplace(heads, (_time(following), number, following, history))
+
+
+def _time(sample: Sample) -> float:
+    """The time [s] of a sample from a history, which always has a time."""
+    assert sample.time is not None
+    return sample.time
 
 
 def _named(words: str, nodes: MappingOf[Node, str]) -> str:
-    """Nodes with the server's word for each, of many the first; empty without any."""
+    """Text of some nodes with the server's reason for each; empty without nodes."""
+    # another thread may change the nodes meanwhile
     found = [f"{node.id} ({word})" for node, word in tuple(nodes.items())]
-    more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
-    return f"{words}: {', '.join(found[:NAMED])}{more}" if found else ""
+    return f"{words}: {several(found)}" if found else ""

@@ -1,6 +1,7 @@
-"""One connection to an OPC UA server: a subscription, what comes of it, and the history of its nodes.
+"""One connection to an OPC UA server: a subscription, its samples, and the history of its nodes.
 
-It reads: no value is written and no method is called.  It lives in one asyncio loop, and is thrown away when it is lost.
+The connection only reads: it writes no value and calls no method.  It belongs to one asyncio loop and is
+discarded when it is lost.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import time
 from collections.abc import AsyncIterator, Iterable, Sequence
 from contextlib import suppress
 from datetime import UTC, datetime
-from typing import Any
+from typing import TYPE_CHECKING
 
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.live.sources.opcua_samples import (
@@ -28,29 +29,35 @@ from hygrokf.live.sources.opcua_samples import (
 )
 from hygrokf.live.sources.opcua_security import Security, User
 
+if TYPE_CHECKING:
+    import asyncua
+    from asyncua import ua
+    from asyncua.common.subscription import DataChangeNotif, Subscription
+
 ANSWER_S = 5.0
-"""[s] within which a server answers."""
+"""[s] allowed for a server's answer."""
 HISTORY_S = 30.0
-"""[s] within which it answers to a question after its history."""
+"""[s] allowed for the answer to a history request."""
 WATCH_S = 5.0
-"""[s] between two questions whether the server is still there."""
+"""[s] between two checks that the server is alive."""
 KEEP_ALIVE_S = 10.0
-"""[s] after which the server says that the subscription lives, where nothing has changed."""
+"""[s] without changes after which the server sends a keep-alive."""
 LIFETIME_S = 120.0
-"""[s] for which the server keeps session and subscription of a client that is gone."""
+"""[s] the server keeps session and subscription of a lost client."""
 HELD = 20_000
-"""Samples that wait to be taken, at most."""
+"""Largest number of waiting samples."""
 AT_ONCE = 500
-"""Nodes of one request to subscribe."""
+"""Nodes per subscription request."""
 PAGE = 1_000
-"""Samples of one node's history that are asked for at once."""
+"""Samples per history request."""
 NO_FILTER = ("BadMonitoredItemFilterUnsupported", "BadMonitoredItemFilterInvalid", "BadFilterNotAllowed")
 
 
 class Connection:
     """A session and its subscription.
 
-    `open`, `subscribe`, then `samples` and `history` for as long as `check` has nothing to say, and `close` in any case.
+    Call `open` and `subscribe`, then `samples` and `history` as long as `check` raises nothing, and `close`
+    in any case.
     """
 
     def __init__(
@@ -58,40 +65,52 @@ class Connection:
     ) -> None:
         self.url = url
         self.unfiltered = False
-        """Whether the server tells changes only, and not a value that is measured twice."""
+        """Whether the server reports changes only and omits repeated equal values."""
         self.dropped: set[Node] = set()
-        """Nodes of which samples found no room here; the caller empties it."""
+        """Nodes that lost samples because the queue here was full; the caller empties the set."""
         self._rates, self._security, self._user = rates, security, user
         self._ua = library().ua
-        self._client: Any = None
-        self._subscription: Any = None
+        self._client: asyncua.Client | None = None
+        self._subscription: Subscription | None = None
         self._handles: dict[int, Node] = {}
-        self._ids: dict[Node, object] = {}
-        self._held: list[tuple[Node, object, float]] = []
+        self._ids: dict[Node, ua.NodeId] = {}
+        self._held: list[tuple[Node, ua.DataValue, float]] = []
         self._came = asyncio.Event()
         self._lost = ""
         self._stale_s = math.inf
 
-    # -- the session -----------------------------------------------------------------------------------------------
+    # -- the session -----------------------------------------------------------------------------------------
     async def open(self) -> None:
-        """Connect, sign on and make an empty subscription.  Raises ConnectionFault."""
+        """Connect, log in and create an empty subscription.  Raises ConnectionFault."""
         try:
-            self._client = await self._made()
-            await self._client.connect()
-            await self._subscribed()
-            self._client.uaclient.protocol.timeout = HISTORY_S
-        except Exception as fault:  # asyncua raises nearly everything, also out of what it cannot decode
+            client = self._client = await self._made()
+            await client.connect()
+            await self._subscribed(client)
+            assert client.uaclient.protocol is not None
+            client.uaclient.protocol.timeout = HISTORY_S
+        except Exception as fault:  # asyncua raises many exceptions, also while decoding
             words = await self._explained(fault)
             await self.close()
             raise ConnectionFault(words) from None
 
-    async def _made(self) -> Any:
-        """A client with this connection's security and user, which is not connected yet."""
-        asyncua = library()
+    @property
+    def _server(self) -> asyncua.Client:
+        """The client of an open connection."""
+        assert self._client is not None
+        return self._client
+
+    @property
+    def _published(self) -> Subscription:
+        """The subscription of an open connection."""
+        assert self._subscription is not None
+        return self._subscription
+
+    async def _made(self) -> asyncua.Client:
+        """A client with this connection's security and user, not connected yet."""
         from asyncua.crypto import security_policies
         from asyncua.crypto.uacrypto import CertProperties
 
-        client = asyncua.Client(self.url, timeout=ANSWER_S, watchdog_intervall=WATCH_S)
+        client: asyncua.Client = library().Client(self.url, timeout=ANSWER_S, watchdog_intervall=WATCH_S)
         client.name = client.description = f"hygrokf on {socket.gethostname()}"
         client.session_timeout = int(1e3 * LIFETIME_S)
         client.connection_lost_callback = self._note_loss
@@ -110,8 +129,9 @@ class Connection:
             client.set_password(self._user.password)
         return client
 
-    async def _subscribed(self) -> None:
-        """Make the subscription: without asyncua's own renewal, which would not read back what it missed."""
+    async def _subscribed(self, client: asyncua.Client) -> None:
+        """Create the subscription without asyncua's automatic renewal, which would not read back missed
+        samples."""
         from asyncua.common.subscription import Subscription
 
         wanted = self._ua.CreateSubscriptionParameters()
@@ -120,13 +140,13 @@ class Connection:
         wanted.RequestedLifetimeCount = math.ceil(LIFETIME_S / self._rates.publishing_s)
         wanted.MaxNotificationsPerPublish = HELD
         wanted.PublishingEnabled = True
-        self._subscription = Subscription(self._client.uaclient.session, wanted, self)
-        granted = await self._subscription.init()
-        self._subscription.last_publish_at = time.monotonic()
+        made = self._subscription = Subscription(client.uaclient.session, wanted, self)
+        granted = await made.init()
+        made.last_publish_at = time.monotonic()
         self._stale_s = 2e-3 * granted.RevisedPublishingInterval * granted.RevisedMaxKeepAliveCount + ANSWER_S
 
     async def close(self) -> None:
-        """End session and subscription, as far as the server still answers."""
+        """End session and subscription if the server still answers."""
         client, self._client = self._client, None
         if client is None:
             return
@@ -134,21 +154,22 @@ class Connection:
         with suppress(Exception):
             await asyncio.wait_for(client.disconnect(), ANSWER_S)
         if protocol is not None and protocol.transport is not None:
-            protocol.transport.abort()  # asyncua keeps the socket of a server that fell silent
+            protocol.transport.abort()  # asyncua keeps the socket of a silent server open
         await asyncio.sleep(0.0)
 
     def check(self) -> None:
-        """Raises ConnectionFault where the connection is lost, or the server does not publish any more."""
-        silent_s = time.monotonic() - self._subscription.last_publish_at
+        """Raises ConnectionFault if the connection is lost or the server has stopped publishing."""
+        last = self._published.last_publish_at
+        silent_s = 0.0 if last is None else time.monotonic() - last
         if not self._lost and silent_s > self._stale_s:
             self._lost = f"the server has not published for {silent_s:.0f} s"
         if self._lost:
             raise ConnectionFault(self._lost)
 
     async def server_time(self) -> float:
-        """The server's own clock [s].  Raises ConnectionFault."""
+        """The server's clock [s].  Raises ConnectionFault."""
         try:
-            node = self._client.get_node(self._ua.NodeId(self._ua.ObjectIds.Server_ServerStatus_CurrentTime))
+            node = self._server.get_node(self._ua.NodeId(self._ua.ObjectIds.Server_ServerStatus_CurrentTime))
             found = await node.read_value()
             return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
         except Exception as fault:
@@ -158,36 +179,44 @@ class Connection:
         self._lost = self._lost or f"the connection is lost ({words_of(fault)})"
 
     async def _explained(self, fault: Exception) -> str:
-        """Why a connection was not made, with what the server says of itself to one who does not sign on."""
+        """Why a connection failed, including a mismatch with the endpoints that the server offers to
+        anyone."""
         words = words_of(fault)
         if isinstance(fault, ConnectionRefusedError | socket.gaierror | ConnectionFault):
             return words
         words = await self._mismatch() or words
         if self._security is not None and self._security.valid_until < time.time():
-            words += f"; this client's certificate was valid until {stamp_text(self._security.valid_until)}: make a new one"
+            words += (
+                f"; this client's certificate was valid until {stamp_text(self._security.valid_until)}: "
+                "make a new one"
+            )
         return words
 
     async def _mismatch(self) -> str:
-        """What of policy, mode and certificate the server has otherwise; empty where that is not found out."""
+        """A message if the server's policy, mode or certificate differs from the configured one; empty if
+        unknown."""
         s, client = self._security, library().Client(self.url, timeout=0.4 * ANSWER_S)
         try:
             offers = await client.connect_and_get_server_endpoints()
-        except Exception:  # it answers nobody who is not secured, or nobody at all
+        except Exception:  # the server answers no unsecured client, or none at all
             return ""
         wanted = "no security" if s is None else f"{s.policy} {s.mode}"
         offered = {_security_name(o): o.ServerCertificate or b"" for o in offers}
         if wanted not in offered:
-            return f"the server has no connection with {wanted}; it offers {', '.join(sorted(offered)) or 'none'}"
+            return (
+                f"the server has no connection with {wanted}; it offers "
+                f"{', '.join(sorted(offered)) or 'none'}"
+            )
         if s is not None and not offered[wanted].startswith(s.server_certificate):
             return (
-                "the server's certificate is not the one in server_certificate: find out whether it was replaced, "
-                "and state the new one only then"
+                "the server's certificate is not the one in server_certificate: find out whether it was "
+                "replaced, and state the new one only then"
             )
         return ""
 
-    # -- the subscription ------------------------------------------------------------------------------------------
+    # -- the subscription ------------------------------------------------------------------------------------
     async def subscribe(self, nodes: Sequence[Node]) -> dict[Node, str]:
-        """Subscribe to nodes; those that the server refused, with its word for why.  Raises ConnectionFault."""
+        """Subscribe to nodes; returns the refused nodes with the server's reason.  Raises ConnectionFault."""
         try:
             refused = await self._identified(nodes)
             for filtered in (True, False):
@@ -198,7 +227,7 @@ class Connection:
                 ]
                 for start in range(0, len(asked), AT_ONCE):
                     part = asked[start : start + AT_ONCE]
-                    results = await self._subscription.create_monitored_items(
+                    results = await self._published.create_monitored_items(
                         [self._item(node, filtered) for node in part]
                     )
                     for node, result in zip(part, results, strict=True):
@@ -211,11 +240,13 @@ class Connection:
         return refused
 
     async def _identified(self, nodes: Iterable[Node]) -> dict[Node, str]:
-        """Look up the ids of nodes, whose namespaces have other numbers after a restart of some servers."""
-        ua, refused = self._ua, {}
+        """Look up the ids of nodes, because some servers renumber their namespaces at a restart; returns
+        unknown nodes."""
+        ua = self._ua
+        refused: dict[Node, str] = {}
         found = {node: ua.NodeId.from_string(node.id) for node in nodes}
         named = [one for one in found.values() if getattr(one, "NamespaceUri", None)]
-        namespaces = await self._client.get_namespace_array() if named else []
+        namespaces = await self._server.get_namespace_array() if named else []
         for node, one in found.items():
             uri = getattr(one, "NamespaceUri", None)
             if uri and uri not in namespaces:
@@ -224,8 +255,9 @@ class Connection:
             self._ids[node] = ua.NodeId(one.Identifier, namespaces.index(uri), one.NodeIdType) if uri else one
         return refused
 
-    def _item(self, node: Node, filtered: bool) -> Any:
-        """A request for a node; `filtered` by time stamps as well, so that a value measured twice comes twice."""
+    def _item(self, node: Node, filtered: bool) -> ua.MonitoredItemCreateRequest:
+        """The request to monitor a node; `filtered` also by time stamp, so that a repeated equal value is
+        reported."""
         ua = self._ua
         wanted = ua.MonitoringParameters()
         wanted.ClientHandle = len(self._handles) + 1
@@ -241,37 +273,40 @@ class Connection:
         self._handles[wanted.ClientHandle] = node
         return item
 
-    def datachange_notification(self, node: Any, value: Any, data: Any) -> None:
-        """Called by asyncua; only notes what came."""
-        one = self._handles[data.subscription_data.client_handle]
+    def datachange_notification(self, node: asyncua.Node, value: object, data: DataChangeNotif) -> None:
+        """Called by asyncua; only queues the sample."""
+        handle = data.subscription_data.client_handle
+        assert handle is not None, "every item is asked for with one"
+        one = self._handles[handle]
         if len(self._held) < HELD:
             self._held.append((one, data.monitored_item.Value or self._ua.DataValue(), time.time()))
         else:
             self.dropped.add(one)
         self._came.set()
 
-    def status_change_notification(self, notification: Any) -> None:
-        """Called by asyncua where the server says something of the subscription itself: that it is over."""
+    def status_change_notification(self, notification: ua.StatusChangeNotification) -> None:
+        """Called by asyncua when the server ends the subscription."""
         self._lost = self._lost or f"the server ended the subscription ({notification.Status.name})"
 
     async def samples(self, patience_s: float) -> list[Sample]:
-        """What came since the last call; waits `patience_s` [s] for a first one."""
+        """Samples since the last call; waits up to `patience_s` [s] for the first one."""
         with suppress(TimeoutError):
             await asyncio.wait_for(self._came.wait(), patience_s)
         self._came.clear()
         held, self._held = self._held, []
         return [sample_of(*one) for one in held]
 
-    # -- history ---------------------------------------------------------------------------------------------------
+    # -- history ---------------------------------------------------------------------------------------------
     async def history(self, node: Node, since_s: float, until_s: float) -> AsyncIterator[Sample]:
-        """Samples of a node after a time and up to another [s], by time.  Raises HistoryFault, ConnectionFault."""
+        """A node's samples in since_s < time ≤ until_s [s], sorted by time.  Raises HistoryFault,
+        ConnectionFault."""
         ua = self._ua
         details = ua.ReadRawModifiedDetails(NumValuesPerNode=PAGE, ReturnBounds=False, IsReadModified=False)
         details.EndTime = datetime.fromtimestamp(until_s, UTC)
         while True:
             details.StartTime = datetime.fromtimestamp(since_s, UTC)
             page, more = await self._page(node, details)
-            timed = [(s.time, s) for s in page if s.time is not None and since_s < s.time <= until_s]
+            timed = ((s.time, s) for s in page if s.time is not None and since_s < s.time <= until_s)
             new = sorted(timed, key=lambda one: one[0])
             for _, sample in new:
                 yield sample
@@ -279,22 +314,23 @@ class Connection:
                 return
             since_s = new[-1][0]
 
-    async def _page(self, node: Node, details: Any) -> tuple[list[Sample], bool]:
+    async def _page(self, node: Node, details: ua.ReadRawModifiedDetails) -> tuple[list[Sample], bool]:
         """A page of a node's history, and whether the server has more.
 
-        The next page is asked for by time: servers have few continuation points, and pages of many nodes are open at once.
+        The next page is requested by time instead of a continuation point, because servers have few of these
+        and many nodes are read at once.
         """
         ua = self._ua
         value = ua.HistoryReadValueId(NodeId=self._ids[node])
         wanted = ua.HistoryReadParameters(details, ua.TimestampsToReturn.Both, False, [value])
         try:
-            (found,) = await self._client.uaclient.history_read(wanted)
+            (found,) = await self._server.uaclient.history_read(wanted)
             more = found.ContinuationPoint
             if more:
                 value.ContinuationPoint = more
                 wanted.ReleaseContinuationPoints = True
                 with suppress(ua.UaStatusCodeError):
-                    await self._client.uaclient.history_read(wanted)
+                    await self._server.uaclient.history_read(wanted)
             found.StatusCode.check()
         except ua.UaStatusCodeError as fault:
             raise HistoryFault(name_of(fault)) from None
@@ -309,7 +345,7 @@ class Connection:
         ], bool(more)
 
 
-def _security_name(offer: Any) -> str:
-    """Policy and mode of an endpoint, as they are written in the tracker's file."""
+def _security_name(offer: ua.EndpointDescription) -> str:
+    """Policy and mode of an endpoint, as written in the tracker's file."""
     policy = offer.SecurityPolicyUri.rpartition("#")[2].replace("_", "")
     return "no security" if policy == "None" else f"{policy} {offer.SecurityMode.name}"

@@ -1,4 +1,4 @@
-"""What OPC UA says, in the tracker's terms: nodes, samples, and faults in words."""
+"""OPC UA data in the tracker's terms: nodes, samples and error messages."""
 
 from __future__ import annotations
 
@@ -6,21 +6,28 @@ import logging
 import socket
 from dataclasses import dataclass
 from datetime import UTC
-from typing import Any
+from types import ModuleType
+from typing import TYPE_CHECKING
 
 from hygrokf.errors import HygrokfError
 
+if TYPE_CHECKING:
+    from asyncua import ua
+
 OVERFLOW = 0x0480
-"""Bits of a status code that say: a data value, and others before it found no room in the server's queue."""
+"""Status code bits of a data value before which others were lost in the server's full queue."""
 NO_HISTORY = (
-    "BadHistoryOperationUnsupported", "BadHistoryOperationInvalid", "BadServiceUnsupported", "BadNotSupported",
+    "BadHistoryOperationUnsupported", "BadHistoryOperationInvalid", "BadServiceUnsupported",
+    "BadNotSupported",
     "BadNotImplemented", "BadNotReadable", "BadUserAccessDenied", "BadNodeIdUnknown", "BadAttributeIdInvalid",
 )  # fmt: skip
-"""What a server answers that will not give a node's history, however often it is asked."""
+"""Status codes of a server that will never provide a node's history, so that asking again is useless."""
 REMEDIES = {
     "BadUserAccessDenied": "the server refuses the user: check user and password",
-    "BadIdentityTokenRejected": "the server refuses the user: check user and password, or state them where they are missing",
-    "BadIdentityTokenInvalid": "the server refuses the user: check user and password, or state them where they are missing",
+    "BadIdentityTokenRejected": "the server refuses the user: check user and password, or state them if "
+    "they are missing",
+    "BadIdentityTokenInvalid": "the server refuses the user: check user and password, or state them if "
+    "they are missing",
     "BadSecurityChecksFailed": "the server refuses this client's certificate: let the server trust it",
     "BadCertificateUntrusted": "the server does not trust this client's certificate: let the server trust it",
     "BadCertificateUriInvalid": "the client's certificate was made for another application",
@@ -30,11 +37,11 @@ REMEDIES = {
 
 
 class ConnectionFault(HygrokfError):
-    """A connection that was not made or is lost, in words."""
+    """A connection failed or was lost; the message says why."""
 
 
 class HistoryFault(HygrokfError):
-    """A node's history that was not read, with the server's word for why; `final` where asking again is of no use."""
+    """A node's history could not be read; `word`: the server's reason; `final`: asking again is useless."""
 
     def __init__(self, word: str) -> None:
         super().__init__(word)
@@ -43,7 +50,7 @@ class HistoryFault(HygrokfError):
 
 @dataclass(frozen=True)
 class Node:
-    """A variable of the server: its id as text, and of which turbine and of which field of the mapping it is."""
+    """A variable of the server: its id as text, its turbine, and its field of the mapping."""
 
     id: str
     turbine: str
@@ -52,10 +59,11 @@ class Node:
 
 @dataclass(frozen=True)
 class Sample:
-    """A value of a node: `time` [s] by its source or else the server, None by neither; when it was `received` [s].
+    """A value of a node.
 
-    `quality` is "good", "uncertain" or "bad" (a value that is missing is bad), `word` the status code's name; `overflowed`
-    where values before it were lost in the server's queue.
+    `time`: stamp [s] of the source, else of the server, None without either; `quality`: "good", "uncertain"
+    or "bad" (also for a missing value); `word`: name of the status code; `overflowed`: values before it were
+    lost in the server's queue; `received`: time of arrival [s].
     """
 
     node: Node
@@ -69,26 +77,27 @@ class Sample:
 
 @dataclass(frozen=True)
 class Rates:
-    """How often the server is to sample and to publish [s], and how many samples of a node it is to keep in between."""
+    """Requested sampling and publishing intervals [s], and the server's `queue` of samples per node between
+    publications."""
 
     sampling_s: float = 1.0
     publishing_s: float = 1.0
     queue: int = 100
 
 
-def library() -> Any:
-    """asyncua, which the extra brings.  Raises ConnectionFault without it."""
+def library() -> ModuleType:
+    """The module asyncua, an optional dependency.  Raises ConnectionFault if it is missing."""
     try:
         import asyncua
     except ImportError:
         raise ConnectionFault("OPC UA needs asyncua: pip install 'hygrokf[opcua]'") from None
-    # what matters of its log is raised as well, and told in our words; its debug lines show passwords
+    # its relevant log entries are also raised as exceptions; its debug output contains passwords
     logging.getLogger("asyncua").setLevel(logging.CRITICAL)
     return asyncua
 
 
 def node_fault(text: str) -> str | None:
-    """What is wrong with the text of a node id, None where nothing is.  Raises ConnectionFault without asyncua."""
+    """An error message for an invalid node id, else None.  Raises ConnectionFault without asyncua."""
     ua = library().ua
     try:
         found = ua.NodeId.from_string(text)
@@ -101,8 +110,8 @@ def node_fault(text: str) -> str | None:
     return None
 
 
-def sample_of(node: Node, found: Any, received: float) -> Sample:
-    """A sample from asyncua's DataValue; the year 1601 is OPC UA's way to say that there is no time."""
+def sample_of(node: Node, found: ua.DataValue, received: float) -> Sample:
+    """A sample from asyncua's DataValue; the year 1601 means in OPC UA that there is no time."""
     status, value = found.StatusCode, None if found.Value is None else found.Value.Value
     quality = "good"
     if value is None or (status is not None and status.is_bad()):
@@ -118,23 +127,23 @@ def sample_of(node: Node, found: Any, received: float) -> Sample:
         None if at is None else at.timestamp(),
         value,
         quality,
-        "Good" if status is None else type(status)(status.value & 0xFFFF0000).name,
+        "Good" if status is None else type(status)(type(status.value)(status.value & 0xFFFF0000)).name,
         status is not None and status.value & 0x0C80 == OVERFLOW,
         received,
     )
 
 
 def name_of(fault: Exception) -> str:
-    """The name of a status code that was raised."""
+    """The name of the status code that an exception stands for."""
     return type(fault).__name__ if type(fault).__name__.startswith("Bad") else str(fault)[:80]
 
 
 def words_of(fault: Exception) -> str:
-    """A fault of asyncua or of the network in words."""
+    """Message for an exception of asyncua or the network."""
     if isinstance(fault, ConnectionFault):
         return str(fault)
     if isinstance(fault, ConnectionRefusedError):
-        return "nobody listens there"
+        return "nothing listens there"
     if isinstance(fault, socket.gaierror):
         return f"the host is not known ({fault.strerror})"
     if isinstance(fault, TimeoutError):
@@ -144,5 +153,5 @@ def words_of(fault: Exception) -> str:
 
 
 def _shown(fault: Exception) -> str:
-    """A fault in one short line."""
+    """An exception in one short line."""
     return " ".join(f"{type(fault).__name__} {fault}".split())[:160].strip()

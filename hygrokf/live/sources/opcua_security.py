@@ -1,32 +1,34 @@
-"""How a connection to an OPC UA server is secured: policy, certificates and user, from the tracker's file.
+"""Security of an OPC UA connection from the tracker's file: policy, certificates and user.
 
-Certificates and keys are read once, when the file is; a password never stands in the file itself.
+Certificates and keys are read once, together with the tracker's file, which never contains a password.
 """
 
 from __future__ import annotations
 
 import ipaddress
-import os
-from collections.abc import Callable
-from collections.abc import Mapping as MappingOf
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, ClassVar, TypeVar
 
-from hygrokf.live.table_reader import TableReader
+from hygrokf.data.toml_form import Place, across, setting
+from hygrokf.live.sources.streams import NO_PASSWORD_HERE, SourceFault, password_of
 
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey
+    from cryptography.x509 import Certificate
+
+T = TypeVar("T")
 POLICIES = ("Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss")
 MODES = ("SignAndEncrypt", "Sign")
 FILES = ("certificate", "key", "server_certificate")
-SECURITY_KEYS = ("security", "policy", "mode", *FILES, "user", "password_file", "password_env")
-"""Keys of a `[[source]]` table that are read here."""
 
 
 @dataclass(frozen=True)
 class Security:
-    """Messages are signed or encrypted, between this client's key pair and one server's certificate (all DER).
+    """Signing and encryption between this client's key pair and one server's certificate (all DER).
 
-    `application_uri` is the name that the client's certificate is made for, `valid_until` when it ends [s].
+    `application_uri`: URI in the client's certificate; `valid_until`: end of that certificate's validity [s].
     """
 
     policy: str
@@ -40,85 +42,110 @@ class Security:
 
 @dataclass(frozen=True)
 class User:
-    """Who signs on."""
+    """User name and password for the login."""
 
     name: str
     password: str = field(repr=False)
 
 
-def security_of(
-    table: MappingOf[str, object], where: str, host: str, folder: Path, reader: TableReader
-) -> tuple[Security | None, User | None]:
-    """Security and user of a `[[source]]` table; what is wrong with them goes to `reader`.
+@dataclass(frozen=True)
+class SecurityForm:
+    """The security and the user of a [[source]] that is an OPC UA server."""
 
-    None: a plain connection, which other hosts than this one need `security = "none"` for; nobody by name.
+    REFUSED: ClassVar = {"password": NO_PASSWORD_HERE}
+    security: str = setting(
+        "",
+        '"none": a plain connection to another host',
+        fits="none".__eq__,
+        expected='"none" where it is stated',
+    )
+    policy: str | None = setting(None, f"of the signatures, by default {POLICIES[0]}", choices=POLICIES)
+    mode: str | None = setting(None, f"what is secured, by default {MODES[0]}", choices=MODES)
+    certificate: str | None = setting(None, "of the tracker, PEM or DER")
+    key: str | None = setting(None, "of the certificate, PEM or DER, RSA, without a password")
+    server_certificate: str | None = setting(None, "of the one server that is trusted, PEM or DER")
+    user: str = setting("", "with password_file or password_env")
+    password_file: str = setting("", "file with the password")
+    password_env: str = setting("", "environment variable with the password")
+
+    @property
+    def stated(self) -> list[str]:
+        """Keys of a secured connection that are stated."""
+        return [name for name in ("policy", "mode", *FILES) if getattr(self, name)]
+
+    @across("security")
+    def not_both(self) -> str | None:
+        if self.security != "none" or not self.stated:
+            return None
+        return f'security = "none" contradicts {", ".join(self.stated)}: leave out one or the other'
+
+    @across(*FILES)
+    def all_files(self) -> str | None:
+        missing = [name for name in FILES if not getattr(self, name)]
+        if not self.stated or not missing or self.security == "none":
+            return None
+        return f"{', '.join(missing)} missing: a secured connection needs {', '.join(FILES)}"
+
+    @across("user", "password_file", "password_env")
+    def password_of_user(self) -> Iterator[str]:
+        if self.password_file and self.password_env:
+            yield "state password_file or password_env, not both"
+        if bool(self.user) != bool(self.password_file or self.password_env):
+            yield "user and its password_file or password_env belong together"
+
+
+def security_of(
+    form: SecurityForm, host: str, folder: Path, place: Place
+) -> tuple[Security | None, User | None]:
+    """Security and user of a `[[source]]` table; faults go to `place`.
+
+    Security is None for a plain connection, which requires `security = "none"` unless the host is this
+    machine; the user is None for an anonymous login.
     """
-    stated = [key for key in ("policy", "mode", *FILES) if key in table]
-    plain = reader.text(table, "security", where)
-    if plain not in ("", "none"):
-        reader.faults.append(f'{where}: security must be "none" where it is stated, found {plain!r}')
-    if plain == "none" and stated:
-        reader.faults.append(
-            f'{where}: security = "none" contradicts {", ".join(stated)}: leave out one or the other'
-        )
-    security = _security(table, where, folder, reader) if stated and plain != "none" else None
-    if not stated and plain != "none" and not is_this_machine(host):
-        reader.faults.append(
-            f"{where}: a connection to another host needs {', '.join(FILES)}; "
-            'state security = "none" where it shall be readable and open to change on its way'
-        )
-    user = _user(table, where, folder, reader)
-    if user is not None and not stated and not is_this_machine(host):
-        reader.faults.append(
-            f"{where}: a password to another host needs {', '.join(FILES)}: it would be sent readable"
-        )
+    security = _security(form, folder, place) if form.stated and form.security != "none" else None
+    user = _user(form, folder, place)
+    if not form.stated and not is_this_machine(host):
+        if form.security != "none":
+            place.fault(
+                f"a connection to another host needs {', '.join(FILES)}; "
+                'state security = "none" where it shall be readable and open to change on its way'
+            )
+        if user is not None:
+            place.fault(f"a password to another host needs {', '.join(FILES)}: it would be sent readable")
     return security, user
 
 
 def is_this_machine(host: str) -> bool:
-    """Whether a host is reached without leaving this machine."""
+    """Whether a host is the loopback address, so that nothing leaves this machine."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
         return host == "localhost"
 
 
-def _security(
-    table: MappingOf[str, object], where: str, folder: Path, reader: TableReader
-) -> Security | None:
-    before = len(reader.faults)
-    policy = reader.text(table, "policy", where, POLICIES[0])
-    mode = reader.text(table, "mode", where, MODES[0])
-    for name, value, known in (("policy", policy, POLICIES), ("mode", mode, MODES)):
-        if value not in known:
-            reader.faults.append(f"{where}: {name} must be one of {', '.join(known)}, found {value!r}")
-    missing = [key for key in FILES if not reader.text(table, key, where)]
-    if missing:
-        reader.faults.append(
-            f"{where}: {', '.join(missing)} missing: a secured connection needs {', '.join(FILES)}"
-        )
+def _security(form: SecurityForm, folder: Path, place: Place) -> Security | None:
     try:
         from cryptography.hazmat.primitives import serialization
     except ImportError:
-        reader.faults.append(f"{where}: certificates need cryptography: pip install 'hygrokf[opcua]'")
+        place.fault("certificates need cryptography: pip install 'hygrokf[opcua]'")
         return None
-    own = _read(table, "certificate", where, folder, reader, _certificate)
-    key = _read(table, "key", where, folder, reader, _key)
-    server = _read(table, "server_certificate", where, folder, reader, _certificate)
+    own = _read(form, "certificate", folder, place, _certificate)
+    key = _read(form, "key", folder, place, _key)
+    server = _read(form, "server_certificate", folder, place, _certificate)
     uri = "" if own is None else _application_uri(own)
     if own is not None:
         if not uri:
-            reader.faults.append(
-                f"{where}: certificate: expected a URI among its alternative names, found none: servers refuse it"
+            place.fault(
+                "certificate: expected a URI among its alternative names, found none: servers refuse it"
             )
         if key is not None and own.public_key() != key.public_key():
-            reader.faults.append(f"{where}: certificate and key do not belong together")
-    if len(reader.faults) > before:
+            place.fault("certificate and key do not belong together")
+    if own is None or key is None or server is None:
         return None
     der = serialization.Encoding.DER
     return Security(
-        policy,
-        mode,
+        form.policy or POLICIES[0],
+        form.mode or MODES[0],
         own.public_bytes(der),
         key.private_bytes(der, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()),
         server.public_bytes(der),
@@ -127,24 +154,22 @@ def _security(
     )
 
 
-def _read(
-    table: MappingOf[str, object], name: str, where: str, folder: Path, reader: TableReader, read: Callable
-) -> Any:
-    """What `read` makes of the file that a key names; None where it is missing or nothing can be made of it."""
-    stated = table.get(name)
-    if not isinstance(stated, str) or not stated:
+def _read(form: SecurityForm, name: str, folder: Path, place: Place, read: Callable[[bytes], T]) -> T | None:
+    """The file named by a key, parsed by `read`; None if the key is missing or the file cannot be parsed."""
+    if not getattr(form, name):
         return None
+    path = folder / getattr(form, name)
     try:
-        return read((folder / stated).read_bytes())
+        return read(path.read_bytes())
     except OSError as fault:
-        reader.faults.append(f"{where}: {name}: {folder / stated}: {fault.strerror}")
+        place.fault(f"{name}: {path}: {fault.strerror}")
     except (ValueError, TypeError):
         kind = "a private RSA key without a password" if name == "key" else "an RSA certificate"
-        reader.faults.append(f"{where}: {name}: {folder / stated}: expected {kind}, as PEM or DER")
+        place.fault(f"{name}: {path}: expected {kind}, as PEM or DER")
     return None
 
 
-def _certificate(content: bytes) -> Any:
+def _certificate(content: bytes) -> Certificate:
     from cryptography import x509
     from cryptography.hazmat.primitives.asymmetric import rsa
 
@@ -155,7 +180,7 @@ def _certificate(content: bytes) -> Any:
     return found
 
 
-def _key(content: bytes) -> Any:
+def _key(content: bytes) -> RSAPrivateKey:
     from cryptography.hazmat.primitives import serialization
     from cryptography.hazmat.primitives.asymmetric import rsa
 
@@ -167,7 +192,7 @@ def _key(content: bytes) -> Any:
     return found
 
 
-def _application_uri(certificate: Any) -> str:
+def _application_uri(certificate: Certificate) -> str:
     from cryptography import x509
 
     try:
@@ -177,33 +202,11 @@ def _application_uri(certificate: Any) -> str:
     return next(iter(names.get_values_for_type(x509.UniformResourceIdentifier)), "")
 
 
-def _user(table: MappingOf[str, object], where: str, folder: Path, reader: TableReader) -> User | None:
-    name = reader.text(table, "user", where)
-    file, variable = reader.text(table, "password_file", where), reader.text(table, "password_env", where)
-    if "password" in table:
-        reader.faults.append(
-            f"{where}: a password does not belong in this file: put it into a file of its own and state password_file, "
-            "or into an environment variable and state password_env"
-        )
+def _user(form: SecurityForm, folder: Path, place: Place) -> User | None:
+    """The user with the password from its file or environment variable."""
+    try:
+        password = password_of(folder / form.password_file if form.password_file else None, form.password_env)
+    except SourceFault as fault:
+        place.fault(str(fault))
         return None
-    if file and variable:
-        reader.faults.append(f"{where}: state password_file or password_env, not both")
-    if bool(name) != bool(file or variable):
-        reader.faults.append(f"{where}: user and its password_file or password_env belong together")
-    password = ""
-    if file:
-        try:
-            password = (folder / file).read_text(encoding="utf-8").rstrip("\r\n")
-        except (OSError, UnicodeDecodeError) as fault:
-            reason = fault.strerror if isinstance(fault, OSError) else "no text in UTF-8"
-            reader.faults.append(f"{where}: password_file: {folder / file}: {reason}")
-            return None
-        if not password:
-            reader.faults.append(f"{where}: password_file: {folder / file} is empty")
-    elif variable:
-        password = os.environ.get(variable, "")
-        if not password:
-            reader.faults.append(
-                f"{where}: password_env: the environment has no variable of that name, or an empty one"
-            )
-    return User(name, password) if name and password else None
+    return User(form.user, password) if form.user and password else None

@@ -1,10 +1,13 @@
-"""From what a source delivers to readings: names, units, times, quality; what cannot be true is counted, never guessed.
+"""Converts payloads to readings: names, units, times, quality.  Impossible values are counted, never
+corrected.
 
-A payload is one JSON object or a row of a table.  A `Mapping` says where turbine, time and values stand in it:
+A payload is one JSON object or a row of a table.  A `Mapping` states which of its fields hold turbine, time
+and values:
 
     {"turbine": "T07", "time": "2026-03-01T12:10:00Z", "quality": "good", "Tcab": 31.2, "RHcab": 41.0}
 
-or, with `tag` and `value` stated, one reading a payload: {"turbine": "T07", "time": …, "tag": "Tcab", "value": 31.2}.
+or, with `tag` and `value`, one reading per payload: {"turbine": "T07", "time": …, "tag": "Tcab", "value":
+31.2}.
 """
 
 from __future__ import annotations
@@ -16,31 +19,37 @@ from collections.abc import Collection
 from collections.abc import Mapping as MappingOf
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from hygrokf.data.signals import signal_named, to_si
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.plan import Form
 from hygrokf.live.tracker import Reading
 
+Payload = MappingOf[str, object]
+"""A parsed payload: names with plain values."""
 LARGEST = 65_536
-"""[bytes] of one payload."""
+"""Largest payload [bytes]."""
 DEEPEST = 6
-"""Levels of one payload."""
+"""Largest nesting depth of a payload."""
 LONGEST = 200
-"""Characters of a name or a time."""
+"""Longest name or time [characters]."""
 EARLIEST_S = 631_152_000.0
-"""[s] 1990: stamps before it are no time of a turbine."""
+"""1990 [s since 1970]: earlier stamps are not times of a turbine."""
 AHEAD_S = 900.0
-"""[s] by which a stamp may be ahead of the clock here."""
-FORECAST_S = 20 * 86400.0
-"""[s] by which that of a weather forecast may."""
+"""[s] a stamp may be ahead of this machine's clock."""
+FORECAST_S = 20 * DAY_S
+"""[s] a weather forecast's stamp may be ahead of this machine's clock."""
 EVERYONE = ""
-"""Turbine of a weather forecast that is for all."""
+"""Turbine name of a weather forecast that applies to all turbines."""
 GOOD = ("good", "ok", "valid", "true", "0", "192")
-"""What marks a good reading where nothing else is stated; 192 is OPC's."""
+"""Default quality marks of a good reading; 192 is OPC's."""
 
 
 class Refused(Exception):
-    """A payload that is not used, with the name under which it is counted."""
+    """A payload that is not used; `kind` is the name under which it is counted."""
 
     def __init__(self, kind: str, words: str) -> None:
         super().__init__(words)
@@ -49,7 +58,10 @@ class Refused(Exception):
 
 @dataclass(frozen=True)
 class Field:
-    """A value of the payload: the signal that it is, its unit, how it is averaged, and what its stamp marks."""
+    """A value in a payload: its signal, its unit, the form of its readings, and what its stamp marks.
+
+    `stamp`: "instant", or "start", "middle" or "end" of the averaging interval.
+    """
 
     signal: str
     unit: str
@@ -58,8 +70,8 @@ class Field:
 
     @property
     def scale(self) -> tuple[float, float]:
-        """(factor, offset) to the SI unit."""
-        zero, one = (float(to_si(v, self.unit, self.signal)) for v in (0.0, 1.0))
+        """(factor, offset) of the conversion to the SI unit."""
+        zero, one = to_si(np.array([0.0, 1.0]), self.unit, self.signal).tolist()
         return one - zero, zero
 
     @property
@@ -68,14 +80,28 @@ class Field:
         return {"start": 1.0, "middle": 0.5}.get(self.stamp, 0.0) * self.form.interval_s
 
 
+class Conversion(NamedTuple):
+    """Converts a field to a reading: value = factor * number + offset [SI unit], valid within `low` … `high`.
+
+    `shift_s` [s] is added to the stamp.
+    """
+
+    signal: str
+    factor: float
+    offset: float
+    shift_s: float
+    low: float
+    high: float
+
+
 @dataclass(frozen=True)
 class Mapping:
-    """Where things stand in a payload.
+    """Describes the layout of payloads.
 
-    `fields` name → field; `turbine`, `time`, `quality`, `tag`, `value` names of fields ("a.b" goes one level down, and of a
-    topic "{1}" is the second level); `good` marks of quality that count; `turbines` name in the payload → turbine.
-    Without a name of the field (`turbine` "") all is the only turbine's.  `weather`: what comes is a weather forecast, which
-    is for all turbines where it names none.
+    `fields`: name → field; `turbine`, `time`, `quality`, `tag`, `value`: names of fields ("a.b" descends one
+    level, "{1}" is the second level of the topic); `good`: accepted quality marks; `turbines`: name in the
+    payload → turbine.  If `turbine` is "", all payloads belong to the only turbine.  With `weather` the
+    payloads are weather forecasts, which apply to all turbines unless they name one.
     """
 
     fields: MappingOf[str, Field]
@@ -87,6 +113,8 @@ class Mapping:
     good: Collection[str] = GOOD
     turbines: MappingOf[str, str] = field(default_factory=dict)
     weather: bool = False
+    conversions: MappingOf[str, Conversion] = field(init=False, repr=False, compare=False)
+    """Name of a field → its conversion, derived from `fields`."""
 
     def __post_init__(self) -> None:
         rows = {}
@@ -94,21 +122,23 @@ class Mapping:
             factor, offset = one.scale
             row = signal_named(one.signal)
             slack = 1e-9 * (row.high - row.low)
-            rows[name] = (one.signal, factor, offset, one.shift_s, row.low - slack, row.high + slack)
-        object.__setattr__(self, "_rows", rows)
+            rows[name] = Conversion(
+                one.signal, factor, offset, one.shift_s, row.low - slack, row.high + slack
+            )
+        object.__setattr__(self, "conversions", rows)
 
 
 @dataclass(frozen=True)
 class Taken:
-    """Readings of one turbine, and what was set aside of the payload, by kind."""
+    """Readings of one turbine from a payload, and counts of its rejected values by kind."""
 
     turbine: str
     readings: tuple[Reading, ...]
-    counts: Counter
+    counts: Counter[str]
 
 
-def parsed(text: bytes | str) -> dict:
-    """A JSON object of bounded size and depth.  Raises Refused."""
+def parsed(text: bytes | str) -> dict[str, Any]:
+    """Parse a JSON object of limited size and depth.  Raises Refused."""
     if len(text) > LARGEST:
         raise Refused("too large", f"a payload of {len(text)} bytes; at most {LARGEST} are read")
     if isinstance(text, str):
@@ -124,11 +154,11 @@ def parsed(text: bytes | str) -> dict:
     return found
 
 
-def _object(pairs: list[tuple[str, object]]) -> dict:
-    """An object of which every key stands there once: of two values nobody can say which one is meant."""
+def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """A JSON object with unique keys; a repeated key is an error, because its value is ambiguous."""
     found = dict(pairs)
     if len(found) < len(pairs):
-        raise ValueError("a key stands there twice")
+        raise ValueError("a key occurs twice")
     return found
 
 
@@ -136,10 +166,11 @@ _DECODER = json.JSONDecoder(object_pairs_hook=_object)
 
 
 def _depth(text: bytes) -> int:
-    """Largest number of brackets that are open at once; brackets within strings count, which does no harm."""
+    """Largest number of simultaneously open brackets; brackets within strings count too, which is
+    harmless."""
     deepest = level = 0
     if text.count(b"{") + text.count(b"[") <= DEEPEST:
-        return 0  # the usual payload is flat
+        return 0  # most payloads are flat
     for byte in text:
         if byte in b"{[":
             level += 1
@@ -151,10 +182,10 @@ def _depth(text: bytes) -> int:
     return deepest
 
 
-def taken(content: MappingOf, mapping: Mapping, now: float, topic: str = "") -> Taken:
-    """Readings of a payload.  Raises Refused where none of it can be used.
+def taken(content: Payload, mapping: Mapping, now: float, topic: str = "") -> Taken:
+    """The readings of a payload.  Raises Refused if none of it can be used.
 
-    `now` [s] the clock here: stamps ahead of it by more than `AHEAD_S` are refused.
+    `now`: this machine's clock [s]; stamps ahead of it by more than `AHEAD_S` are refused.
     """
     turbine = _turbine(content, mapping, topic)
     stamp = _found(content, mapping.time, topic)
@@ -165,13 +196,15 @@ def taken(content: MappingOf, mapping: Mapping, now: float, topic: str = "") -> 
             f"expected a time as ISO 8601 with offset or as seconds since 1970, found {_shown(stamp)}",
         )
     if not EARLIEST_S <= time <= now + (FORECAST_S if mapping.weather else AHEAD_S):
-        raise Refused("impossible time", f"time {_shown(stamp)} is before 1990 or ahead of the clock here")
-    counts: Counter = Counter()
+        raise Refused(
+            "impossible time", f"time {_shown(stamp)} is before 1990 or ahead of this machine's clock"
+        )
+    counts: Counter[str] = Counter()
     if mapping.quality:
         mark = _found(content, mapping.quality, topic)
         if mark is not None and str(mark).strip().lower() not in mapping.good:
             return Taken(turbine, (), Counter({"bad quality": 1}))
-    rows = mapping._rows  # type: ignore[attr-defined]
+    rows = mapping.conversions
     if mapping.tag:
         tag = _found(content, mapping.tag, topic)
         pairs = [(str(tag), _found(content, mapping.value, topic))] if str(tag) in rows else []
@@ -196,7 +229,7 @@ def taken(content: MappingOf, mapping: Mapping, now: float, topic: str = "") -> 
     return Taken(turbine, tuple(readings), counts)
 
 
-def _turbine(content: MappingOf, mapping: Mapping, topic: str) -> str:
+def _turbine(content: Payload, mapping: Mapping, topic: str) -> str:
     name = _found(content, mapping.turbine, topic) if mapping.turbine else None
     if name is None and mapping.weather:
         return EVERYONE
@@ -204,12 +237,12 @@ def _turbine(content: MappingOf, mapping: Mapping, topic: str) -> str:
         return next(iter(mapping.turbines.values()))
     turbine = mapping.turbines.get(str(name)[:LONGEST]) if name is not None else None
     if turbine is None:
-        raise Refused("unknown turbine", f"turbine {_shown(name)} is not among those that are tracked")
+        raise Refused("unknown turbine", f"turbine {_shown(name)} is not tracked")
     return turbine
 
 
-def stamp_of(content: MappingOf | bytes | str, mapping: Mapping) -> float | None:
-    """The time [s] that a payload states; None where it states none that can be read."""
+def stamp_of(content: Payload | bytes | str, mapping: Mapping) -> float | None:
+    """The time [s] stated by a payload; None if it has no readable time."""
     try:
         found = parsed(content) if isinstance(content, bytes | str) else content
     except Refused:
@@ -217,8 +250,8 @@ def stamp_of(content: MappingOf | bytes | str, mapping: Mapping) -> float | None
     return seconds(_found(found, mapping.time, ""))
 
 
-def _found(content: MappingOf, path: str, topic: str) -> object:
-    """The value at a path of names, or a level of the topic; None where there is none."""
+def _found(content: Payload, path: str, topic: str) -> object:
+    """The value at a path of names or at a level of the topic; None if there is none."""
     if path.startswith("{") and path.endswith("}"):
         levels = topic.split("/")
         place = int(path[1:-1])
@@ -234,7 +267,7 @@ def _found(content: MappingOf, path: str, topic: str) -> object:
 
 
 def _number(raw: object) -> float | None:
-    """A finite number, also one that was written as text; None for all else, truth values included."""
+    """A finite number, which may be written as text; None for anything else, including booleans."""
     if isinstance(raw, bool) or not isinstance(raw, int | float | str):
         return None
     if isinstance(raw, str) and len(raw) > LONGEST:
@@ -247,7 +280,8 @@ def _number(raw: object) -> float | None:
 
 
 def seconds(stamp: object) -> float | None:
-    """Seconds since 1970 of a stamp: ISO 8601 with an offset, seconds or milliseconds; None for all else."""
+    """Seconds since 1970 of a stamp in ISO 8601 with an offset, in seconds or in milliseconds; None for
+    anything else."""
     if isinstance(stamp, str) and len(stamp) <= LONGEST and _number(stamp) is None:
         try:
             at = datetime.fromisoformat(stamp.strip())
@@ -261,5 +295,57 @@ def seconds(stamp: object) -> float | None:
 
 
 def _shown(value: object) -> str:
-    """A value from outside in a message: short, in one line, and quoted."""
+    """An external value for a message: shortened and quoted."""
     return repr(str(value)[:40])
+
+
+# -- statistics ----------------------------------------------------------------------------------------------
+class PayloadStatistics:
+    """Counts payloads that are read by a mapping.
+
+    `payloads`: number received; `used`: number that gave readings; `newest`: (turbine, signal) -> time [s] of
+    the newest reading; `counts`: rejected items by kind, with one example of each in `reasons`; `lag_s`:
+    smallest delay [s] from stamp to arrival, negative if the stamp is ahead, NaN without payloads.
+    """
+
+    def __init__(self, mapping: Mapping) -> None:
+        self.mapping = mapping
+        self.payloads = self.used = 0
+        self.newest: dict[tuple[str, str], float] = {}
+        self.counts: Counter[str] = Counter()
+        self.reasons: dict[str, str] = {}
+        self.lag_s = math.nan
+
+    def take(self, content: bytes | str | Payload, received: float, topic: str = "") -> None:
+        """Count a payload received at a time [s]."""
+        self.payloads += 1
+        try:
+            content = parsed(content) if isinstance(content, bytes | str) else content
+            found = taken(content, self.mapping, received, topic)
+        except Refused as fault:
+            self.counts[fault.kind] += 1
+            self.reasons.setdefault(fault.kind, str(fault))
+            stamp = stamp_of(content, self.mapping) if fault.kind == "impossible time" else None
+            self._note(stamp, received)
+            return
+        self.counts += found.counts
+        self.used += bool(found.readings)
+        for one in found.readings:
+            key = (found.turbine, one.signal)
+            self.newest[key] = max(one.time, self.newest.get(key, -math.inf))
+            self._note(one.time, received)
+        if not found.readings and not found.counts:
+            self.counts["no known field"] += 1
+
+    def _note(self, time: float | None, received: float) -> None:
+        if time is not None:
+            self.lag_s = min(received - time, self.lag_s) if self.lag_s == self.lag_s else received - time
+
+    @property
+    def aside(self) -> str:
+        """Text about the rejected items; empty if there are none."""
+        said = (f"{n} {kind}" + self._reason(kind) for kind, n in self.counts.most_common())
+        return ", ".join(said)
+
+    def _reason(self, kind: str) -> str:
+        return f" ({self.reasons[kind]})" if kind in self.reasons else ""

@@ -1,7 +1,7 @@
-"""Sources that need no server: a growing file, standard input, and a record that is played back.
+"""Sources without a server: a growing file, standard input and a played-back record.
 
-Every source is a `Stream`: it puts deliveries where the service takes them, in a thread of its own, and is told by
-`acknowledge` what the store has committed.
+Every source is a `Stream`: its own thread hands deliveries to the service, and `acknowledge` tells it which
+of them the store has committed.
 """
 
 from __future__ import annotations
@@ -14,39 +14,58 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
-from collections.abc import Mapping as MappingOf
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Protocol, TypeVar
+from typing import BinaryIO, NamedTuple, Protocol, TypeVar
 
 import numpy as np
 
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS
+from hygrokf.data.timestamps import duration
+from hygrokf.data.toml_form import Place, across, setting
 from hygrokf.errors import HygrokfError
 from hygrokf.live.plan import Form
-from hygrokf.live.sources.payload import Field, Mapping, stamp_of
+from hygrokf.live.sources.payload import Field, Mapping, Payload, stamp_of
 from hygrokf.live.storage.store import Alarm
-from hygrokf.live.table_reader import TableReader
 from hygrokf.live.turbines import Delivery
 
-T = TypeVar("T")
-
 PAUSE_S = 0.2
-"""[s] between two looks at a file that has not grown."""
+"""[s] between two checks of a file that has not grown."""
 LONGEST_LINE = 65_536
+"""[bytes] read as one line at most."""
+NO_PASSWORD_HERE = (
+    "a password must not be in this file: put it into a separate file and name that as password_file, "
+    "or into an environment variable and name that as password_env"
+)
+NAMED = 5
+"""Names of a list that are shown; further names are only counted."""
+Content = str | Payload
+"""A row of a source: JSON text, or cells by column name."""
+T = TypeVar("T")
+WEATHER_HELP = "whether it brings weather forecasts, not readings"
 
 
 class SourceFault(HygrokfError):
-    """A source that cannot be read, in words for the one who runs it."""
+    """A source cannot be read; the message tells the operator why."""
+
+
+class SourceState(NamedTuple):
+    """The state of a source: one `word` ("connected", "waiting", "lost", "ended", "stopped", "idle") and its
+    explanation."""
+
+    word: str
+    words: str
 
 
 class Stream(Protocol):
     """A source of deliveries.
 
-    `url` names it in the store, and never holds a secret; `mapping` says how its payloads are read; `start` begins after
-    `place` (None: at the beginning, or wherever the source has kept it); `tell` hands on alarms that began, changed or
-    ended, where the source has a place for them; `state` is one word ("connected", "waiting", "lost", "ended", "stopped",
-    "idle") and what stands behind it, for the page and the doctor.
+    `url` identifies the source in the store and never contains a secret; `mapping` tells how to read its
+    payloads; `start` resumes after `place` (None: from the beginning, or from the position that the source
+    itself keeps); `tell` passes on alarms that began, changed or ended, if the source can publish them; `now`
+    is the time [s] against which the age of its data is judged; `state` is shown on the page and by
+    the doctor.
     """
 
     url: str
@@ -63,11 +82,11 @@ class Stream(Protocol):
     def now(self) -> float: ...
 
     @property
-    def state(self) -> tuple[str, str]: ...
+    def state(self) -> SourceState: ...
 
 
 class Threaded:
-    """What streams with a thread of their own share: `_deliver` runs in it until `_ended` is set or it returns."""
+    """Base of streams with their own thread, which runs `_deliver` until it returns or `_ended` is set."""
 
     url = ""
 
@@ -75,7 +94,7 @@ class Threaded:
         self.mapping = mapping
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
-        self._state = ("idle", "not started")
+        self._state = SourceState("idle", "not started")
 
     def start(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         self._thread = threading.Thread(target=self._run, args=(place, put), name=self.url, daemon=True)
@@ -83,25 +102,26 @@ class Threaded:
 
     def _run(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         try:
-            self._state = ("connected", self.url)
+            self._state = SourceState("connected", self.url)
             self._deliver(place, put)
-            self._state = ("ended", "all of it was read") if not self._ended.is_set() else ("stopped", "")
+            ended = SourceState("ended", "read to its end")
+            self._state = SourceState("stopped", "") if self._ended.is_set() else ended
         except SourceFault as fault:
-            self._state = ("lost", str(fault))
+            self._state = SourceState("lost", str(fault))
         except OSError as fault:
-            self._state = ("lost", f"{self.url}: {fault.strerror or fault}")
+            self._state = SourceState("lost", f"{self.url}: {fault.strerror or fault}")
 
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         raise NotImplementedError
 
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
-        """Nothing to do: the place in the store says where to go on."""
+        """Does nothing: the store's place is enough to resume."""
 
     def tell(self, alarms: Iterable[Alarm]) -> None:
-        """Nothing to do: these sources only give."""
+        """Does nothing: these sources cannot publish alarms."""
 
     def now(self) -> float:
-        """The time [s] that its data are judged by."""
+        """The time [s] against which the age of the data is judged."""
         return time.time()
 
     def stop(self) -> None:
@@ -110,19 +130,19 @@ class Threaded:
             self._thread.join(timeout=10.0)
 
     @property
-    def state(self) -> tuple[str, str]:
+    def state(self) -> SourceState:
         return self._state
 
 
 class Lines:
-    """Rows of text as they come: NDJSON as it is, CSV by its header (one that is repeated is no row)."""
+    """Interprets lines of text: NDJSON as it is, CSV by its header; a repeated header is skipped."""
 
     def __init__(self) -> None:
         self.header: list[str] = []
         self._separator = ","
 
-    def content(self, line: str) -> str | dict | None:
-        """What a line delivers; None for an empty one, a comment, or a header."""
+    def content(self, line: str) -> Content | None:
+        """Content of a line; None for an empty line, a comment or a header."""
         text = line.strip("\ufeff\r\n")
         if not text.strip() or text.startswith("#"):
             return None
@@ -139,9 +159,10 @@ class Lines:
 
 
 class TailedFile(Threaded):
-    """A CSV or NDJSON file that grows; begins anew where it was replaced or cut.
+    """A growing CSV or NDJSON file, read again from its start if it was replaced or truncated.
 
-    The place is "identity offset": another file of that name is read from its start.  A line without its end is not yet one.
+    The place is "identity offset", so that a different file of the same name is read from its start.  A line
+    without a line end is incomplete and waits.
     """
 
     def __init__(self, path: str | os.PathLike[str], mapping: Mapping, follow: bool = True) -> None:
@@ -161,17 +182,18 @@ class TailedFile(Threaded):
             except FileNotFoundError:
                 if not self.follow:
                     raise SourceFault(f"{self.path}: no such file") from None
-                self._state = ("waiting", f"{self.path} does not exist yet")
+                self._state = SourceState("waiting", f"{self.path} does not exist yet")
                 self._ended.wait(PAUSE_S)
             place = None
 
-    def _read(self, file: Any, identity: str, offset: int, put: Callable[[Delivery], None]) -> bool:
-        """Deliver from an offset on; True where there is nothing more to come, False where the file was replaced."""
-        self._state = ("connected", self.url)
+    def _read(self, file: BinaryIO, identity: str, offset: int, put: Callable[[Delivery], None]) -> bool:
+        """Deliver the file from an offset [bytes] on; True if nothing more will come, False if the file was
+        replaced."""
+        self._state = SourceState("connected", self.url)
         lines = Lines()
-        while offset and not lines.header:  # rows further down need the header
-            line = file.readline(LONGEST_LINE).decode("utf-8", "replace")
-            if not line or lines.content(line):
+        while offset and not lines.header:  # later rows need the header
+            line = file.readline(LONGEST_LINE)
+            if not line or lines.content(line.decode("utf-8", "replace")):
                 break
         file.seek(offset)
         while not self._ended.is_set():
@@ -199,17 +221,17 @@ class TailedFile(Threaded):
         return True
 
 
-def _identity(file: Any) -> str:
+def _identity(file: BinaryIO) -> str:
     found = os.fstat(file.fileno())
     return f"{found.st_dev}.{found.st_ino}"
 
 
 class StandardInput(Threaded):
-    """Lines of standard input, until it ends; there is no going back to what was read."""
+    """Lines of standard input until it ends; lines cannot be read again after a restart."""
 
     url = "stdin"
 
-    def __init__(self, mapping: Mapping, file: Any = None) -> None:
+    def __init__(self, mapping: Mapping, file: Iterable[str] | None = None) -> None:
         super().__init__(mapping)
         self._file = file
 
@@ -224,16 +246,17 @@ class StandardInput(Threaded):
 
 
 class Playback(Threaded):
-    """Messages played back, each at its own time or faster by a factor.
+    """Plays back messages in real time or faster by a factor.
 
-    messages: (arrival [s], content), by arrival.  `speed` 0 plays as fast as it is taken, and so are those before `live_s`
-    [s].  The place is the number of messages that were delivered.
+    messages: (arrival [s], content), sorted by arrival; speed: factor, 0 for as fast as possible; live_s:
+    messages before this time [s] are always played as fast as possible.  The place is the number of delivered
+    messages.
     """
 
     def __init__(
         self,
         url: str,
-        messages: Sequence[tuple[float, str | dict]],
+        messages: Sequence[tuple[float, Content]],
         mapping: Mapping,
         speed: float = 0.0,
         live_s: float = -math.inf,
@@ -246,18 +269,18 @@ class Playback(Threaded):
         self._played = (messages[0][0] if messages else 0.0, math.inf)
 
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
-        """What is committed has been played."""
+        """Advance the record's clock to the committed messages."""
         for one in deliveries:
             self._played = (one.received, time.monotonic())
 
     def now(self) -> float:
-        """The time of the record that was reached."""
+        """The time [s] that playback has reached in the record."""
         at, when = self._played
         return at + self.speed * max(time.monotonic() - when, 0.0) if at >= self._live_s else at
 
     @property
-    def messages(self) -> Sequence[tuple[float, str | dict]]:
-        """All of them: (arrival [s], content)."""
+    def messages(self) -> Sequence[tuple[float, Content]]:
+        """All messages: (arrival [s], content)."""
         return self._messages
 
     def __len__(self) -> int:
@@ -280,7 +303,7 @@ class Playback(Threaded):
 
 
 def record_mapping(record: Record, turbine: str) -> Mapping:
-    """How the messages of a record are read: signals under their own names, in SI units."""
+    """The mapping for messages of a record: signals under their own names, in SI units."""
     fields = {s.signal: Field(s.signal, SIGNALS[s.signal].unit, form_of(s)) for s in record.series}
     return Mapping(fields, turbines={turbine: turbine})
 
@@ -289,8 +312,8 @@ def form_of(series: Series) -> Form:
     return Form(series.hold, series.interval_s, series.resolution, series.accuracy, series.response_time_s)
 
 
-def record_messages(record: Record, turbine: str) -> list[tuple[float, dict]]:
-    """(time [s], content) of every reading of a record, by time and signal."""
+def record_messages(record: Record, turbine: str) -> list[tuple[float, Content]]:
+    """(time [s], content) of every reading of a record, sorted by time and signal."""
     rows = [
         (t, s.signal, v)
         for s in record.series
@@ -300,22 +323,50 @@ def record_messages(record: Record, turbine: str) -> list[tuple[float, dict]]:
 
 
 def disturbed(
-    messages: Iterable[tuple[float, str | dict]], late_s: float = 0.0, repeated: float = 0.0, seed: int = 0
-) -> list[tuple[float, str | dict]]:
-    """Messages that arrive up to `late_s` [s] late each, and a share `repeated` of them twice; by arrival.
+    messages: Iterable[tuple[float, Content]], late_s: float = 0.0, repeated: float = 0.0, seed: int = 0
+) -> list[tuple[float, Content]]:
+    """Messages with random delays up to `late_s` [s] and a share `repeated` [1] of duplicates, sorted by
+    arrival.
 
     The same seed gives the same messages.
     """
     random = np.random.default_rng(seed)
-    found: list[tuple[float, int, str | dict]] = []
+    found: list[tuple[float, int, Content]] = []
     for at, content in messages:
         for _ in range(1 + int(random.random() < repeated)):
             found.append((at + late_s * float(random.random()), len(found), content))
     return [(at, content) for at, _, content in sorted(found, key=lambda one: one[:2])]
 
 
+def password_of(file: Path | None, variable: str) -> str | None:
+    """The password in a file or an environment variable, None if neither is named.  Raises SourceFault."""
+    if variable:
+        found = os.environ.get(variable, "")
+        if not found:
+            raise SourceFault(f"password_env: the environment variable {variable} is not set or empty")
+        return found
+    if file is None:
+        return None
+    try:
+        found = file.read_text(encoding="utf-8").rstrip("\r\n")
+    except OSError as fault:
+        raise SourceFault(f"password_file: {file}: {fault.strerror}") from None
+    except UnicodeDecodeError:
+        raise SourceFault(f"password_file: {file}: expected text in UTF-8") from None
+    if not found or "\n" in found:
+        raise SourceFault(f"password_file: {file}: expected one line, the password, and nothing else")
+    return found
+
+
+def several(names: Iterable[str]) -> str:
+    """The first `NAMED` names in one line, and the number of further ones."""
+    found = list(names)
+    more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
+    return f"{', '.join(found[:NAMED])}{more}"
+
+
 def taken_from(waiting: queue.Queue[T], most: int, patience_s: float) -> list[T]:
-    """Deliveries that wait, `most` at most; waits `patience_s` [s] for a first one."""
+    """Take at most `most` items from a queue; waits up to `patience_s` [s] for the first one."""
     found: list[T] = []
     try:
         found.append(waiting.get(timeout=patience_s))
@@ -326,62 +377,69 @@ def taken_from(waiting: queue.Queue[T], most: int, patience_s: float) -> list[T]
     return found
 
 
-# -- from the tracker's file -----------------------------------------------------------------------------------------
-_FILE = ("url", "follow", "speed", "late", "repeated", "seed")
+# -- from the tracker's file ---------------------------------------------------------------------------------
+@dataclass(frozen=True)
+class FileForm:
+    """A [[source]] of `file:PATH`, which is followed as it grows or, with `speed`, played back.
 
-
-def file_stream(
-    table: MappingOf[str, object], where: str, folder: Path, mapping: Mapping, reader: TableReader
-) -> Stream | None:
-    """`file:PATH`, which is followed as it grows, or with `speed` is played back from its beginning.
-
-    `speed` times faster than it was (0: as fast as it is taken), each row up to `late` late, a share `repeated` twice.
+    Playback runs at `speed` times real time, with rows delayed up to `late` and a share `repeated` of
+    duplicates.
     """
-    reader.known(table, _FILE, where)
-    path = folder / str(table["url"]).removeprefix("file:").removeprefix("//")
-    follow = table.get("follow", True)
-    if not isinstance(follow, bool):
-        reader.faults.append(f"{where}: follow must be true or false, found {follow!r}")
-        follow = True
-    speed = reader.number(table, "speed", where)
-    late_s = reader.seconds(table, "late", where, 0.0)
-    repeated = reader.number(table, "repeated", where, 0.0) or 0.0
-    seed = int(reader.number(table, "seed", where, 0.0) or 0.0)
-    if not 0.0 <= repeated <= 1.0:
-        reader.faults.append(f"{where}: repeated must lie within 0 … 1, found {repeated:g}")
-    if speed is None:
-        if late_s or repeated:
-            reader.faults.append(f"{where}: late and repeated need a speed: they are for playing back")
-        return TailedFile(path, mapping, follow)
-    if speed < 0.0:
-        reader.faults.append(f"{where}: speed must be 0 or more, found {speed:g}")
-    try:
-        rows = file_messages(path, mapping)
-    except OSError as fault:
-        reader.faults.append(f"{where}: {path}: {fault.strerror}; a file that is played back must be there")
-        return None
-    if not rows:
-        reader.faults.append(f"{where}: {path}: no row with a time that can be read")
-        return None
-    url = f"file:{path}?late={late_s:g}&repeated={repeated:g}&seed={seed}"
-    return Playback(url, disturbed(rows, late_s, repeated, seed), mapping, speed)
+
+    url: str = setting(help="file:PATH")
+    follow: bool = setting(True, "false: read to its end")
+    speed: float | None = setting(None, "of playback over real time; 0: as fast as possible", least=0.0)
+    late_s: float = setting(0.0, "by which a row may be delayed", read=duration)
+    repeated: float = setting(0.0, "share of rows that come twice", least=0.0, most=1.0)
+    seed: int = setting(0, "of what is delayed and repeated", least=0)
+    weather: bool = setting(False, WEATHER_HELP)
+
+    @across("repeated", "late", "speed")
+    def of_playback(self) -> str | None:
+        if self.speed is not None or not (self.late_s or self.repeated):
+            return None
+        return "late and repeated need a speed: they are for playing back"
+
+    def stream(self, folder: Path, mapping: Mapping, place: Place) -> Stream | None:
+        """The stream; None with a fault where a file to be played back has no rows."""
+        path = folder / self.url.removeprefix("file:").removeprefix("//")
+        if self.speed is None:
+            return TailedFile(path, mapping, self.follow)
+        try:
+            rows = file_messages(path, mapping)
+        except OSError as fault:
+            place.fault(f"{path}: {fault.strerror}; a file that is played back must be there")
+            return None
+        if not rows:
+            place.fault(f"{path}: no row with a time that can be read")
+            return None
+        url = f"file:{path}?late={self.late_s:g}&repeated={self.repeated:g}&seed={self.seed}"
+        messages = disturbed(rows, self.late_s, self.repeated, self.seed)
+        return Playback(url, messages, mapping, self.speed)
 
 
-def file_messages(path: Path, mapping: Mapping) -> list[tuple[float, str | dict]]:
-    """(time [s], content) of the rows of a file that have a time, by time."""
-    found: list[tuple[float, str | dict]] = []
+@dataclass(frozen=True)
+class InputForm:
+    """A [[source]] of `stdin`."""
+
+    url: str = setting(help="stdin")
+    weather: bool = setting(False, WEATHER_HELP)
+
+    def stream(self, folder: Path, mapping: Mapping, place: Place) -> Stream:
+        """The stream."""
+        return StandardInput(mapping)
+
+
+def file_messages(path: Path, mapping: Mapping) -> list[tuple[float, Content]]:
+    """(time [s], content) of a file's rows with a readable time, sorted by time."""
+    found: list[tuple[float, Content]] = []
     lines = Lines()
     with path.open(encoding="utf-8", errors="replace") as file:
         for line in file:
             content = lines.content(line)
-            if content is not None and (at := stamp_of(content, mapping)) is not None:
+            if content is None:
+                continue
+            at = stamp_of(content, mapping)
+            if at is not None:
                 found.append((at, content))
     return sorted(found, key=lambda one: one[0])
-
-
-def input_stream(
-    table: MappingOf[str, object], where: str, folder: Path, mapping: Mapping, reader: TableReader
-) -> Stream:
-    """`stdin`: what is piped in."""
-    reader.known(table, ("url",), where)
-    return StandardInput(mapping)

@@ -1,7 +1,8 @@
-"""The database behind the store: statements, transactions, migrations, and who tracks what.
+"""The database behind the store: statements, transactions, migrations, and which process tracks what.
 
-`sqlite` and `postgres` say what is different in each.  Trouble from outside (network, disk, rights) becomes a `StoreFault`,
-which is worth another attempt; a wrong statement stays the driver's own error, which is not.
+The modules `sqlite` and `postgres` implement the differences.  An external error (network, disk, permissions)
+becomes a `StoreFault` and may be retried; an invalid statement keeps the driver's own exception and must not
+be.
 """
 
 from __future__ import annotations
@@ -9,24 +10,59 @@ from __future__ import annotations
 import os
 import socket
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from typing import Any
+from typing import Any, Protocol
 
 from hygrokf.errors import HygrokfError
 from hygrokf.live.storage.schema import VERSION, migration
 
 CLAIM_S = 3.0
-"""[s] for which a claim waits for the one before to go: the end of a process is noticed a little later."""
+"""[s] a claim waits for the previous holder to go: the end of a process is noticed with a delay."""
 AGAIN_S = 0.1
+"""[s] between two attempts to claim."""
+
+Row = tuple[Any, ...]
+"""A row of a query or the parameters of a statement: text, numbers and None, as the driver returns them."""
+
+
+class Cursor(Protocol):
+    """The part of a PEP 249 cursor that the store uses."""
+
+    @property
+    def rowcount(self) -> int: ...
+
+    def execute(self, statement: str, parameters: Sequence[Any] = ..., /) -> object: ...
+
+    def executemany(self, statement: str, rows: Iterable[Sequence[Any]], /) -> object: ...
+
+    def fetchone(self) -> Row | None: ...
+
+    def fetchall(self) -> list[Row]: ...
+
+    def close(self) -> object: ...
+
+
+class Connection(Protocol):
+    """The part of a PEP 249 connection that the store uses."""
+
+    def cursor(self) -> Cursor: ...
+
+    def rollback(self) -> object: ...
+
+    def close(self) -> object: ...
 
 
 class StoreFault(HygrokfError):
-    """A store that cannot be used, in words for the one who runs it."""
+    """The store cannot be used; the message tells the operator why."""
 
 
 class StoreUnready(StoreFault):
-    """A store that the next start of its tracker makes or brings to this version; `version` is what it has, 0 for none."""
+    """The store does not exist yet or has an older schema; the next start of its tracker creates or migrates
+    it.
+
+    `version`: version of its schema, 0 where there are no tables.
+    """
 
     def __init__(self, words: str, version: int = 0) -> None:
         super().__init__(words)
@@ -34,44 +70,50 @@ class StoreUnready(StoreFault):
 
 
 class Database:
-    """One connection, in which a statement takes effect at once unless it stands in a `transaction`.
+    """One connection in autocommit mode: a statement takes effect at once unless it is part of a
+    `transaction`.
 
-    `connection` speaks the database interface of Python (PEP 249).  `mark` is its sign for a parameter, `begin` opens a
-    transaction that writes, `errors` are its driver's, `words` what its SQL says differently (see `schema`).
+    `connection` follows PEP 249.  `mark`: its parameter placeholder; `begin`: the statement that opens a
+    writing transaction; `errors`: base class of the driver's exceptions; `words`: its SQL dialect (see
+    `schema`).
     """
 
     mark = "?"
     begin = "BEGIN"
     errors: type[Exception] = Exception
-    words: dict[str, str]
+    words: Mapping[str, str]
 
-    def __init__(self, connection: Any, url: str) -> None:
+    def __init__(self, connection: Connection, url: str) -> None:
         self.connection = connection
         self.url = url
         self._held: set[tuple[str, str]] = set()
 
-    # -- what each database does its own way ------------------------------------------------------------------
+    # -- what differs between databases --------------------------------------------------------------------
     def is_trouble(self, error: Exception) -> bool:
-        """Whether an error comes from outside, and another attempt may succeed."""
+        """Whether an error has an external cause, so that another attempt may succeed."""
         raise NotImplementedError
 
     def has_tables(self) -> bool:
-        """Whether there is a store at all."""
+        """Whether the store's tables exist."""
         raise NotImplementedError
 
-    def take_turn(self, cursor: Any) -> None:
-        """Within a transaction: wait until no other process makes tables or claims, and keep it so until the end."""
+    def take_turn(self, cursor: Cursor) -> None:
+        """Within a transaction: wait until no other process creates tables or claims, and keep others out
+        until it ends."""
 
     def taken(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
-        """Claim all of (kind, name), or none: then (kind, name, who) of one that another process holds."""
+        """Claim all (kind, name) pairs, or none if another process holds one of them.
+
+        Returns None, or (kind, name, holder) of a pair that is held.
+        """
         raise NotImplementedError
 
     def claims(self) -> dict[tuple[str, str], str]:
-        """What is tracked now: (kind, name) -> the process that claims it."""
+        """Current claims: (kind, name) -> the process that holds it."""
         raise NotImplementedError
 
     def faults(self) -> list[str]:
-        """What is damaged, as far as the database can tell by itself."""
+        """Damage that the database's own check reports."""
         return []
 
     def may_write(self) -> bool:
@@ -79,16 +121,16 @@ class Database:
         raise NotImplementedError
 
     def size(self) -> int:
-        """[bytes] that it takes."""
+        """Size of the store [bytes]."""
         raise NotImplementedError
 
-    # -- what all do the same way -----------------------------------------------------------------------------
+    # -- what all databases share ----------------------------------------------------------------------------
     def text(self, statement: str) -> str:
-        """A statement with the parameters' signs of this database; in every one they are written as question marks."""
+        """A statement with this database's parameter placeholders; callers write them as question marks."""
         return statement if self.mark == "?" else statement.replace("%", "%%").replace("?", self.mark)
 
-    def rows(self, statement: str, parameters: Sequence = ()) -> list[tuple]:
-        """Rows of a query."""
+    def rows(self, statement: str, parameters: Sequence[Any] = ()) -> list[Row]:
+        """The rows that a query returns."""
         with self._told():
             cursor = self.connection.cursor()
             try:
@@ -99,8 +141,8 @@ class Database:
                     cursor.close()
 
     @contextmanager
-    def transaction(self) -> Iterator:
-        """A cursor whose statements take effect together, when the block ends, or not at all."""
+    def transaction(self) -> Iterator[Cursor]:
+        """A cursor whose statements take effect together at the end of the block, or not at all."""
         with self._told():
             cursor = self.connection.cursor()
             try:
@@ -125,15 +167,16 @@ class Database:
             raise
 
     def version(self) -> int:
-        """The schema's version; 0 where there are no tables."""
+        """Version of the schema; 0 without tables."""
         if not self.has_tables():
             return 0
         return int(self.rows("SELECT MAX(version) FROM schema_version")[0][0] or 0)
 
     def migrate(self, read_only: bool = False) -> None:
-        """Bring the tables to this version, all or nothing, also where several processes start at once.
+        """Migrate the tables to this version, all or nothing, even if several processes start at once.
 
-        With `read_only` they must be of this version.  Raises StoreFault where they are newer, or of something else.
+        With `read_only` the tables must already have this version.  Raises StoreFault if they are newer or
+        belong to something else.
         """
         try:
             found = self.version()
@@ -152,7 +195,7 @@ class Database:
         except (self.errors, TypeError, ValueError) as error:
             raise StoreFault(
                 f"{self.url}: the store's tables cannot be read or made ({' '.join(str(error).split())}); "
-                "nothing was changed. Name a database of its own"
+                "nothing was changed. Name a separate database"
             ) from error
         if found > VERSION:
             raise StoreFault(
@@ -167,9 +210,11 @@ class Database:
             )
 
     def claim(self, kind: str, names: Iterable[str]) -> None:
-        """Be the only tracker of what is named, a "turbine" or a "source", until this connection ends or this process dies.
+        """Claim turbines or sources for this process alone, until the connection is closed or the process
+        dies.
 
-        Raises StoreFault, which names the process that holds one of them.
+        kind: "turbine" or "source".  Raises StoreFault, naming the holder, if another process has claimed one
+            of them.
         """
         wanted = sorted({(kind, name) for name in names} - self._held)
         if not wanted:
@@ -179,8 +224,8 @@ class Database:
             if time.monotonic() > end:
                 kind, name, who = other
                 raise StoreFault(
-                    f"{self.url}: the {kind} {name} is tracked already, by {who}; "
-                    "end that one, or give this one turbines, sources and a store of its own"
+                    f"{self.url}: the {kind} {name} is already tracked by {who}; "
+                    "end that process, or give this one its own turbines, sources and store"
                 )
             time.sleep(AGAIN_S)
         self._held.update(wanted)
@@ -191,5 +236,5 @@ class Database:
 
 
 def this_process() -> str:
-    """Who claims something, for the one who is refused it."""
+    """Name of this process, shown to a process whose claim is refused."""
     return f"process {os.getpid()} on {socket.gethostname()}"

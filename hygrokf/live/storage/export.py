@@ -1,4 +1,5 @@
-"""The store's history as files: observations, estimates, properties and alarms, in CSV or Parquet, with times as such."""
+"""Exports the store's history to files: observations, estimates, properties and alarms, as CSV or Parquet
+with timestamps."""
 
 from __future__ import annotations
 
@@ -9,30 +10,37 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 
 from hygrokf.data.files import writing_whole
 from hygrokf.data.signals import SIGNALS
 from hygrokf.errors import HygrokfError
+from hygrokf.live.storage.database import Row
 from hygrokf.live.storage.schema import READABLE_COLUMNS
 from hygrokf.live.storage.store import Store
 
 FORMATS = ("csv", "parquet")
 CHUNK = 20_000
-"""Rows that are held at once."""
+"""Rows held in memory at once."""
+
+Values = list[Any] | np.ndarray
+"""A column of a file: text, numbers and flags in a list, times as an array of datetime64[ms]."""
+Write = Callable[[list[Values]], None]
+"""Writes a chunk of rows, given column by column."""
 
 
 class ExportFault(HygrokfError):
-    """What cannot be exported, in words for the one who asked for it."""
+    """An export that cannot be made, with a message for the user."""
 
 
 @dataclass(frozen=True)
 class Column:
-    """A column of a file: its name there, the store's column, and "text", "number", "time" [s], "flag" or "unit".
+    """A column of an exported file.
 
-    A "unit" is the SI unit of the signal that stands in the store's column.
+    `name`: in the file; `source`: column of the store; `kind`: "text", "number", "time" [s], "flag", or
+    "unit", which is the SI unit of the signal named in the store's column.
     """
 
     name: str
@@ -42,9 +50,10 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A file: its name, where its rows come from, its columns, the key that orders them, and which rows lie in a time.
+    """An exported file: its `name`, the `source` table or view, its `columns`, and the `key` that orders the
+    rows.
 
-    `within` are conditions on (since, until) [s].
+    `within`: SQL conditions that select rows by (since, until) [s].
     """
 
     name: str
@@ -55,7 +64,7 @@ class Table:
 
 
 def _columns(*rows: str) -> tuple[Column, ...]:
-    """Columns from "name kind" or "name source kind"."""
+    """Columns from texts "name kind" or "name source kind"."""
     parts = [row.split() for row in rows]
     return tuple(Column(one[0], one[-2], one[-1]) for one in parts)
 
@@ -71,13 +80,15 @@ TABLES = (
     ),
     Table(
         "estimate", "estimate_readable",
-        _columns("turbine text", "time_utc time time", "final flag", *(f"{name} number" for name in READABLE_COLUMNS)),
+        _columns("turbine text", "time_utc time time", "final flag",
+            *(f"{name} number" for name in READABLE_COLUMNS)),
         ("turbine", "time"),
     ),
     Table(
         "property", "property",
         _columns(
-            "turbine text", "name text", "time_utc time time", "value number", "lower_bound number", "upper_bound number",
+            "turbine text", "name text", "time_utc time time", "value number", "lower_bound number",
+            "upper_bound number",
             "reference number", "unit text", "observable flag",
         ),
         ("turbine", "name", "time"),
@@ -85,14 +96,15 @@ TABLES = (
     Table(
         "alarm", "alarm",
         _columns(
-            "id text", "turbine text", "kind text", "severity text", "began_utc began time", "ended_utc ended time",
+            "id text", "turbine text", "kind text", "severity text", "began_utc began time",
+            "ended_utc ended time",
             "acknowledged_utc acknowledged time", "acknowledged_by text", "statement text", "remedy text",
         ),
         ("turbine", "began", "id"),
         ("(ended IS NULL OR ended >= ?)", "began < ?"),
     ),
 )  # fmt: skip
-"""What is exported."""
+"""The exported files."""
 
 
 def export(
@@ -103,11 +115,12 @@ def export(
     since: float = -math.inf,
     until: float = math.inf,
 ) -> dict[str, int]:
-    """Write the tables of one turbine or of all to `out`, as TABLE.csv or TABLE.parquet; how many rows each has.
+    """Write the tables of one turbine or of all to the folder `out`, as TABLE.csv or TABLE.parquet; returns
+    rows per table.
 
-    Rows are those of since ≤ time < until [s since 1970, UTC]; alarms are those that stood at some time of it.  Memory
-    does not grow with the store, and the files appear together when all are written.  Raises ExportFault, StoreFault and
-    OSError.
+    Rows satisfy since ≤ time < until [s since 1970, UTC]; alarms were open at some time in that interval.
+    Memory use does not grow with the store, and the files appear together once all are written.  Raises
+    ExportFault, StoreFault, OSError.
     """
     if form not in FORMATS:
         raise ExportFault(f"expected a format of {', '.join(FORMATS)}, found {form!r}")
@@ -117,7 +130,7 @@ def export(
             f"{store.url}: expected a turbine of {', '.join(known) or 'none yet'}, found {turbine!r}"
         )
     if not since < until:
-        raise ExportFault("expected a time that begins before it ends; exchange since and until")
+        raise ExportFault("since must be earlier than until")
     writer = _csv_writer if form == "csv" else _parquet_writer
     out.mkdir(parents=True, exist_ok=True)
     counts: dict[str, int] = {}
@@ -140,10 +153,12 @@ def export(
 
 def chunks(
     store: Store, table: Table, turbine: str | None, since: float, until: float
-) -> Iterator[list[tuple]]:
-    """Rows of a table in the order of its key, `CHUNK` at once; each chunk begins after the last row of the one before.
+) -> Iterator[list[Row]]:
+    """Rows of a table in the order of its key, at most `CHUNK` per chunk; each chunk starts after the last
+    row of the previous.
 
-    No query stays open: the tracker goes on writing, and its log does not grow because someone reads.
+    No query stays open between chunks, so that the tracker can write and its log does not grow during an
+    export.
     """
     conditions: list[str] = []
     values: list[float | str] = []
@@ -156,7 +171,7 @@ def chunks(
         values.append(turbine)
     names = ", ".join([*table.key, *(column.source for column in table.columns)])
     order, width = ", ".join(table.key), len(table.key)
-    after: tuple = ()
+    after: Row = ()
     while True:
         following = [f"({order}) > ({', '.join('?' * width)})"] if after else []
         where = " AND ".join([*conditions, *following]) or "1 = 1"
@@ -171,8 +186,9 @@ def chunks(
         after = rows[-1][:width]
 
 
-def _values(kind: str, column: Sequence) -> list | np.ndarray:
-    """A column's values as they stand in a file; times as milliseconds, which is as near as the filter tells them apart."""
+def _values(kind: str, column: Sequence[Any]) -> Values:
+    """A column's values as written to a file; times are rounded to milliseconds, the resolution of the filter
+    (`SAME_S`)."""
     if kind == "time":
         seconds = np.array([math.nan if v is None else v for v in column], dtype=float)
         there = np.isfinite(seconds)
@@ -185,30 +201,27 @@ def _values(kind: str, column: Sequence) -> list | np.ndarray:
     return list(column)
 
 
-Write = Callable[[list], None]
-
-
 def _csv_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, Callable[[], object]]:
-    """UTF-8 with a header; times as ISO 8601, flags as true and false, nothing where there is nothing."""
+    """Writer of CSV in UTF-8 with a header; times are ISO 8601, flags true or false, missing values empty."""
     text = io.TextIOWrapper(file, encoding="utf-8", newline="", write_through=True)
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow([one.name for one in columns])
 
-    def said(kind: str, values: list | np.ndarray) -> list:
+    def said(kind: str, values: Values) -> Values:
         if kind == "time":
             return [
                 "" if one == "NaT" else f"{one}Z" for one in np.datetime_as_string(values, unit="ms").tolist()
             ]
-        return [("false", "true")[v] for v in values] if kind == "flag" else list(values)
+        return [("false", "true")[v] for v in values] if kind == "flag" else values
 
-    def write(values: list) -> None:
+    def write(values: list[Values]) -> None:
         rows.writerows(zip(*(said(c.kind, v) for c, v in zip(columns, values, strict=True)), strict=True))
 
     return write, text.detach
 
 
-def _parquet_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, Callable[[], None]]:
-    """One row group a chunk."""
+def _parquet_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, Callable[[], object]]:
+    """Writer of Parquet, with one row group per chunk."""
     try:
         import pyarrow
         from pyarrow import parquet
@@ -218,7 +231,7 @@ def _parquet_writer(file: BinaryIO, columns: Sequence[Column]) -> tuple[Write, C
     schema = pyarrow.schema([(one.name, kinds.get(one.kind, pyarrow.string())) for one in columns])
     made = parquet.ParquetWriter(file, schema)
 
-    def write(values: list) -> None:
+    def write(values: list[Values]) -> None:
         arrays = [
             pyarrow.array(v, type=pyarrow.timestamp("ms")).cast(t)
             if c.kind == "time"

@@ -1,6 +1,6 @@
-"""A store in a PostgreSQL database, through psycopg 3; all of libpq's parameters, files and variables count.
+"""A store in a PostgreSQL database, accessed with psycopg 3; libpq's parameters, files and variables apply.
 
-A password never stands in the store's URL, where logs, pages and lists of processes would show it.
+The store's URL must not contain a password, because logs, pages and process lists would show it.
 """
 
 from __future__ import annotations
@@ -9,37 +9,43 @@ import os
 import secrets
 import time
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from hygrokf.live.storage.database import Database, StoreFault, this_process
+from hygrokf.live.storage.database import Cursor, Database, Row, StoreFault, this_process
 from hygrokf.live.storage.schema import POSTGRESQL
+
+if TYPE_CHECKING:
+    import psycopg
 
 SCHEMES = ("postgresql://", "postgres://")
 TURN = 0x68796B66
-"""Advisory lock that one process holds while it makes tables or claims."""
+"""Key of the advisory lock that a process holds while it creates tables or claims."""
 LOCK_S = 10
-"""[s] for which a statement waits for another session's lock."""
+"""[s] a statement waits for another session's lock."""
 DEFAULTS = {
     "connect_timeout": "10", "keepalives_idle": "30", "keepalives_interval": "10", "keepalives_count": "3",
     "tcp_user_timeout": "60000", "fallback_application_name": "hygrokf", "client_encoding": "UTF8",
 }  # fmt: skip
-"""Parameters of the connection where the URL does not say otherwise: a peer that is gone is noticed within a minute."""
+"""Default connection parameters, which the URL may override; they detect a lost server within a minute."""
 SESSION = (
     f"SET lock_timeout = '{LOCK_S}s'",
-    # where this machine is lost, the server ends the session, and with it the claim, within a minute too
+    # the server ends the session of a lost client, and with it the claim, within a minute
     "SET tcp_keepalives_idle = 30",
     "SET tcp_keepalives_interval = 10",
     "SET tcp_keepalives_count = 3",
-    # what was acknowledged to a source must be on the server's disk
-    "SELECT set_config('synchronous_commit', 'on', false) WHERE current_setting('synchronous_commit') = 'off'",
+    # a commit that is acknowledged to a source must be on the server's disk
+    "SELECT set_config('synchronous_commit', 'on', false) WHERE current_setting('synchronous_commit') = "
+    "'off'",
 )
 SECRETS = ("password", "sslpassword")
 NO_SECRET = (
-    "the password does not belong in the store's URL, where it can be read by others: leave it out (and write @ and : in "
-    "names as %40 and %3A); libpq takes it from ~/.pgpass, from the file that PGPASSFILE names, or from PGPASSWORD"
+    "the password does not belong in the store's URL, where it can be read by others: leave it out (and "
+    "write @ and : in names as %40 and %3A); libpq takes it from ~/.pgpass, from the file that PGPASSFILE "
+    "names, or from PGPASSWORD"
 )
 OUTSIDE = ("08", "25006", "40", "42501", "53", "55", "57", "58", "XX")
-"""Beginnings of SQLSTATE codes of what comes from outside: connection, rights, resources, locks, the server itself."""
+"""Prefixes of SQLSTATE codes with an external cause: connection, permissions, resources, locks, the server
+itself."""
 
 
 HOLDERS = (
@@ -47,16 +53,17 @@ HOLDERS = (
     "WHERE locktype = 'advisory' AND objsubid = 1 AND granted AND database = "
     "(SELECT oid FROM pg_database WHERE datname = current_database())"
 )
-"""Keys of claims whose sessions live."""
+"""Query of the keys of claims whose sessions are alive."""
 
 
 class PostgresDatabase(Database):
-    """A session of a PostgreSQL server."""
+    """A session on a PostgreSQL server."""
 
     mark = "%s"
     words = POSTGRESQL
+    connection: psycopg.Connection[Row]
 
-    def __init__(self, connection: object, url: str) -> None:
+    def __init__(self, connection: psycopg.Connection[Row], url: str) -> None:
         import psycopg
 
         super().__init__(connection, url)
@@ -71,7 +78,7 @@ class PostgresDatabase(Database):
         return lost or (state is not None and state.startswith(OUTSIDE))
 
     def has_tables(self) -> bool:
-        # to_regclass would not see, within a transaction, what another session has made since it began
+        # within a transaction to_regclass would miss tables that another session has created since it began
         return bool(
             self.rows(
                 "SELECT 1 FROM pg_class c JOIN pg_namespace n ON n.oid = c.relnamespace "
@@ -79,13 +86,14 @@ class PostgresDatabase(Database):
             )
         )
 
-    def take_turn(self, cursor: Any) -> None:
+    def take_turn(self, cursor: Cursor) -> None:
         cursor.execute(f"SELECT pg_advisory_xact_lock({TURN})")
 
     def taken(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
-        """The session holds one advisory lock, whose key stands beside all that it claims: the claims die with it.
+        """The session holds one advisory lock, and each claim stores its key, so that the claims end with the
+        session.
 
-        A lock for each name would fill the server's table of locks with a fleet.
+        One lock per name would let a large fleet fill the server's lock table.
         """
         with self.transaction() as cursor:
             self.take_turn(cursor)
@@ -117,16 +125,18 @@ class PostgresDatabase(Database):
 
 
 def url_fault(url: str) -> str | None:
-    """What is wrong with a store's URL as it is written: a secret in it.  The secret is not in the message."""
+    """An error message if a store's URL contains a secret, else None.  The message does not repeat the
+    secret."""
     rest = url.partition("://")[2]
     keys = {part.partition("=")[0] for part in rest.partition("?")[2].split("&")}
     return NO_SECRET if ":" in rest.rpartition("@")[0] or keys & set(SECRETS) else None
 
 
 def open_postgres(url: str, read_only: bool = False) -> PostgresDatabase:
-    """The store at `postgresql://USER@HOST:PORT/NAME?PARAMETER=VALUE`, in the schema that the session's search path names.
+    """Open the store at `postgresql://USER@HOST:PORT/NAME?PARAMETER=VALUE`, in the schema of the session's
+    search path.
 
-    Raises StoreFault where it is not reached, or cannot be a store.
+    Raises StoreFault if the database cannot be reached or used as a store.
     """
     if (fault := url_fault(url)) is not None:
         raise StoreFault(fault)
@@ -141,15 +151,15 @@ def open_postgres(url: str, read_only: bool = False) -> PostgresDatabase:
         raise StoreFault(f"the store's URL cannot be read: {' '.join(str(error).split())}") from None
     if set(SECRETS) & set(said):
         raise StoreFault(NO_SECRET)
-    settings: dict[str, Any] = {**DEFAULTS, **said}
+    settings: dict[str, Any] = {**DEFAULTS, **said}  # libpq's parameters, which are text or numbers
     if "PGCONNECT_TIMEOUT" in os.environ and "connect_timeout" not in said:
         del settings["connect_timeout"]
     try:
         connection = psycopg.connect(**settings, autocommit=True)
     except psycopg.Error as error:
         raise StoreFault(
-            f"{url}: not reached ({' '.join(str(error).split())}); check that the server runs, its host and port, the "
-            "database, the user, and the password in ~/.pgpass or PGPASSWORD"
+            f"{url}: cannot be reached ({' '.join(str(error).split())}); check the server, its host and "
+            "port, the database, the user, and the password in ~/.pgpass or PGPASSWORD"
         ) from None
     database = PostgresDatabase(connection, url)
     try:

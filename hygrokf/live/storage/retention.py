@@ -1,4 +1,4 @@
-"""What is older than the retention goes, a little at a time, and never what a restart needs."""
+"""Deletes history older than the retention period, in small portions, but never what a restart needs."""
 
 from __future__ import annotations
 
@@ -6,24 +6,26 @@ import logging
 import math
 import time
 from collections.abc import Mapping
-from typing import Any
 
+from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.plan import BEFORE
+from hygrokf.live.storage.database import Cursor
 from hygrokf.live.storage.store import Store, StoreFault
 from hygrokf.live.turbines import Fleet
 
 LOG = logging.getLogger("hygrokf.track")
-EVERY_S = 6.0 * 3600.0
-"""[s] between two turns through the fleet."""
+EVERY_S = 6.0 * HOUR_S
+"""[s] between two passes over the fleet."""
 BITE = 1_000
-"""Rows that are deleted at once, so that the loop is held up for a moment only."""
+"""Rows deleted at once, so that the loop is only held up briefly."""
 
 
 class Retention:
-    """Keeps the store's history to `seconds` before each turbine's newest final estimate, on that turbine's own clock: a
-    record that is played back is kept like a live one, and a turbine that is silent loses nothing.
+    """Keeps history back to `seconds` [s] before each turbine's newest final estimate.
 
-    Turbines that the fleet does not have are left alone: they are another tracker's, or nobody's any more.
+    The limit follows the time of the readings: a played-back record is kept like a live one, and a silent
+    turbine loses nothing.  Turbines outside the fleet are left alone, because they belong to another tracker
+    or to none any more.
     """
 
     def __init__(self, seconds: float) -> None:
@@ -32,13 +34,14 @@ class Retention:
         self._next = -math.inf
 
     def bite(self, store: Store, fleet: Fleet) -> int:
-        """Delete a little, where a turn is due; how many rows.  A store that fails is left to the next commit to notice."""
+        """Delete one portion if a pass is due; returns the number of rows.  The next commit notices a failing
+        store."""
         if not self._due and time.monotonic() >= self._next and math.isfinite(self.seconds):
             self._due, self._next = list(fleet.turbines), time.monotonic() + EVERY_S
         while self._due:
             name = self._due[-1]
             point = fleet.trackers[name].point
-            if point is None:  # all of its readings are still needed
+            if point is None:  # nothing is final yet, so a restart needs all readings
                 self._due.pop()
                 continue
             needed = point.time - fleet.turbines[name].plan.context_s
@@ -55,14 +58,15 @@ class Retention:
 
 
 def prune(store: Store, turbine: str, before: float, needed: float, most: int = BITE) -> int:
-    """Delete what a turbine has from before a time [s], `most` rows at most; how many there were, fewer where all is done.
+    """Delete at most `most` rows of a turbine older than `before` [s]; returns the number deleted, less than
+    `most` when done.
 
-    A restart needs readings from `needed` [s] on, and each signal's last `BEFORE` readings before that: they are
-    kept.  Open alarms are kept, too.
+    Readings from `needed` [s] on and each signal's last `BEFORE` readings before that are kept, because a
+    restart needs them.  Open alarms are kept, too.
     """
     limit, count = min(before, needed), 0
     with store.transaction() as cursor:
-        for signal in signals_of(store, turbine):
+        for signal in store.signals(turbine):
             edges = store.rows(
                 "SELECT time FROM observation WHERE turbine = ? AND signal = ? AND time < ? AND late = 0 "
                 "ORDER BY time DESC LIMIT ?",
@@ -76,23 +80,10 @@ def prune(store: Store, turbine: str, before: float, needed: float, most: int = 
     return count
 
 
-def signals_of(store: Store, turbine: str) -> list[str]:
-    """A turbine's signals, one step in the index each: DISTINCT would read all of it."""
-    found: list[str] = []
-    while True:
-        last = found[-1] if found else ""
-        following = store.rows(
-            "SELECT MIN(signal) FROM observation WHERE turbine = ? AND signal > ?", (turbine, last)
-        )[0][0]
-        if following is None:
-            return found
-        found.append(following)
-
-
 def _bite(
-    store: Store, cursor: Any, table: str, same: Mapping[str, str], column: str, until: float, most: int
+    store: Store, cursor: Cursor, table: str, same: Mapping[str, str], column: str, until: float, most: int
 ) -> int:
-    """Delete the oldest rows of a table from before a time [s], `most` at most; how many."""
+    """Delete at most `most` of the oldest rows of a table before a time [s]; returns the number deleted."""
     where = " AND ".join([*(f"{name} = ?" for name in same), f"{column} < ?"])
     values = (*same.values(), until)
     next_one = store.rows(

@@ -1,47 +1,40 @@
 """The store's tables and views, as numbered migrations.
 
-Times are seconds since 1970, UTC, as double precision; values are in SI units, absolute humidity in g/m³.  Views are for
-people and plotting tools: times as such, °C and %, names in small letters.
+Times are seconds since 1970, UTC, as double precision; values are in SI units, absolute humidity in g/m³.
+The views are for people and plotting tools: timestamps, °C and %, lower-case names.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Mapping
+
+from hygrokf.live.condition import QUANTITIES, Z95
 
 SQLITE = {
     "UTC": "strftime('%Y-%m-%dT%H:%M:%fZ', {}, 'unixepoch')",
     "HOUR": "CAST({} / 3600 AS INTEGER) * 3600.0",
 }
 POSTGRESQL = {"UTC": "to_timestamp({})", "HOUR": "FLOOR({} / 3600) * 3600"}
-"""What databases say differently, written as UTC(column) and HOUR(column): a time [s] as a time of the database's own
-(ISO 8601 text where it has none), and the time [s] at which its hour began.
+"""SQL templates that differ between databases, used in statements as UTC(column) and HOUR(column): a time [s]
+as the database's own timestamp (ISO 8601 text where it has no such type), and the time [s] at which its hour
+began.
 """
-BOUND = 1.959964
-"""Standard deviations to a bound of 95 %."""
-_READABLE = (
-    ("temperature", "celsius", "temperature_K", "temperature_sd", 1.0, -273.15),
-    ("relative_humidity", "percent", "relative_humidity", "relative_humidity_sd", 100.0, 0.0),
-    ("absolute_humidity", "g_m3", "absolute_humidity_g_m3", "absolute_humidity_sd", 1.0, 0.0),
-    ("dew_point", "celsius", "dew_point_K", "dew_point_sd", 1.0, -273.15),
-    ("frost_point", "celsius", "frost_point_K", "frost_point_sd", 1.0, -273.15),
-    ("margin", "kelvin", "margin_K", "margin_sd", 1.0, 0.0),
-)
-"""(quantity, unit, column, its standard deviation's, factor, offset)."""
 
 
 def _readable() -> dict[str, str]:
-    """The condition in units for people, with bounds of 95 %: column -> what it is."""
+    """The condition in everyday units with 95 % bounds: column of the view -> SQL expression."""
     columns = {}
-    for name, unit, column, sd, factor, offset in _READABLE:
-        value = f"{factor} * {column} + ({offset})"
-        columns[f"{name}_{unit}"] = value
-        columns[f"{name}_lower_{unit}"] = f"{value} - {BOUND * factor} * {sd}"
-        columns[f"{name}_upper_{unit}"] = f"{value} + {BOUND * factor} * {sd}"
+    for q in QUANTITIES:
+        value = f"{q.factor} * {q.column} + ({q.offset})"
+        columns[f"{q.name}_{q.unit}"] = value
+        columns[f"{q.name}_lower_{q.unit}"] = f"{value} - {Z95 * q.factor} * {q.sd_column}"
+        columns[f"{q.name}_upper_{q.unit}"] = f"{value} + {Z95 * q.factor} * {q.sd_column}"
     return {**columns, "condensation_percent": "100.0 * condensation"}
 
 
 READABLE_COLUMNS = tuple(_readable())
-"""What `estimate_readable` and `forecast_readable` say of the air in a cabinet."""
+"""Columns of `estimate_readable` and `forecast_readable` that describe the cabinet air."""
 _CONDITION = ", ".join(f"{value} AS {name}" for name, value in _readable().items())
 _RANK = "CASE severity WHEN 'alarm' THEN 3 WHEN 'warning' THEN 2 ELSE 1 END"
 MIGRATIONS: tuple[tuple[str, ...], ...] = (
@@ -147,12 +140,15 @@ MIGRATIONS: tuple[tuple[str, ...], ...] = (
             100.0 * above_limit AS above_limit_percent FROM forecast""",
         f"""CREATE VIEW alarm_open AS
             SELECT id, turbine, kind, severity, {_RANK} AS severity_rank, began, UTC(began) AS began_utc,
-            UTC(acknowledged) AS acknowledged_utc, acknowledged_by, statement, remedy FROM alarm WHERE ended IS NULL""",
-        # CROSS JOIN: SQLite then looks each turbine's newest time up, instead of at every row
+            UTC(acknowledged) AS acknowledged_utc, acknowledged_by, statement, remedy
+            FROM alarm WHERE ended IS NULL""",
+        # CROSS JOIN fixes SQLite's join order: it looks up each turbine's newest time instead of scanning
+        # every row
         """CREATE VIEW property_now AS
-            SELECT p.turbine, p.name, p.unit, p.time, UTC(p.time) AS time_utc, p.value, p.lower_bound, p.upper_bound,
-            p.reference, p.observable
-            FROM (SELECT name, (SELECT MAX(n.time) FROM property n WHERE n.turbine = turbine.name) AS newest FROM turbine) t
+            SELECT p.turbine, p.name, p.unit, p.time, UTC(p.time) AS time_utc, p.value, p.lower_bound,
+            p.upper_bound, p.reference, p.observable
+            FROM (SELECT name, (SELECT MAX(n.time) FROM property n WHERE n.turbine = turbine.name) AS newest
+            FROM turbine) t
             CROSS JOIN property p WHERE p.turbine = t.name AND p.time = t.newest""",
         """CREATE VIEW turbine_now AS
             SELECT t.name AS turbine, h.heard, UTC(h.heard) AS heard_utc, e.time, e.time_utc,
@@ -160,33 +156,40 @@ MIGRATIONS: tuple[tuple[str, ...], ...] = (
             e.relative_humidity_percent, e.relative_humidity_lower_percent, e.relative_humidity_upper_percent,
             e.dew_point_celsius, e.margin_kelvin, e.margin_lower_kelvin, e.condensation_percent,
             (SELECT COUNT(*) FROM alarm a WHERE a.turbine = t.name AND a.ended IS NULL) AS open_alarms,
-            COALESCE((SELECT MAX(o.severity_rank) FROM alarm_open o WHERE o.turbine = t.name), 0) AS severity_rank
+            COALESCE((SELECT MAX(o.severity_rank) FROM alarm_open o WHERE o.turbine = t.name), 0)
+            AS severity_rank
             FROM turbine t
-            JOIN (SELECT name, (SELECT MAX(o.time) FROM observation o WHERE o.turbine = name) AS heard FROM turbine) h
+            JOIN (SELECT name, (SELECT MAX(o.time) FROM observation o WHERE o.turbine = name) AS heard
+            FROM turbine) h
             ON h.name = t.name
             LEFT JOIN estimate_readable e ON e.turbine = t.name
             AND e.time = (SELECT MAX(n.time) FROM estimate n WHERE n.turbine = t.name)""",
         """CREATE VIEW observation_hourly AS
-            SELECT turbine, signal, hour AS time, UTC(hour) AS time_utc, AVG(value) AS mean, MIN(value) AS lowest,
+            SELECT turbine, signal, hour AS time, UTC(hour) AS time_utc, AVG(value) AS mean,
+            MIN(value) AS lowest,
             MAX(value) AS highest, COUNT(*) AS readings
-            FROM (SELECT turbine, signal, HOUR(time) AS hour, value FROM observation WHERE contradicted = 0) o
+            FROM (SELECT turbine, signal, HOUR(time) AS hour, value FROM observation
+            WHERE contradicted = 0) o
             GROUP BY turbine, signal, hour""",
     ),
 )
-"""One tuple of statements a version; a version that was released is never changed, only followed by another."""
+"""One tuple of statements per version; a released version is never changed, only followed by another."""
 VERSION = len(MIGRATIONS)
 TABLES = (
-    "turbine", "observation", "point", "estimate", "forecast", "weather", "property", "alarm", "memory", "counter", "source",
+    "turbine", "observation", "point", "estimate", "forecast", "weather", "property", "alarm", "memory",
+    "counter", "source",
     "claim",
 )  # fmt: skip
-"""All tables beside the schema's own."""
+"""All tables except the one that records the schema's version."""
 VIEWS = (
-    "estimate_readable", "forecast_readable", "alarm_open", "property_now", "turbine_now", "observation_hourly"
+    "estimate_readable", "forecast_readable", "alarm_open", "property_now", "turbine_now",
+    "observation_hourly"
 )  # fmt: skip
 
 
-def migration(version: int, words: dict[str, str]) -> list[str]:
-    """Statements of a version, in the words of one database; the first migration also makes the schema's own table."""
+def migration(version: int, words: Mapping[str, str]) -> list[str]:
+    """Statements of a version in one database's SQL dialect; the first migration also creates
+    `schema_version`."""
     own = ["CREATE TABLE schema_version (version INTEGER PRIMARY KEY, applied DOUBLE PRECISION NOT NULL)"]
     return [
         re.sub(r"\b(UTC|HOUR)\(([\w.]+)\)", lambda said: words[said[1]].format(said[2]), statement)

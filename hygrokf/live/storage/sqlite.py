@@ -1,35 +1,38 @@
-"""A store in one SQLite file; beside it lies a lock file, held by the tracker that writes into it."""
+"""A store in one SQLite file, with a lock file beside it that the writing tracker holds."""
 
 from __future__ import annotations
 
 import os
 import sqlite3
+import sys
 import time
 from collections.abc import Sequence
 from contextlib import closing, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
-from hygrokf.live.storage.database import AGAIN_S, Database, StoreFault, StoreUnready, this_process
+from hygrokf.live.storage.database import AGAIN_S, Cursor, Database, StoreFault, StoreUnready, this_process
 from hygrokf.live.storage.schema import SQLITE
 
 APPLICATION_ID = 0x68796B66
-"""What a store's file says it is ("hykf"), so that no other database is taken for one."""
+"""Application id in the file's header ("hykf"), so that no other database is mistaken for a store."""
 BUSY_S = 10.0
-"""[s] for which a statement waits for another process."""
+"""[s] a statement waits for another process's lock."""
 OWN_MISTAKES = {
     sqlite3.SQLITE_ERROR, sqlite3.SQLITE_INTERNAL, sqlite3.SQLITE_CONSTRAINT, sqlite3.SQLITE_MISMATCH,
     sqlite3.SQLITE_MISUSE, sqlite3.SQLITE_RANGE, sqlite3.SQLITE_TOOBIG,
 }  # fmt: skip
-"""Result codes of a wrong statement or value; all others come from the disk, the file or another process."""
+"""Result codes of an invalid statement or value; all others have an external cause: disk, file or another
+process."""
 
 
 class SqliteDatabase(Database):
-    """A connection to the file at `path`."""
+    """A connection to the store's file."""
 
     begin = "BEGIN IMMEDIATE"
     errors = sqlite3.Error
     words = SQLITE
+    connection: sqlite3.Connection
 
     def __init__(self, connection: sqlite3.Connection, path: Path) -> None:
         super().__init__(connection, f"sqlite:{path}")
@@ -43,12 +46,12 @@ class SqliteDatabase(Database):
     def has_tables(self) -> bool:
         return bool(self.rows("SELECT 1 FROM sqlite_master WHERE name = 'schema_version'"))
 
-    def take_turn(self, cursor: Any) -> None:
-        """BEGIN IMMEDIATE has waited already; with the first tables the file says what it is."""
+    def take_turn(self, cursor: Cursor) -> None:
+        """BEGIN IMMEDIATE has waited already, so only mark the file as a store."""
         cursor.execute(f"PRAGMA application_id={APPLICATION_ID}")
 
     def taken(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
-        """One file has one tracker: the lock file is held for all that it tracks."""
+        """One file has one tracker: the lock file covers everything that it tracks."""
         if self._lock is None:
             self._lock = locked(lock_of(self._path))
             if self._lock is None:
@@ -64,7 +67,8 @@ class SqliteDatabase(Database):
         return None
 
     def claims(self) -> dict[tuple[str, str], str]:
-        """Claims outlive a process that was killed; the lock does not."""
+        """The claims of a killed process stay in the table, its lock does not: without a lock there are no
+        claims."""
         if self._lock is None and not is_locked(lock_of(self._path)):
             return {}
         return {(kind, name): who for kind, name, who in self.rows("SELECT kind, name, who FROM claim")}
@@ -87,12 +91,12 @@ class SqliteDatabase(Database):
 
 
 def lock_of(path: Path) -> Path:
-    """The lock file beside a store's file."""
+    """Path of the lock file beside a store's file."""
     return Path(f"{os.path.realpath(path)}.lock")
 
 
 def is_locked(path: Path) -> bool:
-    """Whether a process holds a lock file; none is made."""
+    """Whether a process holds the lock file; the file is not created."""
     if not path.exists():
         return False
     file = locked(path, "rb")
@@ -102,7 +106,7 @@ def is_locked(path: Path) -> bool:
 
 
 def locked(path: Path, mode: str = "ab") -> IO[bytes] | None:
-    """The file, made if need be and held by this process until it is closed; None where another one holds it."""
+    """Open and lock the file until it is closed, creating it if need be; None if another process holds it."""
     try:
         file = path.open(mode)
     except OSError as fault:
@@ -110,11 +114,11 @@ def locked(path: Path, mode: str = "ab") -> IO[bytes] | None:
             f"{path}: cannot be opened ({fault.strerror}); check its folder's permissions"
         ) from fault
     try:
-        if os.name == "nt":
+        if sys.platform == "win32":
             import msvcrt
 
             file.seek(0)
-            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined]  # of Windows alone
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
         else:
             import fcntl
 
@@ -131,7 +135,8 @@ def locked(path: Path, mode: str = "ab") -> IO[bytes] | None:
 
 
 def open_sqlite(path: Path, read_only: bool = False) -> SqliteDatabase:
-    """The store in a file, made where there is none yet.  Raises StoreFault; what is no store is left as it is."""
+    """Open the store in a file, creating it if it is missing.  Raises StoreFault; a file that is no store
+    stays untouched."""
     if not path.parent.is_dir():
         raise StoreFault(f"{path}: the folder {path.parent} does not exist; make it, or name another place")
     if read_only and not path.is_file():
@@ -152,8 +157,8 @@ def open_sqlite(path: Path, read_only: bool = False) -> SqliteDatabase:
         if isinstance(fault, StoreFault):
             raise
         raise StoreFault(
-            f"{path}: this is no store that can be read ({fault}); nothing was written to it. "
-            "Put it aside and restore a copy, or name a new file"
+            f"{path}: it cannot be read as a store ({fault}); nothing was written to it. "
+            "Move it away and restore a copy, or name a new file"
         ) from fault
 
 
@@ -165,9 +170,9 @@ def _connected(path: Path, mode: str) -> sqlite3.Connection:
 
 
 def _examine(path: Path, thoroughly: bool) -> None:
-    """Refuse what is damaged or not a store; an empty file may become one.
+    """Refuse a damaged file or a foreign database; an empty file may become a store.
 
-    A connection that may write would, when it is closed, move the log's pages into a file that is to be left as it is.
+    The connection is read-only because closing a writable one would move pages of the log into the file.
     """
     with closing(_connected(path, "ro")) as connection:
         try:
@@ -175,7 +180,7 @@ def _examine(path: Path, thoroughly: bool) -> None:
         except sqlite3.OperationalError as error:
             if error.sqlite_errorcode != sqlite3.SQLITE_READONLY_ROLLBACK:
                 raise
-            # a process died while it made the tables: SQLite undoes that as soon as it may write
+            # a process died while creating the tables: SQLite rolls that back once a connection may write
             with closing(_connected(path, "rw")) as other:
                 pages = other.execute("PRAGMA page_count").fetchone()[0]
         if pages == 0:
@@ -188,12 +193,13 @@ def _examine(path: Path, thoroughly: bool) -> None:
         if faults != ["ok"]:
             raise StoreFault(
                 f"{path}: the store is damaged ({'; '.join(faults)}); nothing was written to it. "
-                "Put it aside and restore a copy, or name a new file"
+                "Move it away and restore a copy, or name a new file"
             )
 
 
 def _write_ahead(connection: sqlite3.Connection) -> None:
-    """Turn the write-ahead log on; SQLite does not wait by itself where another process is about to do the same."""
+    """Switch to the write-ahead log, retrying while another process does the same: SQLite does not wait here
+    by itself."""
     end = time.monotonic() + BUSY_S
     while True:
         with suppress(sqlite3.OperationalError):

@@ -1,7 +1,9 @@
-"""Where observations, estimates, states and the source's place are kept, together or not at all.
+"""The store: observations, estimates, filter states and each source's position, committed together or not at
+all.
 
-A `Batch` is what one round of the tracker found; `Store.commit` writes it in one transaction, so that after a crash
-everything is as it was after some whole batch, and the source goes on from there.
+A `Batch` holds the results of one round of the tracker.  `Store.commit` writes it in one transaction, so that
+a crash leaves the store as it was after some complete batch, and each source resumes from its position in
+that batch.
 """
 
 from __future__ import annotations
@@ -16,12 +18,13 @@ from typing import Any
 
 import numpy as np
 
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
-from hygrokf.live.condition import Condition, Quantity
+from hygrokf.live.condition import QUANTITIES, Condition, Quantity
 from hygrokf.live.forecast import Forecast
 from hygrokf.live.plan import BEFORE
 from hygrokf.live.properties import Property
-from hygrokf.live.storage.database import Database
+from hygrokf.live.storage.database import Cursor, Database, Row
 from hygrokf.live.storage.database import StoreFault as StoreFault
 from hygrokf.live.storage.postgres import SCHEMES, open_postgres
 from hygrokf.live.storage.schema import TABLES
@@ -31,7 +34,7 @@ from hygrokf.live.tracker import Point, Reading
 
 @dataclass(frozen=True)
 class Observation:
-    """A reading of a turbine, when it was received [s], and whether it came too late to be used."""
+    """A reading of a turbine, the time it was `received` [s], and whether it came too `late` to be used."""
 
     turbine: str
     reading: Reading
@@ -55,22 +58,34 @@ class Alarm:
     acknowledged_by: str | None = None
 
 
+@dataclass(frozen=True)
+class Estimates:
+    """The condition at new instants, of which the first `final` are final.
+
+    It replaces provisional estimates from `since` [s] on.
+    """
+
+    condition: Condition
+    final: int
+    since: float
+
+
 @dataclass
 class Batch:
-    """What one round found.
+    """The results of one round.
 
-    `estimates` turbine → (condition, how many of its instants are final, time [s] from which on it overtakes what was
-    provisional); `memories` (turbine, name) → plain data that a
-    turbine's tracker goes on from; `counters` (turbine, name) → increase; `place` source → where it is to go on;
-    `forecasts` turbine → what takes the place of the one before; `weather` readings of a weather forecast.
+    `estimates`: by turbine; `properties`: (turbine, time [s], properties); `memories`: (turbine, name) → JSON
+    data that the tracker resumes from; `counters`: (turbine, name) → increase; `place`: source → position to
+    resume from; `forecasts`: turbine → forecast that replaces the previous one, None to delete it; `weather`:
+    values of a weather forecast.
     """
 
     observations: list[Observation] = field(default_factory=list)
     points: dict[str, Point] = field(default_factory=dict)
-    estimates: dict[str, tuple[Condition, int, float]] = field(default_factory=dict)
+    estimates: dict[str, Estimates] = field(default_factory=dict)
     properties: list[tuple[str, float, Sequence[Property]]] = field(default_factory=list)
     alarms: list[Alarm] = field(default_factory=list)
-    memories: dict[tuple[str, str], object] = field(default_factory=dict)
+    memories: dict[tuple[str, str], Any] = field(default_factory=dict)
     counters: dict[tuple[str, str], int] = field(default_factory=dict)
     place: dict[str, str] = field(default_factory=dict)
     forecasts: dict[str, Forecast | None] = field(default_factory=dict)
@@ -81,40 +96,35 @@ class Batch:
         return not any(vars(self).values())
 
 
-_QUANTITIES = (
-    ("temperature_K", "temperature_sd"),
-    ("relative_humidity", "relative_humidity_sd"),
-    ("absolute_humidity_g_m3", "absolute_humidity_sd"),
-    ("dew_point_K", "dew_point_sd"),
-    ("frost_point_K", "frost_point_sd"),
-    ("margin_K", "margin_sd"),
-)
 ESTIMATE_COLUMNS = (
-    "turbine", "time", "final", *(name for pair in _QUANTITIES for name in pair), "condensation"
+    "turbine", "time", "final", *(name for q in QUANTITIES for name in (q.column, q.sd_column)),
+    "condensation",
 )  # fmt: skip
-_READINGS = """
+_SIGNALS = """
 WITH RECURSIVE known (signal) AS (
     SELECT MIN(signal) FROM observation WHERE turbine = ?
     UNION ALL
     SELECT (SELECT MIN(o.signal) FROM observation o WHERE o.turbine = ? AND o.signal > known.signal)
     FROM known WHERE known.signal IS NOT NULL)
+"""
+_READINGS = f"""{_SIGNALS}
 SELECT o.signal, o.time, o.value, o.contradicted FROM known CROSS JOIN observation o
 WHERE o.turbine = ? AND o.signal = known.signal AND o.late = 0 AND o.time >= COALESCE(
-    (SELECT b.time FROM observation b WHERE b.turbine = ? AND b.signal = known.signal AND b.time < ? AND b.late = 0
-    ORDER BY b.time DESC LIMIT 1 OFFSET ?), -1e18)
+    (SELECT b.time FROM observation b WHERE b.turbine = ? AND b.signal = known.signal AND b.time < ?
+    AND b.late = 0 ORDER BY b.time DESC LIMIT 1 OFFSET ?), -1e18)
 ORDER BY o.signal, o.time
 """
-"""What `Store.readings` asks: signal by signal a step in the index, however long the history is."""
-FORGOTTEN_S = 3 * 86400.0
-"""[s] after its time for which a weather forecast is kept."""
+"""Query of `Store.readings`: one index lookup per signal, however long the history is."""
+FORGOTTEN_S = 3 * DAY_S
+"""[s] a value of a weather forecast is kept after its time."""
 FORECAST_COLUMNS = ("turbine", "time", "made", *ESTIMATE_COLUMNS[3:], "above_limit")
 
 
 class Store:
-    """One store, in whatever database; it may be used by one thread at a time.
+    """One store, in either database; only one thread may use it at a time.
 
-    What comes from outside (disk, network, another process) is raised as StoreFault, and may be gone when the store is
-    opened anew; a wrong statement or value is raised as the driver's own error.
+    An external error (disk, network, another process) is raised as StoreFault and may be gone once the store
+    is reopened; an invalid statement or value raises the driver's own exception.
     """
 
     def __init__(self, database: Database) -> None:
@@ -124,132 +134,158 @@ class Store:
     def url(self) -> str:
         return self.database.url
 
-    # -- plain statements -------------------------------------------------------------------------------------
+    # -- plain statements ------------------------------------------------------------------------------------
     def _text(self, statement: str) -> str:
         return self.database.text(statement)
 
-    def rows(self, statement: str, parameters: Sequence = ()) -> list[tuple]:
-        """Rows of a query; parameters stand as question marks in every store."""
+    def rows(self, statement: str, parameters: Sequence[Any] = ()) -> list[Row]:
+        """The rows that a query returns; parameters are written as question marks for either database."""
         return self.database.rows(statement, parameters)
 
-    def transaction(self) -> AbstractContextManager:
-        """A cursor whose statements take effect together, when the block ends, or not at all."""
+    def transaction(self) -> AbstractContextManager[Cursor]:
+        """A cursor whose statements take effect together at the end of the block, or not at all."""
         return self.database.transaction()
 
     def claim(self, kind: str, names: Iterable[str]) -> None:
-        """Be the only tracker of turbines or sources, until the store is closed; StoreFault names who holds one of them."""
+        """Claim turbines or sources for this process until the store is closed.  Raises StoreFault, naming
+        another holder."""
         self.database.claim(kind, names)
 
-    # -- writing ----------------------------------------------------------------------------------------------
+    # -- writing ---------------------------------------------------------------------------------------------
     def commit(self, batch: Batch) -> None:
-        """Write a batch, whole or not at all."""
+        """Write a batch completely or not at all."""
         with self.transaction() as cursor:
-            self._many(
-                cursor,
-                "INSERT INTO observation (turbine, signal, time, value, received, late, contradicted) "
-                "VALUES (?, ?, ?, ?, ?, ?, 0) ON CONFLICT (turbine, signal, time) DO UPDATE SET contradicted = "
-                "CASE WHEN observation.value = excluded.value OR excluded.late = 1 THEN observation.contradicted ELSE 1 END",
-                [
-                    (o.turbine, o.reading.signal, o.reading.time, o.reading.value, o.received, int(o.late))
-                    for o in batch.observations
-                ],
-            )
-            self._many(
-                cursor,
-                "INSERT INTO point (turbine, time, state) VALUES (?, ?, ?) "
-                "ON CONFLICT (turbine) DO UPDATE SET time = excluded.time, state = excluded.state",
-                [(turbine, p.time, state_text(p.state)) for turbine, p in batch.points.items()],
-            )
-            names = ", ".join(ESTIMATE_COLUMNS)
-            marks = ", ".join("?" * len(ESTIMATE_COLUMNS))
-            changed = ", ".join(f"{n} = excluded.{n}" for n in ESTIMATE_COLUMNS[2:])
-            self._many(
-                cursor,
-                "DELETE FROM estimate WHERE turbine = ? AND time >= ? AND final = 0",
-                [(turbine, since) for turbine, (_, _, since) in batch.estimates.items()],
-            )
-            self._many(
-                cursor,
-                f"INSERT INTO estimate ({names}) VALUES ({marks}) "
-                f"ON CONFLICT (turbine, time) DO UPDATE SET {changed}",
-                [
-                    row
-                    for turbine, (found, final, _) in batch.estimates.items()
-                    for row in estimate_rows(turbine, found, final)
-                ],
-            )
-            self._many(
-                cursor,
-                "INSERT INTO property (turbine, time, name, unit, value, lower_bound, upper_bound, reference, observable) "
-                "VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (turbine, name, time) DO UPDATE SET "
-                "value = excluded.value, lower_bound = excluded.lower_bound, upper_bound = excluded.upper_bound, "
-                "observable = excluded.observable",
-                [
-                    (turbine, at, p.name, p.unit, p.value, p.lower, p.upper, p.reference, int(p.observable))
-                    for turbine, at, found in batch.properties
-                    for p in found
-                ],
-            )
-            self._many(
-                cursor,
-                "INSERT INTO alarm (id, turbine, kind, severity, began, ended, acknowledged, acknowledged_by, statement, "
-                "remedy) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET severity = excluded.severity, "
-                "ended = excluded.ended, statement = excluded.statement, remedy = excluded.remedy",
-                [
-                    (a.id, a.turbine, a.kind, a.severity, a.began, a.ended, a.acknowledged, a.acknowledged_by,
-                     a.statement, a.remedy)
-                    for a in batch.alarms
-                ],
-            )  # fmt: skip
-            self._many(
-                cursor,
-                "INSERT INTO memory (turbine, name, content) VALUES (?, ?, ?) "
-                "ON CONFLICT (turbine, name) DO UPDATE SET content = excluded.content",
-                [(turbine, name, json.dumps(data)) for (turbine, name), data in batch.memories.items()],
-            )
-            self._many(
-                cursor,
-                "INSERT INTO counter (turbine, name, count) VALUES (?, ?, ?) "
-                "ON CONFLICT (turbine, name) DO UPDATE SET count = counter.count + excluded.count",
-                [(turbine, name, count) for (turbine, name), count in batch.counters.items() if count],
-            )
-            self._many(
-                cursor,
-                "INSERT INTO source (url, place) VALUES (?, ?) ON CONFLICT (url) DO UPDATE SET place = excluded.place",
-                list(batch.place.items()),
-            )
-            for turbine, made in batch.forecasts.items():
-                cursor.execute(self._text("DELETE FROM forecast WHERE turbine = ?"), (turbine,))
-                if made is None:
-                    continue
-                columns = FORECAST_COLUMNS
-                self._many(
-                    cursor,
-                    f"INSERT INTO forecast ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})",
-                    list(forecast_rows(turbine, made)),
-                )
-            if batch.weather:  # what a forecast said of the past is of no use
-                old = min(o.received for o in batch.weather) - FORGOTTEN_S
-                cursor.execute(self._text("DELETE FROM weather WHERE time < ?"), (old,))
-            self._many(
-                cursor,
-                "INSERT INTO weather (turbine, signal, time, value, received) VALUES (?, ?, ?, ?, ?) "
-                "ON CONFLICT (turbine, signal, time) DO UPDATE SET value = excluded.value, received = excluded.received "
-                "WHERE excluded.received >= weather.received",
-                [
-                    (o.turbine, o.reading.signal, o.reading.time, o.reading.value, o.received)
-                    for o in batch.weather
-                ],
-            )
+            self._write_observations(cursor, batch)
+            self._write_estimates(cursor, batch)
+            self._write_findings(cursor, batch)
+            self._write_memories(cursor, batch)
+            self._write_forecasts(cursor, batch)
 
-    def _many(self, cursor: Any, statement: str, rows: Sequence[tuple]) -> None:
+    def _write_observations(self, cursor: Cursor, batch: Batch) -> None:
+        """Write readings and filter points; a reading that differs from a stored one marks that as
+        contradicted."""
+        self._many(
+            cursor,
+            "INSERT INTO observation (turbine, signal, time, value, received, late, contradicted) "
+            "VALUES (?, ?, ?, ?, ?, ?, 0) ON CONFLICT (turbine, signal, time) DO UPDATE SET contradicted = "
+            "CASE WHEN observation.value = excluded.value OR excluded.late = 1 THEN observation.contradicted "
+            "ELSE 1 END",
+            [
+                (o.turbine, o.reading.signal, o.reading.time, o.reading.value, o.received, int(o.late))
+                for o in batch.observations
+            ],
+        )
+        self._many(
+            cursor,
+            "INSERT INTO point (turbine, time, state) VALUES (?, ?, ?) "
+            "ON CONFLICT (turbine) DO UPDATE SET time = excluded.time, state = excluded.state",
+            [(turbine, p.time, state_text(p.state)) for turbine, p in batch.points.items()],
+        )
+
+    def _write_estimates(self, cursor: Cursor, batch: Batch) -> None:
+        """Write estimates in place of the provisional ones."""
+        names = ", ".join(ESTIMATE_COLUMNS)
+        marks = ", ".join("?" * len(ESTIMATE_COLUMNS))
+        changed = ", ".join(f"{n} = excluded.{n}" for n in ESTIMATE_COLUMNS[2:])
+        self._many(
+            cursor,
+            "DELETE FROM estimate WHERE turbine = ? AND time >= ? AND final = 0",
+            [(turbine, one.since) for turbine, one in batch.estimates.items()],
+        )
+        self._many(
+            cursor,
+            f"INSERT INTO estimate ({names}) VALUES ({marks}) "
+            f"ON CONFLICT (turbine, time) DO UPDATE SET {changed}",
+            [
+                row
+                for turbine, one in batch.estimates.items()
+                for row in estimate_rows(turbine, one.condition, one.final)
+            ],
+        )
+
+    def _write_findings(self, cursor: Cursor, batch: Batch) -> None:
+        """Write properties and alarms."""
+        self._many(
+            cursor,
+            "INSERT INTO property (turbine, time, name, unit, value, lower_bound, upper_bound, reference, "
+            "observable) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (turbine, name, time) DO UPDATE SET "
+            "value = excluded.value, lower_bound = excluded.lower_bound, upper_bound = excluded.upper_bound, "
+            "observable = excluded.observable",
+            [
+                (turbine, at, p.name, p.unit, p.value, p.lower, p.upper, p.reference, int(p.observable))
+                for turbine, at, found in batch.properties
+                for p in found
+            ],
+        )
+        self._many(
+            cursor,
+            "INSERT INTO alarm (id, turbine, kind, severity, began, ended, acknowledged, acknowledged_by, "
+            "statement, remedy) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET "
+            "severity = excluded.severity, ended = excluded.ended, statement = excluded.statement, remedy = "
+            "excluded.remedy",
+            [
+                (a.id, a.turbine, a.kind, a.severity, a.began, a.ended, a.acknowledged, a.acknowledged_by,
+                 a.statement, a.remedy)
+                for a in batch.alarms
+            ],
+        )  # fmt: skip
+
+    def _write_memories(self, cursor: Cursor, batch: Batch) -> None:
+        """Write the data that trackers and sources resume from, and counters."""
+        self._many(
+            cursor,
+            "INSERT INTO memory (turbine, name, content) VALUES (?, ?, ?) "
+            "ON CONFLICT (turbine, name) DO UPDATE SET content = excluded.content",
+            [(turbine, name, json.dumps(data)) for (turbine, name), data in batch.memories.items()],
+        )
+        self._many(
+            cursor,
+            "INSERT INTO counter (turbine, name, count) VALUES (?, ?, ?) "
+            "ON CONFLICT (turbine, name) DO UPDATE SET count = counter.count + excluded.count",
+            [(turbine, name, count) for (turbine, name), count in batch.counters.items() if count],
+        )
+        self._many(
+            cursor,
+            "INSERT INTO source (url, place) VALUES (?, ?) ON CONFLICT (url) DO UPDATE SET place = "
+            "excluded.place",
+            list(batch.place.items()),
+        )
+
+    def _write_forecasts(self, cursor: Cursor, batch: Batch) -> None:
+        """Write the cabinets' forecasts, and the weather forecasts that they are based on."""
+        for turbine, made in batch.forecasts.items():
+            cursor.execute(self._text("DELETE FROM forecast WHERE turbine = ?"), (turbine,))
+            if made is None:
+                continue
+            columns = FORECAST_COLUMNS
+            self._many(
+                cursor,
+                f"INSERT INTO forecast ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})",
+                forecast_rows(turbine, made),
+            )
+        if batch.weather:  # forecast values of the past are of no use
+            old = min(o.received for o in batch.weather) - FORGOTTEN_S
+            cursor.execute(self._text("DELETE FROM weather WHERE time < ?"), (old,))
+        self._many(
+            cursor,
+            "INSERT INTO weather (turbine, signal, time, value, received) VALUES (?, ?, ?, ?, ?) ON CONFLICT "
+            "(turbine, signal, time) DO UPDATE SET value = excluded.value, received = excluded.received "
+            "WHERE excluded.received >= weather.received",
+            [
+                (o.turbine, o.reading.signal, o.reading.time, o.reading.value, o.received)
+                for o in batch.weather
+            ],
+        )
+
+    def _many(self, cursor: Cursor, statement: str, rows: Sequence[Row]) -> None:
         if rows:
             cursor.executemany(self._text(statement), rows)
 
     def add_turbines(self, models: Mapping[str, str]) -> None:
-        """Turbines with the digest of the model that they are tracked with.
+        """Register turbines; `models`: turbine → digest of the model that tracks it.
 
-        A turbine that was tracked with another model begins anew from its observations: its point is another model's.
+        A turbine whose model has changed starts again from its observations, because its point belongs to the
+        old model.
         """
         with self.transaction() as cursor:
             for name, digest in models.items():
@@ -267,26 +303,27 @@ class Store:
                 )
 
     def acknowledge(self, alarm: str, by: str, at: float) -> bool:
-        """Mark an alarm as seen; False where there is no such alarm, or it was acknowledged before."""
+        """Acknowledge an alarm; False if there is no such alarm or it was acknowledged before."""
         with self.transaction() as cursor:
             cursor.execute(
                 self._text(
-                    "UPDATE alarm SET acknowledged = ?, acknowledged_by = ? WHERE id = ? AND acknowledged IS NULL"
+                    "UPDATE alarm SET acknowledged = ?, acknowledged_by = ? WHERE id = ? AND acknowledged "
+                    "IS NULL"
                 ),
                 (at, by, alarm),
             )
             return cursor.rowcount == 1
 
-    # -- reading ----------------------------------------------------------------------------------------------
+    # -- reading ---------------------------------------------------------------------------------------------
     def point(self, turbine: str) -> Point | None:
         found = self.rows("SELECT time, state FROM point WHERE turbine = ?", (turbine,))
         return Point(found[0][0], state_of(found[0][1])) if found else None
 
     def readings(self, turbine: str, since: float) -> list[Reading]:
-        """Readings of a turbine that the filter may use: those from a time [s] on, and each signal's last `BEFORE` readings
-        before it.
+        """Readings of a turbine that the filter may use: those from `since` [s] on and each signal's last
+        `BEFORE` before it.
 
-        NaN where two contradict each other.
+        The value is NaN where two readings contradict each other.
         """
         found = self.rows(_READINGS, (turbine, turbine, turbine, turbine, since, BEFORE - 1))
         return [Reading(signal, at, float("nan") if wrong else value) for signal, at, value, wrong in found]
@@ -294,31 +331,40 @@ class Store:
     def course(
         self, turbine: str, signals: Sequence[str], since: float, until: float
     ) -> list[tuple[str, float, float]]:
-        """(signal, time [s], value) of some signals from `since` to `until` [s], by signal and time."""
+        """(signal, time [s], value) of some signals from `since` to `until` [s], sorted by signal and
+        time."""
         return self.rows(
-            f"SELECT signal, time, value FROM observation WHERE turbine = ? AND signal IN ({', '.join('?' * len(signals))}) "
-            "AND time >= ? AND time <= ? AND contradicted = 0 ORDER BY signal, time",
+            "SELECT signal, time, value FROM observation WHERE turbine = ? AND signal IN "
+            f"({', '.join('?' * len(signals))}) AND time >= ? AND time <= ? AND contradicted = 0 ORDER BY "
+            "signal, time",
             (turbine, *signals, since, until),
         )
 
     def weather(self, turbine: str, since: float) -> list[tuple[str, float, float]]:
-        """(signal, time [s], value) of the weather forecast for a turbine, or else for all, by signal and time."""
+        """(signal, time [s], value) of the turbine's weather forecast, else of the common one, by signal and
+        time."""
         statement = (
             "SELECT signal, time, value FROM weather WHERE turbine = ? AND time >= ? ORDER BY signal, time"
         )
         return self.rows(statement, (turbine, since)) or self.rows(statement, ("", since))
 
     def memory(self, turbine: str, name: str) -> Any:
+        """JSON data that a turbine's tracker resumes from; None if there is none of that name."""
         found = self.rows("SELECT content FROM memory WHERE turbine = ? AND name = ?", (turbine, name))
         return json.loads(found[0][0]) if found else None
 
     def memories(self, turbine: str) -> dict[str, Any]:
-        """All that a turbine's tracker goes on from, by name."""
+        """All JSON data that a turbine's tracker resumes from, by name."""
         found = self.rows("SELECT name, content FROM memory WHERE turbine = ?", (turbine,))
         return {name: json.loads(content) for name, content in found}
 
+    def signals(self, turbine: str) -> list[str]:
+        """Signals of a turbine's readings, found with one index lookup each; DISTINCT would scan them all."""
+        rows = self.rows(f"{_SIGNALS} SELECT signal FROM known WHERE signal IS NOT NULL", (turbine, turbine))
+        return [signal for (signal,) in rows]
+
     def place(self, url: str) -> str | None:
-        """Where a source is to go on; None for one that was never read."""
+        """Position at which a source resumes; None if it was never read."""
         found = self.rows("SELECT place FROM source WHERE url = ?", (url,))
         return found[0][0] if found else None
 
@@ -329,7 +375,7 @@ class Store:
         }
 
     def size(self) -> dict[str, int]:
-        """Rows of every table."""
+        """Number of rows of each table."""
         return {table: int(self.rows(f"SELECT COUNT(*) FROM {table}")[0][0]) for table in TABLES}
 
     def close(self) -> None:
@@ -337,7 +383,7 @@ class Store:
 
 
 def state_text(state: Gaussian) -> str:
-    """A Gaussian as JSON, of which every bit comes back."""
+    """A Gaussian as JSON that restores every bit."""
     return json.dumps({"mean": state.mean.tolist(), "covariance": np.asarray(state.covariance).tolist()})
 
 
@@ -346,18 +392,22 @@ def state_of(text: str) -> Gaussian:
     return Gaussian(np.array(data["mean"], dtype=float), np.array(data["covariance"], dtype=float))
 
 
-def estimate_rows(turbine: str, found: Condition, final: int) -> Iterable[tuple]:
-    """Rows of the estimate table, in the order of `ESTIMATE_COLUMNS`; what is no number is NULL."""
+def estimate_rows(turbine: str, found: Condition, final: int) -> list[Row]:
+    """Rows of the estimate table, in the order of `ESTIMATE_COLUMNS`; NaN becomes NULL."""
     count = len(found.time_s)
-    columns: list[list] = [[turbine] * count, found.time_s.tolist(), [int(i < final) for i in range(count)]]
-    for name, _ in _QUANTITIES:
-        quantity: Quantity | None = getattr(found, name)
+    columns: list[list[Any]] = [
+        [turbine] * count,
+        found.time_s.tolist(),
+        [int(i < final) for i in range(count)],
+    ]
+    for row in QUANTITIES:
+        quantity: Quantity | None = getattr(found, row.column)
         columns += [[None] * count] * 2 if quantity is None else [_plain(quantity.value), _plain(quantity.sd)]
     columns.append([None] * count if found.condensation is None else _plain(found.condensation))
     return list(zip(*columns, strict=True))
 
 
-def forecast_rows(turbine: str, made: Forecast) -> Iterable[tuple]:
+def forecast_rows(turbine: str, made: Forecast) -> list[Row]:
     """Rows of the forecast table, in the order of `FORECAST_COLUMNS`."""
     return [
         (row[0], row[1], made.made_s, *row[3:], above)
@@ -369,12 +419,12 @@ def _plain(values: np.ndarray) -> list[float | None]:
     return [v if v == v else None for v in values.tolist()]
 
 
-# -- opening ---------------------------------------------------------------------------------------------------------
+# -- opening -------------------------------------------------------------------------------------------------
 def open_store(url: str, read_only: bool = False) -> Store:
-    """The store at `sqlite:PATH` or `postgresql://USER@HOST/NAME`, made where there is none, brought to this version.
+    """Open the store at `sqlite:PATH` or `postgresql://USER@HOST/NAME`, creating or migrating it as needed.
 
-    With `read_only` it must be there, of this version, and nothing can be written.  Raises StoreFault, in words, where it
-    is no store, is damaged or cannot be reached.  Nothing is overwritten.
+    With `read_only` the store must exist with this version's schema, and nothing can be written.  Raises
+    StoreFault if the target is no store, is damaged or cannot be reached.  Nothing is overwritten.
     """
     if url.startswith(SCHEMES):
         return Store(open_postgres(url, read_only))
@@ -382,5 +432,6 @@ def open_store(url: str, read_only: bool = False) -> Store:
         return Store(open_sqlite(Path(url.removeprefix("sqlite:").removeprefix("//")), read_only))
     scheme = url.partition(":")[0] if ":" in url else url
     raise StoreFault(
-        f"expected a store as sqlite:PATH or postgresql://USER@HOST/NAME, found one that begins with {scheme[:40]!r}"
+        "expected a store as sqlite:PATH or postgresql://USER@HOST/NAME, found one that begins with "
+        f"{scheme[:40]!r}"
     )

@@ -1,49 +1,52 @@
-"""The live page: files of the page itself, what it shows as JSON, events, metrics.
+"""The live page as an ASGI application: static files, data as JSON, events and metrics.
 
-Everything is read from the store over a connection of the page's own, so that the tracker never waits for a page.
+The page reads the store over its own connection, so that the tracker never waits for the page.
 """
 
 from __future__ import annotations
 
 import json
 import logging
+import os
 import sqlite3
 import threading
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.service import Service
+from hygrokf.live.sources.streams import SourceState
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.web.access import Access, client_of, guarded
-from hygrokf.live.web.events import EventStream, Hub
 from hygrokf.live.web.metrics import exposition
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
-from hygrokf.live.web.views import alarms_view, fleet_view, health_view, turbine_view
+from hygrokf.live.web.server import EventStream, Hub
+from hygrokf.live.web.views import FleetRow, alarms_view, fleet_view, health_view, turbine_view
 from hygrokf.version import __version__
 
 if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
+    from starlette.types import ASGIApp, Scope
 
 LOG = logging.getLogger("hygrokf.page")
 STATIC = Path(__file__).parent / "static"
-DAY_S = 86400.0
 DAYS = (1, 3, 7, 14)
-"""Days of a turbine's course that may be asked for."""
+"""Lengths of a turbine's history that may be requested [d]."""
 KEPT_S = 10.0
-"""[s] for which the fleet's rows serve although nothing changed."""
+"""[s] after which the fleet's rows are read again even without a change."""
 LARGEST = 4096
-"""[bytes] of what is posted."""
+"""Largest body of a POST [bytes]."""
 LONGEST_NAME, LONGEST_ID = 60, 300
-"""Characters of who acknowledges, and of an alarm's id."""
+"""Longest name of a person who acknowledges, and longest id of an alarm [characters]."""
 T = TypeVar("T")
 
 
 class Reader:
-    """The page's own connection to the store, used by one thread at a time and opened anew after a failure.
+    """The page's own connection to the store, used by one thread at a time and reopened after a failure.
 
-    The tracker opens the store first: only one of them makes its tables.
+    The tracker opens the store first, so that only the tracker creates its tables.
     """
 
     def __init__(self, service: Service) -> None:
@@ -53,7 +56,8 @@ class Reader:
         self._failed = False
 
     def read(self, view: Callable[[Store], T]) -> T:
-        """What `view` makes of the store.  Raises StoreFault where the store is not reached."""
+        """Apply `view` to the store and return its result.  Raises StoreFault if the store cannot be
+        reached."""
         with self._lock:
             if self._service.store is None:
                 raise StoreFault("the tracker has not opened its store yet")
@@ -66,14 +70,14 @@ class Reader:
                 if not of_the_store(fault):
                     raise
                 if not self._failed:
-                    LOG.warning("the page does not reach the store", extra={"fault": str(fault).strip()})
+                    LOG.warning("the page cannot reach the store", extra={"fault": str(fault).strip()})
                 self._failed = True
-                raise StoreFault("the store is not reached; the tracker's log says why") from fault
+                raise StoreFault("the store cannot be reached; the tracker's log says why") from fault
             self._failed = False
             return found
 
     def close(self) -> None:
-        """Give the connection back; the next read opens another one."""
+        """Close the connection; the next read opens a new one."""
         with self._lock:
             self._close()
 
@@ -84,24 +88,24 @@ class Reader:
 
 
 def of_the_store(fault: Exception) -> bool:
-    """Whether a fault is the database's, whichever it is, and not the program's."""
+    """Whether an exception comes from the database, of either kind, and not from a bug in the program."""
     return isinstance(fault, StoreFault | sqlite3.Error | OSError) or type(fault).__module__.startswith(
         "psycopg"
     )
 
 
 class Page:
-    """The page's endpoints over a tracker's service and the hub that its commits are told to."""
+    """The page's endpoints, which read a tracker's service and the hub that announces its commits."""
 
     def __init__(self, service: Service, hub: Hub, settings: PageSettings) -> None:
         self.service = service
         self.hub = hub
         self.access = Access(settings)
         self.reader = Reader(service)
-        self._fleet: tuple[int, float, list[dict]] = (-1, 0.0, [])
+        self._fleet: tuple[int, float, list[FleetRow]] = (-1, 0.0, [])
 
-    def app(self) -> Callable:
-        """The ASGI application.  Raises PageFault where packages are missing."""
+    def app(self) -> ASGIApp:
+        """The ASGI application.  Raises PageFault if packages are missing."""
         try:
             from starlette.applications import Starlette
         except ImportError:
@@ -116,9 +120,17 @@ class Page:
             return FileResponse(STATIC / "index.html", headers={"Cache-Control": "no-cache"})
 
         class Files(StaticFiles):
-            def file_response(self, *given: Any, **named: Any) -> Response:
-                made = super().file_response(*given, **named)
-                made.headers["Cache-Control"] = "no-cache"  # asked for again, and not sent where unchanged
+            def file_response(
+                self,
+                full_path: str | os.PathLike[str],
+                stat_result: os.stat_result,
+                scope: Scope,
+                status_code: int = 200,
+            ) -> Response:
+                made = super().file_response(full_path, stat_result, scope, status_code)
+                made.headers["Cache-Control"] = (
+                    "no-cache"  # browsers revalidate, and unchanged files are not sent again
+                )
                 return made
 
         routes = [
@@ -144,13 +156,13 @@ class Page:
         )
         return guarded(made, self.access)
 
-    # -- what is shown ------------------------------------------------------------------------------------------
+    # -- what is shown ---------------------------------------------------------------------------------------
     def fleet(self, request: Request) -> Response:
         now = self.service.now
         return reply({"now": now, "turbines": self.rows(now)})
 
-    def rows(self, now: float) -> list[dict]:
-        """The fleet's rows; read anew after a change."""
+    def rows(self, now: float) -> list[FleetRow]:
+        """The fleet's rows, read again after a change or `KEPT_S`."""
         generation, at, rows = self._fleet
         current = self.hub.generation
         if generation != current or not 0.0 <= now - at < KEPT_S:
@@ -187,10 +199,10 @@ class Page:
         }
         return reply({**own, **health_view(self._sources(), self.service.health, counters)})
 
-    def _sources(self) -> dict[str, tuple[str, str]]:
+    def _sources(self) -> dict[str, SourceState]:
         return {url: one.state for url, one in self.service.streams.items()}
 
-    # -- what is changed ----------------------------------------------------------------------------------------
+    # -- what is changed -------------------------------------------------------------------------------------
     async def acknowledge(self, request: Request) -> Response:
         from starlette.concurrency import run_in_threadpool
 
@@ -206,7 +218,7 @@ class Page:
             lambda store: store.acknowledge(alarm, by, self.service.now) and alarm_turbine(store, alarm),
         )
         if done is False:
-            return refusal(409, "there is no such alarm, or it was acknowledged before")
+            return refusal(409, "there is no such alarm, or it is already acknowledged")
         LOG.info("an alarm was acknowledged", extra={"alarm": alarm, "by": by})
         self.hub.changed([done])
         return reply({"turbine": done})
@@ -218,14 +230,14 @@ class Page:
         refused = self.access.judged(client_of(request.scope), token if isinstance(token, str) else "")
         if refused is not None:
             status, words, headers = refused
-            # a browser that is told of "Bearer" here would ask by itself
+            # with a "Bearer" challenge the browser would show its own login prompt
             return refusal(status, words, {k: v for k, v in headers.items() if k != "WWW-Authenticate"})
         return reply({}, {"Set-Cookie": self.access.sessions.begun()})
 
     async def logout(self, request: Request) -> Response:
         return reply({}, {"Set-Cookie": self.access.sessions.ended()})
 
-    # -- what machines ask --------------------------------------------------------------------------------------
+    # -- what machines ask -----------------------------------------------------------------------------------
     def metrics(self, request: Request) -> Response:
         from starlette.responses import Response
 
@@ -238,13 +250,14 @@ class Page:
         return Response(text, headers={"Content-Type": kind})
 
     def healthz(self, request: Request) -> Response:
-        """200 while readings can become estimates; 503 with the reason, which names no place and no turbine."""
+        """200 while readings can become estimates, else 503 with a reason that reveals no location and no
+        turbine."""
         fault = ""
         states = [state for state, _ in self._sources().values()]
         if self.service.ending.is_set():
             fault = "the tracker is ending"
         elif self.service.health.store:
-            fault = "the tracker does not reach its store"
+            fault = "the tracker cannot reach its store"
         elif states and all(state == "lost" for state in states):
             fault = "every source is lost"
         else:
@@ -256,7 +269,7 @@ class Page:
 
 
 def open_alarms(store: Store) -> int:
-    """How many alarms are open."""
+    """Number of open alarms."""
     return int(store.rows("SELECT COUNT(*) FROM alarm WHERE ended IS NULL")[0][0])
 
 
@@ -265,8 +278,8 @@ def alarm_turbine(store: Store, alarm: str) -> str:
     return store.rows("SELECT turbine FROM alarm WHERE id = ?", (alarm,))[0][0]
 
 
-async def posted(request: Request) -> dict:
-    """The JSON object that was posted; an empty one where it is none, or too large."""
+async def posted(request: Request) -> dict[str, Any]:
+    """The posted JSON object; empty if the body is no object or too large."""
     body = b""
     async for part in request.stream():
         body += part
@@ -279,8 +292,10 @@ async def posted(request: Request) -> dict:
     return found if isinstance(found, dict) else {}
 
 
-def reply(content: Mapping, headers: Mapping[str, str] | None = None, status: int = 200) -> Response:
-    """Plain data as JSON."""
+def reply(
+    content: Mapping[str, Any], headers: Mapping[str, str] | None = None, status: int = 200
+) -> Response:
+    """A JSON response."""
     from starlette.responses import Response
 
     text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
@@ -288,5 +303,5 @@ def reply(content: Mapping, headers: Mapping[str, str] | None = None, status: in
 
 
 def refusal(status: int, words: str, headers: Mapping[str, str] | None = None) -> Response:
-    """Why something is not done."""
+    """A JSON response that says why a request is refused."""
     return reply({"fault": words}, headers, status)

@@ -1,6 +1,7 @@
-"""What Prometheus reads: the tracker's deliveries, commits and sources, and each turbine's risk, as of now.
+"""Metrics for Prometheus: the tracker's deliveries, commits and sources, and each turbine's present risk.
 
-Each read is made from the store and the tracker's own counts; the fleet's rows are the page's, at most seconds old.
+Each scrape reads the store and the tracker's own counts; the fleet's rows are shared with the page and
+seconds old at most.
 """
 
 from __future__ import annotations
@@ -8,9 +9,15 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING
 
 from hygrokf.live.service import Health
+from hygrokf.live.sources.streams import SourceState
 from hygrokf.live.web.page_settings import NEEDED, PageFault
+from hygrokf.live.web.views import FleetRow
+
+if TYPE_CHECKING:
+    from prometheus_client import Metric
 
 QUANTILES = (0.5, 0.9, 0.99)
 STATES = ("connected", "waiting", "lost", "ended", "stopped", "idle")
@@ -19,15 +26,15 @@ STATES = ("connected", "waiting", "lost", "ended", "stopped", "idle")
 def exposition(
     now: float,
     health: Health,
-    sources: Mapping[str, tuple[str, str]],
+    sources: Mapping[str, SourceState],
     clients: int,
-    fleet: Sequence[Mapping] | None,
+    fleet: Sequence[FleetRow] | None,
     counters: Mapping[tuple[str, str], int],
 ) -> tuple[bytes, str]:
     """The metrics as text, and its media type.
 
-    `now` [s]; `fleet` rows of `fleet_view`, None where the store is not reached; `counters` (turbine, kind) → count.
-    Raises PageFault where the package is missing.
+    `now` [s]; `fleet`: rows of `fleet_view`, None if the store cannot be reached; `counters`: (turbine, kind)
+    → count. Raises PageFault if prometheus_client is missing.
     """
     try:
         from prometheus_client import CollectorRegistry
@@ -36,7 +43,7 @@ def exposition(
     from prometheus_client.exposition import CONTENT_TYPE_LATEST, generate_latest
 
     class Now:
-        def collect(self) -> Iterator:
+        def collect(self) -> Iterator[Metric]:
             yield from _tracker(now, health, sources, clients, fleet is not None)
             yield from _set_aside(counters)
             yield from _turbines(now, fleet or ())
@@ -47,25 +54,25 @@ def exposition(
 
 
 def _tracker(
-    now: float, health: Health, sources: Mapping[str, tuple[str, str]], clients: int, reached: bool
-) -> Iterator:
+    now: float, health: Health, sources: Mapping[str, SourceState], clients: int, reached: bool
+) -> Iterator[Metric]:
     from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 
     yield CounterMetricFamily("hygrokf_deliveries", "Deliveries that were committed", health.deliveries)
     yield CounterMetricFamily("hygrokf_store_failures", "Commits that the store refused", health.failures)
-    waits = sorted(health.waits_s)
     wait = GaugeMetricFamily(
         "hygrokf_commit_wait_seconds", "Time from delivery to commit, of the last 10,000", labels=["quantile"]
     )
-    for share in QUANTILES if waits else ():
-        wait.add_metric([f"{share:g}"], waits[int(share * (len(waits) - 1))])
+    for share in QUANTILES:
+        if (seconds := health.wait_s(share)) is not None:
+            wait.add_metric([f"{share:g}"], seconds)
     yield wait
     age = GaugeMetricFamily("hygrokf_last_commit_age_seconds", "Time since the last commit")
     if health.committed_s:
         age.add_metric([], time.time() - health.committed_s)
     yield age
     yield GaugeMetricFamily(
-        "hygrokf_store_reached", "1 where tracker and page reach the store", int(reached and not health.store)
+        "hygrokf_store_reached", "1 if tracker and page reach the store", int(reached and not health.store)
     )
     state = GaugeMetricFamily(
         "hygrokf_source_state", "1 for the state that a source is in", labels=["source", "state"]
@@ -74,10 +81,10 @@ def _tracker(
         for one in dict.fromkeys((*STATES, word)):
             state.add_metric([url, one], int(one == word))
     yield state
-    yield GaugeMetricFamily("hygrokf_page_clients", "Pages that are told of changes", clients)
+    yield GaugeMetricFamily("hygrokf_page_clients", "Pages that are notified of changes", clients)
 
 
-def _set_aside(counters: Mapping[tuple[str, str], int]) -> Iterator:
+def _set_aside(counters: Mapping[tuple[str, str], int]) -> Iterator[Metric]:
     from prometheus_client.core import CounterMetricFamily
 
     refused = CounterMetricFamily(
@@ -94,7 +101,7 @@ def _set_aside(counters: Mapping[tuple[str, str], int]) -> Iterator:
     yield from (refused, aside)
 
 
-def _turbines(now: float, fleet: Sequence[Mapping]) -> Iterator:
+def _turbines(now: float, fleet: Sequence[FleetRow]) -> Iterator[Metric]:
     from prometheus_client.core import GaugeMetricFamily
 
     heard = GaugeMetricFamily(

@@ -1,4 +1,4 @@
-"""What the page shows, as plain data from the store: the fleet by risk, one turbine's last days, alarms.
+"""The data that the page shows, read from the store: the fleet by risk, one turbine's last days, alarms.
 
 Temperatures are in °C, relative humidity in %, times in seconds since 1970, UTC.
 """
@@ -8,50 +8,207 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import TYPE_CHECKING
+from typing import Any, TypedDict, TypeVar, cast
 
 import numpy as np
 
 from hygrokf.data.signals import SIGNALS, from_si
-from hygrokf.identification.verdict import MARKS, PARAMETER_OF, VERDICTS, handed_on
+from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.identification.verdict import MARKS, PARAMETER_OF, VERDICTS, Inherited, handed_on
 from hygrokf.live.alarms import CHANGED
-from hygrokf.live.condition import Z95, Quantity, probability_above
+from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.properties import WATCHED
+from hygrokf.live.service import Health
+from hygrokf.live.sources.streams import SourceState
+from hygrokf.live.storage.database import Row
 from hygrokf.live.storage.store import Store
+from hygrokf.physics.cold_surface import FREEZING_K
 
-if TYPE_CHECKING:
-    from hygrokf.live.service import Health
-
-ZERO_C = 273.15
-HOUR_S = 3600.0
-DAY_S = 86400.0
 DECIMALS = 4
-"""Digits after the point, ten times as many as the page shows: what is sent is half as long."""
-FRESH_S = 3600.0
-"""[s] since the last reading after which a turbine's data are not fresh."""
+"""Decimal places of numbers sent to the page; rounding halves the size of the response."""
+FRESH_S = HOUR_S
+"""[s] since the last reading after which a turbine's data are no longer fresh."""
 SEVERITY = {"alarm": 2, "warning": 1, "notice": 0}
-COURSES = {
-    "temperature": ("temperature_K", "temperature_sd", 1.0, -ZERO_C),
-    "relative_humidity": ("relative_humidity", "relative_humidity_sd", 100.0, 0.0),
-    "absolute_humidity": ("absolute_humidity_g_m3", "absolute_humidity_sd", 1.0, 0.0),
-    "dew_point": ("dew_point_K", "dew_point_sd", 1.0, -ZERO_C),
-    "margin": ("margin_K", "margin_sd", 1.0, 0.0),
-}
-"""Quantity on the page -> (column, its standard deviation's, factor, offset)."""
-_COLUMNS = ", ".join(f"{column}, {sd}" for column, sd, _, _ in COURSES.values())
+COURSES = {q.name: q for q in QUANTITIES if q.name != "frost_point"}
+_COLUMNS = ", ".join(f"{q.column}, {q.sd_column}" for q in COURSES.values())
 MOST = 3000
-"""Points of a course at most; longer ones are thinned."""
-READ = {
-    "temperature": ("cabinet_temperature", 1.0, -ZERO_C),
-    "relative_humidity": ("cabinet_relative_humidity", 100.0, 0.0),
-}
-"""Quantity on the page -> (the cabinet's own signal, factor, offset)."""
+"""Largest number of points in a course; longer courses are thinned."""
+READ = {"temperature": "cabinet_temperature", "relative_humidity": "cabinet_relative_humidity"}
+"""Quantity on the page -> the cabinet's own signal."""
+Verdicts = Mapping[str, Inherited]
+"""A fit's verdicts on the numbers of a turbine's model, by part."""
+T = TypeVar("T")
 
 
-def model_view(verdicts: Mapping[str, Mapping]) -> dict:
-    """The verdict on a turbine's model, the worst of those on its numbers, and each of these in words."""
-    numbers = [
+class AlarmRow(TypedDict):
+    """An alarm; times [s]."""
+
+    id: str
+    turbine: str
+    kind: str
+    severity: str
+    began: float
+    ended: float | None
+    acknowledged: float | None
+    acknowledged_by: str | None
+    statement: str
+    remedy: str
+
+
+class Chance(TypedDict):
+    """The highest forecast probability of condensation [1], and the first time [s] it is reached."""
+
+    condensation: float
+    time: float
+
+
+class FleetRow(TypedDict):
+    """A turbine in the fleet's table: temperatures [°C], `margin` [K], humidity [%], probabilities [1], times
+    [s].
+
+    `…_half` is half the width of a 95 % band; `cabinet` says whether its properties are as fitted; `severity`
+    is that of its worst open alarm (`SEVERITY`), −1 without any.
+    """
+
+    turbine: str
+    time: float | None
+    heard: float | None
+    fresh: bool
+    temperature: float | None
+    temperature_half: float | None
+    relative_humidity: float | None
+    relative_humidity_half: float | None
+    margin: float | None
+    margin_lower: float | None
+    condensation: float | None
+    forecast: Chance | None
+    cabinet: str | None
+    alarms: list[AlarmRow]
+    model: str | None
+    severity: int
+
+
+class NumberVerdict(TypedDict):
+    """The verdict on one number of a model, as the page shows it."""
+
+    part: str
+    property: str
+    verdict: str
+    mark: str
+    words: str
+    why: str
+
+
+class ModelView(TypedDict):
+    """The worst verdict on a model, None without any, and the verdict on each of its numbers."""
+
+    verdict: str | None
+    numbers: list[NumberVerdict]
+
+
+class Course(TypedDict):
+    """A quantity at the instants of a course, with bounds of 95 %."""
+
+    value: list[float | None]
+    lower: list[float | None]
+    upper: list[float | None]
+
+
+class PropertyCourse(Course):
+    """A property with its course; `reference` and `observable` are those of its newest row."""
+
+    name: str
+    unit: str
+    time: list[float]
+    reference: float
+    observable: bool
+
+
+class SignalRow(TypedDict):
+    """A signal's last reading in its display unit.
+
+    `last`: its time [s]; `received`: its arrival [s]; `count`: number of readings in the last day.
+    """
+
+    signal: str
+    value: float
+    unit: str
+    last: float
+    received: float
+    count: int
+
+
+class ReadingCourse(TypedDict):
+    """The cabinet's own readings of a quantity, at times [s]."""
+
+    time: list[float]
+    value: list[float | None]
+
+
+class Hourly(TypedDict):
+    """(beginning [s], highest probability) of every past hour and of every hour of the forecast."""
+
+    past: list[tuple[float, float]]
+    forecast: list[tuple[float, float]]
+
+
+class HumidHours(Hourly):
+    """The same for a relative humidity above a `limit` [1]."""
+
+    limit: float
+
+
+class TurbineView(TypedDict):
+    """One turbine on the page.
+
+    `final`: 1 for final estimates; `condensation` [1] and `courses` at the instants `time` [s]; `forecast`:
+    see `_forecast`; `counts`: readings that were not used, by kind.
+    """
+
+    turbine: str
+    model: ModelView
+    time: list[float]
+    final: list[int]
+    condensation: list[float | None]
+    hours: Hourly
+    humid: HumidHours
+    courses: dict[str, Course]
+    readings: dict[str, ReadingCourse]
+    forecast: dict[str, Any] | None
+    properties: list[PropertyCourse]
+    alarms: list[AlarmRow]
+    signals: list[SignalRow]
+    counts: dict[str, int]
+
+
+class SourceRow(TypedDict):
+    """A source with its state in one word and its explanation."""
+
+    url: str
+    state: str
+    words: str
+
+
+class HealthView(TypedDict):
+    """The sources and the store.
+
+    `store`: why the store fails, empty if it does not; `committed`: time of the last commit [s]; `wait_99_s`:
+    time [s] within which 99 % of the deliveries were committed; `refused`: deliveries of no turbine, by kind.
+    """
+
+    sources: list[SourceRow]
+    store: str
+    deliveries: int
+    committed: float
+    wait_99_s: float | None
+    refused: dict[str, int]
+
+
+def model_view(verdicts: Verdicts) -> ModelView:
+    """The verdict on a turbine's model, which is the worst verdict on its numbers, and the verdict on each
+    number."""
+    numbers: list[NumberVerdict] = [
         {
             "part": part,
             "property": PARAMETER_OF[part],
@@ -70,33 +227,36 @@ def fleet_view(
     store: Store,
     names: Sequence[str],
     now: float,
-    verdicts: Mapping[str, Mapping[str, Mapping]] = MappingProxyType({}),
-) -> list[dict]:
-    """One row a turbine, the one at most risk first: open alarms by severity, then condensation, the likeliest now or ahead.
+    verdicts: Mapping[str, Verdicts] = MappingProxyType({}),
+) -> list[FleetRow]:
+    """One row per turbine, sorted by the severity of open alarms and then by the present or forecast risk of
+    condensation.
 
-    `…_half` is half the width of a 95 % band; `ahead` the hour of the forecast in which condensation is likeliest;
-    `model` the verdict on the turbine's model, from the `verdicts` on its numbers.
+    verdicts: turbine → verdicts on the numbers of its model.
     """
-    # LEFT JOIN: the database is to go from turbine to turbine and not through every estimate
+    # LEFT JOIN makes the database loop over turbines instead of scanning every estimate
     newest = {
         turbine: row
         for turbine, *row in store.rows(
-            "SELECT t.name, e.time, e.temperature_K, e.temperature_sd, e.relative_humidity, e.relative_humidity_sd, "
-            "e.margin_K, e.margin_sd, e.condensation FROM turbine t LEFT JOIN estimate e "
-            "ON e.turbine = t.name AND e.time = (SELECT MAX(time) FROM estimate WHERE turbine = t.name)"
+            "SELECT t.name, e.time, e.temperature_K, e.temperature_sd, e.relative_humidity, "
+            "e.relative_humidity_sd, e.margin_K, e.margin_sd, e.condensation FROM turbine t LEFT JOIN "
+            "estimate e ON e.turbine = t.name AND e.time = (SELECT MAX(time) FROM estimate WHERE turbine = "
+            "t.name)"
         )
     }
-    # the newest reading is taken for the one that came last: asking for that would read every observation
-    heard = dict(
-        store.rows(
-            "SELECT t.name, (SELECT received FROM observation WHERE turbine = t.name ORDER BY time DESC LIMIT 1) FROM turbine t"
+    # the newest reading stands for the last received one, which only a scan of every observation would find
+    heard = {
+        turbine: received
+        for turbine, received in store.rows(
+            "SELECT t.name, (SELECT received FROM observation WHERE turbine = t.name ORDER BY time DESC "
+            "LIMIT 1) FROM turbine t"
         )
-    )
-    cabinets, ahead = _cabinets(store), _ahead(store, now)
-    open_: dict[str, list[dict]] = {}
+    }
+    cabinets, highest = _cabinets(store), _highest_forecast(store, now)
+    open_: dict[str, list[AlarmRow]] = {}
     for alarm in alarms_view(store, since=math.inf):
         open_.setdefault(alarm["turbine"], []).append(alarm)
-    rows = []
+    rows: list[FleetRow] = []
     for name in names:
         at, kelvin, kelvin_sd, humidity, humidity_sd, margin, margin_sd, chance = newest.get(name, [None] * 8)
         alarms = open_.get(name, [])
@@ -107,14 +267,14 @@ def fleet_view(
                 "time": at,
                 "heard": last,
                 "fresh": last is not None and now - last < FRESH_S,
-                "temperature": _scaled(kelvin, 1.0, -ZERO_C),
+                "temperature": _scaled(kelvin, 1.0, -FREEZING_K),
                 "temperature_half": _scaled(kelvin_sd, Z95, 0.0),
                 "relative_humidity": _scaled(humidity, 100.0, 0.0),
                 "relative_humidity_half": _scaled(humidity_sd, 100.0 * Z95, 0.0),
                 "margin": margin,
                 "margin_lower": None if margin is None else margin - Z95 * margin_sd,
                 "condensation": chance,
-                "ahead": ahead.get(name),
+                "forecast": highest.get(name),
                 "cabinet": "changed"
                 if any(a["kind"] == CHANGED.kind for a in alarms)
                 else cabinets.get(name),
@@ -127,18 +287,18 @@ def fleet_view(
     return rows
 
 
-def _risk(row: dict) -> float:
-    ahead = row["ahead"]["condensation"] if row["ahead"] else 0.0
-    return max(row["condensation"] or 0.0, ahead)
+def _risk(row: FleetRow) -> float:
+    coming = row["forecast"]["condensation"] if row["forecast"] else 0.0
+    return max(row["condensation"] or 0.0, coming)
 
 
 def _cabinets(store: Store) -> dict[str, str]:
-    """Whether the properties of each turbine's cabinet can be told from its readings now."""
+    """Whether the properties of each turbine's cabinet are observable now: turbine → words for the page."""
     found: dict[str, str] = {}
     for one in WATCHED:
         for turbine, observable in store.rows(
-            "SELECT t.name, p.observable FROM turbine t LEFT JOIN property p ON p.turbine = t.name AND p.name = ? "
-            "AND p.time = (SELECT MAX(time) FROM property WHERE turbine = t.name AND name = ?)",
+            "SELECT t.name, p.observable FROM turbine t LEFT JOIN property p ON p.turbine = t.name AND "
+            "p.name = ? AND p.time = (SELECT MAX(time) FROM property WHERE turbine = t.name AND name = ?)",
             (one.name, one.name),
         ):
             if observable or (observable is not None and turbine not in found):
@@ -146,11 +306,12 @@ def _cabinets(store: Store) -> dict[str, str]:
     return found
 
 
-def _ahead(store: Store, now: float) -> dict[str, dict]:
-    """The highest probability of condensation that is forecast for each turbine, and when first."""
-    found: dict[str, dict] = {}
+def _highest_forecast(store: Store, now: float) -> dict[str, Chance]:
+    """The highest forecast probability of condensation for each turbine, and the first time it is reached."""
+    found: dict[str, Chance] = {}
     for turbine, at, chance in store.rows(
-        "SELECT turbine, time, condensation FROM forecast WHERE time >= ? AND condensation IS NOT NULL ORDER BY turbine, time",
+        "SELECT turbine, time, condensation FROM forecast WHERE time >= ? AND condensation IS NOT NULL ORDER "
+        "BY turbine, time",
         (now,),
     ):
         if turbine not in found or chance > found[turbine]["condensation"]:
@@ -159,31 +320,30 @@ def _ahead(store: Store, now: float) -> dict[str, dict]:
 
 
 def turbine_view(
-    store: Store, name: str, since: float, now: float, verdicts: Mapping[str, Mapping] = MappingProxyType({})
-) -> dict:
-    """One turbine from a time [s] on: courses with bounds, readings, properties now and their course, alarms, counts.
-
-    `hours` and `humid` hold the highest probability of each hour, up to the last estimate and as it is forecast: of
-    condensation, and of a relative humidity above the turbine's limit; `model` the verdicts on its model.
-    """
+    store: Store, name: str, since: float, now: float, verdicts: Verdicts = MappingProxyType({})
+) -> TurbineView:
+    """One turbine from `since` [s] on: courses with bounds, readings, properties, alarms, counts."""
     found = _thinned(
         store.rows(
-            f"SELECT {_COLUMNS}, time, final, condensation FROM estimate WHERE turbine = ? AND time >= ? ORDER BY time",
+            f"SELECT {_COLUMNS}, time, final, condensation FROM estimate WHERE turbine = ? AND time >= ? "
+            "ORDER BY time",
             (name, since),
         )
     )
-    readings = {}
-    for quantity, (signal, factor, offset) in READ.items():
-        taken = store.rows(
-            "SELECT time, value FROM observation WHERE turbine = ? AND signal = ? AND time >= ? AND contradicted = 0 "
-            "ORDER BY time",
-            (name, signal, since),
+    readings: dict[str, ReadingCourse] = {}
+    for quantity, signal in READ.items():
+        shown = COURSES[quantity]
+        rows = _thinned(
+            store.rows(
+                "SELECT time, value FROM observation WHERE turbine = ? AND signal = ? AND time >= ? AND "
+                "contradicted = 0 ORDER BY time",
+                (name, signal, since),
+            )
         )
-        rows = _thinned(taken)
         if rows:
             readings[quantity] = {
                 "time": [at for at, _ in rows],
-                "value": [_scaled(value, factor, offset) for _, value in rows],
+                "value": [_scaled(value, shown.factor, shown.offset) for _, value in rows],
             }
     time, chances = [row[-3] for row in found], [row[-1] for row in found]
     forecast = _forecast(store, name)
@@ -196,12 +356,12 @@ def turbine_view(
         "condensation": chances,
         "hours": {
             "past": by_hour(time, chances),
-            "ahead": by_hour(forecast["time"], forecast["condensation"]) if forecast else [],
+            "forecast": by_hour(forecast["time"], forecast["condensation"]) if forecast else [],
         },
         "humid": {
             "limit": limit,
             "past": by_hour(time, _humid(found, limit)),
-            "ahead": by_hour(forecast["time"], forecast["above_limit"]) if forecast else [],
+            "forecast": by_hour(forecast["time"], forecast["above_limit"]) if forecast else [],
         },
         "courses": _courses(found),
         "readings": readings,
@@ -213,8 +373,9 @@ def turbine_view(
     }
 
 
-def _humid(rows: Sequence[tuple], limit: float) -> list[float | None]:
-    """Probability that relative humidity is above a limit, from rows that begin with the columns of `COURSES`."""
+def _humid(rows: Sequence[Row], limit: float) -> list[float | None]:
+    """Probability that relative humidity exceeds a limit, from rows that begin with the columns of
+    `COURSES`."""
     place = 2 * list(COURSES).index("relative_humidity")
     value, sd = np.array([row[place : place + 2] for row in rows], dtype=float).reshape(-1, 2).T
     chances = probability_above(Quantity(value, sd), limit)
@@ -222,7 +383,7 @@ def _humid(rows: Sequence[tuple], limit: float) -> list[float | None]:
 
 
 def by_hour(time: Sequence[float], values: Sequence[float | None]) -> list[tuple[float, float]]:
-    """(beginning [s], highest value) of every hour that has one."""
+    """(beginning [s], highest value) of every hour with a value."""
     most: dict[float, float] = {}
     for at, value in zip(time, values, strict=True):
         if value is not None:
@@ -231,18 +392,13 @@ def by_hour(time: Sequence[float], values: Sequence[float | None]) -> list[tuple
     return sorted(most.items())
 
 
-def _signals(store: Store, name: str, now: float) -> list[dict]:
-    """Each signal of a turbine: its last reading in the unit that is shown, when it came, readings of the last day."""
-    found = []
-    # one step of the index for each signal: a list of all that were ever seen would read every observation
-    for (signal,) in store.rows(
-        "WITH RECURSIVE seen(signal) AS (SELECT MIN(signal) FROM observation WHERE turbine = ? UNION ALL SELECT "
-        "(SELECT MIN(signal) FROM observation WHERE turbine = ? AND signal > seen.signal) FROM seen WHERE seen.signal IS NOT NULL) "
-        "SELECT signal FROM seen WHERE signal IS NOT NULL",
-        (name, name),
-    ):
+def _signals(store: Store, name: str, now: float) -> list[SignalRow]:
+    """The last reading of each signal of a turbine."""
+    found: list[SignalRow] = []
+    for signal in store.signals(name):
         ((last, value, received),) = store.rows(
-            "SELECT time, value, received FROM observation WHERE turbine = ? AND signal = ? ORDER BY time DESC LIMIT 1",
+            "SELECT time, value, received FROM observation WHERE turbine = ? AND signal = ? ORDER BY time "
+            "DESC LIMIT 1",
             (name, signal),
         )
         ((count,),) = store.rows(
@@ -265,10 +421,12 @@ def _signals(store: Store, name: str, now: float) -> list[dict]:
     return found
 
 
-def _courses(rows: Sequence[tuple]) -> dict[str, dict[str, list]]:
-    """Value and bounds of each quantity, from rows that begin with the columns of `COURSES`; none where all is NULL."""
-    courses: dict[str, dict[str, list]] = {}
-    for place, (quantity, (_, _, factor, offset)) in enumerate(COURSES.items()):
+def _courses(rows: Sequence[Row]) -> dict[str, Course]:
+    """Value and bounds of each quantity that has values, from rows that begin with the columns of
+    `COURSES`."""
+    courses: dict[str, Course] = {}
+    for place, (quantity, shown) in enumerate(COURSES.items()):
+        factor, offset = shown.factor, shown.offset
         pairs = [(row[2 * place], row[2 * place + 1]) for row in rows]
         if all(value is None for value, _ in pairs):
             continue
@@ -280,10 +438,10 @@ def _courses(rows: Sequence[tuple]) -> dict[str, dict[str, list]]:
     return courses
 
 
-def _forecast(store: Store, name: str) -> dict | None:
-    """The newest forecast: what it was made from, courses, chances, and the advice for a restart.
+def _forecast(store: Store, name: str) -> dict[str, Any] | None:
+    """The newest forecast: its origin, courses, probabilities and the advice for a restart.
 
-    Where none could be made `weather` says why, and the courses are empty.
+    If no forecast could be made, `weather` says why and the courses are empty.
     """
     made = store.memory(name, "forecast")
     rows = store.rows(
@@ -302,29 +460,32 @@ def _forecast(store: Store, name: str) -> dict | None:
     }
 
 
-def alarms_view(store: Store, turbine: str | None = None, since: float = -math.inf) -> list[dict]:
-    """Alarms, of one turbine or of all, that are open or ended at `since` [s] or later; open ones first, then the newest."""
-    names = (
-        "id", "turbine", "kind", "severity", "began", "ended", "acknowledged", "acknowledged_by", "statement", "remedy"
-    )  # fmt: skip
+def alarms_view(store: Store, turbine: str | None = None, since: float = -math.inf) -> list[AlarmRow]:
+    """Alarms of one turbine or of all that are open or ended at `since` [s] or later.
+
+    Open alarms come first; within each group the most severe come first, and then the newest.
+    """
     where = "WHERE (ended IS NULL OR ended >= ?)"
     parameters: list[float | str] = [since]
     if turbine is not None:
-        where, parameters = f"{where} AND turbine = ?", [since, turbine]
-    rows = store.rows(f"SELECT {', '.join(names)} FROM alarm {where} ORDER BY began DESC", parameters)
-    found = [dict(zip(names, row, strict=True)) for row in rows]
+        where += " AND turbine = ?"
+        parameters.append(turbine)
+    rows = store.rows(
+        f"SELECT {', '.join(AlarmRow.__annotations__)} FROM alarm {where} ORDER BY began DESC", parameters
+    )
+    found = [cast(AlarmRow, dict(zip(AlarmRow.__annotations__, row, strict=True))) for row in rows]
     return sorted(found, key=lambda a: (a["ended"] is not None, -SEVERITY[a["severity"]]))
 
 
-def _properties(store: Store, name: str, since: float) -> list[dict]:
-    """Each property with its course; the last row of the course is what it is now."""
-    found: dict[str, dict] = {}
+def _properties(store: Store, name: str, since: float) -> list[PropertyCourse]:
+    """Each property with its course, whose last value is the present one."""
+    found: dict[str, PropertyCourse] = {}
     for prop, unit, at, value, lower, upper, reference, observable in store.rows(
         "SELECT name, unit, time, value, lower_bound, upper_bound, reference, observable FROM property "
         "WHERE turbine = ? AND time >= ? ORDER BY time",
         (name, since),
     ):
-        factor = 100.0 if unit == "1" else 1.0  # shares are told in per cent
+        factor = 100.0 if unit == "1" else 1.0  # shares are shown in per cent
         one = found.setdefault(
             prop,
             {
@@ -334,12 +495,14 @@ def _properties(store: Store, name: str, since: float) -> list[dict]:
                 "value": [],
                 "lower": [],
                 "upper": [],
+                "reference": 0.0,
+                "observable": False,
             },
         )
-        one |= {"reference": factor * reference, "observable": bool(observable)}
+        one["reference"], one["observable"] = factor * reference, bool(observable)
         one["time"].append(at)
-        for key, number in (("value", value), ("lower", lower), ("upper", upper)):
-            one[key].append(None if number is None else factor * number)
+        for course, number in ((one["value"], value), (one["lower"], lower), (one["upper"], upper)):
+            course.append(None if number is None else factor * number)
     return list(found.values())
 
 
@@ -349,20 +512,21 @@ def _scaled(
     return None if value is None else round(factor * value + offset + width * (sd or 0.0), DECIMALS)
 
 
-def _thinned(rows: Sequence) -> Sequence:
-    """At most `MOST` of the rows, evenly, the last one among them."""
+def _thinned(rows: Sequence[T]) -> Sequence[T]:
+    """At most `MOST` evenly spaced rows, including the last one."""
     step = -(-len(rows) // MOST)
     return rows if step <= 1 else rows[(len(rows) - 1) % step :: step]
 
 
-def health_view(streams: Mapping[str, tuple[str, str]], health: Health, counters: Mapping) -> dict:
-    """Sources, store and what was set aside that belongs to no turbine."""
-    waits = sorted(health.waits_s)
+def health_view(
+    streams: Mapping[str, SourceState], health: Health, counters: Mapping[tuple[str, str], int]
+) -> HealthView:
+    """State of sources and store, and counts of refused deliveries that belong to no turbine."""
     return {
         "sources": [{"url": url, "state": state, "words": words} for url, (state, words) in streams.items()],
         "store": health.store,
         "deliveries": health.deliveries,
         "committed": health.committed_s,
-        "wait_99_s": waits[int(0.99 * (len(waits) - 1))] if waits else None,
+        "wait_99_s": health.wait_s(0.99),
         "refused": {kind: n for (turbine, kind), n in sorted(counters.items()) if not turbine},
     }

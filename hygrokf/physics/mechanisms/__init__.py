@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 from hygrokf.physics.mechanisms.heat import (
     cooling_loss,
     dehumidifier_heat,
@@ -72,6 +74,10 @@ from hygrokf.physics.mechanisms.wandering import (
     wandering_temperature_reading,
     wandering_time_constant,
 )
+from hygrokf.physics.model import Mechanism
+
+Factory = Callable[..., Mechanism]
+"""A function (**settings) -> mechanism."""
 
 BASE = (
     thermal_network,
@@ -89,7 +95,7 @@ BASE = (
     humidity_sensor,
     absolute_humidity_sensor,
 )
-"""What the base models are made of."""
+"""Mechanisms of the base models."""
 LOGGED = (
     logged_heater,
     dehumidifier_heat,
@@ -100,7 +106,8 @@ LOGGED = (
     open_exchange,
     dehumidifier_drying,
 )
-"""What actuators do that the record has; each of them is nested: at its null value it is not there."""
+"""Effects of actuators that the record contains.  Each mechanism is nested: at its null value it has no
+effect."""
 FURTHER = (
     wall_thermal_mass,
     solar_gain,
@@ -134,7 +141,7 @@ FURTHER = (
     temperature_step,
     thermometer_offset,
 )
-"""What else may act on a cabinet; each of them is nested: at its null values it is not there."""
+"""Further mechanisms that may act on a cabinet.  Each is nested: at its null values it has no effect."""
 WANDERING = (
     wandering_time_constant,
     wandering_exchange,
@@ -144,7 +151,9 @@ WANDERING = (
     wandering_humidity_scale,
 )
 """Properties of the cabinet as states, for tracking."""
-LIBRARY = {function.__name__: function for function in (*BASE, *LOGGED, *FURTHER, *WANDERING)}
-"""Factories by mechanism name; `LIBRARY[m.name](**m.settings)` makes a mechanism again."""
+LIBRARY: dict[str, Factory] = {
+    function.__name__: function for function in (*BASE, *LOGGED, *FURTHER, *WANDERING)
+}
+"""Factories by mechanism name; `LIBRARY[m.name](**m.settings)` creates the mechanism m again."""
 
 __all__ = [*LIBRARY, "BASE", "FURTHER", "LIBRARY", "LOGGED", "WANDERING", "linear_network"]

@@ -1,22 +1,26 @@
-"""What else heats or cools the cabinet."""
+"""Further sources and losses of heat in the cabinet."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
-from hygrokf.physics.expression import Given, Named, Value
-from hygrokf.physics.model import Mechanism
+from hygrokf.physics.expression import Given, Value
+from hygrokf.physics.model import Mechanism, Space, Values
 from hygrokf.physics.parameters import Parameter
 
 
 def solar_gain(lagged: bool = False, flag: str = "sunshine") -> Mechanism:
-    """Sun on cabinet, tower or wall: f += a G, with `lagged` through a mass; a [K/(kW/m²)], G [kW/m²].
+    """Solar heat on cabinet, tower or wall: f += a G, with `lagged` through a thermal mass; a [K/(kW/m²)], G
+    [kW/m²].
 
-    dG'/dt = (G − G')/θ, θ [h].  `flag` "sunshine" on a horizontal plane, "sunlit_wall" on a wall that faces somewhere.
+    Lag: dG'/dt = (G − G')/θ, θ [h].  `flag` is "sunshine" for the horizontal plane or "sunlit_wall" for a
+    wall with a stated orientation.
     """
 
-    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
         return {"heat_release": p.solar_heat * (x.stored_sun if lagged else getattr(u, flag))}
 
     lag = Parameter(
@@ -54,15 +58,16 @@ def _driven_heat(
     text: str,
     leaves: str,
     full: float = 1.0,
-    settings: dict | None = None,
+    settings: Mapping[str, Any] | None = None,
 ) -> Mechanism:
-    """Heat release in proportion to an input: f += a · flag/full, a ≥ 0 [K]."""
+    """Heat release proportional to an input: f += a · flag/full, a ≥ 0 [K]."""
     scale = Given(1.0 / full)
     return Mechanism(
         name=name,
         parameters=(
             Parameter(
-                parameter, "K", 0.0, 0.0, 80.0, null=0.0, physical=(0.0, math.inf), meaning=f"heat release {text}"
+                parameter, "K", 0.0, 0.0, 80.0, null=0.0, physical=(0.0, math.inf),
+                meaning=f"heat release {text}"
             ),
         ),
         inputs=(flag,),
@@ -75,7 +80,7 @@ def _driven_heat(
 
 
 def unreported_heater(flag: str = "heating") -> Mechanism:
-    """Heat of a heater that no signal reports, while it runs (input `heating`, or `throttled_heating`) [K]."""
+    """Heat of a running heater that no signal reports (input `heating` or `throttled_heating`) [K]."""
     return _driven_heat(
         "unreported_heater", "heater_heat", flag, "while the unreported heater runs",
         "a cabinet that is too warm in the simulation when it is cold or damp", settings={"flag": flag},
@@ -83,7 +88,7 @@ def unreported_heater(flag: str = "heating") -> Mechanism:
 
 
 def scheduled_heat() -> Mechanism:
-    """Heat that follows the clock (input `scheduled`): lamps, people at work, a load on a timer [K]."""
+    """Heat release on a daily schedule (input `scheduled`): lamps, people at work, a load on a timer [K]."""
     return _driven_heat(
         "scheduled_heat", "scheduled_heat", "scheduled", "in the hours in which it is on",
         "a temperature error in the same hours of every day, or of every workday",
@@ -91,9 +96,10 @@ def scheduled_heat() -> Mechanism:
 
 
 def logged_heater(signal: str = "heater_duty", full: float = 1.0) -> Mechanism:
-    """Heat of a heater that is logged: f += a · signal/full [K].
+    """Heat of a logged heater: f += a · signal/full [K].
 
-    `signal` "heater_duty" [1] or "heater_power" [W]; `full` its value at which the release is a, in the signal's unit.
+    `signal` is "heater_duty" [1] or "heater_power" [W]; at the value `full`, in the signal's unit, the
+    release is a.
     """
     at = "at full duty" if signal == "heater_duty" else f"at {full:.4g} W"
     return _driven_heat(
@@ -103,15 +109,18 @@ def logged_heater(signal: str = "heater_duty", full: float = 1.0) -> Mechanism:
 
 
 def dehumidifier_heat() -> Mechanism:
-    """Heat that a logged dehumidifier releases (input `dehumidifier_duty`): its own power and that of condensing [K]."""
+    """Heat from a logged dehumidifier (input `dehumidifier_duty`): its electric power and the heat of
+    condensation [K]."""
     return _driven_heat(
-        "dehumidifier_heat", "dehumidifier_heat", "dehumidifier_duty", "of the logged dehumidifier at full duty",
+        "dehumidifier_heat", "dehumidifier_heat", "dehumidifier_duty",
+        "of the logged dehumidifier at full duty",
         "a cabinet that is too warm while the dehumidifier runs",
     )  # fmt: skip
 
 
 def drying_heat() -> Mechanism:
-    """Heat that a drier which no signal reports releases (input `drying`): its own power and that of condensing [K]."""
+    """Heat from a drier that no signal reports (input `drying`): its electric power and the heat of
+    condensation [K]."""
     return _driven_heat(
         "drying_heat", "drying_heat", "drying", "while the unreported drier runs",
         "a cabinet that is too warm in the simulation when it is damp",
@@ -119,15 +128,16 @@ def drying_heat() -> Mechanism:
 
 
 def release_drift(order: int = 0, operation: bool = False, flag: str = "elapsed") -> Mechanism:
-    """Heat release that drifts with the calendar: f += a · flag · f₀ [K], f₀ the base model's own in operation.
+    """Heat release that drifts with time: f += a · flag · f₀ [K], f₀ the base model's own heat release in
+    operation.
 
-    `order`, `operation`: those of the base's heat release (f₀ = a₀ + Σ a_k p^k while the turbine operates; without
-    operation its heat at standstill).  `flag` "elapsed": share of the record that has passed; "since": a course that
-    saturates from a date on.
+    `order` and `operation` are the settings of the base heat release: f₀ = a₀ + Σ a_k p^k while the turbine
+    operates, or the standstill heat release in a model without operation.  `flag` is "elapsed" (share of the
+    record that has passed) or "since" (a course that starts at a date and saturates).
     """
     powers = [f"power_{k}" for k in range(1, order + 1)] if operation else []
 
-    def own(p: Named, u: Named) -> Value:
+    def own(p: Space, u: Space) -> Value:
         if not operation:
             return p.heat_release_standstill
         total = p.heat_release_operation * u.operating
@@ -153,9 +163,15 @@ def release_drift(order: int = 0, operation: bool = False, flag: str = "elapsed"
 
 
 def _loss(
-    name: str, parameter: str, flag: str, lower: float, text: str, leaves: str, settings: dict | None = None
+    name: str,
+    parameter: str,
+    flag: str,
+    lower: float,
+    text: str,
+    leaves: str,
+    settings: Mapping[str, Any] | None = None,
 ) -> Mechanism:
-    """Conductance between cabinet air and ambient beside 1/R_AT, in its units: g · flag."""
+    """Conductance between cabinet air and ambient in parallel to 1/R_AT and in units of it: g · flag."""
     return Mechanism(
         name=name,
         parameters=(
@@ -174,9 +190,12 @@ def _loss(
 
 
 def _taken(name: str, parameter: str, flag: str, text: str, leaves: str) -> Mechanism:
-    """Heat taken from the converter, whose temperature above the ambient's is that of the air over ρ: f −= g · flag · (T_a − T_amb)."""
+    """Heat taken from the converter: f −= g · flag · (T_a − T_amb).
 
-    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
+    The converter's excess over the ambient temperature is that of the air divided by ρ.
+    """
+
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
         above = q.cabinet_air_temperature - u.ambient_temperature
         return {"heat_release": -getattr(p, parameter) * getattr(u, flag) * above}
 
@@ -185,7 +204,7 @@ def _taken(name: str, parameter: str, flag: str, text: str, leaves: str) -> Mech
 
 
 def wind_loss(flag: str = "wind_tenth") -> Mechanism:
-    """Heat loss that grows with the wind: g at 10 m/s (input `wind_tenth`, or its square `wind_square`)."""
+    """Heat loss that grows with wind: g at 10 m/s (input `wind_tenth`, or its square `wind_square`)."""
     return _loss(
         "wind_loss", "wind_conductance", flag, -0.6, "at 10 m/s of wind",
         "a cabinet that is too warm in calm and too cold in wind", {"flag": flag},
@@ -201,7 +220,7 @@ def stepped_loss() -> Mechanism:
 
 
 def fan_loss() -> Mechanism:
-    """Heat loss through the air that a logged fan moves (input `fan_duty`), in proportion to its duty."""
+    """Heat loss through the air moved by a logged fan (input `fan_duty`), proportional to its duty."""
     return _loss(
         "fan_loss", "fan_conductance", "fan_duty", 0.0, "at full duty of the logged fan",
         "a cabinet that is too warm in the simulation while the fan runs",
@@ -209,9 +228,9 @@ def fan_loss() -> Mechanism:
 
 
 def pump_loss() -> Mechanism:
-    """Heat that a logged pump's coolant takes from the converter (input `pump_duty`): f −= g · pump_duty · (T_a − T_amb).
+    """Heat that the coolant of a logged pump removes from the converter: f −= g · pump_duty · (T_a − T_amb).
 
-    The coolant is taken to leave it at the ambient temperature.
+    The coolant is assumed to reach ambient temperature before it returns.
     """
     return _taken(
         "pump_loss", "pump_conductance", "pump_duty", "at full duty of the logged pump",
@@ -228,10 +247,12 @@ def open_loss() -> Mechanism:
 
 
 def cooling_loss() -> Mechanism:
-    """Heat loss while a cooling stage runs (input `cooling`), taken from the converter: f −= g · cooling · (T_a − T_amb).
+    """Heat loss while a cooling stage runs (input `cooling`), taken from the converter: f −= g · cooling ·
+    (T_a − T_amb).
 
-    A stage that cools the air lets it jump at once, yet when a stage switches between two readings is not known: jumps at
-    wrong times cost more likelihood than their lack (2 ln L 397 this way and 79 as `fan_loss`, on a plant that does jump).
+    A stage that cools the air makes the air temperature jump, but the switching time between two readings is
+    unknown, and jumps at wrong times cost more likelihood than missing jumps: 2 ln L rose by 397 with this
+    form and by 79 with the form of `fan_loss`, on a plant whose temperature does jump.
     """
     return _taken(
         "cooling_loss", "cooling_conductance", "cooling", "while the cooling stage runs",
@@ -240,7 +261,8 @@ def cooling_loss() -> Mechanism:
 
 
 def vent_loss(flag: str = "venting") -> Mechanism:
-    """Heat loss through a vent that opens in proportion to a reading (input `venting`), or by the clock (`open_hours`)."""
+    """Heat loss through a vent that opens in proportion to a reading (input `venting`) or on a schedule
+    (`open_hours`)."""
     return _loss(
         "vent_loss", "vent_conductance", flag, 0.0, "while the vent is open",
         "a cabinet that is too warm in the simulation while the vent is open", {"flag": flag},
@@ -248,7 +270,8 @@ def vent_loss(flag: str = "venting") -> Mechanism:
 
 
 def lagged_ambient() -> Mechanism:
-    """The air around the cabinet lags the ambient series: a share w of a first-order lag, f += w (L − T_amb) [K].
+    """Air around the cabinet that lags the ambient series: a share w follows a first-order lag, f += w (L −
+    T_amb) [K].
 
     dL/dt = (T_amb − L)/θ,    θ [h].
     """
@@ -266,7 +289,8 @@ def lagged_ambient() -> Mechanism:
         contributions=lambda p, x, u, q: {
             "heat_release": p.ambient_lag_share * (x.ambient_lag - u.ambient_temperature)
         },
-        drift=lambda p, x, u, q, s: {"ambient_lag": (u.ambient_temperature - x.ambient_lag) / p.ambient_lag_time},
+        drift=lambda p, x, u, q,
+        s: {"ambient_lag": (u.ambient_temperature - x.ambient_lag) / p.ambient_lag_time},
         initial=lambda p, u: {"ambient_lag": (u.ambient_temperature, 4.0)},
         meaning="air around the cabinet that lags the ambient series",
         leaves="a temperature error that follows the rate of the ambient temperature",
@@ -275,14 +299,16 @@ def lagged_ambient() -> Mechanism:
 
 
 def leading_ambient() -> Mechanism:
-    """The ambient series is smoothed by a first-order lag θ, the air around the cabinet is not: f += θ dT_amb/dt [K].
+    """Ambient series smoothed by a first-order lag θ, unlike the air around the cabinet: f += θ dT_amb/dt
+    [K].
 
     θ [h]; the rate is the input `ambient_temperature_rate` [K/h].
     """
     return Mechanism(
         name="leading_ambient",
         parameters=(
-            Parameter("ambient_lead", "h", 0.0, -2.0, 24.0, null=0.0, meaning="time by which the series is smoothed"),
+            Parameter("ambient_lead", "h", 0.0, -2.0, 24.0, null=0.0,
+                meaning="time by which the series is smoothed"),
         ),
         inputs=("ambient_temperature_rate",),
         contributions=lambda p, x, u, q: {"heat_release": p.ambient_lead * u.ambient_temperature_rate},

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from hygrokf.physics.expression import Named, Value
+from hygrokf.physics.expression import Value
 from hygrokf.physics.mechanisms.thermal import PAPER, ornstein_uhlenbeck
-from hygrokf.physics.model import Mechanism
+from hygrokf.physics.model import Mechanism, Pair, Space, Values
 from hygrokf.physics.parameters import Parameter
 
 REFERENCE_TEMPERATURE = 273.0
-"""[K] the paper's reference of the diffusion coefficient, equation (4)."""
+"""[K] reference temperature of the diffusion coefficient in equation (4) of the paper."""
 DIFFUSION_EXPONENT = 0.8
 
 
 def exchange_factor(ambient_temperature: Value) -> Value:
-    """T_amb^0.8 / (273 K)^1.8 [1/K]: the ambient's part of the rate in equation (4); `ambient_temperature` [K]."""
+    """T_amb^0.8 / (273 K)^1.8 [1/K]: the ambient part of the rate in equation (4); `ambient_temperature`
+    [K]."""
     return ambient_temperature**DIFFUSION_EXPONENT / REFERENCE_TEMPERATURE ** (1.0 + DIFFUSION_EXPONENT)
 
 
@@ -29,16 +30,17 @@ def hygric_exchange(shortest_h: float = SHORTEST_H) -> Mechanism:
     """Vapour exchange with the ambient air: equation (4) of the paper as a balance of vapour mass.
 
         dc*/dt = T_conv,a T_amb^0.8 /(k (273 K)^1.8) · (1 + Σ exchange) (c_amb − c* + w) + vapour_release,
-    c* [g/m³] the equivalent concentration (the cabinet air's at ambient temperature), w the vapour disturbance.
-    The factor T_amb^0.8 is held linear between the ambient readings.  `shortest_h` bounds k [h] to what readings resolve.
+    c* [g/m³] is the equivalent concentration (that of the cabinet air at ambient temperature), w the vapour
+    disturbance. The factor T_amb^0.8 is linear between the ambient readings.  `shortest_h` [h] is the lower
+    bound of k that the readings can resolve.
     """
 
-    def drift(p: Named, x: Named, u: Named, q: Named, s: Named) -> dict[str, Value]:
+    def drift(p: Space, x: Space, u: Space, q: Space, s: Space) -> Values:
         rate = q.cabinet_air_temperature * u.exchange_factor / p.hygric_k * (1.0 + s.exchange)
         drive = u.ambient_absolute_humidity - x.vapour + s.ambient_vapour
         return {"vapour": rate * drive + s.vapour_release}
 
-    def initial(p: Named, u: Named) -> dict[str, Value]:
+    def initial(p: Space, u: Space) -> dict[str, Pair]:
         return {"vapour": (u.ambient_absolute_humidity, (0.3 * u.ambient_absolute_humidity) ** 2)}
 
     return Mechanism(
@@ -63,7 +65,7 @@ def hygric_exchange(shortest_h: float = SHORTEST_H) -> Mechanism:
 def vapour_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 6.0) -> Mechanism:
     """A coloured disturbance of the vapour flow, as an Ornstein–Uhlenbeck error w [g/m³] of the ambient air.
 
-    `shortest_h`, `longest_h` bound its correlation time [h] to what the readings can resolve.
+    `shortest_h` and `longest_h` limit its correlation time [h] to the range that the readings can resolve.
     """
     return ornstein_uhlenbeck(
         "vapour_disturbance", "ambient_vapour", "g/m3", 0.3, start_h, (shortest_h, longest_h), (1e-4, 20.0),
@@ -76,9 +78,11 @@ def vapour_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start
 def second_vapour_disturbance(
     longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 1.0
 ) -> Mechanism:
-    """A second coloured disturbance of the vapour flow on another time scale, where one is not enough."""
+    """A second coloured disturbance of the vapour flow on another time scale, for records where one is not
+    enough."""
     return ornstein_uhlenbeck(
-        "second_vapour_disturbance", "ambient_vapour", "g/m3", 0.1, start_h, (shortest_h, longest_h), (1e-4, 20.0),
+        "second_vapour_disturbance", "ambient_vapour", "g/m3", 0.1, start_h, (shortest_h, longest_h),
+        (1e-4, 20.0),
         {"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
         "second coloured disturbance of the vapour flow, as an error of the ambient air",
         "innovations that are not white although one coloured disturbance is there",

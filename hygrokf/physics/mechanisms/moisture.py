@@ -1,66 +1,77 @@
-"""What else brings vapour into the cabinet air, takes it out, or stores it."""
+"""Further sources, sinks and stores of vapour in the cabinet air."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import Any
 
-from hygrokf.physics.expression import Named, Value, exp, sqrt
+from hygrokf.physics.expression import Value, exp, sqrt
 from hygrokf.physics.mechanisms.sensors import saturation_pressure
-from hygrokf.physics.model import Mechanism
+from hygrokf.physics.model import Mechanism, Pair, Space, Values
 from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR
 
 REFERENCE_K = 293.15
-"""[K] temperature at which a sorption time constant is stated."""
+"""[K] reference temperature of the sorption time constant."""
 ACTIVATION_K = 5300.0
-"""[K] activation energy of diffusion over the gas constant, 44 kJ/mol: epoxies and polyamides have 40 … 55."""
+"""[K] activation energy of diffusion divided by the gas constant: 44 kJ/mol; epoxies and polyamides have 40 …
+55."""
 GAB_C, GAB_K = 8.0, 0.75
-"""[1] constants of the isotherm; papers, polyamides and laminates have C from 4 to 15 and K from 0.65 to 0.85."""
+"""[1] constants of the GAB isotherm; papers, polyamides and laminates have C from 4 to 15 and K from 0.65 to
+0.85."""
 GAB_SLOPE = 2.31952
-"""[1] slope of that isotherm, in monolayers for each unit of relative humidity, at 50 %."""
+"""[1] slope of this isotherm at 50 %, in monolayers per unit of relative humidity."""
 GAB_ENDS = (6.0, 12.134375)
-"""[1] slopes of that isotherm at 0 and at 100 %, beyond which it goes on straight."""
+"""[1] slopes of this isotherm at 0 and 100 %; beyond both ends it continues as a straight line."""
 ROUNDED = 0.003
-"""[1] relative humidity over which these two ends are rounded."""
+"""[1] relative humidity over which both ends are rounded."""
 VAPOUR_DISTURBANCES = ("vapour_disturbance", "second_vapour_disturbance")
 PLATE = 4.85
-"""[g/m³] vapour over water at the freezing point: what a cold-plate drier leaves."""
+"""[g/m³] vapour concentration over water at the freezing point: the limit of a cold-plate drier."""
 BULK = {"sorbed_water": (1.0, 1.0)}
 SLAB = {"sorbed_water": (0.892, 1.2), "sorbed_skin": (0.108, 62.7)}
-"""Where the water is: state -> (share of it, how many times faster than the time constant).  Those of a slab come within
-13 % (root mean square) of tanh(√s)/√s, the uptake that Fick's law has, from 0.3 to 100 times the slab's own frequency."""
+"""Stores of water: state -> (share of the content, rate relative to 1/time constant).
+
+The two stores of a slab reproduce tanh(√s)/√s, the uptake by Fick's law, within 13 % (root mean square) from
+0.3 to 100 times the slab's own frequency.
+"""
 DROP = 0.01
-"""[g/m³] film over which the size of a film, m or -m, is rounded."""
+"""[g/m³] film over which the size |m| of the film is rounded."""
 EDGE = 0.05
-"""[g/m³] over which the change between condensing and drying is rounded."""
+"""[g/m³] vapour concentration over which the transition between condensing and drying is rounded."""
 
 
-def _humidity(x: Value, u: Value, temperature: Value) -> Value:
-    """Relative humidity [1] that the cabinet's vapour has at a temperature [K], over water."""
+def _humidity(x: Space, u: Space, temperature: Value) -> Value:
+    """Relative humidity [1] over water that the cabinet's vapour would have at a temperature [K]."""
     pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
     return pressure / saturation_pressure(temperature)
 
 
 def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
-    """Hygroscopic material in the cabinet: takes up water by the relative humidity at its temperature, gives it back on heating.
+    """Hygroscopic material in the cabinet: it takes up water with relative humidity and gives it back when
+    heated.
 
         dwᵢ/dt = rᵢ (aᵢ W g(h) − wᵢ)/θ(T),    g(h) = φ(h)/φ′(½),    φ(h) = C K h/((1 − K h)(1 − K h + C K h)),
-        θ(T) = θ₂₀ exp(5300 K (1/T − 1/293.15 K))  (θ₂₀ throughout without `activated`),    vapour release −Σ dwᵢ/dt,
-    Σ wᵢ [g/m³] water held per volume of cabinet air, h the relative humidity at the air's temperature T, W [g/m³] the
-    moisture capacity: water for each unit of relative humidity, the isotherm's slope at 50 %; θ₂₀ [h] the time constant
-    at 20 °C; C = 8 and K = 0.75; beyond 0 and 100 % φ is straight.  A record shows the slope; the content itself depends on the isotherm by ± 20 %. Thin
-    material is one content with a = r = 1. A `slab`, into which water diffuses from its faces, has a skin that answers
-    first and a slow rest, and θ = 4 L²/(π² D), that of its slowest mode; a record of some weeks tells W/√θ better than
-    either.
+        θ(T) = θ₂₀ exp(5300 K (1/T − 1/293.15 K))  (θ₂₀ throughout without `activated`),    vapour release −Σ
+        dwᵢ/dt,
+    Σ wᵢ [g/m³] is the water held per volume of cabinet air, h the relative humidity at the air temperature T,
+    θ₂₀ [h] the time constant at 20 °C.  W [g/m³] is the moisture capacity: water per unit of relative
+    humidity, the isotherm's slope at 50 %. C = 8, K = 0.75; below 0 and above 100 % φ continues straight.  A
+    record determines this slope; the content itself depends on the assumed isotherm by ± 20 %.
+
+    Thin material is a single store with a = r = 1.  A `slab`, into which water diffuses from its faces, has a
+    skin that responds first and a slow remainder; θ = 4 L²/(π² D) is the time constant of its slowest mode.
+    A record of some weeks determines W/√θ better than W or θ alone.
     """
     places = SLAB if slab else BULK
 
     def share(h: Value) -> Value:
-        """The isotherm [1]; of slope 1 at 50 %."""
+        """The isotherm [1], scaled to a slope of 1 at 50 %."""
         return _gab(h) / GAB_SLOPE
 
-    def rates(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
+    def rates(p: Space, x: Space, u: Space, q: Space) -> dict[str, Value]:
         air = q.cabinet_air_temperature
         time = p.sorption_time
         if activated:
@@ -68,7 +79,7 @@ def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
         content = p.sorption_capacity * share(_humidity(x, u, air))
         return {n: (part * content - getattr(x, n)) * (pace / time) for n, (part, pace) in places.items()}
 
-    def initial(p: Named, u: Named) -> dict[str, Value]:
+    def initial(p: Space, u: Space) -> dict[str, Pair]:
         wet = u.ambient_absolute_humidity * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
         content = p.sorption_capacity * share(wet / saturation_pressure(u.ambient_temperature + 6.0))
         return {
@@ -80,7 +91,8 @@ def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
         parameters=(
             Parameter(
                 "sorption_capacity", "g/m3", 8.0, 1e-3, 10000.0, positive=True, null=0.0,
-                meaning="moisture capacity at 50 %: water for each unit of relative humidity, per volume of cabinet air",
+                meaning="moisture capacity at 50 %: water for each unit of relative humidity, per volume of "
+                        "cabinet air",
             ),
             Parameter(
                 "sorption_time", "h", *((40.0, 4.0, 4000.0) if slab else (10.0, 1.0, 400.0)), positive=True,
@@ -95,15 +107,19 @@ def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
         initial=initial,
         settings={"activated": activated, "slab": slab},
         meaning="water taken up and given back by hygroscopic material",
-        leaves="too little vapour when the cabinet warms after a long damp standstill, too much while it stands",
-        source="isotherm of Guggenheim, Anderson and de Boer; linear driving force (Glueckauf 1955); slab: Crank (1975)",
+        leaves="too little vapour when the cabinet warms after a long damp standstill, too much while it "
+               "stands",
+        source="isotherm of Guggenheim, Anderson and de Boer; linear driving force (Glueckauf 1955); slab: "
+               "Crank (1975)",
     )  # fmt: skip
 
 
 def _gab(h: Value) -> Value:
-    """Isotherm of Guggenheim, Anderson and de Boer, in monolayers; beyond 0 and 100 % it goes on straight.
+    """Isotherm of Guggenheim, Anderson and de Boer, in monolayers; continued straight below 0 and above 100
+    %.
 
-    It has poles at -19 and 133 %, and beyond them the wrong sign: nothing holds the humidity of a free run between.
+    The isotherm itself has poles at −19 and 133 % and the wrong sign beyond them, and nothing keeps the
+    humidity of a free run between them.
     """
     below = 0.5 * (sqrt(h * h + ROUNDED * ROUNDED) - h)
     above = 0.5 * (h - 1.0 + sqrt((h - 1.0) * (h - 1.0) + ROUNDED * ROUNDED))
@@ -113,27 +129,28 @@ def _gab(h: Value) -> Value:
 
 
 def condensation(sky: bool = False) -> Mechanism:
-    """A film of water on a surface colder than the dew point, which evaporates later.
+    """A water film on a surface colder than the dew point, which evaporates later.
 
         dT_s/dt = (T_amb − δ s + κ (T_a − T_amb) − T_s)/θ_s,    x = c* − e_s(T_s)/(R_v T_amb),
         dm/dt = β max(0, x) − β max(0, −x) · m/(|m| + 1 g/m³);    vapour release −dm/dt,
-    m ≥ 0 [g/m³] the film per volume of cabinet air, θ_s [h] the lag of the surface, δ [K] how far it cools below the air by
-    radiation: always (s = 1), or with `sky` while the clear night sky draws heat (input `night_sky`).  The last gram stands
-    in drops whose area shrinks with them.  The edges of max are rounded over 0.05 g/m³.
+    m ≥ 0 [g/m³] is the film per volume of cabinet air, θ_s [h] the lag of the surface, δ [K] its cooling
+    below the air by
+    radiation: always (s = 1), or with `sky` in proportion to the input `night_sky`.  The last gram stands in
+    drops whose area shrinks with them.  The edges of max are rounded over 0.05 g/m³.
     """
 
-    def rate(p: Named, x: Named, u: Named, q: Named) -> Value:
+    def rate(p: Space, x: Space, u: Space, q: Space) -> Value:
         limit = saturation_pressure(x.surface_temperature) / (
             u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
         )
         excess = x.vapour - limit
         round_ = sqrt(excess * excess + EDGE * EDGE)
         onto, dry = 0.5 * (excess + round_), 0.5 * (round_ - excess)
-        # the filter's film may be a little less than nothing; what is wet of it then draws it back
+        # the filter may estimate a slightly negative film; this term then pulls it back to zero
         wet = x.film / (1.0 + sqrt(x.film * x.film + DROP * DROP))
         return p.condensation_rate * (onto - dry * wet)
 
-    def surface(p: Named, x: Named, u: Named, q: Named) -> Value:
+    def surface(p: Space, x: Space, u: Space, q: Space) -> Value:
         toward = u.ambient_temperature + p.surface_share * (q.cabinet_air_temperature - u.ambient_temperature)
         below = p.surface_undercooling * (u.night_sky if sky else 1.0)
         return (toward - below - x.surface_temperature) / p.surface_time
@@ -169,8 +186,9 @@ def condensation(sky: bool = False) -> Mechanism:
 
 
 def internal_moisture_source(when: str = "always") -> Mechanism:
-    """A source of vapour in the cabinet [g/(m³ h)]: `when` "always", at "standstill", "fading" from a date
-    on, or "scheduled" by the clock.
+    """A vapour source in the cabinet [g/(m³ h)].
+
+    `when` is "always", "standstill", "fading" (from a date on) or "scheduled" (by time of day).
     """
     inputs = () if when == "always" else (when,)
     return Mechanism(
@@ -193,13 +211,14 @@ def internal_moisture_source(when: str = "always") -> Mechanism:
 
 
 def wet_surface() -> Mechanism:
-    """A wet surface as warm as the cabinet air, which gives vapour or takes it: vapour release k (c_sat(T_a) − c).
+    """A wet surface at cabinet air temperature that releases or absorbs vapour: vapour release k (c_sat(T_a)
+    − c).
 
-    k [1/h] the air that it saturates each hour, per volume of cabinet; c_sat, c [g/m³] of saturated and of the cabinet's air:
-    open water, a wet wall, soil, plants.
+    k [1/h] is the volume of air saturated per hour and volume of cabinet; c_sat and c [g/m³] are the vapour
+    concentrations of saturated air and of the cabinet air.  Examples: open water, a wet wall, soil, plants.
     """
 
-    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
         air = q.cabinet_air_temperature
         saturated = saturation_pressure(air) / (air * (1e-3 * GAS_CONSTANT_VAPOUR))
         lacking = saturated - x.vapour * u.ambient_temperature / air
@@ -222,7 +241,8 @@ def wet_surface() -> Mechanism:
 
 
 def rain_ingress(flag: str = "rain") -> Mechanism:
-    """Rain that enters, is held wet, and evaporates with a delay; `flag` "rain", or "heavy_rain" above a threshold.
+    """Rain that enters, is stored and evaporates with a delay; `flag` is "rain", or "heavy_rain" above a
+    threshold.
 
     dr/dt = a · rain − r/θ,    vapour release r/θ,    r [g/m³], θ [h].
     """
@@ -250,21 +270,24 @@ def rain_ingress(flag: str = "rain") -> Mechanism:
     )  # fmt: skip
 
 
-def _above_plate(x: Value, u: Value, temperature: Value) -> Value:
-    """Vapour of the cabinet air above that over a plate at the freezing point [g/m³], never below 0; rounded over 0.05."""
+def _above_plate(x: Space, u: Space, temperature: Value) -> Value:
+    """Vapour of the cabinet air in excess of that over a plate at the freezing point [g/m³], at least 0;
+    rounded over 0.05."""
     inside = x.vapour * u.ambient_temperature / temperature
     above = inside - PLATE
     return 0.5 * (above + sqrt(above * above + EDGE * EDGE))
 
 
 def dehumidifier() -> Mechanism:
-    """A drier that follows the humidity above a set-point: vapour release −d · max(0, h − h₀) · (c − 4.85 g/m³).
+    """A drier controlled by the humidity above a set-point: vapour release −d · max(0, h − h₀) · (c − 4.85
+    g/m³).
 
-    d [1/h] the air dried each hour, per volume of cabinet and unit of relative humidity; c [g/m³] the cabinet's vapour;
-    4.85 g/m³ that over a plate at the freezing point.  The edge of max is rounded over 1 %.
+    d [1/h] is the volume of air dried per hour, volume of cabinet and unit of relative humidity; c [g/m³] the
+    vapour of the cabinet air; 4.85 g/m³ the vapour over a plate at the freezing point.  The edge of max is
+    rounded over 1 %.
     """
 
-    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
         above = _humidity(x, u, q.cabinet_air_temperature) - p.dehumidifier_setpoint
         effort = 0.5 * p.dehumidifier_rate * (above + sqrt(above * above + 1e-4))
         return {"vapour_release": -effort * _above_plate(x, u, q.cabinet_air_temperature)}
@@ -274,7 +297,8 @@ def dehumidifier() -> Mechanism:
         parameters=(
             Parameter(
                 "dehumidifier_rate", "1/h", 2.0, 1e-4, 2000.0, positive=True, null=0.0,
-                meaning="air dried each hour, per volume of cabinet and unit of relative humidity above the set-point",
+                meaning="air dried each hour, per volume of cabinet and unit of relative humidity above the "
+                        "set-point",
             ),
             Parameter(
                 "dehumidifier_setpoint", "1", 0.6, 0.2, 0.98, physical=(0.0, 1.0),
@@ -290,13 +314,14 @@ def dehumidifier() -> Mechanism:
 
 
 def switched_drying(plate: bool = True) -> Mechanism:
-    """A drier that is on or off (input `drying`): vapour release −d · drying · c, d [1/h] the air dried each hour.
+    """A drier that is on or off (input `drying`): vapour release −d · drying · c, d [1/h] the air dried per
+    hour.
 
-    c [g/m³] the cabinet's vapour (a desiccant takes all of it); with `plate` what of it exceeds the 4.85 g/m³ over a plate
-    at the freezing point.
+    c [g/m³] is the vapour of the cabinet air, all of which a desiccant takes; with `plate` only the excess
+    over the 4.85 g/m³ above a plate at the freezing point.
     """
 
-    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
         air = q.cabinet_air_temperature
         vapour = _above_plate(x, u, air) if plate else x.vapour * u.ambient_temperature / air
         return {"vapour_release": -p.drying_rate * u.drying * vapour}
@@ -325,10 +350,10 @@ def _exchange(
     upper: float,
     text: str,
     leaves: str,
-    settings: dict | None = None,
+    settings: Mapping[str, Any] | None = None,
     lower: float = -0.95,
 ) -> Mechanism:
-    """Exchange of vapour multiplied by 1 + b · flag, b > −1; b ≥ 0 with a `lower` of 0."""
+    """Vapour exchange multiplied by 1 + b · flag, b > −1; with `lower` = 0, b ≥ 0."""
     return Mechanism(
         name=name,
         parameters=(
@@ -347,7 +372,7 @@ def _exchange(
 
 
 def fan_exchange() -> Mechanism:
-    """Vapour exchange through the air that a logged fan moves: 1 + b · `fan_duty`."""
+    """Vapour exchange through the air moved by a logged fan: 1 + b · `fan_duty`."""
     return _exchange(
         "fan_exchange", "fan_exchange", "fan_duty", 500.0, "at full duty of the logged fan",
         "humidity that follows the ambient's faster while the fan runs", lower=0.0,
@@ -355,12 +380,13 @@ def fan_exchange() -> Mechanism:
 
 
 def dehumidifier_drying() -> Mechanism:
-    """A dehumidifier that is logged: vapour release −d · `dehumidifier_duty` · c.
+    """Drying by a logged dehumidifier: vapour release −d · `dehumidifier_duty` · c.
 
-    d [1/h] the air dried each hour at full duty, per volume of cabinet air; c [g/m³] the cabinet's vapour.
+    d [1/h] is the volume of air dried per hour at full duty and per volume of cabinet air; c [g/m³] the
+    vapour of the cabinet air.
     """
 
-    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
         vapour = x.vapour * u.ambient_temperature / q.cabinet_air_temperature
         return {"vapour_release": -p.logged_drying_rate * u.dehumidifier_duty * vapour}
 
@@ -369,7 +395,8 @@ def dehumidifier_drying() -> Mechanism:
         parameters=(
             Parameter(
                 "logged_drying_rate", "1/h", 0.0, 0.0, 50.0, null=0.0, physical=(0.0, math.inf),
-                meaning="air dried each hour, per volume of cabinet air, at full duty of the logged dehumidifier",
+                meaning="air dried each hour, per volume of cabinet air, at full duty of the logged "
+                        "dehumidifier",
             ),
         ),
         inputs=("ambient_temperature", "dehumidifier_duty"),
@@ -381,7 +408,8 @@ def dehumidifier_drying() -> Mechanism:
 
 
 def wind_exchange(flag: str = "wind_tenth") -> Mechanism:
-    """Vapour exchange that grows with the wind: 1 + b v/(10 m/s), or with `flag` "wind_square" 1 + b (v/(10 m/s))²."""
+    """Vapour exchange that grows with wind: 1 + b v/(10 m/s), or 1 + b (v/(10 m/s))² with `flag`
+    "wind_square"."""
     return _exchange(
         "wind_exchange", "wind_exchange_gain", flag, 50.0, "at 10 m/s of wind",
         "humidity that follows the ambient's faster in wind than in calm", {"flag": flag},
@@ -391,8 +419,9 @@ def wind_exchange(flag: str = "wind_tenth") -> Mechanism:
 def stepped_exchange(flows: bool = False) -> Mechanism:
     """Vapour exchange that changes at a date: 1 + b after it (input `after_step`).
 
-    The base's coloured disturbance is an error of the air that is breathed, and counts less where less is breathed.  With
-    `flows` it is a flow of vapour into the cabinet, and stays: ambient_vapour −= w b/(1 + b).
+    The base's coloured disturbance is an error of the exchanged air, so its effect scales with the exchange.
+    With `flows` it is a vapour flow into the cabinet that the change leaves as it is: ambient_vapour −= w
+    b/(1 + b).
     """
     made = _exchange(
         "stepped_exchange", "exchange_change", "after_step", 50.0, "from the date on",
@@ -401,7 +430,7 @@ def stepped_exchange(flows: bool = False) -> Mechanism:
     if not flows:
         return made
 
-    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
         change = p.exchange_change * u.after_step
         flow = sum(getattr(x, name, 0.0) for name in VAPOUR_DISTURBANCES)
         return {"exchange": change, "ambient_vapour": -flow * change / (1.0 + change)}
@@ -426,8 +455,9 @@ def cooled_exchange() -> Mechanism:
 
 
 def vent_exchange(flag: str = "venting") -> Mechanism:
-    """Vapour exchange through a vent: 1 + b · flag, which opens in proportion to a reading (`venting`) or by the clock
-    (`open_hours`).
+    """Vapour exchange through a vent: 1 + b · flag.
+
+    The vent opens in proportion to a reading (`venting`) or on a schedule (`open_hours`).
     """
     return _exchange(
         "vent_exchange", "vent_exchange", flag, 500.0, "while the vent is open",
@@ -436,15 +466,15 @@ def vent_exchange(flag: str = "venting") -> Mechanism:
 
 
 def breathed_air(form: str = "vapour") -> Mechanism:
-    """The air that the cabinet breathes is off the ambient series: ambient_vapour += o g.
+    """Air drawn into the cabinet that differs from the ambient series: ambient_vapour += o g.
 
-    g by `form`: "vapour" 1 g/m³; "temperature" c_amb (a thermometer that is off by 1 K makes 6 %); "humidity" the
-    saturation concentration at ambient temperature.
+    g by `form`: "vapour" 1 g/m³; "temperature" c_amb (a thermometer error of 1 K amounts to 6 %); "humidity"
+    the saturation concentration at ambient temperature.
     """
     unit = "g/m3" if form == "vapour" else "1"
     bound = 10.0 if form == "vapour" else 0.6
 
-    def scale(u: Named) -> Value:
+    def scale(u: Space) -> Value:
         if form == "vapour":
             return 1.0
         if form == "temperature":
@@ -459,7 +489,8 @@ def breathed_air(form: str = "vapour") -> Mechanism:
                 "breathed_offset", unit, 0.0, -bound, bound, null=0.0,
                 meaning={
                     "vapour": "what the breathed air holds more than the ambient series says",
-                    "temperature": "share by which the ambient series understates the vapour of the breathed air",
+                    "temperature": "share by which the ambient series understates the vapour of the "
+                                   "breathed air",
                     "humidity": "what the relative humidity of the ambient series lacks",
                 }[form],
             ),
@@ -474,11 +505,13 @@ def breathed_air(form: str = "vapour") -> Mechanism:
 
 
 def breathed_lag() -> Mechanism:
-    """A share w of the breathed air lags the ambient series: ambient_vapour += w (L − c_amb), dL/dt = (c_amb − L)/θ."""
+    """A share w of the air drawn in lags the ambient series: ambient_vapour += w (L − c_amb), dL/dt = (c_amb
+    − L)/θ."""
     return Mechanism(
         name="breathed_lag",
         parameters=(
-            Parameter("breathed_lag_share", "1", 0.0, -0.2, 1.2, null=0.0, meaning="share that lags the series"),
+            Parameter("breathed_lag_share", "1", 0.0, -0.2, 1.2, null=0.0,
+                meaning="share that lags the series"),
             Parameter("breathed_lag_time", "h", 3.0, 0.25, 24.0, positive=True, meaning="its lag"),
         ),
         states=("breathed_vapour",),
@@ -498,14 +531,15 @@ def breathed_lag() -> Mechanism:
 
 
 def breathed_lead() -> Mechanism:
-    """The ambient series is smoothed by a first-order lag θ, the breathed air is not: ambient_vapour += θ dc_amb/dt.
+    """Ambient series smoothed by a first-order lag θ, unlike the air drawn in: ambient_vapour += θ dc_amb/dt.
 
     θ [h]; the rate is the input `ambient_vapour_rate` [g/(m³ h)].
     """
     return Mechanism(
         name="breathed_lead",
         parameters=(
-            Parameter("breathed_lead", "h", 0.0, -2.0, 24.0, null=0.0, meaning="time by which the series is smoothed"),
+            Parameter("breathed_lead", "h", 0.0, -2.0, 24.0, null=0.0,
+                meaning="time by which the series is smoothed"),
         ),
         inputs=("ambient_vapour_rate",),
         contributions=lambda p, x, u, q: {"ambient_vapour": p.breathed_lead * u.ambient_vapour_rate},

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
-from hygrokf.physics.model import Mechanism
+from hygrokf.physics.model import Initial, Mechanism, Output, Pair, Space, Values
 from hygrokf.physics.parameters import Parameter
 
 
@@ -13,17 +13,21 @@ def linear_network(
     parameters: Sequence[Parameter],
     states: Sequence[str],
     inputs: Sequence[str],
-    rates: Callable,
-    outputs: Mapping[str, Callable],
-    intensities: Callable,
-    initial: Callable,
+    rates: Callable[[Space, Space, Space], Values],
+    outputs: Mapping[str, Callable[[Space, Space, Space], Pair]],
+    intensities: Callable[[Space], Values],
+    initial: Initial,
 ) -> Mechanism:
-    """Any linear network of any size.
+    """A linear network of any size.
 
     `rates(p, x, u)` -> {state: rate [unit/h]}, `outputs[name](p, x, u)` -> (prediction, noise variance),
-    `intensities(p)` -> {state: white noise intensity [unit²/h]}, `initial(p, u)` -> {state: (mean, variance)}.
-    Nothing in the package asks that the functions be linear; for linear ones the filter is exact.
+    `intensities(p)` -> {state: white noise intensity [unit²/h]}, `initial(p, u)` -> {state: (mean,
+    variance)}. Nonlinear functions work too; for linear ones the filter is exact.
     """
+
+    def output(function: Callable[[Space, Space, Space], Pair]) -> Output:
+        return lambda p, x, u, q, s: function(p, x, u)
+
     return Mechanism(
         name=name,
         parameters=tuple(parameters),
@@ -32,9 +36,6 @@ def linear_network(
         drift=lambda p, x, u, q, s: rates(p, x, u),
         diffusion=intensities,
         initial=initial,
-        outputs={
-            key: (lambda p, x, u, q, s, function=function: function(p, x, u))
-            for key, function in outputs.items()
-        },
+        outputs={key: output(function) for key, function in outputs.items()},
         meaning="a linear network given by the user",
     )

@@ -1,10 +1,10 @@
-"""What a sensor may do beside its bias and noise."""
+"""Sensor errors besides bias and noise."""
 
 from __future__ import annotations
 
-from hygrokf.physics.expression import Named, Value, sqrt
+from hygrokf.physics.expression import Value, sqrt
 from hygrokf.physics.mechanisms.sensors import saturation_pressure
-from hygrokf.physics.model import Mechanism
+from hygrokf.physics.model import Mechanism, Space, Values
 from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR
 
@@ -24,26 +24,26 @@ def _reading(
 
 
 def humidity_drift() -> Mechanism:
-    """Humidity reading that drifts by a from the record's beginning to its end (input `elapsed`) [1]."""
+    """Humidity reading with a linear drift, reaching a at the end of the record (input `elapsed`) [1]."""
     return _reading(
         "humidity_drift", "humidity_drift_total", "1", 0.4, "elapsed", "cabinet_relative_humidity_reading",
         "drift of the humidity reading over the record",
     )  # fmt: skip
 
 
-def _relative(x: Named, u: Named, q: Named) -> Value:
+def _relative(x: Space, u: Space, q: Space) -> Value:
     """Relative humidity of the cabinet air [1]."""
     pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
     return pressure / saturation_pressure(q.cabinet_air_temperature)
 
 
 def humidity_scale(flag: str | None = "elapsed") -> Mechanism:
-    """Humidity reading whose scale is off: a · flag · h, h the relative humidity of the air [1].
+    """Humidity reading with a scale error: a · flag · h, h the relative humidity of the air [1].
 
-    `flag` "elapsed": in proportion to the calendar; "since": from a date on; None: throughout.
+    `flag` "elapsed": growing linearly over the record; "since": from a date on; None: constant.
     """
 
-    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
         course = 1.0 if flag is None else getattr(u, flag)
         return {"cabinet_relative_humidity_reading": p.humidity_scale_error * course * _relative(x, u, q)}
 
@@ -65,12 +65,12 @@ def humidity_scale(flag: str | None = "elapsed") -> Mechanism:
 
 
 def humidity_ceiling(lowest: float = 0.2) -> Mechanism:
-    """Humidity reading that hardly follows above a ceiling h₁: −s · max(0, h − h₁), its edge rounded over 0.5 %.
+    """Humidity reading that saturates above a ceiling h₁: −s · max(0, h − h₁), its edge rounded over 0.5 %.
 
-    lowest: [1] least relative humidity at which the ceiling may be.
+    lowest: [1] smallest relative humidity at which the ceiling may lie.
     """
 
-    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
         above = _relative(x, u, q) - p.humidity_ceiling
         return {
             "cabinet_relative_humidity_reading": -0.5 * p.humidity_lost * (above + sqrt(above * above + 1e-4))
@@ -98,7 +98,7 @@ def humidity_ceiling(lowest: float = 0.2) -> Mechanism:
 
 
 def temperature_step() -> Mechanism:
-    """Temperature reading that is off by a constant from a date on (input `after_step`) [K]."""
+    """Temperature reading with a constant error from a date on (input `after_step`) [K]."""
     return _reading(
         "temperature_step", "temperature_offset", "K", 30.0, "after_step", "cabinet_temperature_reading",
         "offset of the temperature reading from the date on",
@@ -106,13 +106,14 @@ def temperature_step() -> Mechanism:
 
 
 def thermometer_offset() -> Mechanism:
-    """Thermometer that is off by d [K] throughout, as it shows in the humidity: h = p_v (1/e_s(T − d) − 1/e_s(T)) more.
+    """Constant thermometer error d [K], seen through its effect on the humidity reading: + p_v (1/e_s(T − d)
+    − 1/e_s(T)).
 
-    T is the air's temperature as it is read, or simulated by a thermal part that was identified on such readings: there
-    the heat release takes d up.  The humidity sensor has the air's own temperature, T − d.
+    T is the temperature as read, or as simulated by a thermal part identified on such readings, whose heat
+    release absorbs d. The humidity sensor is at the true air temperature T − d.
     """
 
-    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
         pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
         own = saturation_pressure(q.cabinet_air_temperature - p.thermometer_offset)
         return {

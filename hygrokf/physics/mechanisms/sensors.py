@@ -1,23 +1,25 @@
-"""What the logger in the cabinet shows: bias within its accuracy, white noise, resolution."""
+"""Sensors of the logger in the cabinet: bias within the stated accuracy, white noise, resolution."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from typing import Any
 
-from hygrokf.physics.expression import Given, Named, Value, exp, log
-from hygrokf.physics.model import Mechanism
+from hygrokf.physics.expression import Given, Value, exp, log
+from hygrokf.physics.model import Mechanism, Pair, Space, Values
 from hygrokf.physics.parameters import Parameter, Prior
 from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR, SATURATION_WATER
 
 
 def saturation_pressure(temperature: Value) -> Value:
-    """Sonntag's saturation pressure over water [Pa] for traced temperatures [K] too."""
+    """Sonntag's saturation pressure over water [Pa]; also accepts traced temperatures [K]."""
     a, b, c, d, e = SATURATION_WATER
     return exp(a / temperature + b + (c + d * temperature) * temperature + e * log(temperature))
 
 
 def _bias(name: str, unit: str, accuracy: float) -> tuple[Parameter, ...]:
-    """A constant error whose prior says that 95 % of such sensors are within the accuracy; none for accuracy 0."""
+    """A constant sensor error whose prior puts 95 % of sensors within the stated accuracy; none for accuracy
+    0."""
     if accuracy <= 0:
         return ()
     sd = accuracy / 1.96
@@ -43,26 +45,28 @@ def _noise(name: str, unit: str, start: float, lower: float, upper: float) -> Pa
 
 
 SHORTEST_RESPONSE_H = 1.0 / 30.0
-"""[h] a response time to be estimated is at least this long: below it readings minutes apart show nothing of it."""
+"""[h] lower bound of an estimated response time: readings minutes apart do not show a shorter one."""
 
 
 def _sensor(
     mechanism: str,
     name: str,
-    quantity: Callable,
+    quantity: Callable[[Space, Space, Space], Value],
     noise: Parameter,
     bias: tuple[Parameter, ...],
     spread: tuple[float, float],
     response_h: float,
     longest_response_h: float | None,
-    settings: dict,
+    settings: Mapping[str, Any],
     meaning: str,
     inputs: tuple[str, ...] = (),
 ) -> Mechanism:
-    """A sensor, its output `name`, that shows `quantity(x, u, q)` with what else acts on the reading, a bias and noise.
+    """A sensor with the output `name`: `quantity(x, u, q)` plus reading errors of other mechanisms, bias and
+    noise.
 
-    With a response time θ it follows first: dy/dt = (quantity − y)/θ, θ = `response_h` [h] or, where
-    `longest_response_h` is given, a parameter up to that.  `spread` mean and variance of y at first.
+    With a response time θ the sensor lags: dy/dt = (quantity − y)/θ.  θ is `response_h` [h], or a parameter
+    with the upper bound `longest_response_h` where that is given.  `spread` is the initial mean and variance
+    of y.
     """
     resolution = Given(settings["resolution"] ** 2 / 12.0)
     estimated = longest_response_h is not None
@@ -70,7 +74,7 @@ def _sensor(
     responds = estimated or response_h > 0
     stated = Given(1.0 / response_h) if response_h > 0 else 0.0
 
-    def output(p: Named, x: Named, u: Named, q: Named, s: Named) -> tuple[Value, Value]:
+    def output(p: Space, x: Space, u: Space, q: Space, s: Space) -> Pair:
         value = getattr(x, state) if responds else quantity(x, u, q)
         value = value + getattr(s, f"{name}_reading")
         if bias:
@@ -78,16 +82,18 @@ def _sensor(
         own = getattr(p, noise.name)
         return value, own * own + resolution
 
-    def drift(p: Named, x: Named, u: Named, q: Named, s: Named) -> dict[str, Value]:
+    def drift(p: Space, x: Space, u: Space, q: Space, s: Space) -> Values:
         rate = 1.0 / getattr(p, response) if estimated else stated
         return {state: (quantity(x, u, q) - getattr(x, state)) * rate}
 
-    time = (
-        Parameter(
-            response, "h", 0.1, SHORTEST_RESPONSE_H, longest_response_h, positive=True,
-            meaning="time in which the sensor follows a step by all but 1/e",
-        ),
-    ) if longest_response_h is not None else ()  # fmt: skip
+    time: tuple[Parameter, ...] = ()
+    if longest_response_h is not None:
+        time = (
+            Parameter(
+                response, "h", 0.1, SHORTEST_RESPONSE_H, longest_response_h, positive=True,
+                meaning="time in which the sensor follows a step by all but 1/e",
+            ),
+        )  # fmt: skip
     return Mechanism(
         name=mechanism,
         parameters=(*bias, noise, *time),
@@ -107,10 +113,11 @@ def temperature_sensor(
     response_h: float = 0.0,
     longest_response_h: float | None = None,
 ) -> Mechanism:
-    """The temperature reading [K]: T_conv,a + bias + noise; rounding to `resolution` adds resolution²/12.
+    """The temperature reading [K]: T_conv,a + bias + noise; rounding to `resolution` adds the variance
+    resolution²/12.
 
-    `response_h` [h] of the sensor, or its longest where it is estimated: the reading then follows T_conv,a with that
-    time constant.
+    `response_h` [h] is the sensor's response time; `longest_response_h` [h] is given where it is to be
+    estimated.  The reading follows T_conv,a with that time constant.
     """
     return _sensor(
         "temperature_sensor",
@@ -126,7 +133,7 @@ def temperature_sensor(
     )
 
 
-def _relative_humidity(x: Named, u: Named, q: Named) -> Value:
+def _relative_humidity(x: Space, u: Space, q: Space) -> Value:
     pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
     return pressure / saturation_pressure(q.cabinet_air_temperature)
 
@@ -137,10 +144,11 @@ def humidity_sensor(
     response_h: float = 0.0,
     longest_response_h: float | None = None,
 ) -> Mechanism:
-    """The relative-humidity reading [1]: h = c* R_v T_amb / e_s(T_conv,a) + bias + noise, over water at any T.
+    """The relative-humidity reading [1]: h = c* R_v T_amb / e_s(T_conv,a) + bias + noise, over water at any
+    temperature.
 
-    The reading belongs to the air at the sensor, c_conv,a R_v T_conv,a = c* R_v T_amb by equation (5).  `response_h` as
-    for the temperature: polymer sensors behind a filter follow within 5 to 15 min.
+    The reading refers to the air at the sensor: c_conv,a R_v T_conv,a = c* R_v T_amb by equation (5).
+    `response_h` as for the temperature; polymer sensors behind a filter respond within 5 to 15 min.
     """
     return _sensor(
         "humidity_sensor",
@@ -163,7 +171,8 @@ def absolute_humidity_sensor(
     response_h: float = 0.0,
     longest_response_h: float | None = None,
 ) -> Mechanism:
-    """The absolute-humidity reading [g/m³]: c_conv,a = c* T_amb/T_conv,a, equation (5); `response_h` as above."""
+    """The absolute-humidity reading [g/m³]: c_conv,a = c* T_amb/T_conv,a, equation (5); `response_h` as for
+    the temperature."""
     return _sensor(
         "absolute_humidity_sensor",
         "cabinet_absolute_humidity",

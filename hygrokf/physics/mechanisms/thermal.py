@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from typing import Any
 
-from hygrokf.physics.expression import Given, Named, Value, exp, log
-from hygrokf.physics.model import Mechanism
+from hygrokf.physics.expression import Given, Value, exp, log
+from hygrokf.physics.model import Mechanism, Space, Values
 from hygrokf.physics.parameters import Parameter, Prior
 
 PAPER = "Field-measurement based hygrothermal modelling of the converter-cabinet climate in wind turbines"
@@ -17,21 +18,22 @@ def thermal_network() -> Mechanism:
 
     With τ = (R_AT+R_IC) C [h] and ρ = R_AT/(R_AT+R_IC) [1],
         dT_conv/dt = (T_amb − T_conv + f_ΔT/ρ)/τ,    T_conv,a = ρ T_conv + (1−ρ) T_amb,
-    f_ΔT [K] the sum of all heat releases. R_AT, R_IC and C alone do not show in the data.
+    f_ΔT [K] the sum of all heat releases.  The data do not determine R_AT, R_IC and C individually.
 
-    Where other mechanisms bring conductances g beside 1/R_AT, R_AT/(1+g) takes the place of R_AT: with e = 1 + (1−ρ) g
+    Where other mechanisms add conductances g in parallel to 1/R_AT, R_AT/(1+g) replaces R_AT. With
+    e = 1 + (1−ρ) g:
         dT_conv/dt = ((T_amb − T_conv)(1+g)/e + f_ΔT/ρ)/τ,    T_conv,a = (ρ T_conv + (1−ρ)(1+g) T_amb)/e.
     """
 
-    def relief(p: Value, g: Value) -> Value:
+    def relief(p: Space, g: Value) -> Value:
         return 1.0 + (1.0 - p.resistance_ratio) * g
 
-    def quantities(p: Named, x: Named, u: Named, g: Value) -> dict[str, Value]:
+    def quantities(p: Space, x: Space, u: Space, g: Value) -> Values:
         rest = (1.0 - p.resistance_ratio) * (1.0 + g)
         air = p.resistance_ratio * x.converter_temperature + rest * u.ambient_temperature
         return {"cabinet_air_temperature": air / relief(p, g)}
 
-    def drift(p: Named, x: Named, u: Named, q: Named, s: Named) -> dict[str, Value]:
+    def drift(p: Space, x: Space, u: Space, q: Space, s: Space) -> Values:
         cooled = (u.ambient_temperature - x.converter_temperature) * (
             (1.0 + q.air_conductance) / relief(p, q.air_conductance)
         )
@@ -61,11 +63,12 @@ def thermal_network() -> Mechanism:
 
 
 def measured_air(accuracy: float = 0.0, step: bool = False) -> Mechanism:
-    """The cabinet air temperature taken from its readings (linear between them) instead of a model: the cascade.
+    """Measured cabinet air temperature (linear between readings) in place of a thermal model: the cascade.
 
-    `accuracy` [K] (95 %) of the sensor gives a constant error of these readings with that prior; none with 0.  An error
-    of 0.15 K changes the relative humidity by 1 % and with it the exchange that explains the readings: bounds that
-    leave it out are too narrow.  `step` adds one from a date on (input `after_step`).
+    The sensor's `accuracy` [K] (95 %) is the prior of a constant error of these readings; 0 means no error.
+    An error of 0.15 K changes the relative humidity by 1 %, and with it the exchange rate that explains the
+    readings: bounds that ignore the error are too narrow.  `step` adds an error that begins at a date (input
+    `after_step`).
     """
     errors = []
     if accuracy > 0:
@@ -84,7 +87,7 @@ def measured_air(accuracy: float = 0.0, step: bool = False) -> Mechanism:
             )
         )  # fmt: skip
 
-    def quantities(p: Named, x: Named, u: Named, g: Value) -> dict[str, Value]:
+    def quantities(p: Space, x: Space, u: Space, g: Value) -> Values:
         air = u.cabinet_temperature
         if accuracy > 0:
             air = air - p.cabinet_temperature_offset
@@ -112,44 +115,27 @@ def heat_release(
     reference_K: float = 283.15,
     gap_covariance: Sequence[Sequence[float]] | None = None,
     gap_time_h: float = 24.0,
-    start: dict | None = None,
+    start: Mapping[str, float] | None = None,
 ) -> Mechanism:
-    """Heat release by operating point, f_ΔT = Q R_AT [K], a polynomial for operation and one for standstill.
+    """Heat release by operating point, f_ΔT = Q R_AT [K]: a polynomial in operation, a line at standstill.
 
     In operation (P > 0), with p = P/P_rated:  a₀ + a₁ p + … + a_K p^K + a_T (T_amb − T_ref);
     at standstill (P ≤ 0):                     b₀ + b_T (T_amb − T_ref);
-    known pre-heating adds `preheating_heat` times its duty.  Inputs are zero-order over the interval of the power.
-    Over long gaps of the power the features take their mean and a random heat release with their covariance
-    `gap_covariance` (features operating, p, …, p^K) and correlation time `gap_time_h` [h] is added.
+    known pre-heating adds `preheating_heat` times its duty.  Inputs are constant over each interval of the
+    power. In long gaps of the power the features take their means, and a random heat release is added with
+    the features' covariance `gap_covariance` (operating, p, …, p^K) and the correlation time `gap_time_h`
+    [h].
     """
     given = start or {}
     origin, fade = Given(reference_K), Given(1.0 / gap_time_h)
     spread = [[Given(value) for value in row] for row in gap_covariance or ()]
     both = operation and standstill
-    parameters: list[Parameter] = []
-
-    def parameter(name: str, unit: str, value: float, bound: float, meaning: str) -> None:
-        parameters.append(
-            Parameter(name, unit, given.get(name, value), -bound, bound, null=0.0, meaning=meaning)
-        )
-
     powers = [f"power_{k}" for k in range(1, order + 1)] if operation else []
-    if operation:
-        parameter("heat_release_operation", "K", 3.0, 60.0, "heat release at zero power in operation")
-        for k, name in enumerate(powers, start=1):
-            parameter(f"heat_release_{name}", "K", 0.0, 200.0, f"coefficient of (P/P_rated)^{k}")
-        if ambient:
-            parameter("heat_release_operation_ambient", "K/K", 0.0, 2.0, "slope over the ambient temperature")
-    if standstill:
-        parameter("heat_release_standstill", "K", 2.0, 60.0, "heat release at standstill")
-        if standstill_ambient:
-            parameter(
-                "heat_release_standstill_ambient", "K/K", 0.0, 2.0, "slope over the ambient temperature"
-            )
-    if preheating:
-        parameter("preheating_heat", "K", 5.0, 80.0, "heat release of the known pre-heating")
+    parameters = _release_parameters(
+        powers, ambient, standstill_ambient, operation, standstill, preheating, given
+    )
 
-    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
         warm = u.ambient_temperature - origin
         total = 0.0
         if operation:
@@ -171,29 +157,18 @@ def heat_release(
             total = total + u.power_unknown * x.unknown_heat
         return {"heat_release": total}
 
-    def unknown_variance(p: Named) -> Value:
-        slopes = (
-            [p.heat_release_operation - (p.heat_release_standstill if standstill else 0.0)] if both else [0.0]
-        )
-        slopes += [getattr(p, f"heat_release_{name}") for name in powers]
-        total = 0.0
-        for row, a in zip(spread, slopes, strict=True):
-            for value, b in zip(row, slopes, strict=True):
-                total = total + value * a * b
-        return total
+    def unknown_variance(p: Space) -> Value:
+        first = p.heat_release_operation - (p.heat_release_standstill if standstill else 0.0) if both else 0.0
+        return _quadratic_form(spread, [first, *(getattr(p, f"heat_release_{name}") for name in powers)])
 
     gap = gap_covariance is not None
+    reads = {"ambient_temperature": True, "operating": both, **dict.fromkeys(powers, True),
+             "preheating": preheating, "power_unknown": gap}  # fmt: skip
     return Mechanism(
         name="heat_release",
-        parameters=tuple(parameters),
+        parameters=parameters,
         states=("unknown_heat",) if gap else (),
-        inputs=(
-            "ambient_temperature",
-            *(("operating",) if both else ()),
-            *powers,
-            *(("preheating",) if preheating else ()),
-            *(("power_unknown",) if gap else ()),
-        ),
+        inputs=tuple(name for name, read in reads.items() if read),
         contributions=contributions,
         drift=(lambda p, x, u, q, s: {"unknown_heat": -(x.unknown_heat * fade)}) if gap else None,
         diffusion=(lambda p: {"unknown_heat": unknown_variance(p) * 2.0 * fade}) if gap else None,
@@ -202,12 +177,55 @@ def heat_release(
             "order": order, "ambient": ambient, "standstill_ambient": standstill_ambient,
             "operation": operation, "standstill": standstill, "preheating": preheating,
             "reference_K": reference_K, "gap_time_h": gap_time_h,
-            "gap_covariance": None if gap_covariance is None else [list(map(float, r)) for r in gap_covariance],
+            "gap_covariance": None if not gap else [list(map(float, row)) for row in gap_covariance or ()],
             "start": dict(given),
         },
         meaning="heat that the converter releases into the cabinet",
         source=f"{PAPER}, equation (1) and Fig. 4",
     )  # fmt: skip
+
+
+def _quadratic_form(matrix: Sequence[Sequence[float]], vector: Sequence[Value]) -> Value:
+    """v' M v of traced values."""
+    total: Value = 0.0
+    for row, a in zip(matrix, vector, strict=True):
+        for value, b in zip(row, vector, strict=True):
+            total = total + value * a * b
+    return total
+
+
+def _release_parameters(
+    powers: Sequence[str],
+    ambient: bool,
+    standstill_ambient: bool,
+    operation: bool,
+    standstill: bool,
+    preheating: bool,
+    given: Mapping[str, float],
+) -> tuple[Parameter, ...]:
+    """Parameters of `heat_release`; `given` holds start values by name."""
+    parameters: list[Parameter] = []
+
+    def parameter(name: str, unit: str, value: float, bound: float, meaning: str) -> None:
+        parameters.append(
+            Parameter(name, unit, given.get(name, value), -bound, bound, null=0.0, meaning=meaning)
+        )
+
+    if operation:
+        parameter("heat_release_operation", "K", 3.0, 60.0, "heat release at zero power in operation")
+        for k, name in enumerate(powers, start=1):
+            parameter(f"heat_release_{name}", "K", 0.0, 200.0, f"coefficient of (P/P_rated)^{k}")
+        if ambient:
+            parameter("heat_release_operation_ambient", "K/K", 0.0, 2.0, "slope over the ambient temperature")
+    if standstill:
+        parameter("heat_release_standstill", "K", 2.0, 60.0, "heat release at standstill")
+        if standstill_ambient:
+            parameter(
+                "heat_release_standstill_ambient", "K/K", 0.0, 2.0, "slope over the ambient temperature"
+            )
+    if preheating:
+        parameter("preheating_heat", "K", 5.0, 80.0, "heat release of the known pre-heating")
+    return tuple(parameters)
 
 
 def ornstein_uhlenbeck(
@@ -218,13 +236,14 @@ def ornstein_uhlenbeck(
     time_h: float,
     bounds_h: tuple[float, float],
     sd_range: tuple[float, float],
-    settings: dict,
+    settings: Mapping[str, Any],
     meaning: str,
     leaves: str,
 ) -> Mechanism:
-    """A coloured disturbance w of a named sum: dw = −w/θ dt + sd √(2/θ) dW, correlation time θ within `bounds_h` [h]."""
+    """A coloured disturbance w of a named sum: dw = −w/θ dt + sd √(2/θ) dW, correlation time θ within
+    `bounds_h` [h]."""
 
-    def variance(p: Named) -> Value:
+    def variance(p: Space) -> Value:
         value = getattr(p, f"{name}_sd")
         return value * value
 
@@ -237,7 +256,8 @@ def ornstein_uhlenbeck(
                 meaning=f"standard deviation of the {meaning}",
             ),
             Parameter(
-                f"{name}_time", "h", min(max(time_h, shortest), longest), shortest, longest, positive=True, noise=True,
+                f"{name}_time", "h", min(max(time_h, shortest), longest), shortest, longest, positive=True,
+                noise=True,
                 meaning="its correlation time",
             ),
         ),
@@ -255,9 +275,9 @@ def ornstein_uhlenbeck(
 def heat_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 6.0) -> Mechanism:
     """A coloured disturbance of the heat release: an Ornstein–Uhlenbeck process w_T [K].
 
-    Sun, wind, doors, ventilation and everything else that the network does not know leave such a trace; a model
-    without it takes the trace for the cabinet's own time constant.  `shortest_h`, `longest_h` bound the correlation
-    time [h] to what the readings can resolve.
+    It represents sun, wind, doors, ventilation and other influences that the network leaves out.  Without it,
+    their slow effect would be attributed to the cabinet's own time constant.  `shortest_h` and `longest_h`
+    limit the correlation time [h] to the range that the readings can resolve.
     """
     return ornstein_uhlenbeck(
         "heat_disturbance", "heat_release", "K", 1.0, start_h, (shortest_h, longest_h), (1e-3, 50.0),
@@ -270,7 +290,8 @@ def heat_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h
 def second_heat_disturbance(
     longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 1.0
 ) -> Mechanism:
-    """A second coloured disturbance of the heat release on another time scale, where one is not enough."""
+    """A second coloured disturbance of the heat release on another time scale, for records where one is not
+    enough."""
     return ornstein_uhlenbeck(
         "second_heat_disturbance", "heat_release", "K", 0.3, start_h, (shortest_h, longest_h), (1e-3, 50.0),
         {"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
@@ -298,12 +319,14 @@ def wall_thermal_mass() -> Mechanism:
     """A second thermal mass: walls and fittings between the cabinet air and the ambient.
 
         dT_w/dt = (T_w∞ − T_w)/θ_w,    T_w∞ = T_amb + λ (T_conv,a − T_amb),    f += g (T_w − T_w∞)  [K],
-    g the conductance between air and mass in units of 1/R_AT, θ_w [h] its time constant, λ [1] where it stands: 1 for
-    fittings in the cabinet air, 0 for an outer wall that the ambient alone warms.  It stores heat and loses none of its
-    own, so that steady states stay as they are; g = 0 is the network of the paper exactly.
+    g is the conductance between air and mass in units of 1/R_AT, θ_w [h] the time constant of the mass.  λ
+    [1] is its
+    position: 1 for fittings in the cabinet air, 0 for an outer wall warmed by the ambient alone.  The mass
+    stores heat without losing any, so steady states do not change; g = 0 gives exactly the network of the
+    paper.
     """
 
-    def rest(p: Named, u: Named, q: Named) -> Value:
+    def rest(p: Space, u: Space, q: Space) -> Value:
         return u.ambient_temperature + p.wall_position * (q.cabinet_air_temperature - u.ambient_temperature)
 
     return Mechanism(
@@ -338,20 +361,21 @@ def wall_thermal_mass() -> Mechanism:
 
 
 STILL_K = 0.5
-"""[K] temperature difference below which natural convection goes on as with this one: the air is never quite at rest."""
+"""[K] smallest effective temperature difference of natural convection: the air is never quite at rest."""
 
 
 def natural_convection(difference_K: float = 8.0) -> Mechanism:
-    """Conductance to the ambient that grows with the temperature difference: G = (ΔT/ΔT₀)ⁿ/R_AT, ΔT = T_conv,a − T_amb.
+    """Conductance to the ambient that grows with the temperature difference: G = (ΔT/ΔT₀)ⁿ/R_AT, ΔT =
+    T_conv,a − T_amb.
 
         f −= ((ΔT/ΔT₀)ⁿ − 1) ΔT  [K],    ΔT₀ = `difference_K` [K],
-    n = 0 the network of the paper.  Laminar natural convection has n = 0.25, turbulent one 0.33.  The thermal time
-    constant τ of the network is then that of small changes at ΔT₀: R·C = (1+n) τ there, and at other differences small
-    changes decay with τ (ΔT₀/ΔT)ⁿ (`small_signal`).
+    n = 0 gives the network of the paper.  Laminar natural convection has n = 0.25, turbulent convection 0.33.
+    The thermal time constant τ is then that of small changes at ΔT₀, where R·C = (1+n) τ; at another
+    difference ΔT small changes decay with τ (ΔT₀/ΔT)ⁿ (`small_signal`).
     """
     reference = Given(2.0 * math.log(difference_K))
 
-    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
         apart = q.cabinet_air_temperature - u.ambient_temperature
         size = log(apart * apart + STILL_K**2) - reference
         return {
@@ -377,8 +401,8 @@ def natural_convection(difference_K: float = 8.0) -> Mechanism:
 
 
 def small_signal(time_constant: float, exponent: float, difference_K: float, at_K: Value) -> Value:
-    """Time constant [h] with which a small change decays at temperature differences `at_K` [K]; see `natural_convection`.
+    """Time constant [h] of small changes at temperature differences `at_K` [K]; see `natural_convection`.
 
-    `time_constant` [h] that at `difference_K` [K], `exponent` n.
+    `time_constant` [h] applies at `difference_K` [K]; `exponent` is n.
     """
     return time_constant * (difference_K / at_K) ** exponent

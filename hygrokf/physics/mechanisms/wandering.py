@@ -1,17 +1,17 @@
-"""Properties of the cabinet as slowly varying states: what a tracker watches while it runs.
+"""Properties of the cabinet as slowly varying states, for tracking.
 
-Each is a random walk, dx = r/√24 dW with the rate r for a day: after d days without readings it is uncertain by r √d.
+Each state is a random walk, dx = r/√24 dW, with the rate r per √day: after d days without readings its
+standard deviation is r √d.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
-from hygrokf.physics.expression import Named, Value, exp
+from hygrokf.physics.expression import exp
 from hygrokf.physics.mechanisms.sensors import saturation_pressure
 from hygrokf.physics.mechanisms.thermal import PAPER
-from hygrokf.physics.model import Mechanism
+from hygrokf.physics.model import Mechanism, Space, Values
 from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR
 
@@ -22,9 +22,11 @@ def _random_walk(
     unit: str,
     rate: float,
     bounds: tuple[float, float],
-    contributions: Callable[..., dict[str, Value]],
+    contributions: Callable[[Space, Space, Space, Space], Values],
     meaning: str,
-    **words: Any,
+    leaves: str,
+    source: str,
+    inputs: tuple[str, ...] = (),
 ) -> Mechanism:
     parameter = f"{state}_rate"
     return Mechanism(
@@ -36,14 +38,16 @@ def _random_walk(
             ),
         ),
         states=(state,),
+        inputs=inputs,
         contributions=contributions,
         drift=lambda p, x, u, q, s: {state: 0.0 * getattr(x, state)},
         diffusion=lambda p: {state: getattr(p, parameter) * getattr(p, parameter) / 24.0},
-        # what the fit knows of it is the fit's own standard error, far below a day's wandering
+        # the fit's standard error is far below a day's random walk
         initial=lambda p, u: {state: (0.0, getattr(p, parameter) * getattr(p, parameter))},
         settings={"rate": rate},
         meaning=meaning,
-        **words,
+        leaves=leaves,
+        source=source,
     )  # fmt: skip
 
 
@@ -86,7 +90,8 @@ def wandering_temperature_reading(rate: float = 1e-4) -> Mechanism:
         "wandering_temperature_reading", "temperature_reading_change", "K", rate, (1e-6, 5.0),
         lambda p, x, u, q: {"cabinet_temperature_reading": x.temperature_reading_change},
         "change of the temperature sensor's offset since the fit",
-        leaves="a temperature reading that is off by the same amount for days, and humidity that does not follow it",
+        leaves="a temperature reading that is off by the same amount for days, and humidity that does not "
+               "follow it",
         source="the sensor's own error",
     )  # fmt: skip
 
@@ -105,7 +110,7 @@ def wandering_humidity_reading(rate: float = 0.005) -> Mechanism:
 def wandering_humidity_scale(rate: float = 0.01) -> Mechanism:
     """The scale of the humidity reading as a state: h (1 + x), x a random walk of `rate` [1/√d]."""
 
-    def contributions(p: Named, x: Named, u: Named, q: Named) -> dict[str, Value]:
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
         pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
         humidity = pressure / saturation_pressure(q.cabinet_air_temperature)
         return {"cabinet_relative_humidity_reading": x.humidity_scale_change * humidity}

@@ -1,14 +1,15 @@
-"""Figures of a climate: pure functions of the data of `climate.json`."""
+"""Figures of a climate: pure functions of its result."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.data.lookup import number, numbers
-from hygrokf.report.climate_tables import OF_SCOPES, SIDE_BY_SIDE, share_held
+from hygrokf.climate.statistics import STATISTIC
+from hygrokf.climate.study import DurationCurve, RegionClimate
+from hygrokf.report.climate_tables import SIDE_BY_SIDE, share_held
 from hygrokf.report.figures.drawing import (
     AMBIENT,
     INK,
@@ -35,23 +36,27 @@ PANELS = (
 )
 
 
-def figure_joint(region: Mapping) -> Figure:
+def figure_joint(region: RegionClimate) -> Figure:
     """Hours a year by temperature and relative humidity, in the cabinet and outside."""
-    joint = region.get("joint")
-    if not joint:
+    joint = region.joint
+    if joint is None:
         raise NothingToShow("The model has no humidity.")
     from matplotlib.colors import LinearSegmentedColormap, LogNorm
 
-    warm, damp = (np.array(joint[name]) for name in ("temperature_edges_degC", "humidity_edges_percent"))
-    shown = [np.array(joint[name], dtype=float) for name in ("hours", "outside")]
+    warm, damp, shown = (
+        joint.temperature_edges_degC,
+        joint.humidity_edges_percent,
+        (joint.hours, joint.outside),
+    )
     top = max(float(one.max()) for one in shown)
     shades = LinearSegmentedColormap.from_list("hours", SHADES)
     with styled():
-        made = new_figure(3.1)
+        made = new_figure(2.7)
         axes = made.subplots(1, 2, sharex=True, sharey=True)
         for axis, hours, title in zip(axes, shown, ("in the cabinet", "outside"), strict=True):
             drawn = axis.pcolormesh(
-                warm, damp, np.where(hours >= 1.0, hours, np.nan).T, cmap=shades, norm=LogNorm(1.0, max(top, 2.0)),
+                warm, damp, np.where(hours >= 1.0, hours, np.nan).T, cmap=shades,
+                norm=LogNorm(1.0, max(top, 2.0)),
                 rasterized=True,
             )  # fmt: skip
             axis.axhline(80.0, color=SIMULATED, linewidth=0.8)
@@ -62,8 +67,8 @@ def figure_joint(region: Mapping) -> Figure:
         used = np.flatnonzero((shown[0] >= 1.0).any(axis=1) | (shown[1] >= 1.0).any(axis=1))
         axes[0].set_xlim(warm[used[0]] - 1.0, warm[used[-1] + 1] + 1.0)
         axes[0].set_ylabel("relative humidity [%]")
-        made.subplots_adjust(left=0.065, right=0.9, bottom=0.14, top=0.92, wspace=0.07)
-        bar = made.colorbar(drawn, cax=made.add_axes((0.92, 0.14, 0.016, 0.78)))
+        made.subplots_adjust(left=0.065, right=0.9, bottom=0.16, top=0.91, wspace=0.07)
+        bar = made.colorbar(drawn, cax=made.add_axes((0.92, 0.16, 0.016, 0.75)))
         ticks = [t for t in (1, 3, 10, 30, 100, 300, 1000) if t <= max(top, 2.0)]
         bar.set_ticks(ticks, labels=[f"{t}" for t in ticks])
         bar.minorticks_off()
@@ -72,16 +77,17 @@ def figure_joint(region: Mapping) -> Figure:
     return made
 
 
-def figure_duration(region: Mapping) -> Figure:
+def figure_duration(region: RegionClimate) -> Figure:
     """Duration curves of the quantities and of their rates, with bounds."""
-    there = [one for one in PANELS if isinstance(region.get(one[0]), Mapping) and one[1] in region[one[0]]]
+    curves = {"duration": region.duration, "rates": region.rates}
+    there = [(kind, curves[kind][name], label) for kind, name, label in PANELS if name in curves[kind]]
     if not there:
         raise NothingToShow("The result has no duration curves.")
     with styled():
         made = new_figure(4.5)
         axes = made.subplots(2, 3).ravel()
-        for axis, (kind, name, label) in zip(axes, there, strict=False):
-            _duration(axis, region[kind][name], label, kind == "rates")
+        for axis, (kind, curve, label) in zip(axes, there, strict=False):
+            _duration(axis, curve, label, kind == "rates")
         for axis in axes[len(there) :]:
             axis.set_axis_off()
         _duration_key(axes[len(there)] if len(there) < 6 else axes[0], share_held([region]))
@@ -89,9 +95,9 @@ def figure_duration(region: Mapping) -> Figure:
     return made
 
 
-def _duration(axis: Axes, curve: Mapping, label: str, rate: bool) -> None:
-    share = 100.0 * numbers(curve, "share_beyond")
-    value, low, high, outside = (numbers(curve, part) for part in ("value", "lower", "upper", "outside"))
+def _duration(axis: Axes, curve: DurationCurve, label: str, rate: bool) -> None:
+    share = 100.0 * curve.share_beyond
+    value, low, high, outside = curve.value, curve.lower, curve.upper, curve.outside
     if rate:  # only the steep end is of interest
         kept = (share > 0.0) & (share <= 50.0)
         share, value, low, high, outside = (one[kept] for one in (share, value, low, high, outside))
@@ -120,19 +126,19 @@ def _duration_key(axis: Axes, share: str) -> None:
     )
 
 
-def figure_profile(region: Mapping) -> Figure:
+def figure_profile(region: RegionClimate) -> Figure:
     """The test profile: temperature and relative humidity over its hours."""
-    profile = region.get("test_profile")
-    if not profile:
+    profile = region.test_profile
+    if profile is None:
         raise NothingToShow("There is no test profile of this climate.")
     from matplotlib.lines import Line2D
 
-    hour = numbers(profile, "hour")
+    hour = profile.hour
     with styled():
         made = new_figure(3.7)
         upper, lower = made.subplots(2, 1, sharex=True)
-        upper.plot(hour, numbers(profile, "temperature_degC"), color=SIMULATED, linewidth=0.7)
-        upper.plot(hour, numbers(profile, "site_temperature_degC"), color=QUIET, linewidth=0.6)
+        upper.plot(hour, profile.temperature_degC, color=SIMULATED, linewidth=0.7)
+        upper.plot(hour, profile.site_temperature_degC, color=QUIET, linewidth=0.6)
         upper.set_ylabel("temperature [°C]")
         key(
             upper,
@@ -141,7 +147,7 @@ def figure_profile(region: Mapping) -> Figure:
                 Line2D([], [], color=QUIET, label="the same hours at the site"),
             ],
         )
-        lower.plot(hour, numbers(profile, "relative_humidity_percent"), color=MEASURED, linewidth=0.7)
+        lower.plot(hour, profile.relative_humidity_percent, color=MEASURED, linewidth=0.7)
         lower.set_ylabel("relative humidity [%]")
         lower.set_xlabel("hours of the test")
         lower.set_ylim(0, 100)
@@ -151,31 +157,29 @@ def figure_profile(region: Mapping) -> Figure:
     return made
 
 
-def figure_regions(regions: Sequence[Mapping]) -> Figure:
+def figure_regions(regions: Sequence[RegionClimate]) -> Figure:
     """Regions side by side: value, bounds for a year, bounds for the mean."""
     if len(regions) < 2:
         raise NothingToShow("There is only one region.")
-    chosen = [name for name in SIDE_BY_SIDE if all(name in one["scopes"]["all"] for one in regions)]
+    chosen = [name for name in SIDE_BY_SIDE if all(name in one.year for one in regions)]
     with styled():
         made = new_figure(0.95 + 0.3 * len(regions))
         axes = np.atleast_1d(made.subplots(1, len(chosen), sharey=True))
         for axis, name in zip(axes, chosen, strict=True):
-            words, unit = OF_SCOPES[name]
+            words, unit = STATISTIC[name].words, STATISTIC[name].unit
             for row, one in enumerate(regions):
-                found = one["scopes"]["all"][name]
-                value, low, high, least, most = (
-                    number(found, part) for part in ("value", "lower", "upper", "mean_lower", "mean_upper")
-                )
-                axis.plot([low, high], [row, row], color=MEASURED, linewidth=1.2)
-                axis.plot([least, most], [row, row], color=MEASURED, linewidth=3.6, alpha=0.45)
-                axis.plot(value, row, "o", color=INK, markersize=3.2)
+                found = one.year[name]
+                axis.plot([found.lower, found.upper], [row, row], color=MEASURED, linewidth=1.2)
+                means = [found.mean_lower, found.mean_upper]
+                axis.plot(means, [row, row], color=MEASURED, linewidth=3.6, alpha=0.45)
+                axis.plot(found.value, row, "o", color=INK, markersize=3.2)
             short = words.split(" (")[0].split(" on ")[0].split(",")[0].replace("relative ", "")
             axis.set_title(f"{short}\n[{unit}]", fontsize=7.0)
             axis.grid(axis="y", visible=False)
             axis.margins(x=0.12)
-        axes[0].set_yticks(range(len(regions)), [one["name"] for one in regions])
+        axes[0].set_yticks(range(len(regions)), [one.name for one in regions])
         axes[0].set_ylim(len(regions) - 0.5, -0.5)
-        widest = max(len(one["name"]) for one in regions)
+        widest = max(len(one.name) for one in regions)
         made.subplots_adjust(
             left=min(0.025 + 0.0098 * widest, 0.3), right=0.985, bottom=0.32 / made.get_figheight(),
             top=1.0 - 0.4 / made.get_figheight(), wspace=0.14,

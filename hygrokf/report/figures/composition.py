@@ -1,4 +1,5 @@
-"""The figure of an interval: how it grows, source by source, from the profile likelihood's to the headline."""
+"""The figure of an interval: how it grows, source by source, from the profile likelihood's to the
+headline."""
 
 from __future__ import annotations
 
@@ -8,7 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.data.lookup import entry, number
+from hygrokf.identification.composition import Step
+from hygrokf.identification.fit_results import FitResults, TimeConstant
 from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, SIMULATED, NothingToShow, new_figure, styled
 
 if TYPE_CHECKING:
@@ -29,12 +31,12 @@ SHOWN_WEIGHT = 0.01
 """[1] share of the evidence above which another form is drawn."""
 
 
-def figure_composition(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_composition(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
     """One panel a time constant: a bar for each step of the interval, the last one the headline."""
     shown = [
-        (name, found)
+        (name, fit.time_constants[name])
         for name in ("thermal", "hygric")
-        if len(_steps(found := entry(fit, "time_constants", name))) > 1
+        if name in fit.time_constants and len(_steps(fit.time_constants[name])) > 1
     ]
     if not shown:
         raise NothingToShow("No interval is composed of several sources, so there is nothing to take apart.")
@@ -49,42 +51,37 @@ def figure_composition(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure
     return figure
 
 
-def _steps(found: object) -> list[Mapping]:
+def _steps(found: TimeConstant) -> list[Step]:
     """Steps of an interval that is closed throughout, without those that add nothing."""
-    rows = entry(found, "composition")
-    rows = [row for row in rows if isinstance(row, Mapping)] if isinstance(rows, list) else []
-    rows = [row for row in rows if str(entry(row, "source")) in LABELS]
-    closed = [row for row in rows if 0 < number(row, "lower_h") < number(row, "upper_h") < math.inf]
-    if len(closed) != len(rows):
+    rows = [row for row in found.composition if row.source in LABELS]
+    if not all(0 < row.lower_h < row.upper_h < math.inf for row in rows):
         return []
-    return [row for i, row in enumerate(rows) if i == 0 or number(row, "sd_ln") > SHOWN_SD]
+    return [row for i, row in enumerate(rows) if i == 0 or row.sd_ln > SHOWN_SD]
 
 
-def _panel(axes: Axes, found: Mapping) -> None:
-    rows, value = _steps(found), number(found, "value_h")
+def _panel(axes: Axes, found: TimeConstant) -> None:
+    rows = _steps(found)
     last = len(rows) - 1
     for place, row in enumerate(rows):
-        low, high = number(row, "lower_h"), number(row, "upper_h")
         bold = place == last
         axes.plot(
-            [low, high], [place, place], color=MEASURED, linewidth=5.0 if bold else 2.6,
+            [row.lower_h, row.upper_h], [place, place], color=MEASURED, linewidth=5.0 if bold else 2.6,
             alpha=1.0 if bold else 0.55, solid_capstyle="butt",
         )  # fmt: skip
-    axes.axvline(value, color=INK, linewidth=0.8)
-    forms = entry(found, "forms")
-    for one in forms if isinstance(forms, list) else ():
-        weight = number(one, "weight")
-        if entry(one, "form") != "base" and weight >= SHOWN_WEIGHT:
-            _mark(axes, rows, "forms", number(one, "value_h"), QUIET, 2.5 + 4.0 * weight)
-    _mark(axes, rows, "free run", number(found, "simulation", "value_h"), SIMULATED, 4.5)
-    axes.set_yticks(range(len(rows)), [LABELS[str(entry(row, "source"))] for row in rows])
+    axes.axvline(found.value_h, color=INK, linewidth=0.8)
+    for one in found.forms:
+        if one.form != "base" and one.weight >= SHOWN_WEIGHT:
+            _mark(axes, rows, "forms", one.value_h, QUIET, 2.5 + 4.0 * one.weight)
+    if found.simulation is not None:
+        _mark(axes, rows, "free run", found.simulation.value_h, SIMULATED, 4.5)
+    axes.set_yticks(range(len(rows)), [LABELS[row.source] for row in rows])
     axes.set_ylim(last + 0.6, -0.6)
     axes.locator_params(axis="x", nbins=5)
     axes.grid(False, axis="y")
 
 
-def _mark(axes: Axes, rows: list[Mapping], source: str, value: float, colour: str, size: float) -> None:
+def _mark(axes: Axes, rows: list[Step], source: str, value: float, colour: str, size: float) -> None:
     """Another estimate, on the row of the source that it stands for; none where that adds nothing."""
-    places = [i for i, row in enumerate(rows) if entry(row, "source") == source]
+    places = [i for i, row in enumerate(rows) if row.source == source]
     if places and math.isfinite(value):
         axes.plot([value], places, "D", color=colour, markersize=size, markeredgecolor="white", clip_on=True)

@@ -1,4 +1,5 @@
-"""Figures of the record: whole series with band and error, excerpts, and the error over the point of operation."""
+"""Figures of the record: whole series with band and error, excerpts, and the error over the point of
+operation."""
 
 from __future__ import annotations
 
@@ -9,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.data.lookup import array, instants, scalar
+from hygrokf.identification.fit_results import FitResults
 from hygrokf.report.figures.drawing import (
     AMBIENT,
     BINS,
@@ -30,6 +31,7 @@ from hygrokf.report.figures.drawing import (
     upright,
 )
 from hygrokf.report.figures.excerpts import choose_excerpts
+from hygrokf.report.figures.series import array, instants, scalar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -41,6 +43,7 @@ TEMPERATURE = "temperature"
 HUMIDITY = "absolute_humidity"
 AXIS_LABEL = {TEMPERATURE: "temperature [°C]", HUMIDITY: "absolute humidity [g/m³]"}
 ERROR_LABEL = {TEMPERATURE: "error [K]", HUMIDITY: "error [g/m³]"}
+FORTNIGHT_S = 14.0 * 86400.0
 NARROW = 170
 """Stretches of time over the width of an excerpt."""
 AMBIENT_SERIES = {TEMPERATURE: "ambient_temperature", HUMIDITY: "ambient_absolute_humidity"}
@@ -50,7 +53,8 @@ AMBIENT_SERIES = {TEMPERATURE: "ambient_temperature", HUMIDITY: "ambient_absolut
 
 
 class _Record:
-    """Both quantities of a record in the units of the figures [°C, g/m³], its span and its shaded stretches [s]."""
+    """Both quantities of a record in the units of the figures [°C, g/m³], its span and its shaded stretches
+    [s]."""
 
     def __init__(self, series: Mapping[str, np.ndarray]) -> None:
         self.time = instants(series)
@@ -92,12 +96,13 @@ class _Record:
         return bool(np.isfinite(measured).any() or np.isfinite(simulated).any())
 
 
-def figure_temperature(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
-    """Cabinet temperature over the whole record, error of the free run, relative power (Fig. 6 of the paper)."""
+def figure_temperature(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+    """Cabinet temperature over the whole record, error of the free run, relative power (Fig. 6 of the
+    paper)."""
     return _whole(_Record(series), TEMPERATURE, "The fit has no cabinet temperature to show.")
 
 
-def figure_humidity(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_humidity(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
     """Absolute humidity over the whole record and error of the free run (Fig. 8 of the paper)."""
     why = "There is no cabinet humidity: the record, or the model, lacks it."
     return _whole(_Record(series), HUMIDITY, why)
@@ -132,6 +137,35 @@ def _whole(record: _Record, name: str, why: str) -> Figure:
             calendar(axes, record.span, 12, labels=axes is every[-1])
             _shade(axes, record, record.span)
         _mark_validation(main, record)
+    return figure
+
+
+def figure_validation(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+    """Readings, free run and its 95 % band after the identification period, or in the last fortnight."""
+    record = _Record(series)
+    names = [name for name in (TEMPERATURE, HUMIDITY) if record.known(name)]
+    if not names:
+        raise NothingToShow("The fit has neither a temperature nor a humidity of the cabinet to show.")
+    begin = record.until if record.validation else record.span[1] - FORTNIGHT_S
+    span = (max(begin, record.span[0]), record.span[1])
+    with styled():
+        figure = new_figure(0.45 + 1.25 * len(names))
+        grid = figure.add_gridspec(
+            len(names),
+            1,
+            hspace=0.12,
+            left=0.075,
+            right=0.995,
+            top=0.91,
+            bottom=0.115 if names[1:] else 0.19,
+        )
+        every = [figure.add_subplot(grid[row]) for row in range(len(names))]
+        for axes, name in zip(every, names, strict=True):
+            _course(axes, record, name, span)
+            upright(axes, AXIS_LABEL[name])
+            calendar(axes, span, 10, labels=axes is every[-1])
+            _hatch_unscored(axes, record, span)
+        key(every[0], _handles(record, names[0]))
     return figure
 
 
@@ -194,7 +228,8 @@ def _power(axes: Axes, record: _Record, span: tuple[float, float], bins: int = B
         middle, half = 0.5 * (start + end), 0.5 * max(end - start, least)
         axes.add_line(
             Line2D(
-                [float(days(middle - half)), float(days(middle + half))], [1.04, 1.04], color=SIMULATED, linewidth=3.0,
+                [float(days(middle - half)), float(days(middle + half))], [1.04, 1.04], color=SIMULATED,
+                linewidth=3.0,
                 solid_capstyle="butt",
             )
         )  # fmt: skip
@@ -202,8 +237,10 @@ def _power(axes: Axes, record: _Record, span: tuple[float, float], bins: int = B
             named = True
             late = middle > span[0] + 0.7 * (span[1] - span[0])
             axes.annotate(
-                "pre-heating", (days(middle - half if late else middle + half), 1.04), ha="right" if late else "left",
-                xytext=(-3 if late else 3, 0), textcoords="offset points", va="center", color=SIMULATED, fontsize=6.5,
+                "pre-heating", (days(middle - half if late else middle + half), 1.04),
+                ha="right" if late else "left",
+                xytext=(-3 if late else 3, 0), textcoords="offset points", va="center", color=SIMULATED,
+                fontsize=6.5,
                 bbox={"facecolor": "white", "alpha": 0.75, "pad": 0.6, "linewidth": 0},
             )  # fmt: skip
 
@@ -213,11 +250,16 @@ def _shade(axes: Axes, record: _Record, span: tuple[float, float]) -> None:
         axes.axvspan(
             float(days(max(record.until, span[0]))), float(days(span[1])), color=SHADE, zorder=0, linewidth=0
         )
+    _hatch_unscored(axes, record, span)
+
+
+def _hatch_unscored(axes: Axes, record: _Record, span: tuple[float, float]) -> None:
     least = (span[1] - span[0]) / 300.0
     for start, end in stretches(record.time, ~record.scored, least):
         if end >= span[0] and start <= span[1]:
             axes.axvspan(
-                float(days(max(start, span[0]))), float(days(min(end, span[1]))), facecolor="none", edgecolor="#9aa4b1",
+                float(days(max(start, span[0]))), float(days(min(end, span[1]))), facecolor="none",
+                edgecolor="#9aa4b1",
                 hatch="////", linewidth=0.0, zorder=0.5,
             )  # fmt: skip
 
@@ -251,12 +293,13 @@ def _mark_validation(axes: Axes, record: _Record) -> None:
     near_end = (record.span[1] - place) / max(record.span[1] - record.span[0], 1.0) < 0.12
     axes.annotate(
         "validation", (days(record.span[1] if near_end else place), 1.0), xycoords=("data", "axes fraction"),
-        xytext=(-3 if near_end else 3, -3), textcoords="offset points", ha="right" if near_end else "left", va="top",
+        xytext=(-3 if near_end else 3, -3), textcoords="offset points", ha="right" if near_end else "left",
+        va="top",
         color=QUIET, fontsize=7.0, fontstyle="italic",
     )  # fmt: skip
 
 
-def figure_excerpts(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_excerpts(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
     """Up to three closer views (Fig. 7 of the paper) of both quantities and the power."""
     record = _Record(series)
     names = [name for name in (TEMPERATURE, HUMIDITY) if record.known(name)]
@@ -269,7 +312,8 @@ def figure_excerpts(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
         figure = new_figure(0.75 + 1.55 * len(names) + 0.75 * record.has_power)
         height = figure.get_size_inches()[1]
         grid = figure.add_gridspec(
-            rows, len(chosen), height_ratios=[1.55] * len(names) + [0.7] * record.has_power, hspace=0.16, wspace=0.17,
+            rows, len(chosen), height_ratios=[1.55] * len(names) + [0.7] * record.has_power, hspace=0.16,
+            wspace=0.17,
             left=0.072, right=0.995, top=1.0 - 0.52 / height, bottom=0.3 / height,
         )  # fmt: skip
         left: list[Axes] = []
@@ -295,7 +339,8 @@ def figure_excerpts(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
 
 
 _EXCERPT_SERIES = (
-    "temperature_measured", "temperature_simulated", "absolute_humidity_measured", "absolute_humidity_simulated",
+    "temperature_measured", "temperature_simulated", "absolute_humidity_measured",
+    "absolute_humidity_simulated",
     "ambient_temperature", "power", "operating", "preheating", "scored",
 )  # fmt: skip
 
@@ -303,8 +348,9 @@ _EXCERPT_SERIES = (
 # --- residuals -------------------------------------------------------------------------------
 
 
-def figure_residuals(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
-    """Error of the free run over power, ambient temperature and hour of the day: what the model still owes."""
+def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+    """Error of the free run over power, ambient temperature and hour of the day: what the model still
+    owes."""
     record = _Record(series)
     errors = {}
     for name in (TEMPERATURE, HUMIDITY):

@@ -1,4 +1,5 @@
-"""How figures look, and how a long record becomes a small drawing: style, envelopes, calendar axes, SVG and PNG text.
+"""How figures look, and how a long record becomes a small drawing: style, envelopes, calendar axes, SVG and
+PNG text.
 
 matplotlib is imported inside the functions that need it, without its global state (`pyplot`).
 """
@@ -13,6 +14,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+
+from hygrokf.data.timestamps import DAY_S as DAY_S
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -31,7 +34,6 @@ WIDTH_IN = 7.3
 """[in] width of every figure: the text width of an A4 page."""
 BINS = 520
 """Stretches of time over the width of a page; each keeps its least and its largest value."""
-DAY_S = 86400.0
 
 _STYLE = {
     "font.family": "sans-serif",
@@ -86,7 +88,8 @@ _STYLE = {
     "path.simplify_threshold": 0.15,
 }
 FONTS = "system-ui, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, 'Liberation Sans', sans-serif"
-"""Fonts of the page; the drawings are laid out with a wider one, so that their labels fit with any of these."""
+"""Fonts of the page; the drawings are laid out with a wider one, so that their labels fit with any of
+these."""
 
 
 class NothingToShow(ValueError):
@@ -114,7 +117,8 @@ def new_figure(height_in: float) -> Figure:
 
 
 def svg(figure: Figure, name: str) -> str:
-    """The figure as standalone SVG text; `name` (letters, digits, -) makes its identifiers unique on a page."""
+    """The figure as standalone SVG text; `name` (letters, digits, -) makes its identifiers unique on a
+    page."""
     with styled():
         import matplotlib
 
@@ -153,7 +157,8 @@ def _rounded(match: re.Match) -> str:
 
 
 def inline_svg(figure: Figure, name: str, title: str) -> str:
-    """The figure as SVG for the body of an HTML page: scales with the page, names no host, has a spoken `title`."""
+    """The figure as SVG for the body of an HTML page: scales with the page, names no host, has a spoken
+    `title`."""
     from html import escape
 
     text = svg(figure, name)
@@ -256,7 +261,8 @@ def days(time_s: np.ndarray | float) -> np.ndarray | float:
 
 
 def calendar(axes: Axes, span: tuple[float, float], ticks: int = 9, labels: bool = True) -> None:
-    """A calendar axis in UTC over `span` [s] with at most `ticks` ticks; the first one names year or month."""
+    """A calendar axis in UTC over `span` [s] with at most `ticks` ticks; the first one names year or
+    month."""
     low, high = span
     if not high > low:
         low, high = low - 1800.0, high + 1800.0

@@ -1,4 +1,5 @@
-"""Which stretches of a long record to show closely: day and night in part load, the liveliest, the standstill."""
+"""Which stretches of a long record to show closely: day and night in part load, the liveliest, the
+standstill."""
 
 from __future__ import annotations
 
@@ -36,10 +37,11 @@ def hourly(time: np.ndarray, value: np.ndarray, hours: int) -> np.ndarray:
 def choose_excerpts(series: Mapping[str, np.ndarray]) -> tuple[Excerpt, ...]:
     """Up to three stretches of six days that do not overlap, in order of time.
 
-    series: the arrays of series.npz.  Chosen are: the longest standstill with pre-heating (without one: operation
-    close to rated power; without power: the largest errors of the free run), the most dynamic stretch, and part load
-    with a pronounced day-night cycle (without power: the most pronounced cycle).  Stretches with few readings or
-    unknown inputs are passed over where there are others.  A record of less than two days is one excerpt.
+    series: the arrays of series.npz.  Chosen are: the longest standstill with pre-heating (without one:
+    operation close to rated power; without power: the largest errors of the free run), the most dynamic
+    stretch, and part load with a pronounced day-night cycle (without power: the most pronounced cycle).
+    Stretches with few readings or unknown inputs are passed over where there are others.  A record of less
+    than two days is one excerpt.
     """
     time = series["time_s"]
     if len(time) < 2 or not time[-1] > time[0]:

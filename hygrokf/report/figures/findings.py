@@ -55,7 +55,8 @@ LINE = 100
 
 
 def figure_episodes(residuals: Residuals, misfit: Misfit, after: Residuals | None = None) -> Figure:
-    """The episodes in which a misfit is largest, with the free run's 95 % band; a lasting misfit over the whole record."""
+    """The episodes in which a misfit is largest, with the free run's 95 % band; a lasting misfit over the
+    whole record."""
     quantity = misfit.quantity
     _measured(residuals, quantity)
     if misfit.kind in LASTING:
@@ -83,7 +84,8 @@ def figure_episodes(residuals: Residuals, misfit: Misfit, after: Residuals | Non
             for axes in (main, error):
                 for first, last in spans:
                     axes.axvspan(
-                        float(days(max(first, start))), float(days(min(last, end))), color=CONDITION, alpha=0.75, zorder=0, linewidth=0
+                        float(days(max(first, start))), float(days(min(last, end))), color=CONDITION,
+                        alpha=0.75, zorder=0, linewidth=0
                     )  # fmt: skip
                 _midnights(axes, (start, end), labels=axes is error)
             if column == len(windows) - 1:

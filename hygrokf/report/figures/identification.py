@@ -1,14 +1,16 @@
-"""Figures of what was identified: heat release by operating point, profile likelihood of the time constants."""
+"""Figures of what was identified: heat release by operating point, profile likelihood of the time
+constants."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.data.lookup import entry, number, numbers
+from hygrokf.identification.fit_results import FitResults, Interval, TimeConstant
+from hygrokf.identification.steady_state import Regression
 from hygrokf.report.figures.drawing import (
     INK,
     MEASURED,
@@ -35,13 +37,16 @@ POINTS = 500
 # --- heat release ----------------------------------------------------------------------------
 
 
-def figure_heat_release(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
-    """Quasi-stationary periods and the regression over them, operation and standstill (Fig. 4 of the paper)."""
-    found = {name: _Points(fit, name) for name in ("operation", "standstill")}
-    shown = [one for one in found.values() if one.there]
+def figure_heat_release(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+    """Quasi-stationary periods and the regression over them, operation and standstill (Fig. 4 of the
+    paper)."""
+    release = fit.heat_release
+    reference = math.nan if release is None or release.reference_K is None else release.reference_K - KELVIN
+    regimes = {} if release is None else release.regimes
+    found = [_Points(name, one, reference) for name, one in regimes.items()]
+    shown = [one for one in found if len(one.power)]
     if not shown:
-        said = entry(fit, "heat_release", "statement")
-        why = f" ({said})" if isinstance(said, str) and said else ""
+        why = f" ({release.statement})" if release is not None and release.statement else ""
         raise NothingToShow(f"There are too few quasi-stationary periods for a regression{why}.")
     with styled():
         figure = new_figure(2.9)
@@ -57,7 +62,8 @@ def figure_heat_release(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figur
             axes.set_ylim(lowest - 0.3, highest + 0.08 * (highest - lowest))
             if column == 0:
                 upright(axes, "cabinet − ambient [K]")
-            axes.set_title(f"{one.regime}: {one.count} stationary periods, {one.episodes} episodes")
+            count, episodes = one.data.n_points, one.data.n_episodes
+            axes.set_title(f"{one.regime}: {count} stationary periods, {episodes} episodes")
             if one is shown[-1]:
                 _line_key(axes, bool(_likelihood(fit)[0]))
         _colour_scale(figure, edges)
@@ -65,44 +71,27 @@ def figure_heat_release(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figur
 
 
 class _Points:
-    """Points and coefficients of one regime of the heat-release regression."""
+    """Points and coefficients of one regime; temperatures in °C."""
 
-    def __init__(self, fit: Mapping, regime: str) -> None:
-        data = entry(fit, "heat_release", regime)
-        self.regime = regime
-        self.power, self.difference, ambient, self.fitted = (
-            numbers(data, "points", name) for name in ("power", "difference_K", "ambient_K", "fitted_K")
-        )
-        self.ambient = ambient - KELVIN
-        lengths = {len(self.power), len(self.difference), len(self.ambient)}
-        good = len(lengths) == 1 and len(self.power) > 0
-        if good:
-            kept = np.isfinite(self.power) & np.isfinite(self.difference) & np.isfinite(self.ambient)
-            good = bool(kept.any())
-            self.power, self.difference, self.ambient = (
-                self.power[kept],
-                self.difference[kept],
-                self.ambient[kept],
-            )
-        self.there = good
-        self.count = (
-            f"{number(data, 'n_points'):.0f}" if math.isfinite(number(data, "n_points")) else len(self.power)
-        )
-        episodes = number(data, "n_episodes")
-        self.episodes = f"{episodes:.0f}" if math.isfinite(episodes) else "–"
-        self.reference = number(fit, "heat_release", "reference_K") - KELVIN
-        found = entry(data, "coefficients")
-        self.coefficients = {
-            name: number(found, name, "value") for name in (found if isinstance(found, Mapping) else ())
-        }
+    def __init__(self, regime: str, data: Regression, reference: float) -> None:
+        self.regime, self.data, self.reference = regime, data, reference
+        points = data.points
+        ambient = points.ambient_K - KELVIN
+        kept = np.isfinite(points.power) & np.isfinite(points.difference_K) & np.isfinite(ambient)
+        self.power, self.difference = points.power[kept], points.difference_K[kept]
+        self.ambient = ambient[kept]
+        self.coefficients = {name: one.value for name, one in data.coefficients.items()}
 
     def thinned(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         kept = np.unique(np.linspace(0, len(self.power) - 1, min(POINTS, len(self.power))).astype(int))
         return self.power[kept], self.difference[kept], self.ambient[kept]
 
 
-def released(coefficients: Mapping[str, float], regime: str, power: Any, warmer: Any) -> Any:
-    """Heat release [K] at relative power [1] and ambient temperature above the reference [K]; NaN where unknown."""
+def released(
+    coefficients: Mapping[str, float], regime: str, power: np.ndarray | float, warmer: np.ndarray | float
+) -> np.ndarray:
+    """Heat release [K] at relative power [1] and ambient temperature above the reference [K]; NaN where
+    unknown."""
     base = coefficients.get(f"heat_release_{regime}", math.nan)
     total = base + coefficients.get(f"heat_release_{regime}_ambient", 0.0) * warmer
     if regime == "operation":
@@ -110,23 +99,15 @@ def released(coefficients: Mapping[str, float], regime: str, power: Any, warmer:
             order = name.removeprefix("heat_release_power_")
             if order != name and order.isdigit():
                 total = total + value * power ** int(order)
-    return total + 0.0 * power
+    return np.asarray(total + 0.0 * power)
 
 
-def _likelihood(fit: Mapping) -> tuple[dict[str, float], float]:
+def _likelihood(fit: FitResults) -> tuple[dict[str, float], float]:
     """Coefficients of the final estimate and their reference temperature [°C]."""
-    found = entry(fit, "parameters")
-    values = {
-        name: number(row, "value")
-        for name, row in (found.items() if isinstance(found, Mapping) else ())
-        if str(name).startswith("heat_release_")
-    }
-    reference = math.nan
-    mechanisms = entry(fit, "design", "mechanisms")
-    for one in mechanisms if isinstance(mechanisms, (list, tuple)) else ():
-        if isinstance(one, (list, tuple)) and len(one) == 2 and one[0] == "heat_release":
-            reference = number(one[1], "reference_K") - KELVIN
-    return values, reference
+    values = {name: row.value for name, row in fit.parameters.items() if name.startswith("heat_release_")}
+    mechanisms = {} if fit.design is None else dict(fit.design.mechanisms)
+    reference = mechanisms.get("heat_release", {}).get("reference_K")
+    return values, reference - KELVIN if isinstance(reference, (int, float)) else math.nan
 
 
 def _round_edges(low: float, high: float) -> np.ndarray:
@@ -148,7 +129,7 @@ def _cloud(axes: Axes, x: np.ndarray, y: np.ndarray, ambient: np.ndarray, edges:
         )
 
 
-def _operation(axes: Axes, one: _Points, edges: np.ndarray, fit: Mapping) -> None:
+def _operation(axes: Axes, one: _Points, edges: np.ndarray, fit: FitResults) -> None:
     power, difference, ambient = one.thinned()
     _cloud(axes, power, difference, ambient, edges)
     p = np.linspace(min(0.0, float(power.min())), max(1.0, float(power.max())), 60)
@@ -173,7 +154,7 @@ def _operation(axes: Axes, one: _Points, edges: np.ndarray, fit: Mapping) -> Non
     axes.set_xlabel("power / rated [1]")
 
 
-def _standstill(axes: Axes, one: _Points, edges: np.ndarray, fit: Mapping) -> None:
+def _standstill(axes: Axes, one: _Points, edges: np.ndarray, fit: FitResults) -> None:
     _, difference, ambient = one.thinned()
     _cloud(axes, ambient, difference, ambient, edges)
     x = np.linspace(float(ambient.min()), float(ambient.max()), 2)
@@ -214,9 +195,10 @@ def _colour_scale(figure: Figure, edges: np.ndarray) -> None:
 # --- time constants --------------------------------------------------------------------------
 
 
-def figure_profiles(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
+def figure_profiles(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
     """Profile likelihood of both time constants, with bounds and the estimate by simulation beside it."""
-    shown = [name for name in ("thermal", "hygric") if number(fit, "time_constants", name, "value_h") > 0]
+    constants = fit.time_constants
+    shown = [name for name in ("thermal", "hygric") if name in constants and constants[name].value_h > 0]
     if not shown:
         raise NothingToShow("No time constant was identified, so there is no profile to show.")
     with styled():
@@ -224,7 +206,7 @@ def figure_profiles(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
         grid = figure.add_gridspec(1, 2, wspace=0.2, left=0.06, right=0.985, top=0.9, bottom=0.17)
         for column, name in enumerate(shown):
             axes = figure.add_subplot(grid[column])
-            _profile(axes, fit["time_constants"][name])
+            _profile(axes, constants[name])
             axes.set_title(
                 "thermal time constant (R_AT+R_IC)·C" if name == "thermal" else "hygric time constant R_D*·V*"
             )
@@ -234,20 +216,16 @@ def figure_profiles(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
     return figure
 
 
-def _profile(axes: Axes, found: Mapping) -> None:
+def _profile(axes: Axes, found: TimeConstant) -> None:
     # the likelihood's own bounds, where they stand beside the headline interval
-    own = entry(found, "profile") if number(found, "profile", "value_h") > 0 else found
-    value, low, high = (number(own, name) for name in ("value_h", "lower_h", "upper_h"))
-    threshold = number(found, "threshold")
-    threshold = threshold if threshold > 0 else THRESHOLD
+    own = found.profile if found.profile is not None and found.profile.value_h > 0 else found
+    value, low, high = own.value_h, own.lower_h, own.upper_h
+    threshold = found.threshold if found.threshold > 0 else THRESHOLD
     top = 2.1 * threshold
-    curve = entry(found, "curve")
-    rows = [numbers({"": row}, "") for row in curve] if isinstance(curve, (list, tuple)) else []
-    points = np.array(
-        sorted(tuple(row) for row in rows if len(row) == 2 and np.isfinite(row).all() and row[0] > 0)
-    )
-    points = points.reshape(-1, 2)
-    simulated = tuple(number(found, "simulation", name) for name in ("value_h", "lower_h", "upper_h"))
+    good = np.isfinite(found.curve).all(axis=1) & (found.curve[:, 0] > 0)
+    points = found.curve[good][np.argsort(found.curve[good][:, 0])]
+    free = found.simulation or Interval()
+    simulated = (free.value_h, free.lower_h, free.upper_h)
     ends = [v for v in (value, low, high, *simulated) if math.isfinite(v) and value / 8 < v < value * 8]
     shown = points[points[:, 1] <= top]
     left = min([*ends, *shown[:, 0]]) / 1.04
@@ -260,11 +238,9 @@ def _profile(axes: Axes, found: Mapping) -> None:
         axes.plot(x, y, color=MEASURED, linewidth=1.5)
         axes.plot(points[:, 0], points[:, 1], "o", color=MEASURED, markersize=3.0)
     axes.axhline(threshold, color=INK, linewidth=0.8, dashes=(4, 2))
-    level = number(found, "level")
-    factor = number(found, "factor")
-    label = f"{100 * level:.0f} %" if math.isfinite(level) else "threshold"
-    if factor > 1.005:
-        label += f", widened × {factor:.2f}"
+    label = f"{100 * found.level:.0f} %" if math.isfinite(found.level) else "threshold"
+    if found.factor > 1.005:
+        label += f", widened × {found.factor:.2f}"
     axes.text(
         0.99, threshold + 0.02 * top, label, transform=axes.get_yaxis_transform(), ha="right", va="bottom"
     )

@@ -1,4 +1,5 @@
-"""The page of innovations: whiteness in time and in frequency, what they owe to the inputs, their distribution."""
+"""The page of innovations: whiteness in time and in frequency, what they owe to the inputs, their
+distribution."""
 
 from __future__ import annotations
 
@@ -9,7 +10,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.data.lookup import array, columns, entry, instants, number, one_line, scalar
+from hygrokf.evaluation.diagnosis import (
+    Autocorrelation,
+    CrossCorrelation,
+    CumulativePeriodogram,
+    OutputDiagnosis,
+    Periodogram,
+)
+from hygrokf.identification.fit_results import FitResults
+from hygrokf.identification.wording import one_line
 from hygrokf.report.figures.drawing import (
     INK,
     MEASURED,
@@ -24,6 +33,7 @@ from hygrokf.report.figures.drawing import (
     new_figure,
     styled,
 )
+from hygrokf.report.figures.series import array, instants, scalar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,20 +47,22 @@ INPUTS = 4
 LEVEL = 0.95
 
 
-def figure_innovations(fit: Mapping, series: Mapping[str, np.ndarray], output: str = "temperature") -> Figure:
-    """Standardised innovations [1] of one output, "temperature" or "humidity", over the identification period."""
-    found = entry(fit, "innovations", "outputs", output)
+def figure_innovations(
+    fit: FitResults, series: Mapping[str, np.ndarray], output: str = "temperature"
+) -> Figure:
+    """Standardised innovations [1] of one output, "temperature" or "humidity", over the identification
+    period."""
+    found = fit.innovations.outputs.get(output)
     time = instants(series)
     value = array(series, f"{output}_innovation")
     until = scalar(series, "until_s")
     known = np.isfinite(value) & (time <= until if math.isfinite(until) else True)
-    if not isinstance(found, Mapping) or not known.any():
+    if found is None or not known.any():
         raise NothingToShow(
             f"There are no innovations of the {output}: nothing of it was observed by the filter."
         )
-    if not isinstance(entry(found, "autocorrelation"), Mapping):
-        said = entry(found, "statements")
-        why = said[0] if isinstance(said, list) and said and isinstance(said[0], str) else "too few readings"
+    if found.autocorrelation is None:
+        why = found.statements[0] if found.statements else "too few readings"
         raise NothingToShow(f"No diagnosis: {why}.")
     with styled():
         figure = new_figure(5.3)
@@ -60,9 +72,9 @@ def figure_innovations(fit: Mapping, series: Mapping[str, np.ndarray], output: s
             1, max(len(cross), 1), wspace=0.13, left=0.065, right=0.995, top=0.605, bottom=0.42
         )
         last = figure.add_gridspec(1, 3, wspace=0.24, left=0.065, right=0.995, top=0.32, bottom=0.065)
-        _autocorrelation(figure.add_subplot(top[0]), found)
-        _cumulative(figure.add_subplot(top[1]), found)
-        _periodogram(figure.add_subplot(top[2]), found)
+        _autocorrelation(figure.add_subplot(top[0]), found.autocorrelation)
+        _cumulative(figure.add_subplot(top[1]), found.cumulative_periodogram or CumulativePeriodogram())
+        _periodogram(figure.add_subplot(top[2]), found.periodogram or Periodogram())
         _cross_correlations(figure, middle, cross)
         figure.text(
             0.065, 0.645, "Cross-correlation of the innovations with …", fontweight="bold", fontsize=8.0
@@ -74,9 +86,17 @@ def figure_innovations(fit: Mapping, series: Mapping[str, np.ndarray], output: s
     return figure
 
 
-def _limits(axes: Axes, data: Mapping) -> float:
+def _columns(*lists: tuple[float, ...]) -> list[np.ndarray]:
+    """Lists of equal length as arrays of the rows in which all are finite; empty where lengths differ."""
+    if len({len(one) for one in lists}) != 1:
+        return [np.empty(0) for _ in lists]
+    rows = np.array(lists, dtype=float)
+    return list(rows[:, np.isfinite(rows).all(axis=0)])
+
+
+def _limits(axes: Axes, data: Autocorrelation | CrossCorrelation) -> float:
     """Both confidence limits of a correlation; returns the wider one."""
-    single, together = number(data, "limit"), number(data, "limit_all")
+    single, together = data.limit, data.limit_all
     if math.isfinite(single):
         axes.axhspan(-single, single, color=QUIET, alpha=0.16, linewidth=0)
     for sign in (-1.0, 1.0):
@@ -104,9 +124,8 @@ def _reach(limit: float, *values: np.ndarray) -> float:
     return min(max(1.9 * limit, 1.15 * largest, 0.02), 1.02)
 
 
-def _autocorrelation(axes: Axes, found: Mapping) -> None:
-    data = entry(found, "autocorrelation")
-    lag, value = columns(data, "lag_h", "value")
+def _autocorrelation(axes: Axes, data: Autocorrelation) -> None:
+    lag, value = _columns(data.lag_h, data.value)
     axes.set_title("Autocorrelation")
     if len(lag) < 2 or not lag[-1] > 0:
         return empty(axes, "no autocorrelation in fit.json")
@@ -128,29 +147,26 @@ def _hours(axes: Axes, low: float, high: float, ticks: float = 8.5) -> None:
             break
 
 
-def _cumulative(axes: Axes, found: Mapping) -> None:
-    data = entry(found, "cumulative_periodogram")
-    frequency, value = columns(data, "frequency_per_h", "value")
+def _cumulative(axes: Axes, data: CumulativePeriodogram) -> None:
+    frequency, value = _columns(data.frequency_per_h, data.value)
     axes.set_title("Cumulative periodogram")
     if len(frequency) < 2 or not frequency[-1] > 0:
         return empty(axes, "no cumulative periodogram in fit.json")
-    limit, end = number(data, "limit"), float(frequency[-1])
+    limit, end = data.limit, float(frequency[-1])
     line = np.array([0.0, end])
     axes.fill_between(line, line / end - limit, line / end + limit, color=QUIET, alpha=0.16, linewidth=0)
     axes.plot(line, line / end, color=QUIET, linewidth=0.6)
-    outside = number(data, "statistic") > limit
+    outside = data.statistic > limit
     axes.plot(frequency, value, color=SIMULATED if outside else MEASURED, linewidth=1.2)
     axes.set_xlim(0.0, end)
     axes.set_ylim(0.0, 1.0)
     axes.set_xlabel("frequency [1/h]")
-    p = number(data, "p")
-    words = "p < 0.001" if p < 0.001 else f"p = {p:.2f}"
+    words = "p < 0.001" if data.p < 0.001 else f"p = {data.p:.2f}"
     axes.text(0.04, 0.95, f"Kolmogorov–Smirnov\n{words}", transform=axes.transAxes, va="top", fontsize=7.0)
 
 
-def _periodogram(axes: Axes, found: Mapping) -> None:
-    data = entry(found, "periodogram")
-    frequency, power, lower, upper = columns(data, "frequency_per_h", "power", "lower", "upper")
+def _periodogram(axes: Axes, data: Periodogram) -> None:
+    frequency, power, lower, upper = _columns(data.frequency_per_h, data.power, data.lower, data.upper)
     axes.set_title("Periodogram (white = 1)")
     if len(frequency) < 2 or not 0.0 < frequency[0] < frequency[-1] or np.any(np.diff(frequency) <= 0):
         return empty(axes, "no periodogram in fit.json")
@@ -178,30 +194,27 @@ def _periods(axes: Axes) -> None:
     axes.xaxis.set_minor_formatter(NullFormatter())
 
 
-def _shown_inputs(found: Mapping) -> list[tuple[str, Mapping]]:
-    data = entry(found, "cross_correlation")
+def _shown_inputs(found: OutputDiagnosis) -> list[tuple[str, CrossCorrelation]]:
     rows = [
-        (str(name), one)
-        for name, one in (data.items() if isinstance(data, Mapping) else ())
-        if len(columns(one, "lag_h", "value")[0]) > 1
+        (name, one)
+        for name, one in found.cross_correlation.items()
+        if len(_columns(one.lag_h, one.value)[0]) > 1
     ]
-    first = sorted(
-        rows, key=lambda row: math.inf if math.isnan(number(row[1], "p")) else number(row[1], "p")
-    )[:INPUTS]
+    first = sorted(rows, key=lambda row: math.inf if math.isnan(row[1].p) else row[1].p)[:INPUTS]
     return [row for row in rows if row in first]
 
 
-def _cross_correlations(figure: Figure, grid: GridSpec, rows: list[tuple[str, Mapping]]) -> None:
+def _cross_correlations(figure: Figure, grid: GridSpec, rows: list[tuple[str, CrossCorrelation]]) -> None:
     if not rows:
         empty(figure.add_subplot(grid[0]), "no input varies, or none is known: no cross-correlation")
         return
     reach = max(
-        _reach(limit if (limit := number(one, "limit_all")) > 0 else 0.0, columns(one, "lag_h", "value")[1])
+        _reach(one.limit_all if one.limit_all > 0 else 0.0, _columns(one.lag_h, one.value)[1])
         for _, one in rows
     )
     for column, (name, one) in enumerate(rows):
         axes = figure.add_subplot(grid[column])
-        lag, value = columns(one, "lag_h", "value")
+        lag, value = _columns(one.lag_h, one.value)
         limit = _limits(axes, one)
         _stems(axes, lag, value, limit)
         axes.set_ylim(-reach, reach)

@@ -1,7 +1,8 @@
-"""All figures of a fit in the order of the report: pure functions from `fit.json` and `series.npz` to a figure.
+"""All figures of a fit in the order of the report: pure functions from its results and series to a figure.
 
-Each takes (fit, series), the plain data of the two files, and raises `drawing.NothingToShow` with one sentence where
-its data are missing.  `drawing.svg`, `drawing.inline_svg` and `drawing.png` turn a figure into text or bytes.
+Each takes (fit, series), what `fit.json` and `series.npz` hold, and raises `drawing.NothingToShow` with one
+sentence where its data are missing.  `drawing.svg`, `drawing.inline_svg` and `drawing.png` turn a figure into
+text or bytes.
 """
 
 from __future__ import annotations
@@ -12,18 +13,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.identification.fit_results import FitResults
+from hygrokf.report.blocks import Figure
 from hygrokf.report.figures.composition import figure_composition
 from hygrokf.report.figures.course import (
     figure_excerpts,
     figure_humidity,
     figure_residuals,
     figure_temperature,
+    figure_validation,
 )
 from hygrokf.report.figures.identification import figure_heat_release, figure_profiles
 from hygrokf.report.figures.innovations import figure_innovations
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure as Drawing
 
 __all__ = [
     "FIGURES",
@@ -36,6 +40,7 @@ __all__ = [
     "figure_profiles",
     "figure_residuals",
     "figure_temperature",
+    "figure_validation",
 ]
 
 
@@ -46,75 +51,88 @@ class Picture:
     name: str
     heading: str
     caption: str
-    draw: Callable[[Mapping, Mapping[str, np.ndarray]], Figure]
+    draw: Callable[[FitResults, Mapping[str, np.ndarray]], Drawing]
+
+    def of(self, fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+        """The picture of one fit as a block of its page."""
+        return Figure(self.name, self.heading, self.caption, lambda: self.draw(fit, series))
 
 
-def _humidity_innovations(fit: Mapping, series: Mapping[str, np.ndarray]) -> Figure:
+def _humidity_innovations(fit: FitResults, series: Mapping[str, np.ndarray]) -> Drawing:
     return figure_innovations(fit, series, "humidity")
 
 
 FIGURES: tuple[Picture, ...] = (
     Picture(
+        "validation",
+        "Readings and free run after the identification period",
+        "The model saw the weather and the power of these days, and no reading of the cabinet. Red should "
+        "follow blue, and blue should leave the 95 % band about one time in twenty.",
+        figure_validation,
+    ),
+    Picture(
         "temperature",
         "Cabinet temperature, whole record",
-        "Red should follow blue through seasons, days and standstills, stay with its error around zero, and do in the "
+        "Red should follow blue through seasons, days and standstills, with an error around zero, in the "
         "shaded validation period as well as before it.",
         figure_temperature,
     ),
     Picture(
         "humidity",
         "Absolute humidity in the cabinet, whole record",
-        "Inside and outside lie close together in most cabinets, so judge the model by whether red follows blue better "
-        "than yellow does.",
+        "The humidity inside and outside is similar in most cabinets: a useful model follows blue more "
+        "closely than yellow does.",
         figure_humidity,
     ),
     Picture(
         "excerpts",
         "Three excerpts",
-        "Look for the right lag after a change of load and at sunrise, and for the right level at standstill; blue should "
-        "leave the band about one time in twenty.",
+        "Check the lag after a change of load and at sunrise, and the level at standstill. Blue should leave "
+        "the band about one time in twenty.",
         figure_excerpts,
     ),
     Picture(
         "heat-release",
         "Heat release by operating point",
-        "The points should scatter evenly around the curves of their own colour at every power; solid and dashed curves "
-        "that part mean that stationary periods and the dynamic record disagree.",
+        "The points should scatter evenly around the curve of their own colour at every power. Where solid "
+        "and dashed curves differ, the stationary periods and the dynamic record disagree.",
         figure_heat_release,
     ),
     Picture(
         "profiles",
-        "How well the time constants are pinned down",
-        "The likelihood's own bounds (shaded) are where the curve crosses the dashed line; a curve that stays below it on "
-        "one side leaves that side open, and a red bar outside the shading means that the two criteria disagree.",
+        "How well the record determines the time constants",
+        "The likelihood's own bounds (shaded) lie where the curve crosses the dashed line. A curve that "
+        "stays below the line on one side leaves that side open. A red bar outside the shading means that "
+        "the two criteria disagree.",
         figure_profiles,
     ),
     Picture(
         "composition",
-        "What the intervals are composed of",
-        "Each bar adds one source of uncertainty to the bar above it, down to the interval that is reported; diamonds are "
-        "other estimates, grey by another form of the model (as large as its share of the evidence), red by the free run.",
+        "Sources of uncertainty in the intervals",
+        "Each bar adds one source of uncertainty to the bar above it; the last bar is the reported interval. "
+        "Diamonds are other estimates: grey by another form of the model (sized by its weight), red by the "
+        "free run.",
         figure_composition,
     ),
     Picture(
         "residuals",
         "Error of the free run by operating point",
-        "Medians should lie on zero everywhere: a slope names what the model still lacks at that power, that temperature "
-        "or that time of day.",
+        "The medians should lie on zero everywhere. A slope shows at which power, temperature or time of day "
+        "the model is wrong.",
         figure_residuals,
     ),
     Picture(
         "innovations-temperature",
         "Innovations of the temperature",
-        "Bars and curves should stay inside the grey bands and the dashed limits; red ones name the lag, the period or "
-        "the input at which the one-step prediction still owes something.",
+        "Bars and curves should stay inside the grey bands and the dashed limits. Red marks the lag, the "
+        "period or the input with which the one-step predictions are still correlated.",
         figure_innovations,
     ),
     Picture(
         "innovations-humidity",
         "Innovations of the humidity",
-        "As above for the humidity reading: bars beyond the dashed limits against an input at positive lags are an answer "
-        "to that input that the model lacks.",
+        "As above, for the humidity. Bars beyond the dashed limits at positive lags of an input show a "
+        "response to that input that the model lacks.",
         _humidity_innovations,
     ),
 )

@@ -1,7 +1,8 @@
-"""Figures of all residuals: against drivers, by day and hour, and the innovations' spectrum and cross-correlations.
+"""Figures of all residuals: against drivers, by day and hour, and the innovations' spectrum and
+cross-correlations.
 
-Functions take `Residuals`, and those of an extended model as `after` for an overlay, and return a figure.  They raise
-`drawing.NothingToShow` with one sentence where their data are missing.
+Functions take `Residuals`, and those of an extended model as `after` for an overlay, and return a figure.
+They raise `drawing.NothingToShow` with one sentence where their data are missing.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.data.structured import plain
 from hygrokf.discovery.residuals import (
     HUMIDITY,
     QUANTITIES,
@@ -74,7 +76,8 @@ def _known(residuals: Residuals, innovations: bool = False) -> list[str]:
 def figure_drivers(
     residuals: Residuals, drivers: Sequence[str] = (), after: Residuals | None = None
 ) -> Figure:
-    """Error of the free run against drivers: medians, middle half and middle 80 % of the hours in equal shares.
+    """Error of the free run against drivers: medians, middle half and middle 80 % of the hours in equal
+    shares.
 
     drivers: up to four names; without any, those along which the medians move most.
     """
@@ -89,7 +92,8 @@ def figure_drivers(
         height = 0.7 + 1.7 * len(quantities)
         figure = new_figure(height)
         grid = figure.add_gridspec(
-            len(quantities), len(chosen), hspace=0.25, wspace=0.08, left=0.078, right=0.995, top=1.0 - 0.42 / height,
+            len(quantities), len(chosen), hspace=0.25, wspace=0.08, left=0.078, right=0.995,
+            top=1.0 - 0.42 / height,
             bottom=0.46 / height,
         )  # fmt: skip
         for row, quantity in enumerate(quantities):
@@ -122,8 +126,8 @@ def figure_drivers(
 
 
 def telling_drivers(residuals: Residuals, first: Sequence[str] = ()) -> list[str]:
-    """Up to four drivers: those named first, then those along which the medians spread most, in units of the error's
-    own spread."""
+    """Up to four drivers: those named first, then those along which the medians spread most, in units of the
+    error's own spread."""
     hours = hourly(residuals)
     return _telling(hours, _known(residuals), first)
 
@@ -236,7 +240,8 @@ def figure_day_hour(
             axes = figure.add_subplot(grid[row])
             axes.grid(False)
             image = axes.imshow(
-                table.T, origin="lower", aspect="auto", cmap=colours, vmin=-reach, vmax=reach, interpolation="nearest",
+                table.T, origin="lower", aspect="auto", cmap=colours, vmin=-reach, vmax=reach,
+                interpolation="nearest",
                 extent=(first, first + len(table), 0.0, 24.0),
             )  # fmt: skip
             axes.set_yticks(np.arange(0, 25, 6))
@@ -254,14 +259,16 @@ def figure_day_hour(
         bar.tick_params(labelsize=6.5, length=2)
         bar.locator_params(axis="y", nbins=7)
         figure.text(
-            0.915, 1.0 - 0.05 / height, "simulation − reading: blue too low, red too high", ha="right", va="top", fontsize=7.0,
+            0.915, 1.0 - 0.05 / height, "simulation − reading: blue too low, red too high", ha="right",
+            va="top", fontsize=7.0,
             color=QUIET,
         )  # fmt: skip
     return figure
 
 
 def held_out(axes: Axes, residuals: Residuals, height: float) -> None:
-    """Where the validation period begins, on an axis of days; its name hangs at `height` of the other axis."""
+    """Where the validation period begins, on an axis of days; its name hangs at `height` of the other
+    axis."""
     if not residuals.validation.any():
         return
     start = float(days(residuals.time_s[np.argmax(residuals.validation)]))
@@ -343,7 +350,8 @@ def _diagnosed(residuals: Residuals) -> Mapping[str, Mapping]:
     inputs = {
         name: value[early] for name, value in residuals.drivers.items() if np.isfinite(value[early]).any()
     }
-    return diagnose(residuals.time_h[early], standard, inputs, longest_h=LONGEST_LAG_H)["outputs"]
+    found = diagnose(residuals.time_h[early], standard, inputs, longest_h=LONGEST_LAG_H)
+    return {name: plain(one) for name, one in found.outputs.items()}
 
 
 def _periodogram(axes: Axes, both: Sequence[tuple[Mapping, str]]) -> None:

@@ -1,4 +1,5 @@
-"""Figure of two weather series of one signal: mean days as stamped and as corrected, and the lag month by month."""
+"""Figure of two weather series of one signal: mean days as stamped and as corrected, and the lag month by
+month."""
 
 from __future__ import annotations
 
@@ -39,11 +40,12 @@ def figure_clocks(
     names: tuple[str, str] | None = None,
     america: bool = False,
 ) -> Figure:
-    """Mean days of both sources before and after the correction, winter above summer, and the lag of every month.
+    """Mean days of both sources before and after the correction, winter above summer, and the lag of every
+    month.
 
-    one, other: the series that were compared. found: by `align`. corrections_s: [s] added to the stamps of `one` in
-    winter and in summer, as `ClockError.corrections_s` has them. names: of the sources; None: their files.
-    Raises NothingToShow where no season has ten days.
+    one, other: the series that were compared. found: by `align`. corrections_s: [s] added to the stamps of
+    `one` in winter and in summer, as `ClockError.corrections_s` has them. names: of the sources; None: their
+    files. Raises NothingToShow where no season has ten days.
     """
     before = mean_days(one, other, america=america)
     after = mean_days(one, other, corrections_s, america=america)

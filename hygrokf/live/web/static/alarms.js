@@ -1,16 +1,16 @@
-// Alarms as they are listed: what it is, since when, what to do, who has seen it.
+// The list of alarms: what each one is, since when, what to do, and who acknowledged it.
 
 import { clock, local, make, say, span, timeOf, age } from "./text.js";
 import { Fault, post } from "./server.js";
 
 const BY = "hygrokf.by";
 
-/** One alarm; `linked` names its turbine, too. */
+/** One alarm; with `linked` also a link to its turbine. */
 export function alarmItem(alarm, linked) {
   const open = alarm.ended === null;
   const lasted = open ? ["for ", age(alarm.began)] : [`lasted ${span(alarm.ended - alarm.began)}`];
   const seen = alarm.acknowledged === null ? null
-    : make("p", { class: "seen" }, `seen by ${alarm.acknowledged_by}, `, timeOf(alarm.acknowledged));
+    : make("p", { class: "seen" }, `acknowledged by ${alarm.acknowledged_by}, `, timeOf(alarm.acknowledged));
   const button = open && alarm.acknowledged === null
     ? make("button", { type: "button", class: "acknowledge", onclick: () => confirm(alarm) }, "Acknowledge") : null;
   return make("li", { class: `item ${open ? alarm.severity : "ended"}`, dataset: { alarm: alarm.id } },
@@ -25,7 +25,7 @@ export function alarmItem(alarm, linked) {
     button);
 }
 
-/** All alarms that are open or ended lately. */
+/** All alarms that are open or ended recently. */
 export class Alarms {
   constructor() {
     this.open = make("ul", { class: "alarms" });
@@ -52,7 +52,7 @@ export class Alarms {
   end() {}
 }
 
-/** Items of a list anew where an alarm changed, so that a button that has the focus keeps it. */
+/** Replace only the items of changed alarms, so that a focused button keeps its focus. */
 export function replaceItems(list, alarms, linked) {
   const known = new Map([...list.children].map((item) => [item.dataset.text, item]));
   const items = alarms.map((alarm) => {
@@ -64,7 +64,7 @@ export function replaceItems(list, alarms, linked) {
   if (items.length !== list.children.length || items.some((item, i) => item !== list.children[i])) list.replaceChildren(...items);
 }
 
-// -- the question who has seen it -------------------------------------------------------------------------------------
+// -- the dialog for acknowledging ------------------------------------------------------------------------------------
 const part = (name) => document.getElementById(`acknowledge${name}`);
 let asked = null;
 
@@ -77,7 +77,7 @@ function confirm(alarm) {
   part("-by").select();
 }
 
-/** Let the dialog work; `done` is called with the turbine after an acknowledgement. */
+/** Activate the dialog; `done` is called with the turbine after an acknowledgement. */
 export function prepareAcknowledge(done) {
   part("-not").addEventListener("click", () => part("").close());
   part("").querySelector("form").addEventListener("submit", async (event) => {

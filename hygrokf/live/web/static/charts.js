@@ -1,4 +1,4 @@
-// Courses with bands, readings and forecast; hours of condensation; properties.  Drawn by uPlot.
+// Charts drawn with uPlot: courses with bands, readings and forecast; hourly probabilities; properties.
 
 import { DAY_S, HOUR_S, clock, day, fixed, hour, make, say, utc } from "./text.js";
 
@@ -10,7 +10,7 @@ function colours() {
   return new Proxy({}, { get: (_, name) => style.getPropertyValue(`--${name}`).trim() });
 }
 
-/** Times with a null value put into every gap, so that no line crosses it. */
+/** Times and columns with a null inserted in every gap, so that no line crosses it. */
 function withGaps(time, ...columns) {
   const steps = time.slice(1).map((at, i) => at - time[i]).sort((a, b) => a - b);
   const longest = Math.max(LEAST_GAP_S, GAP * (steps[steps.length >> 1] || 0));
@@ -42,7 +42,7 @@ function axes(c) {
   ];
 }
 
-/** A chart in a figure: title, readout, drawing; `figure.chart` is what uPlot made. */
+/** A chart in a figure: title, readout, drawing; `figure.chart` is the uPlot object. */
 export class Chart {
   constructor(id, title, unit, options) {
     Object.assign(this, { title, unit, ...options });
@@ -57,7 +57,7 @@ export class Chart {
     this.wide.observe(this.place);
   }
 
-  /** Show data; `note` says what is not there. */
+  /** Show data; `note` says what is missing. */
   show(data, range, note = "") {
     this.data = data;
     this.range = range;
@@ -98,7 +98,7 @@ export class Chart {
     this.figure.chart = this.chart;
   }
 
-  /** Draw anew in other colours. */
+  /** Redraw in other colours. */
   recolour() { this.draw(); }
 
   fit() {
@@ -119,7 +119,7 @@ export class Chart {
   bands() { return []; }
   mark() {}
 
-  /** A line at now, which what is forecast lies beyond. */
+  /** A line at the present time, after which the forecast begins. */
   separate(plot, c) {
     const now = clock();
     if (this.range && now < this.range[1] - 60) upright(plot, now, c.muted, "now");
@@ -166,7 +166,7 @@ export class Course extends Chart {
     super(id, title, unit, { format, limits, threshold, height: 168 });
   }
 
-  /** found: what the server says of a turbine. */
+  /** found: the server's data of a turbine. */
   update(found, quantity, range, note) {
     const past = found.courses[quantity];
     const ahead = found.forecast?.courses[quantity];
@@ -225,7 +225,7 @@ function last(column) {
   return null;
 }
 
-/** The index of the estimate or forecast that is closest in time to an index. */
+/** The index of the estimate or forecast that is closest in time to a given index. */
 function nearest(data, index) {
   let best = null;
   for (let step = 0; step < 40; step++) {
@@ -238,7 +238,7 @@ function nearest(data, index) {
   return best;
 }
 
-/** Tables of one time each as one; uPlot joins them by their times. */
+/** Several tables, each with its own times, joined by time. */
 function joined(tables) {
   const there = tables.map((table) => table[0].length ? table : [[0], ...table.slice(1).map(() => [undefined])]);
   const data = uPlot.join(there, there.map((table) => table.map(() => 1)));
@@ -246,17 +246,17 @@ function joined(tables) {
   return data;
 }
 
-/** The highest probability of every hour, past and forecast. */
+/** The highest probability in every past and forecast hour. */
 export class Hours extends Chart {
   constructor(id, title) {
     super(id, title, "%", { format: (value) => String(Math.round(value)), limits: () => [0, 100], height: 120 });
   }
 
-  /** hours: past and ahead, rows of an hour's beginning and its probability. */
+  /** hours: rows (beginning of the hour, probability) in `past` and `forecast`. */
   update(hours, range) {
     const table = (rows) => [rows.map((row) => row[0]), rows.map((row) => 100 * row[1])];
-    this.show(joined([table(hours.past), table(hours.ahead)]), range,
-      hours.past.length || hours.ahead.length ? "" : "this turbine's model has no humidity");
+    this.show(joined([table(hours.past), table(hours.forecast)]), range,
+      hours.past.length || hours.forecast.length ? "" : "this turbine's model has no humidity");
   }
 
   rename(title) {
@@ -304,7 +304,7 @@ export class PropertyCourse extends Chart {
 
   series(c) {
     const edge = { stroke: "transparent", points: { show: false } };
-    // few values would be no line
+    // a few values hardly show as a line
     const points = { show: this.data[0].length < 30, size: 4, width: 0, fill: c.model };
     return [{ stroke: c.model, width: 1.75, points }, edge, edge];
   }
@@ -325,7 +325,7 @@ export class PropertyCourse extends Chart {
   }
 }
 
-/** The range of times of a turbine's charts: days back, and the forecast as far as it goes, not longer than the days. */
+/** Time range of a turbine's charts: the chosen days back, and the forecast ahead for at most as many days. */
 export function rangeOf(found, days) {
   const now = clock();
   const end = found.forecast?.time.at(-1) ?? now;

@@ -1,4 +1,4 @@
-// Where the data come from: sources, store, what was refused that belongs to no turbine.
+// The data view: sources, store, and rejected deliveries that belong to no turbine.
 
 import { age, make, significant, whole } from "./text.js";
 import { counted } from "./turbine.js";
@@ -22,14 +22,14 @@ export class Data {
 
   update(found) {
     const since = found.committed ? [", the last ", age(found.committed), " ago"] : [];
-    const wait = found.wait_99_s === null ? "" : ` 99 of 100 waited at most ${significant(found.wait_99_s)} s to be kept.`;
-    this.store.replaceChildren(`${whole(found.deliveries)} deliveries since the tracker began`, ...since, ".", wait);
-    if (found.store) this.store.append(make("strong", { class: "fault" }, ` The store is not reached: ${found.store}`));
+    const wait = found.wait_99_s === null ? "" : ` 99 % were committed within ${significant(found.wait_99_s)} s.`;
+    this.store.replaceChildren(`${whole(found.deliveries)} deliveries since the tracker started`, ...since, ".", wait);
+    if (found.store) this.store.append(make("strong", { class: "fault" }, ` The store cannot be reached: ${found.store}`));
     this.none.hidden = found.sources.length > 0;
     this.sources.replaceChildren(...found.sources.map((one) => make("tr", { class: one.state === "lost" ? "lost" : null },
       make("th", { scope: "row" }, one.url), make("td", {}, one.state), make("td", {}, one.words === one.url ? "" : one.words))));
     const rows = Object.entries(found.refused).map(([kind, count]) => make("li", {}, counted(kind, count, "payload")));
-    this.refused.replaceChildren(...(rows.length ? rows : [make("li", { class: "quiet-note" }, "Nothing.")]));
+    this.refused.replaceChildren(...(rows.length ? rows : [make("li", { class: "quiet-note" }, "None.")]));
   }
 
   tick() {}

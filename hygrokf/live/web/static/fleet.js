@@ -1,11 +1,11 @@
-// The fleet: one row a cabinet, the one at most risk first.
+// The fleet: one row per cabinet, highest risk first.
 
 import { FRESH_S, age, celsius, chance, clock, fixed, kelvin, make, near, percent, say, timeOf, whole } from "./text.js";
 
 const COLUMNS = [
-  // name, heading, label where there are no headings
+  // name, heading, label for narrow screens without headings
   ["state", "State", ""], ["turbine", "Turbine", ""], ["condensation", "Condensation now", "Condensation"],
-  ["ahead", "Forecast up to", "Forecast up to"], ["margin", "Dew-point margin", "Margin"],
+  ["forecast", "Forecast up to", "Forecast up to"], ["margin", "Dew-point margin", "Margin"],
   ["temperature", "Temperature", "Temperature"], ["humidity", "Rel. humidity", "Rel. humidity"],
   ["cabinet", "Cabinet", "Cabinet"], ["heard", "Last heard", "Last heard"],
 ];
@@ -64,7 +64,7 @@ export class Fleet {
     say(this.found, sought ? `${whole(count)} of ${whole(this.rows.size)}` : whole(this.rows.size));
   }
 
-  /** What is old becomes so without anybody telling. */
+  /** Update ages, which grow without an event. */
   tick() {
     for (const one of this.rows.values()) one.tick();
   }
@@ -93,15 +93,15 @@ class Row {
     const words = row.margin === null ? "not modelled" : chance(row.condensation);
     c.condensation.replaceChildren(words);
     c.condensation.className = `condensation ${rank(row.condensation)}`;
-    c.ahead.replaceChildren(...(row.ahead
-      ? [chance(row.ahead.condensation), make("span", { class: "more" }, timeOf(row.ahead.time, near(row.ahead.time)))] : ["–"]));
-    c.ahead.className = `ahead ${rank(row.ahead?.condensation)}`;
+    c.forecast.replaceChildren(...(row.forecast
+      ? [chance(row.forecast.condensation), make("span", { class: "more" }, timeOf(row.forecast.time, near(row.forecast.time)))] : ["–"]));
+    c.forecast.className = `forecast ${rank(row.forecast?.condensation)}`;
     c.margin.replaceChildren(kelvin(row.margin), bound(row.margin_lower === null ? "" : `≥ ${fixed(row.margin_lower, 1, true)}`));
     c.temperature.replaceChildren(celsius(row.temperature), half(row.temperature_half, 1));
     c.humidity.replaceChildren(percent(row.relative_humidity), half(row.relative_humidity_half, 0));
     const rejected = row.model === "reject";
-    c.cabinet.replaceChildren(rejected && row.cabinet !== "changed" ? "model not to be believed" : row.cabinet ?? "–",
-      rejected && row.cabinet === "changed" ? bound("model not to be believed") : "");
+    c.cabinet.replaceChildren(rejected && row.cabinet !== "changed" ? "model rejected" : row.cabinet ?? "–",
+      rejected && row.cabinet === "changed" ? bound("model rejected") : "");
     c.cabinet.className = `cabinet ${rejected || row.cabinet === "changed" ? "changed" : ""}`;
     this.root.classList.toggle("rejected", rejected);
     c.heard.replaceChildren(age(row.heard));

@@ -1,4 +1,4 @@
-// The page: which view is shown, what it is told, and whether what it shows is of now.
+// The page: selects the view, updates it, and shows whether its data are current.
 
 import { Alarms, prepareAcknowledge } from "./alarms.js";
 import { Data } from "./data.js";
@@ -45,12 +45,12 @@ function route() {
     else link.removeAttribute("aria-current");
   }
   scrollTo(0, view === fleet ? scrolled : 0);
-  // whoever hears the page is told that another one has begun
+  // focusing the heading makes a screen reader announce the new view
   if (!first) view.root.querySelector("h1")?.focus({ preventScroll: true });
   refresh();
 }
 
-/** Ask for the view's data, one question at a time; another one follows where something changed meanwhile. */
+/** Request the view's data, one request at a time; repeat if something changed meanwhile. */
 async function refresh() {
   if (running === view) {
     again = true;
@@ -75,7 +75,7 @@ async function refresh() {
   if (again) refresh();
 }
 
-/** A function that runs `PACE_MS` after it was first asked for, however often it is. */
+/** A function that runs once, `PACE_MS` after its first call, however often it is called meanwhile. */
 function paced(run) {
   let timer = null;
   return () => {
@@ -103,7 +103,7 @@ function failed(fault) {
   }
 }
 
-/** Alarms and sources that any view tells of. */
+/** The summary of alarms and sources that every view shows. */
 async function health() {
   healthAt = clock();
   try {
@@ -129,7 +129,7 @@ function count(id, number, words) {
 
 const refreshSoon = paced(refresh), healthSoon = paced(health);
 
-// -- being connected -----------------------------------------------------------------------------------------------
+// -- connection ----------------------------------------------------------------------------------------------------
 const events = new Events(
   (names) => {
     if (view.concerns(names)) refreshSoon();
@@ -161,7 +161,7 @@ function tick() {
   part("live").classList.toggle("waiting", lostAt === null && updatedAt === null);
   if (lostAt !== null) {
     say(part("lost"), `Connection lost since ${second(lostAt)} (${span(clock() - lostAt)}). Reconnecting … `
-      + "What is shown is as old as it says.");
+      + "The values shown are as old as stated.");
     say(part("live-words"), "not connected");
   } else say(part("live-words"), updatedAt === null ? "connecting" : "live");
   if (lostAt === null && clock() - healthAt > HEALTH_S) health();
@@ -192,7 +192,7 @@ part("logout").addEventListener("click", async () => {
   location.reload();
 });
 
-// -- beginning -----------------------------------------------------------------------------------------------------
+// -- start ---------------------------------------------------------------------------------------------------------
 async function begin() {
   try {
     await ask("health");

@@ -1,4 +1,4 @@
-// What the page asks its server, and what it is told by it.
+// Requests to the server, and its events.
 
 import { setClock } from "./text.js";
 
@@ -12,7 +12,7 @@ export class Fault extends Error {
   }
 }
 
-/** Data at an address below /api; raises Fault, with status 0 where nobody answers. */
+/** Data at an address below /api; throws Fault, with status 0 if nobody answers. */
 export async function ask(path, signal) {
   return answered(fetch(`api/${path}`, { signal, headers: { Accept: "application/json" } }));
 }
@@ -33,14 +33,14 @@ async function answered(request) {
   try {
     found = await response.json();
   } catch {
-    throw new Fault(response.status || 0, "the page's server does not answer as it should");
+    throw new Fault(response.status || 0, "the page's server sent an invalid answer");
   }
   if (!response.ok) throw new Fault(response.status, found.fault || `status ${response.status}`);
   if (found.now) setClock(found.now);
   return found;
 }
 
-/** The server's events: told of changes, of being connected and of being lost; comes back by itself. */
+/** The server's events: reports changes, connection and loss, and reconnects by itself. */
 export class Events {
   constructor(changed, connected, lost) {
     Object.assign(this, { changed, connected, lost });
@@ -61,7 +61,7 @@ export class Events {
     source.onopen = () => { this.note(); this.connected(); };
     source.onerror = () => {
       this.lost();
-      // a browser tries again where nobody answered, but not where it was refused
+      // browsers retry by themselves if nobody answered, but not after a refusal
       if (source.readyState === EventSource.CLOSED && source === this.source) this.again();
     };
   }
@@ -79,7 +79,7 @@ export class Events {
 
   note() { this.heard = Date.now(); }
 
-  /** A connection that is dead without having ended: a closed lid, a network that changed. */
+  /** Detect a dead connection that never ended, after a closed lid or a changed network. */
   watch() {
     if (this.source && this.source.readyState === EventSource.OPEN && Date.now() - this.heard > SILENT_MS) {
       this.lost();

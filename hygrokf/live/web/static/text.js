@@ -1,4 +1,4 @@
-// Numbers, times and elements as the page shows them.  Data become text nodes and attributes, never markup.
+// Formats numbers and times, and makes elements.  Data become text nodes and attributes, never markup.
 
 const MINUS = "\u2212", DASH = "\u2013";
 export const HOUR_S = 3600, DAY_S = 86400;
@@ -21,7 +21,7 @@ export function make(tag, given = {}, ...children) {
 
 const said = new WeakMap();
 
-/** Set the text of an element that nothing else writes to, where it changed: nothing is laid out anew for the rest. */
+/** Set an element's text only if it changed, to avoid a new layout; nothing else may write to the element. */
 export function say(element, text) {
   if (said.get(element) === text) return;
   said.set(element, text);
@@ -31,7 +31,7 @@ export function say(element, text) {
 // -- numbers -------------------------------------------------------------------------------------------------------
 const known = (value) => value !== null && value !== undefined && Number.isFinite(value);
 
-/** A number with fixed digits and a true minus sign; a dash where there is none. */
+/** A number with fixed decimals and a true minus sign; a dash for none. */
 export function fixed(value, digits, sign = false) {
   if (!known(value)) return DASH;
   let text = Math.abs(value).toFixed(digits);
@@ -46,7 +46,7 @@ export const percent = (value) => known(value) ? `${fixed(value, 0)}\u00a0%` : D
 export const kelvin = (value) => known(value) ? `${fixed(value, 1, true)}\u00a0K` : DASH;
 export const grams = (value) => known(value) ? `${fixed(value, Math.abs(value) < 1 ? 2 : 1)}\u00a0g/m³` : DASH;
 
-/** A probability in percent: never 0 or 100, which nobody knows. */
+/** A probability in percent, never 0 or 100, because nothing is certain. */
 export function chance(value) {
   if (!known(value)) return DASH;
   const shown = 100 * value;
@@ -55,7 +55,7 @@ export function chance(value) {
   return `${fixed(shown, shown < 10 || shown > 99 ? 1 : 0)}\u00a0%`;
 }
 
-/** Three significant digits. */
+/** A number with three significant digits. */
 export function significant(value) {
   if (!known(value)) return DASH;
   const size = Math.abs(value);
@@ -75,7 +75,7 @@ export function words(name) {
 
 // -- times ---------------------------------------------------------------------------------------------------------
 let ahead = 0;
-/** The server's clock [s] is the page's: that of a telephone may be wrong. */
+/** Use the server's clock [s], because the device's clock may be wrong. */
 export function setClock(now) { ahead = now - Date.now() / 1000; }
 export const clock = () => Date.now() / 1000 + ahead;
 
@@ -92,25 +92,25 @@ export const hour = (at) => SHORT.format(at * 1000);
 export const second = (at) => SECONDS.format(at * 1000);
 export const utc = (at) => new Date(at * 1000).toISOString().slice(0, 16).replace("T", " ") + " UTC";
 
-/** Local time; the year where it is more than half a year off. */
+/** Local time, with the year if it is more than half a year away. */
 export function local(at) {
   return (Math.abs(clock() - at) > 180 * DAY_S ? YEAR : LONG).format(at * 1000);
 }
 
-/** The time of day, with the day of the week where it is more than half a day off. */
+/** The time of day, with the day of the week if it is more than half a day away. */
 export function near(at) {
   const off = Math.abs(clock() - at);
   if (off > 6 * DAY_S) return local(at);
   return off < DAY_S / 2 ? hour(at) : `${WEEKDAY.format(at * 1000)} ${hour(at)}`;
 }
 
-/** A time element: local, with UTC when pointed at. */
+/** A time element in local time, with UTC as tooltip. */
 export function timeOf(at, text = local(at)) {
   if (!known(at)) return make("span", {}, DASH);
   return make("time", { datetime: new Date(at * 1000).toISOString(), title: utc(at) }, text);
 }
 
-/** How long ago [s], in the largest two units that matter. */
+/** An age [s] in at most two units. */
 export function span(seconds) {
   const s = Math.max(0, Math.round(seconds));
   if (s < 90) return `${s}\u00a0s`;
@@ -129,13 +129,13 @@ export function age(at, given = {}) {
     dataset: { since: at } }, span(clock() - at));
 }
 
-/** Let all ages below an element be those of now. */
+/** Update all ages below an element. */
 export function countUp(root = document) {
   const now = clock();
   for (const one of root.querySelectorAll("[data-since]")) say(one, span(now - Number(one.dataset.since)));
 }
 
-/** The zone of the times that are shown. */
+/** The time zone of the displayed times. */
 export function zone() {
   const name = Intl.DateTimeFormat().resolvedOptions().timeZone;
   const minutes = -new Date().getTimezoneOffset();

@@ -10,33 +10,33 @@ import {
 const DAYS = [1, 3, 7, 14], DAYS_KEPT = "hygrokf.days";
 const HUMIDITY = "cabinet_relative_humidity", TEMPERATURE = "cabinet_temperature";
 const QUANTITIES = [
-  // quantity, title, unit, digits, with text, sensor, level that is always shown
+  // quantity, title, unit, digits, with text, sensor, level that is always in view
   ["temperature", "Temperature", "°C", 1, celsius, TEMPERATURE],
   ["relative_humidity", "Relative humidity", "%", 0, percent, HUMIDITY],
   ["margin", "Dew-point margin of the coldest surface", "K", 1, kelvin, HUMIDITY, 0],
   ["absolute_humidity", "Absolute humidity", "g/m³", 1, grams, HUMIDITY],
 ];
-const RESTS_ON = { temperature: ["thermal"], absolute_humidity: ["hygric"] }; // everything else on both numbers of the model
+const RESTS_ON = { temperature: ["thermal"], absolute_humidity: ["hygric"] }; // all others rest on both numbers of the model
 const PROPERTIES = {
   thermal_time_constant: "Thermal time constant",
   hygric_k: "Hygric constant k",
   heat_release_change: "Change of heat release",
   humidity_offset: "Offset of the humidity reading",
 };
-const SET_ASIDE = {
+const NOT_USED = {
   late: "came too late to be used",
   repeated: "came more than once",
-  contradicting: "had one time and different values; none of them is used",
+  contradicting: "had the same time and different values; none is used",
   "bad quality": "were marked as bad by the source",
-  "no number": "were no numbers",
-  "impossible value": "cannot be true of such a signal",
+  "no number": "were not numbers",
+  "impossible value": "were outside the signal's range",
   "unknown tag": "had a tag that is not mapped",
   malformed: "could not be read",
   "too large": "were too large",
   "too deep": "were nested too deep",
   "unknown turbine": "named a turbine that is not tracked",
-  "no time": "stated no time",
-  "impossible time": "stated a time before 1990 or ahead of the clock",
+  "no time": "had no time",
+  "impossible time": "had a time before 1990 or in the future",
 };
 
 export class Turbine {
@@ -71,11 +71,11 @@ export class Turbine {
       this.model, this.tiles, this.advice, this.alarms,
       make("section", { "aria-label": "Courses" }, make("div", { class: "tools sticky" }, make("h2", {}, "Course"), choice, key),
         this.charts.slice(0, 3).map(([, chart]) => chart.figure), this.hours.figure, this.humid.figure, this.charts[3][1].figure),
-      make("section", {}, make("h2", {}, "The cabinet itself"), this.propertyRows),
+      make("section", {}, make("h2", {}, "Cabinet properties"), this.propertyRows),
       make("section", {}, make("h2", {}, "Data"),
         make("table", { class: "signals" }, make("thead", {}, make("tr", {},
-          ["Signal", "Last reading", "At", "Came", "In 24 h"].map((text) => make("th", { scope: "col" }, text)))), this.signals),
-        make("h3", {}, "Set aside"), this.aside));
+          ["Signal", "Last reading", "Time", "Received", "In 24 h"].map((text) => make("th", { scope: "col" }, text)))), this.signals),
+        make("h3", {}, "Not used"), this.aside));
   }
 
   get title() { return this.name; }
@@ -114,7 +114,7 @@ export class Turbine {
       ? [`no estimate in the last ${this.days} d`] : ["as of ", timeOf(at), ", ", age(at), " old"]));
   }
 
-  /** Why a quantity has no readings; empty where it has some. */
+  /** Why a quantity has no readings; empty if it has some. */
   missing(found, quantity) {
     const [, , , , , sensor] = QUANTITIES.find((one) => one[0] === quantity);
     const kind = sensor === HUMIDITY ? "humidity" : "temperature";
@@ -122,13 +122,13 @@ export class Turbine {
       return found.time.length ? `this turbine's model has no ${kind}` : "no estimate in these days";
     }
     const signal = found.signals.find((one) => one.signal === sensor);
-    if (!signal) return `no ${kind} sensor: the model alone says this`;
+    if (!signal) return `no ${kind} sensor: estimate from the model alone`;
     const days = clock() - this.days * DAY_S;
-    if (signal.last < days) return `no ${kind} reading since ${local(signal.last)}: the model alone says this`;
+    if (signal.last < days) return `no ${kind} reading since ${local(signal.last)}: estimate from the model alone`;
     return "";
   }
 
-  /** The numbers of the model that are in doubt; what rests on them says so. */
+  /** Show the numbers of the model that are in doubt. */
   showModel(found) {
     const doubtful = found.model.numbers.filter((one) => one.verdict !== "believe");
     this.root.classList.toggle("rejected", found.model.verdict === "reject");
@@ -137,11 +137,11 @@ export class Turbine {
       make("strong", {}, `${one.mark} ${one.part} time constant ${one.words}`), one.why ? `: ${one.why}` : "")));
   }
 
-  /** What a quantity rests on that is not to be believed, in words; empty where there is nothing. */
+  /** A note if a quantity rests on a rejected number of the model, else empty. */
   rests(found, quantity) {
     const parts = RESTS_ON[quantity] ?? ["thermal", "hygric"];
     return found.model.numbers.some((one) => one.verdict === "reject" && parts.includes(one.part))
-      ? "by a model that is not to be believed" : "";
+      ? "by a rejected model" : "";
   }
 
   showTiles(found) {
@@ -150,7 +150,7 @@ export class Turbine {
       const missing = this.missing(found, quantity);
       const rests = this.rests(found, quantity);
       return tile(quantity, title.replace(" of the coldest surface", ""), text(value.at(-1)),
-        `95\u00a0%: ${bare(text(lower.at(-1)))} … ${bare(text(upper.at(-1)))}`, [missing ? "by the model alone" : "", rests].filter(Boolean).join("; "),
+        `95\u00a0%: ${bare(text(lower.at(-1)))} … ${bare(text(upper.at(-1)))}`, [missing ? "from the model alone" : "", rests].filter(Boolean).join("; "),
         rests ? "rejected" : "");
     });
     const now = found.condensation.at(-1);
@@ -214,16 +214,16 @@ export class Turbine {
   }
 }
 
-/** How many of what were set aside, in words. */
+/** Text of the counts of rejected readings. */
 export function counted(kind, count, what) {
-  const text = SET_ASIDE[kind] ?? kind;
+  const text = NOT_USED[kind] ?? kind;
   return `${whole(count)} ${what}${count === 1 ? "" : "s"} ${count === 1 ? text.replace(/^were /, "was ") : text}`;
 }
 
 class PropertyRow {
   constructor(property) {
     this.unit = property.unit;
-    this.relative = property.unit === "h"; // a time constant is held against the fit's, an offset against none
+    this.relative = property.unit === "h"; // a time constant is compared with the fit's value, an offset with none
     this.format = (value) => this.relative ? significant(value) : fixed(value, 1, true);
     const title = PROPERTIES[property.name] ?? words(property.name);
     this.now = make("p", { class: "now" });
@@ -242,7 +242,7 @@ class PropertyRow {
     } else this.now.replaceChildren(make("strong", { class: "none" }, "not observable"));
     const change = observable && this.relative ? `; now ${fixed(100 * (value / reference - 1), 0, true)}\u00a0%` : "";
     const verdict = number ? `, ${number.words}` : "";
-    say(this.reference, this.relative ? `from the fit: ${this.format(reference)}\u00a0${this.unit}${verdict}${change}` : "against the fit's own");
+    say(this.reference, this.relative ? `from the fit: ${this.format(reference)}\u00a0${this.unit}${verdict}${change}` : "relative to the fit");
     this.root.classList.toggle("rejected", number?.verdict === "reject");
     this.chart.update(property, range);
   }
@@ -253,13 +253,13 @@ function tile(id, title, value, bounds, note, rank = "") {
     make("dd", { class: "bounds" }, bounds), note ? make("dd", { class: "note" }, note) : null);
 }
 
-/** The highest probability that is forecast, and when first. */
+/** The highest forecast probability, and when it is first reached. */
 function highestAhead(forecast) {
   let most = -1, when = null;
   forecast?.time.forEach((at, i) => {
     if (at >= clock() && forecast.condensation[i] > most) [most, when] = [forecast.condensation[i], at];
   });
-  return when === null ? "no forecast" : `ahead up to ${chance(most)}, ${near(when)}`;
+  return when === null ? "no forecast" : `forecast up to ${chance(most)}, ${near(when)}`;
 }
 
 const bare = (text) => text.replace(/\u00a0.*$/, "");
@@ -269,7 +269,7 @@ function reading(one) {
   return one.unit === "degC" ? fixed(one.value, 1) : fixed(one.value, size >= 100 ? 0 : size >= 10 || one.unit === "%" ? 1 : 2);
 }
 
-/** Limits of an axis with some room, and a level that is always in sight. */
+/** Limits of an axis with some margin and a level that is always in view. */
 function limits(low, high, level) {
   let [least, most] = [low ?? 0, high ?? 1];
   if (level !== undefined) [least, most] = [Math.min(least, level), Math.max(most, level)];

@@ -1,0 +1,127 @@
+"""The years of one ensemble, reduced one after the other to what a result is made from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from hygrokf.climate.acceleration import Acceleration
+from hygrokf.climate.bounds import Bounded, bounded, bounded_array, rounded
+from hygrokf.climate.chamber import ProfilePlan
+from hygrokf.climate.distributions import HUMIDITY_EDGES, SHARES, TEMPERATURE_EDGES, Curves, curves
+from hygrokf.climate.ensemble import WHOLE, YEAR_H, Year, part_text
+from hygrokf.climate.limits import Limit, exceeded
+from hygrokf.climate.representative_days import Days, days_of, joined, thinned
+from hygrokf.climate.statistics import CYCLE_RANGES_K, SCOPES, outside, scalars
+from hygrokf.climate.study import DurationCurve, JointDistribution
+from hygrokf.climate.test_profile import ChamberProfile, chamber_profile
+
+DAYS_OF = 8
+"""Members of each year whose days a test profile may choose from."""
+
+
+class Span(NamedTuple):
+    """A year: first and last instant [s since 1970, UTC], known hours [h], and their share in operation."""
+
+    begin_s: float
+    end_s: float
+    hours: float
+    operating: float
+
+
+@dataclass
+class Gathered:
+    """What is kept of the years of one ensemble: an entry for each year."""
+
+    scalars: dict[str, list[dict[str, np.ndarray]]] = field(
+        default_factory=lambda: {scope: [] for scope in SCOPES}
+    )
+    curves: list[Curves] = field(default_factory=list)
+    limits: dict[str, list[np.ndarray]] = field(default_factory=dict)
+    weather: list[dict[str, float]] = field(default_factory=list)
+    weather_curves: list[Curves] = field(default_factory=list)
+    days: list[Days] = field(default_factory=list)
+    spans: list[Span] = field(default_factory=list)
+
+    @property
+    def part(self) -> str:
+        """The known part of the fullest year in words where it is too little to stand for a year; else ""."""
+        fullest = max(self.spans, key=lambda span: span.hours)
+        return part_text(fullest.hours, (fullest.end_s - fullest.begin_s) / 3600.0 + 1.0)
+
+    def has(self, scope: str) -> bool:
+        """Whether any hour of any year belongs to a scope."""
+        return any(year["hours"].max() > 0.0 for year in self.scalars[scope])
+
+    def add(self, year: Year, limits: Sequence[Limit], law: Acceleration, members: int) -> None:
+        """Reduce one more year of an ensemble with so many members."""
+        for scope in SCOPES:  # a year without operation has 0 h of it, and counts among the others
+            self.scalars[scope].append(scalars(year, law, scope))
+        self.curves.append(curves(year))
+        weather = outside(year)
+        self.weather.append({name: float(value[0]) for name, value in scalars(weather, law).items()})
+        self.weather_curves.append(curves(weather))
+        for one in limits:
+            found = exceeded(year, one)
+            if found is not None:
+                self.limits.setdefault(one.name, []).append(found)
+        if year.relative_humidity is not None and abs(year.step_h - 1.0) < 1e-6:
+            # other members in other years, so that their differences are among the days too
+            first = len(self.days) * DAYS_OF
+            chosen = sorted({(first + i) % members for i in range(min(DAYS_OF, members))})
+            self.days.append(thinned(days_of(year, chosen)))
+        operating = float(year.operating[year.known].mean())
+        self.spans.append(Span(year.time_s[0], year.time_s[-1], year.hours, operating))
+
+    def outside(self) -> dict[str, float]:
+        """The numbers of the weather, means over the years."""
+        return {name: float(np.mean([rows[name] for rows in self.weather])) for name in self.weather[0]}
+
+    def duration_curves(self, kind: Literal["duration", "rates"]) -> dict[str, DurationCurve]:
+        """The curves by quantity, with bounds."""
+        found = {}
+        weather = [getattr(one, kind) for one in self.weather_curves]
+        for name in getattr(self.curves[0], kind):
+            made = bounded_array(np.array([getattr(one, kind)[name] for one in self.curves]))
+            around = np.mean([one[name][0] for one in weather if name in one], axis=0)
+            parts = {part: rounded(value) for part, value in vars(made).items()}
+            found[name] = DurationCurve(**parts, share_beyond=np.array(SHARES), outside=rounded(around))
+        return found
+
+    def joint(self) -> JointDistribution | None:
+        """The joint distribution without its empty rows; None without humidity."""
+        if self.curves[0].joint is None:
+            return None
+        inside = bounded_array(np.array([one.joint for one in self.curves]))
+        weather = np.mean([one.joint[0] for one in self.weather_curves if one.joint is not None], axis=0)
+        used = np.flatnonzero((inside.value > 0).any(axis=1) | (weather > 0).any(axis=1))
+        rows = slice(int(used[0]), int(used[-1]) + 1)
+        hours = (inside.value, inside.lower, inside.upper, weather)
+        return JointDistribution(
+            TEMPERATURE_EDGES[rows.start : rows.stop + 1],
+            HUMIDITY_EDGES,
+            *(rounded(one[rows], 4) for one in hours),
+        )
+
+    def test_profile(self, plan: ProfilePlan) -> ChamberProfile | None:
+        """The test profile; None where no whole day with humidity is known hour by hour."""
+        days = thinned(joined(self.days)) if self.days else None
+        if days is None or not len(days):
+            return None
+        years = self.scalars["all"]
+        names = [f"temperature_cycles_from_{least:g}_K_number" for least in CYCLE_RANGES_K]
+        cycles = np.array([np.mean([rows[name].mean() for rows in years]) for name in names])
+        return chamber_profile(days, plan, bounded(np.array([rows["ageing_h"] for rows in years])), cycles)
+
+
+def is_whole(year: Year) -> bool:
+    """Whether enough of a year is known to stand for it."""
+    return year.hours >= WHOLE * YEAR_H
+
+
+def summary(years: Sequence[Mapping[str, np.ndarray]]) -> dict[str, Bounded]:
+    """The numbers of all years with their bounds, by name."""
+    return {name: bounded(np.array([year[name] for year in years])) for name in years[0]}

@@ -1,0 +1,27 @@
+"""`hygrokf check`: what was read from a case."""
+
+from __future__ import annotations
+
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from hygrokf.commands.console import show
+from hygrokf.commands.verb import Verb, add_json
+
+
+def _arguments(parser: ArgumentParser) -> None:
+    parser.add_argument("case", type=Path, metavar="CASE.toml")
+    add_json(parser)
+
+
+def _run(options: Namespace) -> int:
+    from hygrokf.cases.case_file import read_case
+    from hygrokf.cases.summary import describe
+    from hygrokf.report.record_text import describe_text
+
+    found = describe(read_case(options.case, cabinet=False))
+    show(found, describe_text(found), options.json)
+    return 0
+
+
+VERB = Verb("check", "say what was read from a case: spans, steps, gaps, clocks, doubts", _arguments, _run)

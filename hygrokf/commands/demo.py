@@ -1,0 +1,38 @@
+"""`hygrokf demo`: a synthetic turbine, its fit and its report."""
+
+from __future__ import annotations
+
+import sys
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from hygrokf.commands.console import UserFault, expect_own_directory, show_reported
+from hygrokf.commands.inputs import identified, record_of, written
+from hygrokf.commands.verb import Verb, add_json, whole
+from hygrokf.data.files import FIT
+
+
+def _arguments(parser: ArgumentParser) -> None:
+    parser.add_argument("--out", type=Path, required=True, help="directory for the case and the results")
+    parser.add_argument("--seed", type=whole(0), default=1, help="seed of the synthetic turbine (default 1)")
+    add_json(parser)
+
+
+def _run(options: Namespace) -> int:
+    from hygrokf.cases.synthetic import synthetic_turbine, write_case
+    from hygrokf.report.fit_page import report_text
+
+    expect_own_directory(options.out, FIT)
+    there = options.out / "case.toml"
+    if there.is_file() and b"synthetic" not in there.read_bytes():
+        raise UserFault(
+            f"--out {options.out}: it holds a case.toml of another turbine; name another directory"
+        )
+    case = write_case(synthetic_turbine(seed=options.seed), options.out)
+    print(f"synthetic turbine written: {case}", file=sys.stderr)
+    fit = identified(record_of(case), case)
+    page = written(fit, options.out)
+    return show_reported(page, fit.results, report_text(fit.results), options.json)
+
+
+VERB = Verb("demo", "make a synthetic turbine, fit it, evaluate and report it", _arguments, _run)

@@ -1,0 +1,63 @@
+"""`hygrokf discover`: what the simulation gets wrong, and the cause."""
+
+from __future__ import annotations
+
+import sys
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from hygrokf.commands.console import Progress, expect_own_directory, faults_of, show_reported
+from hygrokf.commands.inputs import record_of
+from hygrokf.commands.verb import Verb, add_json, add_library, add_starts, seconds
+from hygrokf.data.files import DISCOVERY
+
+
+def _arguments(parser: ArgumentParser) -> None:
+    parser.add_argument("case", type=Path, metavar="CASE.toml")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        required=True,
+        help="directory for discovery.json, report.html and the extended model",
+    )
+    add_starts(parser)
+    parser.add_argument(
+        "--budget",
+        type=seconds,
+        default=120.0,
+        metavar="SECONDS",
+        help="time after which no further trial is begun, bar what is needed to finish (default: "
+        "%(default)g; inf: none)",
+    )
+    add_library(parser)
+    add_json(parser)
+
+
+def _run(options: Namespace) -> int:
+    from hygrokf.discovery.library import LIBRARY
+    from hygrokf.discovery.own_causes import load_library
+    from hygrokf.discovery.procedure import discover
+    from hygrokf.report.discovery_page import write_discovery_report
+    from hygrokf.report.discovery_text import discovery_text
+
+    expect_own_directory(options.out, DISCOVERY)
+    own = load_library(*options.library, installed=True)
+    record = record_of(options.case)
+    wider = {"library": (*LIBRARY, *own)} if own else {}
+    with faults_of(options.case), Progress(45) as progress:
+        found = discover(record, starts=options.starts, progress=progress, budget_s=options.budget, **wider)
+    tried = {row["cause"] for key in ("causes", "rejected") for row in found.to_json()[key]}
+    for cause in own:
+        if cause.name not in tried:
+            needs = f"; it needs {cause.needs}" if cause.needs else ""
+            print(f"note: {cause.name} was not tried: this record cannot show it{needs}", file=sys.stderr)
+    page = write_discovery_report(found, options.out)
+    return show_reported(page, found.to_json(), discovery_text(found.to_json()), options.json)
+
+
+VERB = Verb(
+    "discover",
+    "show what the simulation gets wrong, name the cause, extend the model",
+    _arguments,
+    _run,
+)

@@ -1,0 +1,68 @@
+"""`hygrokf fit`: the model of a case."""
+
+from __future__ import annotations
+
+import json
+import sys
+from argparse import ArgumentParser, Namespace
+from pathlib import Path
+
+from hygrokf.commands.console import UserFault, expect_own_directory, printable, show_reported
+from hygrokf.commands.inputs import identified, record_of, written
+from hygrokf.commands.verb import Verb, add_json, add_starts
+from hygrokf.data.files import FIT
+
+
+def _arguments(parser: ArgumentParser) -> None:
+    parser.add_argument("case", type=Path, metavar="CASE.toml")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="directory for fit.json, series.npz and report.html"
+    )
+    parser.add_argument(
+        "--criterion",
+        choices=("likelihood", "simulation"),
+        default="likelihood",
+        help="innovations (default) or the free run's error, as in the paper",
+    )
+    parser.add_argument(
+        "--kind",
+        choices=("joint", "cascade"),
+        default=None,
+        help="one filter, or hygric on the measured temperature",
+    )
+    add_starts(parser)
+    add_json(parser)
+
+
+def _run(options: Namespace) -> int:
+    from hygrokf.report.fit_page import report_text
+
+    expect_own_directory(options.out, FIT)
+    there = _fit_there(options.out)
+    record = record_of(options.case)
+    fit = identified(record, options.case, options.criterion, options.starts, options.kind)
+    if there and there != record.name:
+        print(f"note: --out {options.out}: replaces the fit of {printable(there)}", file=sys.stderr)
+    page = written(fit, options.out)
+    return show_reported(page, fit.results, report_text(fit.results), options.json)
+
+
+def _fit_there(out: Path) -> str:
+    """The name of the record whose fit a directory already holds; raises UserFault for a fit.json of another
+    program."""
+    file = out / FIT
+    if not file.exists():
+        return ""
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError):
+        data = None
+    if not isinstance(data, dict) or not {"name", "version", "parameters", "time_constants"} <= set(data):
+        raise UserFault(
+            f"--out {out}: expected a new directory or one with an earlier fit, found a {FIT} in it that is "
+            "no result of `hygrokf fit`; name another one, or take that file away"
+        )
+    return str(data["name"])
+
+
+VERB = Verb("fit", "identify the models of a case", _arguments, _run)

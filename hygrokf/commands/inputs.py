@@ -1,0 +1,71 @@
+"""Records and fits that commands read or make."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from hygrokf.commands.console import Progress, faults_of
+
+if TYPE_CHECKING:
+    from hygrokf.data.record import Record
+    from hygrokf.identification.fit import Fit
+
+
+def record_of(case: Path, cabinet: bool = True) -> Record:
+    """The record of a case; its warnings go to standard error."""
+    from hygrokf.cases.case_file import read_case
+
+    record = read_case(case, cabinet=cabinet)
+    for warning in record.warnings:
+        print(f"warning: {warning}", file=sys.stderr)
+    return record
+
+
+def identified(
+    record: Record,
+    case: Path,
+    criterion: Literal["likelihood", "simulation"] = "likelihood",
+    starts: int = 4,
+    kind: Literal["joint", "cascade"] | None = None,
+) -> Fit:
+    """The fit of a record.  Raises UserFault that names the case."""
+    from hygrokf.identification.procedure import DEFAULT_KIND, identify
+
+    with faults_of(case), Progress(16) as progress:
+        return identify(
+            record, criterion=criterion, kind=kind or DEFAULT_KIND, starts=starts, progress=progress
+        )
+
+
+def load_causes(libraries: Sequence[Path]) -> None:
+    """Load the users' own causes, of which models may be made."""
+    if libraries:
+        from hygrokf.discovery.own_causes import load_library
+
+        load_library(*libraries)
+
+
+def stored_fit(path: Path, libraries: Sequence[Path]) -> Fit:
+    """A fit with its users' mechanisms loaded; installed packages are searched only where it needs them."""
+    from hygrokf.identification.results import LibraryAbsent, read_fit
+
+    load_causes(libraries)
+    try:
+        return read_fit(path)
+    except LibraryAbsent:
+        from hygrokf.discovery.own_causes import load_library
+
+        load_library(*libraries, installed=True)
+        return read_fit(path)
+
+
+def written(fit: Fit, out: Path) -> Path:
+    """Write a fit and its page; returns the path of the page."""
+    from hygrokf.identification.results import write_fit
+    from hygrokf.report.fit_page import write_report
+
+    write_fit(fit, out)
+    return write_report(out)

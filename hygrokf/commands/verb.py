@@ -1,0 +1,74 @@
+"""A command of the command line, and the arguments that several commands have."""
+
+from __future__ import annotations
+
+import math
+from argparse import ArgumentParser, ArgumentTypeError, Namespace
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+
+@dataclass(frozen=True)
+class Verb:
+    """A command: its name and help, the function that adds its arguments, and the one that runs it.
+
+    `run` returns the exit status.
+    """
+
+    name: str
+    help: str
+    arguments: Callable[[ArgumentParser], None]
+    run: Callable[[Namespace], int]
+
+
+def whole(least: int) -> Callable[[str], int]:
+    """A reader of whole numbers not below `least`."""
+
+    def number(text: str) -> int:
+        try:
+            value = int(text)
+        except ValueError:
+            value = least - 1
+        if value < least:
+            raise ArgumentTypeError(f"expected a whole number from {least} on, found {text!r}")
+        return value
+
+    return number
+
+
+def seconds(text: str) -> float:
+    """A number of seconds above 0, including `inf`."""
+    try:
+        found = float(text)
+    except ValueError:
+        found = math.nan
+    if not found > 0.0:
+        raise ArgumentTypeError(f"expected seconds above 0 or inf, found {text!r}")
+    return found
+
+
+def add_json(parser: ArgumentParser) -> None:
+    parser.add_argument("--json", action="store_true", help="print the result as JSON")
+
+
+def add_library(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "--library",
+        type=Path,
+        action="append",
+        default=[],
+        metavar="FILE.py",
+        help="a file with causes of your own, which is executed; may be given several times",
+    )
+
+
+def add_starts(parser: ArgumentParser) -> None:
+    parser.add_argument(
+        "--starts", type=whole(1), default=5, help="starts of the search for the maximum (default 5)"
+    )
+
+
+def add_fit_and_case(parser: ArgumentParser) -> None:
+    parser.add_argument("fit", type=Path, metavar="FIT.json")
+    parser.add_argument("case", type=Path, metavar="CASE.toml")

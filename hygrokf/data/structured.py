@@ -1,0 +1,217 @@
+"""Results as frozen dataclasses, written to and read from plain JSON data by one converter.
+
+A field states how it stands in a file: `optional()` leaves the key out where there is nothing to say, and
+`former=` names keys of earlier files that are still read.  Everywhere: null is NaN for a number, lists are
+tuples or arrays, and keys that a class does not know are ignored, because a newer version may add some.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import re
+from collections.abc import Callable
+from functools import cache
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+
+from hygrokf.errors import HygrokfError
+
+if TYPE_CHECKING:
+    from cattrs import Converter
+
+T = TypeVar("T")
+OPTIONAL, FORMER = "optional", "former"
+
+
+class StructureFault(HygrokfError):
+    """Data that do not make a result: `faults` holds every one of them, with its place in the data."""
+
+    def __init__(self, faults: list[str]) -> None:
+        super().__init__("; ".join(faults))
+        self.faults = tuple(faults)
+
+
+def optional(default: Any = None, former: tuple[str, ...] = ()) -> Any:
+    """A field whose key is left out of a file where the field holds its default, which may be NaN."""
+    return dataclasses.field(default=default, metadata={OPTIONAL: True, FORMER: former})
+
+
+def renamed(*former: str, **options: Any) -> Any:
+    """A field that earlier files name otherwise; `options` are those of `dataclasses.field`."""
+    return dataclasses.field(metadata={FORMER: former}, **options)
+
+
+def plain(value: object) -> Any:
+    """JSON data of a result; numbers that are not finite become null.  Keys are the names of the fields."""
+    return _converter().unstructure(value)
+
+
+def structured(kind: type[T], data: object) -> T:
+    """A result of a class from the data of `plain`.  Raises StructureFault with every fault and its place."""
+    from cattrs import BaseValidationError
+
+    try:
+        return _converter().structure(data, kind)
+    except BaseValidationError as fault:
+        raise StructureFault(_faults(fault, "")) from None
+    except (TypeError, ValueError, KeyError, AttributeError) as fault:
+        raise StructureFault([_words(fault)]) from None
+
+
+def _faults(fault: BaseException, place: str) -> list[str]:
+    """The faults of a tree of exceptions, each as "time_constants.thermal.value_h: expected …"."""
+    from cattrs import AttributeValidationNote, BaseValidationError, IterableValidationNote
+
+    if not isinstance(fault, BaseValidationError):
+        return [f"{place}: {_words(fault)}" if place else _words(fault)]
+    found = []
+    for one in fault.exceptions:
+        notes = getattr(one, "__notes__", ())
+        name = next((str(n.name) for n in notes if isinstance(n, AttributeValidationNote)), None)
+        index = next((n.index for n in notes if isinstance(n, IterableValidationNote)), None)
+        if isinstance(index, int):
+            inner = f"{place}[{index}]"
+        else:
+            step = name if index is None else str(index)
+            inner = ".".join(filter(None, (place, step)))
+        found += _faults(one, inner)
+    return found
+
+
+def _words(fault: BaseException) -> str:
+    """What a fault says; those of cattrs itself are put into the package's form."""
+    if isinstance(fault, KeyError):
+        return "expected, and missing"
+    text = str(fault)
+    if found := re.fullmatch(r"(.*) not in literal typing\.Literal\[(.*)\]", text):
+        return f"expected one of {found[2]}, found {found[1]!r}"
+    if found := re.match(r"(?:Not enough|Too many) values in (.*) to structure as tuple\[(.*)\]", text):
+        return f"expected {len(found[2].split(', '))} values, found {found[1]}"
+    return text
+
+
+# --- the converter ---------------------------------------------------------------------------
+
+
+def _number(value: object, _: object = None) -> float:
+    if value is None:
+        return math.nan
+    if isinstance(value, bool) or not isinstance(value, (int, float, np.integer, np.floating)):
+        raise ValueError(f"expected a number, found {_shown(value)}")
+    return float(value)
+
+
+def _whole(value: object, _: object = None) -> int:
+    if isinstance(value, bool) or not (
+        isinstance(value, (int, np.integer)) or (isinstance(value, float) and value.is_integer())
+    ):
+        raise ValueError(f"expected a whole number, found {_shown(value)}")
+    return int(value)
+
+
+def _text(value: object, _: object = None) -> str:
+    if not isinstance(value, str):
+        raise ValueError(f"expected a text, found {_shown(value)}")
+    return value
+
+
+def _flag(value: object, _: object = None) -> bool:
+    if not isinstance(value, (bool, np.bool_)):
+        raise ValueError(f"expected true or false, found {_shown(value)}")
+    return bool(value)
+
+
+def _array(value: object, _: object = None) -> np.ndarray:
+    if not isinstance(value, (list, tuple, np.ndarray)):
+        raise ValueError(f"expected a list of numbers, found {_shown(value)}")
+    rows = [_array(v) if isinstance(v, (list, tuple)) else _number(v) for v in value]
+    try:
+        return np.array(rows, dtype=float)
+    except ValueError:
+        raise ValueError("expected rows of equal length, found others") from None
+
+
+def _number_or_array(value: object, _: object = None) -> float | np.ndarray:
+    return _array(value) if isinstance(value, (list, tuple, np.ndarray)) else _number(value)
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 60 else f"{text[:57]}…"
+
+
+def _listed(value: np.ndarray) -> Any:
+    """An array as lists, null where a number is not finite."""
+    if value.dtype.kind != "f":
+        return value.tolist()
+    shown = value.astype(object)
+    shown[~np.isfinite(value)] = None
+    return shown.tolist()
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None
+
+
+def _read(kind: type, converter: Converter) -> Callable[[Any, Any], Any]:
+    from cattrs.gen import make_dict_structure_fn
+
+    made: Callable[[Any, Any], Any] = make_dict_structure_fn(kind, converter)
+    former = {old: f.name for f in dataclasses.fields(kind) for old in f.metadata.get(FORMER, ())}
+    name = kind.__name__
+
+    def read(data: Any, _: Any) -> Any:
+        if isinstance(data, kind):
+            return data
+        if not isinstance(data, dict):
+            raise ValueError(f"expected an object ({name}), found {_shown(data)}")
+        if former:
+            data = {key if former.get(key) in data else former.get(key, key): v for key, v in data.items()}
+        return made(data, kind)
+
+    return read
+
+
+def _write(kind: type, converter: Converter) -> Callable[[Any], Any]:
+    from cattrs.gen import make_dict_unstructure_fn, override
+
+    spared = [f for f in dataclasses.fields(kind) if f.metadata.get(OPTIONAL)]
+    left_out: dict[str, Any] = {f.name: override(omit_if_default=True) for f in spared}
+    made: Callable[[Any], Any] = make_dict_unstructure_fn(kind, converter, **left_out)
+    # NaN differs from itself, so that the converter takes it for another value than the default
+    unknown = [f.name for f in spared if isinstance(f.default, float) and math.isnan(f.default)]
+    if not unknown:
+        return made
+
+    def write(value: Any) -> Any:
+        data = made(value)
+        return {key: v for key, v in data.items() if v is not None or key not in unknown}
+
+    return write
+
+
+def _has_own_form(kind: Any) -> bool:
+    return hasattr(kind, "from_json") and hasattr(kind, "to_json")
+
+
+@cache
+def _converter() -> Converter:
+    """The converter of all results.  A class with `to_json` and `from_json` is written and read by these."""
+    from cattrs import Converter
+
+    made = Converter(detailed_validation=True, unstruct_collection_overrides={tuple: list})
+    for kind, read in ((float, _number), (int, _whole), (str, _text), (bool, _flag), (np.ndarray, _array)):
+        made.register_structure_hook(kind, read)
+    made.register_structure_hook(float | np.ndarray, _number_or_array)
+    made.register_unstructure_hook(float, _finite)
+    made.register_unstructure_hook(np.ndarray, _listed)
+    made.register_unstructure_hook(np.floating, lambda value: _finite(float(value)))
+    made.register_unstructure_hook(np.integer, int)
+    made.register_unstructure_hook(np.bool_, bool)
+    made.register_structure_hook_factory(dataclasses.is_dataclass, lambda kind: _read(kind, made))
+    made.register_unstructure_hook_factory(dataclasses.is_dataclass, lambda kind: _write(kind, made))
+    made.register_structure_hook_func(_has_own_form, lambda data, kind: kind.from_json(data))
+    made.register_unstructure_hook_func(_has_own_form, lambda value: made.unstructure(value.to_json()))
+    return made

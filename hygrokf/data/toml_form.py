@@ -1,0 +1,383 @@
+"""TOML files as frozen dataclasses: a field is a key of a table, with its help, range and choices.
+
+    @dataclass(frozen=True)
+    class Chamber:
+        temperature_ramp_K_per_h: float = setting(60.0, "steepest ramp", least=0.1, most=6000.0)
+
+`read_form` makes the dataclass of a table and collects every fault.  The type of a field says what its value
+must be: text, a number, a whole number, true or false, a tuple (a list of these, or of tables [[key]]), a
+dataclass (a table) or a mapping of dataclasses (a table of named tables).  Methods marked by `across` check
+what several keys say together, where none of them is at fault.  A form's `REFUSED` says why keys that a user
+may expect are none; its `OF` ends "unknown key …" in place of that of the table.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import numbers
+import os
+import re
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import MISSING, dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, TypeVar, cast, get_args, get_origin, get_type_hints
+
+from hygrokf.errors import HygrokfError, suggestion
+
+T = TypeVar("T")
+BLANKS: Mapping[Any, Any] = {str: "", float: math.nan}
+"""What stands for a missing or faulty value that has no default; None for other types."""
+STATED, OF_ENTRY = "stated", "of entry"
+Check = Callable[[Any], str | Iterable[str] | None]
+"""A method of a form that gives what is wrong: one fault, several or none."""
+
+
+class FormFault(HygrokfError):
+    """A file that cannot be used; `faults` lists every reason, the message contains all of them."""
+
+    def __init__(self, file: object, faults: Iterable[str]) -> None:
+        self.file, self.faults = str(file), tuple(faults)
+        count = f"{len(self.faults)} fault{'s' if len(self.faults) != 1 else ''}"
+        listed = (f"  {number}. {fault}" for number, fault in enumerate(self.faults, 1))
+        super().__init__("\n".join([f"{file}: {count}", *listed]))
+
+
+# --- the keys of a form ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Key:
+    """What a form states of a key besides its type.
+
+    help: its meaning. choices: all values that it may have. least, most, above: limits of a number; `above`
+        is not in the range itself.
+    empty: whether a text may be empty. expected: what the value must be, in place of words for the type.
+    read: makes the value, in place of the type's reader; raises ValueError. fits: what a value made must
+        hold, beside the limits; `expected` says it. remedy: what may help, said with a value at fault.
+    """
+
+    help: str = ""
+    choices: tuple[str, ...] = ()
+    least: float | None = None
+    most: float | None = None
+    above: float | None = None
+    empty: bool = False
+    expected: str = ""
+    read: Callable[[Any], Any] | None = None
+    fits: Callable[[Any], bool] | None = None
+    remedy: str = ""
+
+    @property
+    def limits(self) -> str:
+        """The limits of a number in words, such as " within 0 … 1"."""
+        if self.least is not None and self.most is not None:
+            return f" within {self.least:g} … {self.most:g}"
+        low = f" above {self.above:g}" if self.above is not None else ""
+        low += f" from {self.least:g} on" if self.least is not None else ""
+        return low + (f"{' and' * bool(low)} at most {self.most:g}" if self.most is not None else "")
+
+    def within(self, number: float) -> bool:
+        """Whether a number keeps to the limits."""
+        return (
+            (self.least is None or number >= self.least)
+            and (self.most is None or number <= self.most)
+            and (self.above is None or number > self.above)
+        )
+
+
+def setting(default: Any = MISSING, help: str = "", **stated: Any) -> Any:
+    """A field of a form: its default, without which the key is needed, its meaning, the rest of its `Key`."""
+    metadata = {STATED: Key(help, **{"empty": isinstance(default, str) and not default, **stated})}
+    if isinstance(default, type):
+        return dataclasses.field(default_factory=default, metadata=metadata)
+    return dataclasses.field(default=default, metadata=metadata)
+
+
+def entry_name(read: Callable[[str], Any] = str) -> Any:
+    """A field of a form in a table of named tables that holds the name; `read` raises ValueError."""
+    return dataclasses.field(metadata={OF_ENTRY: True, STATED: Key(read=read)})
+
+
+def across(*keys: str) -> Callable[[Check], Check]:
+    """Mark a method of a form that checks these keys, if none of them is missing or at fault.
+
+    The first of them that the table has gives the fault its place.
+    """
+
+    def marked(check: Check) -> Check:
+        setattr(check, "keys", keys)  # noqa: B010
+        return check
+
+    return marked
+
+
+@cache
+def keys_of(form: Any) -> Mapping[str, tuple[dataclasses.Field, Key, Any]]:
+    """The keys of a form by their names in the file: field, what is stated of it, its type without None.
+
+    What has a reader of its own is written with its unit, so its key has no "_s" for seconds.
+    """
+    found, hints = {}, get_type_hints(form)
+    for one in dataclasses.fields(form):
+        stated = one.metadata.get(STATED, Key())
+        if not one.metadata.get(OF_ENTRY):
+            kinds = [kind for kind in get_args(hints[one.name]) if kind is not type(None)]
+            optional = len(kinds) == 1 and type(None) in get_args(hints[one.name])
+            name = one.name if stated.read is None else one.name.removesuffix("_s")
+            found[name] = (one, stated, kinds[0] if optional else hints[one.name])
+    return found
+
+
+@cache
+def _checks(form: Any) -> list[tuple[tuple[str, ...], Check]]:
+    """The checks across keys of a form, those that it inherits first."""
+    members = [one for kind in reversed(form.__mro__) for one in vars(kind).values() if callable(one)]
+    return [(one.keys, one) for one in members if isinstance(getattr(one, "keys", None), tuple)]
+
+
+# --- places in messages ----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Place:
+    """A table in messages, such as "[test]" or "[[turbine]] 2", and what is wrong so far.
+
+    name: of the table; the file itself has none. of: the table as the end of "unknown key …". faults: of the
+    whole file.
+    """
+
+    name: str = ""
+    of: str = ""
+    faults: list[str] = field(default_factory=list, repr=False, compare=False)
+
+    def at(self, *keys: str) -> str:
+        """The place of the first of these keys that is found, or of the table."""
+        return self.name
+
+    def fault(self, text: str, *keys: str) -> None:
+        """Add a fault with the place of the first of these keys that is found."""
+        where = self.at(*keys)
+        self.faults.append(f"{where}: {text}" if where else text)
+
+    def table(self, key: str) -> str:
+        """The head of the table under a key, such as " [site]", where it has one."""
+        return "" if self.name else f" [{key}]"
+
+    def needs(self, key: str, stated: Key) -> str:
+        """The fault of a key that is missing."""
+        said = f"one of {', '.join(stated.choices)}" if stated.choices else stated.help
+        return f"needs {key}, {said}" if said else f"needs {key}"
+
+    def inside(self, key: str, number: int | None = None, entry: str | None = None) -> Place:
+        """The table under a key; of several [[key]] that with a number, from 0 on; or a named one in it."""
+        if number is not None:
+            return dataclasses.replace(self, name=f"[[{key}]] {number + 1}")
+        head = f"{self.name} {key}" if self.name else f"[{key}]"
+        return dataclasses.replace(self, name=head if entry is None else f"{head}.{entry}")
+
+
+# --- reading ---------------------------------------------------------------------------------
+
+
+def read_toml(
+    path: str | os.PathLike[str],
+    fault_class: type[FormFault] = FormFault,
+    missing: str = "cannot be read: No such file or directory; check the path",
+) -> tuple[str, dict[str, Any]]:
+    """Text and content of a TOML file.  Raises a FormFault, which names the line of a mistake.
+
+    missing: what is said of a file that does not exist.
+    """
+    file = Path(path)
+    try:
+        text = file.read_bytes().decode("utf-8-sig")
+    except FileNotFoundError:
+        near = [one.name for one in file.parent.glob("*.toml")] if file.parent.is_dir() else []
+        raise fault_class(file, [missing + suggestion(file.name, near)]) from None
+    except OSError as fault:
+        raise fault_class(file, [f"cannot be read: {fault.strerror or fault}"]) from None
+    except UnicodeDecodeError:
+        raise fault_class(file, ["expected TOML text in UTF-8, found other bytes"]) from None
+    try:
+        return text, tomllib.loads(text.replace("\r\n", "\n"))
+    except tomllib.TOMLDecodeError as fault:
+        raise fault_class(file, [syntax_fault(str(fault), text)]) from None
+    except (ValueError, RecursionError) as fault:  # more digits or brackets than Python reads
+        raise fault_class(file, [f"not valid TOML: {fault}"]) from None
+
+
+def syntax_fault(reason: str, text: str) -> str:
+    """The fault of invalid TOML, with its line."""
+    found = re.search(r"\(at line (\d+), column (\d+)\)", reason)
+    reason = re.sub(r"\s*\(at [^)]*\)$", "", reason)
+    if twice := re.search(r"\('(\w+)',\)", reason):
+        reason += f"; write [[{twice[1]}]] with two brackets, once for each"
+    if found is not None:
+        number, where = int(found[1]), f"line {found[1]}, column {found[2]}"
+    else:
+        # the parser gives no line for a fault at the end of the document
+        number = len(text.rstrip().splitlines())
+        where = f"line {number}, at the end"
+    line = text.splitlines()[number - 1 : number]
+    shown = f", in: {line[0].strip()[:80]}" if line else ""
+    return f"{where}: not valid TOML: {reason}{shown}"
+
+
+def read_toml_form(form: type[T], path: str | os.PathLike[str]) -> T:
+    """The form of a file.  Raises FormFault with every fault."""
+    place = Place()
+    found = read_form(form, read_toml(path)[1], place)
+    if place.faults:
+        raise FormFault(path, place.faults)
+    return found
+
+
+def read_form(form: type[T], table: Mapping[str, object], place: Place, **named: object) -> T:
+    """The form of a table; every fault is added to those of `place`.
+
+    place: of the table in messages. named: fields that are not in the table.
+    """
+    known = keys_of(cast(Any, form))
+    refused: Mapping[str, str] = getattr(form, "REFUSED", {})
+    for name in table:
+        if name not in known:
+            of, near = getattr(form, "OF", place.of), suggestion(str(name), known)
+            unknown = f'unknown key "{name}"{of}; expected {", ".join(known)}{near}'
+            place.fault(refused.get(name, unknown), name)
+    wrong: set[str] = set()
+    values = dict(named)
+    for name, (one, stated, kind) in known.items():
+        before = len(place.faults)
+        needed = one.default is MISSING and one.default_factory is MISSING
+        try:
+            if name in table:
+                values[one.name] = _value(name, table[name], kind, stated, place)
+            elif needed:
+                place.fault(place.needs(name, stated))
+            elif _is_form(one.default_factory):  # a table that is left out is an empty one
+                values[one.name] = read_form(kind, {}, place.inside(name))
+        except ValueError as fault:
+            place.fault(str(fault), name)
+        if len(place.faults) > before:
+            wrong.add(name)
+            if needed:
+                values.setdefault(one.name, BLANKS.get(kind))
+    try:
+        made = form(**values)
+    except ValueError as fault:
+        if not wrong:
+            place.fault(str(fault), *known)
+        return cast(T, None)
+    for keys, check in _checks(cast(Any, form)):
+        if wrong.isdisjoint(keys):
+            said = check(made) or ()
+            for text in [said] if isinstance(said, str) else said:
+                place.fault(text, *(name for name in keys if name in table))
+    return made
+
+
+def _value(name: str, value: Any, kind: Any, stated: Key, place: Place) -> Any:
+    """The value of a key; faults inside of its tables go to `place`.  Raises ValueError."""
+    inner = get_args(kind)
+    if _is_form(kind) and stated.read is None:
+        if isinstance(value, Mapping):
+            return read_form(kind, value, place.inside(name))
+        raise ValueError(f"{name} must be a table{place.table(name)}, found {value!r}")
+    if get_origin(kind) is Mapping and inner[1] is not Any:
+        return _named(name, value, inner[1], place)
+    if inner and (_is_form(inner[0]) or get_origin(inner[0]) is Mapping):
+        return _rows(name, value, inner[0], place)
+    try:
+        made = stated.read(value) if stated.read is not None else _plain(value, kind, stated)
+        if (stated.fits is None or stated.fits(made)) and (stated.read is None or stated.within(made)):
+            return made
+    except ValueError as fault:
+        raise ValueError(f"{name}: {fault}") from None
+    except (TypeError, OverflowError):
+        pass
+    near = suggestion(value, stated.choices) if isinstance(value, str) else ""
+    found = f'"{value}"' if stated.choices and isinstance(value, str) else _shown(value)
+    remedy = f"; {stated.remedy}" if stated.remedy else ""
+    raise ValueError(f"{name} must be {_words(kind, stated)}, found {found}{near}{remedy}")
+
+
+def _rows(name: str, value: Any, form: Any, place: Place) -> tuple[Any, ...]:
+    """The tables [[name]], as they are or as forms; a single table [name] is at fault, but read."""
+    rows = [value] if isinstance(value, Mapping) else value
+    good = isinstance(rows, list) and all(isinstance(one, Mapping) for one in rows)
+    if not good or rows is not value:
+        place.fault(f"{name}: write [[{name}]] with two brackets, once for each", name)
+    if not good or not _is_form(form):
+        return tuple(rows) if good else ()
+    return tuple(read_form(form, one, place.inside(name, number)) for number, one in enumerate(rows))
+
+
+def _is_form(kind: object) -> bool:
+    return isinstance(kind, type) and dataclasses.is_dataclass(kind)
+
+
+def _named(name: str, value: Any, form: Any, place: Place) -> Mapping[str, Any]:
+    """The named tables under a key, without those whose name is at fault."""
+    if not isinstance(value, Mapping):
+        raise ValueError(f"{name} must be a table{place.table(name)}, found {value!r}")
+    title = next(one for one in dataclasses.fields(form) if one.metadata.get(OF_ENTRY))
+    needed = (f"{one} = …" for one, (stated, *_) in keys_of(form).items() if stated.default is MISSING)
+    shape = f"expected {{ {', '.join(needed)} }}"
+    found: dict[str, Any] = {}
+    for entry, table in value.items():
+        inside = place.inside(name, entry=entry)
+        try:
+            named = {title.name: title.metadata[STATED].read(entry)}
+        except ValueError as fault:
+            inside.fault(str(fault))
+            continue
+        if isinstance(table, Mapping):
+            found[entry] = read_form(form, table, inside, **named)
+        else:
+            inside.fault(f"{shape}, found {_shown(table)}")
+    return found
+
+
+def _plain(value: Any, kind: Any, stated: Key) -> Any:
+    """A value of a plain type.  Raises TypeError where it is another thing."""
+    if kind is Any or get_origin(kind) is Mapping:
+        good = kind is Any or isinstance(value, Mapping)
+    elif stated.choices:
+        good = isinstance(value, str) and value in stated.choices
+    elif kind in (float, int):
+        number = isinstance(value, numbers.Integral if kind is int else numbers.Real)
+        good = number and not isinstance(value, bool) and math.isfinite(value) and stated.within(value)
+        value = kind(value) if good else value
+    elif kind in (str, bool):
+        good = isinstance(value, kind) and (value != "" or stated.empty)
+    else:
+        inner = get_args(kind)
+        good = isinstance(value, (list, tuple)) and (inner[1] is ... or len(value) == len(inner))
+        value = tuple(_plain(one, inner[0], stated) for one in value) if good else value
+        good = good and (inner[1] is ... or value[0] < value[1])
+    if not good:
+        raise TypeError
+    return value
+
+
+def _words(kind: Any, stated: Key) -> str:
+    """What a value must be."""
+    if stated.expected or stated.choices:
+        return stated.expected or f"one of {', '.join(stated.choices)}"
+    inner = get_args(kind)
+    if get_origin(kind) is Mapping:
+        return "a table"
+    if inner:
+        several = {str: "texts", float: "numbers"}[inner[0]] + stated.limits
+        return f"a list of {several}" if inner[1] is ... else f"two rising {several}"
+    return {str: "text in quotes", bool: "true or false"}.get(kind) or (
+        f"a {'whole ' * (kind is int)}number{stated.limits}"
+    )
+
+
+def _shown(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 200 else f"{text[:197]}…"

@@ -1,0 +1,276 @@
+"""What an identification found, as it stands in `fit.json`: frozen dataclasses with a default for every part.
+
+A part that a fit lacks holds NaN, an empty collection or None, so that rules, tables and figures can read
+attributes without asking first.  Units are in the names; the rest is dimensionless unless stated.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from hygrokf.data.record import Site
+from hygrokf.data.structured import optional, structured
+from hygrokf.estimation.confidence import Limit
+from hygrokf.evaluation.actuator_effects import ActuatorEffect
+from hygrokf.evaluation.diagnosis import Diagnosis
+from hygrokf.evaluation.scoring import Scored, Shares
+from hygrokf.identification.clock_offsets import ClockOffset
+from hygrokf.identification.composition import Step
+from hygrokf.identification.steady_state import HeatRelease
+from hygrokf.identification.verdict_terms import Kind, Reason
+from hygrokf.modelling.design import Design
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A time constant [h] with its bounds; an open upper bound is NaN, an open lower one 0."""
+
+    value_h: float = math.nan
+    lower_h: float = math.nan
+    upper_h: float = math.nan
+
+
+@dataclass(frozen=True)
+class Profile(Interval):
+    """The bounds by the profile likelihood of the chosen form alone; `statement` where they are open."""
+
+    method: str = ""
+    statement: str = ""
+
+
+@dataclass(frozen=True)
+class OtherEstimate(Interval):
+    """The estimate by the other criterion."""
+
+    method: str = optional("")
+    statement: str = optional("")
+
+
+@dataclass(frozen=True)
+class ResistanceCapacity(Interval):
+    """(R_AT+R_IC) C [h] at the median difference to the ambient; `exponent` of the natural convection."""
+
+    exponent: float = 0.0
+
+
+@dataclass(frozen=True)
+class FormEstimate(Interval):
+    """The time constant by one form of the model: `weight`, its share of the evidence, and `gain` in ln L."""
+
+    form: str = ""
+    weight: float = math.nan
+    gain: float = math.nan
+
+
+@dataclass(frozen=True)
+class QuarterEstimates:
+    """The constant [h] from each quarter of the readings alone; `scale`: ratio of their scatter to their
+    bounds."""
+
+    value_h: tuple[float, ...] = ()
+    scale: float = math.nan
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """Change of ln(constant) when every second ambient reading is left out; `ambient_step_h` [h] between
+    these."""
+
+    ambient_step_h: float = math.nan
+    shift_ln_when_halved: float = math.nan
+
+
+@dataclass(frozen=True)
+class SensorResponse:
+    """The response time of the humidity sensor [min]: stated, included in the constant, or estimated."""
+
+    kind: Literal["stated", "included", "estimated"]
+    minutes: float = math.nan
+    lower_minutes: float = optional(math.nan)
+    upper_minutes: float = optional(math.nan)
+
+
+@dataclass(frozen=True)
+class Reference:
+    """What a time constant refers to: its definition, and the mean temperatures [K] at which it holds."""
+
+    definition: str = ""
+    cabinet_temperature_K: float = math.nan
+    ambient_temperature_K: float = math.nan
+
+    def to_json(self) -> str | dict[str, str | float]:
+        """The definition alone where it holds at all temperatures."""
+        return self.definition if math.isnan(self.cabinet_temperature_K) else dict(vars(self))
+
+    @classmethod
+    def from_json(cls, data: str | Mapping[str, str | float]) -> Reference:
+        if isinstance(data, str):
+            return cls(data)
+        kelvin = structured(dict[str, float], {k: v for k, v in data.items() if k.endswith("_K")})
+        return cls(str(data.get("definition", "")), **kelvin)
+
+
+@dataclass(frozen=True)
+class TimeConstant(Interval):
+    """A time constant as reported, with what was found about it.
+
+    `level` of the interval and the `method` of its bounds; `statement` where it is open; `profile`: the
+    chosen form's own bounds, which `composition` widens source by source; `forms` of the model that competed;
+    `parts`: estimates from quarters of the record; `limited_by`: other parameters that met a limit at an end
+    of the profile; `factor`: variance of the score against the model's; `curve` (P, 2): constant [h] and
+    twice the drop of the profile log-likelihood, with its `threshold`; `simulation`: the free run's own
+    estimate, and `likelihood` that of the one-step predictions where the free run is the criterion;
+    `disagreement` of the two; `range_h`: the constant over the record's temperatures, for the thermal one at
+    the differences to the ambient `difference_K` of 10, 50 and 90 % of the readings; `modes` [h]: time
+    constants of all states.
+    """
+
+    level: float = math.nan
+    method: str = ""
+    statement: str = ""
+    profile: Profile | None = None
+    composition: tuple[Step, ...] = ()
+    forms: tuple[FormEstimate, ...] = ()
+    parts: QuarterEstimates | None = None
+    limited_by: tuple[Limit, ...] = ()
+    factor: float = math.nan
+    threshold: float = math.nan
+    curve: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    clock: tuple[ClockOffset, ...] | None = None
+    sampling: Sampling | None = None
+    simulation: OtherEstimate | None = None
+    likelihood: OtherEstimate | None = optional()
+    disagreement: str | None = None
+    reference: Reference = Reference()
+    range_h: tuple[float, ...] | None = optional()
+    difference_K: tuple[float, ...] | None = optional()
+    resistance_capacity: ResistanceCapacity | None = optional()
+    response: SensorResponse | None = optional()
+    modes: tuple[float, ...] = ()
+    verdict: Kind | None = None
+    reasons: tuple[Reason, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.curve.size == 0:  # JSON does not keep the shape of what is empty
+            object.__setattr__(self, "curve", np.empty((0, 2)))
+        elif self.curve.shape != (len(self.curve), 2):
+            raise ValueError(f"curve: expected pairs of numbers, found shape {self.curve.shape}")
+
+
+@dataclass(frozen=True)
+class PriorTerms:
+    """Mean and standard deviation of a parameter's prior, in the parameter's unit."""
+
+    mean: float = math.nan
+    sd: float = math.nan
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """An estimated parameter in its `unit`: value, standard error, 95 % bounds (NaN where open or unknown).
+
+    `at_guard`: at a limit of the search that is not physical; `parts`: the time constants estimated together
+    with it.
+    """
+
+    value: float = math.nan
+    unit: str = ""
+    se: float = math.nan
+    lower: float = math.nan
+    upper: float = math.nan
+    meaning: str = ""
+    prior: PriorTerms | None = None
+    fixed: bool = False
+    at_bound: bool = False
+    at_guard: bool = False
+    parts: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Covariance:
+    """Covariance `matrix` (r, r) of the parameters `names`, in their own units."""
+
+    names: tuple[str, ...] = ()
+    matrix: np.ndarray = field(default_factory=lambda: np.empty((0, 0)))
+
+
+@dataclass(frozen=True)
+class Period:
+    """Start, end of the identification (`until`) and end of a record (ISO 8601), and what of it is used."""
+
+    start: str | None = None
+    until: str | None = None
+    end: str | None = None
+    n_instants: int = 0
+    n_readings: int = 0
+
+
+@dataclass(frozen=True)
+class Optimum:
+    """Another local optimum: its penalised log-likelihood and the time constants there [h]."""
+
+    objective: float
+    thermal_time_constant: float = optional(math.nan)
+    hygric_k: float = optional(math.nan)
+
+
+@dataclass(frozen=True)
+class FitResults(Scored):
+    """All that `fit.json` says.
+
+    `criterion`: "likelihood" or "simulation"; `kind`: "joint" or "cascade"; `doubts` about the record, by
+    time constant in `doubted`; `provenance`: files read, with their digests; `converged`: None where not
+    stated; `flat`: parameters that the record does not determine; `trade_offs`: pairs of parameters with
+    their correlation; `readings_sd`: standard deviation of the readings by period and quantity;
+    `identified_on`: 0.1 and 99.9 % quantiles of the inputs.
+    """
+
+    name: str = ""
+    version: str = ""
+    created: str = ""
+    synthetic: bool = False
+    criterion: str = "likelihood"
+    kind: str = ""
+    rated_power_kW: float = math.nan
+    site: Site | None = None
+    period: Period = Period()
+    design: Design | None = None
+    statements: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    doubts: tuple[str, ...] = ()
+    doubted: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    provenance: tuple[tuple[str, str], ...] = ()
+    parameters: Mapping[str, ParameterRow] = field(default_factory=dict)
+    covariance: Covariance = field(default_factory=Covariance)
+    time_constants: Mapping[str, TimeConstant] = field(default_factory=dict)
+    loglik: float = math.nan
+    aic: float = math.nan
+    bic: float = math.nan
+    n_obs: int = 0
+    converged: bool | None = None
+    message: str = ""
+    other_optima: tuple[Optimum, ...] = ()
+    at_bounds: tuple[str, ...] = ()
+    flat: tuple[str, ...] = ()
+    trade_offs: tuple[tuple[str, str, float], ...] = ()
+    readings_sd: Shares = field(default_factory=dict)
+    heat_release: HeatRelease | None = None
+    actuators: tuple[ActuatorEffect, ...] = ()
+    innovations: Diagnosis = field(default_factory=Diagnosis)
+    identified_on: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def to_frame(self) -> DataFrame:
+        """The table of parameters, one row each, as a pandas data frame."""
+        from pandas import DataFrame
+
+        columns = ("value", "unit", "se", "lower", "upper", "meaning", "fixed", "at_bound")
+        rows = [[getattr(row, name) for name in columns] for row in self.parameters.values()]
+        return DataFrame(rows, index=list(self.parameters), columns=list(columns))

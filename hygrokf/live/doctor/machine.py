@@ -1,0 +1,211 @@
+"""Checks of clocks, certificates and secret files: agreement with other clocks, validity, permissions."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import os
+import time
+from collections.abc import Iterator
+from collections.abc import Mapping as MappingOf
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hygrokf.data.timestamps import DAY_S, HOUR_S, stamp_text
+from hygrokf.data.toml_form import read_toml
+from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok
+from hygrokf.live.sources.broker import OTHERS_READ
+from hygrokf.live.sources.payload import AHEAD_S
+
+CLOSE_S = 60.0
+"""Tolerated difference of two clocks [s]."""
+JUMP_S = 0.5
+"""Tolerated jump of this machine's clock against elapsed time [s]."""
+LARGEST_ZONE_H = 14
+SHARP_S = 300.0
+"""Tolerance [s] within which a lag counts as whole hours."""
+_ERROR = 5
+"""Return value of adjtimex if the kernel's clock is not synchronised (TIME_ERROR)."""
+_SET = "synchronise this machine's clock by NTP (timedatectl set-ntp true, or chrony)"
+SOON_S = 30.0 * DAY_S
+"""Remaining validity [s] below which a certificate should be replaced."""
+CERTIFICATES = ("certificate", "ca", "server_certificate")
+SECRETS = ("key", "password_file", "token_file")
+
+
+@dataclass(frozen=True)
+class Watch:
+    """Compares this machine's clock with elapsed time, from its creation on."""
+
+    begin: float = field(default_factory=lambda: time.time() - time.monotonic())
+
+    @property
+    def jump_s(self) -> float:
+        """[s] by which the clock has been set since then."""
+        return time.time() - time.monotonic() - self.begin
+
+
+def synchronised() -> bool | None:
+    """Whether this machine's clock is synchronised according to the kernel; None if unknown."""
+    try:
+        read = ctypes.CDLL(None).adjtimex
+    except (OSError, TypeError, AttributeError):
+        return None
+    state = read(ctypes.create_string_buffer(512))  # all zeros: only read, set nothing
+    return None if state < 0 else state != _ERROR
+
+
+def machine_checks(watch: Watch, received_s: float) -> Iterator[Check]:
+    """Check this machine's clock; `received_s`: arrival of the store's newest reading [s], −∞ if unknown."""
+    jump_s, known, before = watch.jump_s, synchronised(), time.time() - received_s
+    if abs(jump_s) > JUMP_S:
+        yield doubt("clock", f"it jumped by {jump_s:+.1f} s during this examination", _SET)
+    if before < -CLOSE_S:
+        yield fault(
+            "clock",
+            f"the store has readings received {lasting(-before)} in the future: the clock was ahead then, "
+            "or is behind now",
+            _SET,
+        )
+    if known is False:
+        yield doubt("clock", "the kernel reports that it is not synchronised", _SET)
+    elif abs(jump_s) <= JUMP_S and before >= -CLOSE_S:
+        yield ok(
+            "clock",
+            "it is synchronised by NTP" if known else "it runs evenly; whether it is synchronised is unknown",
+        )
+
+
+def stamp_check(about: str, lag_s: float, lateness_s: float = math.inf, fresh: bool = True) -> Check | None:
+    """Judge a source's clock by the lag [s] from its newest stamp to its arrival; None if the lag is not
+    finite.
+
+    `lateness_s`: tolerated lateness of readings [s]; without `fresh` an old stamp says nothing about the
+    clock.
+    """
+    if not math.isfinite(lag_s):
+        return None
+    if lag_s < -CLOSE_S:
+        found = f"its newest stamp is {lasting(-lag_s)} ahead of this machine's clock"
+        remedy = "compare both clocks; stamps in local time need their offset from UTC"
+        if lag_s < -AHEAD_S:
+            return fault(about, f"{found}; readings more than {lasting(AHEAD_S)} ahead are refused", remedy)
+        return doubt(about, found, remedy)
+    found = f"its newest stamp is {lasting(max(lag_s, 0.0))} old"
+    if not fresh:
+        return ok(about, found)
+    hours = round(lag_s / HOUR_S)
+    if 1 <= hours <= LARGEST_ZONE_H and abs(lag_s - hours * HOUR_S) < SHARP_S:
+        return doubt(
+            about,
+            f"{found} on arrival: {hours} whole hours",
+            "check whether local time is stamped as UTC: stamps need their offset",
+        )
+    if lag_s > lateness_s:
+        return doubt(
+            about,
+            f"{found} on arrival, more than the lateness allows ({lasting(lateness_s)})",
+            "set the source's clock, or state a larger lateness if its readings do arrive so late",
+        )
+    return ok(about, found)
+
+
+def server_check(about: str, difference_s: float) -> Check:
+    """Judge a server's clock by its difference from this machine's clock [s]; positive if it is ahead."""
+    if abs(difference_s) <= CLOSE_S:
+        return ok(about, f"its clock agrees with this machine's within {CLOSE_S:.0f} s")
+    side = "ahead of" if difference_s > 0.0 else "behind"
+    said = f"its clock is {lasting(abs(difference_s))} {side} this machine's clock"
+    return (fault if difference_s > AHEAD_S else doubt)(about, said, "synchronise both clocks by NTP")
+
+
+# -- certificates and secrets --------------------------------------------------------------------------------
+def file_checks(file: Path) -> Iterator[Check]:
+    """Check all files that a tracker's file names; that file must be valid."""
+    content = read_toml(file)[1]
+    for where, table in _tables(content):
+        for key in (*CERTIFICATES, *SECRETS):
+            if not isinstance(table.get(key), str):
+                continue
+            about, path = f"{where} {key}", file.parent / table[key]
+            try:
+                yield _secret(about, path) if key in SECRETS else _certificate(about, path, key)
+            except OSError as error:
+                yield fault(about, f"{path}: {error.strerror}", "restore it, or name another file")
+
+
+def _tables(content: MappingOf[str, Any]) -> Iterator[tuple[str, MappingOf[str, Any]]]:
+    if isinstance(content.get("page"), dict):
+        yield "[page]", content["page"]
+    for number, table in enumerate(content.get("source", []), start=1):
+        yield f"[[source]] {number}", table
+
+
+def _secret(about: str, path: Path) -> Check:
+    """Whether others may read a secret; always fine on systems without such permissions."""
+    if os.name == "posix" and path.stat().st_mode & OTHERS_READ:
+        return doubt(about, f"every user of this machine can read {path}", f"chmod o-rwx {path}")
+    return ok(about, f"other users cannot read {path}")
+
+
+def _certificate(about: str, path: Path, key: str) -> Check:
+    try:
+        found = validities(path.read_bytes())
+    except ValueError as error:
+        return fault(about, f"{path}: {error}", "name a file with a certificate, PEM or DER")
+    except ImportError:
+        return unread_certificate(about, str(path))
+    # a chain expires with the first of its certificates; of several trusted CAs the last one to expire counts
+    ends = (max if key == "ca" else min)(found, key=lambda one: one.end)
+    check = validity_check(about, ends, str(path))
+    if (
+        key == "server_certificate" and check.level == "fault"
+    ):  # the pinned certificate is only compared, its validity is not checked
+        return doubt(about, check.found, check.remedy)
+    return check
+
+
+def validity_check(about: str, found: Validity, where: str) -> Check:
+    """How long a certificate remains valid."""
+    now = time.time()
+    if found.begin > now:
+        return fault(
+            about, f"{where} is not valid before {stamp_text(found.begin)}", "compare the clocks, or wait"
+        )
+    if found.end < now:
+        return fault(about, f"{where} has expired {lasting(now - found.end)} ago", "replace the certificate")
+    left = f"{where} is valid for {lasting(found.end - now)}"
+    if found.end - now < SOON_S:
+        return doubt(about, left, "order a new certificate now")
+    return ok(about, left)
+
+
+def unread_certificate(about: str, where: str) -> Check:
+    """The check of a certificate that cannot be read because cryptography is missing."""
+    return doubt(about, f"{where} was not examined: cryptography is missing", "pip install cryptography")
+
+
+@dataclass(frozen=True)
+class Validity:
+    """A certificate is valid from `begin` to `end` [s since 1970]."""
+
+    begin: float
+    end: float
+
+
+def validities(content: bytes) -> list[Validity]:
+    """Validity of every certificate in a PEM file, or of the one in a DER file.
+
+    Raises ValueError if the content is no certificate, ImportError without cryptography.
+    """
+    from cryptography import x509
+
+    try:
+        if b"-----BEGIN" in content:
+            found = x509.load_pem_x509_certificates(content)
+        else:
+            found = [x509.load_der_x509_certificate(content)]
+    except ValueError as fault:
+        raise ValueError("expected a certificate, found something else") from fault
+    return [Validity(c.not_valid_before_utc.timestamp(), c.not_valid_after_utc.timestamp()) for c in found]

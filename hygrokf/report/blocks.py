@@ -1,0 +1,204 @@
+"""What a result says, as blocks: the template draws them as a page, `terminal` prints them as text.
+
+A block holds plain text and numbers already printed; it knows neither HTML nor the width of a terminal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal, TypeAlias
+
+from hygrokf.identification.verdict import CAUTION, VERDICTS, WORDS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
+
+Kind: TypeAlias = Literal["believe", "caution", "reject"]
+
+
+@dataclass(frozen=True)
+class Heading:
+    """A heading: level 2 begins a section, level 3 a part of it."""
+
+    text: str
+    level: Literal[2, 3] = 2
+
+
+@dataclass(frozen=True)
+class Prose:
+    """A paragraph; `style` "note" is smaller, "missing" says what is not there and why."""
+
+    text: str
+    style: Literal["", "note", "missing", "key"] = ""
+
+
+@dataclass(frozen=True)
+class Link:
+    """A sentence that ends in a link to a file beside the page."""
+
+    text: str
+    file: str
+
+
+@dataclass(frozen=True)
+class Items:
+    """A list of sentences."""
+
+    items: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Terms with what they mean here."""
+
+    rows: tuple[tuple[str, str], ...]
+
+
+@dataclass(frozen=True)
+class Banner:
+    """A warning about the whole page: `word` in capitals, then a sentence."""
+
+    word: str
+    text: str
+    severe: bool = False
+
+
+@dataclass(frozen=True)
+class Line:
+    """A sentence with its verdict; `within` marks a reason for the line above it, `head` the main ones."""
+
+    kind: str
+    text: str
+    within: bool = False
+    head: bool = False
+    struck: str = ""
+    """A number at the beginning that is not to be believed, shown struck through."""
+
+
+@dataclass(frozen=True)
+class Verdicts:
+    """Sentences, each with the mark of its verdict; `key` explains the marks."""
+
+    lines: tuple[Line, ...]
+    heading: str = ""
+    key: bool = True
+
+
+@dataclass(frozen=True)
+class Card:
+    """One number of the answer: label, value, bounds, verdict and its reason; `sentence` says it in one line.
+
+    `symbol`: the formula beside the label, with an underscore before what stands below the line ("R_D*·V*").
+    `kind`: the verdict; "" for an answer that has none, whose edge then shows its `tone`: "open" a warning,
+    "plain" none, "reject" a refusal.  `words`: the value is a sentence, not a number.
+    """
+
+    label: str
+    value: str
+    sentence: str
+    kind: str = ""
+    bounds: str = ""
+    reason: str = ""
+    symbol: str = ""
+    lines: tuple[str, ...] = ()
+    wide: bool = False
+    words: bool = False
+    tone: Literal["open", "plain", "reject"] = "open"
+
+    @property
+    def verdict(self) -> str:
+        """The verdict in words; empty without one."""
+        return WORDS.get(self.kind, "")
+
+
+@dataclass(frozen=True)
+class Cards:
+    """The answer: one card for each number, or one wide card for a sentence."""
+
+    cards: tuple[Card, ...]
+
+
+@dataclass(frozen=True)
+class Table:
+    """Columns and rows of text; `left` columns are words, the others numbers; `marked` rows are set off.
+
+    `groups` spans columns under a common heading: (heading, number of columns).  `brief` lists the columns
+    that a terminal shows; empty for all.
+    """
+
+    heading: str
+    columns: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    left: tuple[int, ...] = (0,)
+    marked: tuple[int, ...] = ()
+    groups: tuple[tuple[str, int], ...] = ()
+    note: str = ""
+    brief: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        wrong = [row for row in self.rows if len(row) != len(self.columns)]
+        if wrong:
+            raise ValueError(
+                f"{self.heading}: expected a cell for each of {len(self.columns)} columns, found {wrong[0]}"
+            )
+
+
+@dataclass(frozen=True)
+class Figure:
+    """A drawing made when the page is; `name` (letters, digits, -) makes its identifiers unique on the page.
+
+    The caption says what to look for.  `draw` may raise `NothingToShow` with the reason.
+    """
+
+    name: str
+    heading: str
+    caption: str
+    draw: Callable[[], Drawing]
+
+
+@dataclass(frozen=True)
+class Details:
+    """Blocks that are folded until a reader asks for them; a printed page shows them."""
+
+    summary: str
+    blocks: tuple[Block, ...]
+
+
+Block: TypeAlias = (
+    Heading | Prose | Link | Items | Facts | Banner | Verdicts | Cards | Table | Figure | Details
+)
+
+
+@dataclass(frozen=True)
+class Page:
+    """A result to read.
+
+    `kind` says what sort of result it is, `name` whose, `about` the lines below the name.  `lead` is the
+    first screen: warnings, the answer with its verdict, and the picture that shows it.  `body` holds the
+    rest, `foot` how it was computed.  `brief` is what a terminal prints.
+    """
+
+    kind: str
+    name: str
+    about: tuple[str, ...]
+    lead: tuple[Block, ...]
+    body: tuple[Block, ...]
+    foot: tuple[Block, ...] = ()
+    brief: tuple[Block, ...] = ()
+
+
+def table_or(table: Table | None, why: str) -> Block:
+    """A table, or the sentence that says why there is none."""
+    return table if table is not None else Prose(why, "missing")
+
+
+def section(heading: str, *blocks: Block | None) -> tuple[Block, ...]:
+    """A heading with blocks below it; nothing where all of them are absent."""
+    present = tuple(block for block in blocks if block is not None)
+    return (Heading(heading), *present) if present else ()
+
+
+def ordered(lines: list[Line]) -> list[Line]:
+    """Lines with the most serious verdict first; lines of one verdict keep their order."""
+    return sorted(lines, key=lambda one: -VERDICTS.index(one.kind if one.kind in VERDICTS else CAUTION))

@@ -1,0 +1,155 @@
+"""Figures of a comparison: courses, errors with bounds, errors by week."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from hygrokf.data.timestamps import WEEK_S
+from hygrokf.identification.wording import QUANTITIES, SCORED
+from hygrokf.report.figures.courses import Panel, figure_courses
+from hygrokf.report.figures.drawing import (
+    AMBIENT,
+    INK,
+    QUIET,
+    SIMULATED,
+    NothingToShow,
+    calendar,
+    days,
+    key,
+    new_figure,
+    styled,
+    upright,
+)
+from hygrokf.transfer.comparison import ColumnScores, ComparisonResults
+from hygrokf.transfer.course import Course
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+REGIMES = {"operation": "o", "standstill": "s", "total": "D"}
+COLOURS = (SIMULATED, "#1d7a3a", "#7a3a9a", AMBIENT, QUIET)
+LONGEST = 30
+"""Characters of a label beyond which it is cut."""
+MOST_RECORDS = 3
+"""Records whose courses fit side by side."""
+
+
+def colour_of(place: int) -> str:
+    """The colour of a column; blue is left to the readings."""
+    return COLOURS[place % len(COLOURS)]
+
+
+def short_labels(labels: Sequence[str]) -> list[str]:
+    """Labels that fit beside a picture and can still be told apart: long ones are cut in the middle."""
+    cut = [
+        one if len(one) <= LONGEST else f"{one[: LONGEST // 2]}…{one[1 - LONGEST // 2 :]}" for one in labels
+    ]
+    return [one if cut.count(one) == 1 else f"{i + 1}: {one}" for i, one in enumerate(cut)]
+
+
+def figure_column_courses(found: ComparisonResults, courses: Sequence[Course]) -> Figure:
+    """Readings and simulations of the first records; columns on the same instants of a case share a panel."""
+    if not courses:
+        raise NothingToShow(
+            "These results hold no courses: `hygrokf compare` adds them when it is run again."
+        )
+    groups: dict[tuple[str, bytes], list[int]] = {}
+    for i, (one, course) in enumerate(zip(found.columns, courses, strict=True)):
+        groups.setdefault((one.case, course.time_s.tobytes()), []).append(i)
+    labels = short_labels([one.label for one in found.columns])
+    panels = []
+    for (case, _), group in list(groups.items())[:MOST_RECORDS]:
+        unique = sum(one == case for one, _ in groups) == 1
+        made = {f"column {i}": courses[i].simulated["simulated"] for i in group}
+        lines = {f"column {i}": (labels[i], colour_of(i)) for i in group}
+        title = short_labels([case])[0] if unique else labels[group[0]]
+        panels.append(Panel(title, replace(courses[group[0]], simulated=made), lines))
+    return figure_courses(panels)
+
+
+def figure_errors(found: ComparisonResults, period: str) -> Figure:
+    """Root mean squared errors of all columns in one period with bounds, by regime, beside the error of the
+    best rule."""
+    columns = [one for one in found.columns if any(one.total(period, q) for q in SCORED)]
+    if not columns:
+        raise NothingToShow("Nothing was scored in this period.")
+    shown = [q for q in SCORED if any(one.total(period, q) for one in columns)]
+    labels = short_labels([one.label for one in columns])
+    height = 1.1 + 0.34 * len(columns)
+    with styled():
+        figure = new_figure(height)
+        grid = figure.add_gridspec(
+            1, len(shown), wspace=0.08, left=0.27, right=0.985, top=0.78, bottom=0.42 / height
+        )
+        for place, quantity in enumerate(shown):
+            axes = figure.add_subplot(grid[place])
+            for i, one in enumerate(columns):
+                colour = colour_of(found.columns.index(one))
+                _errors_row(axes, one, period, quantity, len(columns) - 1 - i, colour)
+            name, unit = QUANTITIES[quantity]
+            axes.set_ylim(-0.6, len(columns) - 0.4)
+            axes.set_yticks(range(len(columns)), labels[::-1] if place == 0 else [])
+            axes.grid(axis="y", visible=False)
+            axes.set_xlim(left=0.0)
+            axes.set_xlabel(f"RMSE of the {name} [{unit}]")
+            if place == 0:
+                marks = {**{regime: (mark, 3.5) for regime, mark in REGIMES.items()}, "best rule": ("|", 9)}
+                handles = [
+                    axes.plot([], [], mark, color=INK, markersize=size, linestyle="none", label=words)[0]
+                    for words, (mark, size) in marks.items()
+                ]
+                key(axes, handles, anchor=(0.0, 1.03))
+    return figure
+
+
+def _errors_row(
+    axes: Axes, one: ColumnScores, period: str, quantity: str, height: float, colour: str
+) -> None:
+    by_regime = one.scores.get(period, {}).get(quantity, {})
+    for offset, (regime, mark) in zip((0.22, 0.0, -0.22), REGIMES.items(), strict=True):
+        row = by_regime.get(regime)
+        if row is None or not math.isfinite(row.rmse):
+            continue
+        if math.isfinite(row.lower):
+            axes.plot([row.lower, row.upper], [height + offset] * 2, color=colour, linewidth=1.3, alpha=0.55)
+        size = 4.0 if regime == "total" else 3.4
+        axes.plot(row.rmse, height + offset, mark, color=colour, markersize=size)
+        if row.rules and regime == "total":
+            best = min(rule.rmse for rule in row.rules.values())
+            axes.plot(best, height + offset, "|", color=INK, markersize=9, markeredgewidth=1.4)
+
+
+def figure_weeks(found: ComparisonResults) -> Figure:
+    """Root mean squared errors of all columns by week."""
+    shown = [q for q in SCORED if any(len(one.weeks[q][0]) > 1 for one in found.columns if q in one.weeks)]
+    if not shown:
+        raise NothingToShow("There are fewer than two weeks to show.")
+    middles = [one.weeks[q][0] for one in found.columns for q in shown if q in one.weeks]
+    ends = [(m[0], m[-1]) for m in middles if len(m)]
+    span = (min(first for first, _ in ends) - WEEK_S / 2, max(last for _, last in ends) + WEEK_S / 2)
+    labels = short_labels([one.label for one in found.columns])
+    with styled():
+        figure = new_figure(0.6 + 1.5 * len(shown))
+        grid = figure.add_gridspec(
+            len(shown), 1, hspace=0.16, left=0.07, right=0.985, top=0.9, bottom=0.15 if shown[1:] else 0.25
+        )
+        for place, quantity in enumerate(shown):
+            axes = figure.add_subplot(grid[place])
+            handles = []
+            for i, one in enumerate(found.columns):
+                if quantity in one.weeks:
+                    middle, value = one.weeks[quantity]
+                    handles += axes.plot(
+                        days(middle), value, "-o", color=colour_of(i), markersize=2.6, label=labels[i]
+                    )
+            name, unit = QUANTITIES[quantity]
+            axes.set_ylim(bottom=0.0)
+            upright(axes, f"{name} [{unit}]")
+            calendar(axes, span, labels=place == len(shown) - 1)
+            if place == 0:
+                key(axes, handles, columns=min(len(handles), 4))
+    return figure

@@ -1,0 +1,82 @@
+"""A page from its blocks: one template, one style, no script and no other file; prints on A4."""
+
+from __future__ import annotations
+
+import re
+from functools import cache
+from importlib import resources
+from typing import TYPE_CHECKING
+
+from hygrokf.identification.verdict import MARKS, VERDICTS, WORDS
+from hygrokf.identification.wording import one_line
+from hygrokf.report.blocks import Figure, Page, Table
+from hygrokf.report.figures.drawing import FONTS, NothingToShow, inline_svg
+
+if TYPE_CHECKING:
+    from jinja2 import Template
+    from markupsafe import Markup
+
+
+def page_html(page: Page) -> str:
+    """The whole page as HTML text; names no host and is a pure function of the blocks."""
+    return _template().render(page=page)
+
+
+@cache
+def _template() -> Template:
+    from jinja2 import Environment, StrictUndefined
+    from markupsafe import Markup
+
+    folder = resources.files("hygrokf.report")
+    style = (folder / "page.css").read_text(encoding="utf-8").replace("FONTS", FONTS)
+    made = Environment(
+        autoescape=True, undefined=StrictUndefined, keep_trailing_newline=True, finalize=_printable
+    )
+    made.filters |= {"prose": _prose, "line": one_line, "symbol": _symbol}
+    made.globals |= {
+        "kind_of": lambda block: type(block).__name__,
+        "starts": _group_starts,
+        "drawn": _drawn,
+        "marks": MARKS,
+        "words": {kind: WORDS[kind] for kind in VERDICTS},
+        "style": Markup(style),
+    }
+    return made.from_string((folder / "page.html").read_text(encoding="utf-8"))
+
+
+def _printable(value: object) -> object:
+    """A text of a result without control characters; what the template itself makes stays as it is."""
+    if type(value) is not str:
+        return value
+    return "".join(c if c.isprintable() or c == "\xa0" else " " for c in value)
+
+
+def _prose(text: str) -> str:
+    """A text on one line in which no number is parted from its unit."""
+    return re.sub(r"(?<=\d) (?=(?:%|K|h|g/m³|°C)(?![\w/]))", "\xa0", one_line(text))
+
+
+def _symbol(text: str) -> Markup:
+    """A formula with its indices below the line: R_AT becomes R with AT below."""
+    from markupsafe import Markup, escape
+
+    return Markup(re.sub(r"_(\w+)", r"<sub>\1</sub>", str(escape(text))))
+
+
+def _group_starts(table: Table) -> set[int]:
+    """The columns in which a group of a table begins."""
+    starts, at = set(), 0
+    for _, count in table.groups:
+        starts.add(at)
+        at += count
+    return starts
+
+
+def _drawn(figure: Figure) -> tuple[Markup | None, str]:
+    """The drawing of a figure; None with the reason where there is nothing to show."""
+    from markupsafe import Markup
+
+    try:
+        return Markup(inline_svg(figure.draw(), figure.name, figure.heading)), ""
+    except NothingToShow as why:
+        return None, one_line(str(why))

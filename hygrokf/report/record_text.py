@@ -1,0 +1,129 @@
+"""The summary of a record as text, for `hygrokf check`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from hygrokf.cases.summary import RecordSummary, SignalSummary
+from hygrokf.data.record import Site
+from hygrokf.data.signals import difference_from_si, signal_named
+from hygrokf.data.timestamps import duration_text
+from hygrokf.report.blocks import Block, Facts, Heading, Items, Prose, Table
+from hygrokf.report.terminal import blocks_text
+from hygrokf.weather.clocks import MINUTE_S, LagFound, SourceComparison
+
+NONE = "-"
+WIDTH = 1000
+"""Lines are not cut: the paths of files may be long."""
+
+
+def describe_text(found: RecordSummary) -> str:
+    """A summary as tables for the terminal."""
+    return "\n\n".join(blocks_text(record_blocks(found), WIDTH))
+
+
+def record_blocks(found: RecordSummary) -> Iterator[Block]:
+    """What a summary says: spans, signals, sources, comparisons, actuators, warnings and doubts."""
+    yield Prose(_heading(found))
+    periods = (("identification", found.identification), ("validation", found.validation))
+    yield Facts(
+        tuple(
+            (name, "none" if one is None else f"{one.start} to {one.end}, {one.days:.1f} d")
+            for name, one in periods
+        )
+    )
+    if found.signals:
+        yield _signals(found)
+        yield _sources(found)
+    if found.comparisons:
+        yield _comparisons(found)
+    if found.actuators:
+        yield Heading("logged actuators", 3)
+        yield Items(tuple(one.statement for one in found.actuators))
+    for title, said in (("warnings", found.warnings), ("doubts", found.doubts)):
+        yield Heading(f"{title}: {len(said) or 'none'}", 3)
+        if said:
+            yield Items(said)
+
+
+def _heading(found: RecordSummary) -> str:
+    parts = [f"{found.name}: {found.start} to {found.end}", f"{found.days:.1f} d"]
+    if math.isfinite(found.rated_power_kW):
+        parts.append(f"rated {found.rated_power_kW:g} kW")
+    if found.site is not None:
+        parts.append(_place(found.site))
+    return ", ".join(parts)
+
+
+def _place(site: Site) -> str:
+    north, east = "N" if site.latitude_deg >= 0 else "S", "E" if site.longitude_deg >= 0 else "W"
+    return f"{abs(site.latitude_deg):g}°{north} {abs(site.longitude_deg):g}°{east}"
+
+
+def _signals(found: RecordSummary) -> Table:
+    head = ("signal", "readings", "missing", "step", "gaps", "longest", "hold", "resolution")
+    return Table(
+        "",
+        (*head, "mean (lowest … highest)"),
+        tuple(_signal(one) for one in found.signals),
+        left=(0, 6, 8),
+    )
+
+
+def _signal(one: SignalSummary) -> tuple[str, ...]:
+    unit = "" if one.unit == "1" else f" {one.unit}"
+    step_unit = " K" if one.unit == "degC" else unit
+    hold = f"{one.hold} {duration_text(one.interval_s)}" if one.interval_s else one.hold
+    values = f"{one.mean:.4g} ({one.minimum:.4g} … {one.maximum:.4g}){unit}"
+    return (
+        one.signal,
+        str(one.readings),
+        f"{100 * one.missing_share:.1f} %" if math.isfinite(one.missing_share) else NONE,
+        duration_text(one.step_s) if math.isfinite(one.step_s) else NONE,
+        str(one.gaps),
+        duration_text(one.longest_gap_s) if one.gaps else NONE,
+        hold,
+        f"{one.resolution:g}{step_unit}" if one.resolution > 0.0 else NONE,
+        values if math.isfinite(one.mean) else NONE,
+    )
+
+
+def _sources(found: RecordSummary) -> Table:
+    rows = tuple(
+        (
+            one.signal,
+            one.start or NONE,
+            one.end or NONE,
+            f"±{duration_text(one.clock_uncertainty_s)}" if one.clock_uncertainty_s > 0.0 else NONE,
+            one.source,
+        )
+        for one in found.signals
+    )
+    return Table("", ("signal", "from", "to", "clock", "source"), rows, left=(0, 1, 2, 3, 4))
+
+
+def _comparisons(found: RecordSummary) -> Table:
+    """Lags are minutes by the weather, with bounds; positive where the first source is late."""
+    head = ("compared", "source", "against", "offset", "lag in winter", "lag in summer", "daily wave")
+    return Table("", head, tuple(_comparison(one) for one in found.comparisons), left=(0, 1, 2, 4, 5))
+
+
+def _comparison(one: SourceComparison) -> tuple[str, ...]:
+    signal = signal_named(one.signal)
+    unit = "K" if signal.display == "degC" else signal.display
+    offset = NONE
+    if one.offset is not None:
+        offset = f"{difference_from_si(one.offset[0], signal.display, signal):+.2g} {unit}".rstrip(" 1")
+    lags = (_lag(one.lags[season] or one.lags["whole"]) for season in ("winter", "summer"))
+    wave = NONE
+    if one.other_daily_amplitude:
+        wave = f"{100 * one.daily_amplitude / one.other_daily_amplitude:.0f} %"
+    return (one.signal, one.one, one.other, offset, *lags, wave)
+
+
+def _lag(lag: LagFound | None) -> str:
+    if lag is None or lag.weather_s is None:
+        return NONE
+    value, low, high = (number / MINUTE_S for number in lag.weather_s)
+    return f"{value:+.0f} min ({low:+.0f} … {high:+.0f})"

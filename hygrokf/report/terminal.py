@@ -1,0 +1,159 @@
+"""Blocks as text of at most so many columns, for the command line."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Iterable
+
+from hygrokf.identification.verdict import PLAIN_MARKS, VERDICTS
+from hygrokf.identification.wording import one_line
+from hygrokf.report.blocks import (
+    Banner,
+    Block,
+    Cards,
+    Details,
+    Facts,
+    Figure,
+    Heading,
+    Items,
+    Line,
+    Link,
+    Page,
+    Prose,
+    Table,
+    Verdicts,
+)
+
+TEXT_WIDTH = 100
+KEY = "What to believe ({}), what with caution ({}), what not ({})".format(*map(PLAIN_MARKS.get, VERDICTS))
+
+
+def page_text(page: Page, width: int = TEXT_WIDTH) -> str:
+    """What a terminal prints of a page: its name, its warnings, and the blocks of `brief`."""
+    warnings = [block for block in page.lead if isinstance(block, Banner)]
+    synthetic = any(block.word == "SYNTHETIC" for block in warnings)
+    name = f"{page.name}{' (SYNTHETIC: nothing measured)' if synthetic else ''}"
+    others = [block for block in warnings if block.word != "SYNTHETIC"]
+    return "\n\n".join([_paragraph(name, width), *blocks_text((*others, *page.brief), width)])
+
+
+def blocks_text(blocks: Iterable[Block], width: int = TEXT_WIDTH) -> list[str]:
+    """The text of each block; a figure has none."""
+    return [text for block in blocks if (text := block_text(block, width))]
+
+
+def block_text(block: Block, width: int = TEXT_WIDTH) -> str:
+    """One block as lines of at most `width` columns."""
+    match block:
+        case Heading():
+            return _paragraph(block.text, width)
+        case Prose():
+            return _paragraph(block.text, width)
+        case Link():
+            return _paragraph(f"{block.text} {block.file}", width)
+        case Items():
+            return "\n".join(_paragraph(f"- {item}", width, "  ") for item in block.items)
+        case Facts():
+            return "\n".join(_paragraph(f"{term}: {said}", width, "  ") for term, said in block.rows)
+        case Banner():
+            return _paragraph(f"{block.word}: {block.text}", width)
+        case Cards():
+            return "\n".join(_paragraph(card.sentence, width) for card in block.cards)
+        case Verdicts():
+            head = [block.heading] if block.heading else [KEY] if block.key else []
+            return "\n".join([*head, *(_line(line, width) for line in block.lines)])
+        case Table():
+            return table_text(block, width)
+        case Details():
+            return "\n\n".join([_paragraph(block.summary, width), *blocks_text(block.blocks, width)])
+        case Figure():
+            return ""
+
+
+def _line(line: Line, width: int) -> str:
+    """A sentence with its mark; a reason stands further in than the sentence that it is a reason for."""
+    edge = "  " if line.within else ""
+    said = f"{PLAIN_MARKS[line.kind]} {line.text}{f' – {line.struck}' if line.struck else ''}"
+    return "\n".join(edge + row for row in _paragraph(said, width - len(edge), "  ").splitlines())
+
+
+def _paragraph(text: str, width: int, indent: str = "") -> str:
+    """Lines of at most so many columns that do not part a number from its unit."""
+    kept = re.sub(r"(?<=\d) (?=(?:%|K|h|g/m³)(?![\w/]))", "\xa0", one_line(text))
+    return "\n".join(wrapped(kept, width, indent)).replace("\xa0", " ")
+
+
+# --- tables ----------------------------------------------------------------------------------
+
+
+def table_text(table: Table, width: int = TEXT_WIDTH) -> str:
+    """A table in fixed width."""
+    chosen = table.brief or tuple(range(len(table.columns)))
+    head = [table.columns[i] for i in chosen]
+    rows = [[one_line(row[i]) for i in chosen] for row in table.rows]
+    widths = [max(cells(text) for text in column) for column in zip(head, *rows, strict=True)]
+    first = max(width - sum(widths[1:]) - 2 * (len(widths) - 1), 12)
+    if widths[0] > first:
+        widths[0] = first
+        rows = [[shortened(row[0], first), *row[1:]] for row in rows]
+    left = {place for place, i in enumerate(chosen) if i in table.left}
+    lines = [table.heading] if table.heading else []
+    if table.groups and not table.brief:
+        lines.append(_group_line(table.groups, widths))
+    for row in (head, *rows):
+        parts = [_padded(text, widths[k], k in left) for k, text in enumerate(row)]
+        lines.append("  ".join(parts).rstrip())
+    if table.note:
+        lines += wrapped(table.note, width)
+    return "\n".join(shortened(line, width) for line in lines)
+
+
+def _group_line(groups: tuple[tuple[str, int], ...], widths: list[int]) -> str:
+    parts, at = [], 0
+    for heading, count in groups:
+        room = sum(widths[at : at + count]) + 2 * (count - 1)
+        at += count
+        parts.append(_padded(shortened(heading, room), room, False))
+    return "  ".join(parts).rstrip()
+
+
+def cells(text: str) -> int:
+    """Columns that a terminal needs for a text."""
+    return sum(
+        0 if unicodedata.combining(c) else 2 if unicodedata.east_asian_width(c) in "WF" else 1 for c in text
+    )
+
+
+def _padded(text: str, width: int, left: bool) -> str:
+    space = " " * max(width - cells(text), 0)
+    return text + space if left else space + text
+
+
+def shortened(text: str, width: int) -> str:
+    """Text cut to a width, with an ellipsis where something is gone."""
+    if cells(text) <= width:
+        return text
+    while text and cells(text) > width - 1:
+        text = text[:-1]
+    return text + "…"
+
+
+def wrapped(text: str, width: int = TEXT_WIDTH, indent: str = "") -> list[str]:
+    """Lines of at most `width` columns, further ones indented; words longer than a line are cut."""
+    lines, line = [], ""
+    for word in text.split(" "):
+        while word:
+            grown = f"{line} {word}" if line.strip() else line + word
+            if cells(grown) <= width:
+                line, word = grown, ""
+            elif line.strip():
+                lines.append(line)
+                line = indent
+            else:
+                part = word
+                while cells(line + part) > width:
+                    part = part[:-1]
+                lines.append(line + part)
+                line, word = indent, word[len(part) :]
+    return [*lines, line] if line.strip() or not lines else lines

@@ -1,0 +1,248 @@
+"""What a transfer finds: the content of transfer.json."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Final, Literal
+
+from hygrokf.data.structured import optional, renamed
+from hygrokf.evaluation.scoring import Counts
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.turbine_type import TurbineType
+from hygrokf.identification.verdict_terms import Inherited
+from hygrokf.transfer.course import Course
+from hygrokf.version import __version__
+
+if TYPE_CHECKING:
+    import pandas
+
+TRANSFERS: Final = "transfers"
+PARTLY: Final = "transfers after re-estimating"
+NOT: Final = "does not transfer"
+OPEN: Final = "cannot be judged"
+Decision = Literal["transfers", "transfers after re-estimating", "does not transfer", "cannot be judged"]
+Outcome = Literal["travels", "differs", "own", "not judged"]
+
+
+@dataclass(frozen=True)
+class Source:
+    """The fit or type that is tried elsewhere, with the verdicts on its time constants."""
+
+    name: str
+    kind: Literal["fit", "type"]
+    verdicts: Mapping[str, Inherited] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Change:
+    """Own less original value, or own over original value, with 95 % bounds that count both uncertainties."""
+
+    value: float
+    lower: float
+    upper: float
+
+    @property
+    def ratio(self) -> Change:
+        """A difference of logarithms as a ratio."""
+        return Change(*(math.exp(min(max(v, -50.0), 50.0)) for v in (self.value, self.lower, self.upper)))
+
+
+@dataclass(frozen=True)
+class ParameterChange:
+    """One parameter in its unit: its original value, the record's own, and the value after re-estimating.
+
+    `original_se`, `own_se` standard errors, NaN where there are none; `difference` None where the parameter
+    is not compared, and `difference_is` how it is to be read; `kept`: this record says nothing about it.
+    """
+
+    group: str
+    unit: str
+    meaning: str
+    original: float
+    original_se: float
+    own: float
+    own_se: float
+    re_estimated: float
+    difference: Change | None
+    difference_is: Literal["ratio", "difference"] | None
+    kept: bool
+
+
+@dataclass(frozen=True)
+class ChiSquare:
+    """A statistic that is χ² with `df` degrees of freedom where nothing differs, and its tail probability."""
+
+    statistic: float
+    df: int
+    p: float
+
+
+@dataclass(frozen=True)
+class GroupChange:
+    """Whether a group of parameters differs.
+
+    `statistic`, `df`, `p` and `p_adjusted` (for the number of groups) at the step of the selection that
+    decided on the group; `alone` the same whatever the other groups do; `effect` what the group's own values
+    change in the free run, root mean square [K], [g/m³]; all None where the group is not judged.
+    """
+
+    group: str
+    parameters: tuple[str, ...]
+    outcome: Outcome
+    statement: str
+    statistic: float | None = optional()
+    df: int | None = optional()
+    p: float | None = optional()
+    p_adjusted: float | None = optional()
+    alone: ChiSquare | None = optional()
+    effect: Mapping[str, float] | None = optional()
+
+
+@dataclass(frozen=True)
+class LikelihoodRatio:
+    """An exact likelihood ratio on this record alone; it is divided by `factor` before `p` is taken."""
+
+    of: str
+    parameters: tuple[str, ...]
+    likelihood_ratio: float
+    factor: float
+    df: int
+    p: float
+
+
+@dataclass(frozen=True)
+class SetError:
+    """Root mean squared error [K], [g/m³] of one set of values; `bounds` 95 % of the total, where there are
+    enough readings."""
+
+    operation: float
+    standstill: float
+    total: float
+    n: Counts
+    bounds: tuple[float, float] | None
+
+
+@dataclass(frozen=True)
+class Gain:
+    """By how much the error is smaller than that of the set or rule `against` [K], [g/m³], 95 % bounds."""
+
+    against: str
+    gain: float
+    lower: float = math.nan
+    upper: float = math.nan
+
+
+@dataclass(frozen=True)
+class Gains:
+    """The gains of one set of values over the model as it is, and over the best rule without a model."""
+
+    over_as_is: Gain | None = optional()
+    over_rule: Gain | None = optional()
+
+
+@dataclass(frozen=True)
+class Structure:
+    """Free-run error [K], [g/m³] with all parameters estimated here, that of the fit on its own record, and
+    the ratio of both with its lower 95 % bound."""
+
+    rmse: float
+    rmse_of_the_fit: float
+    ratio: float
+    lower: float
+
+
+@dataclass(frozen=True)
+class TransferResult:
+    """A fit or type on one record: an entry of transfer.json.
+
+    `until` the end of the identification period; `n_readings` in it; `period` the one that is scored;
+    `re_estimate` the groups that differ; `parameters` by name; `rmse` and `gains` by quantity and set of
+    values; `structure` by quantity; `at_bounds` re-estimated parameters at the edge of their range;
+    `converged` by set of values; `matters` the differences that are large enough to matter; `verdicts` on the
+    time constants of the model to use here, empty where no fit was made.
+    """
+
+    name: str
+    synthetic: bool
+    until: str
+    n_readings: int
+    verdict: Decision
+    sentence: str
+    reasons: tuple[str, ...]
+    re_estimate: tuple[str, ...]
+    statements: tuple[str, ...]
+    parameters: Mapping[str, ParameterChange]
+    groups: tuple[GroupChange, ...]
+    likelihood_ratios: tuple[LikelihoodRatio, ...]
+    period: Literal["identification", "validation"]
+    rmse: Mapping[str, Mapping[str, SetError]]
+    gains: Mapping[str, Mapping[str, Gains]]
+    structure: Mapping[str, Structure]
+    at_bounds: tuple[str, ...]
+    converged: Mapping[str, bool]
+    matters: Mapping[str, float]
+    source: Source = renamed("from")
+    verdicts: Mapping[str, Inherited] = field(default_factory=dict)
+
+    def __str__(self) -> str:
+        return f"{self.source.name} on {self.name}: {self.sentence}"
+
+    def to_frame(self) -> pandas.DataFrame:
+        """One row a parameter: its group and unit, its values, and the difference with 95 % bounds."""
+        import pandas as pd
+
+        rows = {}
+        for name, one in self.parameters.items():
+            change = one.difference or Change(math.nan, math.nan, math.nan)
+            rows[name] = {
+                "group": one.group, "unit": one.unit, "re_estimated": one.re_estimated,
+                "original": one.original, "original_se": one.original_se,
+                "own": one.own, "own_se": one.own_se, "difference_is": one.difference_is,
+                "difference": change.value, "lower": change.lower, "upper": change.upper,
+            }  # fmt: skip
+        return pd.DataFrame.from_dict(rows, orient="index")
+
+
+@dataclass(frozen=True)
+class Transfer:
+    """A fit on another turbine's record: its `results`, the `course` of all sets of values, and the record's
+    own estimates: `adapted` the model to use there, `own` that with every parameter estimated there (None
+    where they were not asked for)."""
+
+    results: TransferResult
+    course: Course
+    adapted: Fit | None = None
+    own: Fit | None = None
+
+    @property
+    def verdict(self) -> Decision:
+        return self.results.verdict
+
+    def __str__(self) -> str:
+        return str(self.results)
+
+
+@dataclass(frozen=True)
+class TransferResults:
+    """The content of transfer.json: one source on one or more records, and the type of all turbines where it
+    was made."""
+
+    version: str
+    created: str
+    records: tuple[TransferResult, ...]
+    type: TurbineType | None
+    source: Source = renamed("from")
+
+
+def transfer_results(transfers: Sequence[Transfer], pooled: TurbineType | None = None) -> TransferResults:
+    """The content of transfer.json of transfers from one source."""
+    return TransferResults(
+        __version__,
+        datetime.now(UTC).isoformat(timespec="seconds"),
+        tuple(one.results for one in transfers),
+        pooled,
+        transfers[0].results.source,
+    )

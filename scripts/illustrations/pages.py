@@ -1,0 +1,91 @@
+"""What several pictures share: synthetic records and fits, tables written into docs, pictures saved."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parents[2]
+DOCS = ROOT / "docs"
+PICTURES = DOCS / "pictures"
+QUANTITIES = {"temperature_K": "K", "absolute_humidity_g_m3": "g/m³"}
+
+
+def write_table(page: str, name: str, rows: Sequence[Sequence[str]], note: str = "") -> None:
+    """Put a table, its head in the first row, between the marks of that name."""
+    lines = ["| " + " | ".join(rows[0]) + " |", "|" + " --- |" * len(rows[0])]
+    lines += ["| " + " | ".join(row) + " |" for row in rows[1:]]
+    body = "\n".join(lines) + (f"\n\n{note}" if note else "")
+    path = DOCS / page
+    text = path.read_text(encoding="utf-8")
+    begin, end = f"<!-- made by scripts/pictures: {name} -->", "<!-- end -->"
+    head, found, rest = text.partition(begin)
+    if not found or end not in rest:
+        raise SystemExit(f"{page}: expected the marks {begin} and {end}")
+    path.write_text(head + begin + "\n\n" + body + "\n\n" + rest[rest.index(end) :], encoding="utf-8")
+    print(f"\n{page}, {name}\n{body}", flush=True)
+
+
+def synthetic_record(seed: int, directory: Path):
+    """The demo's record and its truth."""
+    from hygrokf import read_case, synthetic_turbine, write_case
+
+    turbine = synthetic_turbine(seed=seed)
+    return read_case(write_case(turbine, directory / f"turbine{seed}")), turbine.truth
+
+
+def true_values(truth) -> dict[str, float]:
+    """Parameters of the joint model at the truth of a synthetic turbine, without the heat release."""
+    p = truth.parameters
+    return {
+        "thermal_time_constant": p.thermal_time_constant_h,
+        "resistance_ratio": p.resistance_ratio,
+        "heat_disturbance_sd": p.heat_disturbance_K,
+        "heat_disturbance_time": p.heat_correlation_h,
+        "hygric_k": truth.hygric_constant_s / 3600.0,
+        "vapour_disturbance_sd": 1e3 * p.vapour_disturbance_kg_m3,
+        "vapour_disturbance_time": p.vapour_correlation_h,
+        "thermal_diffusion": p.temperature_diffusion_K,
+        "hygric_diffusion": 1e3 * p.humidity_diffusion_kg_m3,
+    }
+
+
+def identified(record):
+    from hygrokf import identify
+
+    print(f"fit {record.name}", flush=True)
+    return identify(record)
+
+
+def bounds_text(entry: Mapping) -> str:
+    """Value and bounds of a time constant."""
+    if entry["upper_h"] is None:
+        return f"{entry['value_h']:.3g} (from {entry['lower_h']:.3g}, open above)"
+    return f"{entry['value_h']:.3g} ({entry['lower_h']:.3g} … {entry['upper_h']:.3g})"
+
+
+def simulation_text(entry: Mapping) -> str:
+    found = entry["simulation"]
+    if found is None:
+        return "–"
+    if not found["upper_h"] or found["upper_h"] > 1e3:
+        return f"{found['value_h']:.2g}, unbounded"
+    return f"{found['value_h']:.3g} ({found['lower_h']:.3g} … {found['upper_h']:.3g})"
+
+
+def save(figure, name: str, label: str = "") -> None:
+    """Write a figure as a small PNG; `label` says in the picture itself what is not measured."""
+    from PIL import Image
+
+    from hygrokf.report.figures.drawing import png
+
+    if label:
+        figure.text(0.995, 0.995, label, ha="right", va="top", fontsize=8, fontstyle="italic", color="0.35")
+    PICTURES.mkdir(parents=True, exist_ok=True)
+    path = PICTURES / f"{name}.png"
+    Image.open(io.BytesIO(png(figure, dpi=110))).convert("RGB").quantize(64).save(path, optimize=True)
+    size = path.stat().st_size
+    print(f"{path.relative_to(ROOT)}: {size / 1e3:.0f} kB", flush=True)
+    if size > 150_000:
+        raise SystemExit(f"{path}: expected at most 150 kB, found {size / 1e3:.0f} kB")

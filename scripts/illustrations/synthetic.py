@@ -1,0 +1,106 @@
+"""Pictures and tables from synthetic turbines."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+from illustrations.pages import DOCS, QUANTITIES, identified, save, synthetic_record, write_table
+
+
+def demo(directory: Path) -> None:
+    """README's picture, and the profiles beside it."""
+    from hygrokf.report.figures.overview import figure_excerpts, figure_profiles
+
+    record, _ = synthetic_record(1, directory)
+    fit = identified(record)
+    save(figure_excerpts(fit.to_json(), fit.series), "demo", "synthetic turbine")
+    save(figure_profiles(fit.to_json(), fit.series), "profiles", "synthetic turbine")
+
+
+def fleet(directory: Path) -> None:
+    """The fleet of docs/fleet.md: its own blocks up to the picture, then its time constants."""
+    import contextlib
+    import json
+    import re
+
+    from hygrokf.commands.main import main as hygrokf
+    from hygrokf.fleet.outliers import spreads
+    from hygrokf.fleet.plots import figure_spreads
+    from hygrokf.fleet.tasks import TASKS
+
+    text = (DOCS / "fleet.md").read_text(encoding="utf-8").partition("## Who departs")[0]
+    here = {}
+    with contextlib.chdir(directory):
+        for language, block in re.findall(r"^```(\w+)\n(.*?)^```", text, re.DOTALL | re.MULTILINE):
+            if language == "python":
+                exec(block, here)
+            elif "hygrokf fleet" in block:
+                hygrokf(["fleet", "park/fleet.toml", "--out", "result", "--workers", "1"])
+        rows = json.loads(Path("result/fleet.json").read_text(encoding="utf-8"))["rows"]
+    done = [row for row in rows if row["status"] == "done"]
+    found = [one for one in spreads(done, TASKS["fit"].compared) if one.compared.lower]
+    save(figure_spreads(found), "fleet", "synthetic fleet")
+
+
+def compare(directory: Path) -> None:
+    """One fit under three ambient sources."""
+    from hygrokf.report.figures.comparison import figure_errors
+    from hygrokf.transfer.comparison import compare, comparison_column
+
+    record, _ = synthetic_record(1, directory)
+    fit = identified(record)
+    columns = []
+    for label, every in (("every 10 min", 1), ("every hour", 6), ("every 6 h", 36)):
+        thinned = [
+            replace(s, time=s.time[::every], value=s.value[::every])
+            for s in record.series
+            if s.signal.startswith("ambient_")
+        ]
+        columns.append(comparison_column(fit, record.replace_series(*thinned), label, own=every == 1))
+    found = compare(columns).results
+    save(figure_errors(found, "whole"), "compare", "synthetic turbine")
+    rows = [["weather", "quantity", "op", "st", "tot, 95 %", "n", "more than with 10 min, 95 %"]]
+    for one in found.columns:
+        for quantity, unit in QUANTITIES.items():
+            by = one.scores["whole"][quantity]
+            total = by["total"]
+            more = "–"
+            for pair in found.differences:
+                if pair.of == "every 10 min" and pair.less == one.label:
+                    apart = pair.scores["whole"][quantity]["total"]
+                    ends = [f"{0.0 - v:.3f}" for v in (apart.value, apart.upper, apart.lower)]
+                    more = f"{ends[0]} ({ends[1]} … {ends[2]})".replace("-", "−")
+            rows.append(
+                [
+                    one.label,
+                    f"{quantity.removesuffix('_K').removesuffix('_g_m3').replace('_', ' ')} [{unit}]",
+                    f"{by['operation'].rmse:.2f}",
+                    f"{by['standstill'].rmse:.2f}",
+                    f"{total.rmse:.2f} ({total.lower:.2f} … {total.upper:.2f})",
+                    f"{total.n:,}", more,
+                ]
+            )  # fmt: skip
+    write_table("compare.md", "ambient", rows)
+
+
+def transfer(directory: Path) -> None:
+    """A cabinet that releases and stores heat otherwise."""
+    from hygrokf import identify, read_case, synthetic_turbine, write_case
+    from hygrokf.cases.synthetic import SyntheticParameters
+    from hygrokf.report.figures.transfer import figure_course, figure_parameters
+    from hygrokf.transfer.procedure import transfer_fit
+
+    other = SyntheticParameters(
+        thermal_time_constant_h=2.4,
+        operation_release=(10.5, 9.8, -2.8, -0.21),
+        standstill_release=(7.0, -0.14),
+    )
+    records = [
+        read_case(write_case(synthetic_turbine(seed=seed, days=60, parameters=p), directory / f"moved{seed}"))
+        for seed, p in ((51, None), (52, other))
+    ]
+    found = transfer_fit(identify(records[0], starts=1, profiles=False), records[1], fits=False)
+    print(found.results.sentence, flush=True)
+    save(figure_parameters(found.results), "transfer_parameters", "synthetic turbines")
+    save(figure_course(found.course, True), "transfer_course", "synthetic turbines")

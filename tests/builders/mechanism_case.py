@@ -1,0 +1,81 @@
+"""Any mechanism inside a joint model, with inputs, readings and values."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hygrokf.engine.timeline import Timeline, timeline
+from hygrokf.physics.mechanisms import LIBRARY
+from hygrokf.physics.model import Mechanism, Model, compose
+
+THERMAL = ("thermal_network", "heat_release", "heat_disturbance", "thermal_diffusion", "temperature_sensor")
+
+
+HYGRIC = ("hygric_exchange", "vapour_disturbance", "hygric_diffusion", "humidity_sensor")
+
+
+INSTEAD = {
+    "measured_air": THERMAL,
+    "absolute_humidity_sensor": ("humidity_sensor",),
+}
+"""Mechanisms of the joint base model that a mechanism stands in for."""
+
+
+TIME = np.union1d(np.arange(0.0, 12.0, 0.25), np.arange(0.05, 12.0, 1.0 / 6.0))
+
+
+POWER_UNKNOWN = "power_unknown"
+
+
+def host(mechanism: Mechanism) -> Model:
+    """The joint base model with the mechanism in it."""
+    left_out = {mechanism.name, *INSTEAD.get(mechanism.name, ())}
+    made = [LIBRARY[name]() for name in (*THERMAL, *HYGRIC) if name not in left_out]
+    mechanisms = [*made, mechanism]
+    inputs = {name for m in mechanisms for name in m.inputs}
+    steps = {"operating", "preheating", "power_1", "power_2"}
+    holds = {name: "zero-order" if name in steps else "linear" for name in inputs} | {POWER_UNKNOWN: "regime"}
+    return compose(mechanisms, holds)
+
+
+def some_inputs(model: Model, seed: int = 3) -> dict[str, np.ndarray]:
+    random = np.random.default_rng(seed)
+    kelvin = 283.0 + 4.0 * np.sin(TIME / 4.0)
+    operating = (TIME < 8.0).astype(float)
+    known = {
+        "ambient_temperature": kelvin,
+        "cabinet_temperature": kelvin + 6.0 + 0.5 * np.sin(TIME),
+        "ambient_absolute_humidity": 7.0 + np.cos(TIME / 5.0),
+        "exchange_factor": kelvin**0.8 / 273.0**1.8,
+        "operating": operating,
+        "power_1": operating * (0.5 + 0.4 * np.sin(TIME)),
+        "power_2": operating * (0.5 + 0.4 * np.sin(TIME)) ** 2,
+        "preheating": ((TIME > 9) & (TIME < 10)).astype(float),
+        POWER_UNKNOWN: ((TIME > 4) & (TIME < 6)).astype(float),
+    }
+    return {name: known.get(name, 1.0 + random.random(len(TIME))) for name in model.inputs}
+
+
+def some_run(model: Model, seed: int = 3) -> Timeline:
+    random = np.random.default_rng(seed)
+    guess = {
+        "cabinet_temperature": 289.0 + 3.0 * np.sin(TIME / 4.0),
+        "cabinet_relative_humidity": 0.45 + 0.05 * np.cos(TIME / 5.0),
+        "cabinet_absolute_humidity": 7.0 + np.cos(TIME / 5.0),
+    }
+    readings = {}
+    for name in model.outputs:
+        readings[name] = guess[name] * (1 + 0.002 * random.normal(size=len(TIME)))
+        readings[name][random.random(len(TIME)) < 0.4] = np.nan
+    return timeline(model, TIME, some_inputs(model), readings)
+
+
+def some_values(model: Model) -> dict[str, float]:
+    """Values away from the starts, where null values would hide a term."""
+    random = np.random.default_rng(8)
+    values = {}
+    for p in model.parameters:
+        span = 0.02 * (min(p.upper, p.start + 50.0) - max(p.lower, p.start - 50.0))
+        away = p.start * 1.1 if p.positive else p.start + span * (0.5 + random.random())
+        values[p.name] = min(max(away, p.lower), p.upper)
+    return values

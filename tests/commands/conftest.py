@@ -1,0 +1,47 @@
+"""A case that has been fitted, and commands run in this process."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from builders.command_line import Said, run
+
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.commands.main import main
+
+
+@pytest.fixture(scope="session")
+def fitted(tmp_path_factory) -> tuple[Path, Said]:
+    """A synthetic turbine of 20 days, fitted once, and what the fit said."""
+    folder = tmp_path_factory.mktemp("turbine")
+    write_case(synthetic_turbine(seed=3, days=20), folder)
+    said = run(f"fit {folder}/case.toml --out {folder}/result --starts 1")
+    assert said.status == 0, said.err
+    return folder, said
+
+
+@pytest.fixture
+def folder(fitted, tmp_path, monkeypatch) -> Path:
+    """The working directory: a copy of the case, and its fit in `result`."""
+    copy = tmp_path / "work"
+    shutil.copytree(fitted[0], copy)
+    monkeypatch.chdir(copy)
+    return copy
+
+
+@pytest.fixture
+def told(capsys) -> Callable[[str], Said]:
+    """A command in this process, also one that the parser refuses."""
+
+    def command(line: str) -> Said:
+        capsys.readouterr()
+        try:
+            status = main(line.split())
+        except SystemExit as stop:
+            status = stop.code
+        return Said(status, *capsys.readouterr())
+
+    return command

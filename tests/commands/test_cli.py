@@ -1,0 +1,402 @@
+"""The command line: what each command writes and says, and what it masks."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import subprocess
+import sys
+from datetime import UTC, datetime
+from pathlib import Path
+from zoneinfo import ZoneInfo
+
+import numpy as np
+import pytest
+from builders.case_edits import NO_CABINET, case, column, content, leave_out, rows
+from builders.command_line import EVALUATE, SIMULATE, Said, environment, interrupted
+
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.commands.main import main
+from hygrokf.data.files import RESULTS
+from hygrokf.data.structured import plain
+from hygrokf.identification.procedure import DEFAULT_KIND
+from hygrokf.identification.results import read_fit
+from hygrokf.identification.tables import evaluate, simulated, simulation_summary
+from hygrokf.report.evaluation_text import evaluation_text
+from hygrokf.version import __version__
+
+COMMANDS = ("demo", "check", "fit", "simulate", "evaluate", "export", "track", "doctor", "report")
+
+
+# --- every command ---------------------------------------------------------------------------
+
+
+def test_help_names_every_command_and_starts_without_a_traceback():
+    command = [sys.executable, "-m", "hygrokf", "--help"]
+    done = subprocess.run(command, env=environment(), capture_output=True, text=True, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+    for name in COMMANDS:
+        assert re.search(rf"^    {name} +\w", done.stdout, re.MULTILINE)
+
+
+def test_version_and_no_command_at_all(told):
+    assert told("--version") == Said(0, f"hygrokf {__version__}\n", "")
+    said = told("")
+    assert (said.status, said.err) == (0, "")
+    assert said.out.startswith("usage: hygrokf")
+
+
+def test_demo_makes_fits_and_reports(tmp_path, told):
+    """The whole demo, as in the README; its truth is a time constant of 1.5 h and one of 0.30 h."""
+    said = told(f"demo --out {tmp_path}/demo --json")
+    assert said.status == 0
+    written = {
+        "cabinet.csv",
+        "ambient.csv",
+        "scada.csv",
+        "case.toml",
+        "fit.json",
+        "series.npz",
+        "report.html",
+    }
+    assert set(content(tmp_path / "demo")) == written
+    first, last = said.err.splitlines()
+    assert first == f"synthetic turbine written: {tmp_path}/demo/case.toml"
+    assert last == f"report: {tmp_path}/demo/report.html"
+    found = json.loads(said.out)
+    assert found["synthetic"] is True
+    assert found["converged"] is True
+    for name, truth in (("thermal", 1.5), ("hygric", 0.30)):
+        entry = found["time_constants"][name]
+        assert entry["lower_h"] / 1.05 < truth < entry["upper_h"] * 1.05
+
+
+def test_demo_of_another_seed_is_another_turbine(tmp_path, told, monkeypatch):
+    """The seed reaches the turbine; what follows is broken off."""
+    monkeypatch.setattr("hygrokf.identification.procedure.identify", interrupted)
+    assert told(f"demo --out {tmp_path}/demo --seed 7").status == 130
+    assert 'name = "synthetic-turbine-7"' in (tmp_path / "demo" / "case.toml").read_text()
+    assert len(content(tmp_path / "demo")) == 4
+
+
+def test_check_says_what_was_read(folder, told):
+    said = told("check case.toml")
+    assert (said.status, said.err) == (0, "")
+    assert said.out.startswith("synthetic-turbine-3: 2020-07-15T00:00Z to 2020-08-04T00:00Z, 20.0 d")
+    for words in ("cabinet_relative_humidity", 'scada.csv, column "P_kW"', "warnings: none", "doubts: 1"):
+        assert words in said.out
+    found = json.loads(told("check case.toml --json").out)
+    assert found["rated_power_kW"] == 2050.0
+    assert found["validation"]["days"] == 3.0
+    assert [one["file"] for one in found["files"]] == ["cabinet.csv", "ambient.csv", "scada.csv"]
+
+
+def test_check_takes_a_case_without_cabinet(folder, told):
+    NO_CABINET(folder)
+    said = told("check case.toml")
+    assert said.status == 0
+    assert "no cabinet signal: nothing can be identified or scored" in said.out
+
+
+def test_fit_prints_the_tables_and_writes_three_files(fitted):
+    folder, said = fitted
+    assert set(content(folder / "result")) == {"fit.json", "series.npz", "report.html"}
+    assert said.err == f"report: {folder}/result/report.html\n"
+    for words in (
+        "synthetic-turbine-3 (SYNTHETIC: nothing measured)",
+        "Time constants",
+        "thermal (R_AT+R_IC)·C",
+        "hygric R_D*·V*",
+        "Root mean squared error, identification",
+        "Root mean squared error, validation",
+        "Readings inside the 95 % bands",
+        "Parameters",
+        "thermal_time_constant",
+        "What to believe (+)",
+    ):
+        assert words in said.out
+    page = (folder / "result" / "report.html").read_text()
+    assert page.startswith("<!DOCTYPE html>")
+    assert "synthetic-turbine-3" in page
+    entry = json.loads((folder / "result" / "fit.json").read_text())["time_constants"]["thermal"]
+    assert f"thermal {entry['value_h']:.3g} h" in said.out
+
+
+def test_fit_json_has_the_keys_that_others_rely_on(fitted):
+    found = json.loads((fitted[0] / "result" / "fit.json").read_text())
+    for name in ("thermal", "hygric"):
+        entry = found["time_constants"][name]
+        assert {"value_h", "lower_h", "upper_h", "level", "method", "reference", "modes"} <= set(entry)
+        assert 0 < entry["lower_h"] < entry["value_h"] < entry["upper_h"]
+        assert entry["level"] == 0.95
+        assert entry["modes"][0] == pytest.approx(entry["value_h"])
+    for row in found["parameters"].values():
+        assert {"value", "unit", "se", "lower", "upper"} <= set(row)
+        assert math.isfinite(row["value"])
+    tau = found["parameters"]["thermal_time_constant"]
+    assert (tau["unit"], tau["value"]) == ("h", found["time_constants"]["thermal"]["value_h"])
+    for period in ("identification", "validation"):
+        for quantity in ("temperature_K", "absolute_humidity_g_m3"):
+            cells = found["rmse"][period][quantity]
+            assert all(cells[regime] > 0 for regime in ("operation", "standstill", "total"))
+        assert set(found["baselines"][period]) == {"ambient", "ambient_pressure_balance", "no_dynamics"}
+    count = sum(not row["fixed"] and not row["at_bound"] for row in found["parameters"].values())
+    for key in ("aic", "bic"):
+        penalty = (found[key] + 2 * found["loglik"]) / (2.0 if key == "aic" else math.log(found["n_obs"]))
+        assert penalty == pytest.approx(round(penalty))
+        assert count <= round(penalty) <= len(found["parameters"])
+    assert found["doubts"] == ["short validation period: 3.0 days"]
+    for period in ("identification", "validation"):
+        assert found["readings_sd"][period]["temperature_K"] > found["rmse"][period]["temperature_K"]["total"]
+    assert found["n_obs"] > 2500
+    assert found["converged"] is True
+    assert found["message"]
+    assert found["version"] == __version__
+
+
+def test_fit_as_json_is_what_it_writes(folder, told):
+    """Options reach the fit: the free run's criterion gives other numbers than the innovations'."""
+    said = told("fit case.toml --out made/here --criterion simulation --starts 1 --json")
+    assert said.status == 0
+    assert said.out == (folder / "made/here/fit.json").read_text()
+    found = json.loads(said.out)
+    assert found["criterion"] == "simulation"
+    assert found["time_constants"]["thermal"]["method"].startswith("output error")
+    assert set(content(folder / "made/here")) == {"fit.json", "series.npz", "report.html"}
+
+
+def test_options_of_fit_reach_the_identification(folder, told, monkeypatch):
+    seen = {}
+
+    def identify(record, *, progress, **options):
+        seen.update(options, name=record.name)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("hygrokf.identification.procedure.identify", identify)
+    told("fit case.toml --out made")
+    usual = {"criterion": "likelihood", "starts": 5, "kind": DEFAULT_KIND}
+    assert seen == {"name": "synthetic-turbine-3", **usual}
+    told("fit case.toml --out made --kind joint --criterion simulation --starts 7")
+    assert seen == {
+        "name": "synthetic-turbine-3",
+        "criterion": "simulation",
+        "starts": 7,
+        "kind": "joint",
+    }
+
+
+def test_simulate_writes_the_free_run(folder, told):
+    said = told(SIMULATE)
+    head, *lines = (folder / "simulated.csv").read_text().splitlines()
+    assert (said.status, said.err) == (0, "")
+    assert said.out.startswith(f"{len(lines)} instants written: simulated.csv\n")
+    names = ("temperature_degC", "relative_humidity_pct", "absolute_humidity_g_m3")
+    columns = ["time", *(f"cabinet_{name}{end}" for name in names for end in ("", "_sd")), "inputs_known"]
+    assert head.split(",") == columns
+    cells = np.array([line.split(",")[1:] for line in lines], dtype=float)
+    fit, record = read_fit(folder / "result"), read_case(folder / "case.toml")
+    _, made, predicted = simulated(fit, record)
+    seconds = [datetime.fromisoformat(line.split(",")[0]).timestamp() for line in lines]
+    np.testing.assert_allclose(seconds, made.timeline.origin_s + 3600 * made.timeline.time, atol=1e-3)
+    np.testing.assert_allclose(cells[:, 0], predicted.temperature[0] - 273.15, atol=6e-5)
+    np.testing.assert_allclose(cells[:, 1], predicted.temperature[1], atol=6e-5)
+    np.testing.assert_allclose(cells[:, 2], 100 * predicted.relative_humidity[0], atol=6e-5)
+    np.testing.assert_allclose(cells[:, 4], predicted.absolute_humidity[0], atol=6e-5)
+    np.testing.assert_array_equal(cells[:, 6], made.scored)
+    again = told(f"{SIMULATE} --json")
+    assert json.loads(again.out) == plain(simulation_summary(fit, record))
+
+
+def test_simulate_needs_no_cabinet(folder, told):
+    case(("cabinet_temperature", "nacelle_temperature"), ("cabinet_relative", "nacelle_relative"))(folder)
+    assert told(SIMULATE).status == 0
+    assert (folder / "simulated.csv").read_text().count("\n") > 2000
+
+
+def test_simulate_without_power_says_that_no_row_counts(folder, told):
+    leave_out("active_power")(folder)
+    said = told(SIMULATE)
+    assert said.status == 0
+    assert (
+        "note: no row has all inputs known (inputs_known is 0 throughout): the fit knows the power, "
+        in said.err
+    )
+    lines = (folder / "simulated.csv").read_text().splitlines()[1:]
+    assert {line[-1] for line in lines} == {"0"}
+
+
+def test_evaluate_notes_another_rated_power(folder, told):
+    assert "rated power" not in told(EVALUATE).out
+    case(("rated_power_kW = 2050", "rated_power_kW = 3075"))(folder)
+    assert (
+        "note: this turbine's rated power is 1.50 times that of the fit: another type?" in told(EVALUATE).out
+    )
+
+
+def test_fit_says_whose_fit_it_replaces(folder, told, monkeypatch):
+    monkeypatch.setattr("hygrokf.commands.fit.identified", lambda *_: read_fit(folder / "result"))
+    monkeypatch.setattr("hygrokf.commands.fit.written", lambda fit, out: out / "report.html")
+    assert "replaces" not in told("fit case.toml --out result").err
+    case(("synthetic-turbine-3", "uk-01"))(folder)
+    assert (
+        "note: --out result: replaces the fit of synthetic-turbine-3\n"
+        in told("fit case.toml --out result").err
+    )
+
+
+def test_evaluate_prints_the_scores(folder, told):
+    fit, record = read_fit(folder / "result"), read_case(folder / "case.toml")
+    found = evaluate(fit, record)
+    assert told(EVALUATE) == Said(0, evaluation_text(found) + "\n", "")
+    shown = json.loads(told(f"{EVALUATE} --json").out)
+    assert shown == plain(found)
+    assert shown["rmse"] == json.loads((folder / "result/fit.json").read_text())["rmse"]
+
+
+def test_report_is_written_again_from_the_two_files(folder, told):
+    page = (folder / "result/report.html").read_bytes()
+    (folder / "result/report.html").unlink()
+    assert told("report result") == Said(0, "result/report.html\n", "")
+    assert (folder / "result/report.html").read_bytes() == page
+
+
+def test_report_as_json_names_the_page(folder, told, monkeypatch):
+    monkeypatch.setattr("hygrokf.report.fit_page.report_page", lambda fit, series: fit.name)
+    assert json.loads(told("report result --json").out) == {"report": "result/report.html"}
+    assert (folder / "result/report.html").read_text() == "synthetic-turbine-3"
+
+
+# --- what is masked, and said ----------------------------------------------------------------
+
+
+def doubled(lines: list[str]) -> list[str]:
+    """A stamp twice with equal readings, and one with others."""
+    return [*lines[:50], lines[49], *lines[50:90], re.sub(r"Z,[^,]*", "Z,99.9", lines[89]), *lines[90:]]
+
+
+def swapped(lines: list[str]) -> list[str]:
+    return [*lines[:50], lines[51], lines[50], *lines[52:]]
+
+
+MASKED = [
+    pytest.param(
+        rows("cabinet.csv", doubled), ("duplicate stamps: 2", "contradicting ones masked"), 1, id="twice"
+    ),
+    pytest.param(rows("cabinet.csv", swapped), ("unsorted stamps: 1 of 1847", "sorted"), 0, id="unsorted"),
+    pytest.param(
+        rows("cabinet.csv", lambda lines: lines[::-1]),
+        ("the newest come first; turned round",),
+        0,
+        id="reversed",
+    ),
+    pytest.param(
+        column("T_cab_degC", lambda row, cell: "-273.0" if row in (7, 70) else cell),
+        ("2 readings outside of -60 degC … 120 degC masked", "-273 degC"),
+        2,
+        id="absolute zero",
+    ),
+    pytest.param(
+        column("T_cab_degC", lambda row, cell: "21.4" if 300 <= row < 700 else cell),
+        ("frozen sensor, 1 run of identical readings", "at 21.4 degC", "399 readings masked"),
+        399,
+        id="frozen",
+    ),
+    pytest.param(
+        column("RH_cab_pct", lambda row, cell: "100.0" if 300 <= row < 340 else cell),
+        ("saturated humidity, 40 readings of at least 99.5 % masked", "stay out of the likelihood"),
+        40,
+        id="saturated",
+    ),
+]
+
+
+@pytest.mark.parametrize(("edit", "words", "lost"), MASKED)
+def test_what_can_be_masked_is_masked_and_said(folder, told, edit, words, lost):
+    """Warnings of `check`, and the number of readings that the cabinet has less."""
+
+    def counted() -> tuple[int, list[str]]:
+        said = told("check case.toml --json")
+        assert (said.status, said.err) == (0, "")
+        found = json.loads(said.out)
+        return sum(one["readings"] for one in found["signals"][:2]), found["warnings"]
+
+    count, warnings = counted()
+    assert warnings == []
+    edit(folder)
+    left, warnings = counted()
+    (sentence,) = warnings
+    assert "cabinet.csv" in sentence
+    for part in words:
+        assert part in sentence
+    assert left == count - lost
+    text = told("check case.toml").out
+    assert f"warnings: 1\n\n- {sentence}\n" in text
+
+
+@pytest.mark.parametrize(
+    ("start", "clock", "words"),
+    [
+        ("2020-10-15T00:00:00", "Europe/Berlin", "2020-10-25"),
+        ("2020-03-20T00:00:00", "Etc/GMT-1", "2020-03-29"),
+    ],
+    ids=["autumn", "spring"],
+)
+def test_summer_time_holes_are_said(tmp_path, told, start, clock, words):
+    """A logger that follows the doubled hour, and one that does not skip the missing one."""
+    write_case(synthetic_turbine(seed=3, days=15, start=start), tmp_path)
+    case(('time = "time"', 'time = "time"\ntimezone = "Europe/Berlin"'))(tmp_path)
+
+    def local(lines: list[str]) -> list[str]:
+        moments = [datetime.fromisoformat(line.split("Z,")[0]).replace(tzinfo=UTC) for line in lines]
+        shown = [one.astimezone(ZoneInfo(clock)).strftime("%Y-%m-%d %H:%M:%S,") for one in moments]
+        return [stamp + line.split("Z,")[1] for stamp, line in zip(shown, lines, strict=True)]
+
+    rows("cabinet.csv", local)(tmp_path)
+    said = told(f"check {tmp_path}/case.toml --json")
+    assert said.status == 0
+    (sentence,) = json.loads(said.out)["warnings"]
+    assert sentence.startswith("cabinet.csv: summer-time hole")
+    assert words in sentence
+
+
+def test_warnings_do_not_stop_the_other_commands(folder, told):
+    column("T_cab_degC", lambda row, cell: "-273.0" if row == 7 else cell)(folder)
+    for line in (EVALUATE, SIMULATE):
+        said = told(line)
+        assert said.status == 0
+        (warning,) = said.err.splitlines()
+        assert warning.startswith(
+            'warning: cabinet_temperature (cabinet.csv, column "T_cab_degC"): 1 reading'
+        )
+        assert "-273" not in said.out
+
+
+@pytest.mark.parametrize(
+    ("command", "own"),
+    [
+        (["fit", "case.toml"], "fit.json"),
+        (["discover", "case.toml"], "discovery.json"),
+        (["compare", "case.toml", "case.toml"], "compare.json"),
+        (["transfer", "fit", "case.toml"], "transfer.json"),
+        (["climate", "fit.json", "--weather", "w.epw", "--standstill"], "climate.json"),
+        (["fleet", "fleet.toml"], "fleet.json"),
+    ],
+)
+def test_results_are_not_written_over_results_of_another_kind(
+    command: list[str], own: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Told before anything is read; a directory with results of the same kind is taken, a discovery's with
+    its fit too."""
+    for name in RESULTS:
+        out = tmp_path / name.partition(".")[0]
+        out.mkdir()
+        (out / name).write_text("{}")
+        assert main([*command, "--out", str(out)]) == 2
+        said = capsys.readouterr().err
+        assert ("a directory of its own" in said) == (name != own), said
+    if own == "discovery.json":
+        (tmp_path / "discovery" / "fit.json").write_text("{}")
+        assert main([*command, "--out", str(tmp_path / "discovery")]) == 2
+        assert "a directory of its own" not in capsys.readouterr().err

@@ -1,0 +1,211 @@
+"""`hygrokf climate` from files to page, table and test profile."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builders.climate_case import known_fit, made_up_weather
+from builders.html_page import Page
+from builders.weather_case import epw_text
+
+from hygrokf.commands.main import main
+from hygrokf.identification.results import dump
+from hygrokf.version import __version__
+
+LIMITS = (
+    '[[limit]]\nquantity = "temperature_degC"\nabove = 60\n[[limit]]\nquantity = '
+    '"temperature_degC"\nabove = 10\n'
+)
+
+
+def write_weather(folder: Path, days: int = 365, stem: str = "weather", warmer: float = 0.0) -> Path:
+    weather = made_up_weather(days)
+    stamps = np.datetime_as_string(weather["wind_speed"].time.astype(int).astype("datetime64[s]"))
+    values = [s.value for s in weather.series]
+    rows = [
+        f"{t}Z,{a - 273.15 + warmer:.2f},{d - 273.15 + warmer:.2f},{w:.2f}"
+        for t, a, d, w in zip(stamps, *values, strict=True)
+    ]
+    (folder / f"{stem}.csv").write_text("time,T,Td,v\n" + "\n".join(rows) + "\n")
+    case = folder / f"{stem}.toml"
+    case.write_text(
+        f'name = "made-up"\n[[source]]\nfile = "{stem}.csv"\ntime = "time"\n'
+        'signals.ambient_temperature = { column = "T", unit = "degC" }\n'
+        'signals.ambient_dew_point_temperature = { column = "Td", unit = "degC" }\n'
+        'signals.wind_speed = { column = "v", unit = "m/s" }\n'
+    )
+    return case
+
+
+def write_known_fit(folder: Path) -> Path:
+    fit = known_fit()
+    data = {
+        "name": fit.name, "version": __version__, "design": fit.design.to_json(),
+        "parameters": {name: {"value": value} for name, value in fit.values.items()},
+        "covariance": fit.to_json()["covariance"], "time_constants": {},
+    }  # fmt: skip
+    file = folder / "fit.json"
+    file.write_text(dump(data))
+    return file
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    made = tmp_path_factory.mktemp("climate")
+    write_known_fit(made)
+    write_weather(made)
+    write_weather(made, 365, "warm", 6.0)
+    (made / "limits.toml").write_text(LIMITS)
+    (made / "curve.toml").write_text(
+        "rated_power_kW = 2000\nwind_speed_m_s = [0, 3, 12, 25]\npower_kW = [0, 0, 2000, 2000]\nhub_height_m "
+        "= 80\n"
+        'wind_height_m = 10\nshear = { law = "power", exponent = 0.15 }\n'
+    )
+    return made
+
+
+def arguments(folder: Path, out: str, *more: str) -> list[str]:
+    return ["climate", str(folder / "fit.json"), "--out", str(folder / out), "--members", "12", *more]
+
+
+def test_a_climate_is_written_whole(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    stated = {"--weather": "weather.toml", "--power-curve": "curve.toml", "--limits": "limits.toml"}
+    words = [word for option, name in stated.items() for word in (option, str(folder / name))]
+    assert main(arguments(folder, "one", *words)) == 0
+    out = folder / "one"
+    assert sorted(p.name for p in out.iterdir()) == [
+        "climate.csv", "climate.json", "report.html", "test_profile.csv", "test_profile.png",
+    ]  # fmt: skip
+    data = json.loads((out / "climate.json").read_text())
+    region = data["regions"][0]
+    assert [one["verdict"] for one in region["limits"]] == ["pass", "fail"]
+    assert set(region["scopes"]) == {"all", "operation", "standstill", "standstill_all_year"}
+    hours = {scope: region["scopes"][scope]["hours"]["value"] for scope in region["scopes"]}
+    assert hours["operation"] + hours["standstill"] == pytest.approx(8766, abs=0.1)
+    assert np.sum(region["joint"]["hours"]) == pytest.approx(8766, rel=1e-3)
+    rows = list(csv.DictReader((out / "climate.csv").read_text(encoding="utf-8").splitlines()))
+    assert {row["scope"] for row in rows} == {*region["scopes"], "limit"}
+    printed = capsys.readouterr().out
+    assert "pass" in printed and "in operation" in printed
+    profile = np.genfromtxt(out / "test_profile.csv", delimiter=",", names=True)
+    assert len(profile) == 1000 and profile["temperature_degC"].max() <= 85.0
+    page = (out / "report.html").read_text(encoding="utf-8")
+    Page(page)
+    assert page.count("<svg") == 3 and "NaN" not in page and "power law" in page
+    # the page is a function of climate.json alone
+    before = page
+    (out / "report.html").unlink()
+    assert main(["report", str(out)]) == 0
+    assert (out / "report.html").read_text(encoding="utf-8") == before
+
+
+def test_regions_stand_side_by_side(folder: Path) -> None:
+    regions = (f"north={folder / 'weather.toml'}", f"so/uth={folder / 'warm.toml'}")
+    words = [word for region in regions for word in ("--region", region)]
+    assert main(arguments(folder, "two", *words, "--standstill", "--json")) == 0
+    out = folder / "two"
+    assert {p.name for p in out.iterdir()} >= {"test_profile_north.csv", "test_profile_so_uth.csv"}
+    data = json.loads((out / "climate.json").read_text())
+    means = [r["scopes"]["all"]["mean_temperature_degC"]["value"] for r in data["regions"]]
+    assert 4.0 < means[1] - means[0] < 7.0  # the model's own slope of the heat release takes a part
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "Regions side by side" in page and page.count("<svg") == 7
+
+
+def test_a_typical_year_of_an_epw_file(folder: Path) -> None:
+    """Months of twelve years in the published layout are one year, of which nothing is left out."""
+    file = folder / "site.epw"
+    file.write_text(epw_text(years=tuple(range(2007, 2019))), encoding="latin-1")
+    curve = ("--power-curve", str(folder / "curve.toml"))
+    assert main(arguments(folder, "typical", "--weather", str(file), *curve)) == 0
+    (region,) = json.loads((folder / "typical" / "climate.json").read_text())["regions"]
+    assert region["files"] == ["site.epw"]
+    (year,) = region["years"]
+    assert (year["start"], year["end"]) == ("2001-01-01T00:00Z", "2001-12-31T23:00Z")
+    assert 8740.0 < year["hours_known"] < 8760.0  # what follows a gap is not counted before it has settled
+    assert region["outside"]["mean_temperature_degC"] == pytest.approx(10.0, abs=0.02)
+    assert any("at 10 m, brought to 80 m" in words for words in region["statements"])
+    assert "wind_speed is that at 10 m, not at hub height" in region["statements"]
+    share = 100.0 * year["operating_share"]
+    said = f"the turbine operates {share:.0f} % of the time"
+    assert any(words.startswith(said) for words in region["statements"])
+    assert "a typical year, not the weather of 2001" in (folder / "typical" / "report.html").read_text(
+        "utf-8"
+    )
+
+
+def test_the_same_seed_gives_the_same_files(folder: Path) -> None:
+    words = ("--weather", str(folder / "weather.toml"), "--standstill", "--seed", "7")
+    for out in ("first", "again"):
+        assert main(arguments(folder, out, *words)) == 0
+    for name in ("climate.json", "climate.csv", "report.html", "test_profile.csv"):
+        assert (folder / "first" / name).read_bytes() == (folder / "again" / name).read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ([], "expected --weather FILE"),
+        (["--weather", "W"], "expected --power, --power-curve or --standstill"),
+        (["--region", "no-file", "--standstill"], "expected NAME=FILE"),
+        (["--region", "a=W", "--region", "a=W", "--standstill"], "found twice: a"),
+        (["--weather", "W", "--power", "W"], "active_power"),
+        (["--weather", "none.toml", "--standstill"], "no such case file"),
+        (["--weather", "year.csv", "--standstill"], "no such file: year.csv"),
+        (["--weather", "W", "year.epw", "--standstill"], "one case file (.toml) alone"),
+        (["--weather", "W", "--standstill", "--limits", "none.toml"], "check the path"),
+    ],
+)
+def test_mistakes_are_told_and_nothing_is_written(
+    folder: Path, more: list[str], told: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    weather = str(folder / "weather.toml")
+    words = [one.replace("=W", f"={weather}") if one != "W" else weather for one in more]
+    assert main(arguments(folder, "refused", *words)) == 2
+    error = capsys.readouterr().err
+    assert told in error and "Traceback" not in error
+    assert not (folder / "refused").exists()
+
+
+@pytest.mark.parametrize(
+    "other", ["fit.json", "discovery.json", "fleet.json", "compare.json", "transfer.json"]
+)
+def test_other_results_are_not_written_over(
+    folder: Path, other: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / other).write_text("{}")
+    words = ["climate", str(folder / "fit.json"), "--out", str(tmp_path), "--weather", "x", "--standstill"]
+    assert main(words) == 2
+    assert f"a directory of its own, found {other}" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "{}", "[]", '{"regions": []}', '{"regions": [{"scopes": {}}]}',
+        '{"regions": [{"scopes": {"all": 3}, "test_profile": null, "name": 3, "years": [], "limits": null}], '
+        '"members": 3}',
+    ],
+)  # fmt: skip
+def test_a_damaged_result_is_told(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "climate.json").write_text(text)
+    (tmp_path / "test_profile.png").write_text("of before")
+    assert main(["report", str(tmp_path)]) == 2
+    told = capsys.readouterr().err
+    assert "again" in told and "climate.json" in told and "Traceback" not in told
+    assert (tmp_path / "test_profile.png").exists() and not (tmp_path / "report.html").exists()
+
+
+def test_weather_that_does_not_suffice_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (folder / "weather.csv").read_text().splitlines()
+    (folder / "single.csv").write_text("\n".join(text[:2]) + "\n")
+    case = (folder / "weather.toml").read_text().replace("weather.csv", "single.csv")
+    (folder / "single.toml").write_text(case)
+    words = arguments(folder, "refused", "--weather", str(folder / "single.toml"), "--standstill")
+    assert main(words) == 2
+    assert "site (single.toml): the ambient series have no stretch" in capsys.readouterr().err
+    assert not (folder / "refused").exists()

@@ -1,0 +1,352 @@
+"""Maximum likelihood where the maximum is known in closed form, and on simulated cabinets."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from hygrokf.engine.timeline import timeline
+from hygrokf.estimation import optimiser as fitting
+from hygrokf.estimation.confidence import uncertainty
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import (
+    BETTER,
+    Objective,
+    Optimum,
+    bounded_step,
+    climb,
+    least_objective,
+    maximise,
+    nested_starts,
+    starts,
+)
+from hygrokf.physics.mechanisms import linear_network
+from hygrokf.physics.model import compose
+from hygrokf.physics.parameters import Coordinates, Parameter, Prior
+
+COUNT = 50
+READ = 3.0 + 0.7 * np.random.default_rng(1).normal(size=COUNT)
+
+
+def sample(
+    read: np.ndarray = READ, centre: Callable = lambda p: p.mean, prior: Prior | None = None, **bounds: tuple
+) -> Likelihood:
+    """Independent normal readings as a filter: a constant that starts at `centre` without any variance."""
+    low, high = bounds.get("mean", (-50.0, 50.0))
+    small, large = bounds.get("spread", (1e-3, 1e3))
+    constant = linear_network(
+        "constant",
+        [
+            Parameter("mean", "1", min(max(1.0, low), high), low, high, prior=prior),
+            Parameter("spread", "1", min(max(2.0, small), large), small, large, positive=True, noise=True),
+        ],
+        ["x"],
+        [],
+        lambda p, x, u: {"x": 0.0 * x.x},
+        {"y": lambda p, x, u: (x.x, p.spread * p.spread)},
+        lambda p: {"x": 0.0},
+        lambda p, u: {"x": (centre(p), 0.0)},
+    )
+    model = compose([constant])
+    return Likelihood(model, timeline(model, np.arange(float(len(read))), {}, {"y": read}))
+
+
+def normal(read: np.ndarray, mean: float, spread: float) -> float:
+    return float(-0.5 * np.sum(((read - mean) / spread) ** 2 + math.log(2 * math.pi * spread**2)))
+
+
+# the climb promises 1e-5 of the log-likelihood, √(2e-5) = 0.0045 standard errors
+NEAR = 0.005
+
+
+def test_mean_and_spread_of_a_normal_sample() -> None:
+    found = maximise(sample(), count=1)
+    spread = READ.std()
+    assert found.converged and found.message.startswith("converged") and found.at_bounds == ()
+    assert found.values["mean"] == pytest.approx(READ.mean(), abs=NEAR * spread / math.sqrt(COUNT))
+    assert math.log(found.values["spread"] / spread) == pytest.approx(0.0, abs=NEAR / math.sqrt(2 * COUNT))
+    assert found.loglik == pytest.approx(normal(READ, READ.mean(), spread), abs=1e-5)
+    assert found.objective == pytest.approx(found.loglik, rel=1e-12)
+    np.testing.assert_allclose(found.coordinates.start(found.values), found.z, rtol=1e-12)
+
+
+def test_a_prior_pulls_by_its_precision() -> None:
+    likelihood = sample(prior=Prior(0.0, 0.05))
+    found = maximise(likelihood, fixed={"spread": 0.7}, count=1)
+    data, knowledge = COUNT / 0.7**2, 1 / 0.05**2
+    expected = data * READ.mean() / (data + knowledge)
+    assert found.values == {
+        "mean": pytest.approx(expected, abs=NEAR / math.sqrt(data + knowledge)),
+        "spread": 0.7,
+    }
+    assert found.loglik == pytest.approx(normal(READ, found.values["mean"], 0.7), abs=1e-9)
+    density = -0.5 * (found.values["mean"] / 0.05) ** 2 - math.log(0.05 * math.sqrt(2 * math.pi))
+    assert found.objective == pytest.approx(found.loglik + density, abs=1e-9)
+
+
+def test_bounds_hold_and_are_reported() -> None:
+    found = maximise(sample(mean=(-50.0, 2.0)), count=1)
+    assert found.converged and found.at_bounds == ("mean",) and found.values["mean"] == 2.0
+    expected = math.sqrt(np.mean((READ - 2.0) ** 2))  # the others are at their optimum given the bound
+    assert found.values["spread"] == pytest.approx(expected, rel=NEAR)
+    both = maximise(sample(mean=(5.0, 9.0), spread=(3.0, 4.0)), {"mean": 7.0}, count=1)
+    assert both.at_bounds == ("mean", "spread") and both.values == {"mean": 5.0, "spread": pytest.approx(3.0)}
+    assert both.converged
+
+
+def test_objective_gradient_and_information_in_coordinates() -> None:
+    objective = Objective(
+        sample(prior=Prior(1.0, 0.5)), Coordinates(sample(prior=Prior(1.0, 0.5)).model.parameters)
+    )
+    z = np.array([2.0, math.log(1.3)])
+    value, gradient, information = objective.information(z)
+    again, score = objective.score(z)
+    assert value == pytest.approx(again) == pytest.approx(objective.value(z))
+    residual = (READ - 2.0) / 1.3
+    expected = [residual.sum() / 1.3 - (2.0 - 1.0) / 0.25, np.sum(residual**2) - COUNT]
+    np.testing.assert_allclose(gradient, expected, rtol=1e-10)
+    np.testing.assert_allclose(score, expected, rtol=1e-10)
+    np.testing.assert_allclose(information, np.diag([COUNT / 1.3**2 + 4.0, 2.0 * COUNT]), rtol=1e-10)
+    scores = objective.scores(z)
+    np.testing.assert_allclose(
+        scores, np.column_stack([residual / 1.3, residual**2 - 1.0]), rtol=1e-9, atol=1e-9
+    )
+
+
+def test_fixed_parameters_stay() -> None:
+    found = maximise(sample(), fixed={"mean": 2.5}, count=3)
+    assert found.values["mean"] == 2.5 and found.coordinates.names == ("spread",)
+    assert found.values["spread"] == pytest.approx(math.sqrt(np.mean((READ - 2.5) ** 2)), rel=NEAR)
+
+
+def two_hills(p: object) -> object:
+    """mean² + mean/20: a sample mean of 4.1 or of 3.9 is met on either side of zero."""
+    return p.mean * p.mean + 0.05 * p.mean
+
+
+def test_other_optima_are_reported_and_are_optima() -> None:
+    read = 2.0 + 0.2 * np.random.default_rng(2).normal(size=30)
+    likelihood = sample(read, two_hills, prior=Prior(0.5, 1.0))
+    found = maximise(likelihood, {"mean": -1.0}, count=1, more_starts=[{"mean": 1.0}])
+    right, left = (-0.05 + s * math.sqrt(0.05**2 + 4 * read.mean()) for s in (1, -1))
+    assert found.values["mean"] == pytest.approx(right / 2, abs=0.03)  # the prior prefers it
+    assert len(found.others) == 1
+    objective, values = found.others[0]
+    assert values["mean"] == pytest.approx(left / 2, abs=0.03) and objective < found.objective
+    _, gradient = Objective(likelihood, found.coordinates).score(found.coordinates.start(values))
+    np.testing.assert_allclose(gradient, 0.0, atol=0.1)
+    alone = maximise(likelihood, {"mean": -1.0}, count=1)
+    assert alone.values["mean"] == pytest.approx(left / 2, abs=0.03) and alone.others == ()
+
+
+def test_where_a_climb_did_not_converge_is_not_reported_as_an_optimum(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    climbs = fitting.climb
+
+    def tired(objective: Objective, start: np.ndarray, *rest: object, **more: object) -> Optimum:
+        if start[0] < 0:
+            return Optimum(start, objective.value(start), False, "stopped after 60 passes", 60)
+        return climbs(objective, start, *rest, **more)
+
+    monkeypatch.setattr(fitting, "climb", tired)
+    read = 2.0 + 0.2 * np.random.default_rng(2).normal(size=30)
+    found = maximise(
+        sample(read, two_hills), {"mean": 1.4}, count=1, more_starts=[{"mean": -1.3, "spread": 0.5}]
+    )
+    assert found.converged and found.values["mean"] > 0
+    assert found.others == ()
+
+
+def test_starts_vary_noise_always_and_all_else_in_every_second_one() -> None:
+    coordinates = Coordinates(sample().model.parameters)
+    made = starts(coordinates, {"mean": 2.0, "spread": 0.5}, 9)
+    np.testing.assert_allclose(made[0], [2.0, math.log(0.5)])
+    assert len(made) == 9 and len({z[1] for z in made}) == 9
+    for k, z in enumerate(made):
+        assert abs(z[1] - math.log(0.5)) <= 2.5
+        assert (z[0] == 2.0) == (k % 2 == 1 or k == 0)
+        assert abs(z[0] - 2.0) <= 0.25 * 100.0
+    assert np.ptp([z[1] for z in made]) > 3.0 and np.ptp([z[0] for z in made]) > 25.0
+    np.testing.assert_array_equal(made, starts(coordinates, {"mean": 2.0, "spread": 0.5}, 9))
+    edge = starts(coordinates, {"spread": 1e-3}, 5)
+    assert all(np.all(z >= coordinates.lower) for z in edge)
+    quiet = Coordinates(sample().model.parameters, {"spread": 1.0})
+    # without noise parameters all others vary each time
+    assert len({float(z[0]) for z in starts(quiet, None, 9)}) == 9
+
+
+def test_starts_stay_where_a_prior_is() -> None:
+    likelihood = sample(prior=Prior(3.0, 0.1))
+    made = starts(Coordinates(likelihood.model.parameters), {"mean": 3.0}, 30)
+    means = [z[0] for z in made]
+    assert max(abs(mean - 3.0) for mean in means) <= 0.2 and np.ptp(means) > 0.2
+
+
+HILLS = 2.0 + 0.2 * np.random.default_rng(2).normal(size=30)
+
+
+def hills(lowest: float = -50.0, shift: bool = False) -> Likelihood:
+    """Readings about mean² + mean/20, with a prior that prefers the hill at positive means; and a shift of
+    it, if wanted."""
+    more = [Parameter("shift", "1", 0.005, -0.01, 0.01, null=0.0)] if shift else []
+    constant = linear_network(
+        "constant",
+        [
+            Parameter("mean", "1", -1.0, lowest, 50.0 if lowest == -50.0 else -0.1, prior=Prior(0.5, 1.0)),
+            Parameter("spread", "1", 2.0, 1e-3, 1e3, positive=True, noise=True),
+            *more,
+        ],
+        ["x"],
+        [],
+        lambda p, x, u: {"x": 0.0 * x.x},
+        {"y": lambda p, x, u: (x.x, p.spread * p.spread)},
+        lambda p: {"x": 0.0},
+        lambda p, u: {"x": (two_hills(p) + (p.shift if shift else 0.0), 0.0)},
+    )
+    model = compose([constant])
+    return Likelihood(model, timeline(model, np.arange(30.0), {}, {"y": HILLS}))
+
+
+def test_a_model_starts_from_one_that_it_contains() -> None:
+    parent = maximise(hills(), {"mean": 1.0}, count=1)
+    larger = hills(shift=True)
+    cold = maximise(larger, count=1)
+    assert cold.values["mean"] < 0 and cold.objective < parent.objective - BETTER  # the wrong hill
+    nested = maximise(larger, count=1, parents=[parent])
+    assert nested.converged and nested.objective >= parent.objective
+    assert nested.values["mean"] == pytest.approx(parent.values["mean"], abs=0.05)
+    made = nested_starts(nested.coordinates, None, parent)
+    assert [z[nested.coordinates.names.index("shift")] for z in made] == [0.005, 0.0]
+
+
+def test_what_is_below_a_model_that_it_contains_has_not_converged() -> None:
+    parent = maximise(hills(), {"mean": 1.0}, count=1)
+    held = maximise(
+        hills(lowest=-40.0, shift=True), count=1, parents=[parent]
+    )  # its bounds keep the hill out
+    assert not held.converged
+    short = parent.objective - held.objective
+    assert f"more likely, by {short:.2f} in ln L" in held.message and "start values" in held.message
+    assert maximise(hills(lowest=-40.0, shift=True), count=1).converged
+
+
+def test_a_prior_of_what_a_parent_lacks_counts_at_its_null() -> None:
+    parent = maximise(hills(), {"mean": 1.0}, count=1)
+    own = Parameter("drift", "1", 0.3, -1.0, 1.0, prior=Prior(0.0, 0.1), null=0.0)
+    coordinates = Coordinates([*parent.coordinates.parameters, own])
+    density = -math.log(0.1 * math.sqrt(2 * math.pi))
+    assert least_objective(coordinates, [parent]) == pytest.approx(parent.objective + density)
+    assert least_objective(coordinates, []) == -math.inf
+
+
+def stiff() -> Likelihood:
+    """A reading every hour through a first-order lag whose time constant starts at a second."""
+    lag = linear_network(
+        "lag",
+        [
+            Parameter("lag", "h", 1 / 3600.0, 1 / 7200.0, 1 / 600.0, positive=True),
+            Parameter("noise", "1", 1.0, 1e-3, 1e3, positive=True, noise=True),
+        ],
+        ["x"],
+        ["u"],
+        lambda p, x, u: {"x": (u.u - x.x) / p.lag},
+        {"y": lambda p, x, u: (x.x, p.noise * p.noise)},
+        lambda p: {"x": 0.01},
+        lambda p, u: {"x": (0.0, 1.0)},
+    )
+    random = np.random.default_rng(7)
+    model = compose([lag], {"u": "zero-order"})
+    course = random.normal(size=100).cumsum()
+    read = course + 0.1 * random.normal(size=100)
+    return Likelihood(model, timeline(model, np.arange(100.0), {"u": course}, {"y": read}))
+
+
+def test_a_stiff_corner_ends_with_its_budget() -> None:
+    likelihood = stiff()
+    first = {"lag": 1 / 3600.0, "noise": 1.0}
+    each = likelihood.steps_per_instant(first)
+    assert each > 4_000  # sub-steps of a second's fraction through an hour
+    begun = Objective(likelihood, Coordinates(likelihood.model.parameters))
+    start = begun.coordinates.start(first)
+    ended = climb(begun, start, budget=2.5 * each)
+    assert (
+        not ended.converged and "budget" in ended.message and "interval between the readings" in ended.message
+    )
+    assert ended.objective >= begun.value(start)
+    said = maximise(likelihood, count=1, budget=2.5 * each)
+    assert not said.converged and "budget" in said.message
+    with_room = climb(begun, start, budget=100 * each)
+    assert with_room.converged and with_room.objective > ended.objective
+
+
+def test_progress_names_every_start() -> None:
+    said: list[str] = []
+    maximise(sample(), count=3, progress=said.append)
+    assert said[:3] == ["start 1 of 3", "start 2 of 3", "start 3 of 3"] and said[-1] == "climb"
+
+
+def test_a_search_on_a_shorter_record_ends_on_the_whole() -> None:
+    found = maximise(sample(), count=3, search=sample(READ[:20]))
+    assert found.loglik == pytest.approx(normal(READ, READ.mean(), READ.std()), abs=1e-5)
+
+
+def test_a_climb_that_stops_early_says_so() -> None:
+    objective = Objective(sample(), Coordinates(sample().model.parameters))
+    far = np.array([40.0, math.log(0.01)])
+    stopped = climb(objective, far, passes=2)
+    assert not stopped.converged and stopped.message == "stopped after 2 passes"
+    assert stopped.objective > objective.value(far)  # never worse than where it began
+    assert climb(objective, far).converged
+
+
+def test_a_start_without_a_likelihood_says_so() -> None:
+    broken = sample(np.append(READ, math.inf))
+    found = maximise(broken, count=1)
+    assert not found.converged
+    assert "not finite at the start" in found.message and "try more starts" in found.message
+
+
+def test_a_simulated_cabinet_is_recovered_within_its_standard_errors(make_case: Callable) -> None:
+    """Thermal model, 2,400 readings in 25 days from a start a factor two off: all within four standard
+    errors."""
+    case = make_case("thermal", 0.25 * np.arange(2400), 31, missing=0.02)
+    held = {name: case.values[name] for name in ("cabinet_temperature_bias",)}
+    start = {
+        n: v * (2.0 if "disturbance" in n or n == "thermal_time_constant" else 1.0)
+        for n, v in case.values.items()
+    }
+    found = maximise(case.likelihood, start, fixed=held, count=1)
+    assert found.converged
+    known = uncertainty(Objective(case.likelihood, found.coordinates), found)
+    for place, name in enumerate(known.names):
+        p = next(q for q in found.coordinates.free if q.name == name)
+        away = p.to_coordinate(found.values[name]) - p.to_coordinate(case.values[name])
+        assert abs(away) < 4 * math.sqrt(known.wald[place, place]), name
+    assert found.values["thermal_time_constant"] == pytest.approx(1.5, rel=0.2)
+
+
+def test_a_flat_direction_does_not_feign_convergence() -> None:
+    """A coordinate with hardly any information asks for a step without end; the others must still be
+    moved."""
+    information = np.diag([100.0, 1e-13])
+    gradient = np.array([50.0, -1e-7])
+    z, lower, upper = np.zeros(2), np.full(2, -20.0), np.full(2, 20.0)
+    step, promised = bounded_step(information, gradient, np.ones(2, bool), z, lower, upper, 1e-9)
+    assert step[0] == pytest.approx(0.5, rel=1e-6)
+    assert promised == pytest.approx(12.5, rel=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_promise_is_kept_within_the_box_and_never_negative(seed: int) -> None:
+    random = np.random.default_rng(seed)
+    root = random.normal(size=(4, 4)) * 10.0 ** random.uniform(-4, 2, 4)
+    information, gradient = root @ root.T, random.normal(size=4) * 10.0 ** random.uniform(-6, 3)
+    z = random.uniform(-3.0, 3.0, 4)
+    step, promised = bounded_step(information, gradient, np.ones(4, bool), z, z - 2.0, z + 0.5, 1e-9)
+    assert np.all(step >= -2.0 - 1e-12) and np.all(step <= 0.5 + 1e-12)
+    assert promised == pytest.approx(gradient @ step - 0.5 * step @ information @ step, rel=1e-9, abs=1e-12)
+    assert promised >= 0.0

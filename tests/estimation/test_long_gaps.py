@@ -1,0 +1,443 @@
+"""Gaps of months to ten years, against dense linear algebra, an integrator, and the filter that takes every
+sub-step."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from builders.climate_case import known_fit, made_up_weather
+from builders.scores import check_score
+from builders.switch_case import heated, weather
+from builders.tracker_case import LATENESS_S, arriving, planned, readings_of
+
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.climate.ensemble import simulate_years
+from hygrokf.climate.region import driven
+from hygrokf.data.record import Record
+from hygrokf.engine import long_steps
+from hygrokf.engine.timeline import Timeline, timeline
+from hygrokf.estimation import likelihood as module
+from hygrokf.estimation.batch_filter import SideBySide
+from hygrokf.estimation.likelihood import Gaussian, Likelihood, RatesFault, Trace
+from hygrokf.estimation.smoother import smooth, transition
+from hygrokf.evaluation.simulation import simulate
+from hygrokf.live.plan import Plan
+from hygrokf.live.tracker import Tracker, whole
+from hygrokf.modelling.inputs import prepare_run
+from hygrokf.physics.cold_surface import Surface
+from hygrokf.physics.mechanisms import wandering_exchange, wandering_release, wandering_time_constant
+from hygrokf.physics.mechanisms.network import linear_network
+from hygrokf.physics.model import compose, extend
+from hygrokf.physics.parameters import Parameter
+
+YEAR_H = 8766.0
+AT = 60
+"""Instant that ends the gap."""
+
+
+def gapped(case: object, hours: float, count: int = 120) -> object:
+    """The case with `hours` more before one of its instants; what is read there and averaged begins after the
+    gap."""
+    case = case.first(count)
+    moved = case.timeline.time.copy()
+    moved[AT:] += hours
+    readings = {name: np.where(np.arange(count) == AT, np.nan, v) for name, v in case.readings.items()}
+    made = timeline(case.model, moved, case.inputs, readings, case.resets)
+    return replace(case, timeline=made, readings=readings)
+
+
+@pytest.fixture
+def every_sub_step(monkeypatch: pytest.MonkeyPatch) -> Callable:
+    """A function with the filter taking every sub-step of a gap, as of any other step."""
+
+    def taken(function: Callable) -> object:
+        with monkeypatch.context() as patch:
+            patch.setattr(module, "MOST", 10**9)
+            return function()
+
+    return taken
+
+
+def before_and_after(case: object, values: Mapping[str, float]) -> tuple[Trace, np.ndarray, np.ndarray]:
+    trace = case.likelihood.trace(values)
+    return trace, trace.prior_mean[AT], trace.prior_covariance[AT]
+
+
+# -- the moments after a gap ---------------------------------------------------------------------------------
+def daily(
+    a: np.ndarray, b: np.ndarray, slope: np.ndarray, noise: np.ndarray, days: int, hours: float
+) -> tuple[np.ndarray, np.ndarray, Callable]:
+    """dx = (A x + b + t slope) dt + noise, by Van Loan's matrices over each of `days` equal parts, one after
+    the other."""
+    from scipy.linalg import expm
+
+    n, h = len(a), hours / days
+    block = np.zeros((2 * n, 2 * n))
+    block[:n, :n], block[:n, n:], block[n:, n:] = -a * h, noise * h, a.T * h
+    made = expm(block)
+    f = made[n:, n:].T
+    gained = f @ made[:n, n:]
+    wide = np.zeros((n + 2, n + 2))
+    wide[:n, :n], wide[:n, n], wide[:n, n + 1], wide[n, n + 1] = a, slope, b, 1.0
+    forced = expm(wide * h)
+
+    def through(mean: np.ndarray, covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        for day in range(days):
+            mean = (forced @ np.concatenate([mean, [day * h, 1.0]]))[:n]
+            covariance = f @ covariance @ f.T + gained
+        return mean, covariance
+
+    return f, gained, through
+
+
+@pytest.mark.parametrize("years", [1.0, 10.0])
+@pytest.mark.parametrize("correlation_h", [8.0, 3000.0])
+def test_a_linear_model_is_the_dense_one(thermal: object, years: float, correlation_h: float) -> None:
+    """The thermal model with a heat release that wanders (a random walk) and a disturbance as slow as four
+    months."""
+    case = gapped(thermal, years * YEAR_H)
+    model = extend(case.model, wandering_release(0.3))
+    values = case.values | {"heat_disturbance_time": correlation_h, "release_change_rate": 0.3}
+    case = replace(
+        case,
+        model=model,
+        timeline=timeline(model, case.timeline.time, case.inputs, case.readings, case.resets),
+    )
+    trace, mean, covariance = before_and_after(case, values)
+    assert list(model.states) == ["converter_temperature", "heat_disturbance", "release_change"]
+    ratio, tau, u = values["resistance_ratio"], values["thermal_time_constant"], case.inputs
+    a = np.array([[-1 / tau, 1 / ratio / tau, 1 / ratio / tau], [0, -1 / correlation_h, 0], [0, 0, 0]])
+    noise = np.diag(
+        [
+            values["thermal_diffusion"] ** 2,
+            2 * values["heat_disturbance_sd"] ** 2 / correlation_h,
+            0.3**2 / 24.0,
+        ]
+    )
+    assert u["operating"][AT] == 1.0
+    release = (
+        values["heat_release_operation"]
+        + values["heat_release_power_1"] * u["power_1"][AT]
+        + values["heat_release_power_2"] * u["power_2"][AT]
+    )
+    own = values["heat_release_operation_ambient"]
+    hours = case.timeline.time[AT] - case.timeline.time[AT - 1]
+    first, last = u["ambient_temperature"][[AT - 1, AT]]
+    force = (first + (release + own * (first - 283.15)) / ratio) / tau
+    rise = (1 + own / ratio) / tau * (last - first) / hours
+    _, _, through = daily(a, np.array([force, 0, 0]), np.array([rise, 0, 0]), noise, 3650, hours)
+    expected, spread = through(trace.mean[AT - 1], trace.covariance[AT - 1])
+    np.testing.assert_allclose(mean, expected, rtol=1e-10, atol=1e-9)
+    np.testing.assert_allclose(covariance, spread, rtol=1e-8, atol=1e-9)
+    # a random walk never forgets, and what it drives follows it
+    assert covariance[2, 2] == pytest.approx(
+        trace.covariance[AT - 1, 2, 2] + 0.3**2 * hours / 24.0, rel=1e-12
+    )
+    assert covariance[0, 2] == pytest.approx(covariance[2, 2] / ratio, rel=1e-3)
+
+
+def test_the_joint_model_is_the_integrator_s(joint: object, joint_moments: Callable) -> None:
+    """Four months, which scipy's integrator takes in its own steps of minutes."""
+    case = gapped(joint, 3000.0)
+    values = case.values | {"heat_disturbance_time": 100.0}
+    trace, mean, covariance = before_and_after(case, values)
+    advance = joint_moments(case, values)
+    expected, spread = advance(AT, trace.mean[AT - 1], trace.covariance[AT - 1])
+    np.testing.assert_allclose(mean, expected, rtol=1e-7, atol=1e-14)
+    np.testing.assert_allclose(covariance, spread, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["thermal", "cascade", "joint", "averaged"])
+def test_every_verb_gives_what_every_sub_step_gives(
+    name: str, request: pytest.FixtureRequest, every_sub_step: Callable
+) -> None:
+    """Months; the likelihood, its score, information and free run, and the moments."""
+    case = gapped(request.getfixturevalue(name), 3000.0 if name != "thermal" else 3.0 * YEAR_H)
+    values, eye = case.values, np.eye(len(case.values))
+    likelihood, plain = case.likelihood, every_sub_step
+    assert likelihood._steps(values).long == (AT,) and plain(lambda: likelihood._steps(values)).long == ()
+    assert likelihood.value(values) == pytest.approx(plain(lambda: likelihood.value(values)), rel=1e-11)
+    score, expected = likelihood.score(values)[1], plain(lambda: likelihood.score(values)[1])
+    np.testing.assert_allclose(score, expected, rtol=1e-8, atol=1e-8 * np.abs(expected).max())
+    found, expected = (
+        likelihood.sensitivities(values, eye),
+        plain(lambda: likelihood.sensitivities(values, eye)),
+    )
+    np.testing.assert_allclose(
+        found.information, expected.information, rtol=1e-8, atol=1e-9 * np.abs(expected.information).max()
+    )
+    errors, slopes = likelihood.residuals(values, eye)
+    plainly = plain(lambda: likelihood.residuals(values, eye))
+    np.testing.assert_allclose(errors, plainly[0], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(slopes, plainly[1], rtol=1e-7, atol=1e-7 * np.abs(slopes).max())
+    one, other = likelihood.trace(values), plain(lambda: likelihood.trace(values))
+    # a running mean over the gap itself, which nothing reads, is the integral of all that happened in it
+    own = len(case.model.own_states)
+    np.testing.assert_allclose(one.mean[:, :own], other.mean[:, :own], rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(
+        one.covariance[:, :own, :own], other.covariance[:, :own, :own], rtol=1e-7, atol=1e-9
+    )
+    np.testing.assert_allclose(one.last.mean, other.last.mean, rtol=1e-9, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", ["thermal", "joint"])
+def test_the_score_after_ten_years_is_the_central_difference(
+    name: str, request: pytest.FixtureRequest
+) -> None:
+    case = gapped(request.getfixturevalue(name), 10.0 * YEAR_H)
+    check_score(case.likelihood, case.values)
+
+
+def test_ten_years_cost_hardly_more_than_a_week(joint: object) -> None:
+    """Measured: 4 ms beside 1 ms; every sub-step of it would take a second."""
+
+    def cost(hours: float) -> float:
+        likelihood, times = gapped(joint, hours).likelihood, []
+        for _ in range(5):
+            begun = time.process_time()
+            likelihood.value(joint.values)
+            times.append(time.process_time() - begun)
+        return min(times)
+
+    assert cost(10.0 * YEAR_H) < cost(168.0) + 0.06
+
+
+def test_a_gap_is_the_same_with_instants_in_it(joint: object) -> None:
+    """Further instants where nothing is read, days before the end, change nothing: the end of a gap knows no
+    beginning."""
+    case = gapped(joint, YEAR_H)
+    end = case.timeline.time[AT]
+    split = case.split(np.array([end - 5000.0, end - 900.0, end - 50.0]))
+    one, other = (c.likelihood.trace(case.values) for c in (case, split))
+    np.testing.assert_allclose(one.prior_mean[AT], other.prior_mean[AT + 3], rtol=1e-9)
+    np.testing.assert_allclose(one.prior_covariance[AT], other.prior_covariance[AT + 3], rtol=1e-7)
+
+
+def test_what_was_known_before_is_forgotten(joint: object) -> None:
+    case = gapped(joint, 2.0 * YEAR_H)
+    t, n = case.timeline.window(AT, AT + 1), len(case.model.states)
+    ends = []
+    for kelvin, vapour in ((250.0, 1.0), (330.0, 40.0)):
+        mean = np.array([kelvin, 3.0, vapour, -1.0])
+        found = Likelihood(case.model, t).trace(case.values, start=Gaussian(mean, np.eye(n)))
+        ends.append((found.prior_mean[0], found.prior_covariance[0]))
+    np.testing.assert_allclose(ends[0][0], ends[1][0], rtol=1e-11, atol=1e-12)
+    np.testing.assert_allclose(ends[0][1], ends[1][1], rtol=1e-9, atol=1e-12)
+
+
+def test_the_smoother_and_the_transition_cross_a_gap(thermal: object, every_sub_step: Callable) -> None:
+    case = gapped(thermal, 2.0 * YEAR_H)
+    values = case.values | {"heat_disturbance_time": 20000.0}
+    assert case.likelihood._steps(values).long == (AT,)
+    mean, covariance = smooth(case.likelihood, values)
+    expected, spread = every_sub_step(lambda: smooth(case.likelihood, values))
+    np.testing.assert_allclose(mean, expected, rtol=1e-8, atol=1e-8)
+    np.testing.assert_allclose(covariance, spread, rtol=1e-6, atol=1e-9)
+    _, f, _ = transition(case.likelihood, values, AT, case.likelihood.trace(values).mean[AT - 1])
+    hours = case.timeline.time[AT] - case.timeline.time[AT - 1]
+    assert f[1, 1] == pytest.approx(math.exp(-hours / 20000.0), rel=1e-12)
+
+
+def test_a_diffuse_start_before_a_gap(thermal: object, every_sub_step: Callable) -> None:
+    case = gapped(thermal, YEAR_H * 2)
+    never = case.timeline.y.copy()
+    never[:AT] = np.nan  # the infinite variance outlasts the gap where nothing is read before it
+    likelihood = Likelihood(
+        case.model,
+        case.timeline.with_readings(never),
+        initial="diffuse",
+        diffuse_states=("heat_disturbance",),
+    )
+    values = case.values | {"heat_disturbance_time": 9000.0}
+    assert likelihood.value(values) == pytest.approx(
+        every_sub_step(lambda: likelihood.value(values)), rel=1e-9
+    )
+    check_score(likelihood, values)
+
+
+# -- pieces of a run, many runs, the tracker -----------------------------------------------------------------
+@pytest.mark.parametrize("cut", [AT, AT + 1])
+def test_stop_and_resume_at_a_gap_is_one_run_bit_for_bit(joint: object, cut: int) -> None:
+    case = gapped(joint, YEAR_H)
+    through = case.likelihood.trace(case.values)
+    first = Likelihood(case.model, case.timeline.window(0, cut)).trace(case.values)
+    rest = Likelihood(case.model, case.timeline.window(cut, len(case.timeline)))
+    second = rest.trace(case.values, start=first.last)
+    np.testing.assert_array_equal(np.concatenate([first.mean, second.mean]), through.mean)
+    np.testing.assert_array_equal(np.concatenate([first.covariance, second.covariance]), through.covariance)
+
+
+def test_runs_side_by_side_cross_gaps_of_their_own(joint: object) -> None:
+    """Five runs, more than a block of lanes: an hour, a year and ten, with parameters of their own."""
+    hours = np.array([1.0, YEAR_H, 200.0, 10.0 * YEAR_H, YEAR_H])
+    sets = [joint.values | {"hygric_k": k, "thermal_time_constant": 5 * k} for k in (0.2, 0.3, 0.4, 0.5, 0.6)]
+    lines = [
+        replace(
+            joint.first(3).timeline, steps=np.array([[0.0], [h], [0.25]]), key=np.array([0, 1, 2], np.int32)
+        )
+        for h in hours
+    ]
+    assert not joint.timeline.regimes
+    lines = [t.with_readings(np.full_like(t.y, np.nan)) for t in lines]
+    runs_of = [Likelihood(joint.model, t) for t in lines]
+    rates = [one.rate(values) for one, values in zip(runs_of, sets, strict=True)]
+    starts = [one.first_gaussian(values) for one, values in zip(runs_of, sets, strict=True)]
+    side = SideBySide(joint.model, sets, starts, rates)
+    side.begin({name: np.full(5, lines[0].input(name)[0]) for name in joint.model.inputs})
+    for k, step in ((1, hours), (2, np.full(5, 0.25))):
+        side.step(step, {name: np.full(5, lines[0].input(name)[k]) for name in joint.model.inputs})
+    for i, (one, values) in enumerate(zip(runs_of, sets, strict=True)):
+        expected = one.trace(values, start=starts[i]).last
+        np.testing.assert_allclose(side.mean[i], expected.mean, rtol=1e-9, atol=1e-10)
+        np.testing.assert_allclose(side.covariance[i], expected.covariance, rtol=1e-8, atol=1e-10)
+
+
+@pytest.fixture(scope="module")
+def short(tmp_path_factory: pytest.TempPathFactory) -> Record:
+    return read_case(write_case(synthetic_turbine(seed=6, days=4.0), tmp_path_factory.mktemp("turbine")))
+
+
+def apart(record: Record, days: float) -> Record:
+    """The record with its second half later: all sources are silent between."""
+    middle = 0.5 * (record.start_s + record.end_s)
+
+    def moved(series: object) -> object:
+        later = series.time - series.interval_s > middle
+        kept = later | (series.time <= middle)
+        return replace(series, time=(series.time + 86400.0 * days * later)[kept], value=series.value[kept])
+
+    return record.replace_series(*(moved(s) for s in record.series))
+
+
+@pytest.mark.parametrize("days", [400.0, 3650.0])
+@pytest.mark.parametrize(("seed", "late_s", "batch"), [(0, 0.0, 9), (1, 0.95 * LATENESS_S, 40)])
+def test_the_tracker_is_the_offline_filter_across_a_gap_bit_for_bit(
+    short: Record, days: float, seed: int, late_s: float, batch: int
+) -> None:
+    """All properties wander: what was known of them before the gap is less sure after it, and not lost."""
+    record = apart(short, days)
+    model: Plan = planned(record)
+    tracker, course = Tracker(model), None
+    readings = arriving(readings_of(record), seed, late_s)
+    for first in range(0, len(readings), batch):
+        tracker.take(readings[first : first + batch])
+        course = tracker.advance() or course
+    offline = whole(model, record)
+    assert not tracker.counts["late"]
+    last = int(np.searchsorted(offline.seconds, tracker.point.time + 1e-3, side="right"))
+    there = Likelihood(model.model, offline.run.timeline.window(0, last), fastest=model.fastest)
+    final = there.trace(model.values).last
+    assert np.array_equal(tracker.point.state.mean, final.mean)
+    assert np.array_equal(tracker.point.state.covariance, final.covariance)
+    assert np.array_equal(course.trace.mean[-1], offline.trace.mean[-1])
+    t = offline.run.timeline
+    (gap,) = np.flatnonzero(t.steps[t.key, 0] > 24.0 * 300.0)
+    for mechanism in (wandering_time_constant, wandering_exchange):
+        (state,) = mechanism().states
+        i = model.model.states.index(state)
+        was, now = offline.trace.covariance[gap - 1, i, i], offline.trace.prior_covariance[gap, i, i]
+        rate = model.values[f"{state}_rate"]
+        assert now - was == pytest.approx(rate**2 * t.steps[t.key[gap], 0] / 24.0, rel=1e-6)
+        assert offline.trace.prior_mean[gap, i] == pytest.approx(offline.trace.mean[gap - 1, i], rel=1e-9)
+
+
+def test_a_climate_crosses_the_years_between_its_files() -> None:
+    """Weather of three weeks, three years of nothing, three weeks: every member goes on as it would."""
+    fit = known_fit()
+    weeks = made_up_weather()
+    weeks = weeks.window(weeks.start_s, weeks.start_s + 42.0 * 86400.0)
+    record, _ = driven(fit, apart(weeks, 3.0 * 365.25), None)
+    begun = time.process_time()
+    years = list(simulate_years(fit, record, [dict(fit.values)] * 4, 3, Surface()))
+    assert time.process_time() - begun < 20.0
+    for year in years:
+        assert np.isfinite(year.temperature_K).all() and np.isfinite(year.relative_humidity).all()
+    together = np.concatenate([y.temperature_K for y in years], axis=1)
+    outside = np.concatenate([y.ambient["temperature_K"] for y in years])
+    assert abs(np.mean(together - outside)) < 15.0
+
+
+def test_a_switch_decides_after_a_gap_as_without_one() -> None:
+    """A heater at standstill: the days after a gap of two years are those after any other week, to the
+    thermostat's 3 K."""
+    record = weather(8.0)
+    base, values = heated(record)
+    long = apart(record, 730.0)
+    begun = time.process_time()
+    found = simulate(base, values, prepare_run(base, long))
+    assert time.process_time() - begun < 10.0
+    plain = simulate(base, values, prepare_run(base, record))
+    days_after = slice(-144 * 2, None)
+    assert np.mean(found.temperature[0][days_after]) == pytest.approx(
+        np.mean(plain.temperature[0][days_after]), abs=0.5
+    )
+
+
+def test_a_model_of_one_state() -> None:
+    """After a year only its stationary variance is left."""
+    rate = Parameter("rate", "1/h", 40.0, 0.0, 1e3)
+    level = linear_network(
+        "level", (rate,), ("level",), (), lambda p, x, u: {"level": -p.rate * x.level},
+        {"y": lambda p, x, u: (x.level, 0.25)}, lambda p: {"level": 0.5}, lambda p, u: {"level": (1.0, 1.0)},
+    )  # fmt: skip
+    model = compose([level])
+    line = timeline(model, np.array([0.0, 1.0, 1.0 + YEAR_H]), {}, {"y": np.array([1.0, np.nan, 2.0])})
+    found = Likelihood(model, line).trace({"rate": 40.0})
+    assert found.prior_covariance[2, 0, 0] == pytest.approx(0.5 / 80.0, rel=1e-12)
+    assert found.prior_mean[2, 0] == 0.0
+    check_score(Likelihood(model, line), {"rate": 40.0})
+
+
+# -- what is no gap ------------------------------------------------------------------------------------------
+def test_ordinary_records_have_no_long_step(joint: object, short: Record) -> None:
+    """A month's gap is divided into sub-steps as it always was."""
+    assert gapped(joint, 720.0).likelihood._steps(joint.values).long == ()
+    model = planned(short)
+    t = prepare_run(model.design, short).timeline
+    assert Likelihood(model.model, t, fastest=model.fastest)._steps(model.values).long == ()
+
+
+def many_gaps(case: object, count: int) -> Timeline:
+    hours = YEAR_H * np.arange(count)
+    inputs = {name: np.full(count, v[0]) for name, v in case.inputs.items()}
+    return timeline(case.model, hours, inputs, {}, origin_s=1.6e9)
+
+
+def test_rates_that_no_reading_resolves_are_told_with_gap_and_remedy(thermal: object) -> None:
+    t = many_gaps(thermal, 1200)
+    fast = thermal.values | {"thermal_time_constant": 1e-3}
+    with pytest.raises(
+        ValueError, match=r"3\.6 s.*found 1199 .*365 d.*the first until 2021-.*narrow the bounds"
+    ) as told:
+        Likelihood(thermal.model, t).value(fast)
+    assert isinstance(told.value, RatesFault) and isinstance(told.value, FloatingPointError)
+    assert math.isfinite(Likelihood(thermal.model, t.window(0, 40)).value(fast))
+
+
+def test_a_model_that_grows_without_limit_is_minus_infinity(thermal: object) -> None:
+    case = gapped(thermal, 10.0 * YEAR_H)
+    assert case.likelihood.value(case.values | {"heat_disturbance_time": -2.0}) == -math.inf
+
+
+def test_the_short_step_s_polynomials_are_exact_to_rounding() -> None:
+    from scipy.linalg import expm, solve_continuous_lyapunov
+
+    random = np.random.default_rng(3)
+    a = random.normal(size=(5, 5)) - 4.0 * np.eye(5)
+    noise = np.eye(5)
+    for hours in (0.01, 1.0, 300.0):
+        rest = [np.ones((1, 5)), np.ones((1, 5))]
+        change, gained = long_steps._doubled(a[None], rest, noise[None], np.array([hours]))
+        e = expm(a * hours)
+        np.testing.assert_allclose(change[0, :5, :5], e - np.eye(5), atol=1e-13)
+        np.testing.assert_allclose(
+            change[0, :5, 5], np.linalg.solve(a, (e - np.eye(5)) @ np.ones(5)), atol=1e-13
+        )
+        end = solve_continuous_lyapunov(a, -noise)
+        np.testing.assert_allclose(gained[0], end - e @ end @ e.T, atol=1e-13)

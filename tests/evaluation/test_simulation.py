@@ -1,0 +1,521 @@
+"""Free runs and forecasts against other integrators, plants and Monte-Carlo; spreads against what they
+promise."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from builders.known_values import RELEASE, physical_values
+from numpy.testing import assert_allclose
+from plants import plant, undisturbed
+from plants.as_record import to_record
+from scipy.integrate import solve_ivp
+from scipy.stats import binom
+
+from hygrokf.data.record import Record
+from hygrokf.engine.timeline import timeline
+from hygrokf.estimation.likelihood import Gaussian, Likelihood
+from hygrokf.evaluation.simulation import (
+    QUANTITIES,
+    air_humidity,
+    air_temperature,
+    forecast,
+    measured,
+    predicted_readings,
+    project,
+    simulate,
+)
+from hygrokf.modelling.design import Design, design
+from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.physics.psychrometrics import absolute_humidity, relative_humidity
+
+EXACT = {"sensor_errors": "none", "missing": 0.0, "ambient_humidity": "absolute", "disturbance": "none"}
+VALUES = {
+    "thermal_time_constant": 1.5,
+    "resistance_ratio": 0.85,
+    **RELEASE,
+    "heat_disturbance_sd": 1.2,
+    "heat_disturbance_time": 5.0,
+    "thermal_diffusion": 0.07,
+    "cabinet_temperature_bias": 0.0,
+    "cabinet_temperature_noise": 0.06,
+    "hygric_k": 0.32,
+    "vapour_disturbance_sd": 0.3,
+    "vapour_disturbance_time": 4.0,
+    "hygric_diffusion": 0.03,
+    "cabinet_relative_humidity_bias": 0.0,
+    "cabinet_relative_humidity_noise": 0.004,
+}
+
+
+def parameters(base: Design, **changes: float) -> dict[str, float]:
+    return {p.name: changes.get(p.name, VALUES.get(p.name, p.start)) for p in base.model.parameters}
+
+
+def of_plant(made) -> dict[str, float]:
+    """True parameters of a plant, by the package's names; its reference temperature is 283.15 K."""
+    return VALUES | physical_values(made.truth)
+
+
+def with_reference(base: Design, kelvin: float = 283.15) -> Design:
+    """The design with another reference temperature of the heat release."""
+    chosen = tuple(
+        (n, {**s, "reference_K": kelvin} if n == "heat_release" else s) for n, s in base.mechanisms
+    )
+    return replace(base, mechanisms=chosen)
+
+
+@pytest.fixture(scope="module")
+def exact():
+    """A plant without disturbances and sensor errors, its record, design and true values."""
+    made = plant(21, days=20, **EXACT)
+    record = to_record(made)
+    base = with_reference(design(record))
+    return made, record, base, parameters(base, **of_plant(made))
+
+
+@pytest.fixture(scope="module")
+def noisy():
+    """A plant with everything on, its record and design."""
+    record = to_record(plant(22, days=20))
+    return record, design(record)
+
+
+# --- free run -------------------------------------------------------------------------------
+
+
+def test_free_run_is_the_plants_own_trajectory(exact):
+    """With the true parameters, from the second day on: 0.01 K and 0.01 g/m³.
+
+    The plant integrates watts and kilograms each minute by Runge–Kutta, with another saturation formula;
+    absolute humidities are compared, the ambient one is read as such.
+    """
+    made, record, base, values = exact
+    driven = prepare_run(base, record)
+    found = simulate(base, values, driven)
+    truth = undisturbed(made)
+    seconds = driven.timeline.origin_s + 3600.0 * driven.timeline.time
+    settled = driven.timeline.time > 24.0
+    for value, true in (
+        (found.temperature[0], truth.cabinet_K),
+        (found.absolute_humidity[0], 1e3 * truth.cabinet_kg_m3),
+    ):
+        expected = np.interp(seconds, made.drivers.time, true)
+        assert np.max(np.abs(value - expected)[settled]) < 0.01
+        assert np.std(expected[settled]) > 1.0
+
+
+def test_free_run_is_the_differential_equation(noisy):
+    """Against scipy's integrator from the same start, over 60 h of odd clocks, equations (2) to (5) written
+    here."""
+    record, base = noisy
+    driven = prepare_run(base, record)
+    t = driven.timeline
+    values = parameters(base)
+    found = simulate(base, values, driven)
+    last = int(np.searchsorted(t.time, 60.0))
+    reference = dict(base.mechanisms)["heat_release"]["reference_K"]
+    u = {name: t.input(name) for name in base.model.inputs}
+    start = Likelihood(base.model, t).first_gaussian(values).mean
+    state = dict(zip(base.model.states, start, strict=True))
+    converter, vapour = state["converter_temperature"], state["vapour"]
+    p = values
+    for k in range(1, last):
+        length = t.time[k] - t.time[k - 1]
+        on = u["operating"][k]
+        power = p["heat_release_power_1"] * u["power_1"][k] + p["heat_release_power_2"] * u["power_2"][k]
+
+        def rates(h, z, k=k, length=length, on=on, power=power):
+            share = h / length
+            outside, damp, factor = (
+                (1 - share) * u[n][k - 1] + share * u[n][k]
+                for n in ("ambient_temperature", "ambient_absolute_humidity", "exchange_factor")
+            )
+            warm = outside - reference
+            release = power + on * (p["heat_release_operation"] + p["heat_release_operation_ambient"] * warm)
+            release += (1 - on) * (p["heat_release_standstill"] + p["heat_release_standstill_ambient"] * warm)
+            air = p["resistance_ratio"] * z[0] + (1 - p["resistance_ratio"]) * outside
+            return [
+                (outside - z[0] + release / p["resistance_ratio"]) / p["thermal_time_constant"],
+                air * factor / p["hygric_k"] * (damp - z[1]),
+            ]
+
+        if length > 0:
+            made = solve_ivp(
+                rates, (0.0, length), [converter, vapour], method="DOP853", rtol=1e-11, atol=1e-11
+            )
+            converter, vapour = made.y[:, -1]
+        outside = u["ambient_temperature"][k]
+        air = p["resistance_ratio"] * converter + (1 - p["resistance_ratio"]) * outside
+        assert found.temperature[0][k] == pytest.approx(air, abs=1e-7)
+        humidity = relative_humidity(1e-3 * vapour * outside / air, air)
+        assert found.relative_humidity[0][k] == pytest.approx(humidity, abs=1e-5)
+        assert found.absolute_humidity[0][k] == pytest.approx(vapour * outside / air, abs=1e-4)
+
+
+def test_free_run_looks_at_no_reading(noisy):
+    record, base = noisy
+    driven = prepare_run(base, record)
+    other = replace(driven, timeline=driven.timeline.with_readings(driven.timeline.y + 3.0))
+    for quantity in QUANTITIES:
+        a, b = (simulate(base, parameters(base), one).of(quantity) for one in (driven, other))
+        assert_allclose(a, b, rtol=0, atol=0)
+
+
+def test_quantities_that_a_model_lacks_are_none(noisy):
+    record, _ = noisy
+    thermal = design(record, kind="thermal")
+    found = simulate(thermal, parameters(thermal), prepare_run(thermal, record))
+    assert found.of("relative_humidity") is None
+    assert found.of("absolute_humidity_g_m3") is None
+    assert found.of("temperature_K") is found.temperature
+    cascade = design(record, kind="cascade")
+    driven = prepare_run(cascade, record)
+    found = simulate(cascade, parameters(cascade), driven)
+    assert found.temperature is None
+    warm = driven.timeline.input("cabinet_temperature")
+    assert_allclose(found.absolute_humidity[0], 1e3 * absolute_humidity(found.relative_humidity[0], warm))
+
+
+def test_absolute_humidity_may_be_what_is_read(noisy):
+    record, _ = noisy
+    moist = record["cabinet_relative_humidity"]
+    kelvin = np.interp(moist.time, *known(record["cabinet_temperature"]))
+    grams = replace(
+        moist,
+        signal="cabinet_absolute_humidity",
+        value=absolute_humidity(moist.value, kelvin),
+        resolution=0.0,
+    )
+    other = replace(record, series=(*(s for s in record.series if s.signal != moist.signal), grams))
+    base = design(other)
+    driven = prepare_run(base, other)
+    found = simulate(base, parameters(base), driven)
+    assert found.relative_humidity is None
+    usual = simulate(noisy[1], parameters(noisy[1]), prepare_run(noisy[1], record))
+    at = np.isin(driven.timeline.time, prepare_run(noisy[1], record).timeline.time)
+    assert at.all()
+    assert_allclose(found.absolute_humidity[0], usual.absolute_humidity[0], atol=2e-3)
+
+
+def known(series) -> tuple[np.ndarray, np.ndarray]:
+    there = ~series.missing
+    return series.time[there], series.value[there]
+
+
+# --- interval means -------------------------------------------------------------------------
+
+
+def test_readings_of_means_are_the_integrals_of_the_instants():
+    """Every predicted mean is the integral of the finely sampled free run over its interval, and what is
+    shown between the ends of intervals is the course itself, not a half-filled mean."""
+    record = to_record(plant(23, days=8, logger_mean=True, missing=0.3))
+    base = design(record)
+    assert base.averaged
+    driven = prepare_run(base, record)
+    values = parameters(base)
+    found = simulate(base, values, driven)
+    seconds = driven.timeline.origin_s + 3600.0 * driven.timeline.time
+
+    # the same cabinet read each half minute as instants
+    fine_time = np.arange(seconds[0], seconds[-1], 30.0)
+    fine_series = [
+        replace(record[n], time=fine_time, value=np.full(len(fine_time), v), hold="linear", interval_s=0.0)
+        for n, v in (("cabinet_temperature", 290.0), ("cabinet_relative_humidity", 0.5))
+    ]
+    fine_record = record.replace_series(*fine_series)
+    fine = replace(base, averaged={})
+    fine_run = prepare_run(fine, fine_record)
+    course = simulate(fine, values, fine_run)
+    fine_seconds = fine_run.timeline.origin_s + 3600.0 * fine_run.timeline.time
+    for name, quantity, tolerance in (
+        ("cabinet_temperature", "temperature_K", 2e-3),
+        ("cabinet_relative_humidity", "relative_humidity", 2e-5),
+    ):
+        value = course.of(quantity)[0]
+        area = np.concatenate([[0.0], np.cumsum(0.5 * (value[1:] + value[:-1]) * np.diff(fine_seconds))])
+        read = np.isfinite(driven.timeline.reading(name)) & (seconds < fine_seconds[-1])
+        read &= seconds > seconds[0] + 2 * 3600.0
+        end = seconds[read]
+        mean = (np.interp(end, fine_seconds, area) - np.interp(end - 900.0, fine_seconds, area)) / 900.0
+        assert read.sum() > 400
+        assert_allclose(found.of(quantity)[0][read], mean, atol=tolerance)
+        between = ~np.isfinite(driven.timeline.reading(name)) & (seconds > seconds[0] + 7200.0)
+        assert between.sum() > 400
+        expected = np.interp(seconds[between], fine_seconds, value)
+        assert_allclose(found.of(quantity)[0][between], expected, atol=10 * tolerance)
+        sd = course.of(quantity)[1]
+        assert_allclose(
+            found.of(quantity)[1][between], np.interp(seconds[between], fine_seconds, sd), rtol=0.02
+        )
+    warm, moist = (np.isfinite(driven.timeline.reading(n)) for n in base.averaged)
+    later = seconds > seconds[0] + 7200.0
+    neither, both = later & ~warm & ~moist, later & warm & moist
+    grams, shown = course.absolute_humidity[0], found.absolute_humidity[0]
+    assert_allclose(shown[neither], np.interp(seconds[neither], fine_seconds, grams), atol=2e-3)
+    area = np.concatenate([[0.0], np.cumsum(0.5 * (grams[1:] + grams[:-1]) * np.diff(fine_seconds))])
+    end = seconds[both]
+    mean = (np.interp(end, fine_seconds, area) - np.interp(end - 900.0, fine_seconds, area)) / 900.0
+    assert_allclose(shown[both], mean, atol=0.05)
+
+
+# --- spread ---------------------------------------------------------------------------------
+
+
+def test_free_run_bands_hold_on_the_model_itself():
+    """400 cabinets drawn from the model (Euler–Maruyama, 36 s), constant weather, parameters and sensor
+    biases drawn from the stated covariance: at one late instant the 95 % bands hold within the binomial band,
+    all three quantities.
+
+    Each replica gives one independent reading, so the count is binomial; 99.9 % of it is asked for.
+    """
+    count, hours, h = 400, 24.0, 0.01
+    random = np.random.default_rng(31)
+    record = to_record(plant(24, days=2))
+    base = design(record)
+    line = constant_timeline(base, hours)
+    driven = Run(line, np.ones(len(line), bool), np.ones(len(line), bool))
+    values = parameters(base)
+    names = (
+        "cabinet_temperature_bias",
+        "cabinet_relative_humidity_bias",
+        "heat_release_operation",
+        "thermal_time_constant",
+    )
+    covariance = np.diag([0.15, 0.01, 0.5, 0.1]) ** 2
+    covariance[0, 2] = covariance[2, 0] = -0.8 * 0.15 * 0.5
+    drawn = random.multivariate_normal(np.zeros(4), covariance, count)
+    p = {name: np.full(count, v) for name, v in values.items()}
+    for name, shift in zip(names, drawn.T, strict=True):
+        p[name] = p[name] + shift
+
+    outside, damp = 283.0, 7.0
+    factor = outside**0.8 / 273.0**1.8
+    ratio = p["resistance_ratio"]
+    release = p["heat_release_operation"] + 0.5 * p["heat_release_power_1"] + 0.25 * p["heat_release_power_2"]
+    release = release + p["heat_release_operation_ambient"] * (outside - release_reference(base))
+    converter = np.full(count, outside + 5.0) + 5.0 * random.normal(size=count)
+    vapour = damp + 0.3 * damp * random.normal(size=count)
+    heat = p["heat_disturbance_sd"] * random.normal(size=count)
+    moist = p["vapour_disturbance_sd"] * random.normal(size=count)
+    root = math.sqrt(h)
+    for _ in range(round(hours / h)):
+        air = ratio * converter + (1 - ratio) * outside
+        kicks = random.normal(size=(4, count)) * root
+        rate = air * factor / p["hygric_k"]
+        converter = (
+            converter + h * (outside - converter + (release + heat) / ratio) / p["thermal_time_constant"]
+        )
+        converter = converter + p["thermal_diffusion"] * kicks[0]
+        vapour = vapour + h * rate * (damp - vapour + moist) + p["hygric_diffusion"] * kicks[1]
+        heat = heat - h * heat / p["heat_disturbance_time"]
+        heat = heat + p["heat_disturbance_sd"] * np.sqrt(2 / p["heat_disturbance_time"]) * kicks[2]
+        moist = moist - h * moist / p["vapour_disturbance_time"]
+        moist = moist + p["vapour_disturbance_sd"] * np.sqrt(2 / p["vapour_disturbance_time"]) * kicks[3]
+    air = ratio * converter + (1 - ratio) * outside
+    settings = {n: s.get("resolution", 0.0) for n, s in base.mechanisms if n.endswith("_sensor")}
+    warm = rounded(
+        air + p["cabinet_temperature_bias"] + values["cabinet_temperature_noise"] * random.normal(size=count),
+        settings["temperature_sensor"],
+    )
+    humidity = relative_humidity(1e-3 * vapour * outside / air, air) + p["cabinet_relative_humidity_bias"]
+    humidity = rounded(
+        humidity + values["cabinet_relative_humidity_noise"] * random.normal(size=count),
+        settings["humidity_sensor"],
+    )
+    grams = 1e3 * absolute_humidity(humidity, warm)
+
+    found = simulate(base, values, driven, (names, covariance))
+    low, high = binom.ppf([0.0005, 0.9995], count, 0.95)
+    for quantity, reading in zip(QUANTITIES, (warm, humidity, grams), strict=True):
+        value, sd = (part[-1] for part in found.of(quantity))
+        inside = int(np.sum(np.abs(reading - value) <= 1.959964 * sd))
+        assert low <= inside <= high, quantity
+        assert np.std(reading - value) == pytest.approx(sd, rel=0.12), quantity
+    # the parameters' share is no decoration: without it the temperature's band is too narrow
+    bare = simulate(base, values, driven)
+    assert bare.temperature[1][-1] < 0.95 * found.temperature[1][-1]
+
+
+def release_reference(base: Design) -> float:
+    return dict(base.mechanisms)["heat_release"]["reference_K"]
+
+
+def rounded(value: np.ndarray, resolution: float) -> np.ndarray:
+    return resolution * np.round(value / resolution) if resolution else value
+
+
+def constant_timeline(base: Design, hours: float):
+    time = np.linspace(0.0, hours, 97)
+    level = {
+        "ambient_temperature": 283.0,
+        "ambient_absolute_humidity": 7.0,
+        "exchange_factor": 283.0**0.8 / 273.0**1.8,
+        "operating": 1.0,
+        "power_1": 0.5,
+        "power_2": 0.25,
+    }
+    inputs = {name: np.full(len(time), level[name]) for name in base.model.inputs}
+    return timeline(base.model, time, inputs, {})
+
+
+def test_parameters_spread_is_that_of_slightly_different_parameters(noisy):
+    """J V J' against the spread over 200 free runs with drawn parameters (small, so that first order is
+    all)."""
+    record, base = noisy
+    driven = prepare_run(base, record.window(record.start_s, record.start_s + 3 * 86400.0))
+    values = parameters(base)
+    names = ("thermal_time_constant", "heat_release_power_1", "hygric_k", "cabinet_relative_humidity_bias")
+    sd = np.array([0.02, 0.1, 0.005, 0.002])
+    correlation = np.eye(4)
+    correlation[0, 1] = correlation[1, 0] = 0.7
+    matrix = correlation * np.outer(sd, sd)
+    random = np.random.default_rng(41)
+    drawn = random.multivariate_normal(np.zeros(4), matrix, 200)
+    runs = [
+        simulate(base, values | {n: values[n] + s for n, s in zip(names, shift, strict=True)}, driven)
+        for shift in drawn
+    ]
+    plain, wide = simulate(base, values, driven), simulate(base, values, driven, (names, matrix))
+    for quantity in QUANTITIES:
+        spread = np.std([one.of(quantity)[0] for one in runs], axis=0)
+        extra = np.sqrt(np.maximum(wide.of(quantity)[1] ** 2 - plain.of(quantity)[1] ** 2, 0.0))
+        assert_allclose(wide.of(quantity)[0], plain.of(quantity)[0], rtol=0, atol=0)
+        later = driven.timeline.time > 1.0
+        assert np.median(spread[later]) > 0
+        assert_allclose(extra[later], spread[later], rtol=0.25, atol=0.02 * spread.max())
+
+
+# --- forecasts ------------------------------------------------------------------------------
+
+
+def test_a_forecast_is_the_filter_with_its_later_readings_hidden(noisy):
+    record, base = noisy
+    driven = prepare_run(base, record)
+    t = driven.timeline
+    values = parameters(base)
+    first = int(np.searchsorted(t.time, 200.0))
+    found = forecast(base, values, driven, first, leads_h=(1.0, 6.0), count=40)
+    seen = np.isfinite(t.y).any(axis=1) & driven.scored
+    starts = np.flatnonzero(seen)
+    starts = starts[starts >= first]
+    starts = starts[np.unique(np.linspace(0, len(starts) - 1, 40).astype(int))]
+    for lead in (1.0, 6.0):
+        rows = []
+        for start in starts:
+            later = np.flatnonzero(np.isfinite(t.reading("cabinet_temperature")) & (t.time > t.time[start]))
+            if not len(later):
+                continue
+            target = later[np.argmin(np.abs(t.time[later] - t.time[start] - lead))]
+            if abs(t.time[target] - t.time[start] - lead) > 0.15:
+                continue
+            hidden = t.y.copy()
+            hidden[start + 1 :] = np.nan
+            trace = Likelihood(base.model, t.with_readings(hidden).window(0, target + 1)).trace(values)
+            rows.append(
+                (
+                    t.reading("cabinet_temperature")[target],
+                    trace.prediction[-1, 0],
+                    math.sqrt(trace.variance[-1, 0]),
+                )
+            )
+        assert len(rows) > 30
+        assert_allclose(np.column_stack(found[lead]["temperature_K"]), rows, rtol=1e-9)
+    assert found[1.0]["temperature_K"][2].mean() < found[6.0]["temperature_K"][2].mean()
+
+
+def test_too_few_readings_give_no_forecast(noisy):
+    record, base = noisy
+    driven = prepare_run(base, record)
+    assert forecast(base, parameters(base), driven, len(driven.timeline) - 9) == {}
+
+
+def test_forecasts_leave_unscored_stretches_out(noisy):
+    record, base = noisy
+    driven = prepare_run(base, record.window(record.start_s, record.start_s + 4 * 86400.0))
+    scored = driven.timeline.time < 60.0
+    found = forecast(base, parameters(base), replace(driven, scored=scored), 0, (1.0,), 10_000)
+    usual = forecast(base, parameters(base), driven, 0, (1.0,), 10_000)
+    share = len(found[1.0]["temperature_K"][0]) / len(usual[1.0]["temperature_K"][0])
+    assert share == pytest.approx(60.0 / driven.timeline.time[-1], abs=0.02)
+
+
+# --- derived quantities ---------------------------------------------------------------------
+
+
+def test_projections_have_the_slopes_of_finite_differences(noisy):
+    record, base = noisy
+    driven = prepare_run(base, record.window(record.start_s, record.start_s + 86400.0))
+    values = parameters(base)
+    trace = Likelihood(base.model, driven.timeline).trace(values)
+    for function in (air_temperature, air_humidity):
+        value, variance = project(base, values, driven, trace.mean, trace.covariance, function)
+        slopes = []
+        for i in range(trace.mean.shape[1]):
+            moved = [trace.mean.copy(), trace.mean.copy()]
+            moved[0][:, i] -= 1e-4
+            moved[1][:, i] += 1e-4
+            low, high = (project(base, values, driven, m, None, function)[0] for m in moved)
+            slopes.append((high - low) / 2e-4)
+        j = np.array(slopes).T
+        assert_allclose(variance, np.einsum("ti,tij,tj->t", j, trace.covariance, j), rtol=1e-5)
+        assert np.all(project(base, values, driven, trace.mean, None, function)[1] == 0.0)
+        assert value.shape == (len(driven.timeline),)
+    u = driven.timeline.input("ambient_temperature")
+    warm = 0.85 * trace.mean[:, 0] + 0.15 * u
+    assert_allclose(project(base, values, driven, trace.mean, None, air_temperature)[0], warm)
+    c = trace.mean[:, list(base.model.states).index("vapour")]
+    assert_allclose(project(base, values, driven, trace.mean, None, air_humidity)[0], c * u / warm)
+
+
+def test_measured_absolute_humidity_uses_a_temperature_no_further_than_half_an_hour(noisy):
+    record, _ = noisy
+    warm = record["cabinet_temperature"]
+    hole = (warm.time > record.start_s + 20 * 3600) & (warm.time < record.start_s + 25 * 3600)
+    single = np.flatnonzero(~warm.missing)[400]
+    value = np.where(hole, np.nan, warm.value)
+    value[single] = np.nan
+    holed = record.replace_series(replace(warm, value=value))
+    base = design(holed)
+    driven = prepare_run(base, holed)
+    found = measured(driven)
+    seconds = driven.timeline.origin_s + 3600.0 * driven.timeline.time
+    amid = (seconds > record.start_s + 20.6 * 3600) & (seconds < record.start_s + 24.4 * 3600)
+    assert np.isfinite(found["relative_humidity"][amid]).any()
+    assert np.isnan(found["absolute_humidity_g_m3"][amid]).all()
+    at = int(np.argmin(np.abs(seconds - warm.time[single])))
+    expected = np.interp(warm.time[single], *known(holed["cabinet_temperature"]))
+    humidity = found["relative_humidity"][at]
+    assert found["absolute_humidity_g_m3"][at] == pytest.approx(1e3 * absolute_humidity(humidity, expected))
+    there = np.isfinite(found["temperature_K"]) & np.isfinite(found["relative_humidity"])
+    assert_allclose(
+        found["absolute_humidity_g_m3"][there],
+        1e3 * absolute_humidity(found["relative_humidity"][there], found["temperature_K"][there]),
+    )
+
+
+def test_predictions_start_from_any_state(noisy):
+    """A prediction from a given Gaussian begins there: the checkpoint of a filter."""
+    record, base = noisy
+    driven = prepare_run(base, record)
+    values = parameters(base)
+    trace = Likelihood(base.model, driven.timeline).trace(values)
+    part = driven.timeline.window(501, 700)
+    ahead = Likelihood(base.model, part).trace(values, start=Gaussian(trace.mean[500], trace.covariance[500]))
+    piece = Run(part, driven.operating[501:700], driven.scored[501:700])
+    found = predicted_readings(base, values, piece, ahead)
+    assert_allclose(found.temperature[0], trace.prediction[501:700, 0], rtol=1e-12)
+
+
+def test_records_without_readings_are_predicted_all_the_same(noisy):
+    record, base = noisy
+    alone = Record(
+        "drivers", tuple(s for s in record.series if not s.signal.startswith("cabinet")), rated_power_W=2e6
+    )
+    driven = prepare_run(base, alone)
+    found = simulate(base, parameters(base), driven)
+    assert np.isfinite(found.temperature[0]).all()
+    assert np.isnan(measured(driven)["temperature_K"]).all()

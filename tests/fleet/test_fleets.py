@@ -1,0 +1,830 @@
+"""Fleets: the same table whatever does the work, whoever dies over it, and nothing done twice."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import os
+import signal
+import threading
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hygrokf import identify, read_case, synthetic_turbine, write_case
+from hygrokf.commands.main import main
+from hygrokf.data.toml_form import keys_of
+from hygrokf.fleet import job as job_module
+from hygrokf.fleet import running
+from hygrokf.fleet.cluster import batches, on_cluster
+from hygrokf.fleet.job import FleetFault, Job, content_key, finished
+from hygrokf.fleet.outliers import FEWEST, REACH, spread, spreads
+from hygrokf.fleet.page import fleet_page
+from hygrokf.fleet.plan import read_plan
+from hygrokf.fleet.processes import in_processes
+from hygrokf.fleet.running import run_fleet, write_fleet_report
+from hygrokf.fleet.table import columns_of, table_csv, table_parquet
+from hygrokf.fleet.tasks import TASKS, Compared, perform
+from hygrokf.fleet.text import fleet_text
+from hygrokf.identification.results import dump, read_fit
+from hygrokf.identification.turbine_type import pool_types, read_type
+
+DOCS = Path(__file__).resolve().parents[2] / "docs"
+DAYS, TURBINES = 5.0, 5
+FLEET = 'name = "Park <A&B>"\ntask = "fit"\ncases = ["*/case.toml"]\n[options]\nstarts = 1\n'
+WHOLE, HALF = ("T1", "T2", "T4"), {"T3": "cabinet.csv: no such file", "T5": "correct the unit or the column"}
+
+
+@pytest.fixture(scope="module")
+def park(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Five synthetic turbines: a file of the third is missing, a unit of the fifth is wrong."""
+    folder = tmp_path_factory.mktemp("park")
+    for seed in range(1, TURBINES + 1):
+        write_case(synthetic_turbine(seed=seed, days=DAYS), folder / f"T{seed}")
+    (folder / "T3" / "cabinet.csv").unlink()
+    case = folder / "T5" / "case.toml"
+    case.write_text(case.read_text().replace('"T_cab_degC", unit = "degC"', '"T_cab_degC", unit = "K"'))
+    (folder / "fleet.toml").write_text(FLEET)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def serial(park: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """Folder and table of the fleet, each turbine done here, one after the other."""
+    out = tmp_path_factory.mktemp("serial")
+    jobs = read_plan(park / "fleet.toml").jobs(out)
+    return out, table_csv("fit", [perform(job).row for job in jobs])
+
+
+def rows_of(text: str) -> dict[str, dict[str, str]]:
+    return {row["turbine"]: row for row in csv.DictReader(io.StringIO(text))}
+
+
+# -- the plan ------------------------------------------------------------------------------------------------
+def test_a_plan_has_every_turbine_with_the_whole_set_of_options(park: Path) -> None:
+    plan = read_plan(park / "fleet.toml")
+    assert [one.name for one in plan.turbines] == [f"T{i}" for i in range(1, TURBINES + 1)]
+    assert plan.options == {
+        "criterion": "likelihood", "kind": "cascade", "starts": 1, "profiles": False, "report": False
+    }  # fmt: skip
+    again = [Job.from_json(json.loads(json.dumps(job.to_json()))) for job in plan.jobs(park / "out")]
+    assert again == plan.jobs(park / "out")
+
+
+def test_models_are_named_by_turbine_or_for_all(park: Path) -> None:
+    file = park / "evaluate.toml"
+    file.write_text(
+        'task = "evaluate"\ncases = ["T[12]/case.toml"]\nfit = "models/{name}/fit.json"\n'
+        '[[turbine]]\nname = "other"\ncase = "T4/case.toml"\nfit = "own.json"\n'
+    )
+    plan = read_plan(file)
+    assert plan.name == "evaluate"
+    assert {one.name: one.fit.relative_to(park).as_posix() for one in plan.turbines} == {
+        "T1": "models/T1/fit.json",
+        "T2": "models/T2/fit.json",
+        "other": "own.json",
+    }
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("task = ", ["line 1, at the end: not valid TOML"]),
+        ('task = "fitt"\nnmae = "x"',
+            ['unknown key "nmae"', "did you mean", "task must be one of fit, discover", '"fitt"']),
+        ('cases = ["*/case.toml"]', ["needs task, one of fit, discover"]),
+        ('task = "fit"', ["no turbine: state cases"]),
+        ('task = "fit"\ncases = ["none/*.toml"]', ['no file matches "none/*.toml"']),
+        (
+            'task = "fit"\ncases = ["T1/case.toml"]\nfit = "f.json"\n[options]\nstart = 3\nstarts = 0\nkind '
+            '= "both"\nreport = 1',
+            ["uses no fitted model", 'unknown key "start" for fit',
+                "starts must be a whole number from 1 on, found 0",
+             'kind must be one of cascade, joint, found "both"', "report must be true or false, found 1",
+             "5 faults"],
+        ),
+        (
+            'task = "fit"\n[[turbine]]\nname = "../up"\ncase = "T1/case.toml"\n[[turbine]]\nname = "a"\ncase '
+            '= "T1/case.toml"\n[[turbine]]\nname = "A"\ncase = "T2/case.toml"\n[[turbine]]\nname = "b"\nCase '
+            '= "T2"',
+            ['the name "../up" becomes a folder', 'the name "A" is that of [[turbine]] 2 too',
+                'unknown key "Case"', "needs case"],
+        ),
+        ('task = "evaluate"\ncases = ["T1/case.toml"]', ["needs a fitted model"]),
+        ('task = "discover"\ncases = ["T1/case.toml"]\noptions.library = ["none.py"]',
+            ["no such file", "none.py"]),
+    ],
+)  # fmt: skip
+def test_every_fault_of_a_plan_is_said_at_once(park: Path, text: str, words: list[str]) -> None:
+    file = park / "faulty.toml"
+    file.write_text(text)
+    with pytest.raises(FleetFault) as found:
+        read_plan(file)
+    assert [word for word in words if word not in str(found.value)] == []
+
+
+def test_a_plan_that_is_not_there_is_said(park: Path) -> None:
+    with pytest.raises(FleetFault, match=r"cannot be read: No such file.*did you mean \"fleet.toml\""):
+        read_plan(park / "fleets.toml")
+
+
+# -- the same work -------------------------------------------------------------------------------------------
+def test_the_key_follows_all_that_results_follow_from(
+    park: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("case.toml", "cabinet.csv", "ambient.csv", "scada.csv"):
+        (tmp_path / name).write_bytes((park / "T1" / name).read_bytes())
+    fit = tmp_path / "fit.json"
+    fit.write_text("{}")
+    job = Job("T1", "fit", tmp_path / "case.toml", tmp_path / "out", fit, {"starts": 1})
+    keys = [content_key(job)]
+    os.utime(tmp_path / "scada.csv", (1, 1))
+    assert content_key(replace(job, folder=tmp_path / "elsewhere")) == keys[0]
+    for file in ("case.toml", "cabinet.csv", "ambient.csv", "scada.csv", "fit.json"):
+        before = (tmp_path / file).read_bytes()
+        (tmp_path / file).write_bytes(before + b"\n")
+        keys.append(content_key(job))
+        (tmp_path / file).write_bytes(before)
+    assert content_key(job) == keys[0]
+    (tmp_path / "scada.csv").unlink()
+    keys += [
+        content_key(job),
+        content_key(replace(job, options={"starts": 2})),
+        content_key(job, [park / "fleet.toml"]),
+    ]
+    monkeypatch.setattr(job_module, "__version__", "99.0")
+    keys.append(content_key(job))
+    assert len(set(keys)) == len(keys) == 10
+
+
+def test_a_fleets_table_holds_every_turbine_with_result_or_reason(
+    park: Path, serial: tuple[Path, str]
+) -> None:
+    out, table = serial
+    rows = rows_of(table)
+    assert list(rows) == [f"T{i}" for i in range(1, TURBINES + 1)]
+    assert {name for name, row in rows.items() if row["status"] == "done"} == set(WHOLE)
+    for name, reason in HALF.items():
+        assert rows[name]["status"] == "failed" and reason in rows[name]["reason"]
+        assert not rows[name]["thermal_value_h"] and not (out / "turbines" / name / "fit.json").exists()
+    fit = identify(read_case(park / "T2" / "case.toml"), profiles=False, starts=1)
+    found = fit.to_json()["time_constants"]["thermal"]
+    assert float(rows["T2"]["thermal_upper_h"]) == found["upper_h"]
+    assert float(rows["T2"]["loglik"]) == fit.to_json()["loglik"]
+    assert (
+        float(rows["T2"]["temperature_rmse_K"])
+        == fit.to_json()["rmse"]["validation"]["temperature_K"]["total"]
+    )
+    assert rows["T2"]["synthetic"] == "true"
+
+
+def children() -> list[int]:
+    """Processes that this one and its threads have started, and theirs."""
+    found, look = [], [os.getpid()]
+    while look:
+        for file in Path(f"/proc/{look.pop()}/task").glob("*/children"):
+            try:
+                new = [int(one) for one in file.read_text().split()]
+            except OSError:
+                continue
+            found += new
+            look += new
+    return found
+
+
+def working() -> list[int]:
+    """Those of them that do jobs: processes of ours, and workers of a cluster under their nannies."""
+    marks = ("hygrokf.fleet.worker", "spawn_main", "--multiprocessing-fork", "dask_worker")
+    found = []
+    for one in children():
+        try:
+            said = Path(f"/proc/{one}/cmdline").read_text()
+        except OSError:
+            continue
+        if any(mark in said for mark in marks) and "resource_tracker" not in said:
+            found.append(one)
+    return found
+
+
+needs_proc = pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="finds its processes in /proc")
+
+
+@needs_proc
+def test_processes_that_are_killed_cost_nothing(park: Path, serial: tuple[Path, str], tmp_path: Path) -> None:
+    """Every process is killed while it works; the table is complete and that of the serial run; then nothing
+    is done."""
+    killed: list[int] = []
+    came: list[str] = []
+
+    def say(found: object, known: bool) -> None:
+        came.append(found.turbine)
+        assert not known
+        if len(came) == 1:
+            for one in working():
+                os.kill(one, signal.SIGKILL)
+                killed.append(one)
+
+    plan = read_plan(park / "fleet.toml")
+    result = run_fleet(plan, tmp_path, workers=2, say=say)
+    assert killed and sorted(came) == [f"T{i}" for i in range(1, TURBINES + 1)]
+    assert (tmp_path / "fleet.csv").read_text() == serial[1]
+    assert (result.known, len(result.missing)) == (0, len(HALF))
+    assert working() == []
+    made = {name: (tmp_path / "turbines" / name / "fit.json").stat().st_mtime_ns for name in WHOLE}
+    again: dict[str, bool] = {}
+    result = run_fleet(
+        plan, tmp_path, workers=1, say=lambda found, known: again.update({found.turbine: known})
+    )
+    assert again == {**dict.fromkeys(WHOLE, True), **dict.fromkeys(HALF, False)} and result.known == len(
+        WHOLE
+    )
+    assert made == {name: (tmp_path / "turbines" / name / "fit.json").stat().st_mtime_ns for name in WHOLE}
+    assert (tmp_path / "fleet.csv").read_text() == serial[1]
+
+
+def deadly(park: Path) -> Path:
+    """A library that kills the process that loads it."""
+    file = park / "deadly.py"
+    file.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n")
+    return file
+
+
+def lethal_plan(park: Path) -> Path:
+    file = park / "lethal.toml"
+    library = deadly(park).name
+    file.write_text(f'task = "discover"\ncases = ["T[12]/case.toml"]\noptions.library = ["{library}"]\n')
+    return file
+
+
+def test_a_turbine_that_kills_its_process_is_lost_and_told(park: Path, tmp_path: Path) -> None:
+    result = run_fleet(read_plan(lethal_plan(park)), tmp_path, workers=1)
+    assert [row["status"] for row in result.rows] == ["lost", "lost"]
+    assert all("killed by SIGKILL, 2 times in a row" in row["reason"] for row in result.rows)
+    assert json.loads((tmp_path / "turbines" / "T1" / "row.json").read_text())["row"]["status"] == "lost"
+    assert "lost" in (tmp_path / "report.html").read_text()
+
+
+def test_a_process_that_dies_before_it_begins_stops_nothing(
+    park: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It has made no folder for its row."""
+    from hygrokf.fleet import processes
+
+    monkeypatch.setattr(processes.sys, "executable", "/bin/false")
+    result = run_fleet(read_plan(park / "fleet.toml"), tmp_path, workers=1)
+    assert [row["status"] for row in result.rows] == ["lost"] * TURBINES
+    assert "ended with status 1, 2 times in a row" in str(result.rows[0]["reason"])
+    assert (tmp_path / "turbines" / "T5" / "row.json").is_file()
+
+
+def test_whoever_stops_early_leaves_no_process(park: Path, tmp_path: Path) -> None:
+    coming = in_processes(read_plan(park / "fleet.toml").jobs(tmp_path), 2)
+    next(coming)
+    coming.close()
+    if Path("/proc/self/task").exists():
+        assert working() == []
+
+
+def test_changed_data_are_done_again_and_nothing_of_before_is_left(
+    park: Path, serial: tuple[Path, str], tmp_path: Path
+) -> None:
+    for name in ("case.toml", "cabinet.csv", "ambient.csv", "scada.csv"):
+        (tmp_path / "T2").mkdir(exist_ok=True)
+        (tmp_path / "T2" / name).write_bytes((park / "T2" / name).read_bytes())
+    (tmp_path / "fleet.toml").write_text(FLEET)
+    (job,) = read_plan(tmp_path / "fleet.toml").jobs(tmp_path / "out")
+    first = perform(job)
+    assert finished(job) == first and perform(job) == first
+    assert first.row["key"] == rows_of(serial[1])["T2"]["key"]
+    (tmp_path / "T2" / "cabinet.csv").write_text("time,other\n")
+    (job,) = read_plan(tmp_path / "fleet.toml").jobs(tmp_path / "out")
+    assert finished(job) is None
+    assert perform(job).status == "failed"
+    assert {one.name for one in job.folder.iterdir()} == {"row.json"}
+
+
+def test_a_fault_that_no_one_foresaw_is_a_row_too(
+    park: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def broken(job: Job) -> dict:
+        return {"thermal_value_h": 1 / (len(job.turbine) - 2)}
+
+    monkeypatch.setitem(TASKS, "fit", replace(TASKS["fit"], perform=broken))
+    job = read_plan(park / "fleet.toml").jobs(tmp_path)[0]
+    found = perform(job)
+    assert found.status == "failed"
+    assert found.row["reason"].startswith("ZeroDivisionError: division by zero (test_fleets.py, line ")
+
+
+def test_a_models_scores_are_those_of_the_command(
+    park: Path, serial: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    file = park / "scores.toml"
+    fits = serial[0] / "turbines"
+    file.write_text(f'task = "evaluate"\ncases = ["T[14]/case.toml"]\nfit = "{(fits / "T2").as_posix()}"\n')
+    assert main(["fleet", str(file), "--out", str(tmp_path), "--workers", "1", "--json"]) == 0
+    rows = {row["turbine"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
+    assert main(["evaluate", str(fits / "T2" / "fit.json"), str(park / "T4" / "case.toml"), "--json"]) == 0
+    one = json.loads(capsys.readouterr().out)
+    assert rows["T4"]["temperature_rmse_K"] == one["rmse"]["validation"]["temperature_K"]["total"]
+    assert (
+        rows["T4"]["humidity_rmse_operation_g_m3"]
+        == one["rmse"]["validation"]["absolute_humidity_g_m3"]["operation"]
+    )
+    assert rows["T4"]["humidity_coverage"] == one["bands"]["free_run"]["absolute_humidity_g_m3"]["coverage"]
+    assert rows["T4"]["model"] == "synthetic-turbine-2"
+
+
+# -- a cluster -----------------------------------------------------------------------------------------------
+@pytest.fixture(scope="module")
+def cluster() -> Iterator[object]:
+    import dask
+    from distributed import LocalCluster
+
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 1}),
+        LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0"
+        ) as made,
+    ):
+        yield made
+
+
+@needs_proc
+def test_a_cluster_whose_worker_is_killed_gives_the_serial_table(
+    park: Path, serial: tuple[Path, str], tmp_path: Path, cluster: object
+) -> None:
+    came: list[str] = []
+    killed: list[int] = []
+
+    def say(found: object, known: bool) -> None:
+        came.append(found.turbine)
+        if len(came) == 1:
+            killed.append(max(cluster_pids(cluster)))
+            os.kill(killed[0], signal.SIGKILL)
+
+    run_fleet(read_plan(park / "fleet.toml"), tmp_path, cluster=cluster.scheduler_address, say=say)
+    assert len(killed) == 1 and sorted(came) == [f"T{i}" for i in range(1, TURBINES + 1)]
+    assert (tmp_path / "fleet.csv").read_text() == serial[1]
+
+
+def cluster_pids(cluster: object) -> list[int]:
+    from distributed import Client
+
+    with Client(cluster.scheduler_address, set_as_default=False) as client:
+        return list(client.run(os.getpid).values())
+
+
+def test_a_turbine_that_kills_workers_is_lost_alone(park: Path, tmp_path: Path, cluster: object) -> None:
+    """Three jobs in one batch, the second of which kills: sent again one by one, the others are done."""
+    good = read_plan(park / "fleet.toml").jobs(tmp_path)
+    bad = read_plan(lethal_plan(park)).jobs(tmp_path / "bad")[0]
+    jobs = [good[2], bad, good[4]]
+    assert batches(jobs * 20, 1) != [[job] for job in jobs * 20]
+    found = {one.row["key"]: one for one in in_one_batch(jobs, cluster.scheduler_address)}
+    assert [found[job.key].status for job in jobs] == ["failed", "lost", "failed"]
+    assert "no worker of the cluster could do it" in str(found[bad.key].row["reason"])
+
+
+def in_one_batch(jobs: list[Job], address: str) -> list:
+    from hygrokf.fleet import cluster
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(cluster, "BATCHES", 0.01)
+        return list(on_cluster(jobs, address))
+
+
+def test_batches_hold_every_job_once_in_order() -> None:
+    for count in (1, 7, 100, 5000):
+        made = batches(list(range(count)), 4)
+        assert [one for batch in made for one in batch] == list(range(count))
+        assert max(map(len, made)) <= 25 and (count > 4000 or len(made) >= min(count, 4))
+
+
+def sleeping(jobs: list) -> list:
+    """In place of a batch: what is not done when the scheduler ends."""
+    time.sleep(4.0)
+    return []
+
+
+def test_a_scheduler_that_ends_is_told(park: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not as turbines that are lost: what is left is done by the same command."""
+    from distributed import LocalCluster
+
+    from hygrokf.fleet import cluster
+
+    monkeypatch.setenv("OMP_NUM_THREADS", "1")
+    monkeypatch.setattr(cluster, "perform_batch", sleeping)
+    monkeypatch.setattr(cluster, "WAIT_S", 1.5)
+    with LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address="127.0.0.1:0"
+    ) as made:
+        threading.Timer(1.5, made.close).start()
+        with pytest.raises(FleetFault, match="the scheduler ended before the work, or was not reached"):
+            run_fleet(read_plan(park / "fleet.toml"), tmp_path / "out", cluster=made.scheduler_address)
+    assert not (tmp_path / "out" / "turbines").exists()
+
+
+MODELS_GO = {
+    "transfer": "",
+    "climate": '[options]\nmembers = 4\nlimits = ["limits.toml"]\n',
+}
+
+
+@pytest.mark.parametrize("task", MODELS_GO)
+def test_models_go_elsewhere_on_a_cluster_as_here(
+    task: str, park: Path, serial: tuple[Path, str], tmp_path: Path, cluster: object
+) -> None:
+    """The table, and the numbers in every turbine's own files, are those of a serial run."""
+    limits_file(park)
+    file = park / f"{task}_there.toml"
+    fit = serial[0] / "turbines" / "T1" / "fit.json"
+    file.write_text(f'task = "{task}"\ncases = ["T[23]/case.toml"]\nfit = "{fit}"\n{MODELS_GO[task]}')
+    here, there = tmp_path / "here", tmp_path / "there"
+    table = table_csv(task, [perform(job).row for job in read_plan(file).jobs(here)])
+    result = run_fleet(read_plan(file), there, cluster=cluster.scheduler_address)
+    assert [row["status"] for row in result.rows] == ["done", "failed"]
+    assert (there / "fleet.csv").read_text() == table
+    made = sorted(one.name for one in (here / "turbines" / "T2").iterdir())
+    assert made == sorted(one.name for one in (there / "turbines" / "T2").iterdir())
+    for one in made:
+        if one.endswith((".csv", ".json")) and one != "row.json":  # which has the time that it took
+            same = [untimed((out / "turbines" / "T2" / one).read_text()) for out in (here, there)]
+            assert same[0] == same[1], one
+
+
+def untimed(text: str) -> list[str]:
+    """Lines of a file but the one that says when it was made."""
+    return [line for line in text.split("\n") if not line.startswith(' "created": ')]
+
+
+def test_where_there_is_no_cluster_it_is_said(park: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from hygrokf.fleet import cluster
+
+    monkeypatch.setattr(cluster, "WAIT_S", 0.3)
+    with pytest.raises(FleetFault, match="expected the scheduler of a Dask cluster"):
+        list(on_cluster(read_plan(park / "fleet.toml").jobs(park), "tcp://127.0.0.1:1"))
+
+
+# -- table and page ------------------------------------------------------------------------------------------
+def test_both_tables_say_the_same(serial: tuple[Path, str], tmp_path: Path) -> None:
+    from pyarrow import parquet
+
+    rows = [json.loads(f.read_text())["row"] for f in sorted((serial[0] / "turbines").glob("*/row.json"))]
+    file = tmp_path / "fleet.parquet"
+    file.write_bytes(table_parquet("fit", rows))
+    read = parquet.read_table(file)
+    assert read.column_names == list(columns_of("fit")) == serial[1].split("\n")[0].split(",")
+    for name, line in zip(("T1", "T3"), (read.to_pylist()[0], read.to_pylist()[2]), strict=True):
+        for column, text in rows_of(serial[1])[name].items():
+            value = line[column]
+            assert text == (
+                "" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+            )
+    kinds = {field.name: str(field.type) for field in read.schema}
+    assert (
+        kinds["thermal_upper_h"] == "double"
+        and kinds["n_readings"] == "int64"
+        and kinds["converged"] == "bool"
+    )
+    empty = parquet.read_schema(io.BytesIO(table_parquet("fit", [rows[2]])))
+    assert (
+        str(empty.field("thermal_upper_h").type) == "double"
+        and str(empty.field("at_bounds").type) == "string"
+    )
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_column_and_option_is_documented(task: str) -> None:
+    text = (DOCS / "fleet.md").read_text(encoding="utf-8")
+    for name, meaning in TASKS[task].columns.items():
+        assert f"| `{name}` | {meaning} |" in text, name
+    for name, (_, option, _) in keys_of(TASKS[task].options).items():
+        assert f"`{name}`" in text and option.help in text, name
+
+
+def limits_file(park: Path) -> None:
+    (park / "limits.toml").write_text('[[limit]]\nquantity = "temperature_degC"\nabove = 90\n')
+
+
+@pytest.mark.parametrize(
+    ("task", "options", "files"),
+    [
+        ("transfer", "", ["transfer.json", "transfer.npz", "report.html"]),
+        ("climate", '[options]\nmembers = 4\nlimits = ["limits.toml"]\n',
+            ["climate.json", "climate.csv", "report.html"]),
+    ],
+)  # fmt: skip
+def test_models_go_elsewhere(
+    task: str, options: str, files: list[str], park: Path, serial: tuple[Path, str], tmp_path: Path
+) -> None:
+    limits_file(park)
+    fit = serial[0] / "turbines" / "T1" / "fit.json"
+    file = park / f"{task}.toml"
+    file.write_text(f'task = "{task}"\ncases = ["T[23]/case.toml"]\nfit = "{fit}"\n{options}')
+    found = run_fleet(read_plan(file), tmp_path / "out", workers=1)
+    done, failed = (one.row for one in found.outcomes)
+    assert (done["status"], failed["status"]) == ("done", "failed"), done["reason"]
+    assert set(TASKS[task].columns) <= set(done) and done["model"] == "synthetic-turbine-1"
+    assert all((tmp_path / "out" / "turbines" / "T2" / name).is_file() for name in files)
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    if task == "transfer":
+        data = json.loads((tmp_path / "out" / "turbines" / "T2" / "transfer.json").read_text())["records"][0]
+        assert (done["transfer"], done["sentence"]) == (data["verdict"], data["sentence"])
+        assert done["temperature_rmse_K"] == data["rmse"]["temperature_K"]["re_estimated"]["total"]
+        # five days are too few for bounds of the gain
+        assert done["temperature_gain_K"] == pytest.approx(
+            done["as_is_temperature_rmse_K"] - done["temperature_rmse_K"]
+        )
+        assert "What travels" in page
+    else:
+        (region,) = json.loads((tmp_path / "out" / "turbines" / "T2" / "climate.json").read_text())["regions"]
+        assert done["wetness_h"] == region["scopes"]["all"]["wetness_h"]["value"]
+        assert done["ageing_h_lower"] <= done["ageing_h"] <= done["ageing_h_upper"]
+        assert done["limits"] == "undecided"  # a few days are no year
+        assert "Climate of a year" in page and "Limits: 1 undecided." in page
+
+
+def test_fits_of_a_fleet_give_the_type_of_its_turbines(
+    park: Path, serial: tuple[Path, str], tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    run_fleet(read_plan(park / "fleet.toml"), out, workers=1)
+    kind = read_type(out / "type.json")
+    assert kind.turbines == WHOLE
+    fits = [replace(read_fit(serial[0] / "turbines" / name), name=name) for name in WHOLE]
+    expected = pool_types(fits, "any").parameters["thermal_time_constant"]
+    assert kind.parameters["thermal_time_constant"] == expected
+    assert "The type of turbine" in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_limits_file_that_is_wrong_is_named_in_the_row(
+    park: Path, serial: tuple[Path, str], tmp_path: Path
+) -> None:
+    (park / "wrong.toml").write_text("[[limit\n")
+    (park / "same.toml").write_text('[[limit]]\nquantity = "temperature_degC"\nabove = 90\n')
+    limits_file(park)
+    fit = serial[0] / "turbines" / "T1" / "fit.json"
+    reasons = []
+    for files in ('"wrong.toml"', '"limits.toml", "same.toml"'):
+        file = park / "limited.toml"
+        options = f"[options]\nmembers = 2\nlimits = [{files}]\n"
+        file.write_text(f'task = "climate"\ncases = ["T2/case.toml"]\nfit = "{fit}"\n{options}')
+        (job,) = read_plan(file).jobs(tmp_path)
+        found = perform(job)
+        assert found.status == "failed"
+        reasons.append(str(found.row["reason"]))
+    assert "wrong.toml: line" in reasons[0]
+    assert 'two limits are called "temperature above 90 °C"' in reasons[1]
+
+
+def test_the_page_of_climates_shows_limits_and_numbers_that_are_zero() -> None:
+    rows = []
+    for place in range(7):
+        row: dict = {"turbine": f"W{place}", "status": "done", "limits": "fail" if place == 2 else "pass"}
+        row |= {"wetness_class": "τ2", "statements": "one; more | the other" if place else "one; more"}
+        row |= {"ageing_h": 12.0 + place, "ageing_h_lower": 11.0 + place, "ageing_h_upper": 13.0 + place}
+        row |= {f"wetness_h{end}": v for end, v in (("", 43.5397), ("_lower", 0.0), ("_upper", 116.1))}
+        rows.append(row)
+    rows[6] |= {"wetness_h": 0.0, "wetness_h_upper": 0.0}
+    text = fleet_page({"task": "climate", "rows": rows, "name": "one"})
+    assert "Limits: 1 fail, 6 pass." in text and "7 of 7: one; more<" in text and "6 of 7: the other<" in text
+    ranking = text.split("<h2>Ranking</h2>")[1]
+    assert ranking.count("43.5 (0 … 116)") == 6 and "43.5397" not in text
+    assert "above zero on both sides, so not compared: time of wetness of W0, W1" in text
+    assert "W6.</p>" in text  # also the one without any wet hour
+
+
+def made_rows(random: np.random.Generator, count: int, between: float, error: np.ndarray) -> list[dict]:
+    x = np.log(1.5) + between * random.normal(size=count) + error * random.normal(size=count)
+    return [
+        {
+            "turbine": f"W{i}", "status": "done", "v": float(np.exp(a)),
+            "l": float(np.exp(a - REACH * e)), "u": float(np.exp(a + REACH * e)),
+        }
+        for i, (a, e) in enumerate(zip(x, error, strict=True))
+    ]  # fmt: skip
+
+
+BOUNDED, BARE = Compared("v", "time constant", "h", "l", "u"), Compared("v", "error", "K")
+
+
+@pytest.mark.parametrize(
+    ("count", "between", "unequal", "compared", "least_power"),
+    [
+        (8, 0.06, 0.0, BARE, 0.6),
+        (12, 0.06, 0.0, BOUNDED, 0.8),
+        (40, 0.06, 0.5, BOUNDED, 0.9),
+        (40, 0.0, 0.3, BOUNDED, 0.9),
+        (150, 0.06, 0.0, BARE, 0.9),
+    ],
+)
+def test_false_outliers_are_as_rare_as_stated(
+    count: int, between: float, unequal: float, compared: Compared, least_power: float
+) -> None:
+    """200 fleets alike: any outlier in at most 5 % (its 99.9 % bound with 200 draws: 10 %); one that is e^0.6
+    off is found."""
+    random = np.random.default_rng(4711 + count)
+    false = found = 0
+    for _ in range(200):
+        rows = made_rows(random, count, between, 0.05 * np.exp(unequal * random.normal(size=count)))
+        false += bool(spread(rows, compared).outliers)
+        moved = dict(rows[0])
+        moved |= {name: moved[name] * np.exp(0.6) for name in ("v", "l", "u")}
+        found += 0 in spread([moved, *rows[1:]], compared).outliers
+    assert false <= 20
+    assert found >= 200 * least_power
+
+
+def test_open_bounds_and_few_turbines_are_not_judged() -> None:
+    rows = made_rows(np.random.default_rng(1), FEWEST - 1, 0.05, np.full(FEWEST - 1, 0.05))
+    rows[1] |= {"u": None}
+    (one,) = spreads(rows, [BOUNDED, Compared("none", "nothing", "")])
+    assert (
+        one.open == ("W1",) and len(one.turbines) == FEWEST - 2 and np.isnan(one.z).all() and not one.outliers
+    )
+    alike = [{"turbine": f"W{i}", "v": 1.5, "l": 1.4, "u": 1.6} for i in range(9)]
+    assert not spread(alike, BOUNDED).outliers
+
+
+def test_what_bounds_explain_is_not_said_where_one_of_few_departs() -> None:
+    """Four turbines, one at twice the value: the median deviation does not see it, and so few name no
+    outlier."""
+    four = [
+        {"turbine": f"W{i}", "v": v, "l": 0.8 * v, "u": 1.25 * v} for i, v in enumerate((1.4, 1.5, 1.5, 3.8))
+    ]
+    one = spread(four, BOUNDED)
+    assert one.between == 0.0 and not one.outliers and not one.explained
+    assert spread(four[:3], BOUNDED).explained and spread(four[:1], BOUNDED).explained
+    random = np.random.default_rng(8)
+    alike = sum(spread(made_rows(random, 8, 0.0, np.full(8, 0.05)), BOUNDED).explained for _ in range(400))
+    assert (
+        400 * 0.95 - 4 * 4.4 < alike
+    )  # 5 % of 400 with its standard deviation; outliers are left out beforehand
+
+
+def test_several_quantities_share_the_chance() -> None:
+    rows = made_rows(np.random.default_rng(3), 12, 0.05, np.full(12, 0.05))
+    alone, shared = spread(rows, BOUNDED, 1), spread(rows, BOUNDED, 4)
+    assert np.allclose(shared.p, np.minimum(1.0, 4.0 * alone.p)) and np.array_equal(shared.z, alone.z)
+
+
+def test_the_page_shows_failures_outliers_and_ranking() -> None:
+    random = np.random.default_rng(5)
+    rows = []
+    for place in range(9):
+        row: dict = {"turbine": f"W<{place}>", "status": "done", "task": "fit", "synthetic": True}
+        for name, middle in (("thermal", 1.5), ("hygric", 0.3)):
+            value = middle * float(
+                np.exp(0.05 * random.normal() + (1.0 if place == 4 and name == "thermal" else 0.0))
+            )
+            row |= {f"{name}_{k}_h": value * f for k, f in (("lower", 0.9), ("value", 1.0), ("upper", 1.1))}
+        rows.append(row | {"temperature_rmse_K": 1.0 + 0.01 * place, "humidity_rmse_g_m3": 0.4})
+    rows[7] |= {"thermal_upper_h": None, "thermal_statement": "at least 1.2 h"}
+    rows.append({"turbine": "W9", "status": "failed", "reason": "no <file>", "task": "fit"})
+    text = fleet_page(
+        {"name": "P & Q", "task": "fit", "rows": rows, "options": {}, "created": "2024-05-01T12:00:00"}
+    )
+    assert "<script" not in text and "W<4>" not in text and "P &amp; Q" in text and "no &lt;file&gt;" in text
+    outliers = text.split("<h2>Outliers</h2>")[1].split("</section>")[0]
+    assert "W&lt;4&gt;" in outliers and outliers.count("<tr") == 2
+    ranking = text.split("<h2>Ranking</h2>")[1]
+    assert ranking.index("W&lt;8&gt;") < ranking.index("W&lt;1&gt;") and "at least 1.2 h" in ranking
+    assert "9 of 10" in text and text.count("<svg") == 2 and "SYNTHETIC" in text
+    assert (
+        "Outliers" not in fleet_page({"task": "fit", "rows": rows[-1:], "name": "one"}).split("<footer>")[0]
+    )
+
+
+def departing_rows() -> list[dict]:
+    """Nine turbines of which the fifth has a time constant e times as long."""
+    random = np.random.default_rng(5)
+    rows = []
+    for place in range(9):
+        value = 1.5 * float(np.exp(0.05 * random.normal() + (1.0 if place == 4 else 0.0)))
+        bounds = {f"thermal_{k}_h": value * f for k, f in (("lower", 0.9), ("value", 1.0), ("upper", 1.1))}
+        rows.append({"turbine": f"W{place}", "status": "done", "task": "fit", **bounds})
+    return rows
+
+
+def test_the_terminal_says_who_departs() -> None:
+    rows = departing_rows()
+    text = fleet_text("fit", rows)
+    assert "departs: W4, thermal time constant 4.3" in text and text.count("departs:") == 1
+    assert "none departs from the others" in fleet_text("fit", rows[:4] + rows[5:])
+    assert "depart" not in fleet_text("fit", rows[:3])
+
+
+def test_a_turbine_that_departs_is_no_part_of_the_type(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The type is made of the others, and the page says of whom it is not."""
+    taken: list[str] = []
+
+    class Kind:
+        def to_json(self) -> dict:
+            return {"turbines": list(taken), "type_parameters": {}}
+
+    monkeypatch.setattr(running, "read_fit", lambda folder: SimpleFit(folder.name))
+    monkeypatch.setattr(
+        running, "pool_types", lambda fits, name: taken.extend(f.name for f in fits) or Kind()
+    )
+    monkeypatch.setattr(running, "write_type", lambda kind, file: file)
+    rows = departing_rows()
+
+    class Park:
+        task, name = "fit", "park"
+
+        def jobs(self, out: Path) -> list:
+            return [SimpleNamespace(turbine=row["turbine"], folder=out / row["turbine"]) for row in rows]
+
+    found = running._type_of(Park(), tmp_path, rows)
+    assert found["type_without"] == ["W4"] and taken == [f"W{i}" for i in range(9) if i != 4]
+
+
+@dataclass(frozen=True)
+class SimpleFit:
+    name: str
+
+
+# -- the command ---------------------------------------------------------------------------------------------
+def test_the_command_tells_writes_and_reports_again(
+    park: Path, serial: tuple[Path, str], capsys: pytest.CaptureFixture
+) -> None:
+    """On the folder of the serial run only the failures are tried again."""
+    out = serial[0]
+    assert main(["fleet", str(park / "fleet.toml"), "--out", str(out), "--workers", "1"]) == 1
+    told = capsys.readouterr()
+    assert "3 of 5 turbines with a result" in told.out and "T3" in told.out and "no such file" in told.out
+    assert told.err.count("done before") == len(WHOLE) and "report: " in told.err
+    assert (out / "fleet.csv").read_text() == serial[1]
+    page = (out / "report.html").read_text(encoding="utf-8")
+    (out / "report.html").unlink()
+    assert main(["report", str(out)]) == 0
+    assert (out / "report.html").read_text(encoding="utf-8") == page and "Park &lt;A&amp;B&gt;" in page
+    kept = (out / "fleet.json").read_text(encoding="utf-8")
+    for damaged in ("{", '{"task": "none", "rows": []}', "[]"):
+        (out / "fleet.json").write_text(damaged)
+        with pytest.raises(FleetFault, match=r"fleet\.json"):
+            write_fleet_report(out)
+    (out / "fleet.json").write_text(kept, encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("more", "words"),
+    [
+        (["--workers", "2", "--dask", "tcp://x:1"], "leave it out beside --dask"),
+        (["--dask", "nowhere"], "--dask nowhere: 1 fault"),
+        (["--out", "climate"], "expected a directory of its own, found climate.json"),
+    ],
+)
+def test_what_cannot_be_run_is_said(
+    park: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture,
+    monkeypatch: pytest.MonkeyPatch,
+    more: list,
+    words: str,
+) -> None:
+    from hygrokf.fleet import cluster
+
+    monkeypatch.setattr(cluster, "WAIT_S", 0.3)
+    (tmp_path / "climate.json").write_text("{}")
+    more = [str(tmp_path) if one == "climate" else one for one in more]
+    assert main(["fleet", str(park / "fleet.toml"), "--out", str(tmp_path / "out"), *more]) == 2
+    assert words in capsys.readouterr().err
+
+
+def test_results_are_plain_data() -> None:
+    """What a row holds survives JSON: not a number and infinities become null."""
+    from hygrokf.fleet.job import outcome
+
+    job = Job("a", "fit", Path("c"), Path("f"))
+    found = outcome(job, "done", thermal_upper_h=float("inf"), n_readings=np.int64(3))
+    assert found.row["thermal_upper_h"] is None and json.loads(dump(found.to_json()))["row"] == found.row
+
+
+@pytest.mark.slow
+def test_discoveries_of_a_fleet_are_those_of_the_command(
+    park: Path, tmp_path: Path, capsys: pytest.CaptureFixture
+) -> None:
+    file = park / "discoveries.toml"
+    file.write_text('task = "discover"\ncases = ["T[12]/case.toml"]\noptions.starts = 1\n')
+    assert main(["fleet", str(file), "--out", str(tmp_path), "--workers", "1", "--json"]) == 0
+    row = json.loads(capsys.readouterr().out)["rows"][1]
+    alone = ["discover", str(park / "T2" / "case.toml"), "--out", str(tmp_path / "alone"), "--starts", "1"]
+    assert main([*alone, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert row["verdict"] == found["verdict"]
+    assert row["causes"].split() == [one["cause"] for one in found["causes"]]
+    assert row["base_temperature_rmse_K"] == found["baseline"]["rmse"]["validation"]["temperature_K"]["total"]
+    final = found["extended"] or found["baseline"]
+    assert row["thermal_value_h"] == final["time_constants"]["thermal"]["value_h"]
+    assert "What the simulations lack" in (tmp_path / "report.html").read_text(encoding="utf-8")
+    assert (tmp_path / "turbines" / "T2" / "fit_report.html").is_file()

@@ -1,0 +1,309 @@
+"""The whole way from a record to a fit, on plants made by other means (tests/plants) and on the synthetic
+turbine."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from plants import plant
+from plants.as_record import to_record
+
+from hygrokf.data.record import Record
+from hygrokf.data.structured import plain
+from hygrokf.estimation.confidence import Limit, describe
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import BETTER, Objective
+from hygrokf.identification.estimation import estimated, identify_stage, judged
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.procedure import identify, shared_error
+from hygrokf.identification.results import ResultFault, dump, read_fit, write_fit
+from hygrokf.identification.time_constants import hygric_entry
+from hygrokf.modelling.design import Design, design
+from hygrokf.physics.parameters import Parameter
+
+DAYS = 45
+
+
+def without(record: Record, *signals: str) -> Record:
+    return replace(record, series=tuple(s for s in record.series if s.signal not in signals))
+
+
+@pytest.fixture(scope="module")
+def made():
+    return plant(7, days=DAYS)
+
+
+@pytest.fixture(scope="module")
+def record(made):
+    whole = to_record(made)
+    return replace(whole, until_s=whole.end_s - 10 * 86400.0)
+
+
+@pytest.fixture(scope="module")
+def fit(record) -> Fit:
+    return identify(record, starts=2)
+
+
+def test_time_constants_are_recovered_within_their_bounds(fit, made):
+    """Seed 7 is one draw: the bounds are 95 %, so three times their half width is what must hold here."""
+    for part, truth in (("thermal", made.truth.tau_h), ("hygric", made.truth.hygric_h)):
+        entry = fit.results.time_constants[part]
+        half = 0.5 * math.log(entry.upper_h / entry.lower_h)
+        assert abs(math.log(entry.value_h / truth)) < 1.5 * half
+        assert half < 0.15
+        assert (entry.method, entry.profile.method) == ("composed", "profile")
+    assert fit.results.converged is True
+
+
+def test_free_run_errs_as_the_plant_does(fit, made):
+    """Free-run errors are those of the plant's own disturbances (1–2 K, 0.3–0.5 g/m³), and the baselines are
+    worse."""
+    found = fit.results.rmse["identification"]
+    assert 0.9 < found["temperature_K"].total < 2.2
+    assert 0.25 < found["absolute_humidity_g_m3"].total < 0.6
+    static = fit.results.baselines["identification"]["no_dynamics"]["temperature_K"].total
+    assert static > found["temperature_K"].total
+
+
+def test_bands_hold_on_the_validation_period(fit):
+    """The 1 h and 6 h bands hold 95 % to within what ten days of dependent forecasts allow."""
+    for lead in ("1h", "6h"):
+        for quantity in ("temperature_K", "absolute_humidity_g_m3"):
+            cell = fit.results.bands[lead][quantity]
+            assert cell.n > 100
+            assert 0.85 < cell.coverage <= 1.0
+
+
+def test_validation_readings_touch_nothing(record, fit):
+    """Readings after `until` may change scores, never an estimate."""
+    late = record["cabinet_temperature"]
+    spoilt = np.where(late.time > record.until_s, late.value + 5.0, late.value)
+    other = identify(record.replace_series(replace(late, value=spoilt)), starts=2)
+    assert other.values == fit.values
+    # a verdict may rest on the held-out scores, a number may not
+    judged_by_it = {"verdict": None, "reasons": ()}
+    for name, entry in fit.results.time_constants.items():
+        there = other.results.time_constants[name]
+        assert plain(replace(there, **judged_by_it)) == plain(replace(entry, **judged_by_it))
+    before = fit.results.rmse["validation"]["temperature_K"].total
+    assert other.results.rmse["validation"]["temperature_K"].total > before + 1.0
+
+
+def test_an_estimate_below_its_own_profile_is_climbed_on(record):
+    """Stopped four hundredths of τ short, the estimate is passed by its profile; the maximum is then found
+    from there."""
+    early = record.identification()
+    base = design(early, kind="thermal")
+    whole = estimated(early, base, 1, print)
+    coordinates = whole.estimate.coordinates
+    off = {
+        **whole.estimate.values,
+        "thermal_time_constant": 0.96 * whole.estimate.values["thermal_time_constant"],
+    }
+    z = coordinates.start(off)
+    objective = Objective(whole.likelihood, coordinates).value(z)
+    assert objective < whole.estimate.objective - BETTER
+    short = replace(whole, estimate=replace(whole.estimate, z=z, values=off, objective=objective))
+    stage = judged(early, short, True, print)
+    assert stage.estimate.objective == pytest.approx(whole.estimate.objective, abs=1e-3)
+    assert stage.bounds["thermal_time_constant"].better is None
+    assert stage.bounds["thermal_time_constant"].value == stage.estimate.values["thermal_time_constant"]
+
+
+def test_an_open_end_names_the_parameter_that_left_it_open(record):
+    """The statement of k, and the limits that were met, reach the entry of `fit.json`."""
+    stage = identify_stage(
+        record.identification(), design(record.identification(), kind="cascade"), 1, True, print
+    )
+    limit = Limit("upper", "vapour_disturbance_sd", "g/m3", 400.0, 20.0, "open")
+    bounds = stage.bounds["hygric_k"]
+    said = describe("h", bounds.lower, math.inf, [0.0, None], [limit])
+    open_ = replace(bounds, upper=math.inf, statement=said, limited_by=(limit,))
+    entry = hygric_entry(replace(stage, bounds={"hygric_k": open_}), {})
+    assert math.isnan(entry.upper_h) and entry.limited_by[0].parameter == "vapour_disturbance_sd"
+    assert entry.statement == (
+        f"≥ {bounds.lower:.3g} h at 273 K; the upper end stays open: there vapour_disturbance_sd is 400 "
+        "g/m3, far beyond its limit 20 g/m3"
+    )
+
+
+def test_joint_and_cascade_agree(record, fit):
+    joint = identify(record, kind="joint", starts=1)
+    for part in ("thermal", "hygric"):
+        a, b = (f.results.time_constants[part] for f in (fit, joint))
+        assert b.lower_h < a.value_h < b.upper_h
+
+
+def test_white_noise_alone_is_wrong_and_proud(record, made):
+    """The warning that everything rests on: without coloured disturbances τ comes out far too long."""
+    from hygrokf.estimation.optimiser import maximise
+    from hygrokf.modelling.inputs import prepare_run
+
+    early = record.identification()
+    white = design(early, kind="thermal", coloured=False)
+    found = maximise(Likelihood(white.model, prepare_run(white, early).timeline), count=2)
+    assert found.values["thermal_time_constant"] > 1.5 * made.truth.tau_h
+
+
+def test_record_without_humidity_or_power_is_legal(record):
+    dry = identify(without(record, "cabinet_relative_humidity"), starts=1)
+    assert list(dry.results.time_constants) == ["thermal"]
+    assert math.isnan(dry.results.errors("identification", "absolute_humidity_g_m3").total)
+    idle = identify(without(record, "active_power"), starts=1)
+    assert any("counts as standstill" in line for line in idle.results.statements)
+    assert math.isnan(idle.results.errors("identification", "temperature_K").operation)
+    assert idle.results.errors("identification", "temperature_K").standstill > 0
+
+
+def test_record_without_cabinet_temperature_is_refused(record):
+    with pytest.raises(ValueError, match="cabinet_temperature: expected at least 50 readings"):
+        identify(without(record, "cabinet_temperature"))
+    with pytest.raises(ValueError, match="criterion: expected one of"):
+        identify(record, criterion="guess")
+    with pytest.raises(ValueError, match="kind: expected"):
+        identify(record, kind="both")
+
+
+def test_simulation_criterion_puts_the_free_run_first(record, fit):
+    other = identify(record, criterion="simulation", starts=1)
+    entry = other.results.time_constants["thermal"]
+    assert entry.method.startswith("output error")
+    assert entry.likelihood.value_h == pytest.approx(fit.results.time_constants["thermal"].value_h, rel=0.02)
+    ours = other.results.rmse["identification"]["temperature_K"].total
+    assert ours <= fit.results.rmse["identification"]["temperature_K"].total + 0.01
+    assert other.values["thermal_time_constant"] == pytest.approx(entry.value_h)
+
+
+def test_simulation_criterion_knows_no_errors_of_the_sensors():
+    """A logger that reads 1 K and 2 % too high: what is scored, tabled and written is the model that the
+    criterion fitted, without sensor errors, and its temperature has the least error; the likelihood's biases
+    are not added."""
+    wrong = to_record(plant(8, days=40))
+    for name, amount in {"cabinet_temperature": 1.0, "cabinet_relative_humidity": 0.02}.items():
+        wrong = wrong.replace_series(replace(wrong[name], value=wrong[name].value + amount))
+    by_likelihood = identify(wrong, starts=1)
+    other = identify(wrong, criterion="simulation", starts=1)
+    held = [name for name in other.values if name.endswith("_bias")]
+    assert len(held) == 2 and all(abs(by_likelihood.values[name]) > 1e-3 for name in held)
+    for name in held:
+        row = other.results.parameters[name]
+        assert other.values[name] == row.value == 0.0 and row.fixed and math.isnan(row.se)
+        assert name not in other.results.covariance.names
+    assert any("taken as 0" in line for line in other.results.statements)
+    least, ours = (f.results.rmse["identification"]["temperature_K"].total for f in (other, by_likelihood))
+    assert least <= ours * 1.002
+
+
+@pytest.mark.parametrize(
+    ("options", "part"),
+    [
+        ({"power": "constant"}, "hardly any standstill"),
+        ({"standstill": False}, "hardly any standstill"),
+        ({"rho": 1.0}, ""),
+        ({"ambient_step_min": 60}, ""),
+        ({"logger_mean": True}, ""),
+        ({"power_gap_days": 4}, ""),
+    ],
+)
+def test_poor_records_give_honest_bounds(options, part):
+    """Constant power, no standstill, R_IC = 0, hourly ambient, interval means, a long power gap: bounds hold
+    the truth or at the least lie within half again of it, and what is missing is said."""
+    other = plant(8, days=40, **options)
+    found = identify(to_record(other), starts=1).results
+    for name, truth in (("thermal", other.truth.tau_h), ("hygric", other.truth.hygric_h)):
+        entry = found.time_constants[name]
+        upper = math.inf if math.isnan(entry.upper_h) else entry.upper_h
+        assert entry.lower_h / 1.15 < truth < upper * 1.15
+    assert any(part in line for line in found.statements) or not part
+
+
+def test_clock_uncertainty_widens_the_hygric_bounds(record, fit):
+    series = [
+        replace(s, clock_uncertainty_s=180.0, source="ambient.csv, " + s.signal)
+        for s in record.series
+        if s.signal.startswith("ambient_")
+    ]
+    other = identify(record.replace_series(*series), starts=1)
+    plain, wide = (f.results.time_constants["hygric"] for f in (fit, other))
+    ratio = math.log(wide.upper_h / wide.lower_h) / math.log(plain.upper_h / plain.lower_h)
+    assert ratio > 1.1
+    (clock,) = wide.clock
+    # the readings know the offset better than the three minutes that are stated
+    assert clock.prior_s == 180.0 and 10.0 < clock.sd_s < 120.0
+    added = {row.source: row.sd_ln for row in wide.composition}
+    assert added["clocks"] > 0.02
+
+
+def test_fit_round_trip(fit, tmp_path):
+    path = write_fit(fit, tmp_path)
+    text = path.read_text()
+    assert "NaN" not in text
+    assert "Infinity" not in text
+    again = read_fit(path)
+    assert dict(again.values) == {n: row["value"] for n, row in json.loads(text)["parameters"].items()}
+    assert again.design.model.states == fit.design.model.states
+    assert Design.from_json(json.loads(dump(fit.design))) == again.design
+    arrays = np.load(tmp_path / "series.npz")
+    assert len(arrays["time_s"]) == len(arrays["temperature_simulated"])
+
+
+def test_damaged_fit_files_are_refused_in_one_line(fit, tmp_path):
+    with pytest.raises(ResultFault, match="no such file"):
+        read_fit(tmp_path / "none.json")
+    (tmp_path / "half.json").write_text(dump(fit.to_json())[:2000])
+    with pytest.raises(ResultFault, match="run `hygrokf fit` again"):
+        read_fit(tmp_path / "half.json")
+    (tmp_path / "other.json").write_text('{"a": 1}')
+    with pytest.raises(ResultFault, match="it lacks covariance, design, name"):
+        read_fit(tmp_path / "other.json")
+
+
+def test_a_fit_keeps_the_range_of_what_it_was_identified_on(fit, record):
+    found = fit.results.identified_on
+    assert set(found) == {"ambient_temperature_K", "ambient_absolute_humidity_g_m3", "power_share"}
+    early = record["ambient_temperature"].window(record.start_s, record.until_s).known[1]
+    low, high = found["ambient_temperature_K"]
+    assert early.min() <= low < early.min() + 1.0 and early.max() - 1.0 < high <= early.max()
+    assert 0.0 <= found["power_share"][0] < 0.1 and 0.9 < found["power_share"][1] < 1.1
+    assert (
+        1.0 < found["ambient_absolute_humidity_g_m3"][0] < found["ambient_absolute_humidity_g_m3"][1] < 25.0
+    )
+
+
+@pytest.mark.parametrize(
+    ("positive", "values", "errors", "correlation", "words"),
+    [
+        (
+            False,
+            (8.0, -9.0),
+            (0.2, 0.25),
+            0.97,
+            "share one error (correlation 0.97): their difference is known better",
+        ),
+        (
+            False,
+            (8.0, 9.0),
+            (0.2, 0.25),
+            -0.97,
+            "share one error (correlation -0.97): their sum is known better",
+        ),
+        (True, (8.0, 1.0), (0.2, 0.03), 0.97, "their ratio is known better than either"),
+        (False, (8.0, 90.0), (0.2, 2.5), 0.97, "a combination is known better than either"),
+        (
+            False,
+            (8.0, 9.0),
+            (0.2, 0.95),
+            0.97,
+            "a and b trade off against each other (correlation 0.97): only a",
+        ),
+        (True, (8.0, 9.0), (0.2, math.nan), 0.97, "only a combination is identified"),
+    ],
+)
+def test_two_well_known_parameters_do_not_trade_off(positive, values, errors, correlation, words):
+    ends = (1e-3, 1e3) if positive else (-1e3, 1e3)
+    pair = [Parameter(name, "K", 1.0, *ends, positive) for name in "ab"]
+    assert words in shared_error(pair, values, errors, correlation)

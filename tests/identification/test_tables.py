@@ -1,0 +1,428 @@
+"""Tables of a fit on a record: the simulation file, its summary, and the evaluation with its text."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import math
+from dataclasses import replace
+from datetime import UTC, datetime
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.data.record import Record, Series
+from hygrokf.data.structured import plain, structured
+from hygrokf.evaluation.scoring import REGIMES, SCORED
+from hygrokf.evaluation.simulation import Prediction, simulate
+from hygrokf.identification import tables
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.fit_results import Covariance, FitResults
+from hygrokf.identification.results import dump
+from hygrokf.identification.tables import (
+    Evaluation,
+    SimulationSummary,
+    evaluate,
+    simulation_csv,
+    simulation_summary,
+)
+from hygrokf.identification.wording import NONE, QUANTITIES, RULES
+from hygrokf.modelling.design import design
+from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.report.blocks import Table
+from hygrokf.report.evaluation_text import evaluation_blocks, evaluation_text
+
+HOUR = 3600.0
+DAY = 86400.0
+NEAR = {"thermal_time_constant": 1.5, "resistance_ratio": 0.85, "hygric_k": 0.35}
+RELEASE = {
+    "heat_release_operation": 7.5,
+    "heat_release_power_1": 7.0,
+    "heat_release_power_2": -2.0,
+    "heat_release_operation_ambient": -0.15,
+    "heat_release_standstill": 5.0,
+    "heat_release_standstill_ambient": -0.1,
+    "preheating_heat": 9.0,
+}
+
+
+def made(record: Record) -> Fit:
+    """A fit without the fitting: the model that the record calls for, its parameters near the truth."""
+    base = design(record.identification())
+    values = {p.name: (NEAR | RELEASE).get(p.name, p.start) for p in base.model.parameters}
+    return Fit("made", base, values, spread(0.2))
+
+
+def spread(standstill_K2: float) -> FitResults:
+    """Results with a covariance of two parameters, the second one's variance stated."""
+    names = ("thermal_time_constant", "heat_release_standstill")
+    return FitResults(covariance=Covariance(names, np.diag([0.01, standstill_K2])))
+
+
+def without(record: Record, *signals: str) -> Record:
+    return replace(record, series=tuple(one for one in record.series if one.signal not in signals))
+
+
+def blank(record: Record, signal: str, first_d: float, last_d: float) -> Record:
+    """The record without the readings of a signal between two days after its start."""
+    one = record[signal]
+    days = (one.time - record.start_s) / DAY
+    return record.replace_series(
+        replace(one, value=np.where((days > first_d) & (days < last_d), np.nan, one.value))
+    )
+
+
+def parsed(text: str) -> tuple[list[str], np.ndarray, np.ndarray]:
+    """Names of the columns, times [s] and cells of a simulation file; empty cells are NaN."""
+    head, *lines = csv.reader(io.StringIO(text))
+    assert all(len(line) == len(head) for line in lines)
+    times = [datetime.fromisoformat(line[0]).timestamp() for line in lines]
+    cells = [[float(cell) if cell else np.nan for cell in line[1:]] for line in lines]
+    return head, np.array(times), np.array(cells)
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory) -> Record:
+    """Twelve days of the synthetic turbine, the last four of them for validation."""
+    read = read_case(write_case(synthetic_turbine(seed=4, days=12), tmp_path_factory.mktemp("turbine")))
+    return replace(read, until_s=read.start_s + 8 * DAY)
+
+
+@pytest.fixture(scope="module")
+def fit(record) -> Fit:
+    return made(record)
+
+
+@pytest.fixture(scope="module")
+def text(fit, record) -> str:
+    return simulation_csv(fit, record)
+
+
+@pytest.fixture(scope="module")
+def found(fit, record) -> dict:
+    return evaluate(fit, record)
+
+
+# --- the simulation file ---------------------------------------------------------------------
+
+
+def test_the_file_is_the_free_run_in_everyday_units(fit, record, text):
+    head, times, cells = parsed(text)
+    names = ("temperature_degC", "relative_humidity_pct", "absolute_humidity_g_m3")
+    assert head == [
+        "time",
+        *(f"cabinet_{name}{end}" for name in names for end in ("", "_sd")),
+        "inputs_known",
+    ]
+    whole = prepare_run(fit.design, record)
+    ran = simulate(fit.design, fit.values, whole, fit.covariance)
+    np.testing.assert_allclose(times, whole.timeline.origin_s + HOUR * whole.timeline.time, atol=1e-3)
+    columns = [
+        ran.temperature[0] - 273.15,
+        ran.temperature[1],
+        100 * ran.relative_humidity[0],
+        100 * ran.relative_humidity[1],
+        *ran.absolute_humidity,
+    ]
+    np.testing.assert_allclose(cells[:, :6], np.column_stack(columns), atol=6e-5)
+    np.testing.assert_array_equal(cells[:, 6], whole.scored)
+
+
+def test_the_cabinets_own_readings_do_not_matter(fit, record, text):
+    """Only inputs drive a simulation: other readings at the same times give the same file."""
+    spoilt = [
+        replace(record[name], value=record[name].value * 0.9) for name in record.signals if "cabinet" in name
+    ]
+    assert simulation_csv(fit, record.replace_series(*spoilt)) == text
+
+
+def test_parameters_that_are_less_sure_widen_the_bands(fit, record, text):
+    _, _, wider = parsed(simulation_csv(replace(fit, results=spread(9.0)), record))
+    _, _, cells = parsed(text)
+    np.testing.assert_array_equal(wider[:, 0], cells[:, 0])
+    idle = ~prepare_run(fit.design, record).operating
+    assert np.mean(wider[idle, 1] > cells[idle, 1] + 0.3) > 0.7
+    assert np.all(wider[:, 1] >= cells[:, 1])
+
+
+def test_whole_seconds_stay_whole_and_milliseconds_are_written(fit, record, text):
+    assert text.splitlines()[1].split(",")[0] == "2020-07-15T00:06:40Z"
+    late = [
+        replace(record[name], time=record[name].time + 0.25) for name in record.signals if "cabinet" in name
+    ]
+    moved = simulation_csv(fit, record.replace_series(*late))
+    stamps = [line.split(",")[0] for line in moved.splitlines()[1:]]
+    assert {len(stamp) for stamp in stamps} == {len("2020-07-15T00:06:40.000Z")}
+    assert stamps[:2] == ["2020-07-15T00:06:40.000Z", "2020-07-15T00:10:00.000Z"]
+    assert any(stamp.endswith(":20.250Z") for stamp in stamps)
+    assert stamps == sorted(stamps)
+
+
+def test_every_cell_of_a_small_file(monkeypatch):
+    """Four decimals, milliseconds only where they are needed, an empty cell where there is no number."""
+    line = SimpleNamespace(
+        origin_s=datetime(2021, 1, 1, tzinfo=UTC).timestamp(), time=np.array([0.0, 0.5, 1.0])
+    )
+    ran = Prediction(
+        (np.array([293.15, np.nan, 272.65]), np.array([0.5, np.inf, 0.25])),
+        None,
+        (np.array([7.0, 7.12344, 7.12346]), np.array([0.1, 0.2, 0.3])),
+    )
+    flags = np.array([True, False, True])
+    monkeypatch.setattr(tables, "simulated", lambda *_: (None, Run(line, flags, flags), ran))
+    lines = [
+        "time,cabinet_temperature_degC,cabinet_temperature_degC_sd,"
+        "cabinet_absolute_humidity_g_m3,cabinet_absolute_humidity_g_m3_sd,inputs_known",
+        "2021-01-01T00:00:00Z,20.0000,0.5000,7.0000,0.1000,1",
+        "2021-01-01T00:30:00Z,,,7.1234,0.2000,0",
+        "2021-01-01T01:00:00Z,-0.5000,0.2500,7.1235,0.3000,1",
+    ]
+    assert simulation_csv(None, None).splitlines() == lines
+    line.time[1] += 0.0014 / HOUR
+    assert simulation_csv(None, None).splitlines()[2] == "2021-01-01T00:30:00.001Z,,,7.1234,0.2000,0"
+
+
+@pytest.mark.parametrize(
+    ("change", "columns"),
+    [
+        (lambda record: without(record, "cabinet_relative_humidity"), ["temperature_degC"]),
+        (lambda record: without(record, "ambient_relative_humidity"), ["temperature_degC"]),
+        (
+            lambda record: replace(record, series=tuple(absolute(one) for one in record.series)),
+            ["temperature_degC", "absolute_humidity_g_m3"],
+        ),
+    ],
+    ids=["no humidity inside", "no humidity outside", "absolute humidity"],
+)
+def test_columns_are_those_that_the_model_has(record, change, columns):
+    changed = change(record)
+    head, _, cells = parsed(simulation_csv(made(changed), changed))
+    assert head == [
+        "time",
+        *(f"cabinet_{name}{end}" for name in columns for end in ("", "_sd")),
+        "inputs_known",
+    ]
+    assert np.isfinite(cells).all()
+
+
+def absolute(one: Series) -> Series:
+    """A relative humidity of the cabinet as an absolute one at 25 °C [kg/m³]."""
+    if one.signal != "cabinet_relative_humidity":
+        return one
+    return replace(one, signal="cabinet_absolute_humidity", value=0.023 * one.value, resolution=2.3e-5)
+
+
+def test_a_fit_runs_on_inputs_alone(fit, record):
+    """Without any cabinet the run spans the ambient series."""
+    inputs = without(record, "cabinet_temperature", "cabinet_relative_humidity")
+    _, times, cells = parsed(simulation_csv(fit, inputs))
+    ambient = inputs["ambient_temperature"].time
+    assert (times[0], times[-1]) == (ambient[0], ambient[-1])
+    assert np.isfinite(cells).all()
+
+
+@pytest.mark.parametrize("signal", ["ambient_temperature", "ambient_relative_humidity", "active_power"])
+def test_a_gap_of_an_input_is_flagged_until_the_state_has_forgotten_it(fit, record, text, signal):
+    """Two days without an input: the numbers go on, unknown from the gap's start to 12 h after its end."""
+    _, times, cells = parsed(simulation_csv(fit, blank(record, signal, 3.0, 5.0)))
+    assert np.isfinite(cells).all()
+    days = (times - record.start_s) / DAY
+    assert not cells[(days > 3.05) & (days < 5.45), -1].any()
+    _, before, whole = parsed(text)
+    sure = (days < 2.95) | (days > 5.55)
+    np.testing.assert_array_equal(cells[sure, -1], np.interp(times[sure], before, whole[:, -1]) == 1.0)
+
+
+def test_a_model_that_knows_the_power_is_never_sure_without_it(fit, record):
+    idle = without(record, "active_power")
+    _, _, cells = parsed(simulation_csv(fit, idle))
+    assert np.isfinite(cells).all()
+    assert not cells[:, -1].any()
+    assert simulation_summary(fit, idle).share_with_known_inputs == 0.0
+    own = made(idle)  # a fit of its own counts the record as standstill, and knows all of that
+    assert simulation_summary(own, idle).share_with_known_inputs == 1.0
+
+
+def test_inputs_that_the_model_reads_must_be_there(fit, record):
+    with pytest.raises(ValueError, match=r"reads an ambient humidity .* which the record does not have"):
+        simulation_csv(fit, without(record, "ambient_relative_humidity"))
+
+
+def test_loggers_that_average_are_simulated_as_such(fit, record):
+    """Hourly means of the cabinet, a fit of instants: the rows at the readings are means of the free run."""
+    inside = record["cabinet_temperature"]
+    hours = np.arange(record.start_s + HOUR, record.end_s, HOUR)
+    means = replace(inside, time=hours, value=np.full(len(hours), 295.0), hold="zero-order", interval_s=HOUR)
+    _, times, averaged = parsed(simulation_csv(fit, record.replace_series(means)))
+    _, base, instants = parsed(simulation_csv(fit, record))
+    place = np.searchsorted(times, hours[(hours > times[0] + HOUR) & (hours <= times[-1])])
+    curve = [
+        np.interp(times[p] - HOUR * (np.arange(60) + 0.5) / 60, base, instants[:, 0]).mean() for p in place
+    ]
+    apart = averaged[place, 0] - np.array(curve)
+    assert np.sqrt(np.mean(apart**2)) < 0.05
+    ends = np.interp(times[place], base, instants[:, 0])
+    assert np.sqrt(np.mean((averaged[place, 0] - ends) ** 2)) > 0.2
+
+
+# --- the summary -----------------------------------------------------------------------------
+
+
+def test_the_summary_is_that_of_the_file(fit, record, text):
+    _, times, cells = parsed(text)
+    summary = simulation_summary(fit, record)
+    keys = [
+        "fit",
+        "record",
+        "start",
+        "end",
+        "n",
+        "share_with_known_inputs",
+        "means",
+        "verdicts",
+        "statements",
+    ]
+    assert list(vars(summary)) == keys
+    assert (summary.fit, summary.record) == ("made", "synthetic-turbine-4")
+    ends = [datetime.fromisoformat(getattr(summary, key)).timestamp() for key in ("start", "end")]
+    np.testing.assert_allclose(ends, [times[0], times[-1]], atol=1.0)
+    assert summary.start.endswith("+00:00")
+    assert summary.n == len(times)
+    assert summary.share_with_known_inputs == pytest.approx(cells[:, 6].mean())
+    means = summary.means
+    assert list(means) == ["temperature_K", "relative_humidity", "absolute_humidity_g_m3"]
+    expected = cells[:, 0].mean() + 273.15, cells[:, 2].mean() / 100, cells[:, 4].mean()
+    np.testing.assert_allclose(list(means.values()), expected, atol=1e-4)
+    assert plain(structured(SimulationSummary, json.loads(dump(summary)))) == plain(summary)
+
+
+def test_what_fit_and_record_do_not_share_is_said(fit, record):
+    idle = without(record, "preheating")
+    (sentence,) = simulation_summary(fit, idle).statements
+    assert sentence == "the fit knows pre-heating, the record brings none: it is taken as off throughout"
+    assert f"note: {sentence}" in evaluation_text(evaluate(fit, idle))
+    (sentence,) = simulation_summary(made(idle), record).statements
+    assert sentence.startswith("the record brings pre-heating, which the fit does not know")
+
+
+def test_the_summary_of_a_thermal_fit_has_one_mean(record):
+    dry = without(record, "cabinet_relative_humidity")
+    assert list(simulation_summary(made(dry), dry).means) == ["temperature_K"]
+
+
+# --- the evaluation --------------------------------------------------------------------------
+
+
+def errors(record: Record, text: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """From the file alone: times [s] of the temperature readings, their errors and spread [K]."""
+    _, times, cells = parsed(text)
+    inside = record["cabinet_temperature"]
+    known = ~inside.missing & np.isin(inside.time, times)
+    place = np.searchsorted(times, inside.time[known])
+    sure = cells[place, 6] == 1
+    return (
+        inside.time[known][sure],
+        (inside.value[known] - 273.15 - cells[place, 0])[sure],
+        cells[place, 1][sure],
+    )
+
+
+def test_scores_are_those_of_the_file(record, text, found):
+    time, error, sd = errors(record, text)
+    late = time > record.until_s
+    for period, chosen in (("identification", ~late), ("validation", late)):
+        cells = found.rmse[period]["temperature_K"]
+        assert cells.n.total == chosen.sum() > 100
+        assert cells.total == pytest.approx(np.sqrt(np.mean(error[chosen] ** 2)), abs=1e-4)
+        parts = (cells.n.operation * cells.operation**2, cells.n.standstill * cells.standstill**2)
+        assert sum(parts) == pytest.approx(cells.n.total * cells.total**2)
+    band = found.bands["free_run"]["temperature_K"]
+    assert band.n == late.sum()
+    assert band.coverage == pytest.approx(np.mean(np.abs(error[late]) < 1.959964 * sd[late]), abs=0.005)
+
+
+def test_the_evaluation_has_everything_and_is_json(found):
+    assert found.statements == ()
+    assert list(found.bands) == ["1h", "6h", "24h", "free_run"]
+    for period in ("identification", "validation"):
+        assert set(found.baselines[period]) == {"ambient", "ambient_pressure_balance", "no_dynamics"}
+        assert set(found.sensor_share[period]) == {"temperature_K", "absolute_humidity_g_m3"}
+    assert plain(structured(Evaluation, json.loads(dump(found)))) == plain(found)
+
+
+def tables_of(found: Evaluation) -> dict[str, Table]:
+    return {one.heading: one for one in evaluation_blocks(found) if isinstance(one, Table)}
+
+
+def test_the_tables_show_every_score_under_its_label(found):
+    shown = tables_of(found)
+    assert list(shown)[:2] == [f"Root mean squared error, {p}" for p in ("identification", "validation")]
+    for period in ("identification", "validation"):
+        rows = {row[0]: row[1:] for row in shown[f"Root mean squared error, {period}"].rows}
+        model = [found.errors(period, quantity) for quantity in SCORED]
+        expected = {
+            "model, free run": [f"{getattr(e, regime):.2f}" for e in model for regime in REGIMES],
+            "readings": [str(getattr(e.n, regime)) for e in model for regime in REGIMES],
+            **{
+                words: [
+                    f"{value:.2f}" if math.isfinite(value) else NONE
+                    for quantity in SCORED
+                    for regime in REGIMES
+                    for value in (getattr(found.rule_errors(period, key, quantity), regime),)
+                ]
+                for key, words in RULES.items()
+            },
+        }
+        assert {label: list(rows[label]) for label in expected} == expected
+    bands = shown["Readings inside the 95 % bands"].rows
+    assert [row[0] for row in bands] == ["1 h ahead", "6 h ahead", "24 h ahead", "free run"]
+    for row, lead in zip(bands, found.bands, strict=True):
+        for place, quantity in enumerate(QUANTITIES):
+            one = found.band(lead, quantity)
+            cells = (f"{100 * one.coverage:.1f} %", f"{one.scale:.2f}", str(one.n))
+            assert row[3 * place + 1 : 3 * place + 4] == cells
+    text = evaluation_text(found)
+    assert text.startswith("made on synthetic-turbine-4: errors of the free run\n")
+    assert all(len(line) <= 100 for line in text.splitlines())
+
+
+def test_a_record_without_a_validation_period_has_one_table_of_errors(fit, record):
+    shown = tables_of(evaluate(fit, replace(record, until_s=None)))
+    assert list(shown) == ["Root mean squared error, identification", "Readings inside the 95 % bands"]
+
+
+def test_a_thermal_fit_scores_the_temperature_alone(record):
+    dry = without(record, "cabinet_relative_humidity", "ambient_relative_humidity")
+    found = evaluate(made(dry), dry)
+    assert found.rmse["validation"]["temperature_K"].total > 0
+    assert math.isnan(found.errors("validation", "absolute_humidity_g_m3").total)
+    assert set(found.baselines["validation"]) == {"no_dynamics"}
+    assert set(found.bands["free_run"]) == {"temperature_K"}
+    shown = tables_of(found)
+    for row in shown["Root mean squared error, validation"].rows:
+        assert set(row[4:]) <= {NONE, "0"}
+    (free_run,) = (row for row in shown["Readings inside the 95 % bands"].rows if row[0] == "free run")
+    assert free_run[1] != NONE and set(free_run[4:]) == {NONE}
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda record: without(record, "active_power"),
+        lambda record: without(record, "cabinet_temperature"),
+        lambda record: blank(record, "cabinet_temperature", -1.0, 99.0),
+    ],
+    ids=["no power", "no temperature", "no reading"],
+)
+def test_nothing_to_score_is_said_with_its_reasons(fit, record, change):
+    changed = change(record)
+    shown = evaluation_text(evaluate(fit, changed))
+    assert "Nothing to score" in shown and not tables_of(evaluate(fit, changed))
+    shown = " ".join(shown.split())
+    for words in ("no temperature or absolute humidity of the cabinet", "needs the power", "`hygrokf check`"):
+        assert words in shown
+    assert simulation_csv(fit, changed).count("\n") > 1000

@@ -1,0 +1,453 @@
+"""One verdict for every number: each rule by what it says, and that nothing is believed beside its
+refutation."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from builders.report_case import report_case
+
+from hygrokf.data.structured import StructureFault, plain, structured
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.fit_results import FitResults, Profile
+from hygrokf.identification.verdict import (
+    BELIEVE,
+    CAUTION,
+    REJECT,
+    VERDICTS,
+    WORDS,
+    Reason,
+    Verdict,
+    criteria_apart,
+    decide,
+    inherited,
+    told,
+    verdicts,
+    with_reasons,
+    with_verdicts,
+)
+from hygrokf.identification.verdict_terms import Inherited
+from hygrokf.report.blocks import Cards
+from hygrokf.report.fit_page import fit_blocks, report_text
+from hygrokf.report.fit_text import judgements
+
+DOCS = Path(__file__).parents[2] / "docs" / "verdict.md"
+
+
+def _sound() -> dict:
+    """The least of a fit against which nothing speaks."""
+
+    def constant(value: float) -> dict:
+        ends = {"value_h": value, "lower_h": 0.95 * value, "upper_h": 1.05 * value}
+        return {
+            **ends,
+            "factor": 1.2,
+            "sampling": {"shift_ln_when_halved": 0.01, "ambient_step_h": 1 / 6},
+            "simulation": {"value_h": 1.05 * value, "lower_h": 0.9 * value, "upper_h": 1.2 * value},
+            "disagreement": None,
+        }
+
+    def errors(kelvin: float, grams: float) -> dict:
+        return {"temperature_K": {"total": kelvin}, "absolute_humidity_g_m3": {"total": grams}}
+
+    def output() -> dict:
+        return {
+            "n": 6000,
+            "step_h": 0.25,
+            "autocorrelation": {"value": [0.02, -0.01], "limit_all": 0.04},
+            "cross_correlation": {"power": {"value": [0.03, 0.01], "limit_all": 0.04}},
+        }
+
+    rules = {"no_dynamics": errors(1.8, math.nan), "ambient": errors(math.nan, 0.42)}
+    return {
+        "converged": True,
+        "at_bounds": [],
+        "period": {"start": "2020-01-01T00:00:00+00:00", "until": "2020-03-01T00:00:00+00:00"},
+        "time_constants": {"thermal": constant(1.5), "hygric": constant(0.3)},
+        "parameters": {
+            "thermal_time_constant": {"value": 1.5, "fixed": False, "parts": ["thermal"]},
+            "cabinet_temperature_bias": {
+                "value": 0.1, "unit": "K", "fixed": False, "prior": {"mean": 0.0, "sd": 0.15},
+                "parts": ["thermal"],
+            },
+            "hygric_k": {"value": 0.33, "fixed": False, "parts": ["hygric"]},
+        },
+        "rmse": {"identification": errors(1.4, 0.4), "validation": errors(1.5, 0.41)},
+        "baselines": {"identification": rules, "validation": rules},
+        "readings_sd": {
+            period: {"temperature_K": 6.0, "absolute_humidity_g_m3": 2.0}
+            for period in ("identification", "validation")
+        },
+        "bands": {"free_run": {q: {"coverage": 0.94, "n": 500} for q in errors(0.0, 0.0)}},
+        "innovations": {
+            "outputs": {"temperature": output(), "humidity": output()},
+            "tests": [
+                {"output": name, "test": test, "rejected": False}
+                for name in ("temperature", "humidity")
+                for test in ("autocorrelation up to 24 h", "correlation with power", "mean")
+            ],
+        },
+    }  # fmt: skip
+
+
+def _put(path: str, value: object) -> Callable[[dict], None]:
+    def change(fit: dict) -> None:
+        *parts, last = path.split("/")
+        at = fit
+        for part in parts:
+            at = at.setdefault(part, {})
+        at[last] = value
+
+    return change
+
+
+def _all(*changes: Callable[[dict], None]) -> Callable[[dict], None]:
+    def change(fit: dict) -> None:
+        for one in changes:
+            one(fit)
+
+    return change
+
+
+THERMAL = "time_constants/thermal"
+SIMULATION = f"{THERMAL}/simulation"
+
+
+def _correlated(value: float) -> Callable[[dict], None]:
+    def change(fit: dict) -> None:
+        fit["innovations"]["outputs"]["temperature"]["cross_correlation"]["power"]["value"] = [value]
+        for row in fit["innovations"]["tests"]:
+            row["rejected"] = (row["output"], row["test"]) == ("temperature", "correlation with power")
+
+    return change
+
+
+def _errors(kelvin: float, *periods: str) -> Callable[[dict], None]:
+    return _all(*(_put(f"rmse/{period}/temperature_K/total", kelvin) for period in periods))
+
+
+BOTH = ("identification", "validation")
+SILENT = _put(SIMULATION, {"value_h": 0.02, "lower_h": 0.0, "upper_h": None})
+CASES = {
+    "not_converged": (_put("converged", False), REJECT, "did not converge"),
+    "convergence_unknown": (_put("converged", None), CAUTION, "not stated"),
+    "at_limit": (_put("at_bounds", ["thermal_time_constant"]), REJECT, "limit of the search, 1.50 h"),
+    "not_identifiable": (
+        _all(_put(f"{THERMAL}/lower_h", 0.0), _put(f"{THERMAL}/upper_h", None)), REJECT, "neither side",
+    ),
+    "one_sided": (_put(f"{THERMAL}/lower_h", 0.0), CAUTION, "from above only (≤ 1.58 h)"),
+    "imprecise": (_put(f"{THERMAL}/upper_h", 3.0), CAUTION, "±52 % only"),
+    "undetermined": (
+        _all(_put(f"{THERMAL}/lower_h", 0.3), _put(f"{THERMAL}/upper_h", 4.8)), REJECT,
+        "reaches over a factor of 4.0",
+    ),
+    "criteria_disagree": (
+        _all(
+            _put(f"{THERMAL}/disagreement", "innovations say 1.5 h, the free run says 15 h"),
+            _put(SIMULATION, {"value_h": 15.0, "lower_h": 14.0, "upper_h": 16.0}),
+        ),
+        REJECT,
+        "the free run says 15 h",
+    ),
+    "free_run_silent": (SILENT, CAUTION, "(0.0200 h, without bounds)"),
+    "worse_than_mean": (_errors(7.0, *BOTH), REJECT,
+        "errs by 7.00 K in validation, more than the readings vary"),
+    "worse_than_rule": (
+        _all(_errors(2.5, *BOTH), SILENT), REJECT,
+        "errs by 2.50 K in validation, the rule “heat release without heat",
+    ),
+    "band_failed": (_put("bands/free_run/temperature_K/coverage", 0.31), CAUTION, "holds only 31 %"),
+    "innovations_correlated": (_correlated(-0.4), CAUTION, "correlated with the power, by up to 0.40"),
+    "noise_not_as_modelled": (_put(f"{THERMAL}/factor", 3.2), CAUTION, "3.2 times as much"),
+    "ambient_coarse": (_put(f"{THERMAL}/sampling/shift_ln_when_halved", -0.3), CAUTION, "changes by −26 %"),
+    "readings_coarse": (_put("innovations/outputs/temperature/step_h", 4.0), CAUTION,
+        "read every 240 min, when 93 %"),
+    "few_readings": (_put("innovations/outputs/temperature/n", 39), CAUTION,
+        "39 readings determine 2 parameters"),
+    "record_short": (_put("period/until", "2020-01-02T00:00:00+00:00"), CAUTION, "is 16 time constants long"),
+    "sensor_stretched": (_put("parameters/cabinet_temperature_bias/value", -1.2), CAUTION,
+        "−1.20 K, 8.0 standard"),
+    "guard_reached": (_put("parameters/cabinet_temperature_bias/at_guard", True), CAUTION,
+        "bias ended at a limit"),
+    "record_doubted": (_put("doubted", {"thermal": ["the clock of a runs slow"]}), CAUTION,
+        "the clock of a runs slow"),
+    "forms_differ": (
+        _put(f"{THERMAL}/forms", [{"form": "two masses", "weight": 0.3, "value_h": 2.0}]), CAUTION,
+        "two masses, weight 30 %",
+    ),
+    "parts_differ": (
+        _put(f"{THERMAL}/parts", {"value_h": [1.2, 1.4, 1.5, 1.9], "scale": 2.6}), CAUTION,
+        "scatter 2.6 times as much",
+    ),
+}  # fmt: skip
+
+
+def results(fit: dict) -> FitResults:
+    return structured(FitResults, fit)
+
+
+def decided(fit: dict) -> dict[str, Verdict]:
+    return decide(results(fit))
+
+
+# --- the rules -------------------------------------------------------------------------------
+
+
+def test_a_sound_fit_is_believed() -> None:
+    found = decided(_sound())
+    assert found == {"thermal": Verdict(), "hygric": Verdict()}
+    assert found["thermal"].sentence == "to be believed"
+
+
+@pytest.mark.parametrize("code", CASES)
+def test_each_rule_gives_its_reason_and_no_other(code: str) -> None:
+    change, verdict, words = CASES[code]
+    fit = _sound()
+    change(fit)
+    found = decided(fit)
+    others = {"worse_than_rule": {"free_run_silent"}, "worse_than_mean": {"worse_than_rule"}}.get(code, set())
+    assert {one.code for one in found["thermal"].reasons} - others == {code}
+    reason = next(one for one in found["thermal"].reasons if one.code == code)
+    assert reason.verdict == verdict == found["thermal"].verdict
+    assert words in reason.text
+    whole = code in ("not_converged", "convergence_unknown", "record_short")
+    assert {one.code for one in found["hygric"].reasons} == (
+        {code} if whole and code != "record_short" else set()
+    )
+
+
+def test_the_docs_name_every_reason() -> None:
+    rows = re.findall(
+        r"^\| `(\w+)` \| (\w+)", DOCS.read_text(encoding="utf-8").partition("## The reasons")[2], re.M
+    )
+    assert [code for code, _ in rows] == list(dict.fromkeys(code for code, _ in rows))
+    assert {code for code, _ in rows} == set(CASES)
+    assert {verdict for _, verdict in rows} <= set(VERDICTS)
+
+
+def test_the_worst_reason_decides_and_stands_first() -> None:
+    fit = _sound()
+    CASES["imprecise"][0](fit)
+    CASES["not_converged"][0](fit)
+    found = decided(fit)["thermal"]
+    assert found.verdict == REJECT
+    assert [one.verdict for one in found.reasons] == [REJECT, CAUTION]
+    assert found.sentence == "not to be believed: the estimation did not converge (1 more reason)"
+
+
+@pytest.mark.parametrize(
+    ("simulated", "verdict"), [(1.9, CAUTION), (2.6, REJECT), (0.9, REJECT), (1.15, CAUTION)]
+)
+def test_criteria_that_contradict_reject_and_those_that_differ_a_little_warn(
+    simulated: float, verdict: str
+) -> None:
+    fit = _sound()
+    ends = {"value_h": simulated, "lower_h": 0.85 * simulated, "upper_h": simulated / 0.85}
+    _put(SIMULATION, ends)(fit)
+    _put(f"{THERMAL}/disagreement", "they disagree")(fit)
+    found = decided(fit)["thermal"]
+    assert found.verdict == verdict
+    # the distance by hand: both half-widths on the logarithm, in quadrature
+    reach = math.hypot(math.log(1 / 0.85), 0.5 * math.log(1.05 / 0.95))
+    apart = abs(math.log(simulated / 1.5)) / reach
+    assert found.reasons[0].numbers["apart"] == pytest.approx(apart)
+    assert (apart > 2.0) == (verdict == REJECT)
+
+
+def test_a_contradiction_that_the_interval_holds_only_warns() -> None:
+    fit = _sound()
+    CASES["criteria_disagree"][0](fit)
+    plain = {key: fit["time_constants"]["thermal"][key] for key in ("value_h", "lower_h", "upper_h")}
+    _put(f"{THERMAL}/profile", plain)(fit)
+    _put(SIMULATION, {"value_h": 2.6, "lower_h": 2.4, "upper_h": 2.8})(fit)
+    assert decided(fit)["thermal"].verdict == REJECT
+    _all(_put(f"{THERMAL}/lower_h", 0.8), _put(f"{THERMAL}/upper_h", 2.8))(fit)
+    found = decided(fit)["thermal"]
+    assert found.verdict == CAUTION and found.reasons[0].numbers["half_width"] > 0.25
+    assert {one.code for one in found.reasons} == {"imprecise", "criteria_disagree"}
+
+
+def test_the_plain_profile_is_held_against_the_free_run_where_the_headline_is_wider() -> None:
+    data = results(_sound()).time_constants["thermal"]
+    narrow = criteria_apart(data)
+    wide = replace(data, lower_h=0.5, upper_h=4.0)
+    assert criteria_apart(wide) < narrow
+    profile = Profile(data.value_h, data.lower_h, data.upper_h)
+    assert criteria_apart(replace(wide, profile=profile)) == pytest.approx(narrow)
+
+
+def test_losing_to_a_rule_in_one_period_or_against_a_free_run_that_agrees_only_warns() -> None:
+    for change in (_all(_errors(2.5, "validation"), SILENT), _errors(2.5, *BOTH)):
+        fit = _sound()
+        change(fit)
+        found = {one.code: one for one in decided(fit)["thermal"].reasons}
+        assert found["worse_than_rule"].verdict == CAUTION
+    assert "its own best constant agrees" in found["worse_than_rule"].text
+    fit = _sound()
+    _all(_errors(1.9, *BOTH), SILENT)(fit)  # by less than a tenth
+    assert "worse_than_rule" not in {one.code for one in decided(fit)["thermal"].reasons}
+
+
+def test_small_or_accidental_correlations_are_no_reason() -> None:
+    for change in (
+        _correlated(0.09),
+        _put("innovations/outputs/temperature/cross_correlation/power/value", [0.4]),  # no test rejects
+    ):
+        fit = _sound()
+        change(fit)
+        assert decided(fit)["thermal"].verdict == BELIEVE
+
+
+def test_a_shift_within_the_interval_or_below_a_tenth_is_no_reason() -> None:
+    for shift, ends in ((0.09, (1.45, 1.55)), (0.2, (1.2, 1.86))):
+        fit = _sound()
+        _put(f"{THERMAL}/sampling/shift_ln_when_halved", shift)(fit)
+        _all(_put(f"{THERMAL}/lower_h", ends[0]), _put(f"{THERMAL}/upper_h", ends[1]))(fit)
+        assert decided(fit)["thermal"].verdict == BELIEVE
+
+
+def test_parameters_of_the_other_part_are_no_reason() -> None:
+    fit = _sound()
+    CASES["sensor_stretched"][0](fit)
+    assert decided(fit)["hygric"].verdict == BELIEVE
+    del fit["parameters"]["cabinet_temperature_bias"]["parts"]  # not stated: it may belong to both
+    assert decided(fit)["hygric"].verdict == CAUTION
+
+
+def test_the_simulation_criterion_is_judged_by_its_own_interval() -> None:
+    fit = _sound()
+    data = fit["time_constants"]["thermal"]
+    likelihood = {key: data[key] for key in ("value_h", "lower_h", "upper_h")}
+    data |= {**data["simulation"], "likelihood": likelihood}
+    assert decided(fit)["thermal"] == Verdict()
+    data |= {
+        "lower_h": 0.0,
+        "upper_h": None,
+        "simulation": {"value_h": 0.02, "lower_h": 0.0, "upper_h": None},
+    }
+    assert [one.code for one in decided(fit)["thermal"].reasons] == ["not_identifiable"]
+
+
+# --- as data ---------------------------------------------------------------------------------
+
+
+def test_verdicts_survive_json() -> None:
+    fit = _sound()
+    for code in ("imprecise", "criteria_disagree"):
+        CASES[code][0](fit)
+    found = decided(fit)["thermal"]
+    data = json.loads(json.dumps(plain(found), allow_nan=False))
+    assert structured(Verdict, data) == found
+    assert data["reasons"][0].keys() >= {"code", "verdict", "text", "simulation_h", "apart"}
+    for faulty in (
+        data | {"verdict": "perhaps"},
+        data | {"reasons": [data["reasons"][0] | {"verdict": "x"}]},
+    ):
+        with pytest.raises(StructureFault, match="expected one of 'believe', 'caution', 'reject'"):
+            structured(Verdict, faulty)
+    assert plain(Reason("a", CAUTION, "b", {"x": math.inf}))["x"] is None
+
+
+def test_what_a_fit_states_stays_and_what_it_does_not_state_is_decided() -> None:
+    data = _sound()
+    CASES["imprecise"][0](data)
+    fit = results(data)
+    filled = with_verdicts(fit)
+    assert fit.time_constants["thermal"].verdict is None  # nothing is changed in place
+    assert filled.time_constants["thermal"].verdict == CAUTION
+    assert (filled.time_constants["hygric"].verdict, filled.time_constants["hygric"].reasons) == (BELIEVE, ())
+    stated = Reason("x", REJECT, "said by the fit")
+    _put(f"{THERMAL}/verdict", REJECT)(data)
+    _put(f"{THERMAL}/reasons", [plain(stated)])(data)
+    assert verdicts(results(data))["thermal"] == Verdict(REJECT, (stated,))
+    again = with_verdicts(filled)
+    assert plain(again) == plain(filled)
+    assert verdicts(FitResults()) == {} and with_verdicts(FitResults(name="a")).name == "a"
+
+
+def test_further_reasons_are_added_once() -> None:
+    fit = with_verdicts(results(_sound()))
+    further = Reason("elsewhere", REJECT, "on another turbine it failed")
+    wider = with_reasons(with_reasons(fit, "thermal", [further]), "thermal", [further])
+    assert verdicts(wider) == {"thermal": Verdict(REJECT, (further,)), "hygric": Verdict()}
+    assert plain(with_reasons(FitResults(), "thermal", [further])) == plain(FitResults())
+
+
+def test_a_fit_of_an_older_version_is_judged_when_it_is_read(tmp_path) -> None:
+    from hygrokf import identify, read_case, read_fit, synthetic_turbine, write_case, write_fit
+
+    fit = identify(
+        read_case(write_case(synthetic_turbine(seed=5, days=12), tmp_path)), starts=1, profiles=False
+    )
+    path = write_fit(fit, tmp_path)
+    data = json.loads(path.read_text(encoding="utf-8"))
+    stated = {part: data["time_constants"][part]["verdict"] for part in ("thermal", "hygric")}
+    assert all(one in VERDICTS for one in stated.values())
+    for part in stated:
+        for key in ("verdict", "reasons"):
+            del data["time_constants"][part][key]
+    path.write_text(json.dumps(data), encoding="utf-8")
+    again = read_fit(path)
+    assert {part: again.results.time_constants[part].verdict for part in stated} == stated
+    assert Fit.from_json(again.to_json()).to_json() == again.to_json()
+
+
+def test_what_is_handed_on_is_told_in_one_way() -> None:
+    fit = _sound()
+    CASES["not_converged"][0](fit)
+    fit["time_constants"]["hygric"] |= plain(Verdict())
+    fit["time_constants"]["thermal"] |= plain(decided(fit)["thermal"])
+    handed = inherited(results(fit))
+    assert handed["thermal"].value_h == 1.5 and handed["hygric"].verdict == BELIEVE
+    assert told(handed) == [
+        "x thermal time constant not to be believed, 1.50 h (1.42 … 1.58): the estimation did not converge",
+        "+ hygric time constant 0.300 h (0.285 … 0.315): to be believed",
+    ]
+    assert told(None) == []
+    open_ = Inherited(9.0, 0.0, math.nan, REJECT)
+    assert told({"thermal": open_}) == ["x thermal time constant not identifiable (best 9.00 h)"]
+
+
+# --- no mark of belief beside a refutation ---------------------------------------------------
+
+
+def _rejected() -> dict:
+    fit, _ = report_case()
+    fit["time_constants"]["thermal"]["simulation"] = {"value_h": 0.02, "lower_h": 0.0, "upper_h": None}
+    for period in ("identification", "validation"):
+        fit["rmse"][period]["temperature_K"]["total"] = (
+            1.3 * fit["baselines"][period]["no_dynamics"]["temperature_K"]["total"]
+        )
+    return fit
+
+
+@pytest.mark.parametrize("code", [None, *(code for code in CASES if not code.startswith("worse_than"))])
+def test_nothing_is_believed_beside_what_refutes_it(code: str | None) -> None:
+    """Of one subject no judgement is believed where another one rejects it, or warns of it as a whole."""
+    fit = _rejected()
+    if code is not None:
+        CASES[code][0](fit)
+    kinds: dict[str, set[str]] = {}
+    for one in judgements(results(fit)):
+        kinds.setdefault(one.about, set()).add(one.kind)
+    for about, found in kinds.items():
+        assert len(found) == 1 or BELIEVE not in found, about
+    assert kinds["thermal"] >= {REJECT} and kinds["temperature_K"] <= {REJECT}
+    assert kinds["bands that hold"] == {BELIEVE}  # what holds is said to hold
+
+
+def test_a_number_that_is_not_to_be_believed_is_no_headline() -> None:
+    cards = next(block for block in fit_blocks(results(_rejected()), {}).lead if isinstance(block, Cards))
+    thermal, hygric = cards.cards
+    assert (thermal.kind, thermal.verdict) == (REJECT, WORDS[REJECT])
+    assert (thermal.value, thermal.bounds) == ("1.45 h", "1.40 … 1.50, 95 %, all sources")
+    assert (hygric.kind, hygric.value) == (CAUTION, "0.30 h")
+    text = report_text(results(_rejected()))
+    first = text.split("\n\n")[1].splitlines()[0]
+    assert first.startswith("thermal not to be believed, 1.45 h (1.40 … 1.50, 95 %, all sources): the free")

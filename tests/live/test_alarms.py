@@ -1,0 +1,106 @@
+"""Alarms begin, worsen and end by level, hold-off and hysteresis; none is raised twice."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from hygrokf.live.alarms import LIKELY, RULES, Level, Standing, condensation_level, judged, shift_levels
+from hygrokf.live.condition import Condition, Quantity
+from hygrokf.live.fault_isolation import Finding
+from hygrokf.live.properties import WATCHED, ParameterShift
+from hygrokf.live.storage.store import Alarm
+
+MINUTE = 60.0
+
+
+def course(levels: list[tuple[float, float | None]], kind: str = "condensation") -> tuple[dict, list[Alarm]]:
+    """Standings and all changes after (minute, level) pairs; None: nothing is told."""
+    known: dict[str, Standing] = {}
+    changes: list[Alarm] = []
+    for minute, level in levels:
+        told = [] if level is None else [Level(kind, level, f"level {level}")]
+        known, changed = judged("T1", known, minute * MINUTE, told)
+        changes += changed
+    return known, changes
+
+
+def test_an_alarm_begins_after_its_hold_off() -> None:
+    assert course([(0, 0.6), (10, 0.6)])[1] == []
+    known, (alarm,) = course([(0, 0.6), (10, 0.55), (20, 0.6)])
+    assert (alarm.began, alarm.severity, alarm.ended) == (0.0, "warning", None)
+    assert alarm.id == "T1:condensation:0" and "pre-heat" in alarm.remedy
+    assert known["condensation"].alarm == alarm
+    assert course([(0, 0.6), (10, 0.4), (15, 0.6), (30, 0.6)])[1] == []  # interrupted
+
+
+def test_it_ends_by_hysteresis() -> None:
+    begun = [(0, 0.6), (20, 0.6)]
+    assert len(course([*begun, (30, 0.3), (90, 0.3)])[1]) == 1  # between the levels it stays
+    known, changes = course([*begun, (30, 0.1), (40, 0.3), (50, 0.1), (69, 0.1)])
+    assert len(changes) == 1
+    known, changes = course([*begun, (30, 0.1), (50, 0.1)])
+    assert changes[1].ended == 30 * MINUTE and changes[1].id == changes[0].id and known == {}
+    assert course([*begun, (30, None), (50, None)])[1][1].ended == 30 * MINUTE
+
+
+def test_it_worsens_once_and_keeps_its_name() -> None:
+    _, changes = course([(0, 0.6), (20, 0.6), (25, 0.97), (26, 0.99), (27, 0.6)])
+    assert [one.severity for one in changes] == ["warning", "alarm"]
+    assert changes[1].id == changes[0].id and changes[1].statement == "level 0.97"
+    assert course([(0, 0.97), (20, 0.97)])[1][0].severity == "alarm"
+
+
+def test_the_same_course_gives_the_same_alarms_also_in_pieces() -> None:
+    levels = [(float(m), 0.5 + 0.5 * math.sin(m / 40.0)) for m in range(0, 900, 5)]
+    whole = course(levels)[1]
+    assert len(whole) > 4
+    known, pieces = course(levels[:70])
+    for minute, level in levels[70:]:
+        known, changed = judged(
+            "T1", known, minute * MINUTE, [Level("condensation", level, f"level {level}")]
+        )
+        pieces += changed
+    assert pieces == whole
+
+
+def test_several_subjects_of_one_kind_stand_apart() -> None:
+    two = [Level("source lost", 1.0, "a", subject="file:a"), Level("source lost", 1.0, "b", subject="file:b")]
+    known, changes = judged("T1", {}, 0.0, two)
+    assert changes == []
+    known, changes = judged("T1", known, 60.0, two)
+    assert [one.id for one in changes] == ["T1:source lost file:a:0", "T1:source lost file:b:0"]
+    known, changes = judged("T1", known, 120.0, two[:1])
+    assert changes == []
+    known, changes = judged("T1", known, 180.0, two[:1])
+    assert [(one.id, one.ended) for one in changes] == [("T1:source lost file:b:0", 120.0)]
+
+
+def test_condensation_in_words() -> None:
+    one = Quantity(np.array([2.0, -1.5]), np.array([1.0, 0.5]))
+    found = Condition(np.array([0.0, 600.0]), one, one, one, one, one, one, np.array([0.02, 0.998]), one)
+    (level,) = condensation_level(found)
+    assert level.level == 0.998
+    assert level.statement == (
+        "water condenses on the coldest surface with a probability of 100 %: its margin to the "
+        "dew point is -1.5 K (-2.5 … -0.5)"
+    )
+    assert condensation_level(Condition(np.array([0.0]), one, *[None] * 7)) == []
+
+
+def test_shifts_name_cause_and_remedy() -> None:
+    found = {
+        "hygric_k": ParameterShift("hygric_k", 0.0, True, math.log(0.5)),
+        "thermal_time_constant": ParameterShift("thermal_time_constant", 0.0, False, 0.4),
+        "heat_release_change": ParameterShift("heat_release_change", 0.0, True, 2.25),
+    }
+    exchange, heat = shift_levels(found, Finding(0.0, ""))
+    assert exchange.statement == "the cabinet exchanges more air with the ambient: hygric k -50 %"
+    assert "seals" in exchange.remedy and exchange.subject == "hygric_k"
+    assert heat.statement.endswith("heat release change +2.2 K")
+    assert {name for name, _ in LIKELY} == {one.name for one in WATCHED}
+
+
+def test_rules_can_end_what_they_begin() -> None:
+    assert all(rule.off < rule.on for rule in RULES.values())

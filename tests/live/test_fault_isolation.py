@@ -1,0 +1,184 @@
+"""Why something has departed: a cabinet that changed is told from a sensor that is off, on turbines whose
+change is known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import SyntheticParameters, synthetic_turbine, write_case
+from hygrokf.data.record import Record, Series
+from hygrokf.identification.procedure import identify
+from hygrokf.live.alarms import CHANGED, SUSPECT, shift_levels
+from hygrokf.live.defaults import SIGNALS
+from hygrokf.live.fault_isolation import CLOSE, LEAST, Explanation, Finding, isolate, judged_by
+from hygrokf.live.plan import Plan, plan
+from hygrokf.live.properties import ParameterShift
+from hygrokf.live.sources.streams import form_of
+from hygrokf.physics.psychrometrics import saturation_pressure_water
+
+SEED, DAYS, FITTED, CHANGE = 21, 75.0, 45.0, 60.0
+DAY_S = 86400.0
+
+
+def made(folder: Path, parameters: SyntheticParameters) -> Record:
+    record = read_case(write_case(synthetic_turbine(seed=SEED, days=DAYS, parameters=parameters), folder))
+    return replace(record, series=tuple(s for s in record.series if s.signal in SIGNALS))
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
+    return made(tmp_path_factory.mktemp("turbine"), SyntheticParameters())
+
+
+@pytest.fixture(scope="module")
+def tracked(record: Record) -> Plan:
+    """The model is identified on other weeks than those that are searched."""
+    fit = identify(record.window(record.start_s, record.start_s + FITTED * DAY_S), starts=1)
+    forms = {s.signal: form_of(s) for s in record.series}
+    return plan(fit, forms=forms, site=record.site, rated_power_W=record.rated_power_W)
+
+
+def asked(tracked: Plan, record: Record) -> Finding:
+    begin = record.start_s + (CHANGE - 15.0) * DAY_S
+    *steps, found = isolate(tracked, record.window(begin, record.start_s + (CHANGE + 10.0) * DAY_S))
+    assert len(steps) >= 15 and all(step is None for step in steps)
+    return found
+
+
+def misread(record: Record, signal: str, error: Callable[[np.ndarray], np.ndarray]) -> Record:
+    """One sensor reads something else from the day of the change on."""
+
+    def wrong(series: Series) -> Series:
+        late = series.time >= record.start_s + CHANGE * DAY_S
+        return replace(series, value=np.where(late, error(series.value), series.value))
+
+    return replace(record, series=tuple(wrong(s) if s.signal == signal else s for s in record.series))
+
+
+def changed(record: Record, folder: Path, **parameters: object) -> Record:
+    """Another cabinet from the day of the change on, under the same weather and operation.
+
+    Its temperature begins where the other one's was and comes to its own within the time constant, as it
+    would have; the air holds the same vapour meanwhile.
+    """
+    own = replace(SyntheticParameters(), **parameters)
+    other = made(folder, own)
+    date_s = record.start_s + CHANGE * DAY_S
+    old, new = record["cabinet_temperature"], other["cabinet_temperature"]
+    jump = float(np.interp(date_s, new.time, new.value) - np.interp(date_s, old.time, old.value))
+
+    def joined(before: Series) -> Series:
+        after = other[before.signal]
+        early, late = before.time < date_s, after.time >= date_s
+        if not before.signal.startswith("cabinet_"):
+            return before
+        time = after.time[late]
+        lag = jump * np.exp(-(time - date_s) / (3600.0 * own.thermal_time_constant_h))
+        value = after.value[late] - lag
+        if before.signal == "cabinet_relative_humidity":
+            kelvin = np.interp(time, new.time, new.value)
+            value = (
+                after.value[late]
+                * saturation_pressure_water(kelvin)
+                / saturation_pressure_water(kelvin - lag)
+            )
+        return replace(
+            before,
+            time=np.concatenate([before.time[early], time]),
+            value=np.concatenate([before.value[early], value]),
+        )
+
+    return replace(record, series=tuple(joined(s) for s in record.series))
+
+
+def test_where_nothing_changed_there_is_no_cause(tracked: Plan, record: Record) -> None:
+    assert asked(tracked, record).cause == ""
+
+
+@pytest.mark.parametrize(
+    ("parameters", "cause"),
+    [
+        ({"thermal_time_constant_h": 2.5}, "thermal_time_constant"),
+        ({"hygric_time_constant_h": 0.55}, "hygric_k"),
+        (
+            {"operation_release": (11.5, 7.0, -2.0, -0.15), "standstill_release": (9.0, -0.10)},
+            "heat_release_change",
+        ),
+    ],
+)
+def test_a_cabinet_that_changed(
+    tracked: Plan, record: Record, tmp_path: Path, parameters: dict, cause: str
+) -> None:
+    found = asked(tracked, changed(record, tmp_path, **parameters))
+    assert found.cause == cause and found.value > 0.0
+    assert found.lead > CLOSE and found.alike == ()
+
+
+@pytest.mark.parametrize(
+    ("signal", "error", "state", "size", "within"),
+    [
+        ("cabinet_temperature", lambda v: v + 3.0, "temperature_reading_change", 3.0, 1.2),
+        ("cabinet_temperature", lambda v: v - 2.5, "temperature_reading_change", -2.5, 1.2),
+        ("cabinet_relative_humidity", lambda v: v + 0.08, "humidity_reading_change", 0.08, 0.03),
+        ("cabinet_relative_humidity", lambda v: 0.8 * v, "humidity_scale_change", -0.2, 0.06),
+    ],
+)
+def test_a_sensor_that_is_off(
+    tracked: Plan, record: Record, signal: str, error: Callable, state: str, size: float, within: float
+) -> None:
+    found = asked(tracked, misread(record, signal, error))
+    assert found.state == state and found.value == pytest.approx(size, abs=within)
+    assert found.cause == ("temperature_sensor" if signal == "cabinet_temperature" else "humidity_sensor")
+
+
+def test_without_a_humidity_sensor_a_thermometer_that_drifts_is_like_heat(
+    tracked: Plan, record: Record
+) -> None:
+    """What tells them apart is not there: both stand in the finding."""
+    date_s = record.start_s + CHANGE * DAY_S
+    air = record["cabinet_temperature"]
+    drift = 4.0 * np.clip((air.time - date_s) / (9.0 * DAY_S), 0.0, 1.0)
+    warm = replace(air, value=air.value + drift)
+    kept = [s for s in record.series if s.signal not in ("cabinet_temperature", "cabinet_relative_humidity")]
+    found = asked(tracked, replace(record, series=(warm, *kept)))
+    assert {found.cause, *found.alike} == {"temperature_sensor", "heat_release_change"}
+
+
+def test_judgement_at_its_edges() -> None:
+    assert judged_by({}, 5.0) == Finding(5.0, "")
+    assert judged_by({"hygric_k": Explanation(LEAST - 0.01, "log_hygric_change", 0.4)}, 5.0).cause == ""
+    two = {
+        "hygric_k": Explanation(20.0, "log_hygric_change", 0.4),
+        "humidity_sensor": Explanation(18.0, "humidity_scale_change", 0.1),
+    }
+    found = judged_by(two, 5.0)
+    assert (found.cause, found.alike, found.lead) == ("hygric_k", ("humidity_sensor",), 2.0)
+    far = {**two, "humidity_sensor": Explanation(20.0 - CLOSE - 0.01, "humidity_scale_change", 0.1)}
+    assert judged_by(far, 5.0).alike == ()
+
+
+def test_what_is_said_of_it() -> None:
+    lasting = {
+        "heat_release_change": ParameterShift("heat_release_change", 0.0, True, 2.2),
+        "humidity_offset": ParameterShift("humidity_offset", 0.0, True, 0.08),
+    }
+    assert shift_levels(lasting) == []  # nobody has looked yet
+    sensor = Finding(9.0, "temperature_sensor", "temperature_reading_change", 2.9, 200.0, 40.0)
+    (one,) = shift_levels(lasting, sensor)
+    assert one.kind == SUSPECT.kind and one.subject == "temperature_sensor"
+    assert one.statement.startswith("the temperature sensor reads 2.9 K too high")
+    cabinet = Finding(9.0, "heat_release_change", "release_change", 2.0, 50.0, 1.0, ("temperature_sensor",))
+    (one,) = shift_levels(lasting, cabinet)
+    assert one.kind == CHANGED.kind and one.subject == "heat_release_change"
+    assert one.statement.endswith("(or the temperature sensor)") and "+2.2 K" in one.statement
+    nothing = shift_levels(lasting, Finding(9.0, ""))
+    assert [one.subject for one in nothing] == ["heat_release_change", "humidity_offset"]
+    assert all(math.isfinite(one.level) and one.remedy for one in nothing)
+    assert shift_levels({}, sensor) == []

@@ -1,0 +1,262 @@
+"""Rounds of a fleet into a store: what is stored is the offline filter's, also after crashes anywhere."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builders.live_case import expect_offline, live_record
+
+from hygrokf.data.record import Record
+from hygrokf.live.condition import Surface
+from hygrokf.live.properties import ParameterShift
+from hygrokf.live.sources.payload import Mapping
+from hygrokf.live.sources.streams import record_mapping, record_messages
+from hygrokf.live.storage.store import Batch, Store, open_store
+from hygrokf.live.tracker import whole
+from hygrokf.live.turbines import Delivery, Fleet, Turbine, conditions
+
+SOURCE = "replay:"
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
+    return live_record(tmp_path_factory.mktemp("turbine"), seed=6, days=4.0)
+
+
+@pytest.fixture(scope="module")
+def mapping(record: Record) -> Mapping:
+    return record_mapping(record, "T1")
+
+
+def deliveries(record: Record) -> list[Delivery]:
+    """One message a signal and stamp, in the order of time."""
+    return [
+        Delivery(json.dumps(content), received=t + 2.0, place=str(i + 1))
+        for i, (t, content) in enumerate(record_messages(record, "T1"))
+    ]
+
+
+def opened(tmp_path: Path) -> Store:
+    return open_store(f"sqlite:{tmp_path / 'live.db'}")
+
+
+def test_rounds_end_in_the_offline_filter(
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping
+) -> None:
+    store, messages = opened(tmp_path), deliveries(record)
+    fleet = Fleet.opened({"T1": turbine}, store)
+    for first in range(0, len(messages), 37):
+        store.commit(fleet.round(messages[first : first + 37], mapping, SOURCE))
+    expect_offline(store.url, record, turbine)
+    assert store.place(SOURCE) == str(len(messages))
+    assert store.counters() == {}
+    hours = len(store.rows("SELECT DISTINCT time FROM property"))
+    assert 60 <= hours <= 97  # one an hour over four days at most; the point moves in steps of up to two
+    store.close()
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_crash_anywhere_loses_nothing_and_counts_nothing_twice(
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping, seed: int
+) -> None:
+    """The process dies before or after a commit; the source delivers again what was not acknowledged, and
+    some more."""
+    random = np.random.default_rng(seed)
+    store, messages = opened(tmp_path), deliveries(record)
+    fleet, first, crashes = Fleet.opened({"T1": turbine}, store), 0, 0
+    while first < len(messages):
+        count = int(random.integers(1, 120))
+        batch = fleet.round(messages[first : first + count], mapping, SOURCE)
+        dies = random.random()
+        if dies > 0.15:
+            store.commit(batch)
+        if dies < 0.3:
+            crashes += 1
+            store.close()
+            store = opened(tmp_path)
+            fleet = Fleet.opened({"T1": turbine}, store)
+            # at least once: a broker may deliver again what was committed and not acknowledged
+            first = max(int(store.place(SOURCE) or 0) - int(random.integers(0, 60)), 0)
+        else:
+            first += count
+    assert crashes >= 5
+    expect_offline(store.url, record, turbine)
+    store.close()
+
+
+def test_turbines_that_find_no_time_wait_and_lose_nothing(
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping
+) -> None:
+    """A round filters one turbine of three; the process dies now and then; what was taken is in the store at
+    once."""
+    names = ("T1", "T2", "T3")
+    turbines = dict.fromkeys(names, turbine)
+    mapping = replace(mapping, turbines={name: name for name in names})
+    rows = [
+        (at, {**content, "turbine": name}) for at, content in record_messages(record, "") for name in names
+    ]
+    messages = [Delivery(content, at + 2.0, place=str(i + 1)) for i, (at, content) in enumerate(rows)]
+    store = opened(tmp_path)
+    fleet, waited = Fleet.opened(turbines, store), 0
+    for number, first in enumerate(range(0, len(messages), 97)):
+        piece = messages[first : first + 97]
+        batch = fleet.round(piece, mapping, SOURCE, filter_s=0.0)
+        assert len(batch.observations) == len(piece) and len(batch.estimates) <= 1
+        store.commit(batch)
+        waited += len(fleet.waiting) == 2
+        if number % 20 == 19:
+            store.close()
+            store = opened(tmp_path)
+            fleet = Fleet.opened(turbines, store)
+            assert list(fleet.waiting) == list(names)
+    assert waited > 20
+    while fleet.waiting:
+        store.commit(fleet.filtered(Batch(), filter_s=0.0))
+    for name in names:
+        expect_offline(store.url, record, turbine, name)
+    store.close()
+
+
+def test_turbines_of_one_model_are_looked_at_together(record: Record, turbine: Turbine) -> None:
+    """Values, surfaces and instants of their own: the same as each alone."""
+    other = replace(
+        turbine,
+        plan=replace(turbine.plan, values={**turbine.plan.values, "resistance_ratio": 0.7, "hygric_k": 0.9}),
+        surface=Surface(0.8, -1.5),
+    )
+    blind = replace(record, series=tuple(s for s in record.series if not s.signal.startswith("cabinet_")))
+    courses = {
+        "T1": (turbine, whole(turbine.plan, record)),
+        "T2": (other, whole(other.plan, record.window(record.start_s, record.start_s + 86400.0))),
+        "T3": (turbine, whole(turbine.plan, blind)),
+    }
+    assert turbine.plan.model is other.plan.model
+    together = conditions(courses)
+    for name, course in courses.items():
+        (alone,) = conditions({name: course}).values()
+        for field, one in vars(alone).items():
+            found = getattr(together[name], field)
+            if field == "condensation" or field == "time_s":
+                np.testing.assert_allclose(found, one, rtol=1e-12)
+            else:
+                np.testing.assert_allclose(found.value, one.value, rtol=1e-12)
+                np.testing.assert_allclose(found.sd, one.sd, rtol=1e-9)
+    assert len({len(one.time_s) for one in together.values()}) == 3
+
+
+def test_what_is_refused_is_counted_and_changes_nothing(
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping
+) -> None:
+    store, messages = opened(tmp_path), deliveries(record)[:600]
+    clean = Fleet.opened({"T1": turbine}, store)
+    dirty = Fleet({"T1": turbine})
+    rubbish = [
+        Delivery(b"\x00\xff", 1e9), Delivery('{"turbine": "T2", "time": 1.6e9}', 1.7e9),
+        Delivery("[" * 5000, 1e9),
+        Delivery(json.dumps({"turbine": "T1", "time": messages[0].received, "cabinet_temperature": 1e9}),
+            1.7e9),
+    ]  # fmt: skip
+    for first in range(0, len(messages), 50):
+        piece = messages[first : first + 50]
+        expected = clean.round(piece, mapping)
+        found = dirty.round([*rubbish, *piece], mapping)
+        assert found.counters == {
+            ("", "malformed"): 1, ("", "unknown turbine"): 1, ("", "too deep"): 1,
+            ("T1", "impossible value"): 1,
+        }  # fmt: skip
+        assert found.observations == expected.observations
+    assert np.array_equal(dirty.trackers["T1"].point.state.mean, clean.trackers["T1"].point.state.mean)
+    store.close()
+
+
+def test_another_model_is_filtered_anew_from_what_is_stored(
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping
+) -> None:
+    store, messages = opened(tmp_path), deliveries(record)
+    fleet = Fleet.opened({"T1": turbine}, store)
+    for first in range(0, 2000, 100):
+        store.commit(fleet.round(messages[first : first + 100], mapping))
+    other = replace(turbine, plan=replace(turbine.plan, values={**turbine.plan.values, "hygric_k": 0.7}))
+    again = Fleet.opened({"T1": other}, store)
+    assert again.trackers["T1"].point is None
+    for first in range(2000, len(messages), 100):
+        store.commit(again.round(messages[first : first + 100], mapping))
+    offline = whole(other.plan, record)
+    point = store.point("T1")
+    last = int(np.searchsorted(offline.seconds, point.time + 1e-3, side="right")) - 1
+    assert np.array_equal(point.state.mean, offline.trace.mean[last])
+    store.close()
+
+
+def test_data_that_stop_and_a_source_that_is_lost_raise_alarms(
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping
+) -> None:
+    store = opened(tmp_path)
+    fleet = Fleet.opened({"T1": turbine, "T2": turbine}, store)
+    store.commit(fleet.round(deliveries(record), mapping))
+    end, hour = record.end_s, 3600.0
+
+    def ticked(now: float, state: str = "connected") -> list[tuple[str, str, bool]]:
+        batch = fleet.tick(now, {"mqtt://broker": (state, "refused")})
+        if not batch.empty:
+            store.commit(batch)
+        return [(a.turbine, a.kind, a.ended is None) for a in batch.alarms]
+
+    assert ticked(end + 0.5 * hour) == []
+    assert ticked(end + 2.1 * hour, "lost") == []  # old, but not yet for five minutes
+    found = ticked(end + 2.3 * hour, "lost")
+    assert ("T1", "data stale", True) in found and ("", "source lost", True) in found
+    # a turbine that never delivered is stale from the first look on
+    assert ("T2", "data stale", True) in ticked(end + 2.8 * hour, "lost") + ticked(end + 2.9 * hour, "lost")
+    again = Fleet.opened({"T1": turbine, "T2": turbine}, store)
+    assert sorted(a.kind for a in again.open_alarms()) == ["data stale", "data stale", "source lost"]
+    (stale,) = store.rows("SELECT statement, remedy FROM alarm WHERE turbine = 'T1'")
+    assert stale[0].startswith("no signal has arrived for 2.") and "logger" in stale[1]
+    fresh = {"turbine": "T1", "time": end + 3.0 * hour, "cabinet_temperature": 300.0}
+    store.commit(fleet.round([Delivery(json.dumps(fresh), end + 3.0 * hour)], mapping))
+    assert ticked(end + 3.1 * hour) == []  # the source is back, for less than its hold-off
+    assert ("", "source lost", False) in ticked(end + 3.2 * hour)
+    store.close()
+
+
+def test_a_weather_forecast_is_kept_for_one_turbine_or_for_all(
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping
+) -> None:
+    from dataclasses import replace
+
+    store = opened(tmp_path)
+    fleet = Fleet.opened({"T1": turbine}, store)
+    coming = replace(mapping, weather=True)
+    now = record.end_s
+
+    def told(**content: object) -> None:
+        store.commit(fleet.round([Delivery(json.dumps(content), now)], coming))
+
+    told(time=now + 86400.0, ambient_temperature=283.15, ambient_relative_humidity=0.8)
+    told(time=now + 90000.0, ambient_temperature=284.15)
+    assert {(row[0], row[1] - now) for row in store.weather("T1", now)} == {
+        ("ambient_temperature", 86400.0), ("ambient_temperature", 90000.0),
+        ("ambient_relative_humidity", 86400.0)
+    }  # fmt: skip
+    told(turbine="T1", time=now + 86400.0, ambient_temperature=285.0)
+    assert store.weather("T1", now) == [("ambient_temperature", now + 86400.0, 285.0)]
+    told(time=now + 30 * 86400.0, ambient_temperature=283.15)
+    assert store.counters() == {("", "impossible time"): 1}
+    assert store.size()["observation"] == 0 and fleet.trackers["T1"].newest == -float("inf")
+    store.close()
+
+
+@pytest.mark.parametrize("key", ["parameter_shifts", "departures"])
+def test_shifts_are_resumed_also_under_the_key_of_older_stores(
+    tmp_path: Path, turbine: Turbine, key: str
+) -> None:
+    shift = ParameterShift("hygric_k", 1.6e9, True, 0.4)
+    store = opened(tmp_path)
+    Fleet.opened({"T1": turbine}, store)
+    store.commit(Batch(memories={("T1", key): {"hygric_k": asdict(shift)}}))
+    assert Fleet.opened({"T1": turbine}, store).shifts["T1"] == {"hygric_k": shift}
+    store.close()

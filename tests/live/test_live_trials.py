@@ -1,0 +1,291 @@
+"""The trials of the live tracker: their sums on lines made by hand, a small run of each, in full with the
+slow marker."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from types import ModuleType
+
+import numpy as np
+import pytest
+
+SCRIPTS = Path(__file__).resolve().parents[2] / "scripts"
+
+
+@pytest.fixture(scope="module", autouse=True)
+def path() -> Iterator[None]:
+    sys.path.insert(0, str(SCRIPTS))
+    yield
+    sys.path.remove(str(SCRIPTS))
+
+
+def part(name: str) -> ModuleType:
+    """That module of the trials."""
+    return importlib.import_module(f"trials.{name}")
+
+
+# -- the sums ------------------------------------------------------------------------------------------------
+def forecasts(said: np.ndarray, humidity: np.ndarray, seeds: int = 5) -> dict:
+    """Lines of forecasts whose P(RH > 60 %) is `said` and whose humidity came out so; all other columns are
+    plain."""
+    module = part("forecast")
+    lines = []
+    for seed, (p, h) in enumerate(zip(np.split(said, seeds), np.split(humidity, seeds), strict=True)):
+        rows = np.zeros((len(p), len(module.COLUMNS)))
+        put = {"lead_h": 6.0, "kelvin": 290.0, "kelvin_sd": 1.0, "kelvin_true": 290.5, "humidity": 0.5,
+            "humidity_sd": 0.1,
+               "humidity_true": h, "above_60": p, "margin_true": 5.0}  # fmt: skip
+        for name, value in put.items():
+            rows[:, module.COLUMNS.index(name)] = value
+        lines.append({"seed": seed, "rows": rows.tolist()})
+    return module.Forecasts(lines)
+
+
+def test_reliability_counts_what_came_true() -> None:
+    module = part("forecast")
+    said = np.tile([0.05, 0.25, 0.25, 0.95, 1.0], 20)
+    came = np.tile([0.0, 1.0, 0.0, 1.0, 1.0], 20)
+    f = forecasts(said, 0.5 + 0.2 * came)
+    rows = module.reliability(f.columns["above_60"], f.happened("above_60"), f.seed)
+    counts = [(r["from"], r["rate"].hits, r["rate"].n) for r in rows]
+    assert counts == [(0.0, 0, 20), (0.2, 20, 40), (0.9, 40, 40)]
+    assert rows[1]["said"] == pytest.approx(0.25) and rows[2]["said"] == pytest.approx(0.975)
+    assert rows[1]["low"] == rows[1]["high"] == 0.5  # all plants alike
+    score, base = module.brier(f.columns["above_60"], f.happened("above_60"), f.seed)
+    assert score == pytest.approx((0.05**2 + 0.75**2 + 0.25**2 + 0.05**2 + 0.0) / 5)
+    assert base == pytest.approx(0.6 * 0.4)
+    held = module.coverage(f, "kelvin", f.within(3.0, 12.0))
+    assert (held["rate"].hits, held["bias"], held["rms"]) == (100, -0.5, 0.5)
+    assert held["rate"].n == 100 and not f.within(12.0, 24.0).any()
+
+
+def test_bounds_between_plants_are_wider_than_those_of_single_forecasts() -> None:
+    module = part("forecast")
+    came = np.repeat([0.0, 1.0, 0.0, 1.0, 0.5], 40)
+    came[-40::2] = 1.0
+    f = forecasts(np.full(200, 0.55), 0.5 + 0.2 * (came > 0.5))
+    (row,) = module.reliability(f.columns["above_60"], f.happened("above_60"), f.seed)
+    low, high = row["rate"].bounds
+    assert row["low"] < low - 0.1 and row["high"] > high + 0.1
+
+
+def test_restarts_are_counted_by_advice() -> None:
+    module = part("restart")
+    rows = [[5.0, 0.96, 0.55, 0.58, 2.0, 0.7], [3.0, 0.95, 0.62, 0.63, 5.0, 0.7],
+        [0.0, 1.0, 0.3, 0.3, 0.0, 0.3],
+            [-1.0, 0.8, 0.7, 0.7, -1.0, 0.9]]  # fmt: skip
+    text = module.table([{"seed": 1, "rows": rows}, {"seed": 2, "rows": []}])
+    assert text.startswith("1 plants with a pre-heating in their identification period (of 2), 4 restarts")
+    assert "| pre-heat for … h | 2 | 1/2 = 50 % (1 … 99) | 96 % |" in text
+    assert "Advised 4.0 h on average (median 4.0 h); truly needed 3.5 h" in text
+    assert "| 24 h are not enough | 1 | | | | more than 24 h in 1 |" in text
+
+
+def test_heating_that_it_took_is_where_it_stays_dry() -> None:
+    module = part("restart")
+    minutes = np.arange(module.HEATED_MIN)
+    assert module._needed(np.where(minutes < 90, 0.7, 0.5)) == 1.5
+    assert module._needed(np.where((minutes < 90) | ((minutes > 120) & (minutes < 240)), 0.7, 0.5)) == 4.0
+    assert module._needed(np.full(module.HEATED_MIN, 0.7)) == -1.0
+
+
+def condensation(margin: np.ndarray, said: np.ndarray, seeds: int = 5) -> list[dict]:
+    """Lines of the trial of condensation: the second surface a day ahead, known scenarios, with these
+    margins."""
+    module = part("saturation")
+    lines = []
+    for seed, (m, p) in enumerate(zip(np.split(margin, seeds), np.split(said, seeds), strict=True)):
+        rows = np.column_stack(
+            [np.zeros(len(m)), np.ones(len(m)), np.full(len(m), 24.0), np.zeros(len(m)), p, p, m]
+        )
+        windows = np.column_stack([np.zeros(len(m)), np.ones(len(m)), p, m < 1.0])
+        lines.append(
+            {"seed": seed, "kind": module.KINDS[0], "rows": rows.tolist(), "windows": windows.tolist()}
+        )
+    return lines
+
+
+def test_condensation_is_a_margin_below_zero() -> None:
+    module = part("saturation")
+    margin = np.tile([-0.5, 0.5, 2.0, 2.0], 50)
+    said = np.tile([0.3, 0.3, 0.3, 1.0], 50)
+    text = module.table(condensation(margin, said))
+    assert text.startswith("5 plants (5 ordinary, 0 damp, 0 damp, errors of all sensors).")
+    (row,) = [line for line in text.splitlines() if line.startswith("| 0.3 / +0 K | 24 h | 200 |")]
+    assert row.startswith("| 0.3 / +0 K | 24 h | 200 | 47.50 % | 25.00 % (25.00–25.00) |")
+    assert "| 30.0 → 33.3 (33.3–33.3), 150 |" in row and row.endswith("| 100.0 → 0.0 (0.0–0.0), 50 |")
+    # at any time of the window it came twice as often
+    assert "| known | 200 | 47.50 % | 50.00 % (50.00–50.00) |" in text
+
+
+def test_seeds_are_ordinary_and_damp_cabinets() -> None:
+    module = part("saturation")
+    ordinary, damp, every = (module.cabinet(seed) for seed in (9, 10, 11))
+    assert ordinary == {} and (damp["sensor_errors"], every["sensor_errors"]) == ("cabinet", "all")
+    for one in (damp, every):
+        assert 0.5 <= one["standstill_W"][0] * one["outer_resistance"] <= 3.0
+        through = one["outer_resistance"] + one["inner_resistance"]
+        assert 0.8 <= through * one["heat_capacity"] / 3600.0 <= 3.0
+
+
+def test_waits_count_from_the_change() -> None:
+    module = part("changes")
+    found = {"tau": [["hygric_k", 61.0, 63.0, 0.2], ["thermal_time_constant", 60.0, 66.5, 0.4]], "none": []}
+    early = {"tau": [["thermal_time_constant", 10.0, 12.0, 0.4]], "none": [["hygric_k", 1.0, 3.0, 0.2]]}
+    lines = [{"seed": i, "days": 120.0, "change_day": 60.0, "found": f} for i, f in enumerate((found, early))]
+    assert module.waits(lines, "tau") == [6.5, math.inf]
+
+
+def test_the_command_goes_on_where_it_stopped(tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
+    command = part("command")
+    asked = []
+
+    def one(seed: int) -> dict:
+        asked.append(seed)
+        return {"seed": seed}
+
+    file = tmp_path / "lines.jsonl"
+    file.write_text('{"seed": 3}\n{"seed": 4, "ro')  # stopped within a line
+    command.run_into(file, command.Trial(one, str, ""), range(3, 6), 1)
+    assert asked == [4, 5]
+    assert [json.loads(line)["seed"] for line in file.read_text().splitlines()] == [3, 4, 5]
+    file.write_text('{"seed"\n{"seed": 5}\n')
+    with pytest.raises(SystemExit, match="line 1: expected JSON"):
+        command.read_lines([file])
+    for wrong in (["forecast"], ["forecast", "--seeds", "1:2"], ["restart", "--seeds", "one"]):
+        with pytest.raises(SystemExit):
+            command.main(wrong)
+    assert "expected FIRST:LAST" in capsys.readouterr().err
+
+
+def test_tables_and_picture_of_lines(tmp_path: Path) -> None:
+    random = np.random.default_rng(3)
+    said = random.random(500)
+    f = forecasts(said, np.where(random.random(500) < said, 0.65, 0.55))
+    assert part("picture").reliability_png(f).startswith(b"\x89PNG")
+
+
+# -- small trials --------------------------------------------------------------------------------------------
+def test_a_small_trial_of_forecasts() -> None:
+    """Twelve days of one plant: bands hold the truth, are no wider than they must, and probabilities say
+    something."""
+    module = part("forecast")
+    f = module.Forecasts([module.one(51, days=12.0, learnt=32.0)])
+    everything = np.ones(len(f.seed), bool)
+    assert len(f.seed) == 19 * len(module.LEADS_H)
+    for quantity in ("kelvin", "humidity"):
+        assert 0.85 < module.coverage(f, quantity, everything)["rate"].share < 1.0, quantity
+        early, late = (f.within(*hours) for hours in ((0.0, 1.0), (23.0, 48.0)))
+        assert module.coverage(f, quantity, early)["rms"] < 0.4 * module.coverage(f, quantity, late)["rms"]
+        assert f.columns[f"{quantity}_sd"][early].mean() < 0.4 * f.columns[f"{quantity}_sd"][late].mean()
+    soon = f.within(0.0, 6.0)
+    score, base = module.brier(f.columns["above_50"][soon], f.happened("above_50")[soon], f.seed[soon])
+    assert score < 0.6 * base
+    assert "| RH > 50 % |" in module.table(
+        [{"seed": 51, "rows": np.column_stack(list(f.columns.values())).tolist()}]
+    )
+
+
+def test_a_small_trial_of_condensation() -> None:
+    """Ten days of a damp cabinet: with the weather that came, probabilities are right on the whole and tell
+    the hours apart."""
+    module = part("saturation")
+    line = module.one(6010, days=12.0, learnt=32.0)
+    c = module.Cases([line], "rows", module.COLUMNS).columns
+    known = (c["scenarios"] == 0.0) & (c["lead_h"] <= 6.0)
+    came = c["margin_true"] < 0.0
+    base = came[known].mean()
+    assert 0.02 < base < 0.5 and c["said"][known].mean() == pytest.approx(base, abs=0.03)
+    assert np.mean((c["said"][known] - came[known]) ** 2) < 0.4 * base * (1.0 - base)
+    assert 0.02 < np.mean(c["rank"][known] < 0.1) < 0.25
+    w = module.Cases([line], "windows", module.WINDOW_COLUMNS).columns
+    assert w["came"].mean() > base and "| persistence |" in module.table([line])
+
+
+def test_a_small_trial_of_restarts() -> None:
+    """Five restarts of one plant: dry when the advice said so, and it said neither never nor always the
+    longest."""
+    module = part("restart")
+    line = module.one(51, days=26.0, learnt=35.0)
+    hours, probability, humidity, _, needed, _ = np.array(line["rows"]).T
+    assert len(hours) == 5 and line["silent"] == 0
+    given = hours > 0.0
+    assert given.sum() >= 2 and np.all(humidity[hours >= 0.0] < module.LIMIT)
+    assert np.all(probability[hours >= 0.0] >= 0.95)
+    assert np.all(needed[given] <= hours[given]) and np.median(hours[given]) < 18.0
+
+
+def test_a_small_trial_of_changes() -> None:
+    """A time constant that grows from 1.5 to 2.5 h six days after the tracker's beginning; and one that does
+    not."""
+    module = part("changes")
+    found = module.changed(50, ("none", "tau"), module.Dates(30.0, 36.0, 52.0))
+    assert found["none"] == []
+    ((name, begin, lasts, change),) = found["tau"]
+    assert name == "thermal_time_constant" and 6.0 < begin < lasts < 6.0 + module.FOUND_DAYS
+    assert 1.2 < math.exp(change) < 2.2
+
+
+# -- in full -------------------------------------------------------------------------------------------------
+def lines_of(trial: str, seeds: range) -> list[dict]:
+    """Lines of many seeds, two at a time."""
+    command = part("command")
+    return list(command.run(command.TRIALS[trial], list(seeds), 2))
+
+
+@pytest.mark.slow
+def test_probabilities_come_true() -> None:
+    module = part("forecast")
+    lines = lines_of("forecast", range(100, 120))
+    f = module.Forecasts(lines)
+    for column in ("above_50", "above_60", "above_70", "above_80", "close"):
+        for row in module.reliability(f.columns[column], f.happened(column), f.seed):
+            if row["rate"].n >= 100:
+                assert row["low"] - 0.1 < row["said"] < row["high"] + 0.1, (column, row)
+    for quantity in ("kelvin", "humidity"):
+        assert 0.92 < module.coverage(f, quantity, np.ones(len(f.seed), bool))["rate"].share < 0.98
+
+
+@pytest.mark.slow
+def test_condensation_comes_as_often_as_it_is_said_also_where_the_sensor_is_at_its_ceiling() -> None:
+    """With the weather that came, in damp cabinets: a surface at 0.3 / 0 K and one at 0.6 / 0 K, where it is
+    rare."""
+    module = part("saturation")
+    lines = lines_of("saturation", range(7200, 7224))
+    cases = module.Cases(lines, "rows", module.COLUMNS)
+    c, came = cases.columns, cases.columns["margin_true"] < 0.0
+    near = (c["scenarios"] == 0.0) & np.isin(c["surface"], (1, 3)) & (c["lead_h"] <= 6.0)
+    for ceiling in (0.0, 1.0):
+        here = near & (c["ceiling"] == ceiling)
+        for _, said, rate, low, high in module.reliability(c["said"][here], came[here], cases.seed[here]):
+            if rate.n >= 50:
+                assert low - 0.1 < said < high + 0.1, (ceiling, said, rate)
+        low, high = module.between_plants(came[here], cases.seed[here])
+        assert low < c["said"][here].mean() < high
+
+
+@pytest.mark.slow
+def test_it_is_dry_when_the_advice_said_so() -> None:
+    module = part("restart")
+    rows = np.array([row for line in lines_of("restart", range(200, 222)) for row in line["rows"]])
+    advised = rows[rows[:, 0] > 0.0]
+    assert len(advised) > 80
+    assert 0.90 <= np.mean(advised[:, 2] < module.LIMIT) <= 0.98
+
+
+@pytest.mark.slow
+def test_changes_are_found_and_few_are_made_up() -> None:
+    module = part("changes")
+    lines = lines_of("changes", range(300, 320))
+    assert np.mean(np.array(module.waits(lines, "tau")) <= module.FOUND_DAYS) >= 0.95
+    for runs, days in (
+        ([line["found"]["none"] for line in lines], "days"),
+        ([line["plant"] for line in lines], "plant_days"),
+    ):
+        years = sum(line[days] for line in lines) / module.YEAR_DAYS
+        assert sum(map(len, runs)) <= years

@@ -1,0 +1,618 @@
+"""The page in a real browser: what it shows is what the store holds, and it says when that is no longer of
+now."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import quote
+
+import pytest
+from builders.live_case import live_turbine
+from builders.page_case import Case, Fed, add_forecast, filled, opened, recent_record
+from builders.ports import free_port
+from builders.service_case import running
+from builders.waiting import eventually
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from hygrokf.identification.verdict import REJECT, Inherited, Reason
+from hygrokf.live.condition import Surface
+from hygrokf.live.service import Service
+from hygrokf.live.sources.streams import record_mapping, record_messages
+from hygrokf.live.storage.store import Alarm, Batch
+from hygrokf.live.web.application import Page as LivePage
+from hygrokf.live.web.page_settings import PageSettings
+from hygrokf.live.web.server import Hub, PageServer, serve
+
+CHROMIUM = shutil.which("chromium")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
+ARGUMENTS = (
+    "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking",
+    "--disable-component-update", "--disable-sync",
+)  # fmt: skip
+EVIL = '<img src=x onerror="window.broken=1">'
+TOKEN = "a-token-of-the-tests-0123456789"
+MINUS = "\u2212"
+expect.set_options(timeout=60_000)
+UNREACHED = re.compile(r"net::ERR_|Failed to load resource")
+"""What a browser says when its server is not there, or refuses."""
+
+
+@pytest.fixture(scope="module")
+def service(tmp_path_factory: pytest.TempPathFactory) -> Service:
+    cases = [
+        Case("T1"),
+        Case("T2", without=("cabinet_relative_humidity",)),
+        Case("silent", silent_h=5.0),
+        Case(EVIL),
+    ]
+    made = filled(tmp_path_factory.mktemp("page"), cases, days=2.0)
+    store = opened(made)
+    add_forecast(store, "T1", f"pre-heat for 40 min {EVIL}")
+    now = time.time()
+    store.commit(
+        Batch(
+            alarms=[
+                Alarm("evil", EVIL, "condensation", "alarm", now - 7200.0, EVIL, "dry <b>it</b>"),
+                Alarm("wet", "T1", "condensation", "warning", now - 3600.0, "water condenses", "pre-heat"),
+                Alarm(
+                    "past", "T1", "data stale", "warning", now - 9000.0, "silent", "look", ended=now - 8000.0
+                ),
+            ],
+            counters={("T1", "late"): 12, ("T1", "bad quality"): 1},
+        )
+    )
+    store.close()
+    return made
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=CHROMIUM, args=list(ARGUMENTS), timeout=180_000)
+        yield started
+        started.close()
+
+
+@pytest.fixture(scope="module")
+def live(service: Service) -> Iterator[tuple[str, Hub]]:
+    with served(service) as (server, hub):
+        yield server.url, hub
+
+
+class served:
+    """A page of a service that runs on a port."""
+
+    def __init__(self, service: Service, settings: PageSettings | None = None) -> None:
+        self.hub, self.settings = Hub(), settings or PageSettings(port=0)
+        self.page = LivePage(service, self.hub, self.settings)
+
+    def __enter__(self) -> tuple[PageServer, Hub]:
+        self.server = serve(self.page.app(), self.settings, self.hub)
+        return self.server, self.hub
+
+    def __exit__(self, *fault: object) -> None:
+        self.server.stop()
+        self.page.reader.close()
+
+
+class Tab:
+    """A page of the browser that keeps what went wrong in it."""
+
+    def __init__(self, browser: Browser, **context: object) -> None:
+        given = {"viewport": {"width": 1280, "height": 900}, "timezone_id": "Europe/Berlin", **context}
+        self.context = browser.new_context(**given)
+        self.page: Page = self.context.new_page()
+        self.said: list[str] = []
+        self.page.on("console", lambda m: m.type in ("error", "warning") and self.said.append(m.text))
+        self.page.on("pageerror", lambda fault: self.said.append(str(fault)))
+        self.page.add_init_script(
+            "document.addEventListener('securitypolicyviolation', e => console.error('CSP ' + "
+            "e.violatedDirective))"
+        )
+        self.page.set_default_timeout(60_000)
+
+    def open(self, url: str) -> Page:
+        self.page.goto(url)
+        expect(self.page.locator("#live-words")).to_have_text("live")
+        return self.page
+
+    def faults(self) -> list[str]:
+        return [text for text in self.said if not UNREACHED.search(text)]
+
+
+@pytest.fixture
+def tab(browser: Browser) -> Iterator[Tab]:
+    made = Tab(browser)
+    yield made
+    made.context.close()
+    assert made.faults() == []
+
+
+def text_of(value: float, digits: int, sign: bool = False) -> str:
+    """A number as the page writes it."""
+    text = f"{abs(value):.{digits}f}"
+    if float(text) == 0.0:
+        return text
+    return (MINUS if value < 0 else "+" if sign else "") + text
+
+
+def chance_text(value: float) -> str:
+    shown = 100.0 * value
+    if shown < 0.1:
+        return "<\u20090.1 %"
+    if shown > 99.9:
+        return ">\u200999.9 %"
+    return f"{shown:.{1 if shown < 10 or shown > 99 else 0}f} %"
+
+
+def significant(value: float) -> str:
+    """Three significant digits of a number above 0.1."""
+    return text_of(value, 3 if value < 1.0 else 2 if value < 10.0 else 1)
+
+
+def row_of(page: Page, name: str):
+    return page.locator(f"tr[data-turbine={json.dumps(name)}]")
+
+
+def plain(text: str) -> str:
+    return text.replace("\u00a0", " ")
+
+
+def newest(service: Service, name: str) -> tuple:
+    store = opened(service)
+    (found,) = store.rows(
+        "SELECT temperature_K, temperature_sd, relative_humidity, relative_humidity_sd, margin_K, margin_sd, "
+        "condensation, absolute_humidity_g_m3 FROM estimate WHERE turbine = ? ORDER BY time DESC LIMIT 1",
+        (name,),
+    )
+    store.close()
+    return found
+
+
+# -- the fleet -----------------------------------------------------------------------------------------------
+def test_the_fleet_shows_what_the_store_holds(tab: Tab, live: tuple[str, Hub], service: Service) -> None:
+    page = tab.open(live[0])
+    expect(page.locator("tbody tr")).to_have_count(4)
+    for name in service.turbines:
+        kelvin, kelvin_sd, humidity, humidity_sd, margin, margin_sd, chance, _ = newest(service, name)
+        cells = {
+            kind: plain(row_of(page, name).locator(f"td.{kind}").inner_text())
+            for kind in ("temperature", "humidity", "margin", "condensation")
+        }
+        assert cells["temperature"] == f"{text_of(kelvin - 273.15, 1)} °C± {text_of(1.959964 * kelvin_sd, 1)}"
+        assert cells["humidity"] == f"{text_of(100 * humidity, 0)} %± {text_of(196 * humidity_sd, 0)}"
+        lower = margin - 1.959964 * margin_sd
+        assert cells["margin"] == f"{text_of(margin, 1, True)} K≥ {text_of(lower, 1, True)}"
+        assert cells["condensation"] == chance_text(chance)
+    assert [row.get_attribute("data-turbine") for row in page.locator("tbody tr").all()][:2] == [EVIL, "T1"]
+
+
+def test_what_rests_on_a_number_that_is_not_to_be_believed_says_so(
+    tab: Tab, service: Service, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reasons = (Reason("at_limit", REJECT, f"it ended at its limit {EVIL}"),)
+    known = {"thermal": Inherited(1.5, 1.4, 1.6, REJECT, reasons), "hygric": Inherited(1.5, 1.4, 1.6)}
+    monkeypatch.setitem(service.turbines, "T2", replace(service.turbines["T2"], verdicts=known))
+    with served(service) as (server, _):
+        page = tab.open(server.url)
+        doubtful, fine = row_of(page, "T2"), row_of(page, "T1")
+        expect(doubtful.locator(".badge")).not_to_have_text("ok")
+        expect(doubtful.locator("td.cabinet")).to_contain_text("model rejected")
+        expect(doubtful).to_have_class("rejected")
+        expect(fine).not_to_have_class("rejected")
+        page = tab.open(f"{server.url}#/turbine/T2")
+        expect(page.locator(".model li")).to_have_count(
+            1
+        )  # of the number that is believed nothing needs to be said
+        expect(page.locator(".model li")).to_have_text(
+            f"✕ thermal time constant not to be believed: it ended at its limit {EVIL}"
+        )
+        expect(page.locator("#now-temperature")).to_contain_text("by a rejected model")
+        assert "by a model" not in page.locator("#now-absolute_humidity").inner_text()
+        page = tab.open(f"{server.url}#/turbine/T1")
+        expect(page.locator("#now-temperature")).to_be_visible()
+        expect(page.locator(".model")).to_be_hidden()
+
+
+def test_what_is_old_is_shown_as_old(tab: Tab, live: tuple[str, Hub]) -> None:
+    page = tab.open(live[0])
+    silent, fresh = row_of(page, "silent"), row_of(page, "T2")
+    expect(silent.locator(".badge")).to_have_text("no data")
+    expect(silent).to_have_class("stale")
+    assert plain(silent.locator("td.heard").inner_text()).startswith("5 h")
+    expect(fresh).not_to_have_class("stale")
+
+
+def test_names_are_found(tab: Tab, live: tuple[str, Hub]) -> None:
+    page = tab.open(live[0])
+    page.keyboard.press("/")
+    page.keyboard.type("t")
+    expect(page.locator("tbody tr:visible")).to_have_count(3)
+    page.keyboard.type("2")
+    expect(page.locator("tbody tr:visible")).to_have_count(1)
+    expect(page.locator(".found")).to_have_text("1 of 4")
+    page.keyboard.press("Enter")
+    expect(page.locator("h1")).to_have_text("T2")
+    expect(page.locator("h1")).to_be_focused()
+    page.go_back()
+    expect(page.locator("h1")).to_have_text("Cabinets")
+    assert page.locator("#search").input_value() == "t2"
+
+
+# -- one turbine ---------------------------------------------------------------------------------------------
+COLUMNS = """(colours) => { const c = document.querySelector('#chart-temperature canvas');
+  const d = c.getContext('2d').getImageData(0, 0, c.width, c.height).data;
+  return colours.map((sought) => { let first = 1, last = 0;
+    for (let i = 0; i < d.length; i += 4)
+      if (d[i + 3] === 255 && sought.every((v, k) => Math.abs(v - d[i + k]) < 40)) {
+      const x = (i / 4 % c.width) / c.width; first = Math.min(first, x); last = Math.max(last, x); }
+    return [first, last]; }); }"""
+"""Between which shares of the width a chart has pixels of colours."""
+
+
+def chart(page: Page, name: str) -> list:
+    return page.evaluate(
+        "name => document.getElementById('chart-' + name).chart.data.map(column => [...column].map(v => v ?? "
+        "null))",
+        name,
+    )
+
+
+def test_charts_hold_what_the_store_holds(tab: Tab, live: tuple[str, Hub], service: Service) -> None:
+    page = tab.open(live[0] + "#/turbine/T1")
+    expect(page.locator("#chart-temperature canvas")).to_be_visible()
+    store = opened(service)
+    since = time.time() - 3 * 86400.0
+    estimates = store.rows(
+        "SELECT time, temperature_K, temperature_sd FROM estimate WHERE turbine = 'T1' AND time >= ? ORDER "
+        "BY time",
+        (since,),
+    )
+    readings = store.rows(
+        "SELECT time, value FROM observation WHERE turbine = 'T1' AND signal = 'cabinet_temperature' AND "
+        "time >= ? ORDER BY time",
+        (since,),
+    )
+    forecast = store.rows(
+        "SELECT time, temperature_K, temperature_sd FROM forecast WHERE turbine = 'T1' ORDER BY time"
+    )
+    store.close()
+    data = chart(page, "temperature")
+
+    def drawn(column: int) -> list[tuple[float, float]]:
+        return [(t, v) for t, v in zip(data[0], data[column], strict=True) if v is not None]
+
+    assert drawn(1) == [(t, pytest.approx(v - 273.15, abs=1e-3)) for t, v in readings]
+    assert drawn(2) == [(t, pytest.approx(v - 273.15, abs=1e-3)) for t, v, _ in estimates]
+    assert drawn(4) == [(t, pytest.approx(v - 273.15 + 1.959964 * sd, abs=1e-3)) for t, v, sd in estimates]
+    assert drawn(5) == [(t, pytest.approx(v - 273.15, abs=1e-3)) for t, v, _ in forecast]
+    assert drawn(6) == [(t, pytest.approx(v - 273.15 - 1.959964 * sd, abs=1e-3)) for t, v, sd in forecast]
+    for name in ("relative_humidity", "margin", "absolute_humidity", "condensation", "humid"):
+        assert len(chart(page, name)[0]) > 10, name
+    assert len(chart(page, "property-thermal_time_constant")[0]) >= 1
+    assert "above 80 %" in page.locator("#chart-humid h3").inner_text()
+    # pixels are there: the estimate's up to now, the forecast's after it
+    drawings = page.evaluate(COLUMNS, [[31, 95, 168], [141, 90, 20]])
+    (first, last), (forecast_first, forecast_last) = drawings
+    assert first < last < forecast_first + 0.02 and forecast_last > 0.95 and 0.4 < last < 0.8
+
+
+def test_a_turbine_in_words(tab: Tab, live: tuple[str, Hub], service: Service) -> None:
+    page = tab.open(live[0] + "#/turbine/T1")
+    kelvin, _, humidity, _, margin, _, chance, density = newest(service, "T1")
+    shown = {
+        "temperature": f"{text_of(kelvin - 273.15, 1)} °C",
+        "relative_humidity": f"{text_of(100 * humidity, 0)} %",
+        "margin": f"{text_of(margin, 1, True)} K",
+        "condensation": chance_text(chance),
+        "absolute_humidity": f"{density:.1f} g/m³",
+    }
+    for name, text in shown.items():
+        assert plain(page.locator(f"#now-{name} .value").inner_text()) == text
+    assert f"pre-heat for 40 min {EVIL}" in page.locator(".advice").inner_text()
+    store = opened(service)
+    properties = store.rows(
+        "SELECT name, value, lower_bound, upper_bound, reference FROM property WHERE turbine = 'T1' AND time "
+        "= (SELECT MAX(time) FROM property WHERE turbine = 'T1')"
+    )
+    store.close()
+    assert len(properties) == 4
+    for name, value, lower, upper, reference in properties:
+        text = plain(page.locator(f"[data-property={name}]").inner_text())
+        if name == "heat_release_change":
+            value, lower, upper = (text_of(v, 1, True) for v in (value, lower, upper))
+            assert f"{value} K {lower} … {upper}" in text
+        elif name == "humidity_offset":
+            value, lower, upper = (text_of(100.0 * v, 1, True) for v in (value, lower, upper))
+            assert f"{value} % {lower} … {upper}" in text
+        else:
+            value, lower, upper, reference = (significant(v) for v in (value, lower, upper, reference))
+            assert f"{value} h {lower} … {upper}" in text and f"from the fit: {reference} h" in text
+    aside = page.locator(".aside li").all_inner_texts()
+    assert aside == ["1 reading was marked as bad by the source", "12 readings came too late to be used"]
+    assert page.locator("tr[data-signal=cabinet_temperature] td").first.inner_text().endswith("°C")
+    expect(page.locator("#zone")).to_contain_text("Europe/Berlin")
+    assert re.search(
+        r"\d{4}-\d\d-\d\d \d\d:\d\d UTC$", page.locator(".as-of time").first.get_attribute("title")
+    )
+
+
+@pytest.mark.slow
+def test_days_are_chosen_and_kept(tab: Tab, live: tuple[str, Hub]) -> None:
+    page = tab.open(live[0] + "#/turbine/T1")
+    points = len(chart(page, "temperature")[0])
+    page.locator("input[name=days]:checked").focus()
+    page.keyboard.press("ArrowLeft")
+    expect(page.locator("input[value='1']")).to_be_checked()
+    eventually(lambda: len(chart(page, "temperature")[0]) < points)
+    page.reload()
+    expect(page.locator("input[value='1']")).to_be_checked()
+
+
+def test_without_a_humidity_sensor_it_is_said(tab: Tab, live: tuple[str, Hub]) -> None:
+    page = tab.open(live[0] + "#/turbine/T2")
+    said = "no humidity sensor: estimate from the model alone"
+    for name in ("relative_humidity", "margin", "absolute_humidity"):
+        expect(page.locator(f"#chart-{name} .chart-note")).to_have_text(said)
+    expect(page.locator("#chart-temperature .chart-note")).to_be_hidden()
+    expect(page.locator("#now-relative_humidity .note")).to_have_text("from the model alone")
+    page.goto(live[0] + "#/turbine/nobody")
+    expect(page.locator(".page-fault")).to_have_text("no such turbine is tracked")
+
+
+@pytest.mark.slow
+def test_pointing_at_a_chart_reads_it_in_both_times(tab: Tab, live: tuple[str, Hub]) -> None:
+    page = tab.open(live[0] + "#/turbine/T1")
+    page.locator("#chart-temperature .u-over").hover(position={"x": 500, "y": 50})
+    for name in ("temperature", "margin"):  # all charts follow
+        text = page.locator(f"#chart-{name} output").inner_text()
+        assert re.match(r"\w{3} \d+ \w{3,4} \d\d:\d\d \(\d\d:\d\d UTC\): .* \(.* … .*\)", text), text
+
+
+# -- what comes from outside stays text ----------------------------------------------------------------------
+def test_names_and_texts_stay_text(tab: Tab, live: tuple[str, Hub]) -> None:
+    page = tab.open(live[0])
+    expect(row_of(page, EVIL).locator("a")).to_have_text(EVIL)
+    row_of(page, EVIL).locator("a").click()
+    expect(page.locator("h1")).to_have_text(EVIL)
+    assert page.url.endswith(quote(EVIL, safe="!~*'()"))
+    expect(page.locator(".item .statement")).to_have_text(EVIL)
+    expect(page.locator(".item .remedy")).to_have_text("To do: dry <b>it</b>")
+    page.locator(".item button").click()
+    expect(page.locator("#acknowledge-alarm")).to_contain_text(EVIL)
+    page.keyboard.press("Escape")
+    page.goto(live[0] + "#/alarms")
+    expect(page.locator(".item .statement").first).to_have_text(EVIL)
+    assert page.locator("img").count() == 0 and page.evaluate("window.broken") is None
+
+
+# -- alarms --------------------------------------------------------------------------------------------------
+def test_an_alarm_appears_by_itself_and_is_acknowledged(browser: Browser, tab: Tab, tmp_path: Path) -> None:
+    """Messages into a tracker that runs; its own rule raises the alarm; a click is kept by the store."""
+    record = recent_record(tmp_path / "record", 7, 2.0, 60.0 * (time.time() // 60.0))
+    messages = record_messages(record, "wet")
+    at = messages[-1][0] - 6 * 3600.0
+    source = Fed("fed:", record_mapping(record, "wet"))
+    cold = replace(live_turbine(record), surface=Surface(0.0, -20.0))
+    hub = Hub()
+    service = Service({"wet": cold}, [source], f"sqlite:{tmp_path / 'live.db'}", hub.settle)
+    page_of = LivePage(service, hub, PageSettings(port=0))
+    with serve(page_of.app(), PageSettings(port=0), hub) as server, running(service):
+        eventually(lambda: service.store)
+        page = tab.open(server.url)
+        expect(page.locator("tbody tr")).to_have_count(1)
+        expect(page.locator("#open-alarms")).to_be_hidden()
+        source.give([m for m in messages if m[0] < at])
+        store = opened(service)
+        eventually(lambda: store.rows("SELECT id FROM alarm"))
+        # nothing but the event of its commit lets the page ask for its rows again
+        expect(row_of(page, "wet").locator(".badge")).to_have_text("alarm")
+        expect(row_of(page, "wet").locator(".kinds")).to_have_text("condensation")
+        expect(page.locator("#open-alarms")).to_have_text("1")
+        row_of(page, "wet").locator("a").click()
+        clicked = time.time()
+        page.locator(".item button").click()
+        page.keyboard.type("Control room")
+        page.keyboard.press("Enter")
+        expect(page.locator(".item .seen")).to_contain_text("acknowledged by Control room")
+        expect(page.locator(".item button")).to_have_count(0)
+        rows = store.rows("SELECT kind, acknowledged_by, acknowledged, ended FROM alarm")
+        before = chart(page, "temperature")[0][-1]
+        assert [row[:2] for row in rows] == [("condensation", "Control room")]
+        assert clicked <= rows[0][2] <= time.time() and rows[0][3] is None
+        # what comes next is drawn by itself, and the acknowledgement stays
+        source.give([m for m in messages if m[0] >= at])
+        eventually(lambda: chart(page, "temperature")[0][-1] > before)
+        expect(page.locator(".item .seen")).to_contain_text("Control room")
+        assert store.rows("SELECT acknowledged_by FROM alarm") == [("Control room",)]
+        store.close()
+        assert page.evaluate("localStorage.getItem('hygrokf.by')") == "Control room"
+    page_of.reader.close()
+
+
+def test_what_is_refused_is_said_in_the_dialog(tab: Tab, live: tuple[str, Hub], service: Service) -> None:
+    page = tab.open(live[0] + "#/turbine/T1")
+    expect(page.locator(".item")).to_have_count(2)
+    expect(page.locator(".item.ended button")).to_have_count(0)
+    page.locator(".item button").click()
+    store = opened(service)
+    assert store.acknowledge("wet", "someone else", time.time())
+    store.close()
+    page.locator("#acknowledge-by").fill("me")
+    page.locator("#acknowledge button[type=submit]").click()
+    expect(page.locator("#acknowledge-fault")).to_contain_text("it is already acknowledged")
+    page.keyboard.press("Escape")
+    expect(page.locator(".item .seen")).to_contain_text("someone else")
+
+
+# -- being connected -----------------------------------------------------------------------------------------
+def test_it_comes_back_after_the_server_was_gone(tab: Tab, service: Service) -> None:
+    port = free_port()
+    with served(service, PageSettings(port=port)) as (server, _):
+        page = tab.open(server.url)
+        expect(page.locator("#lost")).to_be_hidden()
+    expect(page.locator("#lost")).to_contain_text("Connection lost since")
+    expect(page.locator("#live-words")).to_have_text("not connected")
+    expect(page.locator("body")).to_have_class("lost")
+    page.clock.install()
+    page.clock.fast_forward(7200_000)  # nobody tells the page, and still what it shows gets old
+    expect(page.locator("#lost")).to_contain_text("2\u00a0h")
+    expect(row_of(page, "T2")).to_have_class("stale")
+    expect(row_of(page, "T2").locator("td.heard")).to_contain_text("2\u00a0h")
+    with served(service, PageSettings(port=port)) as (_, hub):
+        expect(page.locator("#lost")).to_be_hidden()
+        expect(page.locator("#live-words")).to_have_text("live")
+        expect(row_of(page, "T2")).not_to_have_class("stale")
+        eventually(lambda: len(hub) == 1)
+        stale = Alarm("late", "T2", "data stale", "notice", time.time(), "silent", "look")
+        store = opened(service)
+        for alarm, words in ((stale, "data stale"), (replace(stale, ended=time.time()), "")):
+            batch = Batch(alarms=[alarm])
+            store.commit(batch)
+            hub.settle(batch)
+            expect(row_of(page, "T2").locator(".kinds")).to_have_text(words)
+        store.close()
+
+
+# -- access --------------------------------------------------------------------------------------------------
+def test_logging_in_and_out(tab: Tab, service: Service) -> None:
+    with served(service, PageSettings(port=0, token=TOKEN)) as (server, _):
+        page = tab.page
+        page.goto(server.url)
+        expect(page.locator("#login")).to_be_visible()
+        assert page.locator("tbody tr").count() == 0
+        page.keyboard.press("Escape")
+        expect(page.locator("#login")).to_be_visible()
+        page.locator("#login-token").fill("wrong")
+        page.keyboard.press("Enter")
+        expect(page.locator("#login-fault")).to_have_text("wrong token")
+        page.locator("#login-token").fill(TOKEN)
+        page.keyboard.press("Enter")
+        expect(page.locator("tbody tr")).to_have_count(4)
+        expect(page.locator("#live-words")).to_have_text("live")
+        (cookie,) = tab.context.cookies()
+        assert cookie["httpOnly"] and cookie["sameSite"] == "Strict" and TOKEN not in cookie["value"]
+        assert TOKEN not in page.content() and TOKEN not in page.url
+        page.reload()
+        expect(page.locator("tbody tr")).to_have_count(4)
+        page.locator("#logout").click()
+        expect(page.locator("#login")).to_be_visible()
+        assert tab.context.cookies() == []
+
+
+# -- devices -------------------------------------------------------------------------------------------------
+def test_a_phone_needs_no_scrolling_aside(browser: Browser, live: tuple[str, Hub]) -> None:
+    tab = Tab(
+        browser, viewport={"width": 375, "height": 740}, is_mobile=True, has_touch=True, device_scale_factor=2
+    )
+    page = tab.open(live[0])
+    views = {
+        "#/": "Cabinets",
+        "#/turbine/T1": "T1",
+        f"#/turbine/{quote(EVIL)}": EVIL,
+        "#/alarms": "Alarms",
+        "#/data": "Data",
+    }
+    for view, title in views.items():
+        page.evaluate("view => { location.hash = view }", view)
+        expect(page.locator("h1")).to_have_text(title)  # or else it may be the view before that is looked at
+        eventually(lambda: page.evaluate("document.querySelectorAll('main li, main tbody tr').length"))
+        assert page.evaluate("document.documentElement.scrollWidth") <= 375, view
+        assert page.evaluate("innerWidth") == 375, view  # nothing made the page zoom out
+        outside = page.evaluate(
+            "[...document.querySelectorAll('main *')].filter(e => e.getClientRects().length "
+            "&& e.getBoundingClientRect().right > 376).map(e => e.outerHTML.slice(0, 80))"
+        )
+        assert outside == [], view
+    tab.context.close()
+    assert tab.faults() == []
+
+
+def test_dark(browser: Browser, live: tuple[str, Hub]) -> None:
+    tab = Tab(browser, color_scheme="dark")
+    page = tab.open(live[0] + "#/turbine/T1")
+    expect(page.locator("#chart-temperature canvas")).to_be_visible()
+
+    def look() -> tuple[list[int], str]:
+        back = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        line = page.evaluate("document.querySelector('#chart-temperature').chart.series[2].stroke()")
+        return [int(v) for v in re.findall(r"\d+", back)[:3]], line
+
+    dark = look()
+    page.emulate_media(color_scheme="light")
+    eventually(lambda: look()[1] != dark[1])
+    assert max(dark[0]) < 60 and min(look()[0]) > 200
+    tab.context.close()
+    assert tab.faults() == []
+
+
+FAINT = """() => {
+  const parts = (t) => { const v = t.match(/[\\d.]+/g).map(Number); return v.length < 4 ? [...v, 1] : v; };
+  const light = (c) => { const [r, g, b] = c.map((v) => { v /= 255;
+      return v <= .04045 ? v / 12.92 : ((v + .055) / 1.055) ** 2.4; });
+    return .2126 * r + .7152 * g + .0722 * b; };
+  const ground = (e) => { for (; e; e = e.parentElement) {
+    const c = parts(getComputedStyle(e).backgroundColor); if (c[3] === 1) return c; }
+    return [255, 255, 255]; };
+  const found = [];
+  for (const e of document.querySelectorAll('body *')) {
+    if (!e.getClientRects().length
+        || ![...e.childNodes].some((n) => n.nodeType === 3 && n.data.trim())) continue;
+    const a = light(parts(getComputedStyle(e).color).slice(0, 3)), b = light(ground(e).slice(0, 3));
+    const ratio = (Math.max(a, b) + .05) / (Math.min(a, b) + .05);
+    if (ratio < 4.5) found.push([e.className, e.textContent.slice(0, 30), ratio]);
+  }
+  return found; }"""
+"""Texts whose contrast to their ground is below 4.5."""
+
+
+@pytest.mark.slow
+def test_text_stands_out_from_its_ground(browser: Browser, live: tuple[str, Hub]) -> None:
+    """Contrast of at least 4.5 for every text that is shown, in both schemes (WCAG 2, level AA)."""
+    tab = Tab(browser)
+    page = tab.open(live[0])
+    for view, title in {"#/": "Cabinets", "#/turbine/T1": "T1", "#/alarms": "Alarms"}.items():
+        page.evaluate("view => { location.hash = view }", view)
+        expect(page.locator("h1")).to_have_text(title)
+        eventually(lambda: page.locator("main .badge").count())
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)
+            assert page.evaluate(FAINT) == [], (view, scheme)
+    tab.context.close()
+    assert tab.faults() == []
+
+
+def test_by_keyboard_alone(tab: Tab, live: tuple[str, Hub]) -> None:
+    """From the top of the page to an alarm's dialog and out of it, seeing at each step where one is."""
+    page = tab.open(live[0])
+    page.keyboard.press("Tab")
+    expect(page.locator(".skip")).to_be_focused()
+    for _ in range(4):
+        page.keyboard.press("Tab")
+    expect(page.locator("#search")).to_be_focused()
+    page.keyboard.press("Tab")
+    first = page.locator("tbody tr").first
+    expect(first.locator("a")).to_be_focused()
+    assert page.evaluate("getComputedStyle(document.querySelector('tbody tr')).outlineStyle") == "solid"
+    page.keyboard.press("Enter")
+    expect(page.locator("h1")).to_be_focused()
+    expect(page.locator(".item button")).to_be_visible()
+    page.keyboard.press("Tab")
+    expect(page.locator(".item button")).to_be_focused()
+    page.keyboard.press("Enter")
+    expect(page.locator("#acknowledge-by")).to_be_focused()
+    page.keyboard.press("Escape")
+    expect(page.locator("#acknowledge")).to_be_hidden()
+    expect(page.locator(".item button")).to_be_focused()
+    named = page.evaluate(
+        "[...document.querySelectorAll('button, input, a[href], [role=img]')].filter(e => "
+        "e.getClientRects().length && !(e.ariaLabel || e.labels?.length || e.textContent.trim())).map(e => "
+        "e.outerHTML)"
+    )
+    assert named == []

@@ -1,0 +1,92 @@
+"""How the page may be reached: an address that others reach needs a token and TLS; every fault in words."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from builders.page_case import write_certificate
+
+from hygrokf.data.toml_form import Place
+from hygrokf.live.web.page_settings import PageSettings, address, is_loopback, page_settings
+
+TOKEN = "correct-horse-battery"
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "token").write_text(TOKEN + "\n", encoding="ascii")
+    (tmp_path / "short").write_text("secret-9", encoding="ascii")
+    write_certificate(tmp_path / "page.pem", tmp_path / "page.key")
+    return tmp_path
+
+
+def read(folder: Path, value: object) -> tuple[PageSettings, list[str]]:
+    place = Place()
+    return page_settings(value, folder, place), place.faults
+
+
+def test_an_address_alone(folder: Path) -> None:
+    assert read(folder, "127.0.0.1:8090") == (PageSettings("127.0.0.1", 8090), [])
+    found, _ = read(folder, "[::1]:80")
+    assert (found.host, found.port, found.encrypted, found.names) == ("::1", 80, False, {"::1", "localhost"})
+
+
+def test_a_whole_table(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    table = {
+        "address": "0.0.0.0:8443",
+        "hosts": ["Farm.example."],
+        "certificate": "page.pem",
+        "key": "page.key",
+    }
+    found, faults = read(folder, {**table, "token_file": "token"})
+    assert not faults and found.encrypted and found.token == TOKEN
+    assert found.names == {"0.0.0.0", "farm.example"} and found.certificate == str(folder / "page.pem")
+    assert TOKEN not in repr(found)
+    monkeypatch.setenv("HYGROKF_PAGE", TOKEN)
+    assert read(folder, {**table, "token_env": "HYGROKF_PAGE"})[0].token == TOKEN
+    behind, faults = read(folder, {"address": "10.0.0.7:80", "token_file": "token", "behind_proxy": True})
+    assert not faults and behind.encrypted
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        (8080, "expected \"HOST:PORT\" or a table"),
+        ("8080", "page must be HOST:PORT"),
+        ({"adress": "127.0.0.1:1"}, 'unknown key "adress"'),
+        ("0.0.0.0:8080",
+            "other machines reach 0.0.0.0: give token_file or token_env and certificate and key"),
+        ({"address": "10.0.0.7:80", "token_file": "token"},
+            "give certificate and key (or behind_proxy = true)"),
+        ({"address": "10.0.0.7:80", "certificate": "page.pem", "key": "page.key"},
+            "give token_file or token_env"),
+        ({"behind_proxy": True}, "behind_proxy needs token_file or token_env"),
+        ({"behind_proxy": "yes"}, "behind_proxy must be true or false"),
+        ({"hosts": "farm.example"}, "hosts must be a list"),
+        ({"token_file": "none"}, "No such file"),
+        ({"token_file": "short"}, "at least 16 printable characters"),
+        ({"token_env": "HYGROKF_NOT_SET"}, "the variable HYGROKF_NOT_SET"),
+        ({"token_env": "X", "token_file": "token"}, "not both"),
+        ({"certificate": "page.pem"}, "belong together"),
+        ({"certificate": "page.key", "key": "page.pem"}, "PEM files without a password"),
+        ({"certificate": "none.pem", "key": "page.key"}, "No such file"),
+    ],
+)  # fmt: skip
+def test_faults_in_words(folder: Path, value: object, said: str) -> None:
+    os.environ.pop("HYGROKF_NOT_SET", None)
+    _, faults = read(folder, value)
+    assert len(faults) == 1 and said in faults[0]
+    assert "secret-9" not in faults[0] and TOKEN not in faults[0]
+
+
+def test_all_faults_at_once(folder: Path) -> None:
+    _, faults = read(folder, {"address": "x", "hosts": 1, "token_file": "short", "certificate": "page.pem"})
+    assert len(faults) == 4
+
+
+def test_addresses() -> None:
+    assert address("[::1]:80") == ("::1", 80)
+    assert [is_loopback(host) for host in ("127.0.0.1", "127.8.0.1", "::1", "localhost")] == [True] * 4
+    assert [is_loopback(host) for host in ("0.0.0.0", "10.0.0.1", "example.org", "::")] == [False] * 4

@@ -1,0 +1,201 @@
+"""The store: a batch whole or not at all, every bit back, nothing damaged or foreign overwritten."""
+
+from __future__ import annotations
+
+import sqlite3
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builders.store_case import T0, a_condition, a_state, everything, observed, refused
+
+from hygrokf.live.plan import BEFORE
+from hygrokf.live.storage.schema import MIGRATIONS, TABLES, VERSION, VIEWS
+from hygrokf.live.storage.store import (
+    Alarm,
+    Batch,
+    Estimates,
+    Observation,
+    Store,
+    open_store,
+    state_of,
+    state_text,
+)
+from hygrokf.live.tracker import Reading
+
+
+@pytest.fixture
+def store(store_url: str) -> Store:
+    made = open_store(store_url)
+    yield made
+    made.close()
+
+
+def test_a_batch_comes_back(store: Store) -> None:
+    store.add_turbines({"T1": "digest"})
+    store.commit(everything())
+    assert store.size() == {
+        "turbine": 1, "observation": 2, "point": 1, "estimate": 2, "forecast": 0, "weather": 0, "property": 1,
+        "alarm": 1, "memory": 1,
+        "counter": 2, "source": 1, "claim": 0,
+    }  # fmt: skip
+    assert store.place("file:live.csv") == "1200" and store.place("file:other.csv") is None
+    assert (
+        store.memory("T1", "parameter_shifts") == {"hygric_k": [1.0, 2.0]} and store.memory("T1", "x") is None
+    )
+    assert [one.value for one in store.readings("T1", T0)] == [290.25, 290.5]
+    assert store.readings("T1", T0 + 601.0)[-1] == Reading("cabinet_temperature", T0 + 600, 290.5)
+    assert store.readings("T2", T0) == []
+    assert store.rows(
+        "SELECT final, temperature_K, frost_point_K, condensation FROM estimate ORDER BY time"
+    ) == [
+        (1, 290.0, None, 0.25),
+        (0, 290.0, None, 0.25),
+    ]
+    store.commit(Batch(counters={("T1", "late"): 3}))
+    assert store.counters() == {("T1", "late"): 5, ("", "malformed"): 1}
+
+
+def test_every_bit_of_a_state_comes_back(store: Store) -> None:
+    for seed in range(20):
+        state = a_state(seed)
+        again = state_of(state_text(state))
+        assert np.array_equal(again.mean, state.mean) and np.array_equal(again.covariance, state.covariance)
+    store.commit(everything())
+    point = store.point("T1")
+    assert point.time == T0 and np.array_equal(point.state.covariance, a_state().covariance)
+    assert store.point("T2") is None
+
+
+def test_a_batch_that_fails_leaves_nothing(store: Store) -> None:
+    store.commit(everything())
+    before = store.size()
+    broken = everything()
+    broken.observations = [observed("rain", T0, 0.0), observed("rain", T0 + 1, None)]  # type: ignore[arg-type]
+    broken.place = {"file:live.csv": "9999"}
+    with pytest.raises(store.database.errors, match=r"(?i)not.null"):
+        store.commit(broken)
+    assert store.size() == before and store.place("file:live.csv") == "1200"
+    store.commit(Batch(observations=[observed("rain", T0, 0.0)]))
+    assert store.size()["observation"] == before["observation"] + 1
+
+
+def test_repeated_contradicting_and_late_observations(store: Store) -> None:
+    for at, value in ((1.0, 5.0), (1.0, 5.0), (2.0, 5.0), (2.0, 6.0), (2.0, 5.0)):
+        store.commit(Batch(observations=[observed("rain", at, value)]))
+    store.commit(
+        Batch(observations=[observed("rain", 3.0, 7.0, late=True), observed("rain", 1.0, 9.0, late=True)])
+    )
+    found = store.readings("T1", 0.0)
+    assert [one.time for one in found] == [1.0, 2.0]  # what came too late was not used, and will not be
+    assert found[0].value == 5.0 and np.isnan(found[1].value)
+
+
+def test_a_restart_reads_each_signal_from_some_readings_before(store: Store) -> None:
+    """However old those are, and without those that came too late, by signal and time."""
+    store.commit(
+        Batch(
+            observations=[
+                *(observed("rain", T0 + i, float(i)) for i in range(-2000, 500, 100)),
+                observed("rain", T0 + 250.0, 7.0, late=True),
+                observed("active_power", T0 - 1e6, 1.0),
+                observed("wind_speed", T0 + 400.0, 3.0),
+                Observation("T0", Reading("rain", T0 + 260.0, 9.0), T0),
+            ]
+        )
+    )
+    found = [(one.signal, one.time - T0) for one in store.readings("T1", T0 + 270.0)]
+    rain = [("rain", 100.0 * i) for i in range(3 - BEFORE, 5)]
+    assert found == [("active_power", -1e6), *rain, ("wind_speed", 400.0)]
+    assert len(store.readings("T1", -1e18)) == 27 and store.readings("T9", 0.0) == []
+
+
+def test_provisional_estimates_are_overtaken(store: Store) -> None:
+    store.commit(Batch(estimates={"T1": Estimates(a_condition([T0, T0 + 600, T0 + 900]), 1, T0)}))
+    store.commit(Batch(estimates={"T1": Estimates(a_condition([T0 + 600, T0 + 1200], 291.0), 1, T0 + 300)}))
+    assert store.rows("SELECT time, final, temperature_K FROM estimate ORDER BY time") == [
+        (T0, 1, 290.0),
+        (T0 + 600, 1, 291.0),
+        (T0 + 1200, 0, 291.0),
+    ]
+
+
+def test_another_model_begins_anew_from_the_observations(store: Store) -> None:
+    store.add_turbines({"T1": "one"})
+    store.commit(everything())
+    store.add_turbines({"T1": "one"})
+    assert store.point("T1") is not None
+    store.add_turbines({"T1": "two"})
+    assert store.point("T1") is None and store.memory("T1", "parameter_shifts") is None
+    assert len(store.readings("T1", 0.0)) == 2
+
+
+def test_alarms_are_acknowledged_once(store: Store) -> None:
+    store.commit(everything())
+    assert store.acknowledge("a1", "control room", T0 + 5.0)
+    assert not store.acknowledge("a1", "someone else", T0 + 6.0)
+    assert not store.acknowledge("a2", "someone else", T0 + 6.0)
+    # a later round ends it and leaves the acknowledgement
+    ended = Alarm("a1", "T1", "condensation", "warning", T0, "water condensed", "dry it", ended=T0 + 60.0)
+    store.commit(Batch(alarms=[ended]))
+    assert store.rows("SELECT ended, acknowledged_by, statement FROM alarm") == [
+        (T0 + 60.0, "control room", "water condensed")
+    ]
+
+
+def test_a_store_is_opened_again_and_migrated_once(store_url: str) -> None:
+    first = open_store(store_url)
+    first.commit(everything())
+    first.close()
+    second = open_store(store_url)
+    assert second.rows("SELECT version FROM schema_version ORDER BY version") == [
+        (v + 1,) for v in range(VERSION)
+    ]
+    assert second.size()["observation"] == 2
+    if store_url.startswith("sqlite:"):
+        assert second.rows("PRAGMA journal_mode") == [("wal",)]
+    second.close()
+
+
+def test_every_table_is_known() -> None:
+    made = [s.split()[1:3] for statements in MIGRATIONS for s in statements]
+    assert sorted(name for kind, name in made if kind == "TABLE") == sorted(TABLES)
+    assert [name for kind, name in made if kind == "VIEW"] == list(VIEWS)
+
+
+def test_what_is_no_store_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
+    text = tmp_path / "notes.db"
+    text.write_text("this is no database, it is a note\n" * 200)
+    other = tmp_path / "other.db"
+    with sqlite3.connect(other) as connection:
+        connection.execute("CREATE TABLE mine (x)")
+    connection.close()
+    for path, word in ((text, "cannot be read as a store"), (other, "another database")):
+        before = path.read_bytes()
+        assert word in refused(f"sqlite:{path}")
+        assert path.read_bytes() == before
+    assert "does not exist" in refused(f"sqlite:{tmp_path / 'none' / 'live.db'}")
+    assert "expected a store as" in refused("mysql://here/live")
+
+
+def test_a_damaged_store_is_refused_and_left_as_it_is(tmp_path: Path) -> None:
+    path = tmp_path / "live.db"
+    store = open_store(f"sqlite:{path}")
+    many = [observed("rain", T0 + i, float(i)) for i in range(5000)]
+    store.commit(Batch(observations=many))
+    store.close()
+    data = bytearray(path.read_bytes())
+    for place in range(8192, len(data) - 4096, 4096):
+        data[place : place + 200] = b"\xff" * 200
+    path.write_bytes(bytes(data))
+    said = refused(f"sqlite:{path}")
+    assert "damaged" in said or "cannot be read as a store" in said
+    assert "restore a copy" in said and path.read_bytes() == bytes(data)
+
+
+def test_a_store_of_a_newer_version_is_refused(store_url: str) -> None:
+    store = open_store(store_url)
+    with store.transaction() as cursor:
+        cursor.execute(f"INSERT INTO schema_version VALUES ({VERSION + 1}, 0)")
+    store.close()
+    assert "newer hygrokf" in refused(store_url)

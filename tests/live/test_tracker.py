@@ -1,0 +1,250 @@
+"""The tracker against the offline filter: bit for bit, whatever the order in which readings come."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from builders.tracker_case import LATENESS_S, arriving, planned, readings_of
+
+from hygrokf.cases.case_file import read_case
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.data.masks import SATURATED
+from hygrokf.data.record import Record, Series
+from hygrokf.live.ceiling import filtered
+from hygrokf.live.plan import BEFORE, Form, Plan
+from hygrokf.live.tracker import Reading, Tracker, whole
+
+HOUR_S = 3600.0
+
+
+@pytest.fixture(scope="module")
+def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
+    """Six days of the synthetic turbine, the first of them for identification."""
+    return read_case(write_case(synthetic_turbine(seed=5, days=6.0), tmp_path_factory.mktemp("turbine")))
+
+
+def followed(plan_: Plan, readings: list[Reading], batch: int) -> tuple[Tracker, object]:
+    tracker, course = Tracker(plan_), None
+    for first in range(0, len(readings), batch):
+        tracker.take(readings[first : first + batch])
+        course = tracker.advance() or course
+    return tracker, course
+
+
+def without_gaps(record: Record) -> Record:
+    return record
+
+
+def gapped(record: Record) -> Record:
+    """Ten hours without the ambient, three without power, a day without humidity; then all loggers down for
+    eight hours."""
+    start = record.start_s
+
+    def holed(series: Series) -> Series:
+        hours = (series.time - start) / HOUR_S
+        hole = (hours > 100) & (hours < 108)
+        if series.signal.startswith("ambient"):
+            hole |= (hours > 30) & (hours < 40)
+        if series.signal == "active_power":
+            hole |= (hours > 60) & (hours < 63)
+        if series.signal == "cabinet_relative_humidity":
+            hole |= (hours > 70) & (hours < 94)
+        return replace(series, time=series.time[~hole], value=series.value[~hole])
+
+    return record.replace_series(*(holed(s) for s in record.series))
+
+
+def switches_unknown(record: Record) -> Record:
+    """Two days without power and pre-heating, longer than readings are kept; then half a day with them, and a
+    day without."""
+
+    def holed(series: Series) -> Series:
+        hours = (series.time - record.start_s) / HOUR_S
+        hole = ((hours > 40) & (hours < 89)) | ((hours > 101) & (hours < 127))
+        return replace(series, time=series.time[~hole], value=series.value[~hole])
+
+    return record.replace_series(*(holed(record[name]) for name in ("active_power", "preheating")))
+
+
+def rarely_told(record: Record) -> Record:
+    """The pre-heating is told before and after each half of a day alone: hours in which it may have stayed
+    on."""
+
+    def thinned(series: Series) -> Series:
+        kept = ((series.time - record.start_s) / HOUR_S) % 12.0 < 7.0
+        return (
+            series
+            if series.signal != "preheating"
+            else replace(series, time=series.time[kept], value=series.value[kept])
+        )
+
+    return record.replace_series(*(thinned(s) for s in record.series))
+
+
+def of_means(record: Record) -> Record:
+    """The cabinet's and the ambient's readings as means that end at their stamps."""
+
+    def mean(series: Series) -> Series:
+        if not series.signal.startswith(("cabinet", "ambient")):
+            return series
+        step = float(np.median(np.diff(series.time)))
+        return replace(series, hold="zero-order", interval_s=step)
+
+    return record.replace_series(*(mean(s) for s in record.series))
+
+
+def lagging(record: Record) -> Record:
+    """Ambient means read by sensors with a stated response."""
+    return of_means(record).replace_series(
+        *(
+            replace(s, response_time_s=600.0)
+            for s in of_means(record).series
+            if s.signal.startswith("ambient")
+        )
+    )
+
+
+def saturated(record: Record) -> Record:
+    """A humidity sensor that is at its ceiling for a fifth of the time."""
+    series = record["cabinet_relative_humidity"]
+    more = 1.0 - np.nanquantile(series.value, 0.8)
+    return record.replace_series(replace(series, value=np.minimum(series.value + more, 1.0)))
+
+
+def saturated_means(record: Record) -> Record:
+    return of_means(saturated(record))
+
+
+def dry(record: Record) -> Record:
+    """No humidity sensor in the cabinet."""
+    return replace(record, series=tuple(s for s in record.series if s.signal != "cabinet_relative_humidity"))
+
+
+def blind(record: Record) -> Record:
+    """No sensor in the cabinet at all."""
+    return replace(record, series=tuple(s for s in record.series if not s.signal.startswith("cabinet")))
+
+
+def powerless(record: Record) -> Record:
+    return replace(
+        record, series=tuple(s for s in record.series if s.signal not in ("active_power", "preheating"))
+    )
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [
+        without_gaps,
+        gapped,
+        switches_unknown,
+        rarely_told,
+        of_means,
+        lagging,
+        saturated,
+        saturated_means,
+        dry,
+        blind,
+        powerless,
+    ],
+)
+@pytest.mark.parametrize(
+    ("seed", "late_s", "batch"), [(0, 0.0, 9), (1, 0.95 * LATENESS_S, 7), (2, 0.95 * LATENESS_S, 400)]
+)
+def test_what_is_final_is_the_offline_filter_bit_for_bit(
+    record: Record, shape: Callable, seed: int, late_s: float, batch: int
+) -> None:
+    shaped = shape(record)
+    model = planned(of_means(record) if shape in (of_means, lagging, saturated_means) else record)
+    forms = {
+        s.signal: Form(s.hold, s.interval_s, s.resolution, s.accuracy, s.response_time_s)
+        for s in shaped.series
+    }
+    model = replace(model, forms=forms)
+    tracker, course = followed(model, arriving(readings_of(shaped), seed, late_s), batch)
+    offline = whole(model, shaped)
+    assert tracker.counts["late"] == tracker.counts["contradicting"] == 0
+    # what follows the pre-heating is final when its gap is known
+    waits_s = HOUR_S + (6.0 * HOUR_S if shape is rarely_told else 0.0)
+    assert tracker.point is not None and tracker.newest - tracker.point.time < LATENESS_S + waits_s
+    last = int(np.searchsorted(offline.seconds, tracker.point.time + 1e-3, side="right"))
+    t = offline.run.timeline
+    there = filtered(model.likelihood(t.window(0, last)), model.values)
+    if shape in (saturated, saturated_means):
+        assert 50 < (t.reading("cabinet_relative_humidity") >= SATURATED).sum() < 0.3 * t.n_readings
+    assert np.array_equal(tracker.point.state.mean, there.last.mean)
+    assert np.array_equal(tracker.point.state.covariance, there.last.covariance)
+    assert np.array_equal(course.trace.mean[-1], offline.trace.mean[-1])
+    assert np.array_equal(course.trace.variance[-1], offline.trace.variance[-1])
+    assert course.seconds[-1] == pytest.approx(offline.seconds[-1], abs=1e-3)
+
+
+def test_a_restart_from_the_point_and_the_readings_that_are_kept_changes_nothing(record: Record) -> None:
+    model, readings = planned(record), readings_of(record)
+    _, through = followed(model, readings, 11)
+    half = len(readings) // 2
+    first, _ = followed(model, readings[:half], 11)
+    again = Tracker(model, first.point, first.readings())
+    for place in range(half, len(readings), 11):
+        again.take(readings[place : place + 11])
+        course = again.advance()
+    assert np.array_equal(course.trace.mean[-1], through.trace.mean[-1])
+    assert not again.counts
+
+
+def test_readings_that_contradict_each_other_are_both_left_out(record: Record) -> None:
+    model, readings = planned(record), readings_of(record)
+    place = next(
+        i for i, one in enumerate(readings) if one.signal == "cabinet_temperature" and i > len(readings) // 2
+    )
+    wrong = replace(readings[place], value=readings[place].value + 3.0)
+    tracker, course = followed(model, [*readings[: place + 1], wrong, *readings[place + 1 :]], 20)
+    assert tracker.counts["contradicting"] == 2
+    series = record["cabinet_temperature"]
+    masked = np.where(series.time == wrong.time, np.nan, series.value)
+    offline = whole(model, record.replace_series(replace(series, value=masked)))
+    assert np.array_equal(course.trace.mean[-1], offline.trace.mean[-1])
+
+
+def test_what_comes_after_its_time_was_final_is_counted_and_changes_nothing(record: Record) -> None:
+    model, readings = planned(record), readings_of(record)
+    place = len(readings) // 2
+    held = [one for one in readings[place : place + 60] if one.signal == "cabinet_relative_humidity"]
+    rest = [one for one in readings if one not in held]
+    _, expected = followed(model, rest, 15)
+    tracker, course = followed(model, [*rest, *held], 15)
+    assert tracker.counts["late"] == len(held) > 0
+    assert np.array_equal(course.trace.mean[-1], expected.trace.mean[-1])
+
+
+def test_a_tracker_says_what_it_waits_for(record: Record) -> None:
+    tracker = Tracker(planned(record))
+    assert tracker.awaited() == ("ambient_relative_humidity", "ambient_temperature")
+    assert tracker.advance() is None and tracker.point is None
+    readings = readings_of(record)
+    tracker.take(one for one in readings[:300] if one.signal != "ambient_relative_humidity")
+    assert tracker.awaited() == ("ambient_relative_humidity",)
+    assert tracker.advance() is None
+    tracker.take(one for one in readings[:300] if one.signal == "ambient_relative_humidity")
+    assert tracker.awaited() == () and tracker.advance() is not None
+
+
+def test_readings_are_kept_as_long_as_an_instant_may_look_at_them(record: Record) -> None:
+    tracker, _ = followed(planned(record), readings_of(record), 50)
+    kept = [one.time for one in tracker.readings()]
+    before_s = (BEFORE + 1) * 900.0
+    assert 19 * HOUR_S < tracker.point.time - min(kept) <= tracker.plan.context_s + before_s
+    assert tracker.plan.context_s == 20.0 * HOUR_S
+    assert max(kept) == tracker.newest
+
+
+def test_no_number_is_no_reading(record: Record) -> None:
+    with pytest.raises(ValueError, match="a missing reading is none"):
+        Tracker(planned(record)).take([Reading("cabinet_temperature", 0.0, np.nan)])
+
+
+def test_unknown_properties_are_refused(record: Record) -> None:
+    with pytest.raises(ValueError, match="wandering_exchange"):
+        planned(record, wandering={"seal": 0.1})

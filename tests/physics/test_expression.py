@@ -1,0 +1,377 @@
+"""Traced graphs against numpy on the same formulas: values, exact derivatives, simplifications.
+
+Hypothesis makes random formulas.  `Number` is the independent computation: numpy on complex numbers (a
+complex step gives derivatives to rounding), carrying along bounds of its value and derivative that rounding
+errors scale with.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from hygrokf.physics.expression import (
+    Expression,
+    Graph,
+    add,
+    depends_on,
+    dot,
+    exp,
+    factorials,
+    forward,
+    identity,
+    is_zero,
+    jacobian,
+    log,
+    maximum,
+    minimum,
+    product,
+    reverse,
+    scale,
+    sqrt,
+    transpose,
+    where,
+)
+
+SYMBOLS = ("x", "y", "z")
+STEP = 1e-30
+ROUNDING = 1e-12  # 5,000 units of double rounding: formulas have at most 25 leaves
+TIE = 1e-6  # comparisons closer than this may go either way by rounding
+
+
+class Number:
+    """A complex number with bounds on the size of its value and derivative, all cancellation undone."""
+
+    def __init__(self, value: complex, size: float, slope: float, gap: float = math.inf) -> None:
+        self.value, self.size, self.slope, self.gap = value, size, slope, gap
+
+
+def number(tree: tuple, at: dict[str, Number]) -> Number:
+    """The formula by numpy."""
+    kind, *rest = tree
+    if kind == "symbol":
+        return at[rest[0]]
+    if kind == "constant":
+        return Number(complex(rest[0]), abs(rest[0]), 0.0)
+    a, *others = (number(branch, at) for branch in rest)
+    gap = min(a.gap, *(o.gap for o in others)) if others else a.gap
+    b = others[0] if others else a
+    if kind == "add":
+        return Number(a.value + b.value, a.size + b.size, a.slope + b.slope, gap)
+    if kind == "sub":
+        return Number(a.value - b.value, a.size + b.size, a.slope + b.slope, gap)
+    if kind == "mul":
+        return Number(a.value * b.value, a.size * b.size, a.size * b.slope + a.slope * b.size, gap)
+    if kind == "div":  # a / (1.5 + b²)
+        bottom, slope = 1.5 + b.size**2, 2.0 * b.size * b.slope
+        return Number(
+            a.value / (1.5 + b.value * b.value),
+            a.size * bottom,
+            (a.slope * bottom + a.size * slope) * bottom,
+            gap,
+        )
+    if kind == "neg":
+        return Number(-a.value, a.size, a.slope, gap)
+    if kind == "exp":  # exp(a / (1 + a²)), at most e^½
+        slope = a.slope * (1.0 + a.size**2) * 3.0
+        return Number(np.exp(a.value / (1.0 + a.value * a.value)), 2.0 + a.size, 2.0 * slope, gap)
+    if kind == "log":  # log(2 + a²)
+        return Number(np.log(2.0 + a.value * a.value), 2.0 + a.size**2, a.size * a.slope, gap)
+    if kind == "sqrt":  # sqrt(1 + a²)
+        return Number(np.sqrt(1.0 + a.value * a.value), 1.0 + a.size**2, a.size * a.slope, gap)
+    c, d = others[1], others[2]
+    if kind == "where":  # c where a < b, else d
+        size, slope = max(c.size, d.size), max(c.slope, d.slope)
+        near = min(gap, abs((a.value - b.value).real) / (1.0 + a.size + b.size))
+        return Number(np.where(a.value.real < b.value.real, c.value, d.value).item(), size, slope, near)
+    raise AssertionError(kind)
+
+
+def traced(tree: tuple, at: dict[str, object]) -> object:
+    """The formula as a mechanism would write it."""
+    kind, *rest = tree
+    if kind == "symbol":
+        return at[rest[0]]
+    if kind == "constant":
+        return rest[0]
+    a, *others = (traced(branch, at) for branch in rest)
+    match kind:
+        case "add":
+            return a + others[0]
+        case "sub":
+            return a - others[0]
+        case "mul":
+            return a * others[0]
+        case "div":
+            return a / (1.5 + others[0] * others[0])
+        case "neg":
+            return -a
+        case "exp":
+            return exp(a / (1.0 + a * a))
+        case "log":
+            return log(2.0 + a * a)
+        case "sqrt":
+            return sqrt(1.0 + a * a)
+        case "where":
+            condition = (
+                a < others[0]
+                if isinstance(a, Expression) or isinstance(others[0], Expression)
+                else float(a < others[0])
+            )
+            return where(condition, others[1], others[2])
+    raise AssertionError(kind)
+
+
+LEAVES = st.one_of(
+    st.sampled_from(SYMBOLS).map(lambda name: ("symbol", name)),
+    # zeros and ones of either sign meet the simplifications, other constants are folded
+    st.sampled_from([0.0, 1.0, -1.0, 2.0, -0.5, 3.25]).map(lambda value: ("constant", value)),
+)
+
+
+def _branches(inner: st.SearchStrategy) -> st.SearchStrategy:
+    unary = st.tuples(st.sampled_from(["neg", "exp", "log", "sqrt"]), inner)
+    binary = st.tuples(st.sampled_from(["add", "sub", "mul", "div"]), inner, inner)
+    return st.one_of(unary, binary, binary, st.tuples(st.just("where"), inner, inner, inner, inner))
+
+
+TREES = st.recursive(LEAVES, _branches, max_leaves=25)
+POINTS = st.tuples(*[st.floats(-2.0, 2.0, allow_subnormal=False).map(lambda v: round(v, 6)) for _ in SYMBOLS])
+formulas = settings(max_examples=150, deadline=None, derandomize=True)
+
+
+def along(tree: tuple, point: tuple, direction: tuple) -> Number:
+    """Value, and derivative along a direction as the imaginary part, of the formula by numpy."""
+    return number(
+        tree,
+        {
+            name: Number(complex(v, d * STEP), abs(v), abs(d))
+            for name, v, d in zip(SYMBOLS, point, direction, strict=True)
+        },
+    )
+
+
+def tracing(tree: tuple) -> tuple[Graph, list[Expression], Expression]:
+    graph = Graph()
+    symbols = [graph.symbol(name) for name in SYMBOLS]
+    return graph, symbols, graph.lift(traced(tree, dict(zip(SYMBOLS, symbols, strict=True))))
+
+
+@formulas
+@given(TREES, POINTS)
+def test_a_traced_formula_has_the_value_that_numpy_gives_it(tree: tuple, point: tuple) -> None:
+    graph, _, output = tracing(tree)
+    expected = along(tree, point, (0.0, 0.0, 0.0))
+    assume(expected.gap > TIE and expected.size < 1e6)
+    found = graph.evaluate([output], dict(zip(SYMBOLS, point, strict=True)))[0]
+    assert abs(found - expected.value.real) <= ROUNDING * (1.0 + expected.size)
+
+
+@formulas
+@given(TREES, POINTS)
+def test_jacobian_forward_and_reverse_give_the_complex_step_derivative(tree: tuple, point: tuple) -> None:
+    graph, symbols, output = tracing(tree)
+    at = dict(zip(SYMBOLS, point, strict=True))
+    expected = [along(tree, point, tuple(np.eye(3)[i])) for i in range(3)]
+    assume(expected[0].gap > TIE and max(e.size + e.slope for e in expected) < 1e6)
+    row = jacobian([output], symbols)[0]
+    found = graph.evaluate(row, at)
+    for i, e in enumerate(expected):
+        assert abs(found[i] - e.value.imag / STEP) <= ROUNDING * (1.0 + e.size + e.slope) ** 2
+    direction = (0.3, -1.7, 0.9)
+    whole = along(tree, point, direction).value.imag / STEP
+    tolerance = ROUNDING * (1.0 + sum(e.size + e.slope for e in expected)) ** 2
+    tangents = {s.index: graph.constant(d) for s, d in zip(symbols, direction, strict=True)}
+    assert abs(graph.evaluate(forward(graph, [output], tangents), at)[0] - whole) <= tolerance
+    seed = 2.5
+    bars = reverse(graph, {output.index: graph.constant(seed)}, [s.index for s in symbols])
+    backwards = sum(
+        d * graph.evaluate([bars[s.index]], at)[0]
+        for s, d in zip(symbols, direction, strict=True)
+        if s.index in bars
+    )
+    assert abs(backwards - seed * whole) <= seed * tolerance
+
+
+@formulas
+@given(TREES, POINTS)
+def test_second_derivatives_are_symmetric_and_those_of_the_traced_gradient(tree: tuple, point: tuple) -> None:
+    graph, symbols, output = tracing(tree)
+    expected = along(tree, point, (1.0, 1.0, 1.0))
+    assume(expected.gap > TIE and expected.size + expected.slope < 1e3)
+    gradient = jacobian([output], symbols)[0]
+    hessian = jacobian(gradient, symbols)
+    at = dict(zip(SYMBOLS, point, strict=True))
+    found = np.array([graph.evaluate(row, at) for row in hessian], dtype=float)
+    size = (2.0 + expected.size + expected.slope) ** 3
+    np.testing.assert_allclose(found, found.T, rtol=0, atol=ROUNDING * size)
+    for i, name in enumerate(SYMBOLS):
+        moved = {**at, name: complex(at[name], STEP)}
+        column = [np.imag(v) / STEP for v in graph.evaluate(gradient, moved)]
+        np.testing.assert_allclose(found[:, i], column, rtol=0, atol=ROUNDING * size)
+
+
+@formulas
+@given(TREES, POINTS, TREES)
+def test_substitution_equals_evaluation_at_the_substituted_value(
+    tree: tuple, point: tuple, inner: tuple
+) -> None:
+    graph, symbols, output = tracing(tree)
+    at = dict(zip(SYMBOLS, point, strict=True))
+    replacement = graph.lift(traced(inner, dict(zip(SYMBOLS, symbols, strict=True))))
+    value = graph.evaluate([replacement], at)[0]
+    moved = (float(value), *point[1:])
+    expected = along(tree, moved, (0.0, 0.0, 0.0))
+    assume(expected.gap > TIE and expected.size < 1e6)
+    found = graph.evaluate(graph.substitute([output], {symbols[0].index: replacement}), at)[0]
+    assert abs(found - expected.value.real) <= ROUNDING * (1.0 + expected.size)
+
+
+def test_arrays_and_complex_numbers_go_through_the_interpreter() -> None:
+    graph, _, output = tracing(("mul", ("exp", ("symbol", "x")), ("sub", ("symbol", "y"), ("symbol", "z"))))
+    x, y, z = np.linspace(-1, 1, 5), 2.0, np.full(5, 0.5)
+    expected = np.exp(x / (1 + x * x)) * (y - z)
+    np.testing.assert_allclose(graph.evaluate([output], {"x": x, "y": y, "z": z})[0], expected, rtol=1e-15)
+    assert graph.evaluate([output], {"x": 0.0, "y": 1j, "z": 0.0})[0] == 1j
+
+
+SIMPLE = {
+    "x + 0": lambda x, y: x + 0.0,
+    "0 + x": lambda x, y: 0.0 + x,
+    "x - 0": lambda x, y: x - 0.0,
+    "1 x": lambda x, y: 1.0 * x,
+    "x 1": lambda x, y: x * 1.0,
+    "x / 1": lambda x, y: x / 1.0,
+    "-(0 - x)": lambda x, y: -(0.0 - x),
+    "(-1)(-x)": lambda x, y: -1.0 * -x,
+    "x + 0 y": lambda x, y: x + 0.0 * y,
+    "x - 0 / y": lambda x, y: x - 0.0 / y,
+    "where(1 < 2, x, y)": lambda x, y: where(1.0 < 2.0, x, y),
+    "where(x < y, x, x)": lambda x, y: where(x < y, x, x),
+    "x^1": lambda x, y: x**1,
+    "0.5 (2 x)": lambda x, y: 0.5 * (2.0 * x),
+}
+
+
+@pytest.mark.parametrize("formula", SIMPLE.values(), ids=SIMPLE)
+def test_what_is_the_symbol_itself_is_simplified_to_the_symbol(formula: object) -> None:
+    graph = Graph()
+    x, y = graph.symbol("x"), graph.symbol("y")
+    assert formula(x, y).index == x.index
+
+
+VANISHING = {
+    "x - x": lambda x, y: x - x,
+    "0 x": lambda x, y: 0.0 * x,
+    "x 0": lambda x, y: x * 0.0,
+    "0 / x": lambda x, y: 0.0 / x,
+    "x y - y x": lambda x, y: x * y - y * x,
+    "1 + -1": lambda x, y: (x - x + 1.0) + -1.0,
+}
+
+
+@pytest.mark.parametrize("formula", VANISHING.values(), ids=VANISHING)
+def test_structural_zeros_vanish(formula: object) -> None:
+    graph = Graph()
+    assert is_zero(formula(graph.symbol("x"), graph.symbol("y")))
+
+
+def test_equal_nodes_are_made_once_whatever_the_order() -> None:
+    graph = Graph()
+    x, y = graph.symbol("x"), graph.symbol("y")
+    assert (x + y).index == (y + x).index
+    assert (x * y).index == (y * x).index
+    assert (x * y + 3.0).index == (3.0 + y * x).index
+    assert graph.symbol("x").index == x.index
+    before = len(graph.nodes)
+    _ = exp(x * y) + exp(y * x)
+    assert len(graph.nodes) <= before + 3  # the product, its exponential, their sum
+
+
+def test_a_product_in_a_sum_is_one_fused_node() -> None:
+    graph = Graph()
+    x, y, z = (graph.symbol(name) for name in SYMBOLS)
+    for made in (x * y + z, z + x * y, z - x * y, x * y - z):
+        assert graph.nodes[made.index][0] == "fma"
+    values = {"x": 3.0, "y": 5.0, "z": 7.0}
+    assert graph.evaluate([x * y + z, z - x * y, x * y - z], values) == [22.0, -8.0, 8.0]
+
+
+@pytest.mark.parametrize(("a", "b"), [(1.0, 2.0), (2.0, 1.0), (-1.5, 0.25)])
+def test_maximum_and_minimum_pick_value_and_derivative(a: float, b: float) -> None:
+    graph = Graph()
+    x, y = graph.symbol("x"), graph.symbol("y")
+    outputs = [maximum(x, y), minimum(x, y)]
+    at = {"x": a, "y": b}
+    assert graph.evaluate(outputs, at) == [max(a, b), min(a, b)]
+    assert [maximum(a, b), minimum(a, b)] == [max(a, b), min(a, b)]
+    rows = [graph.evaluate(row, at) for row in jacobian(outputs, [x, y])]
+    larger = [float(a > b), float(b > a)]
+    np.testing.assert_array_equal(rows, [larger, larger[::-1]])
+    # a constant on either side
+    assert graph.evaluate([maximum(x, 0.0), minimum(0.5, y)], at) == [max(a, 0.0), min(0.5, b)]
+    np.testing.assert_array_equal(maximum(np.array([a, b]), 0.0), np.maximum([a, b], 0.0))
+
+
+@pytest.mark.parametrize("function", [exp, log, sqrt])
+def test_functions_of_numbers_are_numpys(function: object) -> None:
+    reference = getattr(np, function.__name__)
+    assert function(2.25) == reference(2.25)
+    np.testing.assert_array_equal(function(np.array([1.0, 4.0])), reference([1.0, 4.0]))
+    graph = Graph()
+    assert graph.number(function(graph.constant(2.25)).index) == reference(2.25)  # folded
+
+
+@pytest.mark.parametrize("exponent", [0, 1, 2, 5, 8, 0.8, 1.8, -2.0])
+def test_powers(exponent: float) -> None:
+    graph = Graph()
+    x = graph.symbol("x")
+    value, slope = graph.evaluate([x**exponent, jacobian([x**exponent], [x])[0][0]], {"x": 1.7})
+    assert value == pytest.approx(1.7**exponent, rel=1e-14)
+    assert slope == pytest.approx(exponent * 1.7 ** (exponent - 1), rel=1e-14)
+
+
+def test_a_branch_on_a_traced_value_is_refused_with_the_remedy() -> None:
+    graph = Graph()
+    with pytest.raises(TypeError, match="where"):
+        if graph.symbol("x") < 1.0:
+            pass
+
+
+def test_expressions_of_two_graphs_do_not_mix() -> None:
+    with pytest.raises(ValueError, match="another graph"):
+        _ = Graph().symbol("x") + Graph().symbol("x")
+
+
+def test_leaves_stop_the_walks() -> None:
+    graph = Graph()
+    x = graph.symbol("x")
+    inner = exp(x)
+    output = inner * inner
+    assert set(reverse(graph, {output.index: graph.constant(1.0)}, [inner.index])) == {inner.index}
+    slope = reverse(graph, {output.index: graph.constant(1.0)}, [inner.index])[inner.index]
+    assert graph.evaluate([slope], {"x": 0.3})[0] == pytest.approx(2 * math.exp(0.3), rel=1e-15)
+    dotted = forward(graph, [output], {inner.index: graph.constant(1.0)})[0]
+    assert graph.evaluate([dotted], {"x": 0.3})[0] == pytest.approx(2 * math.exp(0.3), rel=1e-15)
+    assert depends_on(graph, output, ["x"]) and not depends_on(graph, output, ["y"])
+    assert not depends_on(graph, 1.0, ["x"])
+
+
+def test_small_matrices_are_numpys() -> None:
+    random = np.random.default_rng(5)
+    a, b = random.normal(size=(3, 4)), random.normal(size=(4, 2))
+    a[0, 1] = b[2, 0] = 0.0
+    np.testing.assert_allclose(product(a.tolist(), b.tolist()), a @ b, rtol=1e-14, atol=1e-15)
+    np.testing.assert_array_equal(transpose(a.tolist()), a.T)
+    np.testing.assert_array_equal(add(a.tolist(), a.tolist()), 2 * a)
+    np.testing.assert_array_equal(scale(3.0, a.tolist()), 3 * a)
+    np.testing.assert_array_equal(identity(3), np.eye(3))
+    assert dot([0.0, 2.0], [5.0, 0.0]) == 0.0
+    assert factorials(6) == [1, 1, 2, 6, 24, 120]
+    graph = Graph()
+    x = graph.symbol("x")
+    assert is_zero(product([[x, 0.0]], [[0.0], [x]])[0][0])  # zeros of structure stay zeros

@@ -1,0 +1,188 @@
+"""Composition: the order of mechanisms does not matter, and what does not fit together is named."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from hygrokf.engine import traced_filter
+from hygrokf.engine.timeline import timeline
+from hygrokf.engine.traced_filter import Recursion
+from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.physics.mechanisms import LIBRARY, linear_network
+from hygrokf.physics.model import SUMS, Mechanism, Model, compose, extend, without
+from hygrokf.physics.parameters import Parameter
+
+
+def store(name: str = "store", state: str = "heat", **more: object) -> Mechanism:
+    """A state that decays towards a sum and is read."""
+    return Mechanism(
+        name=name,
+        parameters=(Parameter(f"{name}_rate", "1/h", 1.0, 0.1, 9.0),),
+        states=(state,),
+        inputs=("outside",),
+        drift=lambda p, x, u, q, s: {
+            state: getattr(p, f"{name}_rate") * (u.outside + s.heat_release - getattr(x, state))
+        },
+        diffusion=lambda p: {state: 0.5},
+        initial=lambda p, u: {state: (u.outside, 2.0)},
+        **more,
+    )
+
+
+def source(name: str, value: float, of: str = "heat_release") -> Mechanism:
+    return Mechanism(name=name, contributions=lambda p, x, u, q: {of: value * getattr(q, "scale", 1.0)})
+
+
+READ = Mechanism(name="sensor", outputs={"y": lambda p, x, u, q, s: (x.heat + q.shift, 0.1)})
+SHIFT = Mechanism(name="shift", quantities=lambda p, x, u, g: {"shift": 2.0, "scale": 3.0})
+
+
+def test_the_order_of_mechanisms_does_not_matter() -> None:
+    """Quantities before contributions before rates, whoever comes first."""
+    parts = [store(), source("sun", 1.0), source("fan", -0.25), SHIFT, READ]
+    for order in permutations(parts):
+        found = compose(order, {"outside": "linear"}).evaluate([1.0], {"outside": 4.0}, {"store_rate": 0.5})
+        assert found.sums["heat_release"] == pytest.approx(3.0 * 0.75)
+        assert found.rates == [pytest.approx(0.5 * (4.0 + 2.25 - 1.0))]
+        assert found.outputs["y"] == (3.0, 0.1)
+        assert set(SUMS) <= set(found.sums)
+
+
+def test_the_likelihood_does_not_depend_on_the_order(joint: object) -> None:
+    case = joint.first(60)
+    # sensors stay in their order: an extended filter linearises the second reading where the first has left
+    # the state
+    sensors = tuple(m for m in case.model.mechanisms if m.outputs)
+    others = tuple(m for m in case.model.mechanisms if not m.outputs)
+    turned = Model((*sensors, *others[::-1]), case.model.holds)
+    assert turned.states != case.model.states and turned.outputs == case.model.outputs
+    run = timeline(turned, case.timeline.time, case.inputs, case.readings)
+    expected = case.likelihood.value(case.values)
+    assert Likelihood(turned, run).value(case.values) == pytest.approx(expected, rel=1e-9)
+
+
+def test_interval_means_are_states_that_begin_at_zero() -> None:
+    model = compose([store(), SHIFT, READ], {"outside": "linear"}, {"y": 0.5})
+    assert model.states == ("heat", "mean_y") and model.own_states == ("heat",)
+    found = model.evaluate([1.0, 0.7], {"outside": 4.0}, {"store_rate": 0.5})
+    assert found.rates == [pytest.approx(1.5), pytest.approx((1.0 + 2.0) / 0.5)]
+    assert found.outputs["y"] == (0.7, 0.1)  # the reading is the mean; its noise is the sensor's
+    mean, variance = model.initial({"store_rate": 0.5}, {"outside": 4.0})
+    assert mean == [4.0, 0.0] and variance == [2.0, 0.0]
+    assert model.noise({"store_rate": 0.5}) == [[0.5, 0.0], [0.0, 0.0]]
+    assert model.system.resets == (1,)
+
+
+def test_noise_of_several_mechanisms_on_one_state_adds() -> None:
+    more = Mechanism(name="more", diffusion=lambda p: {"heat": 0.25})
+    assert compose([store(), more]).noise({}) == [[0.75]]
+
+
+def test_extending_and_taking_away() -> None:
+    base = compose([store(), SHIFT, READ], {"outside": "linear"})
+    sun = Mechanism(
+        name="sun", inputs=("irradiance",), contributions=lambda p, x, u, q: {"heat_release": u.irradiance}
+    )
+    larger = extend(base, sun, {"irradiance": "zero-order"})
+    assert larger.inputs == ("outside", "irradiance")
+    assert larger.holds == {"outside": "linear", "irradiance": "zero-order"}
+    assert base.inputs == ("outside",) and base.holds == {"outside": "linear"}  # nothing changes in place
+    assert without(larger, "sun").mechanisms == base.mechanisms
+    assert larger.mechanism("sun") is sun
+    with pytest.raises(KeyError, match=r"'moon'.*'sun'"):
+        larger.mechanism("moon")
+    with pytest.raises(KeyError, match="'moon'"):
+        without(larger, "moon")
+
+
+def test_names_and_inputs_are_gathered_once_in_order() -> None:
+    model = compose(
+        [LIBRARY[n]() for n in ("thermal_network", "heat_release", "humidity_sensor", "hygric_exchange")]
+    )
+    assert model.inputs[0] == "ambient_temperature" and len(set(model.inputs)) == len(model.inputs)
+    assert [p.name for p in model.parameters][:2] == ["thermal_time_constant", "resistance_ratio"]
+    assert model.outputs == ("cabinet_relative_humidity",)
+
+
+def faulty(**changes: object) -> Model:
+    parts = {
+        "drift": lambda p, x, u, q, s: {"heat": -x.heat},
+        "initial": lambda p, u: {"heat": (0.0, 1.0)},
+    } | changes
+    return compose([Mechanism(name="m", states=("heat", "cold"), **parts), READ, SHIFT])
+
+
+def test_what_does_not_fit_is_named() -> None:
+    with pytest.raises(ValueError, match=r"state of the same name: \['heat'\]"):
+        _ = compose([store(), store("second")]).states
+    with pytest.raises(ValueError, match="parameter named 'store_rate'"):
+        _ = compose([store(), store(state="other")]).parameters
+    with pytest.raises(ValueError, match=r"rate is given for the states \['cold'\]"):
+        faulty().evaluate([0.0, 0.0], {}, {})
+    with pytest.raises(ValueError, match=r"initial mean and variance for the states \['cold'\]"):
+        faulty().initial({}, {})
+    with pytest.raises(ValueError, match=r"holds of the inputs \['outside'\]"):
+        _ = compose([store(), READ, SHIFT]).system
+
+
+def traced(*mechanisms: Mechanism) -> Recursion:
+    return traced_filter.traced(compose([store(), READ, SHIFT, *mechanisms], {"outside": "linear"}))
+
+
+def test_a_misspelt_sum_is_an_error_that_names_the_sums() -> None:
+    with pytest.raises(ValueError, match="no mechanism reads") as caught:
+        traced(
+            source("sun", 1.0), source("fan", 1.0, of="heat_relese"), source("pump", 2.0, of="vapor_release")
+        )
+    said = str(caught.value)
+    assert (
+        'mechanism "fan" adds to the sum "heat_relese", which no mechanism reads; did you mean '
+        '"heat_release"?' in said
+    )
+    assert 'mechanism "pump" adds to the sum "vapor_release"' in said and '"vapour_release"' in said
+    assert '"sun"' not in said and all(name in said for name in SUMS)
+
+
+def test_a_misspelt_sum_is_found_in_an_extended_model_too(joint: object) -> None:
+    case = joint.first(60)
+    fan = source("fan", 0.0, of="exchnge")
+    with pytest.raises(ValueError, match=r'"fan" adds to the sum "exchnge".*did you mean "exchange"'):
+        Likelihood(extend(case.model, fan), case.timeline).value(case.values)
+
+
+def test_a_sum_that_is_read_and_never_added_to_is_named() -> None:
+    reads = Mechanism(name="deep", states=("deep",), drift=lambda p, x, u, q,
+        s: {"deep": s.deep_heat - x.deep},
+                      initial=lambda p, u: {"deep": (0.0, 1.0)})  # fmt: skip
+    with pytest.raises(AttributeError, match=r'reads the sum "deep_heat", to which none adds.*heat_release'):
+        traced(reads)
+    # with a term the sum is the model's own, beside those that every model has, read or not
+    made = traced(reads, source("rock", 2.0, of="deep_heat"), source("rain", 1.0, of="vapour_release"))
+    assert made.system.states == ("heat", "deep")
+
+
+def test_a_model_with_regimes_only_and_one_without_inputs_run() -> None:
+    for inputs in ([], ["on"]):
+        made = linear_network(
+            "room", [Parameter("k", "1/h", 1.0, 0.1, 9.0)], ["x"], inputs,
+            lambda p, x, u: {"x": -p.k * x.x + getattr(u, "on", 0.0)},
+            {"y": lambda p, x, u: (x.x, 0.1)}, lambda p: {"x": 0.2}, lambda p, u: {"x": (1.0, 0.0)},
+        )  # fmt: skip
+        model = compose([made], {"on": "regime"})
+        time = 0.5 * np.arange(6)
+        on = (time > 1.2).astype(float)
+        run = timeline(model, time, {"on": on} if inputs else {}, {"y": np.zeros(6)})
+        found = Likelihood(model, run).trace({"k": 0.8}, gain=False).mean[:, 0]
+        expected = [1.0]
+        for k in range(1, 6):  # the regime of a step is that of the instant which ends it
+            goal = on[k] / 0.8 if inputs else 0.0
+            expected.append(goal + (expected[-1] - goal) * np.exp(-0.4))
+        np.testing.assert_allclose(found, expected, rtol=1e-12)
+
+
+def test_the_nulls_of_a_mechanism_are_its_parameters_nulls() -> None:
+    assert LIBRARY["heat_disturbance"]().null == {"heat_disturbance_sd": 0.0}
+    assert LIBRARY["thermal_network"]().null == {}

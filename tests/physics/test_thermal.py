@@ -1,0 +1,85 @@
+"""The thermal network as a python-control system, against closed forms and the filter's own transition."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from hygrokf.engine.timeline import timeline
+from hygrokf.estimation.likelihood import Gaussian, Likelihood
+from hygrokf.modelling.design import Design
+from hygrokf.modelling.thermal_system import INPUTS, state_space, thermal_poles, thermal_system
+
+TAU, RHO = 1.7, 0.83
+
+
+@pytest.fixture
+def network() -> tuple[Design, dict]:
+    design = Design(
+        mechanisms=(
+            ("thermal_network", {}),
+            (
+                "heat_release",
+                {"order": 0, "operation": False, "standstill_ambient": False, "reference_K": 283.15},
+            ),
+            ("thermal_diffusion", {}),
+            ("temperature_sensor", {"accuracy": 0.0}),
+        )
+    )
+    values = {p.name: p.start for p in design.model.parameters}
+    return design, values | {
+        "thermal_time_constant": TAU,
+        "resistance_ratio": RHO,
+        "heat_release_standstill": 3.0,
+    }
+
+
+def test_matrices_are_equations_2_and_3(network):
+    a, b, c, d = state_space(*network)
+    assert_allclose(a, [[-1 / TAU]], rtol=1e-14)
+    assert_allclose(b, [[1 / TAU, 1 / (TAU * RHO)]], rtol=1e-14)
+    assert_allclose(c, [[RHO]], rtol=1e-14)
+    assert_allclose(d, [[1 - RHO, 0.0]], rtol=1e-13)
+
+
+def test_system_has_names_and_poles(network):
+    system = thermal_system(*network)
+    assert system.input_labels == list(INPUTS)
+    assert system.state_labels == ["converter_temperature"]
+    assert system.output_labels == ["cabinet_air_temperature"]
+    _, _, poles = control.damp(system, doprint=False)
+    assert_allclose(-1.0 / poles.real, [TAU], rtol=1e-12)
+    assert thermal_poles(*network) == pytest.approx([TAU], rel=1e-12)
+
+
+def test_steady_state_is_ambient_plus_release(network):
+    assert_allclose(control.dcgain(thermal_system(*network)), [[1.0, 1.0]], rtol=1e-12)
+
+
+@pytest.mark.parametrize("step_h", [1 / 60, 0.25, 1.0, 6.0, 72.0])
+def test_filter_uses_the_matrices_of_python_control(network, step_h):
+    """F and the answer to held inputs equal the zero-order-hold sampling to 1e-12, for any step (sub-steps
+    included)."""
+    design, values = network
+    model = design.model
+    # the ambient is linear between instants; held constant, linear and zero-order are the same
+    line = timeline(
+        model,
+        np.array([0.0, step_h]),
+        {"ambient_temperature": np.array([280.0, 280.0])},
+        {"cabinet_temperature": np.array([np.nan, np.nan])},
+    )
+    start = Gaussian(np.array([291.0]), np.zeros((1, 1)))
+    trace = Likelihood(model, line.window(1, 2)).trace(values, start=start)
+    sampled = control.sample_system(thermal_system(design, values), step_h, "zoh")
+    expected = sampled.A @ np.array([291.0]) + sampled.B @ np.array([280.0, 3.0])
+    assert_allclose(trace.transition[0], sampled.A, rtol=1e-12, atol=1e-14)
+    assert_allclose(trace.prior_mean[0], expected, rtol=1e-12)
+
+
+def test_a_design_without_network_says_so():
+    design = Design(mechanisms=(("measured_air", {}), ("hygric_exchange", {})))
+    with pytest.raises(ValueError, match="no thermal network"):
+        thermal_system(design, {})

@@ -1,0 +1,131 @@
+"""Blocks drawn as a page and as text: every kind is there, escaped, folded or struck as it should be."""
+
+from __future__ import annotations
+
+import re
+
+import pytest
+from builders.html_page import Page as Parsed
+
+from hygrokf.report.blocks import (
+    Banner,
+    Block,
+    Card,
+    Cards,
+    Details,
+    Facts,
+    Figure,
+    Heading,
+    Items,
+    Line,
+    Link,
+    Page,
+    Prose,
+    Table,
+    Verdicts,
+    section,
+    table_or,
+)
+from hygrokf.report.figures.drawing import NothingToShow, new_figure, styled
+from hygrokf.report.page import page_html
+from hygrokf.report.terminal import block_text, cells, page_text
+
+EVIL = "<img src=x onerror=alert(1)>\"'&amp;\x00\u202e"
+BELIEVED = Card(
+    "thermal", "1.46 h", "thermal 1.46 h: to be believed", "believe", "1.37 … 1.55", symbol="R_AT·C"
+)
+REJECTED = Card("hygric", "0.3 h", "hygric not to be believed, 0.3 h", "reject", "0.2 … 0.4", "It drifts.")
+
+
+def drawing():
+    with styled():
+        figure = new_figure(1.0)
+        figure.add_subplot().plot([0.0, 1.0], [1.0, 2.0])
+    return figure
+
+
+def nothing():
+    raise NothingToShow("There are no readings.")
+
+
+def page(*blocks: Block, lead: tuple[Block, ...] = ()) -> str:
+    return page_html(Page("Report", "T07", ("about it",), lead, blocks))
+
+
+EVERY = (
+    Heading("Section"), Prose("Text with 3 K in it.", "note"), Link("The other page:", "fit_report.html"),
+    Items(("one", "two")), Facts((("period", "5 days"),)), Banner("SYNTHETIC", "Made by a computer."),
+    Verdicts((Line("believe", "It holds.", head=True), Line("reject", "number", struck="3.0 h"))),
+    Cards((BELIEVED, REJECTED)),
+    Table("Errors", ("", "a", "b"), (("model", "1", "2"),), marked=(0,), groups=(("", 1), ("both", 2))),
+    Figure("one", "A picture", "Look at the line.", drawing), Details("All of it", (Prose("inside"),)),
+)  # fmt: skip
+
+
+def test_every_kind_of_block_is_drawn_and_printed() -> None:
+    text = page(*EVERY)
+    parsed = Parsed(text)
+    tags = {tag for tag, _ in parsed.tags}
+    assert {"h1", "h2", "p", "a", "ul", "dl", "table", "figure", "svg", "details", "summary", "s"} <= tags
+    for words in ("Section", "Look at the line.", "SYNTHETIC", "All of it", "inside", "It holds.", "5 days"):
+        assert words in parsed.text, words
+    assert "3\xa0K" in text and "R<sub>AT</sub>·C" in text and 'href="fit_report.html"' in text
+    printed = [block_text(block) for block in EVERY]
+    assert [bool(one) for one in printed] == [not isinstance(block, Figure) for block in EVERY]
+    assert "- one\n- two" in printed[3] and printed[-1] == "All of it\n\ninside"
+
+
+def test_a_rejected_number_is_struck_through_and_is_no_headline() -> None:
+    believed, rejected = re.findall(
+        r'<div class="card (\w+)">(.*?)</div>', page(Cards((BELIEVED, REJECTED))), re.S
+    )
+    assert believed[0] == "believe" and '<p class="value">1.46\xa0h</p>' in believed[1]
+    assert rejected[0] == "reject" and "<s>0.3\xa0h (0.2 … 0.4)</s>" in rejected[1]
+    assert "not to be believed" in re.findall(r'<p class="value words">(.*?)</p>', rejected[1], re.S)[0]
+    assert "It drifts." in rejected[1]
+
+
+def test_every_text_is_escaped() -> None:
+    blocks = (
+        Heading(EVIL), Prose(EVIL), Link(EVIL, EVIL), Items((EVIL,)), Facts(((EVIL, EVIL),)),
+        Banner(EVIL, EVIL), Verdicts((Line("caution", EVIL, struck=EVIL),), EVIL),
+        Cards((Card(EVIL, EVIL, EVIL, "", EVIL, EVIL, EVIL),)),
+        Table(EVIL, (EVIL,), ((EVIL,),), groups=((EVIL, 1),), note=EVIL), Figure("x", EVIL, EVIL, drawing),
+        Figure("y", EVIL, EVIL, nothing), Details(EVIL, (Prose(EVIL),)),
+    )  # fmt: skip
+    parsed = Parsed(page_html(Page(EVIL, EVIL, (EVIL,), blocks, blocks, blocks)))
+    assert "img" not in {tag for tag, _ in parsed.tags}
+    assert all(not name.startswith("on") for _, attributes in parsed.tags for name in attributes)
+    assert max(cells(line) for block in blocks for line in block_text(block).splitlines()) <= 100
+
+
+def test_a_figure_without_data_says_why() -> None:
+    parsed = Parsed(page(Figure("one", "The picture", "", nothing)))
+    assert "The picture is left out. There are no readings." in " ".join(parsed.text.split())
+
+
+def test_the_page_needs_nothing_from_elsewhere_and_folds_its_details() -> None:
+    text = page(*EVERY)
+    assert "http" not in text and "<script" not in text and "@import" not in text
+    assert text.count("<details>") == 1 and "details::details-content" in text
+    assert text.count("<!DOCTYPE html>") == 1 and text.endswith("</html>\n")
+
+
+def test_the_terminal_prints_the_name_the_warnings_and_what_is_brief() -> None:
+    warnings = (Banner("SYNTHETIC", "x"), Banner("NOT CONVERGED", "stopped."))
+    brief = (Cards((BELIEVED,)), Table("T", ("a", "b", "c"), (("1", "2", "3"),), brief=(0, 2)))
+    made = Page("Report", "T07", (), warnings, (Prose("long"),), (), brief)
+    assert page_text(made) == (
+        "T07 (SYNTHETIC: nothing measured)\n\nNOT CONVERGED: stopped.\n\n"
+        "thermal 1.46 h: to be believed\n\nT\na  c\n1  3"
+    )
+
+
+def test_sections_without_blocks_are_left_out() -> None:
+    assert section("Empty", None) == () and section("One", None, Prose("x")) == (Heading("One"), Prose("x"))
+    assert table_or(None, "No table.") == Prose("No table.", "missing")
+
+
+def test_a_table_with_a_cell_too_many_is_refused() -> None:
+    with pytest.raises(ValueError, match="Parameters: expected a cell for each of 2 columns, found"):
+        Table("Parameters", ("name", "value"), (("a", "1"), ("b", "group", "2")))

@@ -1,0 +1,133 @@
+"""Every page in a browser: the answer and its picture come first, nothing is too wide, print is whole."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from builders.climate_case import made_up_weather, study_of
+from builders.comparison_case import made_column
+from builders.fit_case import typed
+from builders.report_case import report_case
+from golden.difference import read
+from playwright.sync_api import Browser, Page, sync_playwright
+
+from hygrokf.climate.limits import Limit
+from hygrokf.data.structured import structured
+from hygrokf.report.climate_page import climate_page
+from hygrokf.report.comparison_page import comparison_page
+from hygrokf.report.fit_page import report_page
+from hygrokf.report.transfer_page import transfer_page
+from hygrokf.transfer.comparison import compare
+from hygrokf.transfer.results import TransferResults
+
+CHROMIUM = shutil.which("chromium")
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no chromium")
+ARGUMENTS = ("--no-sandbox", "--disable-gpu", "--no-first-run", "--disable-background-networking")
+WIDE, NARROW = {"width": 1280, "height": 800}, {"width": 390, "height": 844}
+
+
+def fit() -> str:
+    results, series = report_case()
+    return report_page(typed(results), series)
+
+
+def comparison() -> str:
+    columns = [made_column("first", 1), made_column("second", 2, scale=1.4)]
+    return comparison_page(compare(columns).results, [one.course for one in columns])
+
+
+def transfer() -> str:
+    found = structured(TransferResults, read("demo")["json"]["transferred/transfer.json"])
+    course = made_column("any", 1).course
+    simulated = dict.fromkeys(("as_is", "own_loggers"), course.simulated["simulated"])
+    return transfer_page(found, [replace(course, simulated=simulated)])
+
+
+def climate() -> str:
+    study = study_of(made_up_weather(), limits=[Limit("hot", "temperature_degC", "above", 10.0)])
+    return climate_page(replace(study, synthetic=True))
+
+
+MADE: dict[Callable[[], str], int] = {
+    fit: 1_200_000, comparison: 400_000, transfer: 400_000, climate: 600_000
+}  # fmt: skip
+"""How each page is made, and the most bytes that it may have."""
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    with sync_playwright() as playwright:
+        started = playwright.chromium.launch(executable_path=CHROMIUM, args=list(ARGUMENTS), timeout=180_000)
+        yield started
+        started.close()
+
+
+@pytest.fixture(scope="module", params=MADE, ids=lambda make: make.__name__)
+def file(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("page") / "report.html"
+    path.write_text(request.param(), encoding="utf-8")
+    assert path.stat().st_size <= MADE[request.param]
+    return path
+
+
+@pytest.fixture
+def opened(browser: Browser, file: Path) -> Iterator[Callable[[dict[str, int]], Page]]:
+    pages = []
+
+    def at(size: dict[str, int]) -> Page:
+        page = browser.new_page(viewport=size)
+        pages.append(page)
+        page.goto(file.as_uri())
+        return page
+
+    yield at
+    for page in pages:
+        page.close()
+
+
+def test_the_first_screen_is_the_answer_and_its_picture(opened) -> None:
+    page = opened(WIDE)
+    card, figure = page.locator(".card").first.bounding_box(), page.locator("figure svg").first.bounding_box()
+    assert card and card["y"] + card["height"] < 450
+    assert figure and card["y"] < figure["y"] and figure["y"] + figure["height"] <= 800
+    assert page.locator("table").first.bounding_box()["y"] > 800  # tables come after
+
+
+def test_nothing_is_wider_than_a_desk_s_screen(opened) -> None:
+    page = opened(WIDE)
+    page.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 1280
+    over = """(all) => all.filter((e) => e.scrollWidth > e.clientWidth + 1)
+        .map((e) => e.getAttribute('aria-label'))"""
+    assert page.eval_on_selector_all(".scroll, .drawing", over) == []
+
+
+def test_on_a_telephone_only_tables_and_drawings_scroll(opened) -> None:
+    page = opened(NARROW)
+    page.evaluate("document.querySelectorAll('details').forEach((d) => { d.open = true; })")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    outside = """(all) => all.filter((e) => e.getBoundingClientRect().right > 391
+        && !e.closest('.scroll, .drawing')).map((e) => e.tagName + ' ' + e.className)"""
+    assert page.eval_on_selector_all("body *", outside) == []
+    cue = "(all) => all.every((e) => getComputedStyle(e).backgroundImage.includes('radial-gradient'))"
+    assert page.eval_on_selector_all(".scroll", cue)
+
+
+def test_long_sections_are_folded_on_the_screen_and_open_in_print(opened) -> None:
+    page = opened(WIDE)
+    shown = "(all) => all.map((e) => [...e.children].slice(1).some((c) => c.checkVisibility()))"
+    folded = page.eval_on_selector_all("details", shown)
+    assert folded and not any(folded)
+    page.emulate_media(media="print")
+    assert all(page.eval_on_selector_all("details", shown))
+
+
+def test_parts_that_scroll_are_reached_by_the_keyboard_and_named(opened) -> None:
+    found = opened(WIDE).eval_on_selector_all(
+        ".scroll, .drawing", "(all) => all.map((e) => [e.tabIndex, e.getAttribute('aria-label')])"
+    )
+    assert found and all(place == 0 and name for place, name in found)

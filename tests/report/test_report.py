@@ -1,0 +1,513 @@
+"""The report: every number where it belongs, every text escaped, every missing piece said, nothing from
+outside."""
+
+from __future__ import annotations
+
+import copy
+import math
+import re
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from builders.html_page import Page as _Page
+from builders.report_case import report_case, results, write_case
+
+from hygrokf.data.structured import StructureFault, plain
+from hygrokf.identification.verdict import with_verdicts
+from hygrokf.identification.wording import decimals_for, percent, plain_number
+from hygrokf.report.blocks import Figure
+from hygrokf.report.figures.drawing import NothingToShow
+from hygrokf.report.figures.overview import Picture
+from hygrokf.report.fit_page import ReportFault, read_results, report_page, report_text, write_report
+from hygrokf.report.fit_tables import rmse_table
+from hygrokf.report.fit_text import judgements, time_constant
+from hygrokf.report.terminal import cells, shortened
+
+
+@pytest.fixture
+def quick(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages without their drawings, where a test is about words."""
+
+    def nothing() -> None:
+        raise NothingToShow("Not drawn.")
+
+    monkeypatch.setattr(Picture, "of", lambda one, fit, series: Figure(one.name, one.heading, "", nothing))
+
+
+def _page(fit: dict, series: dict | None = None) -> _Page:
+    return _Page(report_page(results(fit), series or {}))
+
+
+# --- the whole ---------------------------------------------------------------------------------
+
+
+def test_the_report_is_one_file_of_a_page_that_needs_nothing_else(tmp_path) -> None:
+    folder = write_case(tmp_path, *report_case())
+    path = write_report(folder)
+    assert path == folder / "report.html"
+    text = path.read_text(encoding="utf-8")
+    assert len(text.encode()) < 1_500_000
+    page = _Page(text)
+    assert "http" not in text and "//" not in re.sub(r"<style>.*?</style>", "", text, flags=re.S)
+    assert "<script" not in text and "@import" not in text and "url(" not in re.sub(r"url\(#", "", text)
+    names = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
+    assert len(names) == len(set(names)) > 100
+    assert sum(tag == "svg" for tag, _ in page.tags) == 10 and page.text.count("is left out") == 0
+    used = re.findall(r'href="#([^"]*)"|url\(#([^)]*)\)', text)
+    assert used and {a or b for a, b in used} <= set(names)
+    for tag, attributes in page.tags:
+        assert not any(name.startswith("on") for name in attributes), tag
+    assert sorted(p.name for p in folder.iterdir()) == ["fit.json", "report.html", "series.npz"]
+
+
+def test_the_report_is_a_pure_function_of_the_two_files(tmp_path) -> None:
+    fit, series = report_case()
+    kept = copy.deepcopy(fit)
+    first = report_page(results(fit), series)
+    assert report_page(results(fit), series) == first and fit == kept
+
+
+def test_headline_tables_and_footer_carry_the_numbers(quick) -> None:
+    fit, series = report_case()
+    text = _page(fit, series).text
+    for words in (
+        "SYNTHETIC",
+        "1.45 h 1.40 … 1.50, 95 %, all sources",
+        "0.30 h 0.27 … 0.33, 95 %, all sources",
+        "The free run alone gives 1.52 h (1.29 … 1.75).",
+        "over the record's temperatures",
+        "23.1 °C inside and 15.0 °C outside",
+        "log-likelihood 12345.60",
+        "hygrokf 0.1.0 on 2024-05-01 12:00 UTC",
+        "masked",
+        "0f0f0f0f",
+        "at its bound",
+        "prior 0 ± 0.15",
+        "not determined",
+        "Other optima",
+        "8.40",
+    ):
+        assert words in text, words
+    for period in ("identification", "validation"):
+        found = fit["rmse"][period]["temperature_K"]
+        row = " ".join(f"{found[regime]:.2f}" for regime in ("operation", "standstill", "total"))
+        assert f"model, free run {row}" in text
+        assert str(found["n"]["total"]) in text
+    assert "NOT CONVERGED" not in text
+
+
+def test_a_fit_that_did_not_converge_is_red_on_top(quick) -> None:
+    fit, series = report_case()
+    fit |= {"converged": False, "message": "no further progress after 60 passes: start elsewhere"}
+    text = report_page(results(fit), series)
+    assert '<p class="banner severe"><b>NOT CONVERGED</b> no further progress' in text
+    assert "NOT CONVERGED: no further progress" in report_text(results(fit))
+    first, why = judgements(results(fit))[:2]
+    assert (first.kind, why.kind) == ("reject", "reject") and "did not converge" in why.sentence
+
+
+def test_a_disagreement_of_the_criteria_stands_under_its_number(quick) -> None:
+    fit, series = report_case()
+    said = "innovations say 0.3 h, the free run says 0.9 h (0.8 … 1.0)"
+    fit["time_constants"]["hygric"]["disagreement"] = said
+    fit["statements"].append(said)
+    text = report_page(results(fit), series)
+    text = text.replace("\xa0", " ")
+    assert said in text.partition("<h2>")[0]  # under its number
+    assert text.count(said[1:]) == 2  # and once more as a reason, not as a further remark
+    assert any(one.kind == "caution" and said[1:] in one.sentence for one in judgements(results(fit)))
+
+
+# --- escaping ----------------------------------------------------------------------------------
+
+EVIL = "<img src=x onerror=alert(1)>\"'&amp;</style></svg><script>$x_{$\u202e\x00\n"
+
+
+def _strings(data: object, path: tuple = ()) -> Iterator[tuple]:
+    if isinstance(data, dict):
+        for key, value in data.items():
+            yield from _strings(value, (*path, key))
+    elif isinstance(data, list):
+        for place, value in enumerate(data):
+            yield from _strings(value, (*path, place))
+    elif isinstance(data, str):
+        yield path
+
+
+def _put(data: object, path: tuple, value: object) -> None:
+    for part in path[:-1]:
+        data = data[part]
+    data[path[-1]] = value
+
+
+def test_every_text_of_the_files_is_escaped() -> None:
+    fit, series = report_case()
+    for path in list(_strings(fit)):
+        if path[-2:] != ("response", "kind"):
+            _put(fit, path, EVIL)
+    for place in ("parameters", "bands", "warnings"):
+        if isinstance(fit[place], dict):
+            fit[place] = {f"{EVIL}{i}": value for i, value in enumerate(fit[place].values())}
+    outputs = fit["innovations"]["outputs"]
+    for one in outputs.values():
+        one["cross_correlation"] = {f"{EVIL}{i}": v for i, v in enumerate(one["cross_correlation"].values())}
+    fit["innovations"]["outputs"] = {**outputs, EVIL: {"n": 3, "statements": [EVIL]}}
+    text = report_page(results(fit), series)
+    page = _Page(text)
+    assert "<img" not in text and "<script" not in text and "\x00" not in text
+    assert {tag for tag, _ in page.tags} & {"img", "script", "iframe", "object"} == set()
+    assert all(not name.startswith("on") for _, attributes in page.tags for name in attributes)
+    assert text.count("</style>") == 1
+    assert max(cells(line) for line in report_text(results(fit)).splitlines()) <= 100
+    assert "\x00" not in report_text(results(fit)) and "\u202e" not in report_text(results(fit))
+
+
+# --- missing pieces ----------------------------------------------------------------------------
+
+
+def _trimmed(data: object, length: int) -> object:
+    """The data with shorter lists, so that many copies are cheap."""
+    if isinstance(data, dict):
+        return {key: _trimmed(value, length) for key, value in data.items()}
+    return [_trimmed(value, length) for value in data[:length]] if isinstance(data, list) else data
+
+
+def _paths(data: object, path: tuple = ()) -> Iterator[tuple]:
+    """All nodes; of lists only the first two."""
+    yield path
+    children = (
+        data.items() if isinstance(data, dict) else enumerate(data[:2]) if isinstance(data, list) else ()
+    )
+    for key, value in children:
+        yield from _paths(value, (*path, key))
+
+
+@pytest.mark.parametrize(
+    "value", [None, {}, -1, *(pytest.param(v, marks=pytest.mark.slow) for v in ([], "x", True))]
+)
+def test_a_piece_that_is_wrong_leaves_a_page_or_is_a_fault_with_its_place(quick, value: object) -> None:
+    fit = _trimmed(report_case()[0], 5)
+    paths = [path for path in _paths(fit) if path]
+    assert len(paths) > 500
+    seen: set[tuple] = set()
+    for path in paths:
+        # one parameter and one regime stand for all
+        kind = tuple("*" if part in fit["parameters"] or isinstance(part, int) else part for part in path)
+        if kind in seen:
+            continue
+        seen.add(kind)
+        changed = copy.deepcopy(fit)
+        _put(changed, path, value)
+        try:
+            _Page(report_page(results(changed), {}))
+            assert max(cells(line) for line in report_text(results(changed)).splitlines()) <= 100
+        except StructureFault as fault:
+            assert all(one.startswith(str(path[0])) for one in fault.faults), path
+        except Exception as fault:
+            raise AssertionError(f"{path}: {fault!r}") from fault
+
+
+@pytest.mark.parametrize(
+    "value", [None, -1.0, *(pytest.param(v, marks=pytest.mark.slow) for v in ([], {}, "x"))]
+)
+@pytest.mark.parametrize("piece", ["heat_release", "time_constants", "innovations", "parameters", "design"])
+def test_figures_take_a_fit_with_holes(piece: str, value: object) -> None:
+    from hygrokf.report.figures.drawing import NothingToShow
+    from hygrokf.report.figures.overview import figure_heat_release, figure_innovations, figure_profiles
+
+    fit, series = report_case()
+    fit = _trimmed(fit, 9)
+    m = len(series["time_s"])
+    series = {name: value[::20] if value.shape == (m,) else value for name, value in series.items()}
+    draw = {"time_constants": figure_profiles, "innovations": figure_innovations}.get(
+        piece, figure_heat_release
+    )
+    seen = set()
+    for path in _paths(fit[piece]):
+        inputs = fit["innovations"]["outputs"]["temperature"]["cross_correlation"]
+        kind = tuple("*" if isinstance(part, int) or part in inputs else part for part in path)
+        if kind in seen or (len(kind) > 2 and kind[0] == "outputs" and kind[1] == "humidity"):
+            continue
+        if piece == "parameters" and not (path and path[0].startswith("heat_release")):
+            continue
+        seen.add(kind)
+        changed = copy.deepcopy(fit)
+        _put(changed, (piece, *path), value)
+        try:
+            draw(results(changed), series)
+        except (NothingToShow, StructureFault):
+            pass
+        except Exception as fault:
+            raise AssertionError(f"{path}: {fault!r}") from fault
+
+
+def test_an_empty_fit_gives_a_page_that_says_so() -> None:
+    page = _page({})
+    assert (
+        page.text.count("left out") >= 8
+        and "unnamed record" in page.text
+        and "CONVERGENCE UNKNOWN" in page.text
+    )
+    assert "not identified" in page.text
+    assert report_text(results({})).startswith("unnamed record")
+
+
+def test_without_humidity_the_reason_is_given(quick) -> None:
+    fit, series = report_case()
+    del fit["time_constants"]["hygric"]
+    fit["design"]["statements"] = ["no humidity inside and outside: the hygric model is left out"]
+    for period in ("identification", "validation"):
+        del fit["rmse"][period]["absolute_humidity_g_m3"]
+        fit["baselines"][period] = {"no_dynamics": fit["baselines"][period]["no_dynamics"]}
+    text = _page(fit, series).text
+    assert "not identified no humidity inside and outside" in text
+    assert "c = c_amb " not in text.split("How this was computed")[0]
+    assert "hygric not identified" in report_text(results(fit))
+
+
+def test_without_validation_that_is_said(quick) -> None:
+    fit, series = report_case()
+    fit["rmse"]["validation"] = {
+        q: {"operation": None, "standstill": None, "total": None, "n": {}} for q in fit["rmse"]["validation"]
+    }
+    fit["period"]["until"] = None
+    text = _page(fit, series).text
+    assert "No validation period: `until` is not stated" in text
+    assert "nothing validates it" in text and "identified on the part until" not in text
+    assert rmse_table(results(fit), "validation") is None
+
+
+def test_one_reading() -> None:
+    fit, series = report_case()
+    m = len(series["time_s"])
+    k = int(np.flatnonzero(np.isfinite(series["temperature_innovation"]))[0])
+    one = {name: value[k : k + 1] if value.shape == (m,) else value for name, value in series.items()}
+    fit["innovations"] = {
+        "outputs": {"temperature": {"n": 1, "statements": ["1 reading, too few"]}},
+        "statements": [],
+        "tests": [],
+    }
+    page = _page(fit, one)
+    assert "is left out" in page.text and "too few" in page.text
+
+
+# --- faults ------------------------------------------------------------------------------------
+
+
+def test_missing_files_are_listed_together(tmp_path) -> None:
+    with pytest.raises(ReportFault) as fault:
+        write_report(tmp_path / "nowhere")
+    assert (
+        "fit.json" in str(fault.value)
+        and "series.npz" in str(fault.value)
+        and "hygrokf fit" in str(fault.value)
+    )
+
+
+@pytest.mark.parametrize("text", ["", "{", "[1, 2]", "\x00", "[" * 100_000])
+def test_damaged_results_are_faults(tmp_path, text: str) -> None:
+    folder = write_case(tmp_path, *report_case())
+    (folder / "fit.json").write_text(text)
+    with pytest.raises(ReportFault, match=r"fit\.json: expected"):
+        write_report(folder)
+    assert not (folder / "report.html").exists()
+
+
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04 broken", b"\x93NUMPY", b"text"])
+def test_damaged_series_are_faults(tmp_path, content: bytes) -> None:
+    folder = write_case(tmp_path, *report_case())
+    (folder / "series.npz").write_bytes(content)
+    with pytest.raises(ReportFault, match=r"series\.npz: expected"):
+        read_results(folder)
+
+
+def test_objects_in_the_series_are_refused(tmp_path) -> None:
+    folder = write_case(tmp_path, *report_case())
+    np.savez(folder / "series.npz", time_s=np.array([{"a": 1}], dtype=object))
+    with pytest.raises(ReportFault, match="series"):
+        read_results(folder)
+    np.savez(folder / "series.npz", time_s=np.array(["a"]))
+    with pytest.raises(ReportFault, match="found text or objects in time_s"):
+        read_results(folder)
+
+
+# --- words -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("found", "sentence"),
+    [
+        (
+            {"value_h": 1.4823, "lower_h": 1.4411, "upper_h": 1.5312},
+            "thermal 1.48 h (1.44 … 1.53, 95 %, profile likelihood)",
+        ),
+        (
+            {"value_h": 0.1, "lower_h": 0.0, "upper_h": 0.35},
+            "thermal ≤ 0.350 h (best 0.100 h, 95 %, profile likelihood)",
+        ),
+        (
+            {"value_h": 9.0, "lower_h": 6.04, "upper_h": None},
+            "thermal ≥ 6.04 h (best 9.00 h, 95 %, profile likelihood)",
+        ),
+        (
+            {"value_h": 9.0, "lower_h": None, "upper_h": None},
+            "thermal not identifiable (best 9.00 h, 95 %, profile likelihood)",
+        ),
+        (
+            {"value_h": 9.0, "lower_h": 0.0, "upper_h": math.inf},
+            "thermal not identifiable (best 9.00 h, 95 %, profile likelihood)",
+        ),
+        (
+            {"value_h": 12.0, "lower_h": 7.0, "upper_h": 25.0},
+            "thermal 12 h (7 … 25, 95 %, profile likelihood)",
+        ),
+        (
+            {"value_h": 0.27698, "lower_h": 0.27047, "upper_h": 0.28369, "method": "wald"},
+            "thermal 0.277 h (0.270 … 0.284, 95 %, Wald)",
+        ),
+        (
+            {"value_h": 1.0, "lower_h": 0.5, "upper_h": 1.5, "method": "profile with clock uncertainty"},
+            "thermal 1.0 h (0.5 … 1.5, 95 %, profile likelihood with clock uncertainty)",
+        ),
+    ],
+)
+def test_time_constants_in_words(found: dict, sentence: str) -> None:
+    fit = {"time_constants": {"thermal": {"level": 0.95, "method": "profile", **found}}, "converged": True}
+    assert f"thermal {time_constant(results(fit), 'thermal').span}" == sentence
+    assert sentence in report_text(results(fit))
+
+
+def test_judgements_follow_the_numbers() -> None:
+    def kinds(change) -> dict[str, str]:
+        fit, _ = report_case()
+        change(fit)
+        return {one.sentence: one.kind for one in judgements(results(fit))}
+
+    def kind_of(change, words: str) -> str:
+        return next(kind for sentence, kind in kinds(change).items() if words in sentence)
+
+    def error(value: float):
+        return lambda fit: fit["rmse"]["validation"]["temperature_K"].update(total=value)
+
+    assert kind_of(error(1.5), "the model carries over, and it is") == "believe"
+    assert kind_of(error(2.9), "does not carry over well, and it is hardly better than the rule") == "caution"
+    assert kind_of(error(3.1), "it is no better than the rule") == "caution"
+    assert kind_of(error(9.9), "does not carry over well, and it is worse than the rule") == "reject"
+    assert kind_of(error(0.5), "below that of the rule") == "believe"
+    wide = {"lower_h": 0.5, "upper_h": 4.0}
+    assert (
+        kind_of(lambda fit: fit["time_constants"]["thermal"].update(wide), "a factor of 2.8 only")
+        == "caution"
+    )
+    assert kind_of(lambda fit: None, "too narrow: 1 h ahead absolute humidity 87 %") == "caution"
+    assert kind_of(lambda fit: None, "hold about what they promise") == "believe"
+    assert kind_of(lambda fit: None, "against white innovations") == "caution"
+    share = {"temperature_K": 0.8}
+    words = "alone explains 80 %"
+    assert kind_of(lambda fit: fit["sensor_share"].update(validation=share), words) == "believe"
+
+
+def test_doubts_come_first_and_old_results_have_none(quick) -> None:
+    fit, _ = report_case()
+    assert "Doubt about the record" not in report_text(results(fit)) + report_page(results(fit), {})
+    fit["doubts"] = ["absolute humidity is 5.15 times that outside: or the wrong <column>", "right unit?"]
+    text, page = report_text(results(fit)), report_page(results(fit), {})
+    first = text.partition("what not (x)\n")[2].splitlines()[0]
+    assert first.startswith("! Doubt about the record: absolute humidity is 5.15 times")
+    assert "! Doubt about the record: right unit?\n" in text
+    assert page.partition('<ul class="judgements">')[2].startswith(
+        '<li class="caution"><span class="caution" title="with caution">!</span>Doubt about the record: '
+        "absolute humidity is 5.15 times"
+    )
+    assert "wrong &lt;column&gt;.</li>" in page
+
+
+def test_a_free_run_that_fails_gets_no_good_mark() -> None:
+    fit, _ = report_case()
+    fit["readings_sd"] = {"validation": {"temperature_K": 4.0, "absolute_humidity_g_m3": 2.0}}
+    kept = judgements(results(fit))
+    fit["readings_sd"]["validation"]["temperature_K"] = 0.1
+    fit["bands"]["free_run"] = {"absolute_humidity_g_m3": {"coverage": 0.31, "n": 250}}
+    found = {one.sentence: one.kind for one in judgements(results(fit))}
+
+    def kind_of(words: str) -> str:
+        return next(kind for sentence, kind in found.items() if words in sentence)
+
+    assert sum("the model carries over" in one.sentence for one in kept) == 1
+    assert kind_of("more than the standard deviation of the readings (0.10 K)") == "reject"
+    assert sum("carries over" in sentence for sentence in found) == 0
+    assert kind_of("band of the absolute humidity holds only 31 % of the readings in validation") == "reject"
+    for words in ("more than the readings vary (0.10 K)", "95 % band holds only 31 % of the readings of the"):
+        assert kind_of(words) in ("caution", "reject")
+    del fit["readings_sd"]
+    assert sum("the model carries over" in one.sentence for one in judgements(results(fit))) == 1
+
+
+@pytest.mark.parametrize(
+    ("bounds", "words"),
+    [
+        ((0.6, 1.7), "it: the criteria agree"),
+        ((0.0, 7.0), "hardly says anything about it (1.00 h, without bounds)"),
+        ((0.5, 1.6), "hardly says anything about it (1.00 h, 0.500 … 1.60 h)"),
+        ((0.5, None), "hardly says anything about it (1.00 h, without bounds)"),
+    ],
+)
+def test_the_criteria_agree_only_where_the_free_run_says_something(bounds, words) -> None:
+    fit, _ = report_case()
+    row = {"value_h": 1.0, "lower_h": bounds[0], "upper_h": bounds[1]}
+    fit["time_constants"]["thermal"]["simulation"] = row
+    found = {one.sentence: one.kind for one in judgements(results(fit)) if one.about == "thermal"}
+    kind = next(kind for sentence, kind in found.items() if words in sentence)
+    assert kind == ("believe" if "agree" in words else "caution")
+
+
+def test_tests_that_fail_are_named_by_kind() -> None:
+    fit, _ = report_case()
+    for row in fit["innovations"]["tests"]:
+        row["rejected"] = (row["output"], row["test"]) == ("temperature", "mean")
+    found = judgements(results(fit))[-1]
+    count = len(fit["innovations"]["tests"])
+    words = (
+        f"1 of {count} tests speaks against white innovations (mean), none of them by a correlation (below)."
+    )
+    assert (found.kind, found.sentence) == ("caution", words)
+    for row in fit["innovations"]["tests"]:
+        row["rejected"] = row["test"] == "mean" or row["test"].startswith("correlation with power")
+    found = judgements(results(fit))[-1]
+    assert "tests speak against white innovations (mean, correlation with inputs), by corr" in found.sentence
+
+
+def test_numbers_in_words() -> None:
+    assert [plain_number(v) for v in (1.5, 0.0123456, -1234.5, 0.0, 4.3e-5, 2e-9, 1e9, math.nan)] == [
+        "1.50", "0.0123", "−1234", "0", "0.0000430", "2.00e-09", "1.00e+09", "–",
+    ]  # fmt: skip
+    assert [decimals_for(v) for v in (0.05, 0.166, 0.0066, 3.0, 40.0, 0.0, math.nan)] == [2, 2, 3, 0, 0, 2, 2]
+    assert percent(0.0123, 1) == "1.2 %"
+
+
+# --- text --------------------------------------------------------------------------------------
+
+
+def test_the_text_is_at_most_a_hundred_columns_wide_and_lines_up() -> None:
+    fit, _ = report_case()
+    fit["name"] = "東京のタービン " * 30
+    fit["parameters"]["a_parameter_with_quite_a_long_name_that_nobody_would_choose_" * 3] = fit["parameters"][
+        "hygric_k"
+    ]
+    text = report_text(results(fit))
+    assert max(cells(line) for line in text.splitlines()) <= 100
+    assert "SYNTHETIC" in text and "Root mean squared error, validation" in text
+    rows = [
+        line for line in text.splitlines() if line.startswith(("model, free run", "c = c_amb  ", "readings"))
+    ]
+    assert len({len(line) for line in rows}) == 1 and len(rows) == 6
+    for row in fit["parameters"]:
+        assert shortened(row, 30).rstrip("…") in text
+
+
+def test_the_page_reads_what_the_results_hold(tmp_path) -> None:
+    fit, series = report_case()
+    folder = write_case(tmp_path, fit, series)
+    again, arrays = read_results(folder)
+    assert plain(again) == plain(with_verdicts(results(fit))) and set(arrays) == set(series)

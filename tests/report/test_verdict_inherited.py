@@ -1,0 +1,305 @@
+"""What uses a number inherits its verdict: every command says it, in the same words, and no number
+contradicts another page."""
+
+from __future__ import annotations
+
+import copy
+import json
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builders.climate_case import known_fit, study_of
+from builders.discovery_case import discovery_case
+from builders.fit_case import with_parts
+from builders.html_page import Page
+
+from hygrokf import identify, read_case, synthetic_turbine, write_case, write_fit
+from hygrokf.commands.main import main
+from hygrokf.data.record import Record
+from hygrokf.data.structured import plain
+from hygrokf.fleet.outliers import spreads
+from hygrokf.fleet.page import fleet_page
+from hygrokf.fleet.table import columns_of
+from hygrokf.fleet.tasks import TASKS
+from hygrokf.fleet.text import fleet_text
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.results import dump
+from hygrokf.identification.tables import evaluate, simulation_summary
+from hygrokf.identification.turbine_type import TypeFault, pool_types
+from hygrokf.identification.verdict import BELIEVE, CAUTION, REJECT, Reason, Verdict, inherited, verdicts
+from hygrokf.identification.wording import sentence
+from hygrokf.live.alarms import Level, resting_on
+from hygrokf.live.defaults import default_config
+from hygrokf.live.storage.store import Store, open_store
+from hygrokf.live.web.page_settings import PageSettings
+from hygrokf.live.web.views import fleet_view, turbine_view
+from hygrokf.report.blocks import Cards, Verdicts
+from hygrokf.report.climate_page import climate_blocks, climate_page
+from hygrokf.report.comparison_page import comparison_page, comparison_text
+from hygrokf.report.discovery_page import discovery_page
+from hygrokf.report.discovery_text import discovery_text, gain_sentence
+from hygrokf.report.evaluation_text import evaluation_text
+from hygrokf.report.transfer_page import transfer_page, transfer_text
+from hygrokf.transfer.comparison import compare, comparison_column
+from hygrokf.transfer.procedure import transfer_fit
+from hygrokf.transfer.results import transfer_results
+
+WHY = "the free run would choose another number"
+SAID_IN_BLOCKS = f"x thermal time constant, not to be believed: {WHY} – 1.50 h (1.40 … 1.60)"
+SAID = f"thermal time constant not to be believed, 1.50 h (1.40 … 1.60): {WHY}"
+
+
+def rejected(fit: Fit, part: str = "thermal") -> Fit:
+    """The fit with one number that is not to be believed and the other that is."""
+    entries = copy.deepcopy(dict(fit.to_json()["time_constants"]))
+    for name, entry in entries.items():
+        entry |= plain(Verdict())
+        if name == part:
+            entry |= {"value_h": 1.5, "lower_h": 1.4, "upper_h": 1.6}
+            entry |= plain(Verdict.of([Reason("criteria_disagree", REJECT, WHY, {"apart": 3.0})]))
+    return with_parts(fit, time_constants=entries)
+
+
+@pytest.fixture(scope="module")
+def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return write_case(synthetic_turbine(seed=5, days=12), tmp_path_factory.mktemp("turbine"))
+
+
+@pytest.fixture(scope="module")
+def record(case: Path) -> Record:
+    made = read_case(case)
+    return replace(made, until_s=made.start_s + 9 * 86400.0)
+
+
+@pytest.fixture(scope="module")
+def fit(record: Record) -> Fit:
+    return identify(record, starts=1, profiles=False)
+
+
+def struck(page: str) -> list[str]:
+    """What is struck through on a page."""
+    return [one.replace("&nbsp;", " ").replace("\xa0", " ") for one in re.findall(r"<s>(.*?)</s>", page)]
+
+
+# --- every command ---------------------------------------------------------------------------
+
+
+def test_simulate_and_evaluate(case: Path, record: Record, fit: Fit, tmp_path, capsys) -> None:
+    doubtful = rejected(fit)
+    file = write_fit(doubtful, tmp_path / "fit")
+    assert main(["simulate", str(file), str(case), "--out", str(tmp_path / "run.csv")]) == 0
+    assert f"x {SAID}" in capsys.readouterr().out
+    assert (tmp_path / "run.csv").read_text().startswith("time,")  # the file stays a plain table
+    for made in (simulation_summary(doubtful, record), evaluate(doubtful, record)):
+        found = plain(made)
+        assert found["verdicts"] == plain(inherited(doubtful.results))
+        assert found["verdicts"]["thermal"]["reasons"] == [
+            {"code": "criteria_disagree", "verdict": REJECT, "text": WHY, "apart": 3.0}
+        ]
+        assert json.loads(dump(found))["verdicts"]["hygric"]["verdict"] == BELIEVE
+    text = " ".join(evaluation_text(evaluate(doubtful, record)).split())
+    assert f"x thermal time constant, not to be believed: {WHY} – 1.50 h (1.40 … 1.60)" in text
+    assert "+ hygric time constant " in text
+
+
+def test_compare(record: Record, fit: Fit) -> None:
+    columns = [comparison_column(fit, record, "one"), comparison_column(rejected(fit), record, "other")]
+    found = compare(columns).results
+    assert [plain(one.verdicts) for one in found.columns] == [
+        plain(inherited(fit.results)),
+        plain(inherited(rejected(fit).results)),
+    ]
+    assert SAID_IN_BLOCKS in " ".join(comparison_text(found).split())
+    page = comparison_page(found)
+    assert struck(page) == ["1.50 h (1.40 … 1.60)"] and WHY in page
+
+
+def test_transfer(record: Record, fit: Fit) -> None:
+    made = transfer_fit(rejected(fit), record)
+    found = transfer_results([made])
+    assert found.source.verdicts["thermal"].verdict == REJECT
+    own = verdicts(made.adapted.results)
+    assert {part: one.verdict for part, one in made.results.verdicts.items()} == {
+        part: verdict.verdict for part, verdict in own.items()
+    }
+    text, page = transfer_text(found), transfer_page(found, [made.course])
+    assert SAID_IN_BLOCKS in " ".join(text.split()) and "1.50 h (1.40 … 1.60)" in struck(page)
+    # on its own record nothing is re-estimated: a number that was taken over keeps what speaks against it
+    assert made.adapted.to_json()["parameters"]["thermal_time_constant"]["fixed"]
+    assert own["thermal"].verdict == REJECT
+    assert any(reason.text == f"on {fit.name}: {WHY}" for reason in own["thermal"].reasons)
+    assert not any(
+        "on " + fit.name in reason.text for reason in verdicts(made.own.results)["thermal"].reasons
+    )
+
+
+def test_a_type_is_made_of_numbers_that_can_be_believed(fit: Fit) -> None:
+    constants = rejected(fit).to_json()["time_constants"]
+    good = replace(
+        with_parts(fit, time_constants=constants | {"thermal": constants["thermal"] | plain(Verdict())}),
+        name="a",
+    )
+    second, third = (replace(good, name=name) for name in "bc")
+    assert "thermal_time_constant" in pool_types([good, second, third]).parameters
+    doubtful = [replace(rejected(fit), name=name) for name in "bc"]
+    assert "thermal_time_constant" not in pool_types([good, *doubtful]).parameters
+    assert pool_types([good, second, doubtful[1]]).parameters["thermal_time_constant"].turbines == 2
+    assert pool_types([good, *doubtful]).parameters["hygric_k"].turbines == 3
+    with pytest.raises(TypeFault):
+        pool_types([good])
+
+
+def test_climate() -> None:
+    entry = {"value_h": 1.5, "lower_h": 1.4, "upper_h": 1.6}
+    reasons = [Reason("criteria_disagree", REJECT, WHY)]
+    constants = {"thermal": entry | plain(Verdict.of(reasons)), "hygric": entry | plain(Verdict())}
+    study = study_of(fit=known_fit(found={"time_constants": constants}), members=10)
+    assert study.verdicts["thermal"].verdict == REJECT
+    (region,) = study.regions
+    rests = "the model's thermal time constant, on which this rests, is not to be believed"
+    assert rests in region.statements
+    page = climate_blocks(study)
+    (cards,) = (block.cards for block in page.lead if isinstance(block, Cards))
+    assert {card.kind for card in cards} == {REJECT} and {card.reason for card in cards} == {sentence(rests)}
+    (numbers,) = (block for block in page.body if isinstance(block, Verdicts))
+    assert numbers.lines[0].struck == "1.50 h (1.40 … 1.60)" and WHY in numbers.lines[0].text
+    assert numbers in page.brief
+    believed = replace(study, verdicts={**study.verdicts, "thermal": study.verdicts["hygric"]})
+    assert "card reject" not in climate_page(believed)
+
+
+def test_discovery() -> None:
+    found = discovery_case()
+    reasons = [Reason("worse_than_rule", REJECT, WHY)]
+    found["baseline"]["time_constants"]["thermal"] |= plain(Verdict.of(reasons))
+    assert struck(discovery_page(found)) == ["1.36 h (1.31 … 1.41)"]
+    text = " ".join(discovery_text(found).split())
+    assert f"base model: x thermal time constant not to be believed, 1.36 h (1.31 … 1.41): {WHY}" in text
+    nothing = found | {"verdict": "none", "causes": [], "extended": None}
+    words = Page(discovery_page(nothing)).text
+    assert "Nothing is missing" not in words and "the model is not right" in words
+    # an extended model that is not to be believed does not tell how wrong the base was
+    found["extended"]["time_constants"]["thermal"] |= plain(Verdict.of(reasons))
+    words = Page(discovery_page(found)).text
+    assert "too long" not in words and "does not tell how wrong the base model's is" in words
+
+
+def row(name: str, value: float, verdict: str) -> dict:
+    return {
+        "turbine": name, "status": "done", "reason": "", "task": "fit", "record": name, "synthetic": False,
+        "thermal_value_h": value, "thermal_lower_h": 0.95 * value, "thermal_upper_h": 1.05 * value,
+        "thermal_verdict": verdict, "hygric_verdict": BELIEVE, "temperature_rmse_K": 1.2,
+    }  # fmt: skip
+
+
+def test_a_fleet_leaves_out_what_is_not_to_be_believed() -> None:
+    rows = [row(f"T{i}", 1.5 + 0.02 * i, BELIEVE) for i in range(6)]
+    rows += [row("T6", 9.0, REJECT), row("T7", 1.6, CAUTION)]
+    for task in TASKS:
+        assert {"thermal_verdict", "hygric_verdict"} <= set(columns_of(task))
+    constant = next(
+        one for one in spreads(rows, TASKS["fit"].compared) if one.compared.column == "thermal_value_h"
+    )
+    assert constant.rejected == ("T6",) and "T6" not in constant.turbines and "T7" in constant.turbines
+    words = Page(fleet_page({"task": "fit", "name": "park", "rows": rows})).text
+    assert "Thermal time constant: 6 to be believed, 1 with caution, 1 not to be believed" in words
+    assert "T6 not to be believed to be believed T7 with caution to be believed" in words
+    assert "Not to be believed, so not compared: thermal time constant of T6" in words
+    assert "9.00" not in words
+    line = next(one for one in fleet_text("fit", rows).splitlines() if one.startswith("T6"))
+    assert "not to be believed" in line and "9.00" not in line
+
+
+@pytest.fixture
+def store(tmp_path: Path) -> Iterator[Store]:
+    made = open_store(f"sqlite:{tmp_path / 'live.db'}")
+    made.add_turbines({"A": "digest", "B": "digest"})
+    yield made
+    made.close()
+
+
+def test_track(store: Store, fit: Fit, tmp_path: Path) -> None:
+    file = write_fit(rejected(fit), tmp_path / "fit")
+    config = default_config([file], ["stdin"], "sqlite:live.db", PageSettings("127.0.0.1", 8080))
+    (turbine,) = config.turbines.values()
+    assert turbine.verdicts["thermal"].verdict == REJECT
+    known = {"A": turbine.verdicts}
+    assert [(r["turbine"], r["model"]) for r in fleet_view(store, "AB", 0.0, known)] == [
+        ("A", REJECT),
+        ("B", None),
+    ]
+    model = turbine_view(store, "A", 0.0, 0.0, turbine.verdicts)["model"]
+    assert model["verdict"] == REJECT
+    thermal, hygric = model["numbers"]
+    assert (thermal["mark"], thermal["words"], thermal["why"]) == ("✕", "not to be believed", WHY)
+    assert (thermal["property"], hygric["property"], hygric["verdict"]) == (
+        "thermal_time_constant",
+        "hygric_k",
+        BELIEVE,
+    )
+    assert turbine_view(store, "B", 0.0, 0.0)["model"] == {"verdict": None, "numbers": []}
+
+
+def test_an_alarm_that_rests_on_a_rejected_number_says_so(fit: Fit) -> None:
+    known = inherited(rejected(fit).results)
+    tail = "; the model's thermal time constant, on which this rests, is not to be believed"
+    levels = [
+        Level("condensation", 0.9, "water condenses"),
+        Level("condensation", 0.1, ""),
+        Level("cabinet changed", 1.0, "loses heat", subject="thermal_time_constant"),
+        Level("cabinet changed", 1.0, "exchanges air", subject="hygric_k"),
+    ]
+    said = [one.statement for one in resting_on(levels, known)]
+    assert said == [f"water condenses{tail}", "", f"loses heat{tail}", "exchanges air"]
+    assert (
+        resting_on(levels, inherited(replace(fit.results, time_constants={})))
+        == levels
+        == resting_on(levels, {})
+    )
+
+
+# --- one number on every page ----------------------------------------------------------------
+
+
+def test_the_same_period_has_the_same_error_everywhere(record: Record, fit: Fit) -> None:
+    assert plain(evaluate(fit, record))["rmse"] == fit.to_json()["rmse"]
+    assert plain(evaluate(fit, record))["baselines"] == fit.to_json()["baselines"]
+    (first, _) = compare(
+        [comparison_column(fit, record, "a"), comparison_column(fit, record, "b")]
+    ).results.columns
+    for period in ("identification", "validation"):
+        for quantity, known in fit.to_json()["rmse"][period].items():
+            for regime in ("operation", "standstill", "total"):
+                one = first.scores[period][quantity][regime]
+                assert one.n == known["n"][regime]
+                if known[regime] is not None and np.isfinite(one.rmse):
+                    assert one.rmse == pytest.approx(known[regime], rel=1e-12)
+    moved = transfer_fit(fit, record, fits=False).results
+    for quantity, known in fit.to_json()["rmse"]["validation"].items():
+        table = moved.rmse[quantity]["as_is"]
+        if table.n.total == known["n"]["total"]:
+            assert table.total == pytest.approx(known["total"], rel=1e-9)
+        else:  # the page says that it scores what all sets and rules score
+            assert table.n.total < known["n"]["total"]
+
+
+def test_the_card_of_a_discovery_shows_the_errors_of_its_tables_and_says_what_the_gain_compares() -> None:
+    found = discovery_case()
+    base, wider = (found[w]["rmse"]["validation"]["temperature_K"]["total"] for w in ("baseline", "extended"))
+    gain = found["causes"][0]["gain"]
+    assert gain["rmse_before"] != base  # the gain is measured against a better simulator
+    page = discovery_page(found)
+    cards = re.findall(r"<p class=value>([^<]*K)</p>", page)
+    assert cards == [f"{base:.2f} → {wider:.2f} K"]
+    words = Page(page).text
+    assert (
+        f"as the better simulators that both can be: {gain['rmse_before']:.2f} → {gain['rmse_after']:.2f} K"
+        in words
+    )
+    assert f"they err by {base:.2f} and {wider:.2f} K" in gain_sentence(found["causes"][0])
+    gain |= {"rmse_before": base, "rmse_after": wider}
+    assert "better simulators that both" not in Page(discovery_page(found)).text

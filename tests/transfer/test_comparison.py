@@ -1,0 +1,253 @@
+"""Columns side by side: plain root mean squares, like compared with like, and what the command combines."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from builders.comparison_case import HOUR, made_column
+
+from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.commands.compare import labels_of, pairs_of
+from hygrokf.commands.console import UserFault
+from hygrokf.commands.main import main
+from hygrokf.data.record import Record
+from hygrokf.identification.fit import Fit
+from hygrokf.identification.procedure import identify
+from hygrokf.identification.results import ResultFault, write_fit
+from hygrokf.identification.tables import evaluate
+from hygrokf.report.blocks import Cards
+from hygrokf.report.comparison_page import (
+    comparison_blocks,
+    comparison_csv,
+    comparison_page,
+    comparison_text,
+    read_comparison,
+    scores_table,
+    summary,
+    write_comparison,
+)
+from hygrokf.report.figures.comparison import short_labels
+from hygrokf.transfer.comparison import (
+    ComparisonResults,
+    ErrorDifference,
+    PairDifference,
+    compare,
+    comparison_column,
+)
+
+
+def test_scores_are_plain_root_mean_squares() -> None:
+    one, two = made_column("a", 1), made_column("b", 2, scale=1.15)
+    found = compare([one, two]).results
+    on = one.course.operating
+    for period, mask in one.masks.items():
+        for regime, chosen in (("operation", on), ("standstill", ~on), ("total", True)):
+            error = one.errors["temperature_K"]
+            part = error[mask & chosen & np.isfinite(error)]
+            row = found.columns[0].scores[period]["temperature_K"][regime]
+            assert row.n == len(part) and row.rmse == pytest.approx(np.sqrt(np.mean(part**2)))
+    total, other = (column.total("whole", "temperature_K") for column in found.columns)
+    assert total.lower < total.rmse < total.upper
+    assert total.rules["no_dynamics"].skill == pytest.approx(0.75)
+    row = found.differences[0].total("whole", "temperature_K")
+    assert row.value == pytest.approx(total.rmse - other.rmse) and row.sure
+    # the errors go together: the difference is known far better than either error
+    assert row.upper < 0 and row.upper - row.lower < 0.8 * (total.upper - total.lower)
+    assert found.differences[0].same_readings == {"temperature_K": True}
+
+
+def test_only_common_instants_are_compared_and_other_readings_are_told() -> None:
+    one, late = made_column("a", 1), made_column("b", 2, shift_s=600 * HOUR)
+    row = compare([one, late]).results.differences[0].total("whole", "temperature_K")
+    a, b = one.errors["temperature_K"][600:], late.errors["temperature_K"][:600]
+    there = np.isfinite(a) & np.isfinite(b)
+    assert row.n == there.sum()
+    assert row.value == pytest.approx(np.sqrt(np.mean(a[there] ** 2)) - np.sqrt(np.mean(b[there] ** 2)))
+    apart = compare([one, made_column("b", 2, shift_s=0.5 * HOUR)]).results.differences[0]
+    assert apart.same_readings == {} and apart.scores["whole"] == {}
+    other = compare([one, made_column("b", 2, readings=2)]).results.differences[0]
+    assert other.same_readings == {"temperature_K": False}
+
+
+def test_columns_that_cannot_be_told_apart_or_scored_are_refused() -> None:
+    with pytest.raises(ValueError, match="several called a"):
+        compare([made_column("a", 1), made_column("a", 2)])
+    empty = replace(made_column("a", 1), errors={}, rules={})
+    with pytest.raises(ValueError, match="nothing to score"):
+        compare([empty])
+
+
+def test_the_table_holds_every_number_of_the_json() -> None:
+    found = compare([made_column("a", 1), made_column("b", 2, scale=1.15)]).results
+    rows = list(csv.DictReader(io.StringIO(comparison_csv(found))))
+    kinds = [row["kind"] for row in rows]
+    # two columns, three periods, three regimes
+    assert (
+        kinds.count("rmse") == kinds.count("rule") == kinds.count("skill") == 18
+        and kinds.count("difference") == 9
+    )
+    row = next(
+        r
+        for r in rows
+        if (r["kind"], r["column"], r["period"], r["regime"]) == ("rmse", "a", "whole", "total")
+    )
+    total = found.columns[0].total("whole", "temperature_K")
+    assert float(row["value"]) == pytest.approx(total.rmse, rel=1e-5) and int(row["n"]) == total.n
+    assert len(found.to_frame()) == len(rows)
+    assert found.to_frame().value.tolist() == pytest.approx([float(row["value"]) for row in rows], rel=1e-5)
+    table = scores_table(found, "temperature_K")
+    assert table.rows[0][:2] == ("a", "whole") and table.rows[0][4] == f"{total.rmse:.2f}"
+    assert table.heading in comparison_text(found)
+
+
+def test_page_is_written_again_from_the_files(tmp_path: Path) -> None:
+    found = compare([made_column("<a>", 1), made_column("b", 2, scale=1.4)])
+    page = write_comparison(found, tmp_path).read_text(encoding="utf-8")
+    assert "&lt;a&gt; errs by" in page and page.count("<svg") == 4
+    assert write_comparison(None, tmp_path).read_text(encoding="utf-8") == page
+    assert comparison_page(*read_comparison(tmp_path)) == page
+    (tmp_path / "compare.npz").unlink()  # as in results of earlier versions
+    assert write_comparison(None, tmp_path).read_text(encoding="utf-8").count("<svg") == 3
+    (tmp_path / "compare.json").write_text("{}")
+    with pytest.raises(ResultFault, match="run it again"):
+        write_comparison(None, tmp_path)
+
+
+def test_the_answer_is_the_column_that_errs_least() -> None:
+    found = compare([made_column("a", 1, scale=1.4), made_column("b", 2), made_column("c", 3, scale=2.0)])
+    (cards,) = (block for block in comparison_blocks(found.results).lead if isinstance(block, Cards))
+    (card,) = cards.cards
+    best = found.results.columns[1].total("validation", "temperature_K")
+    assert card.value == f"b: {best.rmse:.2f} K" and len(card.lines) == 2
+    assert all("b errs by" in line for line in card.lines)
+
+
+def test_long_labels_are_cut_but_told_apart() -> None:
+    same = "the turbine in the far north-east corner, "
+    assert short_labels(["short", f"{same}as it is"])[0] == "short"
+    cut = short_labels([f"{same}as it is", f"{same}without its power", f"{same}x{same}", f"{same}y{same}"])
+    assert len(set(cut)) == 4 and all(len(one) <= 33 for one in cut)
+
+
+def test_what_may_be_combined() -> None:
+    a, b, f, g = (Path(name) for name in ("a.toml", "b.toml", "f.json", "g.json"))
+    assert pairs_of([a, b], []) == [(a, None), (b, None)]
+    assert pairs_of([a, b], [f]) == [(a, f), (b, f)]
+    assert pairs_of([a], [f, g]) == [(a, f), (a, g)]
+    assert pairs_of([a, b], [f, g]) == [(a, f), (b, g)]
+    with pytest.raises(UserFault, match="found 3 cases and 2 fits"):
+        pairs_of([a, b, b], [f, g])
+
+
+def test_names_of_columns() -> None:
+    assert labels_of([], [("a", "f"), ("b", "f")]) == ["a", "b"]
+    assert labels_of([], [("a", "f"), ("a", "g")]) == ["f", "g"]
+    assert labels_of([], [("a", "f"), ("a", "f")]) == ["f on a (1)", "f on a (2)"]
+    assert labels_of(["x", "y"], [("a", "f"), ("a", "g")]) == ["x", "y"]
+    for given, word in (
+        (["x"], "expected 2 names"),
+        (["x", "x"], "names that differ"),
+        (["x", " "], "an empty one"),
+    ):
+        with pytest.raises(UserFault, match=word):
+            labels_of(given, [("a", "f"), ("a", "g")])
+
+
+@pytest.fixture(scope="module")
+def turbines(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Fit]:
+    """Two synthetic cases and the fit of the first."""
+    from hygrokf.cases.case_file import read_case
+
+    folder = tmp_path_factory.mktemp("turbines")
+    paths = [write_case(synthetic_turbine(seed=seed, days=16.0), folder / str(seed)) for seed in (21, 22)]
+    fit = identify(read_case(paths[0]), starts=1, profiles=False)
+    write_fit(fit, folder / "fit")
+    return paths[0], paths[1], fit
+
+
+def test_a_column_is_what_evaluate_says(turbines: tuple[Path, Path, Fit]) -> None:
+    from hygrokf.cases.case_file import read_case
+
+    record: Record = read_case(turbines[1])
+    found = compare([comparison_column(turbines[2], record, "x")]).results.columns[0].scores
+    theirs = evaluate(turbines[2], record)
+    for period in ("identification", "validation"):
+        for quantity in ("temperature_K", "absolute_humidity_g_m3"):
+            for regime in ("operation", "standstill", "total"):
+                ours = found[period][quantity][regime]
+                assert ours.rmse == pytest.approx(getattr(theirs.rmse[period][quantity], regime), nan_ok=True)
+                assert ours.n == getattr(theirs.rmse[period][quantity].n, regime)
+
+
+def test_a_column_without_a_score_says_why(turbines: tuple[Path, Path, Fit]) -> None:
+    from hygrokf.cases.case_file import read_case
+
+    record: Record = read_case(turbines[1])
+    idle = replace(record, series=tuple(one for one in record.series if one.signal != "active_power"))
+    columns = [comparison_column(turbines[2], one, name) for one, name in ((record, "a"), (idle, "b"))]
+    found = compare(columns).results
+    assert any("nothing to score" in said for said in found.columns[1].statements)
+    assert found.columns[1].total("whole", "temperature_K") is None
+    assert "b: Nothing to score" in comparison_text(found)
+
+
+def test_compare_and_transfer_from_the_command_line(
+    turbines: tuple[Path, Path, Fit], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    first, second, _ = turbines
+    fit = first.parent.parent / "fit" / "fit.json"
+    assert (
+        main(["compare", str(first), str(second), "--fit", str(fit), "--out", str(tmp_path / "c"), "--json"])
+        == 0
+    )
+    data = json.loads(capsys.readouterr().out)
+    assert [one["case"] for one in data["columns"]] == ["synthetic-turbine-21", "synthetic-turbine-22"]
+    assert {p.name for p in (tmp_path / "c").iterdir()} == {
+        "compare.json", "compare.csv", "compare.npz", "report.html"
+    }  # fmt: skip
+    assert main(["report", str(tmp_path / "c")]) == 0
+    assert main(["transfer", str(fit), str(second), "--out", str(tmp_path / "t")]) == 0
+    said = capsys.readouterr().out
+    assert "synthetic-turbine-21 on synthetic-turbine-22:" in said
+    assert (tmp_path / "t" / "synthetic-turbine-22" / "fit.json").is_file()
+    assert main(["report", str(tmp_path / "t")]) == 0
+    # mistakes of the user's: one line, no traceback, nothing written
+    assert main(["compare", str(first), "--fit", str(fit), "--out", str(tmp_path / "x")]) == 2
+    assert "at least two columns" in capsys.readouterr().err
+    assert main(["transfer", str(tmp_path / "none.json"), str(second), "--out", str(tmp_path / "x")]) == 2
+    assert "no such file" in capsys.readouterr().err and not (tmp_path / "x").exists()
+
+
+@pytest.mark.parametrize(
+    ("validation", "whole", "expected"),
+    [
+        ((-0.5, 0.2), (-0.4, 0.1), ["one errs by 0.50 K less than other in validation (95 % 0.30 … 0.70)."]),
+        ((0.3, None), (-0.4, 0.5), [
+            "other errs by 0.30 K less than one in validation; too few blocks for bounds.",
+            "one errs by 0.40 K less than other over the whole record; the bounds include no difference.",
+        ]),
+        (None, (0.1, None), ["other errs by 0.10 K less than one over the whole record; too few blocks for "
+                             "bounds."]),
+        (None, (0.001, None), [
+            "one and other differ by less than 0.01 K over the whole record; too few blocks for bounds."
+        ]),
+        (None, None, ["The columns have no common instants: compare their errors by their own bounds."]),
+    ],
+)  # fmt: skip
+def test_the_summary_says_what_is_sure(validation, whole, expected: list[str]) -> None:
+    """Validation alone where it has bounds; where it is too short for them, the whole record beside it."""
+    scores = {}
+    for period, row in (("validation", validation), ("whole", whole)):
+        if row is not None:
+            value, reach = row
+            ends = () if reach is None else (value - reach, value + reach)
+            scores[period] = {"temperature_K": {"total": ErrorDifference(100, value, *ends)}}
+    columns = compare([made_column("one", 1), made_column("other", 2)]).results.columns
+    pair = PairDifference("one", "other", {"temperature_K": True}, scores)
+    assert summary(ComparisonResults("", "", False, columns, (pair,)), "temperature_K", "one") == expected

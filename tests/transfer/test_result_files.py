@@ -1,0 +1,116 @@
+"""compare.json and transfer.json: earlier files are read, and faults are told with their places."""
+
+from __future__ import annotations
+
+import copy
+import json
+import math
+import pickle
+from pathlib import Path
+
+import numpy as np
+import pytest
+from golden.difference import read
+
+from hygrokf.data.result_file import ResultFault, read_result, result_text
+from hygrokf.data.structured import plain
+from hygrokf.transfer.comparison import ComparisonResults
+from hygrokf.transfer.course import Course, read_courses, write_courses
+from hygrokf.transfer.results import TransferResults
+
+FILES = {
+    ComparisonResults: "compared/compare.json",
+    TransferResults: "transferred/transfer.json",
+}
+
+
+@pytest.fixture(params=FILES, ids=lambda kind: kind.__name__)
+def kept(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[type, dict, Path]:
+    """The class of a result, the data of an earlier version, and a file to write to."""
+    return request.param, read("demo")["json"][FILES[request.param]], tmp_path / "result.json"
+
+
+def former(data: dict) -> dict:
+    """Data with the key `source` under its earlier name."""
+    moved = {"from" if key == "source" else key: value for key, value in data.items()}
+    return moved | ({"records": [former(one) for one in data["records"]]} if "records" in data else {})
+
+
+def test_files_of_earlier_versions_are_read_whole(kept: tuple[type, dict, Path]) -> None:
+    kind, data, path = kept
+    path.write_text(json.dumps(former(data)))
+    found = read_result(kind, path, "command")
+    assert former(json.loads(result_text(found))) == former(data)
+    (data["columns"] if "columns" in data else data["records"])[0].pop("verdicts")
+    path.write_text(json.dumps(data))  # as by still earlier versions
+    assert read_result(kind, path, "command").version == found.version
+    assert plain(pickle.loads(pickle.dumps(found))) == plain(found)
+
+
+def test_every_fault_is_told_with_its_place_and_the_version(kept: tuple[type, dict, Path]) -> None:
+    kind, data, path = kept
+    spoilt = copy.deepcopy(data) | {"version": "0.0.7"}
+    if kind is ComparisonResults:
+        spoilt["columns"][0]["scores"]["whole"]["temperature_K"]["total"]["n"] = "many"
+        del spoilt["differences"][0]["less"]
+        places = ("columns[0].scores.whole.temperature_K.total.n", "differences[0]")
+    else:
+        spoilt["records"][0]["verdict"] = "maybe"
+        spoilt["records"][0]["parameters"]["hygric_k"]["own"] = "large"
+        places = ("records[0].verdict", "records[0].parameters.hygric_k.own")
+    path.write_text(json.dumps(spoilt))
+    with pytest.raises(ResultFault, match=r"hygrokf 0\.0\.7; run it again") as fault:
+        read_result(kind, path, "command")
+    assert all(f"{place}" in str(fault.value) for place in places)
+
+
+@pytest.mark.parametrize("content", ["{}", "[1]", "not JSON", ""])
+def test_other_files_are_refused(kept: tuple[type, dict, Path], content: str) -> None:
+    kind, _, path = kept
+    with pytest.raises(ResultFault, match="No such file"):
+        read_result(kind, path, "command")
+    path.write_text(content)
+    with pytest.raises(ResultFault, match="run it again"):
+        read_result(kind, path, "command")
+
+
+def test_results_become_frames(kept: tuple[type, dict, Path]) -> None:
+    kind, data, path = kept
+    path.write_text(json.dumps(data))
+    found = read_result(kind, path, "command")
+    if kind is ComparisonResults:
+        frame = found.to_frame()
+        assert set(frame.kind) == {"rmse", "rule", "skill", "difference"} and frame.n.min() > 0
+        return
+    (one,) = found.records
+    frame = one.to_frame()
+    assert list(frame.index) == list(one.parameters)
+    assert frame.loc["hygric_k", "own"] == one.parameters["hygric_k"].own
+    assert math.isnan(frame.loc["hygric_diffusion", "difference"])
+    assert str(one) == "synthetic-turbine-31 on synthetic-turbine-32: transfers"
+
+
+def course() -> Course:
+    time = 1e9 + 3600.0 * np.arange(5)
+    on = np.array([True, False, True, True, True])
+    value = {"temperature_K": np.array([280.0, np.nan, 281.0, 282.0, 283.0])}
+    return Course(time, math.nan, on, ~on, value, {"as_is": value, "simulated": {}})
+
+
+def test_courses_come_back_and_damaged_ones_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "courses.npz"
+    write_courses([course(), course()], path)
+    again = read_courses(path, 2, "command")[1]
+    np.testing.assert_array_equal(
+        again.simulated["as_is"]["temperature_K"], course().measured["temperature_K"]
+    )
+    assert again.scored.tolist() == course().scored.tolist() and math.isnan(again.until_s)
+    with pytest.raises(ResultFault, match="2 records where 3"):
+        read_courses(path, 3, "command")
+    bad = course().arrays() | {"temperature_K_as_is": np.zeros(3), "until_s": np.zeros(2)}
+    del bad["scored"]
+    with pytest.raises(ValueError, match=r"scored: .*; temperature_K_as_is: expected 5 .*; until_s: "):
+        Course.from_arrays(bad)
+    path.write_bytes(path.read_bytes()[:100])
+    with pytest.raises(ResultFault, match="run it again"):
+        read_courses(path, 2, "command")
