@@ -1,26 +1,40 @@
-"""The public names: each is there, known to a type checker, described, and not a module of the package."""
+"""The public names: each is there, known to a type checker, described, in the reference, and not a module."""
 
 from __future__ import annotations
 
 import ast
 import inspect
-from pathlib import Path
+import re
 
 import pytest
+from builders.documents import ROOT
 
 import hygrokf
 
+NAMES = sorted(set(hygrokf.__all__) - {"__version__"})
 
-@pytest.mark.parametrize("name", sorted(hygrokf.__all__))
+
+@pytest.mark.parametrize("name", NAMES)
 def test_a_public_name_leads_to_what_is_described(name: str) -> None:
     found = getattr(hygrokf, name)
     assert not inspect.ismodule(found)
-    if name != "__version__":
-        assert len(inspect.getdoc(found) or "") > 20
+    described = inspect.getdoc(found) or ""
+    assert len(described) > 60
+    if inspect.isfunction(found):
+        assert "Returns" in described and "Raises" in described
+
+
+def test_the_reference_uses_every_public_name_and_lists_it() -> None:
+    """test_docs.py runs its examples."""
+    text = (ROOT / "docs" / "reference.md").read_text(encoding="utf-8")
+    code = "\n".join(re.findall(r"^```python\n(.*?)^```", text, flags=re.DOTALL | re.MULTILINE))
+    rows = "\n".join(line.split("|")[1] for line in text.splitlines() if line.startswith("| `"))
+    assert sorted(set(re.findall(r"hygrokf\.(\w+)", code)) & set(NAMES)) == NAMES
+    assert sorted(set(re.findall(r"`(\w+)", rows))) == NAMES
 
 
 def test_a_type_checker_knows_every_public_name() -> None:
-    tree = ast.parse(Path(hygrokf.__file__).read_text(encoding="utf-8"))
+    tree = ast.parse((ROOT / "hygrokf" / "__init__.py").read_text(encoding="utf-8"))
     checked = next(
         node for node in tree.body if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
     )
@@ -33,11 +47,23 @@ def test_a_type_checker_knows_every_public_name() -> None:
     assert declared == hygrokf._WHERE
 
 
-@pytest.mark.parametrize("former", sorted(hygrokf._FORMER))
-def test_a_former_name_is_told_its_new_one(former: str) -> None:
-    with pytest.raises(AttributeError, match=f"hygrokf.{former} is called hygrokf.{hygrokf._FORMER[former]}"):
+@pytest.mark.parametrize("former", sorted(hygrokf._RENAMED))
+def test_a_renamed_name_is_told_its_new_one(former: str) -> None:
+    with pytest.raises(
+        AttributeError, match=f"hygrokf.{former} is called hygrokf.{hygrokf._RENAMED[former]}"
+    ):
         getattr(hygrokf, former)
-    assert hygrokf._FORMER[former] in hygrokf.__all__
+    assert hygrokf._RENAMED[former] in hygrokf.__all__
+
+
+@pytest.mark.parametrize("former", sorted(hygrokf._MOVED))
+def test_a_name_that_moved_is_told_the_import_that_finds_it(former: str) -> None:
+    with pytest.raises(AttributeError) as told:
+        getattr(hygrokf, former)
+    statement = str(told.value).rpartition(": ")[2]
+    found: dict[str, object] = {}
+    exec(statement, found)
+    assert found[statement.split()[-1]].__doc__
 
 
 def test_an_unknown_name_is_an_error_with_the_known_ones() -> None:

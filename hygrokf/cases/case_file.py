@@ -33,13 +33,13 @@ class CaseFault(FormFault):
 
 
 def read_case(path: str | os.PathLike[str], *, cabinet: bool = True, ambient: bool = True) -> Record:
-    """Record of a case file: sources read, units in SI, clocks in UTC, doubtful readings masked.
+    """Read the record that a case file describes, in SI units and UTC, with doubtful readings masked.
 
-    path: the TOML file; the files it names are relative to it. docs/case_file.md describes its form.
+    path: the TOML file; the files that it names are relative to it.  docs/case_file.md describes its form.
     cabinet: whether a cabinet signal to identify is required; False for drivers alone.
     ambient: whether an ambient temperature is required; False for a power alone.
 
-    The record's `warnings` list what was masked or repaired.
+    Returns the record; its `warnings` list what was masked or repaired.
     Raises CaseFault with all faults of the case file and of every source.
     """
     file = Path(path)

@@ -427,12 +427,15 @@ def synthetic_turbine(
     start: str = START,
     parameters: SyntheticParameters | None = None,
 ) -> SyntheticTurbine:
-    """A synthetic turbine: three logger tables and the truth behind them.
+    """Simulate a turbine whose time constants are known.
 
-    seed: the same seed gives the same turbine. days: [d] length of the record, at least 2; the
-    default runs from 15 July to 31 January like the paper's, and identification ends 31 days
-    (in records under 200 days: 15 % of the length) before the end. start: UTC, ISO 8601
-    without offset. parameters: the cabinet; None is the default one.
+    seed: the same seed gives the same turbine.
+    days: [d] length of the record, at least 2.  The default runs from 15 July to 31 January as in the paper;
+        identification ends 31 days before the end (in records under 200 days: 15 % of the length).
+    start: first instant, UTC, ISO 8601 without an offset.
+    parameters: of the cabinet; None for the default cabinet.
+
+    Returns tables of cabinet, ambient and SCADA logger, and the truth behind them.
     Raises ValueError for fewer than 2 days.
     """
     if not days >= 2.0:
@@ -537,10 +540,11 @@ def _csv(table: SyntheticTable) -> str:
 
 
 def write_case(turbine: SyntheticTurbine, directory: str | Path) -> Path:
-    """Write cabinet.csv, ambient.csv, scada.csv and case.toml; return the path of case.toml.
+    """Write a synthetic turbine as cabinet.csv, ambient.csv, scada.csv and case.toml.
 
     directory: made if absent; files of these names in it are replaced, the case file last.
-    Raises OSError where the directory cannot be written.
+
+    Returns the path of case.toml.  Raises OSError where the directory cannot be written.
     """
     folder = Path(directory)
     folder.mkdir(parents=True, exist_ok=True)

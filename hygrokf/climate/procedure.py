@@ -55,11 +55,17 @@ def climate_profile(
 ) -> Study:
     """The climate in a fitted cabinet under the weather of regions.
 
+    regions: weather of each place, as records.
     power: a record with active power, a power curve for the weather's wind, or None for standstill all year.
-    limits: of a specification.  plan: of a test profile, with its law of acceleration.  members: of the
-    ensemble.  seed: of the drawn parameters and disturbances.  surface: the coldest one in the cabinet.
-    Of several years those with less than `WHOLE` of their hours known are left out.
+    limits: of a specification.
+    plan: of a test profile, with its law of acceleration.
+    members: of the ensemble, at least 2.
+    seed: of the drawn parameters and disturbances.
+    surface: the coldest one in the cabinet.
+    progress: is told each step in words.
 
+    Returns hours, temperatures [°C], relative [%] and absolute humidities [g/m³] a year by region and scope,
+    with bounds.  Of several years those with less than `WHOLE` of their hours known are left out.
     Raises ValueError, and PowerFault where weather and power do not suffice for the model.
     """
     if not regions:

@@ -341,7 +341,7 @@ class Record:
         Where several frames have columns of the same name, nest the mappings from columns in mappings from
         frames: units={"cabinet": {"T": "degC"}, "mast": {"T": "K"}}.
 
-        The record's `warnings` list what was masked or repaired.  Raises hygrokf.CaseFault with all faults.
+        The record's `warnings` list what was masked or repaired.  Raises CaseFault with all faults.
         """
         from hygrokf.cases.frames import record_from_frames
 

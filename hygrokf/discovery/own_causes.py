@@ -58,13 +58,19 @@ def cause_of(
     needs: Sequence[str] = (),
     alone: float = math.inf,
 ) -> Cause:
-    """A cause that is one mechanism of the thermal part, of the hygric part, or one of each, in one form.
+    """A cause that is one mechanism of the thermal part, of the hygric part, or one of each.
 
-    `thermal`, `hygric` factories, called without arguments; `starts` values of parameters to start from
-    (several are tried, the best is followed); `features` inputs that are no signals: (function(record, time),
-    hold) for one's own, settings for the package's (`{"standstill": {}}`); `needs` signals that one's own
-    features read.  On a record that lacks a signal the cause is not tried.  For grids of dates or thresholds
-    make a `Cause` with `variants` of your own.
+    name: identifier.  thermal, hygric: factories of the mechanism, called without arguments.
+    meaning, remedy, separate_by: one sentence each: what the cause is, what to check in the turbine, and
+        which measurement tells it from its rivals.
+    starts: values of parameters to start from; several are tried, the best is followed.
+    features: inputs that are no signals: (function(record, time), hold) for one of your own, settings for one
+        of the package's (`{"standstill": {}}`).
+    needs: signals that your own features read.  On a record that lacks one the cause is not tried.
+    alone: gain in evidence that is enough without a better free run.
+
+    Returns the cause, for the `library` of `discover`.  For grids of dates or thresholds make a `Cause` with
+    `variants` of your own.  Raises ValueError without a factory, TypeError where one returns no mechanism.
     """
     factories = {part: one for part, one in ((THERMAL, thermal), (HYGRIC, hygric)) if one is not None}
     if not factories:
@@ -184,10 +190,13 @@ def _doubles(pairs: Sequence[tuple[str, Cause]]) -> list[str]:
 
 # -- from files and packages ---------------------------------------------------------------------------------
 def load_library(*files: str | Path, installed: bool = False) -> tuple[Cause, ...]:
-    """Causes of Python files (every `Cause` at their top level), adopted; with `installed` those of packages
-    too.
+    """Read causes of a user's from Python files.
 
-    The files are executed.  Raises LibraryFault with the faults of all of them.
+    paths: each file defines one `Cause` or several at its top level (`cause_of` makes them).
+
+    Returns the causes, in the order of the files, for the `library` of `discover`.  Their mechanisms are
+    known from then on, so that `read_fit` reads models with them.
+    Raises LibraryFault with all faults of all files.
     """
     faults: list[str] = []
     found: list[tuple[str, Cause, Cause, Origin]] = []

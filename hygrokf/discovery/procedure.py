@@ -74,10 +74,18 @@ def discover(
 ) -> Discovery:
     """Find what the identified model of a record lacks, and name the cause out of a library.
 
-    Everything is chosen on the identification period; the validation period refutes, and gives the reported
-    gain. `budget_s` [s] of wall-clock time: what was not tried by then is said (`not_tried`); `math.inf` for
-    results that do not depend on the machine.  Raises ValueError as `identify` does, and LibraryFault for
-    causes of a user's that cannot take part.
+    All choices use the identification period; the validation period can refute them, and gives the reported
+    gain.
+
+    record: as for `identify`.
+    library: the causes to try; `load_library` reads further ones from a file.
+    starts: number of start points of each maximisation.
+    progress: is told each step in words.
+    budget_s: [s] of wall-clock time.  `not_tried` of the results lists what was left out; `math.inf` gives
+        results that do not depend on the machine.
+
+    Returns the base fit, the extended fit where a cause was accepted, and `results` as in discovery.json.
+    Raises ValueError as `identify` does, and LibraryFault for causes of a user's that cannot take part.
     """
     budget = Budget(budget_s)
     adopt(library)

@@ -46,13 +46,17 @@ def confidence_bounds(
     method: str = "profile",
     level: float = 0.95,
 ) -> dict[str, Bounds]:
-    """Bounds of free parameters [each in its unit] by one method; by default of all free parameters.
+    """Bounds of free parameters by one method, by default of all of them.
 
-    `method`: "profile" re-estimates all other parameters along the way, with a threshold widened by the
-    sandwich factor (`confidence.profile`); "wald" uses the observed information; "sandwich" uses the
-    covariance that remains valid under a wrong model.  The last two are symmetric in the parameter's
-    coordinate, which is the logarithm of a positive parameter.
+    likelihood, estimate: the estimate that `maximise` made from this likelihood.
+    names: of the parameters.
+    method: "profile" re-estimates all other parameters along the way, with a threshold widened by the
+        sandwich factor (`confidence.profile`); "wald" uses the observed information; "sandwich" uses the
+        covariance that remains valid under a wrong model.  The last two are symmetric in the parameter's
+        coordinate, which is the logarithm of a positive parameter.
+    level: of confidence, between 0 and 1.
 
+    Returns `lower` and `upper` by name, in the parameters' units; NaN for an open end.
     Raises ValueError for an unknown method or level, and for names that are not free parameters.
     """
     free = estimate.coordinates.names
@@ -104,10 +108,13 @@ def system_time_constants(
     with the Jacobian A (n, n) [1/h], its left and right eigenvectors w and v, and the covariance V of the
     coordinates z, the wider of Wald and sandwich.  Parameters at a bound count as known.
 
-    A linear model has a single Jacobian.  A nonlinear one is linearised at `state` and `inputs`; values not
-    given there are the means of the filtered states and the medians of the inputs over the record.  `known`:
-    the estimate's uncertainty, if already computed.  Raises ValueError for names that the model does not
-    have.
+    level: of confidence.
+    state, inputs: where a nonlinear model is linearised; values not given there are the means of the filtered
+        states and the medians of the inputs over the record.
+    known: the estimate's uncertainty, if already computed.
+
+    Returns values with bounds [h] and the states that take part.
+    Raises ValueError for names that the model does not have.
 
     Source: Golub & Van Loan, Matrix Computations, section 7.2.2 (derivatives of eigenvalues); Pérez-Arriaga,
     Verghese & Schweppe 1982 (participation factors).

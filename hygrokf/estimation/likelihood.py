@@ -25,6 +25,7 @@ from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion, traced
 from hygrokf.physics.expression import Value, is_zero
 from hygrokf.physics.model import Model
+from hygrokf.physics.parameters import expect_values
 
 CHUNK = 4096
 """Number of instants for which sensitivities are held in memory at a time."""
@@ -53,9 +54,8 @@ class Gaussian:
 
 @dataclass(frozen=True)
 class Sensitivities:
-    """Log-likelihood, its score (r,) and expected information (r, r) along r directions.
-
-    `scores` (T, r): each instant's share of the score, if requested."""
+    """Log-likelihood, its score (r,) and expected information (r, r) along r directions; `scores` (T, r):
+    each instant's share of the score, if requested."""
 
     loglik: float
     score: np.ndarray
@@ -86,11 +86,9 @@ class Trace:
 
 @dataclass(frozen=True)
 class _Steps:
-    """Division of the steps for given parameter values.
-
+    """Division of the steps for given parameter values:
     `keys` (distinct steps, 1 + regimes) with the length of a sub-step [h], `parts` their number; `long` the
-    instants that a long step leads to, of which the loops take the last `tail_h` [h].
-    """
+    instants that a long step leads to, of which the loops take the last `tail_h` [h]."""
 
     keys: np.ndarray
     parts: np.ndarray
@@ -105,14 +103,19 @@ class _Steps:
 
 @dataclass(frozen=True)
 class Likelihood:
-    """The likelihood of one model on one timeline.
+    """The likelihood of the innovations of one model on one timeline.
 
-    `initial`: "prior" (each mechanism's own), "stationary" (steady state at the first inputs), "diffuse"
-    (exact, for the states named in `diffuse_states`, by default all; the others keep their prior), or a
-    `Gaussian`. `rate_step`: largest product of the fastest rate and a sub-step, in place of the
-    discretisation's own: a search may take longer sub-steps at the expense of the last digits.  `fastest`:
-    the model's fastest rate [1/h], in place of the bound derived from the timeline's inputs, so that no step
-    depends on the rest of the run.
+    initial: "prior" (each mechanism's own), "stationary" (steady state at the first inputs), "diffuse"
+        (exact, for the states named in `diffuse_states`, by default all; the others keep their prior), or a
+        `Gaussian`.
+    rate_step: largest product of the fastest rate and a sub-step, in place of the discretisation's own: a
+        search may take longer sub-steps at the expense of the last digits.
+    fastest: the model's fastest rate [1/h], in place of the bound derived from the timeline's inputs, so that
+        no step depends on the rest of the run.
+
+    `value` gives ln L, `sensitivities` its score and information, `trace` all moments of the filter.  Raises
+    ValueError for an unknown `initial`, unknown diffuse states and parameters without a value, RatesFault
+    where rates are not finite or too fast for any step.
     """
 
     model: Model
@@ -152,6 +155,7 @@ class Likelihood:
     def _bounds(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None) -> list[float]:
         """Upper bound of the rate of each state [1/h] (n,)."""
         r = self.recursion
+        expect_values(self.model.parameters, values)
         known: dict[str, Value] = {f"p:{name}": v for name, v in values.items()}
         if self._rate_moves:
             corners = self.timeline.corners if inputs is None else inputs
@@ -298,8 +302,7 @@ class Likelihood:
         matrix = self.jacobian(values, mean, u)
         if np.linalg.eigvals(matrix).real.max() >= 0:
             raise ValueError(
-                "initial='stationary': the model has no stationary state; use 'prior', 'diffuse' or a "
-                "Gaussian"
+                "initial: the model has no stationary state; use 'prior', 'diffuse' or a Gaussian"
             )
         eye = np.eye(n)
         flat = np.linalg.solve(np.kron(matrix, eye) + np.kron(eye, matrix), -noise.reshape(-1))
@@ -401,10 +404,7 @@ class Likelihood:
         return self._loglik(out)
 
     def controlled(
-        self,
-        values: Mapping[str, float],
-        controls: Mapping[Control, tuple[float, float]],
-        idle: np.ndarray,
+        self, values: Mapping[str, float], controls: Mapping[Control, tuple[float, float]], idle: np.ndarray
     ) -> np.ndarray:
         """Positions (T, c) of controls in the step to each instant, in a free run that they drive themselves.
 

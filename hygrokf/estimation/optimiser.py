@@ -381,14 +381,20 @@ def maximise(
 ) -> Estimate:
     """Maximum likelihood from several starts; other optima are reported too.
 
-    `values` are start values of some parameters, `fixed` those to hold, `count` the number of starts (see
-    `starts`), `more_starts` further complete starts.  Short climbs run from every start, on a shorter stretch
-    of the record if `search` gives one; those that lead to different places are continued to the end on the
-    whole record.
+    likelihood: of the model on its readings.
+    values: start values of some parameters; the others begin at their own start.
+    fixed: parameters to hold, with their values.
+    count: number of starts (see `starts`); more_starts: further complete ones.
+    search: likelihood on a shorter stretch, for the short climbs that run from every start; those that lead
+        to different places are continued to the end on the whole record.
+    parents: estimates, on the same readings, of models that this one contains, exactly or as a limit.  Climbs
+        also begin from each of them (see `nested_starts`), and an estimate less likely than a parent's is
+        never called converged.
+    budget: filter steps per instant of the record for each climb.
+    progress: is told each step in words.
 
-    `parents`: estimates, on the same readings, of models that this one contains, exactly or as a limit.
-    Climbs also begin from each of them (see `nested_starts`), and an estimate less likely than a parent's is
-    never called converged. `budget`: filter steps per instant of the record for each climb.
+    Returns the estimate: `values` in the parameters' units, `loglik`, `converged` and `message`, `others`.
+    Raises KeyError for unknown names in `fixed`.
     """
     coordinates = Coordinates(likelihood.model.parameters, fixed)
     objective = Objective(likelihood, coordinates)

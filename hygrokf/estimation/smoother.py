@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
+from hygrokf.physics.parameters import expect_values
 
 if TYPE_CHECKING:
     from filterpy.kalman import ExtendedKalmanFilter
@@ -20,13 +21,19 @@ if TYPE_CHECKING:
 def smooth(
     likelihood: Likelihood, values: Mapping[str, float], covariance: bool = True
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Smoothed means (T, n) and covariances (T, n, n): every state given all readings.
+    """States given all readings of the timeline.
+
+    likelihood: of the model on its timeline, with T instants and n states.  values: of all parameters.
+    covariance: False leaves the second array empty.
+
+    Returns smoothed means (T, n) and covariances (T, n, n), in the states' units.  Raises ValueError for
+    values that the model does not have.
 
     Modified Bryson–Frazier recursion, which needs no inverse of a covariance: with C_j = I − K_j H_j of the
     readings j of an instant and Φ the transition to it, backwards
         λ⁻ = C' λ − H' e/S,   Λ⁻ = C' Λ C + H' H/S  (reading by reading),   λ = Φ' λ⁻,   Λ = Φ' Λ⁻ Φ,
         m^s = m⁻ − P⁻ λ⁻,     P^s = P⁻ − P⁻ Λ⁻ P⁻.
-    A running mean passes nothing across its reset.  Without `covariance` the second array is empty.
+    A running mean passes nothing across its reset.
     Source: Bierman 1973, doi:10.1016/0005-1098(73)90051-4.
     """
     found = likelihood.trace(values)
@@ -100,14 +107,19 @@ def _carried(likelihood: Likelihood) -> np.ndarray:
 
 
 def filterpy_filter(likelihood: Likelihood, values: Mapping[str, float]) -> ExtendedKalmanFilter:
-    """The model as a `filterpy.kalman.ExtendedKalmanFilter`, positioned before the first instant of the
-    timeline.
+    """The model as a `filterpy.kalman.ExtendedKalmanFilter`, positioned before the first instant.
 
-    It adds two methods to filterpy's: `advance(k)` predicts to instant k; `observe(k)` applies the readings
-    of instant k one after the other (missing ones are left out) and returns their log-likelihood.  All matrix
-    algebra is filterpy's; the nonlinear prediction, its Jacobian F and the noise Q come from the model.
+    likelihood: of the model on its timeline, with n states.  values: of all parameters.
+
+    Returns filterpy's filter with x (n,) and P (n, n) in the states' units, and two more methods:
+    `advance(k)` predicts to instant k; `observe(k)` applies the readings of instant k one after the other
+    (missing ones are left out) and returns their log-likelihood.  All matrix algebra is filterpy's; the
+    nonlinear prediction, its Jacobian F and the noise Q come from the model.  Raises ValueError for
+    parameters without a value.
     """
     from filterpy.kalman import ExtendedKalmanFilter
+
+    expect_values(likelihood.model.parameters, values)
 
     class ModelFilter(ExtendedKalmanFilter):
         """filterpy's filter with this model's prediction."""

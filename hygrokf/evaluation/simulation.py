@@ -195,11 +195,17 @@ def simulate(
     covariance: tuple[Sequence[str], np.ndarray] | None = None,
     rate_step: float | None = None,
 ) -> Prediction:
-    """The model driven by its inputs alone from the start of the run to its end, with the predictive spread.
+    """The free run: the model driven by its inputs alone, from the start of the run to its end.
 
-    Switches follow the simulated readings (`self_switching`), and the spread takes their course as given.
-    `covariance` (names, (r, r) in the parameters' units) adds the parameters' uncertainty to first order;
-    `rate_step` as in `Likelihood`.
+    design, values: model and parameter values (`fit.design`, `fit.values`).
+    run: of `prepare_run`, with T instants.
+    covariance: (names, (r, r) in the parameters' units) adds the parameters' uncertainty to first order.
+    rate_step: as in `Likelihood`.
+
+    Returns `temperature` [K], `relative_humidity` [1], `absolute_humidity` [g/m³], each as (mean, standard
+    deviation), both (T,), or None where the model has no such output.  Switches follow the simulated readings
+    (`self_switching`); the spread takes their course as given.  Raises ValueError for parameters that the
+    model does not have.
     """
     run = self_switched(design, values, [run])[0]
     blind = run.timeline.with_readings(np.full_like(run.timeline.y, np.nan))
@@ -261,10 +267,14 @@ def forecast(
     count: int = 250,
     rate_step: float | None = None,
 ) -> dict[float, dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]]:
-    """Forecasts from filtered states at `count` instants after instant `first`: (reading, prediction, sd) by
-    lead.
+    """Forecasts from filtered states at instants of a run, compared with the readings that came.
 
-    Inputs are those of the record (a perfect weather forecast); readings after the start are not used.
+    first: instant after which forecasts start; `count` of them, spread evenly.  leads_h: how far ahead [h].
+    Inputs are those of the record (a perfect weather forecast); readings after a start are not used.
+
+    Returns by lead and quantity ("temperature_K", …) the arrays (reading, prediction, standard deviation),
+    one element per forecast; empty where fewer than ten instants have readings.  Raises ValueError for
+    parameters that the model does not have.
     """
     t = run.timeline
     likelihood = Likelihood(design.model, t, rate_step=rate_step)

@@ -54,14 +54,19 @@ def run_fleet(
     cluster: str | None = None,
     say: Callable[[Outcome, bool], None] = lambda found, known: None,
 ) -> Result:
-    """Do what a plan states for every turbine, and write `fleet.csv`, `fleet.parquet`, `fleet.json` and
-    `report.html`.
+    """Do what a plan states for every turbine.
 
-    out: directory of the results; each turbine's are in `turbines/NAME`.  workers: processes on this machine
-    (default: one a core); cluster: address of a Dask scheduler, whose workers see the same files under the
-    same paths.  say: told of each outcome as it comes, and whether it was on disk already.  Work is known by
-    its content: what was done with the same files, options and version is not done again; what failed is
-    tried again.  The table is the same whatever does the work.  Raises FleetFault where there is no cluster.
+    plan: of a fleet's file (`fleet.plan.read_plan`).
+    out: directory of fleet.csv, fleet.parquet, fleet.json and report.html; results of each turbine are in
+        `turbines/NAME`.
+    workers: processes on this machine, by default one per core.
+    cluster: address of a Dask scheduler, whose workers see the same files under the same paths.
+    say: is told each outcome as it comes, and whether it was on disk already.
+
+    What was done with the same files, options and version is not done again; what failed is tried again.
+
+    Returns the outcomes, and the path of the table, which is the same whatever does the work.
+    Raises FleetFault where there is no cluster.
     """
     jobs = plan.jobs(out)
     out.mkdir(parents=True, exist_ok=True)

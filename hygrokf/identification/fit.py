@@ -18,7 +18,9 @@ from hygrokf.modelling.design import Design
 class Fit:
     """An identified model: everything needed to repeat it and to use it elsewhere.
 
-    `design` and `values` make the model; `results` is what `fit.json` says; `series` the arrays for figures.
+    `design`, `values`: the model, and its parameters in their units.  `results`: what `fit.json` says; time
+    constants [h] with bounds in `results.time_constants`, errors and verdicts beside them.  `series`: arrays
+    for figures.  A fit can be pickled; `write_fit` and `read_fit` keep it in files.
     """
 
     name: str

@@ -74,13 +74,22 @@ def identify(
     progress: Progress | None = None,
     prior: Callable[[Design], Mapping[str, Prior]] | None = None,
 ) -> Fit:
-    """Identify the thermal and, where there is humidity, the hygric model of a record.
+    """Identify the thermal model of a record, and the hygric one where the record has humidity.
 
-    Everything is chosen and estimated on the identification period; the validation period is only scored.
-    `criterion`: "likelihood" (innovations) or "simulation" (free run, as in the paper) determines the
-    reported values; the time constants of both are always shown.  `kind`: "joint" or "cascade".  `prior`:
-    priors of parameters for a design, from other turbines of the type (`TurbineType.prior`).  Raises
-    ValueError for unknown options and for records from which nothing can be identified.
+    All choices and estimates use the identification period; the validation period is only scored.
+
+    record: with cabinet temperature, ambient temperature and, better, power.
+    criterion: "likelihood" (of the innovations) or "simulation" (free run, as in the paper) gives the
+        reported values; `results` has the time constants of both.
+    kind: "cascade" estimates the thermal model first and the hygric one with its temperatures, "joint" both
+        at once.
+    starts: number of start points of the maximisation.
+    profiles: whether to compute profile-likelihood bounds.
+    progress: is told each step in words.
+    prior: gives priors of a design's parameters, from other turbines of the type (`TurbineType.prior`).
+
+    Returns the fit: time constants [h] with bounds in `results.time_constants`.
+    Raises ValueError for unknown options, and for records from which nothing can be identified.
     """
     if kind not in (JOINT, CASCADE):
         raise ValueError(f"kind: expected {JOINT!r} or {CASCADE!r}, found {kind!r}")

@@ -36,10 +36,12 @@ class LibraryAbsent(ResultFault):
 
 
 def write_fit(fit: Fit, directory: str | os.PathLike[str]) -> Path:
-    """Write `fit.json` and `series.npz`; returns the path of fit.json.
+    """Write a fit as `fit.json` and `series.npz`.
 
-    Pages and a discovery of earlier results in the directory are removed first, because they belong to other
-    numbers. Raises OSError from the system.
+    directory: made if absent; pages and a discovery of earlier results in it are removed first, because they
+        belong to other numbers.
+
+    Returns the path of fit.json.  Raises OSError from the system.
     """
     directory = Path(directory)
     text, buffer = dump(fit.to_json()), io.BytesIO()
@@ -58,9 +60,12 @@ def dump(result: object) -> str:
 
 
 def read_fit(path: str | os.PathLike[str]) -> Fit:
-    """A fit from fit.json (or its directory); raises ResultFault with the reason and the remedy.
+    """Read a fit that `write_fit` or `hygrokf fit` wrote.
 
-    Users' mechanisms in the model must be loaded before (`load_library`); otherwise raises LibraryAbsent.
+    path: of fit.json, or of its directory.
+
+    Returns the fit.  Raises ResultFault with the reason and the remedy, and LibraryAbsent where the model has
+    mechanisms of a user's that are not loaded (`load_library`).
     """
     path = Path(path)
     file = path / FIT if path.is_dir() else path

@@ -137,7 +137,12 @@ def _unknown_throughout(fit: Fit, record: Record, made: Run) -> list[str]:
 
 
 def evaluate(fit: Fit, record: Record) -> Evaluation:
-    """Scores, baselines, sensor share and band coverage of a fit on a record."""
+    """Score a fit on a record: the free run, simple rules beside it, and the coverage of the 95 % bands.
+
+    Returns errors by period and quantity ([K], [g/m³]; `errors`, `rule_errors`), the share [1] of the squared
+    error that the sensors explain, and coverage [1] by lead (`band`).  Raises KeyError where the record
+    lacks an input that the model reads.
+    """
     base, made, predicted = simulated(fit, record)
     table = scores(made, predicted, record.until_s)
     return Evaluation(

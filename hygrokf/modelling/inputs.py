@@ -51,12 +51,18 @@ def longest_gap_h(signal: str) -> float:
 
 
 def prepare_run(design: Design, record: Record) -> Run:
-    """The instants of a record for a design.
+    """Put inputs and readings of a record on the instants of the filter.
 
-    The run spans the cabinet's readings as far as ambient series exist.  Interval means of the ambient are
-    replaced by a path with the same means (`data.input_paths`); of overlapping interval means of the cabinet,
-    the later ones are left out. Raises ValueError where nothing is left, and where the record's averaging
-    intervals differ from the design's (`read_as` makes a design that fits).
+    design: which inputs the model reads, and how (`fit.design`).
+    record: spans as far as the cabinet's readings and the ambient's series both exist.
+
+    Interval means of the ambient are replaced by a path with the same means (`data.input_paths`); of
+    overlapping interval means of the cabinet, the later ones are left out.
+
+    Returns the run: `timeline` with times (T,) [h], inputs and readings; masks (T,) of operation and of the
+    instants that are scored.
+    Raises KeyError where the record lacks an input; ValueError where nothing is left, and where the record's
+    averaging intervals differ from the design's (`read_as` makes a design that fits).
     """
     model = design.model
     outputs = [name for name in model.outputs if name in record]

@@ -10,6 +10,7 @@ import numpy as np
 from hygrokf.modelling.design import Design
 from hygrokf.physics.holds import ZERO_ORDER
 from hygrokf.physics.model import Mechanism, Model, compose
+from hygrokf.physics.parameters import expect_values
 
 if TYPE_CHECKING:
     import control
@@ -49,6 +50,7 @@ def state_space(
     the network is linearised at the temperature difference that the exponent refers to.
     """
     model = _network(design)
+    expect_values(model.parameters, values)
     n = len(model.states)
     settings = dict(design.mechanisms).get("natural_convection", {})
     difference = settings.get("difference_K", 0.0)
@@ -66,10 +68,11 @@ def state_space(
 def thermal_system(design: Design, values: Mapping[str, float]) -> control.StateSpace:
     """Equations (2) and (3) as a `control.StateSpace`, time in hours.
 
-    Inputs `ambient_temperature` [K] and `heat_release` [K] (f_ΔT), output `cabinet_air_temperature` [K],
-    state `converter_temperature` [K].  `control.sample_system(system, step_h, "zoh")` gives the F and G of
-    the filter; `control.step_response`, `control.frequency_response` and `control.damp` work on it as on any
-    other system.
+    Returns the system with inputs `ambient_temperature` [K] and `heat_release` [K] (f_ΔT), output
+    `cabinet_air_temperature` [K], state `converter_temperature` [K].  `control.sample_system(system, step_h,
+    "zoh")` gives the F and G of the filter; `control.step_response`, `control.frequency_response` and
+    `control.damp` work on it as on any other system.
+    Raises ValueError for a design without a thermal network, and for parameters without a value.
     """
     import control
 

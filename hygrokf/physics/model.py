@@ -1,21 +1,10 @@
 """Mechanisms, and models composed of them.
 
-A `Mechanism` is one piece of physics: its parameters, its states, the inputs it reads, and up to six
-functions of numbers.  A `Model` is a tuple of mechanisms.  Composition runs in four rounds, so that the order
-of the mechanisms does not matter:
-
-1. `conductance(p, u)`        -> a conductance between cabinet air and ambient in parallel to 1/R_AT and in
-   units of it; their sum is g, available as the quantity `air_conductance`;
-2. `quantities(p, x, u, g)`   -> shared quantities, such as the temperature of the cabinet air;
-3. `contributions(p, x, u, q)` -> terms added to named sums, such as the heat release;
-4. `drift(p, x, u, q, s)`     -> the rates of the mechanism's own states [unit/h], with the sums in `s`.
-
-Functions read parameters `p`, states `x`, inputs `u`, quantities `q` and sums `s` as attributes.  A sum that
-is neither in `SUMS` nor read by any mechanism is a misspelling: the first trace raises an error.
-`diffusion(p)` gives the white noise intensities [unit²/h] of the mechanism's own states, `initial(p, u)`
-their (mean, variance) at the first instant, and `outputs(p, x, u, q, s)` the expected reading of a sensor and
-the variance of its noise. All functions are pure.  They are called with expressions when a model is traced
-and with numbers everywhere else.
+A `Mechanism` is one piece of physics; a `Model` is a tuple of them.  Composition runs in four rounds, so that
+the order of the mechanisms does not matter: `conductance` (their sum is g, available as the quantity
+`air_conductance`), `quantities`, `contributions` to named sums, and `drift` of the states.  A sum that is
+neither in `SUMS` nor read by any mechanism is a misspelling: the first trace raises an error.  The functions
+are called with expressions when a model is traced and with numbers everywhere else.
 
 Units inside a model: time h, temperature K, vapour concentration g/m³, relative humidity 1, heat as the
 temperature difference [K] that it sustains across R_AT.
@@ -65,11 +54,23 @@ SUMS = {
 
 @dataclass(frozen=True)
 class Mechanism:
-    """One piece of physics; the module's text describes the functions.
+    """One piece of physics: parameters, states and inputs, and functions of them.
+
+    Each function is pure and reads parameters `p`, states `x`, inputs `u`, quantities `q` and sums `s` as
+    attributes; units inside a model are h, K, g/m³ and 1.
+
+        conductance(p, u)              air exchange in parallel to 1/R_AT, in units of it [1]
+        quantities(p, x, u, g)         shared quantities, such as the temperature of the cabinet air
+        contributions(p, x, u, q)      terms of named sums (`SUMS`), such as the heat release [K]
+        drift(p, x, u, q, s)           rates of the mechanism's own states [unit/h]
+        diffusion(p)                   intensities of their white noise [unit²/h]
+        initial(p, u)                  their (mean, variance) at the first instant
+        outputs[name](p, x, u, q, s)   expected reading, and the variance of its noise
 
     `amounts` are states that cannot be negative; simulations enforce this, the filter does not.
     `settings` are the arguments that the mechanism was made with; `library[name](**settings)` makes it again.
     `leaves` describes what its absence leaves in the residuals, `source` cites the origin of the equations.
+    A model raises ValueError at first use where a mechanism does not fit it.
     """
 
     name: str
@@ -117,10 +118,13 @@ class System:
 
 @dataclass(frozen=True)
 class Model:
-    """A tuple of mechanisms; `averaged` maps outputs that are read as interval means to the interval [h].
+    """States, inputs, outputs and equations, put together from mechanisms (`compose` makes a model).
 
     `holds` maps every input to its hold: linear, zero-order, or regime (piecewise constant with few distinct
-    values).
+    values). `averaged` maps outputs that are read as interval means to the interval [h].  `parameters`,
+    `states` (n), `inputs` and `outputs` list the names in the order of all arrays; `evaluate` gives rates
+    [unit/h] and expected readings at one point.  Raises ValueError at first use where mechanisms do not fit
+    together.
     """
 
     mechanisms: tuple[Mechanism, ...]
@@ -330,12 +334,27 @@ def compose(
     holds: Mapping[str, str] | None = None,
     averaged: Mapping[str, float] | None = None,
 ) -> Model:
-    """A model from mechanisms; see `Model`."""
+    """Compose a model from mechanisms.
+
+    mechanisms: in any order; each brings its parameters, states, inputs and contributions.
+    holds: input → how it runs between two readings: "linear", "zero-order" or "regime" (piecewise constant
+        with few distinct values).
+    averaged: output → interval [h] over which its readings are means.
+
+    Returns the model.  Its equations are put together at first use.  Raises ValueError, then, for two states
+    of one name, for a sum that nobody reads, and for an input without a hold.
+    """
     return Model(tuple(mechanisms), dict(holds or {}), dict(averaged or {}))
 
 
 def extend(model: Model, mechanism: Mechanism, holds: Mapping[str, str] | None = None) -> Model:
-    """The model with one more mechanism; at the mechanism's null values it equals the original model."""
+    """Add a mechanism to a model.
+
+    holds: how the mechanism's own inputs run between two readings, as in `compose`.
+
+    Returns the larger model; at the mechanism's null values it equals the original one, so that a likelihood
+    ratio compares them.  Raises ValueError at first use, as `compose` does.
+    """
     return replace(model, mechanisms=(*model.mechanisms, mechanism), holds={**model.holds, **(holds or {})})
 
 

@@ -198,3 +198,10 @@ def unique(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:
             raise ValueError(f"two mechanisms bring a parameter named {p.name!r}: rename one of them")
         seen[p.name] = p
     return tuple(seen.values())
+
+
+def expect_values(parameters: Iterable[Parameter], values: Mapping[str, float]) -> None:
+    """Check that every parameter has a value; raises ValueError that names those without."""
+    missing = [p.name for p in parameters if p.name not in values]
+    if missing:
+        raise ValueError(f"values: expected a value of every parameter, found none of {', '.join(missing)}")

@@ -59,12 +59,13 @@ class ReportFault(HygrokfError):
 
 
 def write_report(directory: str | os.PathLike[str]) -> Path:
-    """Write `report.html` beside `fit.json` and `series.npz`; returns its path.
+    """Write the page of a fit, `report.html`, beside `fit.json` and `series.npz`.
 
     directory: what `hygrokf fit` wrote; where `hygrokf discover` did, report.html is the discovery's page,
-    and this one becomes `fit_report.html`.  The page is a pure function of the two files, needs no script and
-    no other file, names no host, and prints on A4.  Raises ReportFault where a file is missing or is not a
-    result.
+        and this one becomes `fit_report.html`.
+
+    Returns the path of the page.  The page is a pure function of the two files, needs no script and no other
+    file, names no host, and prints on A4.  Raises ReportFault where a file is missing or is not a result.
     """
     folder = Path(directory)
     if folder.name == FIT and folder.is_file():

@@ -226,8 +226,13 @@ class Column:
 
 
 def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -> Column:
-    """The free run of a fit on a record.  Raises ValueError where the record lacks an input that the model
-    reads."""
+    """One column of a comparison: the free run of a fit on a record.
+
+    label: of the column.  own: whether the fit was identified on this record.
+
+    Returns readings, predictions and regimes (T,) for `compare`.
+    Raises KeyError where the record lacks an input that the model reads.
+    """
     _, made, predicted = simulated(fit, record)
     known = measured(made)
     errors, rules = {}, {}
@@ -280,8 +285,11 @@ class Comparison:
 
 
 def compare(columns: Sequence[Column]) -> Comparison:
-    """Scores of all columns, differences between any two, skill against rules that need no model.
+    """Compare columns: errors with bounds, differences between any two, skill against rules without a model.
 
+    columns: of `comparison_column`, with different labels.
+
+    Returns `results` as in compare.json: RMSE [K], [g/m³] by period, quantity and regime.
     Raises ValueError for columns of the same label, and where no column has anything to score.
     """
     labels = [one.label for one in columns]

@@ -58,8 +58,14 @@ def transfer_fit(
 ) -> Transfer:
     """Judge the model of one turbine, or of a type, on another turbine's record.
 
-    `fits`: also make the record's own fits, with their scores and bands.  Raises ValueError where the record
-    lacks an input or a reading that the model needs.
+    source: a fit, or a type of turbines (`identification.turbine_type`).
+    record: of the other turbine.
+    progress: is told each step in words.
+    fits: whether to make the record's own fits too, with their scores and bands.
+
+    Returns `results` as in transfer.json: the verdict, and by group of parameters whether it holds, with
+    held-out errors [K], [g/m³] of each set of values.
+    Raises ValueError where the record lacks an input or a reading that the model needs.
     """
     say = progress or (lambda text: None)
     scene, statements = scene_of(Origin.of(source), record)

@@ -36,6 +36,7 @@ WORDS = {"meaning": "it warms", "remedy": "look", "separate_by": "measure"}
 FILE = """
 import hygrokf
 from hygrokf.physics.expression import exp
+from hygrokf.discovery.cause import Variant
 
 def parameter(name, null=0.0, **more):
     return hygrokf.Parameter(name, "K", 1.0, -50.0, 50.0, null=null, meaning="an effect", **more)
@@ -337,7 +338,7 @@ CAUSE = "C = hygrokf.cause_of('stove', thermal=made({effect}), **WORDS)\n"
             "variants: expected Variant objects of the cause stove, found 'x'",
         ),
         (
-            "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda scene: [hygrokf.Variant('stove', 'f', "
+            "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda scene: [Variant('stove', 'f', "
             "{'thermal': (('oven', {}),), 'roof': ()})])",
             "variant 'f': unknown mechanism 'oven': name one of the package, or add it to the cause's "
             "mechanisms",
@@ -442,7 +443,7 @@ def test_a_function_that_fails_on_a_record_is_a_fault_of_its_file(
         match=r"own\.py: cause 'glowing': feature 'glow' fails: KeyError: .*no rain",
     ):
         prepare_run(wider, dry)
-    text = "C = hygrokf.Cause('odd', 'a', 'b', 'c', lambda s: [hygrokf.Variant('odd', 'f', " \
+    text = "C = hygrokf.Cause('odd', 'a', 'b', 'c', lambda s: [Variant('odd', 'f', " \
         "{'thermal': (('oven', {}),)})] if 'rain' in s.record else s.none, mechanisms={'oven': " \
         "made(lambda p, x, u, q: {'heat_release': p.oven_heat}, ('oven_heat',), 'oven', ())})"  # fmt: skip
     (cause,) = load_library(written(tmp_path, text, "odd.py"))

@@ -209,5 +209,5 @@ def test_points_that_the_model_does_not_have_are_named(thermal: tuple) -> None:
 
 
 def test_the_face_has_what_a_model_of_ones_own_needs() -> None:
-    for name in ("linear_network", "maximise", "covariances", "confidence_bounds", "system_time_constants"):
+    for name in ("linear_network", "maximise", "confidence_bounds", "system_time_constants"):
         assert callable(getattr(hygrokf, name))

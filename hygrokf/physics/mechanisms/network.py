@@ -18,11 +18,16 @@ def linear_network(
     intensities: Callable[[Space], Values],
     initial: Initial,
 ) -> Mechanism:
-    """A linear network of any size.
+    """A linear network of any size, as one mechanism.
 
-    `rates(p, x, u)` -> {state: rate [unit/h]}, `outputs[name](p, x, u)` -> (prediction, noise variance),
-    `intensities(p)` -> {state: white noise intensity [unit²/h]}, `initial(p, u)` -> {state: (mean,
-    variance)}. Nonlinear functions work too; for linear ones the filter is exact.
+    parameters, states, inputs: by name, in units of the user's choice; time is in hours.
+    rates: (p, x, u) → {state: rate [unit/h]}.
+    outputs: name → (p, x, u) → (prediction, variance of the reading's noise).
+    intensities: p → {state: intensity of its white noise [unit²/h]}.
+    initial: (p, u) → {state: (mean, variance)} at the first instant.
+
+    Returns the mechanism for `compose`.  Nonlinear functions work too; for linear ones the filter is exact.
+    Raises ValueError at first use of the model where a function names an unknown state.
     """
 
     def output(function: Callable[[Space, Space, Space], Pair]) -> Output:
