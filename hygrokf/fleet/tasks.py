@@ -144,7 +144,7 @@ def _of_fit(fit: Fit, record: Record) -> dict:
         **_of_verdicts(results),
         **_of_scores(results),
         "loglik": number(results, "loglik"),
-        "at_bounds": " ".join(results["at_bounds"]),
+        "at_bounds": " ".join(fit.results.at_bounds),
     }
 
 

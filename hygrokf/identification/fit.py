@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from hygrokf.data.structured import plain, structured
+from hygrokf.data.structured import JsonObject, plain, structured
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import inherited, told, with_verdicts
 from hygrokf.modelling.design import Design
@@ -36,13 +36,13 @@ class Fit:
         count = len(found.names)
         return found.names, found.matrix.reshape(count, -1) if count else np.empty((0, 0))
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         """The data of `fit.json`."""
         data: dict[str, Any] = plain(self.results)
         return data
 
     @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> Fit:
+    def from_json(cls, data: JsonObject) -> Fit:
         """A fit from the data of `to_json`; verdicts that the data lack are decided from the data.
 
         Raises StructureFault with every fault and its place.

@@ -27,6 +27,7 @@ from typing import Any
 import numpy as np
 
 from hygrokf.data.files import write_text_whole
+from hygrokf.data.structured import JsonObject
 from hygrokf.errors import HygrokfError
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import PARAMETER_OF, REJECT, verdicts
@@ -133,7 +134,7 @@ class TurbineType:
         found = {p.name: p.start for p in self.design.model.parameters}
         return found | {name: p.in_unit()["value"] for name, p in self.parameters.items() if name in found}
 
-    def to_json(self) -> dict[str, Any]:
+    def to_json(self) -> JsonObject:
         return {
             "name": self.name,
             "version": __version__,
@@ -145,7 +146,7 @@ class TurbineType:
         }
 
     @classmethod
-    def from_json(cls, data: Mapping[str, Any]) -> TurbineType:
+    def from_json(cls, data: dict[str, Any]) -> TurbineType:
         """A type from the data of `to_json`."""
         parameters = {
             name: Pooled(**{key: value for key, value in row.items() if key != "in_unit"})

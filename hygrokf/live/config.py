@@ -4,8 +4,7 @@ reported at once."""
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
-from collections.abc import Mapping as MappingOf
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, make_dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from hygrokf.live.forecast import LIMIT
 from hygrokf.live.plan import LATENESS_S, WANDERING, Form, plan
 from hygrokf.live.properties import standard_errors
 from hygrokf.live.sources.kinds import stream_of
-from hygrokf.live.sources.payload import GOOD, Field, Mapping
+from hygrokf.live.sources.payload import GOOD, Field, PayloadMapping
 from hygrokf.live.sources.streams import Stream
 from hygrokf.live.storage.postgres import url_fault
 from hygrokf.live.turbines import STALE_S, Turbine
@@ -43,7 +42,7 @@ class ConfigFault(FormFault):
 class Config:
     """The configuration of a tracker; `store` is the store's URL."""
 
-    turbines: MappingOf[str, Turbine]
+    turbines: Mapping[str, Turbine]
     streams: tuple[Stream, ...]
     store: str
     page: PageSettings = field(default_factory=PageSettings)
@@ -97,7 +96,7 @@ class MappingForm:
     good: tuple[str, ...] = setting(GOOD, "marks of a reading that counts", read=_texts)
     tag: str = setting("", "field with the name, where a payload is one reading")
     value: str = setting("", "field with the value, where a payload is one reading")
-    signals: MappingOf[str, SignalForm] = setting(dict, "fields that are signals")
+    signals: Mapping[str, SignalForm] = setting(dict, "fields that are signals")
 
     @across("tag", "value")
     def one_reading(self) -> str | None:
@@ -118,10 +117,10 @@ class MappingForm:
                 yield f"{name} and {taken[one.signal.name]} are both {one.signal.name}"
             taken[one.signal.name] = name
 
-    def made(self) -> Mapping:
+    def made(self) -> PayloadMapping:
         """How payloads are read."""
         valid = {name: one for name, one in self.signals.items() if one.signal and not one.unit_of_signal()}
-        return Mapping(
+        return PayloadMapping(
             {name: one.made() for name, one in valid.items()},
             turbine=self.turbine,
             time=self.time,
@@ -189,8 +188,8 @@ class TrackForm:
     )
     turbine: tuple[TurbineForm, ...] = setting((), "the turbines")
     mapping: MappingForm = setting(MappingForm, "how payloads are read")
-    source: tuple[MappingOf[str, Any], ...] = setting((), "where payloads come from")
-    wandering: MappingOf[str, Any] | None = setting(None, "what may change slowly")
+    source: tuple[Mapping[str, Any], ...] = setting((), "where payloads come from")
+    wandering: Mapping[str, Any] | None = setting(None, "what may change slowly")
 
     @across("turbine")
     def any_turbine(self) -> Iterator[str]:
@@ -229,7 +228,7 @@ def read_config(path: str | os.PathLike[str]) -> Config:
 
 
 def _turbines(
-    form: TrackForm, folder: Path, mapping: Mapping, place: Place
+    form: TrackForm, folder: Path, mapping: PayloadMapping, place: Place
 ) -> tuple[dict[str, Turbine], dict[str, str]]:
     """Turbines by name, and the turbine that each name in a payload stands for."""
     forms = {one.signal: one.form for one in mapping.fields.values()}
@@ -256,8 +255,8 @@ def _turbines(
 def _turbine(
     form: TurbineForm,
     folder: Path,
-    forms: MappingOf[str, Form],
-    rates: MappingOf[str, float] | None,
+    forms: Mapping[str, Form],
+    rates: Mapping[str, float] | None,
     lateness_s: float,
     place: Place,
 ) -> Turbine | None:

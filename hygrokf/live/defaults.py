@@ -29,7 +29,7 @@ from hygrokf.live.config import Config, ConfigFault
 from hygrokf.live.plan import Form, plan
 from hygrokf.live.properties import standard_errors
 from hygrokf.live.sources.kinds import stream_of
-from hygrokf.live.sources.payload import Field, Mapping
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.streams import Playback, form_of, record_mapping, record_messages
 from hygrokf.live.storage.postgres import SCHEMES, url_fault
 from hygrokf.live.turbines import Turbine
@@ -56,13 +56,13 @@ PLAYED = (
 )  # fmt: skip
 
 
-def default_mapping() -> Mapping:
+def default_mapping() -> PayloadMapping:
     """The mapping with all signals under their own names, in display units (°C, %, kW, g/m³)."""
     fields = {}
     for name, row in SIGNALS.items():
         stepped = row.unit in ("W", "rad/s") or name == "preheating"
         fields[name] = Field(name, row.display or row.unit, Form("zero-order" if stepped else "linear"))
-    return Mapping(fields)
+    return PayloadMapping(fields)
 
 
 def page_at(address: str | None) -> PageSettings:
@@ -125,7 +125,7 @@ def default_config(fits: Sequence[Path], sources: Sequence[str], store: str, pag
     return Config(turbines, tuple(one for one in streams if one is not None), store, page)
 
 
-def table_of(url: str) -> dict[str, object]:
+def table_of(url: str) -> dict[str, str | list[str]]:
     """The `[[source]]` table equivalent to a URL; the path of an MQTT URL is the topic filter."""
     scheme, _, rest = url.partition("://")
     broker, _, topic = rest.partition("/")

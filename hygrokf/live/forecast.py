@@ -62,6 +62,16 @@ class Forecast:
 
 
 @dataclass(frozen=True)
+class ForecastMade:
+    """What the store keeps of a forecast beside its courses: time [s] of the state it starts from, the
+    scenarios in words, and the limit of relative humidity [1]."""
+
+    made: float
+    weather: str = ""
+    limit: float | None = None
+
+
+@dataclass(frozen=True)
 class Advice:
     """How long to pre-heat before a restart.
 

@@ -12,7 +12,7 @@ from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.live.fault_isolation import BEFORE_S, LONGEST_S, Finding, isolate
-from hygrokf.live.forecast import Advice, Forecast, NoForecast, forecast, restart
+from hygrokf.live.forecast import Advice, Forecast, ForecastMade, NoForecast, forecast, restart
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import ParameterShift
 from hygrokf.live.scenarios import DAYS, NoScenarios, Scenarios, persistence, weather_forecast
@@ -41,7 +41,7 @@ class ForecastResult:
 
 def forecast_batch(name: str, found: ForecastResult, limit: float) -> Batch:
     """The batch that stores a forecast and advice."""
-    said = {"made": found.time_s, "weather": found.words, "limit": limit}
+    said = asdict(ForecastMade(found.time_s, found.words, limit))
     advice = None if found.advice is None else asdict(found.advice)
     return Batch(
         forecasts={name: found.forecast}, memories={(name, "forecast"): said, (name, "advice"): advice}

@@ -14,8 +14,7 @@ import queue
 import secrets
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
-from collections.abc import Mapping as MappingOf
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -78,7 +77,7 @@ class Service:
 
     def __init__(
         self,
-        turbines: MappingOf[str, Turbine],
+        turbines: Mapping[str, Turbine],
         streams: Sequence[Stream],
         store_url: str,
         settle: Callable[[Batch], None] = lambda batch: None,
@@ -270,7 +269,7 @@ class Service:
                 end + (end - begin) * (1.0 / share - 1.0) for share in (SHARE, LEAST_SHARE)
             )
 
-    def _noted(self, states: MappingOf[str, SourceState]) -> None:
+    def _noted(self, states: Mapping[str, SourceState]) -> None:
         """Log sources whose state has changed."""
         for url, (word, behind) in states.items():
             if self._words.get(url) != word:

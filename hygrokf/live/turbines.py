@@ -11,13 +11,13 @@ import json
 import math
 import time
 from collections import Counter, defaultdict
-from collections.abc import Iterable, Sequence
-from collections.abc import Mapping as MappingOf
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
+from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict import Inherited
 from hygrokf.live.alarms import (
@@ -38,10 +38,10 @@ from hygrokf.live.alarms import (
 from hygrokf.live.condition import Condition, Surface, air_condition, inputs_of, only
 from hygrokf.live.fault_isolation import EVERY_S as ISOLATE_S
 from hygrokf.live.fault_isolation import Finding
-from hygrokf.live.forecast import LIMIT
+from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import LASTING_S, ParameterShift, parameter_shifts, properties, states_of
-from hygrokf.live.sources.payload import Mapping, Payload, Refused, parsed, taken
+from hygrokf.live.sources.payload import Payload, PayloadMapping, Refused, parsed, taken
 from hygrokf.live.storage.store import Alarm, Batch, Estimates, Observation, Store
 from hygrokf.live.tracker import SAME_S, Course, Tracker
 
@@ -91,16 +91,16 @@ class Turbine:
 
     plan: Plan
     surface: Surface = field(default_factory=Surface)
-    errors: MappingOf[str, float] = field(default_factory=dict)
+    errors: Mapping[str, float] = field(default_factory=dict)
     limit: float = LIMIT
     stale_s: float = STALE_S
-    verdicts: MappingOf[str, Inherited] = field(default_factory=dict)
+    verdicts: Mapping[str, Inherited] = field(default_factory=dict)
 
 
 class Fleet:
     """The trackers by turbine, and the data that each turbine carries from round to round."""
 
-    def __init__(self, turbines: MappingOf[str, Turbine]) -> None:
+    def __init__(self, turbines: Mapping[str, Turbine]) -> None:
         self.turbines = dict(turbines)
         self.trackers = {name: Tracker(one.plan) for name, one in turbines.items()}
         self.shifts: dict[str, dict[str, ParameterShift]] = defaultdict(dict)
@@ -116,7 +116,7 @@ class Fleet:
         self._counted: dict[str, Counter[str]] = defaultdict(Counter)
 
     @classmethod
-    def opened(cls, turbines: MappingOf[str, Turbine], store: Store) -> Fleet:
+    def opened(cls, turbines: Mapping[str, Turbine], store: Store) -> Fleet:
         """The fleet in the state that the store holds."""
         store.add_turbines({name: digest(one.plan) for name, one in turbines.items()})
         fleet = cls(turbines)
@@ -127,20 +127,21 @@ class Fleet:
             fleet.waiting[name] = None  # committed readings may not have been filtered yet
             known = store.memories(name)
             shifts = known.get("parameter_shifts", known.get("departures", {}))  # older stores
-            fleet.shifts[name] = {k: ParameterShift(**d) for k, d in shifts.items()}
-            fleet.standings[name] = {k: standing_of(d) for k, d in known.get("alarms", {}).items()}
+            fleet.shifts[name] = structured(dict[str, ParameterShift], shifts)
+            fleet.standings[name] = structured(dict[str, Standing], known.get("alarms", {}))
             if "finding" in known:
-                fleet.findings[name] = Finding(
-                    **{**known["finding"], "alike": tuple(known["finding"]["alike"])}
-                )
+                fleet.findings[name] = structured(Finding, known["finding"])
             if "forecast" in known:
-                fleet.forecast_made_s[name] = known["forecast"]["made"]
-        lost = store.memory(SOURCE, "alarms") or {}
-        fleet.standings[SOURCE] = {k: standing_of(d) for k, d in lost.items()}
+                fleet.forecast_made_s[name] = structured(ForecastMade, known["forecast"]).made
+        fleet.standings[SOURCE] = structured(dict[str, Standing], store.memory(SOURCE, "alarms") or {})
         return fleet
 
     def round(
-        self, deliveries: Sequence[Delivery], mapping: Mapping, source: str = "", filter_s: float = math.inf
+        self,
+        deliveries: Sequence[Delivery],
+        mapping: PayloadMapping,
+        source: str = "",
+        filter_s: float = math.inf,
     ) -> Batch:
         """Read the deliveries of one source by its mapping, and filter the turbines that they belong to.
 
@@ -248,7 +249,7 @@ class Fleet:
             self._judge(name, float(found.time_s[i]), levels, WARNED, batch)
         self._warned[name] = max(after, float(found.time_s[-1]))
 
-    def tick(self, now: float, sources: MappingOf[str, SourceState]) -> Batch:
+    def tick(self, now: float, sources: Mapping[str, SourceState]) -> Batch:
         """Judge alarms about missing data: turbines with stale data at `now` [s], and lost sources."""
         batch = Batch()
         self._began = min(self._began, now)
@@ -308,13 +309,7 @@ class Fleet:
         batch.alarms += changed
 
 
-def standing_of(data: MappingOf[str, Any]) -> Standing:
-    """A standing from its stored JSON data."""
-    alarm = data["alarm"]
-    return Standing(data["since"], None if alarm is None else Alarm(**alarm))
-
-
-def conditions(courses: MappingOf[str, tuple[Turbine, Course]]) -> dict[str, Condition]:
+def conditions(courses: Mapping[str, tuple[Turbine, Course]]) -> dict[str, Condition]:
     """The condition of each turbine at the instants of its course that the store keeps.
 
     Turbines of one model are evaluated together, because numpy's overhead exceeds the work for the few

@@ -24,10 +24,10 @@ from hygrokf.live.sources.broker import (
     unreached,
 )
 from hygrokf.live.sources.kinds import stream_of
-from hygrokf.live.sources.payload import Field, Mapping
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.storage.store import Alarm
 
-MAPPING = Mapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
+MAPPING = PayloadMapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
 SECRET = "pa55-4711"
 
 

@@ -13,7 +13,7 @@ from builders.live_case import expect_offline, live_record
 from hygrokf.data.record import Record
 from hygrokf.live.condition import Surface
 from hygrokf.live.properties import ParameterShift
-from hygrokf.live.sources.payload import Mapping
+from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.streams import record_mapping, record_messages
 from hygrokf.live.storage.store import Batch, Store, open_store
 from hygrokf.live.tracker import whole
@@ -28,7 +28,7 @@ def record(tmp_path_factory: pytest.TempPathFactory) -> Record:
 
 
 @pytest.fixture(scope="module")
-def mapping(record: Record) -> Mapping:
+def mapping(record: Record) -> PayloadMapping:
     return record_mapping(record, "T1")
 
 
@@ -45,7 +45,7 @@ def opened(tmp_path: Path) -> Store:
 
 
 def test_rounds_end_in_the_offline_filter(
-    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
 ) -> None:
     store, messages = opened(tmp_path), deliveries(record)
     fleet = Fleet.opened({"T1": turbine}, store)
@@ -61,7 +61,7 @@ def test_rounds_end_in_the_offline_filter(
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a_crash_anywhere_loses_nothing_and_counts_nothing_twice(
-    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping, seed: int
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping, seed: int
 ) -> None:
     """The process dies before or after a commit; the source delivers again what was not acknowledged, and
     some more."""
@@ -89,7 +89,7 @@ def test_a_crash_anywhere_loses_nothing_and_counts_nothing_twice(
 
 
 def test_turbines_that_find_no_time_wait_and_lose_nothing(
-    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
 ) -> None:
     """A round filters one turbine of three; the process dies now and then; what was taken is in the store at
     once."""
@@ -149,7 +149,7 @@ def test_turbines_of_one_model_are_looked_at_together(record: Record, turbine: T
 
 
 def test_what_is_refused_is_counted_and_changes_nothing(
-    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
 ) -> None:
     store, messages = opened(tmp_path), deliveries(record)[:600]
     clean = Fleet.opened({"T1": turbine}, store)
@@ -174,7 +174,7 @@ def test_what_is_refused_is_counted_and_changes_nothing(
 
 
 def test_another_model_is_filtered_anew_from_what_is_stored(
-    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
 ) -> None:
     store, messages = opened(tmp_path), deliveries(record)
     fleet = Fleet.opened({"T1": turbine}, store)
@@ -193,7 +193,7 @@ def test_another_model_is_filtered_anew_from_what_is_stored(
 
 
 def test_data_that_stop_and_a_source_that_is_lost_raise_alarms(
-    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
 ) -> None:
     store = opened(tmp_path)
     fleet = Fleet.opened({"T1": turbine, "T2": turbine}, store)
@@ -224,7 +224,7 @@ def test_data_that_stop_and_a_source_that_is_lost_raise_alarms(
 
 
 def test_a_weather_forecast_is_kept_for_one_turbine_or_for_all(
-    tmp_path: Path, record: Record, turbine: Turbine, mapping: Mapping
+    tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
 ) -> None:
     from dataclasses import replace
 

@@ -39,7 +39,7 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources import mqtt, mqtt_link
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.mqtt import Mqtt
-from hygrokf.live.sources.payload import LARGEST, Field, Mapping, Refused, parsed
+from hygrokf.live.sources.payload import LARGEST, Field, PayloadMapping, Refused, parsed
 from hygrokf.live.sources.streams import record_mapping, record_messages
 from hygrokf.live.storage.store import Alarm, Batch, open_store
 from hygrokf.live.turbines import Delivery, Turbine
@@ -48,7 +48,7 @@ pytestmark = needs_mosquitto
 
 SEED, DAYS = 7, 3.0
 TOPIC = "scada/T1/cabinet"
-MAPPING = Mapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
+MAPPING = PayloadMapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
 ALARM = Alarm(
     "T1:condensation:1600000000", "T1", "condensation", "warning", 1.6e9, "water condenses", "pre-heat"
 )
@@ -77,7 +77,7 @@ def messages(record: Record) -> list[tuple[str, str]]:
     return [(TOPIC, json.dumps(content)) for _, content in record_messages(record, "T1")]
 
 
-def stream_of(found: Mosquitto, mapping: Mapping = MAPPING, **changes: object) -> Mqtt:
+def stream_of(found: Mosquitto, mapping: PayloadMapping = MAPPING, **changes: object) -> Mqtt:
     settings = {"topics": ("scada/#",), "client_id": "tracker", "tls": False} | changes
     return Mqtt(Broker("127.0.0.1", found.port, **settings), mapping)
 

@@ -33,7 +33,7 @@ from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.opcua_samples import ConnectionFault, Node, Rates, node_fault, sample_of
 from hygrokf.live.sources.opcua_security import SecurityForm, User, security_of
 from hygrokf.live.sources.opcua_table import ServerForm
-from hygrokf.live.sources.payload import Field, Mapping, taken
+from hygrokf.live.sources.payload import Field, PayloadMapping, taken
 from hygrokf.live.sources.streams import record_mapping, record_messages
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.turbines import Turbine
@@ -45,7 +45,7 @@ from builders.opcua_peer import NAMESPACE, Peer
 T0 = 1.7e9
 GOOD, BAD, UNCERTAIN, OVERFLOWED = 0x00000000, 0x808C0000, 0x40900000, 0x00000480
 RATES = Rates(sampling_s=0.0, publishing_s=0.05, queue=5_000)
-MAPPING = Mapping(
+MAPPING = PayloadMapping(
     {
         "Tcab": Field("cabinet_temperature", "degC"),
         "heat": Field("preheating", "1"),
@@ -105,7 +105,7 @@ def started() -> Iterator[Callable[..., Started]]:
 
     def start(url: str, nodes: dict[str, str], place: dict | None = None, **more: object) -> Started:
         rows = [Node(id, "T07", field) for id, field in nodes.items()]
-        mapping = Mapping(MAPPING.fields, quality="quality", good=("good",), turbines={"T07": "T07"})
+        mapping = PayloadMapping(MAPPING.fields, quality="quality", good=("good",), turbines={"T07": "T07"})
         made = OpcUa(url, rows, mapping, **{"rates": RATES, **more})
         running.append(Started(made, None if place is None else json.dumps(place)))
         return running[-1]
@@ -132,7 +132,7 @@ class Tracked:
 
     def __init__(self, url: str, record: Record, turbine: Turbine, store: Path, prefix: str = "T1") -> None:
         mapping = record_mapping(record, "T1")
-        plain = Mapping(mapping.fields, quality="quality", good=("good",), turbines=mapping.turbines)
+        plain = PayloadMapping(mapping.fields, quality="quality", good=("good",), turbines=mapping.turbines)
         nodes = [Node(f"ns=2;s={prefix}.{name}", "T1", name) for name in mapping.fields]
         self.stream = OpcUa(url, nodes, plain, RATES)
         self.store = f"sqlite:{store}"
@@ -759,7 +759,7 @@ def test_the_page_of_the_docs_states_every_key_and_its_example_is_read(papers: P
         (tmp_path / place).mkdir(exist_ok=True)
         (tmp_path / place / {"password": "opcua"}.get(name, name)).write_bytes((papers / name).read_bytes())
     (tmp_path / "pki" / "scada.pem").write_bytes((papers / "server.pem").read_bytes())
-    mapping = Mapping(
+    mapping = PayloadMapping(
         {name: Field(one["signal"], one["unit"]) for name, one in example["mapping"]["signals"].items()},
         turbines={"T07": "T07"},
     )
@@ -774,7 +774,7 @@ def test_the_page_of_the_docs_states_every_key_and_its_example_is_read(papers: P
 
 
 def test_fields_named_like_the_frame_of_a_payload_are_refused() -> None:
-    place, mapping = Place(), Mapping({"time": MAPPING.fields["Tcab"]}, turbines={"T07": "T07"})
+    place, mapping = Place(), PayloadMapping({"time": MAPPING.fields["Tcab"]}, turbines={"T07": "T07"})
     nodes = {"i=5": {"turbine": "T07", "field": "time"}}
     assert stream_of({**PLAIN, "nodes": nodes}, place, Path("."), mapping) is None
     assert "a field must not be named 'time' here" in place.faults[0]

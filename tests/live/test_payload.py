@@ -14,7 +14,7 @@ from hygrokf.live.sources.payload import (
     DEEPEST,
     LARGEST,
     Field,
-    Mapping,
+    PayloadMapping,
     Refused,
     Taken,
     parsed,
@@ -25,7 +25,7 @@ from hygrokf.live.sources.payload import (
 NOW = 1_772_367_000.0  # 2026-03-01T12:10:00Z
 STAMP = "2026-03-01T12:10:00Z"
 MEAN = Form("zero-order", 600.0)
-WIDE = Mapping(
+WIDE = PayloadMapping(
     {
         "Tcab": Field("cabinet_temperature", "degC"),
         "RHcab": Field("cabinet_relative_humidity", "%"),
@@ -42,7 +42,7 @@ def one(**changed: object) -> Taken:
     return taken(parsed(json.dumps(content)), WIDE, NOW)
 
 
-def refusal(text: bytes | str | dict, mapping: Mapping = WIDE) -> str:
+def refusal(text: bytes | str | dict, mapping: PayloadMapping = WIDE) -> str:
     with pytest.raises(Refused) as fault:
         taken(parsed(text if isinstance(text, bytes | str) else json.dumps(text)), mapping, NOW)
     assert "\n" not in str(fault.value) and len(str(fault.value)) < 200
@@ -122,7 +122,7 @@ def test_payloads_that_are_refused(text: bytes | str | dict, kind: str) -> None:
 
 
 def test_one_reading_a_payload() -> None:
-    narrow = Mapping(WIDE.fields, turbine="{1}", time="t", tag="tag", value="v", turbines={"7": "T07"})
+    narrow = PayloadMapping(WIDE.fields, turbine="{1}", time="t", tag="tag", value="v", turbines={"7": "T07"})
     found = taken({"t": NOW, "tag": "RHcab", "v": 55}, narrow, NOW, "plant/7/data")
     assert found.turbine == "T07" and found.readings[0].value == pytest.approx(0.55)
     assert taken({"t": NOW, "tag": "Oil", "v": 55}, narrow, NOW, "plant/7/data").counts == {"unknown tag": 1}
@@ -132,7 +132,7 @@ def test_one_reading_a_payload() -> None:
 
 def test_a_field_must_fit_its_signal() -> None:
     with pytest.raises(ValueError, match="kPa"):
-        Mapping({"Tcab": Field("cabinet_temperature", "kPa")})
+        PayloadMapping({"Tcab": Field("cabinet_temperature", "kPa")})
 
 
 json_values = st.recursive(

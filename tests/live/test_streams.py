@@ -16,7 +16,7 @@ from builders.waiting import eventually
 
 from hygrokf.data.record import Record, Series
 from hygrokf.live.sources import streams
-from hygrokf.live.sources.payload import Field, Mapping
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.sources.streams import (
     Lines,
     Playback,
@@ -30,7 +30,7 @@ from hygrokf.live.sources.streams import (
 )
 from hygrokf.live.turbines import Delivery
 
-MAPPING = Mapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
+MAPPING = PayloadMapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
 
 
 @pytest.fixture
@@ -143,7 +143,7 @@ def test_a_file_is_played_back_by_its_stamps(tmp_path: Path) -> None:
     path.write_text(
         "turbine,when,Tcab\nT1,2026-03-01T12:10:00Z,2\nT1,soon,9\nT1,2026-03-01T12:00:00Z,1\n", "utf-8"
     )
-    found = file_messages(path, Mapping({"Tcab": Field("cabinet_temperature", "degC")}, time="when"))
+    found = file_messages(path, PayloadMapping({"Tcab": Field("cabinet_temperature", "degC")}, time="when"))
     assert [(at - 1772366400.0, content["Tcab"]) for at, content in found] == [(0.0, "1"), (600.0, "2")]
 
 

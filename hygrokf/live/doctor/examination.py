@@ -7,15 +7,14 @@ import importlib.util
 import json
 import math
 import ssl
-from collections.abc import Collection, Iterator, Sequence
-from collections.abc import Mapping as MappingOf
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from hygrokf.data.signals import SIGNALS
+from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict import REJECT, handed_on
 from hygrokf.live.config import Config
@@ -117,7 +116,7 @@ def as_text(checks: list[Check]) -> str:
     return "\n".join([*map(str, checks), summary(checks)])
 
 
-def as_data(checks: list[Check]) -> dict[str, Any]:
+def as_data(checks: list[Check]) -> JsonObject:
     """The checks as JSON data."""
     return {"level": worst(checks), "checks": [asdict(one) for one in checks]}
 
@@ -132,7 +131,7 @@ def summary(checks: list[Check]) -> str:
 
 # -- models --------------------------------------------------------------------------------------------------
 def model_checks(
-    turbines: MappingOf[str, Turbine], streams: Sequence[Stream], came: MappingOf[str, Collection[str]]
+    turbines: Mapping[str, Turbine], streams: Sequence[Stream], came: Mapping[str, Collection[str]]
 ) -> Iterator[Check]:
     """Check every turbine's model; `came`: turbine → signals of which the store or a source has readings."""
     fine, unheard = [], []

@@ -6,8 +6,7 @@ import ctypes
 import math
 import os
 import time
-from collections.abc import Iterator
-from collections.abc import Mapping as MappingOf
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -135,7 +134,7 @@ def file_checks(file: Path) -> Iterator[Check]:
                 yield fault(about, f"{path}: {error.strerror}", "restore it, or name another file")
 
 
-def _tables(content: MappingOf[str, Any]) -> Iterator[tuple[str, MappingOf[str, Any]]]:
+def _tables(content: Mapping[str, Any]) -> Iterator[tuple[str, Mapping[str, Any]]]:
     if isinstance(content.get("page"), dict):
         yield "[page]", content["page"]
     for number, table in enumerate(content.get("source", []), start=1):

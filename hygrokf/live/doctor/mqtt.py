@@ -20,7 +20,7 @@ from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok
 from hygrokf.live.doctor.machine import SECRETS, stamp_check, unread_certificate, validities, validity_check
 from hygrokf.live.sources.broker import Broker, unreached
 from hygrokf.live.sources.mqtt_link import Link
-from hygrokf.live.sources.payload import LARGEST, Mapping, PayloadStatistics
+from hygrokf.live.sources.payload import LARGEST, PayloadMapping, PayloadStatistics
 from hygrokf.live.sources.streams import SourceFault
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ class Listener(Link):
 
 
 def mqtt_checks(
-    broker: Broker, mapping: Mapping, statistics: PayloadStatistics, wait_s: float, lateness_s: float
+    broker: Broker, mapping: PayloadMapping, statistics: PayloadStatistics, wait_s: float, lateness_s: float
 ) -> Iterator[Check]:
     """Connect, subscribe and listen for `wait_s` [s]; messages that are not retained also go into the
     statistics."""

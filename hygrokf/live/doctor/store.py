@@ -7,8 +7,7 @@ import math
 import os
 import shutil
 import time
-from collections.abc import Iterator
-from collections.abc import Mapping as MappingOf
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -36,7 +35,7 @@ class Kept:
 
 
 def store_checks(
-    url: str, turbines: MappingOf[str, Turbine], retention_s: float, played_back: bool, kept: Kept
+    url: str, turbines: Mapping[str, Turbine], retention_s: float, played_back: bool, kept: Kept
 ) -> Iterator[Check]:
     """Check the store at a URL; its contents go to `kept`.  With `played_back` the age of data is not
     judged."""
@@ -88,7 +87,7 @@ def path_of(url: str) -> Path:
 
 
 def _contents(
-    store: Store, turbines: MappingOf[str, Turbine], retention_s: float, played_back: bool, kept: Kept
+    store: Store, turbines: Mapping[str, Turbine], retention_s: float, played_back: bool, kept: Kept
 ) -> Iterator[Check]:
     damages = store.database.faults()
     if damages:
@@ -109,7 +108,7 @@ def _contents(
     yield from _estimates(store, turbines, played_back)
 
 
-def _look(store: Store, turbines: MappingOf[str, Turbine], kept: Kept) -> dict[str, float]:
+def _look(store: Store, turbines: Mapping[str, Turbine], kept: Kept) -> dict[str, float]:
     """Note the signals of each turbine in `kept`; returns turbine → time span of its readings [s]."""
     spans = {}
     for name in turbines:
@@ -141,7 +140,7 @@ def _room(size: int, free: int, span_s: float, retention_s: float) -> Check:
     return ok("store", said)
 
 
-def _claims(store: Store, turbines: MappingOf[str, Turbine]) -> Iterator[Check]:
+def _claims(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
     holders: dict[str, list[str]] = {}
     for (kind, name), who in store.database.claims().items():
         if kind == "turbine" and name in turbines:
@@ -152,7 +151,7 @@ def _claims(store: Store, turbines: MappingOf[str, Turbine]) -> Iterator[Check]:
         yield ok("store", "no process tracks these turbines now")
 
 
-def _turbines(store: Store, turbines: MappingOf[str, Turbine]) -> Iterator[Check]:
+def _turbines(store: Store, turbines: Mapping[str, Turbine]) -> Iterator[Check]:
     """Turbines that only the store or only the tracker's file has, or that had another model."""
     known = {name: model for name, model in store.rows("SELECT name, model FROM turbine")}
     claimed = {name for kind, name in store.database.claims() if kind == "turbine"}
@@ -177,7 +176,7 @@ def _turbines(store: Store, turbines: MappingOf[str, Turbine]) -> Iterator[Check
         )
 
 
-def _estimates(store: Store, turbines: MappingOf[str, Turbine], played_back: bool) -> Iterator[Check]:
+def _estimates(store: Store, turbines: Mapping[str, Turbine], played_back: bool) -> Iterator[Check]:
     newest = {
         name: at
         for name in turbines
@@ -203,7 +202,7 @@ def _estimates(store: Store, turbines: MappingOf[str, Turbine], played_back: boo
         yield ok("store", f"newest estimates: {_aged(fresh)}")
 
 
-def _aged(ages: MappingOf[str, float]) -> str:
+def _aged(ages: Mapping[str, float]) -> str:
     """Text of turbines with their ages [s], in the given order."""
     return several(f"{name} {lasting(age)} ago" for name, age in ages.items())
 

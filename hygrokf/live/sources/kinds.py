@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping as MappingOf
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -10,10 +10,10 @@ from typing import Any
 from hygrokf.data.toml_form import Place, read_form
 from hygrokf.live.sources.mqtt import MqttForm
 from hygrokf.live.sources.opcua_table import OpcUaForm
-from hygrokf.live.sources.payload import Mapping
+from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.streams import FileForm, InputForm, Stream
 
-KINDS: MappingOf[str, Any] = {
+KINDS: Mapping[str, Any] = {
     "file": FileForm,
     "stdin": InputForm,
     "mqtt": MqttForm,
@@ -23,7 +23,9 @@ KINDS: MappingOf[str, Any] = {
 """Scheme of a URL -> form of the table; its method `stream` makes the stream, or gives None with faults."""
 
 
-def stream_of(table: MappingOf[str, object], place: Place, folder: Path, mapping: Mapping) -> Stream | None:
+def stream_of(
+    table: Mapping[str, object], place: Place, folder: Path, mapping: PayloadMapping
+) -> Stream | None:
     """The stream of a `[[source]]` table; None if the table is faulty, with the faults in `place`.
 
     Nothing is connected or opened yet.  Paths are relative to `folder`.  With `weather = true` the source

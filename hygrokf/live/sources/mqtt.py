@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from hygrokf.data.toml_form import Place
 from hygrokf.live.sources.broker import Broker, BrokerForm, alarm_topic, unreached
 from hygrokf.live.sources.mqtt_link import Link, paho_fault, published
-from hygrokf.live.sources.payload import Mapping
+from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.streams import SourceFault, SourceState
 from hygrokf.live.storage.store import Alarm
 from hygrokf.live.turbines import Delivery
@@ -55,7 +55,7 @@ class Mqtt:
     longer wanted.
     """
 
-    def __init__(self, broker: Broker, mapping: Mapping) -> None:
+    def __init__(self, broker: Broker, mapping: PayloadMapping) -> None:
         self.broker = broker
         self.url = broker.url
         self.mapping = mapping
@@ -215,7 +215,7 @@ class Mqtt:
 class MqttForm(BrokerForm):
     """A [[source]] of `mqtt://[USER@]HOST[:PORT]`, or `mqtts://` for TLS."""
 
-    def stream(self, folder: Path, mapping: Mapping, place: Place) -> Mqtt | None:
+    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Mqtt | None:
         """The stream, or None with faults."""
         missing = paho_fault()
         if missing is not None:

@@ -13,14 +13,14 @@ import heapq
 import json
 import logging
 import time
-from collections.abc import AsyncIterator, Callable, Iterable, Sequence
-from collections.abc import Mapping as MappingOf
+from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
+from hygrokf.data.structured import Json, JsonObject
 from hygrokf.live.sources.opcua_client import Connection
 from hygrokf.live.sources.opcua_samples import ConnectionFault, HistoryFault, Node, Rates, Sample, library
 from hygrokf.live.sources.opcua_security import Security, User
-from hygrokf.live.sources.payload import AHEAD_S, EARLIEST_S, Mapping
+from hygrokf.live.sources.payload import AHEAD_S, EARLIEST_S, PayloadMapping
 from hygrokf.live.sources.streams import PAUSE_S, SourceFault, SourceState, Threaded, several
 from hygrokf.live.turbines import Delivery
 
@@ -50,7 +50,7 @@ class OpcUa(Threaded):
         self,
         url: str,
         nodes: Sequence[Node],
-        mapping: Mapping,
+        mapping: PayloadMapping,
         rates: Rates | None = None,
         look_back_s: float = 0.0,
         security: Security | None = None,
@@ -192,7 +192,7 @@ class OpcUa(Threaded):
         await self._hand_over(samples)
 
     # -- what was missed -------------------------------------------------------------------------------------
-    async def _read_back(self, connection: Connection, nodes: MappingOf[Node, float | None]) -> None:
+    async def _read_back(self, connection: Connection, nodes: Mapping[Node, float | None]) -> None:
         """Deliver the history of nodes since their last delivered samples, merged in the order of time.
 
         nodes: node -> time [s] at which the next deliveries begin and the history ends, None for all of it.
@@ -271,17 +271,19 @@ class OpcUa(Threaded):
 
     def delivery(self, one: Sample) -> Delivery:
         """The delivery of a sample."""
-        content: dict[str, object] = {"turbine": one.node.turbine, "time": one.time, "quality": one.quality}
+        content: JsonObject = {"turbine": one.node.turbine, "time": one.time, "quality": one.quality}
         if one.quality != "bad":
             content[one.node.field] = self._number(one)
         return Delivery(content, one.received)
 
-    def _number(self, one: Sample) -> object:
+    def _number(self, one: Sample) -> Json:
         """The value if it is a number, 1 or 0 for a boolean of a field with unit "1", else the name of its
         type."""
         if isinstance(one.value, bool) and self.mapping.fields[one.node.field].unit == "1":
             return int(one.value)
-        return one.value if type(one.value) in (int, float) else type(one.value).__name__
+        if isinstance(one.value, int | float) and not isinstance(one.value, bool):
+            return one.value
+        return type(one.value).__name__
 
 
 async def in_order(histories: Iterable[AsyncIterator[Sample]]) -> AsyncIterator[Sample]:
@@ -307,7 +309,7 @@ def _time(sample: Sample) -> float:
     return sample.time
 
 
-def _named(words: str, nodes: MappingOf[Node, str]) -> str:
+def _named(words: str, nodes: Mapping[Node, str]) -> str:
     """Text of some nodes with the server's reason for each; empty without nodes."""
     # another thread may change the nodes meanwhile
     found = [f"{node.id} ({word})" for node, word in tuple(nodes.items())]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping as MappingOf
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from urllib.parse import urlsplit
@@ -14,7 +14,7 @@ from hygrokf.live.sources.opcua import OpcUa
 from hygrokf.live.sources.opcua_client import HELD
 from hygrokf.live.sources.opcua_samples import ConnectionFault, Node, Rates, node_fault
 from hygrokf.live.sources.opcua_security import SecurityForm, security_of
-from hygrokf.live.sources.payload import Mapping
+from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.streams import WEATHER_HELP
 
 PORT = 4840
@@ -36,7 +36,7 @@ class ServerForm:
     """A server and its nodes."""
 
     url: str = setting(help="opc.tcp://HOST:PORT/PATH")
-    nodes: MappingOf[str, NodeForm] = setting(dict, "node ids, each with turbine and field")
+    nodes: Mapping[str, NodeForm] = setting(dict, "node ids, each with turbine and field")
     sampling_s: float = setting(Rates.sampling_s, "how often the server looks at a value", read=duration)
     publishing_s: float = setting(
         Rates.publishing_s,
@@ -67,7 +67,7 @@ class OpcUaForm(SecurityForm, ServerForm):
 
     weather: bool = setting(False, WEATHER_HELP)
 
-    def stream(self, folder: Path, mapping: Mapping, place: Place) -> OpcUa:
+    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> OpcUa:
         """The stream; faults of its nodes and files go to `place`."""
         url, host, _ = _address(self.url)
         security, user = security_of(self, host, folder, place)
@@ -106,7 +106,7 @@ def _address(url: str) -> tuple[str, str, str | None]:
     return (f"opc.tcp://{shown}:{port}{parts.path}" if host else ""), host, fault
 
 
-def _check_nodes(nodes: MappingOf[str, NodeForm], mapping: Mapping, place: Place) -> None:
+def _check_nodes(nodes: Mapping[str, NodeForm], mapping: PayloadMapping, place: Place) -> None:
     """Faults of nodes that the mapping does not know, or that stand for one field twice.
 
     Raises ConnectionFault without asyncua.

@@ -1,8 +1,8 @@
 """Converts payloads to readings: names, units, times, quality.  Impossible values are counted, never
 corrected.
 
-A payload is one JSON object or a row of a table.  A `Mapping` states which of its fields hold turbine, time
-and values:
+A payload is one JSON object or a row of a table.  A `PayloadMapping` states which of its fields hold
+turbine, time and values:
 
     {"turbine": "T07", "time": "2026-03-01T12:10:00Z", "quality": "good", "Tcab": 31.2, "RHcab": 41.0}
 
@@ -15,20 +15,20 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Collection
-from collections.abc import Mapping as MappingOf
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hygrokf.data.signals import signal_named, to_si
+from hygrokf.data.structured import Json, JsonObject
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.plan import Form
 from hygrokf.live.tracker import Reading
 
-Payload = MappingOf[str, object]
+Payload = Mapping[str, Json]
 """A parsed payload: names with plain values."""
 LARGEST = 65_536
 """Largest payload [bytes]."""
@@ -95,7 +95,7 @@ class Conversion(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Mapping:
+class PayloadMapping:
     """Describes the layout of payloads.
 
     `fields`: name → field; `turbine`, `time`, `quality`, `tag`, `value`: names of fields ("a.b" descends one
@@ -104,16 +104,16 @@ class Mapping:
     payloads are weather forecasts, which apply to all turbines unless they name one.
     """
 
-    fields: MappingOf[str, Field]
+    fields: Mapping[str, Field]
     turbine: str = "turbine"
     time: str = "time"
     quality: str = ""
     tag: str = ""
     value: str = ""
     good: Collection[str] = GOOD
-    turbines: MappingOf[str, str] = field(default_factory=dict)
+    turbines: Mapping[str, str] = field(default_factory=dict)
     weather: bool = False
-    conversions: MappingOf[str, Conversion] = field(init=False, repr=False, compare=False)
+    conversions: Mapping[str, Conversion] = field(init=False, repr=False, compare=False)
     """Name of a field → its conversion, derived from `fields`."""
 
     def __post_init__(self) -> None:
@@ -137,7 +137,7 @@ class Taken:
     counts: Counter[str]
 
 
-def parsed(text: bytes | str) -> dict[str, Any]:
+def parsed(text: bytes | str) -> JsonObject:
     """Parse a JSON object of limited size and depth.  Raises Refused."""
     if len(text) > LARGEST:
         raise Refused("too large", f"a payload of {len(text)} bytes; at most {LARGEST} are read")
@@ -154,7 +154,7 @@ def parsed(text: bytes | str) -> dict[str, Any]:
     return found
 
 
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _object(pairs: list[tuple[str, Json]]) -> JsonObject:
     """A JSON object with unique keys; a repeated key is an error, because its value is ambiguous."""
     found = dict(pairs)
     if len(found) < len(pairs):
@@ -182,7 +182,7 @@ def _depth(text: bytes) -> int:
     return deepest
 
 
-def taken(content: Payload, mapping: Mapping, now: float, topic: str = "") -> Taken:
+def taken(content: Payload, mapping: PayloadMapping, now: float, topic: str = "") -> Taken:
     """The readings of a payload.  Raises Refused if none of it can be used.
 
     `now`: this machine's clock [s]; stamps ahead of it by more than `AHEAD_S` are refused.
@@ -229,7 +229,7 @@ def taken(content: Payload, mapping: Mapping, now: float, topic: str = "") -> Ta
     return Taken(turbine, tuple(readings), counts)
 
 
-def _turbine(content: Payload, mapping: Mapping, topic: str) -> str:
+def _turbine(content: Payload, mapping: PayloadMapping, topic: str) -> str:
     name = _found(content, mapping.turbine, topic) if mapping.turbine else None
     if name is None and mapping.weather:
         return EVERYONE
@@ -241,7 +241,7 @@ def _turbine(content: Payload, mapping: Mapping, topic: str) -> str:
     return turbine
 
 
-def stamp_of(content: Payload | bytes | str, mapping: Mapping) -> float | None:
+def stamp_of(content: Payload | bytes | str, mapping: PayloadMapping) -> float | None:
     """The time [s] stated by a payload; None if it has no readable time."""
     try:
         found = parsed(content) if isinstance(content, bytes | str) else content
@@ -250,7 +250,7 @@ def stamp_of(content: Payload | bytes | str, mapping: Mapping) -> float | None:
     return seconds(_found(found, mapping.time, ""))
 
 
-def _found(content: Payload, path: str, topic: str) -> object:
+def _found(content: Payload, path: str, topic: str) -> Json:
     """The value at a path of names or at a level of the topic; None if there is none."""
     if path.startswith("{") and path.endswith("}"):
         levels = topic.split("/")
@@ -258,15 +258,15 @@ def _found(content: Payload, path: str, topic: str) -> object:
         return levels[place] if 0 <= place < len(levels) else None
     if path in content or "." not in path:
         return content.get(path)
-    value: object = content
+    value: Json = content
     for name in path.split("."):
-        if not isinstance(value, dict) or name not in value:
+        if not isinstance(value, Mapping) or name not in value:
             return None
         value = value[name]
     return value
 
 
-def _number(raw: object) -> float | None:
+def _number(raw: Json) -> float | None:
     """A finite number, which may be written as text; None for anything else, including booleans."""
     if isinstance(raw, bool) or not isinstance(raw, int | float | str):
         return None
@@ -279,7 +279,7 @@ def _number(raw: object) -> float | None:
     return number if math.isfinite(number) else None
 
 
-def seconds(stamp: object) -> float | None:
+def seconds(stamp: Json) -> float | None:
     """Seconds since 1970 of a stamp in ISO 8601 with an offset, in seconds or in milliseconds; None for
     anything else."""
     if isinstance(stamp, str) and len(stamp) <= LONGEST and _number(stamp) is None:
@@ -294,7 +294,7 @@ def seconds(stamp: object) -> float | None:
     return number / 1e3 if number > 1e11 else number
 
 
-def _shown(value: object) -> str:
+def _shown(value: Json) -> str:
     """An external value for a message: shortened and quoted."""
     return repr(str(value)[:40])
 
@@ -308,7 +308,7 @@ class PayloadStatistics:
     smallest delay [s] from stamp to arrival, negative if the stamp is ahead, NaN without payloads.
     """
 
-    def __init__(self, mapping: Mapping) -> None:
+    def __init__(self, mapping: PayloadMapping) -> None:
         self.mapping = mapping
         self.payloads = self.used = 0
         self.newest: dict[tuple[str, str], float] = {}

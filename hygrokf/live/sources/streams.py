@@ -26,7 +26,7 @@ from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, setting
 from hygrokf.errors import HygrokfError
 from hygrokf.live.plan import Form
-from hygrokf.live.sources.payload import Field, Mapping, Payload, stamp_of
+from hygrokf.live.sources.payload import Field, Payload, PayloadMapping, stamp_of
 from hygrokf.live.storage.store import Alarm
 from hygrokf.live.turbines import Delivery
 
@@ -69,7 +69,7 @@ class Stream(Protocol):
     """
 
     url: str
-    mapping: Mapping
+    mapping: PayloadMapping
 
     def start(self, place: str | None, put: Callable[[Delivery], None]) -> None: ...
 
@@ -90,7 +90,7 @@ class Threaded:
 
     url = ""
 
-    def __init__(self, mapping: Mapping) -> None:
+    def __init__(self, mapping: PayloadMapping) -> None:
         self.mapping = mapping
         self._ended = threading.Event()
         self._thread: threading.Thread | None = None
@@ -165,7 +165,7 @@ class TailedFile(Threaded):
     without a line end is incomplete and waits.
     """
 
-    def __init__(self, path: str | os.PathLike[str], mapping: Mapping, follow: bool = True) -> None:
+    def __init__(self, path: str | os.PathLike[str], mapping: PayloadMapping, follow: bool = True) -> None:
         super().__init__(mapping)
         self.path = Path(path)
         self.url = f"file:{self.path}"
@@ -231,7 +231,7 @@ class StandardInput(Threaded):
 
     url = "stdin"
 
-    def __init__(self, mapping: Mapping, file: Iterable[str] | None = None) -> None:
+    def __init__(self, mapping: PayloadMapping, file: Iterable[str] | None = None) -> None:
         super().__init__(mapping)
         self._file = file
 
@@ -257,7 +257,7 @@ class Playback(Threaded):
         self,
         url: str,
         messages: Sequence[tuple[float, Content]],
-        mapping: Mapping,
+        mapping: PayloadMapping,
         speed: float = 0.0,
         live_s: float = -math.inf,
     ) -> None:
@@ -302,10 +302,10 @@ class Playback(Threaded):
             put(Delivery(content, at, place=str(number + 1)))
 
 
-def record_mapping(record: Record, turbine: str) -> Mapping:
+def record_mapping(record: Record, turbine: str) -> PayloadMapping:
     """The mapping for messages of a record: signals under their own names, in SI units."""
     fields = {s.signal: Field(s.signal, SIGNALS[s.signal].unit, form_of(s)) for s in record.series}
-    return Mapping(fields, turbines={turbine: turbine})
+    return PayloadMapping(fields, turbines={turbine: turbine})
 
 
 def form_of(series: Series) -> Form:
@@ -400,7 +400,7 @@ class FileForm:
             return None
         return "late and repeated need a speed: they are for playing back"
 
-    def stream(self, folder: Path, mapping: Mapping, place: Place) -> Stream | None:
+    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream | None:
         """The stream; None with a fault where a file to be played back has no rows."""
         path = folder / self.url.removeprefix("file:").removeprefix("//")
         if self.speed is None:
@@ -425,12 +425,12 @@ class InputForm:
     url: str = setting(help="stdin")
     weather: bool = setting(False, WEATHER_HELP)
 
-    def stream(self, folder: Path, mapping: Mapping, place: Place) -> Stream:
+    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream:
         """The stream."""
         return StandardInput(mapping)
 
 
-def file_messages(path: Path, mapping: Mapping) -> list[tuple[float, Content]]:
+def file_messages(path: Path, mapping: PayloadMapping) -> list[tuple[float, Content]]:
     """(time [s], content) of a file's rows with a readable time, sorted by time."""
     found: list[tuple[float, Content]] = []
     lines = Lines()

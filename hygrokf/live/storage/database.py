@@ -12,7 +12,7 @@ import socket
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from typing import Any, Protocol
+from typing import Any, Protocol, TypeAlias
 
 from hygrokf.errors import HygrokfError
 from hygrokf.live.storage.schema import VERSION, migration
@@ -22,6 +22,7 @@ CLAIM_S = 3.0
 AGAIN_S = 0.1
 """[s] between two attempts to claim."""
 
+SqlValue: TypeAlias = str | float | None
 Row = tuple[Any, ...]
 """A row of a query or the parameters of a statement: text, numbers and None, as the driver returns them."""
 
@@ -32,9 +33,9 @@ class Cursor(Protocol):
     @property
     def rowcount(self) -> int: ...
 
-    def execute(self, statement: str, parameters: Sequence[Any] = ..., /) -> object: ...
+    def execute(self, statement: str, parameters: Sequence[SqlValue] = ..., /) -> object: ...
 
-    def executemany(self, statement: str, rows: Iterable[Sequence[Any]], /) -> object: ...
+    def executemany(self, statement: str, rows: Iterable[Sequence[SqlValue]], /) -> object: ...
 
     def fetchone(self) -> Row | None: ...
 
@@ -129,7 +130,7 @@ class Database:
         """A statement with this database's parameter placeholders; callers write them as question marks."""
         return statement if self.mark == "?" else statement.replace("%", "%%").replace("?", self.mark)
 
-    def rows(self, statement: str, parameters: Sequence[Any] = ()) -> list[Row]:
+    def rows(self, statement: str, parameters: Sequence[SqlValue] = ()) -> list[Row]:
         """The rows that a query returns."""
         with self._told():
             cursor = self.connection.cursor()

@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.live.plan import BEFORE
-from hygrokf.live.storage.database import Cursor
+from hygrokf.live.storage.database import Cursor, SqlValue
 from hygrokf.live.storage.store import Store, StoreFault
 from hygrokf.live.turbines import Fleet
 
@@ -85,7 +85,7 @@ def _bite(
 ) -> int:
     """Delete at most `most` of the oldest rows of a table before a time [s]; returns the number deleted."""
     where = " AND ".join([*(f"{name} = ?" for name in same), f"{column} < ?"])
-    values = (*same.values(), until)
+    values: tuple[SqlValue, ...] = (*same.values(), until)
     next_one = store.rows(
         f"SELECT {column} FROM {table} WHERE {where} ORDER BY {column} LIMIT 1 OFFSET ?",
         (*values, max(most, 0)),

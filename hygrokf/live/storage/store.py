@@ -18,13 +18,14 @@ from typing import Any
 
 import numpy as np
 
+from hygrokf.data.structured import Json, JsonObject
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.live.condition import QUANTITIES, Condition, Quantity
 from hygrokf.live.forecast import Forecast
 from hygrokf.live.plan import BEFORE
 from hygrokf.live.properties import Property
-from hygrokf.live.storage.database import Cursor, Database, Row
+from hygrokf.live.storage.database import Cursor, Database, Row, SqlValue
 from hygrokf.live.storage.database import StoreFault as StoreFault
 from hygrokf.live.storage.postgres import SCHEMES, open_postgres
 from hygrokf.live.storage.schema import TABLES
@@ -138,7 +139,7 @@ class Store:
     def _text(self, statement: str) -> str:
         return self.database.text(statement)
 
-    def rows(self, statement: str, parameters: Sequence[Any] = ()) -> list[Row]:
+    def rows(self, statement: str, parameters: Sequence[SqlValue] = ()) -> list[Row]:
         """The rows that a query returns; parameters are written as question marks for either database."""
         return self.database.rows(statement, parameters)
 
@@ -348,12 +349,12 @@ class Store:
         )
         return self.rows(statement, (turbine, since)) or self.rows(statement, ("", since))
 
-    def memory(self, turbine: str, name: str) -> Any:
+    def memory(self, turbine: str, name: str) -> Json:
         """JSON data that a turbine's tracker resumes from; None if there is none of that name."""
         found = self.rows("SELECT content FROM memory WHERE turbine = ? AND name = ?", (turbine, name))
         return json.loads(found[0][0]) if found else None
 
-    def memories(self, turbine: str) -> dict[str, Any]:
+    def memories(self, turbine: str) -> JsonObject:
         """All JSON data that a turbine's tracker resumes from, by name."""
         found = self.rows("SELECT name, content FROM memory WHERE turbine = ?", (turbine,))
         return {name: json.loads(content) for name, content in found}

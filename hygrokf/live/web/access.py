@@ -14,7 +14,7 @@ import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Mapping
 from http.cookies import CookieError, SimpleCookie
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 from urllib.parse import urlsplit
 
 from hygrokf.data.timestamps import DAY_S
@@ -118,7 +118,7 @@ class Access:
         self.sessions = Sessions(settings)
         self.attempts = Attempts()
 
-    def refused(self, scope: Mapping[str, Any]) -> Refusal | None:
+    def refused(self, scope: Scope) -> Refusal | None:
         """The refusal of a request; None if it is permitted."""
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         if not self._addressed(scope, headers.get("host", "")):
@@ -156,7 +156,7 @@ class Access:
         self.attempts.note(client)
         return Refusal(401, "wrong token", {"WWW-Authenticate": "Bearer"})
 
-    def _addressed(self, scope: Mapping[str, Any], host: str) -> bool:
+    def _addressed(self, scope: Scope, host: str) -> bool:
         """Whether a request's Host header names the page or the address that the request reached.
 
         A foreign name that resolves to this address (DNS rebinding) is neither.
@@ -209,7 +209,7 @@ def host_name(host: str) -> str:
     return host.partition(":")[0].lower().rstrip(".")
 
 
-def client_of(scope: Mapping[str, Any]) -> str:
+def client_of(scope: Scope) -> str:
     """The client's address of a request."""
     return (scope.get("client") or ("", 0))[0]
 

@@ -14,6 +14,7 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.service import Service
 from hygrokf.live.sources.streams import SourceState
@@ -278,7 +279,7 @@ def alarm_turbine(store: Store, alarm: str) -> str:
     return store.rows("SELECT turbine FROM alarm WHERE id = ?", (alarm,))[0][0]
 
 
-async def posted(request: Request) -> dict[str, Any]:
+async def posted(request: Request) -> JsonObject:
     """The posted JSON object; empty if the body is no object or too large."""
     body = b""
     async for part in request.stream():

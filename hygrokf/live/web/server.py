@@ -18,6 +18,7 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
+from hygrokf.data.structured import Json
 from hygrokf.live.storage.store import Batch
 from hygrokf.live.web.access import answer
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
@@ -235,7 +236,7 @@ class Hub:
                 loop.call_soon_threadsafe(function, names)
 
 
-def message(kind: str, **content: object) -> bytes:
+def message(kind: str, **content: Json) -> bytes:
     """One server-sent event; heartbeats are events too, because scripts cannot see comments."""
     return f"event: {kind}\ndata: {json.dumps(content)}\n\n".encode()
 

@@ -7,17 +7,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from types import MappingProxyType
 from typing import Any, TypedDict, TypeVar, cast
 
 import numpy as np
 
 from hygrokf.data.signals import SIGNALS, from_si
+from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.identification.verdict import MARKS, PARAMETER_OF, VERDICTS, Inherited, handed_on
 from hygrokf.live.alarms import CHANGED
 from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
-from hygrokf.live.forecast import LIMIT
+from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.properties import WATCHED
 from hygrokf.live.service import Health
 from hygrokf.live.sources.streams import SourceState
@@ -451,7 +453,7 @@ def _forecast(store: Store, name: str) -> dict[str, Any] | None:
     if not made:
         return None
     return {
-        **made,
+        **asdict(structured(ForecastMade, made)),
         "time": [row[-3] for row in rows],
         "condensation": [row[-2] for row in rows],
         "above_limit": [row[-1] for row in rows],
