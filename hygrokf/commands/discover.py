@@ -37,8 +37,7 @@ def _run(options: Namespace) -> int:
     from hygrokf.discovery.library import LIBRARY
     from hygrokf.discovery.own_causes import load_library
     from hygrokf.discovery.procedure import discover
-    from hygrokf.report.discovery_page import write_discovery_report
-    from hygrokf.report.discovery_text import discovery_text
+    from hygrokf.report.discovery_page import discovery_text, write_discovery_report
 
     expect_own_directory(options.out, DISCOVERY)
     own = load_library(*options.library, installed=True)
@@ -46,13 +45,13 @@ def _run(options: Namespace) -> int:
     wider = {"library": (*LIBRARY, *own)} if own else {}
     with faults_of(options.case), Progress(45) as progress:
         found = discover(record, starts=options.starts, progress=progress, budget_s=options.budget, **wider)
-    tried = {row["cause"] for key in ("causes", "rejected") for row in found.to_json()[key]}
+    tried = {one.cause for one in found.results.causes} | {one.cause for one in found.results.rejected}
     for cause in own:
         if cause.name not in tried:
             needs = f"; it needs {cause.needs}" if cause.needs else ""
             print(f"note: {cause.name} was not tried: this record cannot show it{needs}", file=sys.stderr)
     page = write_discovery_report(found, options.out)
-    return show_reported(page, found.to_json(), discovery_text(found.to_json()), options.json)
+    return show_reported(page, found.results, discovery_text(found.results), options.json)
 
 
 VERB = Verb(

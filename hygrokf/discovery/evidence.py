@@ -1,4 +1,4 @@
-"""What speaks for an accepted cause, as the plain data of `discovery.json`: evidence, parameters, gain,
+"""What speaks for an accepted cause, evidence, parameters, gain,
 confidence."""
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from hygrokf.discovery.baseline import Scene
 from hygrokf.discovery.candidate import Trial, added, probability, score_statistic
 from hygrokf.discovery.cause import Cause
+from hygrokf.discovery.discovery_results import CauseFound, CauseParameter, Evidence, Gain
 from hygrokf.discovery.library import named
 from hygrokf.estimation.confidence import standard_error, wald_bounds
 from hygrokf.identification.estimation import Stage
@@ -29,22 +30,24 @@ WEIGHTS = {"level": 0.1, "margin": 2.3, "lasting": 3.5}
 (docs/discover_measured.md)."""
 
 
-def evidence(scene: Scene, trial: Trial, tried: int) -> dict:
+def evidence(scene: Scene, trial: Trial, tried: int) -> Evidence:
     """What a trial found, in numbers.
 
     `scene` of the base model; `tried`: how many variants were tried: their number and that of the settings
     correct p.
     """
-    return {
-        "lr": trial.lr,
-        "df": trial.parameters,
-        "p_adjusted": min(1.0, probability(trial) * max(trial.variant.searched, 1.0) * max(tried, 1)),
-        "bic_gain": trial.bic_gain,
-        "score_statistic": score_statistic(scene, trial.variant),
-        "free_run_gain": dict(trial.gain),
-        "lasting_gain": dict(trial.lasting),
-        "settings": dict(trial.variant.settings),
-    }
+    chance = probability(trial) * max(trial.variant.searched, 1.0) * max(tried, 1)
+    score = score_statistic(scene, trial.variant)
+    return Evidence(
+        lr=trial.lr,
+        df=trial.parameters,
+        p_adjusted=min(1.0, chance),
+        bic_gain=trial.bic_gain,
+        score_statistic=math.nan if score is None else score,
+        free_run_gain=dict(trial.gain),
+        lasting_gain=dict(trial.lasting),
+        settings=dict(trial.variant.settings),
+    )
 
 
 def cause_entry(
@@ -52,12 +55,12 @@ def cause_entry(
     trial: Trial,
     rivals: Sequence[Trial],
     margin: float,
-    gain: dict | None,
+    gain: Gain | None,
     known: Collection[str],
     stages: Sequence[Stage],
     library: Sequence[Cause],
     tried: int,
-) -> dict:
+) -> CauseFound:
     """One entry of `causes`.  `margin`: see `confidence`; `gain`: its own on the held-out period, beside
     those accepted before it; `known`: parameters of the base model.
     """
@@ -70,24 +73,23 @@ def cause_entry(
         sure = min(sure, ONCE_AT_MOST)
     if {ONCE, EVENT} & set(notes):
         gain = None
-    statement = "; ".join((statement, *notes))
-    return {
-        "cause": cause.name,
-        "form": trial.variant.form,
-        "confidence": sure,
-        "margin": margin,
-        "statement": statement,
-        "parameters": parameters,
-        "settings": dict(trial.variant.settings),
-        "evidence": evidence(scene, trial, tried),
-        "gain": gain,
-        "ambiguous_with": [t.variant.cause for t in rivals],
-        "separate_by": cause.separate_by,
-        "remedy": _remedy(cause, trial),
-    }
+    return CauseFound(
+        cause=cause.name,
+        form=trial.variant.form,
+        confidence=sure,
+        margin=margin,
+        statement="; ".join((statement, *notes)),
+        parameters=parameters,
+        settings=dict(trial.variant.settings),
+        evidence=evidence(scene, trial, tried),
+        gain=gain,
+        ambiguous_with=tuple(t.variant.cause for t in rivals),
+        separate_by=cause.separate_by,
+        remedy=_remedy(cause, trial),
+    )
 
 
-def reservations(event: bool, once: bool, parameters: Mapping[str, Mapping]) -> tuple[str, ...]:
+def reservations(event: bool, once: bool, parameters: Mapping[str, CauseParameter]) -> tuple[str, ...]:
     """What is said against a cause in its statement."""
     found = []
     if once or event:
@@ -97,15 +99,15 @@ def reservations(event: bool, once: bool, parameters: Mapping[str, Mapping]) -> 
     return tuple(found)
 
 
-def vague(parameters: Mapping[str, Mapping]) -> bool:
+def vague(parameters: Mapping[str, CauseParameter]) -> bool:
     """Whether a cause's amplitudes all have bounds that reach over their null value.
 
     Bounds hold where the model is wrong in its form too, as a gain in likelihood does not.
     """
     amplitudes = [
-        (one["lower"], one["null"], one["upper"])
+        (one.lower, one.null, one.upper)
         for one in parameters.values()
-        if None not in (one["lower"], one["null"], one["upper"])
+        if all(map(math.isfinite, (one.lower, one.null, one.upper)))
     ]
     return bool(amplitudes) and all(lower <= null <= upper for lower, null, upper in amplitudes)
 
@@ -148,7 +150,7 @@ def seen_once(trial: Trial) -> bool:
     return trial.once or len(trial.variant.settings.get("spans", (1, 2))) == 1
 
 
-def _parameters(trial: Trial, stages: Sequence[Stage], known: Collection[str]) -> dict:
+def _parameters(trial: Trial, stages: Sequence[Stage], known: Collection[str]) -> dict[str, CauseParameter]:
     """The cause's own parameters in the extended model, with bounds; `known` those of the base model."""
     names = added(trial.variant)
     altered = {name for changes in trial.variant.altered.values() for name in changes}
@@ -162,13 +164,8 @@ def _parameters(trial: Trial, stages: Sequence[Stage], known: Collection[str]) -
                     continue
                 b = wald_bounds(stage.estimate, stage.uncertainty, p.name)
                 se = standard_error(stage.estimate, stage.uncertainty, p.name)
-                found[p.name] = {
-                    "value": stage.estimate.values[p.name],
-                    "unit": p.unit,
-                    "lower": b.lower if math.isfinite(b.lower) else None,
-                    "upper": b.upper if math.isfinite(b.upper) else None,
-                    "se": se if math.isfinite(se) else None,
-                    "null": p.null,
-                    "meaning": p.meaning,
-                }
+                null = math.nan if p.null is None else p.null
+                found[p.name] = CauseParameter(
+                    stage.estimate.values[p.name], p.unit, b.lower, b.upper, se, null, p.meaning
+                )
     return found

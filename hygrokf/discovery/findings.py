@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -9,6 +10,7 @@ from datetime import UTC, datetime
 import numpy as np
 
 from hygrokf.discovery.changes import Step, change_p, drift_p, sharp_step
+from hygrokf.discovery.discovery_results import Finding
 from hygrokf.discovery.residuals import (
     FEWEST_HOURS,
     QUANTITIES,
@@ -45,91 +47,7 @@ SEEN = 0.5
 LASTING = 0.25
 """[1] share of a step between two readings that the means before and after must show; twice that where a kick
 of the cabinet, soon forgotten, would explain the readings as well."""
-LASTING_KINDS = ("step", "drift", "season")
 NAMES = {"temperature": "temperature", "humidity": "absolute humidity"}
-
-
-@dataclass(frozen=True)
-class Misfit:
-    """Something that the free run gets wrong.
-
-    quantity: "temperature" or "humidity". where, when: the condition in words ("" = any).
-    size: [K], [g/m³] typical error under the condition less that elsewhere (less that in the hours around it
-        where the condition sets in sharply); direction: of the simulation.
-    duration_h: [h] for how long of an episode, or None.
-    n_episodes: in which it is seen, of n_possible. sensor_share: [1] of its square, explained by sensors'
-        accuracy.
-    p, q: [1] chance of it without a cause, for itself and as adjusted share of false discoveries.
-    driver: signal that it goes with, or "". kind: of the condition. curve: reading − free run over the
-        condition's bins.
-    spans: (start, end) [s] of its episodes, the largest error first.
-    """
-
-    quantity: str
-    where: str
-    when: str
-    size: float
-    direction: str
-    duration_h: float | None
-    n_episodes: int
-    n_possible: int
-    sensor_share: float
-    statement: str
-    p: float
-    q: float
-    driver: str
-    kind: str
-    curve: Mapping[str, object] = field(default_factory=dict)
-    spans: tuple[tuple[float, float], ...] = ()
-
-    @property
-    def once(self) -> bool:
-        """Whether there was a single occasion for it: nothing says that it would come again."""
-        return self.n_possible == 1 and self.kind not in LASTING_KINDS
-
-    @property
-    def unit(self) -> str:
-        """K or g/m³."""
-        return UNITS[self.quantity]
-
-    def to_json(self) -> dict:
-        """As it stands in `discovery.json`."""
-        return {
-            "quantity": self.quantity,
-            "where": self.where,
-            "when": self.when,
-            "size": self.size,
-            "unit": self.unit,
-            "direction": self.direction,
-            "duration_h": self.duration_h,
-            "n_episodes": self.n_episodes,
-            "n_possible": self.n_possible,
-            "sensor_share": self.sensor_share,
-            "statement": self.statement,
-            "p": self.p,
-            "p_adjusted": self.q,
-            "driver": self.driver or None,
-            "kind": self.kind,
-            "curve": dict(self.curve),
-            "spans": [list(span) for span in self.spans],
-        }
-
-    @classmethod
-    def from_json(cls, data: Mapping) -> Misfit:
-        """A misfit from what `to_json` gave."""
-        return cls(
-            **{
-                name: data[name]
-                for name in (
-                    "quantity", "where", "when", "size", "direction", "duration_h", "n_episodes",
-                    "n_possible",
-                    "sensor_share", "statement", "p", "kind", "curve",
-                )
-            },
-            q=data["p_adjusted"],
-            driver=data["driver"] or "",
-            spans=tuple((float(first), float(last)) for first, last in data["spans"]),
-        )  # fmt: skip
 
 
 # --- how surely ------------------------------------------------------------------------------
@@ -207,7 +125,7 @@ def _adjusted(answers: Mapping[str, Sequence[_Answer]], asked: Sequence[Conditio
     return dict(zip(answers, q.reshape(len(answers), -1), strict=True))
 
 
-def misfits(residuals: Residuals, level: float = LEVEL) -> list[Misfit]:
+def findings(residuals: Residuals, level: float = LEVEL) -> list[Finding]:
     """What the free run gets wrong in the identification period, worst (in units of its RMSE) first, at most
     eight.
 
@@ -232,7 +150,7 @@ def misfits(residuals: Residuals, level: float = LEVEL) -> list[Misfit]:
         for quantity in QUANTITIES
         if np.isfinite(hours.error[quantity]).sum() >= FEWEST_HOURS
     }
-    found: list[Misfit] = []
+    found: list[Finding] = []
     spent: set[tuple[str, int]] = set()
     answers: dict[str, list[_Answer]] = {}
     changed = list(states)
@@ -272,7 +190,7 @@ def _told(
     number: int,
     answer: _Answer,
     q: float,
-) -> Misfit | None:
+) -> Finding | None:
     """The misfit in numbers and words, taken out of the state; None where it is immaterial or told
     already."""
     condition = _strongest(asked[number], asked, state.error)
@@ -307,7 +225,7 @@ def _told(
     episodes = [(a, b) for a, b in run_lengths(closed(inside, hours.step_h)) if under[a:b].any()]
     means = np.array([float(error[a:b][under[a:b]].mean()) - elsewhere for a, b in episodes])
     seen = int((means * np.sign(size) >= SEEN * abs(size)).sum())
-    duration = None
+    duration = math.nan
     if condition.kind == "episode":
         duration = duration_h(np.sign(size) * (error - elsewhere), episodes, hours.step_h)
     where, when = condition.phrase(first, last)
@@ -324,9 +242,9 @@ def _told(
     if answer.step is not None or condition.kind == "step":
         state.step = None
     sign = "too low" if size > 0 else "too high"
-    made = Misfit(
-        quantity, where, when, abs(size), sign, duration, seen, len(episodes), share, "", answer.p, q,
-        condition.driver, condition.kind, curve,
+    made = Finding(
+        quantity, where, when, abs(size), UNITS[quantity], sign, duration, seen, len(episodes), share, "",
+        answer.p, q, condition.driver or None, condition.kind, curve,
         tuple(
             (float(hours.time_s[a] - 1800.0 * hours.step_h),
                 float(hours.time_s[b - 1] + 1800.0 * hours.step_h))
@@ -344,10 +262,10 @@ def _strongest(condition: Condition, asked: Sequence[Condition], error: np.ndarr
     return max((part for one in kin for part in one.columns or (one,)), key=lambda one: one.explained(error))
 
 
-def _statement(one: Misfit, sensors: float) -> str:
+def _statement(one: Finding, sensors: float) -> str:
     noun = {"hour": "days", "step": "", "drift": "", "season": ""}.get(one.kind, "episodes")
     count = f"{one.n_episodes} of {one.n_possible} {noun}; " if noun else ""
-    lasting = f" for {one.duration_h:.0f} h" if one.duration_h else ""
+    lasting = f" for {one.duration_h:.0f} h" if one.duration_h > 0 else ""
     place = ", ".join(part for part in (one.when, one.where) if part)
     return (
         f"{place}, simulated {NAMES[one.quantity]} is {digits(one.size)} {one.unit} {one.direction}{lasting} "

@@ -18,6 +18,7 @@ from hygrokf.data.record import Record
 from hygrokf.discovery.baseline import HYGRIC, SIMULATION_STEP, THERMAL, Part, Scene, simulating
 from hygrokf.discovery.candidate import Trial, added, attempt, started
 from hygrokf.discovery.clocks import cabinet_moved, shifted
+from hygrokf.discovery.discovery_results import Gain
 from hygrokf.discovery.model_selection import WORSE, Choice, with_trial
 from hygrokf.evaluation.bootstrap import resampled
 from hygrokf.evaluation.simulation import QUANTITIES, measured, simulate
@@ -49,9 +50,10 @@ class Simulated:
         there = late if period == "validation" else ~late
         return time[there], error[there]
 
-    def rmse(self, quantity: str, period: str) -> float | None:
+    def rmse(self, quantity: str, period: str) -> float:
+        """Root mean squared error in a period; NaN without readings."""
         _, error = self.of(quantity, period)
-        return float(np.sqrt(np.mean(error**2))) if len(error) else None
+        return float(np.sqrt(np.mean(error**2))) if len(error) else math.nan
 
 
 @dataclass(frozen=True)
@@ -63,9 +65,8 @@ class Model:
 
     def better(self, quantity: str) -> Simulated:
         """The one that simulates the identification period better."""
-        return min(
-            (self.identified, self.moved), key=lambda one: one.rmse(quantity, "identification") or math.inf
-        )
+        errors = [one.rmse(quantity, "identification") for one in (self.identified, self.moved)]
+        return self.moved if errors[1] < errors[0] else self.identified
 
 
 @dataclass(frozen=True)
@@ -75,12 +76,12 @@ class Judged:
     """
 
     choice: Choice
-    refuted: tuple[tuple[Trial, dict], ...]
+    refuted: tuple[tuple[Trial, Gain], ...]
     scenes: tuple[Scene, ...]
     models: tuple[Model, ...]
 
     @property
-    def gains(self) -> list[dict]:
+    def gains(self) -> list[Gain]:
         """What each accepted cause gains in its own quantity beside those before it."""
         pairs = zip(self.models[:-1], self.models[1:], strict=True)
         return [
@@ -143,8 +144,8 @@ def model_of(scene: Scene, record: Record, trials: Sequence[Trial] = ()) -> Mode
     return Model(simulated(as_it_is), simulated(toward))
 
 
-def gain_of(quantity: str, before: Model, after: Model) -> dict:
-    """What one model simulates better than another, as plain data: errors on the validation period (the
+def gain_of(quantity: str, before: Model, after: Model) -> Gain:
+    """What one model simulates better than another: errors on the validation period (the
     identification period where there is none), and 95 % bounds of their difference by a bootstrap of blocks
     of three days.
 
@@ -152,23 +153,23 @@ def gain_of(quantity: str, before: Model, after: Model) -> dict:
     which tables and other pages show.
     """
     pair = before.better(quantity), after.better(quantity)
-    period = "identification" if pair[0].rmse(quantity, "validation") is None else "validation"
+    period = "validation" if math.isfinite(pair[0].rmse(quantity, "validation")) else "identification"
     low, high = difference_bounds(*(one.of(quantity, period) for one in pair))
-    return {
-        "quantity": quantity,
-        "period": period,
-        "rmse_before": pair[0].rmse(quantity, period),
-        "rmse_after": pair[1].rmse(quantity, period),
-        "identified_before": before.identified.rmse(quantity, period),
-        "identified_after": after.identified.rmse(quantity, period),
-        "lower": low,
-        "upper": high,
-    }
+    return Gain(
+        quantity=quantity,
+        period=period,
+        rmse_before=pair[0].rmse(quantity, period),
+        rmse_after=pair[1].rmse(quantity, period),
+        identified_before=before.identified.rmse(quantity, period),
+        identified_after=after.identified.rmse(quantity, period),
+        lower=low,
+        upper=high,
+    )
 
 
 def difference_bounds(
     before: tuple[np.ndarray, np.ndarray], after: tuple[np.ndarray, np.ndarray]
-) -> tuple[float | None, float | None]:
+) -> tuple[float, float]:
     """95 % bounds of RMSE before − RMSE after, of (times [s], errors) each, over the readings that both
     have."""
     # whole seconds: no two readings are nearer, and rounding is no other one
@@ -181,17 +182,17 @@ def difference_bounds(
     long = float(np.ptp(time)) / (FEWEST * DAY_S) if len(time) else 0.0
     drawn = resampled(time, errors, length_h=24.0 * min(max(long, 1.0), BLOCK_DAYS))
     found = None if drawn is None else drawn.difference(0, 1)
-    return (None, None) if found is None else (found[1], found[2])
+    return (math.nan, math.nan) if found is None else (found[1], found[2])
 
 
-def refutes(gain: Mapping) -> bool:
+def refutes(gain: Gain) -> bool:
     """Whether the held-out period is simulated worse: materially, as in the identification period
     (`choice.WORSE`), and with 95 % bounds that exclude a gain.  The bounds know nothing of how the other
     parameters were estimated anew.
     """
-    if gain["period"] != "validation" or gain["upper"] is None:
+    if gain.period != "validation" or not math.isfinite(gain.upper):
         return False
-    return gain["upper"] < 0.0 and gain["rmse_after"] ** 2 > (1.0 - WORSE) * gain["rmse_before"] ** 2
+    return gain.upper < 0.0 and gain.rmse_after**2 > (1.0 - WORSE) * gain.rmse_before**2
 
 
 def judged(base: Scene, choice: Choice, record: Record) -> Judged:
@@ -203,7 +204,7 @@ def judged(base: Scene, choice: Choice, record: Record) -> Judged:
     if not choice.accepted:
         return Judged(choice, (), (), ())
     kept: list[int] = []
-    refuted: list[tuple[Trial, dict]] = []
+    refuted: list[tuple[Trial, Gain]] = []
     scenes, models = [base], [model_of(base, record)]
     for place, trial in enumerate(choice.accepted):
         whole = place == len(choice.accepted) - 1 and not refuted
@@ -242,11 +243,11 @@ def _added(wider: Part, part: Part) -> set[str]:
     return {name for name, _ in wider.base.mechanisms} - {name for name, _ in part.base.mechanisms}
 
 
-def refutation(gain: Mapping) -> str:
+def refutation(gain: Gain) -> str:
     """Why the held-out period refutes a cause."""
-    unit = "K" if gain["quantity"].endswith("_K") else "g/m³"
+    unit = "K" if gain.quantity.endswith("_K") else "g/m³"
     return (
-        f"the held-out period refutes it: with it the error there grows from {gain['rmse_before']:.3g} to "
-        f"{gain['rmse_after']:.3g} {unit} (95 % bounds of the growth {-gain['upper']:.2g} … "
-        f"{-gain['lower']:.2g})"
+        f"the held-out period refutes it: with it the error there grows from {gain.rmse_before:.3g} to "
+        f"{gain.rmse_after:.3g} {unit} (95 % bounds of the growth {-gain.upper:.2g} … "
+        f"{-gain.lower:.2g})"
     )

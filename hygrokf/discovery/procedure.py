@@ -5,10 +5,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 from hygrokf.data.record import Record
-from hygrokf.data.structured import plain
+from hygrokf.data.structured import JsonObject, plain
 from hygrokf.discovery import held_out
 from hygrokf.discovery.baseline import (
     HYGRIC,
@@ -24,8 +23,17 @@ from hygrokf.discovery.budget import SECONDS, Budget
 from hygrokf.discovery.candidate import Trial
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.clocks import shifted
+from hygrokf.discovery.discovery_results import (
+    DiscoveryResults,
+    ModelScores,
+    NotTried,
+    Refuted,
+    Rejected,
+    Remainder,
+    Verdict,
+)
 from hygrokf.discovery.evidence import cause_entry, evidence
-from hygrokf.discovery.findings import misfits
+from hygrokf.discovery.findings import findings
 from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.model_selection import Choice, choose, switches
 from hygrokf.discovery.own_causes import adopt, origins_of
@@ -49,19 +57,34 @@ UNEXPLAINED_AT_MOST = 0.5
 
 @dataclass(frozen=True)
 class Discovery:
-    """The base fit, the extended one where a cause was accepted, and the plain data of `discovery.json`.
+    """The base fit, the extended one where a cause was accepted, and what was found.
 
-    `before`, `after` are the residuals of both, for pictures.
+    `results`: what `discovery.json` says; `results.to_frame()` lists every cause that was tried.  `before`,
+    `after`: residuals of both models, for pictures.  A discovery can be pickled.
     """
 
     base: Fit
     extended: Fit | None
-    results: Mapping[str, Any]
+    results: DiscoveryResults
     before: Residuals | None = None
     after: Residuals | None = None
 
-    def to_json(self) -> dict:
-        return dict(self.results)
+    def to_json(self) -> JsonObject:
+        """The data of `discovery.json`."""
+        data: JsonObject = plain(self.results)
+        return data
+
+    def __str__(self) -> str:
+        """The name with its verdict, and each cause with its confidence [1]."""
+        causes = [
+            f"  {one.cause} ({one.form}), confidence {one.confidence:.2f}" for one in self.results.causes
+        ]
+        return "\n".join([f"{self.results.name}: {self.results.verdict}", *causes])
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return str(self.results.to_frame().to_html())
 
 
 def discover(
@@ -171,7 +194,7 @@ def _ended(scene: Scene, stages: Sequence[Stage]) -> Scene:
     return replace(scene, parts=parts)
 
 
-def verdict(accepted: Sequence[Trial], rest: Mapping | None, foreign: bool, repeated: bool) -> str:
+def verdict(accepted: Sequence[Trial], rest: Remainder | None, foreign: bool, repeated: bool) -> Verdict:
     """`none`, `named` or `unexplained`.
 
     rest: structure that is left; foreign: whether nobody logs what makes it; repeated: whether readings were
@@ -187,21 +210,21 @@ def verdict(accepted: Sequence[Trial], rest: Mapping | None, foreign: bool, repe
 def _results(
     scene: Scene,
     before: Residuals,
-    left: tuple[dict | None, bool],
+    left: tuple[Remainder | None, bool],
     base: Fit,
     extended: Fit | None,
     tested: held_out.Judged,
     stages: Sequence[Stage],
     library: Sequence[Cause],
-    repeated: Mapping[str, list],
+    repeated: Mapping[str, list[tuple[float, float]]],
     budget_s: float,
-) -> dict:
+) -> DiscoveryResults:
     choice = tested.choice
     rest, foreign = left
     if repeated:
-        rest = _remainder("readings", REPEATED, repeated_text(repeated))
+        rest = Remainder("readings", REPEATED, repeated_text(repeated))
     elif rest is None and tested.refuted and not choice.accepted:
-        rest = _remainder(tested.refuted[0][1]["quantity"], "refuted", REFUTED)
+        rest = Remainder(tested.refuted[0][1].quantity, "refuted", REFUTED)
     said = verdict(choice.accepted, rest, foreign, bool(repeated))
     known = {p.name for p in base.design.model.parameters}
     causes = [
@@ -211,45 +234,27 @@ def _results(
         )
     ]
     if said == "unexplained":
-        for one in causes:
-            one["confidence"] = min(one["confidence"], UNEXPLAINED_AT_MOST)
-    return {
-        "name": base.results.name,
-        "version": __version__,
-        "synthetic": base.results.synthetic,
-        "verdict": said,
-        "baseline": _scores(base),
-        "extended": None if extended is None else _scores(extended),
-        "misfits": [one.to_json() for one in misfits(before)],
-        "causes": causes,
-        "rejected": [
-            {
-                "cause": t.variant.cause,
-                "form": t.variant.form,
-                "evidence": evidence(scene, t, choice.tried),
-                "reason": reason,
-            }
+        causes = [replace(one, confidence=min(one.confidence, UNEXPLAINED_AT_MOST)) for one in causes]
+    return DiscoveryResults(
+        name=base.results.name,
+        version=__version__,
+        verdict=said,
+        baseline=_scores(base),
+        synthetic=base.results.synthetic,
+        extended=None if extended is None else _scores(extended),
+        causes=tuple(causes),
+        rejected=tuple(
+            Rejected(t.variant.cause, t.variant.form, evidence(scene, t, choice.tried), reason)
             for t, reason in choice.rejected
-        ],
-        "refuted": [
-            {"cause": t.variant.cause, "form": t.variant.form, "gain": gain} for t, gain in tested.refuted
-        ],
-        "unexplained": rest,
-        "not_tried": {"causes": list(choice.untried), "beside": choice.cut, "budget_s": budget_s},
-        "own_causes": {
-            cause.name: origins_of(cause) for cause in library if cause.mechanisms or cause.features
-        },
-    }
+        ),
+        refuted=tuple(Refuted(t.variant.cause, t.variant.form, gain) for t, gain in tested.refuted),
+        unexplained=rest,
+        not_tried=NotTried(tuple(choice.untried), choice.cut, budget_s),
+        own_causes={cause.name: origins_of(cause) for cause in library if cause.mechanisms or cause.features},
+        findings=tuple(findings(before)),
+    )
 
 
-def _remainder(quantity: str, kind: str, statement: str) -> dict:
-    """What is left without a condition that it goes with, as plain data."""
-    return {
-        "quantity": quantity, "kind": kind, "when": "", "driver": None, "lag_h": None,
-        "correlation": 0.0, "p": 0.0, "statement": statement,
-    }  # fmt: skip
-
-
-def _scores(fit: Fit) -> dict:
-    kept = ("rmse", "baselines", "time_constants", "loglik", "n_obs")
-    return {key: plain(getattr(fit.results, key)) for key in kept}
+def _scores(fit: Fit) -> ModelScores:
+    found = fit.results
+    return ModelScores(found.rmse, found.baselines, found.time_constants, found.loglik, found.n_obs)

@@ -8,7 +8,8 @@ from datetime import UTC, datetime
 
 import numpy as np
 
-from hygrokf.discovery.findings import LEVEL, MATERIAL, NAMES, Misfit, digits, misfits
+from hygrokf.discovery.discovery_results import Finding, Remainder
+from hygrokf.discovery.findings import LEVEL, MATERIAL, NAMES, digits, findings
 from hygrokf.discovery.regularity import GROWS, growth, period
 from hygrokf.discovery.residuals import (
     FEWEST_HOURS,
@@ -48,21 +49,21 @@ SKEWED = 0.5
 
 
 def structure(
-    residuals: Residuals, level: float = LEVEL, found: Sequence[Misfit] | None = None
-) -> dict | None:
+    residuals: Residuals, level: float = LEVEL, found: Sequence[Finding] | None = None
+) -> Remainder | None:
     """The strongest structure left in the errors, or None: quantity, when, what it goes with, p.
 
-    level: [1] chance of an answer where there is none.  found: `misfits(residuals)` if at hand.  Looked for
+    level: [1] chance of an answer where there is none.  found: `findings(residuals)` if at hand.  Looked for
     are misfits under any condition that came more than once, and excursions to one side under no condition
     that was logged.  `driver`, `lag_h` and `correlation` name the driver that the error follows best.
     """
-    found = misfits(residuals, level) if found is None else found
+    found = findings(residuals, level) if found is None else found
     recurring = [one for one in found if not one.once]
     hours = hourly(residuals)
     if recurring:
         one = recurring[0]
         when = ", ".join(part for part in (one.when, one.where) if part)
-        return _left(hours, one.quantity, "condition", when, one.statement, one.q, one.driver)
+        return _left(hours, one.quantity, "condition", when, one.statement, one.p_adjusted, one.driver)
     for quantity in QUANTITIES:
         error = hours.error[quantity]
         if np.isfinite(error).sum() < FEWEST_HOURS:
@@ -84,7 +85,7 @@ def structure(
     return None
 
 
-def _in_time(hours: Hours, quantity: str) -> dict | None:
+def _in_time(hours: Hours, quantity: str) -> Remainder | None:
     """A period, growth or bursts of a quantity's errors, as `structure` gives it, or None."""
     error, name, unit = hours.error[quantity], NAMES[quantity], UNITS[quantity]
     scale = float(np.nanstd(error))
@@ -111,7 +112,7 @@ def _in_time(hours: Hours, quantity: str) -> dict | None:
     return None
 
 
-def remaining(pair: tuple[Residuals, Residuals]) -> tuple[dict | None, bool]:
+def remaining(pair: tuple[Residuals, Residuals]) -> tuple[Remainder | None, bool]:
     """(structure that is left or None, whether nobody logs what makes it) in the errors of a model's two
     versions.
 
@@ -120,12 +121,12 @@ def remaining(pair: tuple[Residuals, Residuals]) -> tuple[dict | None, bool]:
     the next reading.
     """
     first, second = (unlogged(one) for one in pair)
-    if first and second and first["quantity"] == second["quantity"]:
+    if first and second and first.quantity == second.quantity:
         return second, True
     return (structure(pair[1]) if structure(pair[0]) else None), False
 
 
-def unlogged(residuals: Residuals) -> dict | None:
+def unlogged(residuals: Residuals) -> Remainder | None:
     """Unrest to one side, a period, growth or bursts, as `structure` gives it, or None: something that nobody
     logs acts, whatever else was found.
     """
@@ -208,12 +209,14 @@ def _two_sided(z: float) -> float:
     return math.erfc(abs(z) / math.sqrt(2.0))
 
 
-def _left(hours: Hours, quantity: str, kind: str, when: str, words: str, p: float, driver: str = "") -> dict:
+def _left(
+    hours: Hours, quantity: str, kind: str, when: str, words: str, p: float, driver: str | None = None
+) -> Remainder:
     """A structure in words, with the driver and lag of the largest correlation with the error."""
     error = hours.error[quantity]
     best: tuple[float, str | None, float | None] = (0.0, None, None)
     for name, value in hours.drivers.items():
-        if driver not in ("", name):
+        if driver not in (None, name):
             continue
         for lag in (0, *(round(one / hours.step_h) for one in LAGS_H)):
             before = np.append(np.full(lag, np.nan), value[: len(value) - lag])
@@ -223,16 +226,9 @@ def _left(hours: Hours, quantity: str, kind: str, when: str, words: str, p: floa
             r = float(np.corrcoef(error[both], before[both])[0, 1])
             if abs(r) > abs(best[0]):
                 best = (r, name, lag * hours.step_h)
-    return {
-        "quantity": quantity,
-        "kind": kind,
-        "when": when,
-        "driver": best[1],
-        "lag_h": best[2],
-        "correlation": best[0],
-        "p": p,
-        "statement": words,
-    }
+    return Remainder(
+        quantity, kind, words, when, best[1], math.nan if best[2] is None else best[2], best[0], p
+    )
 
 
 def _dates(instants_s: Sequence[float]) -> str:

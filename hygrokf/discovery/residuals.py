@@ -370,12 +370,12 @@ def closed(inside: np.ndarray, step_h: float) -> np.ndarray:
     return result
 
 
-def duration_h(error: np.ndarray, episodes: Sequence[tuple[int, int]], step_h: float) -> float | None:
-    """For how long [h] the episodes' mean course stays above half of its largest value; None for long
+def duration_h(error: np.ndarray, episodes: Sequence[tuple[int, int]], step_h: float) -> float:
+    """For how long [h] the episodes' mean course stays above half of its largest value; NaN for long
     episodes."""
     longest = max(b - a for a, b in episodes)
     if step_h * longest > LONGEST_DURATION_H:
-        return None
+        return math.nan
     table = np.full((len(episodes), longest), np.nan)
     for row, (a, b) in enumerate(episodes):
         table[row, : b - a] = error[a:b]
@@ -383,7 +383,7 @@ def duration_h(error: np.ndarray, episodes: Sequence[tuple[int, int]], step_h: f
     course = np.divide(np.nansum(table, axis=0), number, out=np.full(longest, -np.inf), where=number > 0)
     course = course[number >= max(1.0, 0.5 * len(episodes))]
     if not len(course):
-        return None
+        return math.nan
     peak = int(np.argmax(course))
     beyond = course >= 0.5 * course[peak]
     before = int(np.argmin(np.append(beyond[peak::-1], False)))

@@ -4,7 +4,6 @@ them."""
 from __future__ import annotations
 
 import io
-import json
 import math
 import os
 import zipfile
@@ -16,8 +15,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hygrokf.data.files import DISCOVERY, DISCOVERY_SERIES, write_bytes_whole, write_text_whole
+from hygrokf.data.result_file import ResultFault, read_result, result_text
+from hygrokf.discovery.discovery_results import DiscoveryResults
 from hygrokf.discovery.residuals import Residuals
-from hygrokf.identification.results import ResultFault, dump, write_fit
+from hygrokf.identification.results import write_fit
 
 if TYPE_CHECKING:
     from hygrokf.discovery.procedure import Discovery
@@ -28,10 +29,9 @@ AGAIN = "run `hygrokf discover` with --out on this directory first"
 
 @dataclass(frozen=True)
 class Discovered:
-    """What a page of a discovery is made from: the plain data of `discovery.json` and the residuals of both
-    models."""
+    """What a page of a discovery is made from: its results, and the residuals of both models."""
 
-    results: Mapping[str, Any]
+    results: DiscoveryResults
     before: Residuals | None = None
     after: Residuals | None = None
 
@@ -47,23 +47,18 @@ def write_discovery(found: Discovery, directory: str | os.PathLike[str]) -> Path
     buffer = io.BytesIO()
     np.savez_compressed(buffer, **_arrays(found))  # type: ignore[arg-type]  # its flag is a keyword too
     write_bytes_whole(folder / DISCOVERY_SERIES, buffer.getvalue())
-    return write_text_whole(folder / DISCOVERY, dump(found.to_json()))
+    return write_text_whole(folder / DISCOVERY, result_text(found.results))
 
 
 def read_discovery(directory: str | os.PathLike[str]) -> Discovered:
     """The discovery of a directory; raises ResultFault that lists all faults."""
-    folder, faults = Path(directory), []
-    results: object = {}
-    arrays: dict[str, np.ndarray] = {}
-    path = folder / DISCOVERY
+    folder = Path(directory)
+    faults: list[str] = []
+    results = None
     try:
-        results = json.loads(path.read_text(encoding="utf-8"))
-        if not (isinstance(results, dict) and "verdict" in results):
-            faults.append(f"{path}: expected the results of a discovery, found no verdict; {AGAIN}")
-    except FileNotFoundError:
-        faults.append(f"{path}: no such file; {AGAIN}")
-    except (OSError, ValueError, RecursionError) as fault:
-        faults.append(f"{path}: expected JSON written by `hygrokf discover`, found: {fault}; {AGAIN}")
+        results = read_result(DiscoveryResults, folder / DISCOVERY, "hygrokf discover")
+    except ResultFault as fault:
+        faults.append(str(fault))
     path = folder / DISCOVERY_SERIES
     residuals: dict[str, Residuals | None] = {}
     try:
@@ -74,9 +69,8 @@ def read_discovery(directory: str | os.PathLike[str]) -> Discovered:
         faults.append(f"{path}: no such file; {AGAIN}")
     except (OSError, ValueError, EOFError, KeyError, AttributeError, TypeError, zipfile.BadZipFile) as fault:
         faults.append(f"{path}: expected arrays written by `hygrokf discover`, found: {fault}; {AGAIN}")
-    if faults:
+    if results is None or faults:
         raise ResultFault("\n".join(faults))
-    assert isinstance(results, dict)
     return Discovered(results, **residuals)
 
 

@@ -1,21 +1,19 @@
-"""The tables of a discovery, once as data: misfits, parameters of causes, time constants, scores, what was
-left out."""
+"""The tables of a discovery: findings, parameters of causes, time constants, scores, what was left out."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 
-from hygrokf.data.lookup import entry, number
+from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults, Rejected
+from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import REJECT, verdicts
-from hygrokf.identification.wording import NONE, SCORED, fixed, percent, plain_number, text_of
+from hygrokf.identification.wording import NONE, SCORED, fixed, percent, plain_number
 from hygrokf.report.blocks import Table
 from hygrokf.report.discovery_text import (
     PARTS,
+    capital,
     chance,
-    fit_like,
     parameter_cells,
-    rows_of,
     share_words,
     signed_percent,
     spoken,
@@ -24,64 +22,52 @@ from hygrokf.report.discovery_text import (
 from hygrokf.report.fit_tables import REGIMES, rmse_table
 from hygrokf.report.fit_text import simulated, time_constant
 
-WHICH = ("baseline", "extended")
 
-
-def misfits_table(found: Mapping) -> Table | None:
+def findings_table(found: DiscoveryResults) -> Table | None:
     """What the simulation gets wrong, worst first; None where nothing is both significant and material."""
-    rows = []
-    for one in rows_of(found, "misfits"):
-        size, seen, possible, share = (
-            number(one, part) for part in ("size", "n_episodes", "n_possible", "sensor_share")
+    rows = tuple(
+        (
+            capital(one.statement.split(" (", 1)[0]),
+            f"{plain_number(one.size, 2)} {one.unit}".strip(),
+            f"{one.n_episodes} of {one.n_possible}",
+            percent(one.sensor_share),
+            chance(one.p_adjusted),
         )
-        unit = text_of(entry(one, "unit"))
-        episodes = NONE
-        if math.isfinite(seen):
-            episodes = f"{seen:.0f} of {possible:.0f}" if math.isfinite(possible) else f"{seen:.0f}"
-        rows.append(
-            (
-                _capital(text_of(entry(one, "statement")).split(" (", 1)[0]),
-                f"{plain_number(size, 2)} {unit}".strip(),
-                episodes,
-                percent(share),
-                chance(number(one, "p_adjusted")),
-            )
-        )
+        for one in found.findings
+    )
     if not rows:
         return None
     return Table(
         "Worst first",
         ("in the identification period", "size", "episodes", "sensors", "p"),
-        tuple(rows),
+        rows,
         note=(
-            "Size: against all other times of the same record. Episodes: in how many of all that there were "
-            "it is seen. Sensors: share of its square that their accuracy explains. p: chance of it without "
-            "a cause, corrected for everything that was asked."
+            "Size: error under this condition less that at all other times. Episodes: in how many of all the "
+            "error shows. Sensors: share of the squared error that the sensors' accuracy explains. p: "
+            "probability of such an error without a cause, corrected for everything that was tested."
         ),
     )
 
 
-def parameters_table(cause: Mapping) -> Table | None:
+def parameters_table(cause: CauseFound) -> Table | None:
     """The parameters of a cause with bounds; None where it has none."""
-    found = entry(cause, "parameters")
-    rows = []
-    for name, row in found.items() if isinstance(found, Mapping) else ():
-        value, bounds, unit = parameter_cells(row)
-        rows.append((text_of(name), value, bounds, unit, text_of(entry(row, "meaning"))))
-    if not rows:
-        return None
-    return Table(
-        "Parameters", ("parameter", "value", "95 % bounds", "unit", "meaning"), tuple(rows), left=(0, 3, 4)
-    )
+    rows = tuple((name, *parameter_cells(row), row.meaning) for name, row in cause.parameters.items())
+    columns = ("parameter", "value", "95 % bounds", "unit", "meaning")
+    return Table("Parameters", columns, rows, left=(0, 3, 4), brief=(0, 1, 2, 3)) if rows else None
 
 
-def constants_table(found: Mapping) -> Table | None:
+def models(found: DiscoveryResults) -> tuple[FitResults, FitResults]:
+    """The base and the extended model as results of a fit; an absent one is empty."""
+    return found.baseline.fit, FitResults() if found.extended is None else found.extended.fit
+
+
+def constants_table(found: DiscoveryResults) -> Table | None:
     """Both time constants by the base and by the extended model; None without an extended model."""
-    if not isinstance(entry(found, "extended"), Mapping):
+    if found.extended is None:
         return None
     rows = []
-    for name in ("thermal", "hygric"):
-        pair = [time_constant(fit_like(found, which), name) for which in WHICH]
+    for name in PARTS:
+        pair = [time_constant(model, name) for model in models(found)]
         if all(one.found is None for one in pair):
             continue
         cells = []
@@ -106,22 +92,21 @@ def constants_table(found: Mapping) -> Table | None:
         tuple(rows),
         left=(0, 3, 6),
         groups=(("", 1), ("base model", 3), ("extended model", 3), ("", 1)),
+        brief=(0, 1, 2, 4, 5, 7),
     )
 
 
-def constants_sentences(found: Mapping) -> list[str]:
+def constants_sentences(found: DiscoveryResults) -> list[str]:
     """By how much the base model was wrong about each time constant, and whether its bounds hid that."""
     said = []
-    for name in ("thermal", "hygric"):
-        value, low, high = (
-            number(found, "baseline", "time_constants", name, part)
-            for part in ("value_h", "lower_h", "upper_h")
-        )
-        after = number(found, "extended", "time_constants", name, "value_h")
-        if not (math.isfinite(value) and math.isfinite(after) and after > 0 and value > 0):
+    base, extended = models(found)
+    for name in PARTS:
+        first, last = base.time_constants.get(name), extended.time_constants.get(name)
+        verdict = verdicts(extended).get(name)
+        if first is None or last is None or verdict is None:
             continue
-        verdict = verdicts(fit_like(found, "extended")).get(name)
-        if verdict is None:
+        value, after, low, high = first.value_h, last.value_h, first.lower_h, first.upper_h
+        if not (math.isfinite(value) and math.isfinite(after) and after > 0 and value > 0):
             continue
         if verdict.verdict == REJECT:
             said.append(
@@ -133,15 +118,13 @@ def constants_sentences(found: Mapping) -> list[str]:
         if abs(off) < 0.005:
             said.append(f"The {name} time constant stays as it was.")
             continue
-        known = math.isfinite(low) and math.isfinite(high)
-        inside = known and low <= after <= high
-        bounds = (
-            ""
-            if not known
-            else ", within its own bounds"
-            if inside
-            else ", and its bounds did not hold the value that the extended model finds"
-        )
+        bounds = ""
+        if math.isfinite(low) and math.isfinite(high):
+            bounds = (
+                ", within its own bounds"
+                if low <= after <= high
+                else ", and its bounds did not hold the value of the extended model"
+            )
         direction = "too long" if off > 0 else "too short"
         said.append(
             f"Without the cause the {name} time constant was "
@@ -150,18 +133,28 @@ def constants_sentences(found: Mapping) -> list[str]:
     return said
 
 
-def scores_table(found: Mapping, period: str) -> Table | None:
-    """Free-run errors of base and extended model in one period, with the sceptic's baselines; None without
+def scores_table(found: DiscoveryResults, period: str) -> Table | None:
+    """Free-run errors of base and extended model in one period, with the simple rules; None without
     scores."""
-    base = rmse_table(fit_like(found, "baseline"), period)
+    before, after = models(found)
+    base, wider = rmse_table(before, period), rmse_table(after, period)
     if base is None:
         return None
     first, *rest = base.rows
-    wider = rmse_table(fit_like(found, "extended"), period)
     rows = [("base model, free run", *first[1:])]
     if wider is not None:
         rows.append(("extended model, free run", *wider.rows[0][1:]))
-        rows.append(("  change", *_changes(found, period)))
+        changes = (
+            (getattr(model.errors(period, quantity), regime) for model in (before, after))
+            for quantity in SCORED
+            for regime in REGIMES
+        )
+        rows.append(
+            (
+                "  change",
+                *(signed_percent(b / a - 1.0) if a > 0 and math.isfinite(b) else NONE for a, b in changes),
+            )
+        )
     return Table(
         base.heading,
         base.columns,
@@ -171,44 +164,36 @@ def scores_table(found: Mapping, period: str) -> Table | None:
     )
 
 
-def _changes(found: Mapping, period: str) -> list[str]:
-    cells = []
-    for quantity in SCORED:
-        for regime in REGIMES:
-            a, b = (number(found, which, "rmse", period, quantity, regime) for which in WHICH)
-            cells.append(signed_percent(b / a - 1.0) if a > 0 and math.isfinite(b) else NONE)
-    return cells
+def _form(one: Rejected) -> str:
+    """The best form of a cause, in brackets, where it has another name than the cause."""
+    form = spoken(one.form) if one.form else ""
+    return f" ({form})" if form and form != spoken(one.cause) else ""
 
 
-def rejected_table(found: Mapping) -> Table | None:
+def rejected_table(found: DiscoveryResults) -> Table | None:
     """Every cause that was tried and left out, the one with most evidence first; None without any."""
-    rows = []
-    for one in rows_of(found, "rejected"):
-        lr, df, worth = (number(one, "evidence", part) for part in ("lr", "df", "bic_gain"))
-        shares = [number(one, "evidence", "free_run_gain", part) for part in PARTS]
-        cells = [share_words(share) for share in shares]
-        form = text_of(one.get("form"))
-        name = title(one.get("cause"))
-        rows.append(
-            (
-                worth if math.isfinite(worth) else -math.inf,
-                (
-                    f"{name} ({spoken(form)})" if form and spoken(form) != spoken(one.get("cause")) else name,
-                    fixed(lr, 1),
-                    f"{df:.0f}" if math.isfinite(df) else NONE,
-                    fixed(worth, 1),
-                    *cells,
-                    text_of(one.get("reason")) or NONE,
-                ),
-            )
+
+    def worth(evidence: float) -> float:
+        return evidence if math.isfinite(evidence) else -math.inf
+
+    rows = tuple(
+        (
+            title(one.cause)
+            + (f" ({spoken(one.form)})" if one.form and spoken(one.form) != spoken(one.cause) else ""),
+            fixed(one.evidence.lr, 1),
+            f"{one.evidence.df:.0f}" if math.isfinite(one.evidence.df) else NONE,
+            fixed(one.evidence.bic_gain, 1),
+            *(share_words(one.evidence.free_run_gain.get(part, math.nan)) for part in PARTS),
+            one.reason or NONE,
         )
+        for one in sorted(found.rejected, key=lambda one: -worth(one.evidence.bic_gain))
+    )
     if not rows:
         return None
-    rows.sort(key=lambda row: -row[0])
     return Table(
         "In order of their evidence",
         ("cause (best form)", "gain", "df", "net", "temp.", "hum.", "why it was left out"),
-        tuple(row for _, row in rows),
+        rows,
         left=(0, 6),
         groups=(("", 1), ("2 ln L", 3), ("free run", 2), ("", 1)),
         note=(
@@ -217,7 +202,3 @@ def rejected_table(found: Mapping) -> Table | None:
             "the squared error of temperature and humidity that is gone; below zero it gets worse."
         ),
     )
-
-
-def _capital(text: str) -> str:
-    return text[:1].upper() + text[1:]

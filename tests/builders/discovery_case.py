@@ -8,7 +8,8 @@ import math
 
 import numpy as np
 
-from hygrokf.discovery.findings import Misfit
+from hygrokf.data.structured import structured
+from hygrokf.discovery.discovery_results import DiscoveryResults
 from hygrokf.discovery.residuals import Residuals
 
 ORIGIN_S = 1594771200.0
@@ -149,15 +150,14 @@ def _cause() -> dict:
 
 def _misfit() -> dict:
     start = ORIGIN_S + 10 * 3600.0
-    return Misfit(
-        quantity="temperature", where="", when="from 10 to 15 h UTC", size=1.4, direction="too low",
-        duration_h=5.0,
-        n_episodes=27, n_possible=30, sensor_share=0.02,
-        statement="from 10 to 15 h UTC, simulated temperature is 1.4 K too low (27 of 30 days; the sensors "
-                  "explain 0.2 K)",
-        p=1e-9, q=1e-7, driver="global_horizontal_irradiance", kind="hour",
-        spans=tuple((start + 86400.0 * day, start + 86400.0 * day + 18000.0) for day in (12, 5, 20, 1, 2)),
-    ).to_json()  # fmt: skip
+    return {
+        "quantity": "temperature", "where": "", "when": "from 10 to 15 h UTC", "size": 1.4, "unit": "K",
+        "direction": "too low", "duration_h": 5.0, "n_episodes": 27, "n_possible": 30, "sensor_share": 0.02,
+        "statement": "from 10 to 15 h UTC, simulated temperature is 1.4 K too low (27 of 30 days; the sensors "
+                     "explain 0.2 K)",
+        "p": 1e-9, "p_adjusted": 1e-7, "driver": "global_horizontal_irradiance", "kind": "hour", "curve": {},
+        "spans": [[start + 86400.0 * day, start + 86400.0 * day + 18000.0] for day in (12, 5, 20, 1, 2)],
+    }  # fmt: skip
 
 
 def discovery_case() -> dict:
@@ -213,3 +213,8 @@ def unexplained_case() -> dict:
 def empty_case() -> dict:
     """The plain data of a discovery that finds nothing."""
     return unexplained_case() | {"verdict": "none", "misfits": [], "unexplained": None}
+
+
+def typed(data: dict) -> DiscoveryResults:
+    """Results from plain data, in which `misfits` is what earlier files call the findings."""
+    return structured(DiscoveryResults, data)

@@ -1,4 +1,4 @@
-"""Figure of one misfit: the episodes in which it is worst, or the whole record where it lasts for months.
+"""Figure of one finding: the episodes in which it is worst, or the whole record where it lasts for months.
 
 The residuals of an extended model, given as `after`, are laid over those of the base.
 """
@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.data.lookup import one_line
-from hygrokf.discovery.findings import Misfit
+from hygrokf.discovery.discovery_results import Finding
 from hygrokf.discovery.residuals import HUMIDITY, TEMPERATURE, UNITS, Residuals, hourly
+from hygrokf.identification.wording import one_line
 from hygrokf.report.figures.drawing import (
     AMBIENT,
     DAY_S,
@@ -40,7 +40,7 @@ CONDITION = "#f3e3c0"
 COURSE_LABEL = {TEMPERATURE: "temperature [°C]", HUMIDITY: "absolute humidity [g/m³]"}
 AMBIENT_NAME = {TEMPERATURE: "ambient_temperature", HUMIDITY: "ambient_absolute_humidity"}
 LASTING = ("step", "drift", "season")
-"""Kinds of misfit that are seen over months, not in episodes."""
+"""Kinds of finding that are seen over months, not in episodes."""
 EPISODES = 3
 AROUND_H = (18.0, 42.0)
 """[h] shown on either side of an episode: at least, at most; in between half of the episode."""
@@ -54,20 +54,20 @@ LINE = 100
 # --- episodes --------------------------------------------------------------------------------
 
 
-def figure_episodes(residuals: Residuals, misfit: Misfit, after: Residuals | None = None) -> Figure:
-    """The episodes in which a misfit is largest, with the free run's 95 % band; a lasting misfit over the
+def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | None = None) -> Figure:
+    """The episodes in which a finding is largest, with the free run's 95 % band; a lasting finding over the
     whole record."""
-    quantity = misfit.quantity
+    quantity = finding.quantity
     _measured(residuals, quantity)
-    if misfit.kind in LASTING:
-        return _lasting(residuals, misfit, after)
-    windows = _windows(misfit, residuals)
+    if finding.kind in LASTING:
+        return _lasting(residuals, finding, after)
+    windows = _windows(finding, residuals)
     if not windows:
-        raise NothingToShow("The misfit has no episodes.")
+        raise NothingToShow("The finding has no episodes.")
     with styled():
-        height = 3.7
+        height = 3.45
         figure = new_figure(height)
-        used = _heading(figure, misfit, _course_handles(after is not None, "under the condition"))
+        used = _heading(figure, finding, _course_handles(after is not None, "under the condition"))
         grid = figure.add_gridspec(
             2, len(windows), height_ratios=(2.3, 1.0), hspace=0.12, wspace=0.15, left=0.072, right=0.995,
             top=1.0 - used / height, bottom=0.38 / height,
@@ -110,11 +110,11 @@ def _measured(residuals: Residuals, quantity: str) -> None:
         raise NothingToShow(f"There are no errors of the {TITLE[quantity].lower()} to show.")
 
 
-def _windows(misfit: Misfit, residuals: Residuals) -> list[tuple[float, float, list[tuple[float, float]]]]:
+def _windows(finding: Finding, residuals: Residuals) -> list[tuple[float, float, list[tuple[float, float]]]]:
     """Up to three windows (start, end, episodes in it) [s] in order of time around the worst episodes."""
     low, high = float(residuals.time_s[0]), float(residuals.time_s[-1])
     chosen: list[tuple[float, float]] = []
-    for first, last in misfit.spans:
+    for first, last in finding.spans:
         around = 3600.0 * float(np.clip(0.5 * (last - first) / 3600.0, *AROUND_H))
         last = min(last, first + 3600.0 * LONGEST_H)
         start, end = max(low, first - around), min(high, last + around)
@@ -123,7 +123,7 @@ def _windows(misfit: Misfit, residuals: Residuals) -> list[tuple[float, float, l
         if len(chosen) == EPISODES:
             break
     chosen.sort()
-    return [(a, b, [span for span in misfit.spans if span[1] > a and span[0] < b]) for a, b in chosen]
+    return [(a, b, [span for span in finding.spans if span[1] > a and span[0] < b]) for a, b in chosen]
 
 
 def _course(
@@ -179,11 +179,11 @@ def _course_handles(overlaid: bool, shaded: str) -> list:
     return handles
 
 
-def _heading(figure: Figure, misfit: Misfit, handles: list) -> float:
-    """The misfit's own sentence and a key above the figure; returns the height [in] that they take."""
+def _heading(figure: Figure, finding: Finding, handles: list) -> float:
+    """The finding's own sentence and a key above the figure; returns the height [in] that they take."""
     import textwrap
 
-    statement = one_line(misfit.statement)
+    statement = one_line(finding.statement)
     lines = textwrap.wrap(statement[:1].upper() + statement[1:], LINE)
     height = figure.get_size_inches()[1]
     used = 0.09 + 0.145 * len(lines)
@@ -216,12 +216,12 @@ def _midnights(axes: Axes, span: tuple[float, float], labels: bool) -> None:
     axes.tick_params(labelbottom=labels)
 
 
-def _lasting(residuals: Residuals, misfit: Misfit, after: Residuals | None) -> Figure:
+def _lasting(residuals: Residuals, finding: Finding, after: Residuals | None) -> Figure:
     """Daily means of the error over the whole record, and its means before and after, or by month."""
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
-    quantity = misfit.quantity
+    quantity = finding.quantity
     hours = hourly(residuals)
     with styled():
         overlaid = after is not None
@@ -229,13 +229,13 @@ def _lasting(residuals: Residuals, misfit: Misfit, after: Residuals | None) -> F
             Line2D([], [], color=SIMULATED, linewidth=1.6, label=f"daily mean{', before' * overlaid}"),
             Patch(facecolor=SIMULATED, alpha=0.13, label="middle 80 % of the day"),
             Line2D([], [], color=INK, linewidth=1.1, dashes=(5, 2), label="mean of either part"),
-            Patch(facecolor=CONDITION, label="where the misfit is"),
+            Patch(facecolor=CONDITION, label="where the finding is"),
         ]
         if overlaid:
             handles.insert(1, Line2D([], [], color=AFTER, linewidth=1.6, label="after"))
         height = 2.5
         figure = new_figure(height)
-        used = _heading(figure, misfit, handles)
+        used = _heading(figure, finding, handles)
         axes = figure.add_axes((0.072, 0.31 / height, 0.923, 1.0 - (used + 0.31) / height))
         axes.axhline(0.0, color=QUIET, linewidth=0.6)
         for one, colour in _before_after(residuals, after):
@@ -244,7 +244,7 @@ def _lasting(residuals: Residuals, misfit: Misfit, after: Residuals | None) -> F
                 axes.fill_between(days(day), low, high, color=colour, alpha=0.13, linewidth=0)
             axes.plot(days(day), mean, color=colour, linewidth=1.0)
         inside = np.zeros(len(hours), dtype=bool)
-        for first, last in misfit.spans:
+        for first, last in finding.spans:
             axes.axvspan(
                 float(days(first)), float(days(last)), color=CONDITION, alpha=0.6, zorder=0, linewidth=0
             )
