@@ -30,9 +30,9 @@ def _arguments(parser: ArgumentParser) -> None:
 
 def _run(options: Namespace) -> int:
     """The exit status is 1 where any turbine has no result."""
+    from hygrokf.fleet.page import fleet_text, outcome_text
     from hygrokf.fleet.plan import read_plan
     from hygrokf.fleet.running import run_fleet
-    from hygrokf.fleet.text import fleet_text, outcome_text
 
     expect_own_directory(options.out, FLEET)
     if options.dask and options.workers:
@@ -45,7 +45,8 @@ def _run(options: Namespace) -> int:
             progress(found.turbine)
 
         found = run_fleet(plan, options.out, workers=options.workers, cluster=options.dask, say=say)
-    show_reported(found.page, {"rows": found.rows}, fleet_text(plan.task, found.rows), options.json)
+    data = {"rows": [dict(row) for row in found.results.rows]}
+    show_reported(found.page, data, fleet_text(found.results), options.json)
     return int(bool(found.missing))
 
 

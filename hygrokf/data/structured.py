@@ -25,6 +25,8 @@ T = TypeVar("T")
 Json: TypeAlias = "bool | int | float | str | Sequence[Json] | Mapping[str, Json] | None"
 """What a JSON text holds."""
 JsonObject: TypeAlias = dict[str, Json]
+Cell: TypeAlias = bool | int | float | str | None
+"""What a cell of a table holds."""
 OPTIONAL, FORMER = "optional", "former"
 
 
@@ -195,6 +197,12 @@ def _write(kind: type, converter: Converter) -> Callable[[Any], Any]:
     return write
 
 
+def _cell(data: Any, kind: Any) -> Cell:
+    if data is None or isinstance(data, bool | int | float | str):
+        return data
+    raise TypeError(f"expected a number, a text or null, found {data!r}")
+
+
 def _has_own_form(kind: Any) -> bool:
     return hasattr(kind, "from_json") and hasattr(kind, "to_json")
 
@@ -208,6 +216,7 @@ def _converter() -> Converter:
     for kind, read in ((float, _number), (int, _whole), (str, _text), (bool, _flag), (np.ndarray, _array)):
         made.register_structure_hook(kind, read)
     made.register_structure_hook(float | np.ndarray, _number_or_array)
+    made.register_structure_hook(Cell, _cell)
     made.register_unstructure_hook(float, _finite)
     made.register_unstructure_hook(np.ndarray, _listed)
     made.register_unstructure_hook(np.floating, lambda value: _finite(float(value)))

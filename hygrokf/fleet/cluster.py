@@ -74,7 +74,7 @@ def on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
                 coming.update([send([job]) for job in batch])
             else:
                 reason = " ".join(str(future.exception()).split())
-                yield outcome(batch[0], LOST, f"no worker of the cluster could do it: {reason}")
+                yield outcome(batch[0], LOST, reason=f"no worker of the cluster could do it: {reason}")
 
 
 @contextmanager

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from hygrokf.data.files import (
     BESIDE_DISCOVERY,
@@ -20,10 +21,14 @@ from hygrokf.data.files import (
     TRANSFER_SERIES,
     write_text_whole,
 )
+from hygrokf.data.result_file import result_text
+from hygrokf.data.structured import Cell, JsonObject
 from hygrokf.data.toml_form import FormFault, read_toml
-from hygrokf.identification.results import dump
+from hygrokf.identification.wording import one_line
 from hygrokf.version import __version__
 
+Row: TypeAlias = Mapping[str, Cell]
+"""One turbine's row of the fleet's table: column → cell, None where there is no value."""
 ROW = "row.json"
 """The last file that a job writes: it is done where this is there."""
 DONE, FAILED, LOST = "done", "failed", "lost"
@@ -37,6 +42,18 @@ WRITES = (
 
 class FleetFault(FormFault):
     """A fleet that cannot be run, in one message; `faults` lists every reason."""
+
+
+def number(row: Row, column: str) -> float:
+    """The number in a column; NaN where there is none."""
+    value = row.get(column)
+    return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+
+
+def word(row: Row, column: str) -> str:
+    """The text in a column; empty where there is none."""
+    value = row.get(column)
+    return "" if value is None else one_line(str(value))
 
 
 @dataclass(frozen=True)
@@ -56,14 +73,20 @@ class Job:
     options: Mapping[str, Any] = field(default_factory=dict)
     key: str = ""
 
-    def to_json(self) -> dict:
+    def to_json(self) -> JsonObject:
         """Plain data that any process can make the job from again."""
         paths = {name: None if (p := getattr(self, name)) is None else str(p) for name in _PATHS}
-        said = {"turbine": self.turbine, "task": self.task, "options": dict(self.options), "key": self.key}
+        said: JsonObject = {
+            "turbine": self.turbine,
+            "task": self.task,
+            "options": dict(self.options),
+            "key": self.key,
+        }
         return said | paths
 
     @classmethod
-    def from_json(cls, data: Mapping) -> Job:
+    def from_json(cls, data: Mapping[str, Any]) -> Job:
+        """A job from the data of `to_json`."""
         return cls(**{**data, **{n: None if data[n] is None else Path(data[n]) for n in _PATHS}})
 
 
@@ -72,9 +95,9 @@ _PATHS = ("case", "folder", "fit")
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a job: its row of the fleet's table (plain data), and the CPU time that it took [s]."""
+    """What became of a job: its row of the fleet's table, and the CPU time that it took [s]."""
 
-    row: Mapping[str, Any]
+    row: Row
     seconds: float = 0.0
 
     @property
@@ -85,18 +108,23 @@ class Outcome:
     def status(self) -> str:
         return str(self.row["status"])
 
-    def to_json(self) -> dict:
+    def to_json(self) -> JsonObject:
+        """Plain data that any process can make the outcome from again."""
         return {"row": dict(self.row), "seconds": self.seconds}
 
     @classmethod
-    def from_json(cls, data: Mapping) -> Outcome:
+    def from_json(cls, data: Mapping[str, Any]) -> Outcome:
+        """An outcome from the data of `to_json`."""
         return cls(data["row"], float(data["seconds"]))
 
 
-def outcome(job: Job, status: str, reason: str = "", seconds: float = 0.0, **columns: Any) -> Outcome:
-    """The outcome of a job with the columns that every row has, those of its task behind them."""
+def outcome(
+    job: Job, status: str, columns: Row | None = None, reason: str = "", seconds: float = 0.0
+) -> Outcome:
+    """The outcome of a job: the columns that every row has, those of its task behind them; numbers that are
+    not finite become None."""
     shared = {"turbine": job.turbine, "status": status, "reason": reason, "task": job.task, "key": job.key}
-    return Outcome(json.loads(dump(shared | columns)), seconds)
+    return Outcome(json.loads(result_text({**shared, **(columns or {})})), seconds)
 
 
 def content_key(job: Job, files: Sequence[Path] = ()) -> str:
@@ -163,4 +191,4 @@ def keep(job: Job, found: Outcome) -> None:
     """Write the row, whole; from then on the job is done.  Its folder may be missing: a process can die
     before it makes it."""
     job.folder.mkdir(parents=True, exist_ok=True)
-    write_text_whole(job.folder / ROW, dump(found.to_json()))
+    write_text_whole(job.folder / ROW, result_text(found.to_json()))

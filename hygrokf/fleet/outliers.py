@@ -13,13 +13,13 @@ by the quantities that are compared (Bonferroni).
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
 
-from hygrokf.data.lookup import number
+from hygrokf.fleet.job import Row, number
 from hygrokf.fleet.tasks import Compared
 
 LEVEL = 0.05
@@ -76,7 +76,7 @@ class Spread:
         return bool(chdtrc(len(kept) - 1, q) > LEVEL)
 
 
-def spreads(rows: Sequence[Mapping[str, object]], compared: Sequence[Compared]) -> list[Spread]:
+def spreads(rows: Sequence[Row], compared: Sequence[Compared]) -> list[Spread]:
     """The spread of every quantity that any turbine has; turbines without a value and bounds above zero on
     both sides are set aside by name (`open`), and so are those whose value is not to be believed
     (`rejected`).
@@ -85,7 +85,7 @@ def spreads(rows: Sequence[Mapping[str, object]], compared: Sequence[Compared]) 
     return [spread(rows, one, len(there)) for one in there]
 
 
-def spread(rows: Sequence[Mapping[str, object]], compared: Compared, quantities: int = 1) -> Spread:
+def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Spread:
     """One quantity over the fleet, judged as one of several."""
     named, x, error, open_, rejected = [], [], [], [], []
     for row in rows:

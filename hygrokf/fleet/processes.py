@@ -64,7 +64,7 @@ def _serve(worker: _Worker, todo: queue.SimpleQueue, done: queue.SimpleQueue) ->
             found = None
             for _ in range(ATTEMPTS):
                 found = found or (None if worker.dismissed else worker.ask(job))
-            done.put(found or outcome(job, LOST, worker.epitaph))
+            done.put(found or outcome(job, LOST, reason=worker.epitaph))
     except BaseException as fault:  # the caller waits for an outcome of every job
         done.put(fault)
     finally:

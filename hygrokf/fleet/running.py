@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -10,16 +9,18 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from hygrokf.data.files import FLEET, REPORT, TYPE, write_bytes_whole, write_text_whole
+from hygrokf.data.result_file import ResultFault, read_result, result_text
 from hygrokf.fleet.cluster import on_cluster
-from hygrokf.fleet.job import DONE, FleetFault, Job, Outcome, finished, keep
+from hygrokf.fleet.fleet_results import FleetResults
+from hygrokf.fleet.job import DONE, FleetFault, Job, Outcome, Row, finished, keep
 from hygrokf.fleet.outliers import spreads
 from hygrokf.fleet.page import fleet_page
 from hygrokf.fleet.plan import Plan
 from hygrokf.fleet.processes import cores, in_processes
 from hygrokf.fleet.table import CSV, PARQUET, table_csv, table_parquet
 from hygrokf.fleet.tasks import TASKS
-from hygrokf.identification.results import ResultFault, dump, read_fit
-from hygrokf.identification.turbine_type import TypeFault, pool_types, write_type
+from hygrokf.identification.results import read_fit
+from hygrokf.identification.turbine_type import TurbineType, TypeFault, pool_types, write_type
 from hygrokf.version import __version__
 
 FEWEST_OF_A_TYPE = 3
@@ -29,16 +30,13 @@ EVERY_S = 2.0
 
 
 @dataclass(frozen=True)
-class Result:
-    """A fleet's outcomes in the order of its plan, how many of them were on disk before, and the page."""
+class FleetRun:
+    """A fleet's table, the outcomes in the order of its plan, how many were on disk before, and the page."""
 
+    results: FleetResults
     outcomes: tuple[Outcome, ...]
     known: int
     page: Path
-
-    @property
-    def rows(self) -> list[Mapping[str, object]]:
-        return [one.row for one in self.outcomes]
 
     @property
     def missing(self) -> list[Outcome]:
@@ -53,7 +51,7 @@ def run_fleet(
     workers: int | None = None,
     cluster: str | None = None,
     say: Callable[[Outcome, bool], None] = lambda found, known: None,
-) -> Result:
+) -> FleetRun:
     """Do what a plan states for every turbine.
 
     plan: of a fleet's file (`fleet.plan.read_plan`).
@@ -65,7 +63,7 @@ def run_fleet(
 
     What was done with the same files, options and version is not done again; what failed is tried again.
 
-    Returns the outcomes, and the path of the table, which is the same whatever does the work.
+    Returns the table (`results`, the same whatever does the work), the outcomes, and the path of the page.
     Raises FleetFault where there is no cluster.
     """
     jobs = plan.jobs(out)
@@ -87,7 +85,8 @@ def run_fleet(
             write_text_whole(out / CSV, table_csv(plan.task, _in_order(jobs, by_name)))
             written = time.monotonic()
     ordered = tuple(by_name[job.turbine] for job in jobs)
-    return Result(ordered, before, _written(plan, out, ordered))
+    results = _written(plan, out, ordered)
+    return FleetRun(results, ordered, before, write_fleet_report(out))
 
 
 def _outcomes(jobs: Sequence[Job], workers: int | None, cluster: str | None) -> Iterator[Outcome]:
@@ -96,12 +95,12 @@ def _outcomes(jobs: Sequence[Job], workers: int | None, cluster: str | None) -> 
     return on_cluster(jobs, cluster) if cluster else in_processes(jobs, workers or cores())
 
 
-def _in_order(jobs: Sequence[Job], found: Mapping[str, Outcome]) -> list[Mapping]:
+def _in_order(jobs: Sequence[Job], found: Mapping[str, Outcome]) -> list[Row]:
     return [found[job.turbine].row for job in jobs if job.turbine in found]
 
 
-def _written(plan: Plan, out: Path, outcomes: Sequence[Outcome]) -> Path:
-    """Write the table and the page of all."""
+def _written(plan: Plan, out: Path, outcomes: Sequence[Outcome]) -> FleetResults:
+    """Write the table of all."""
     rows = [one.row for one in outcomes]
     write_text_whole(out / CSV, table_csv(plan.task, rows))
     binary = table_parquet(plan.task, rows)
@@ -109,21 +108,23 @@ def _written(plan: Plan, out: Path, outcomes: Sequence[Outcome]) -> Path:
         (out / PARQUET).unlink(missing_ok=True)  # one of an earlier run would be of other numbers
     else:
         write_bytes_whole(out / PARQUET, binary)
-    fleet = {
-        "name": plan.name,
-        "version": __version__,
-        "created": datetime.now(UTC).isoformat(timespec="seconds"),
-        "task": plan.task,
-        "options": dict(plan.options),
-        "rows": rows,
-        **_type_of(plan, out, rows),
-        "cpu_s": {one.turbine: round(one.seconds, 3) for one in outcomes},
-    }
-    write_text_whole(out / FLEET, dump(fleet))
-    return write_fleet_report(out)
+    kind, without = _type_of(plan, out, rows)
+    found = FleetResults(
+        task=plan.task,
+        rows=tuple(rows),
+        name=plan.name,
+        version=__version__,
+        created=datetime.now(UTC).isoformat(timespec="seconds"),
+        options=dict(plan.options),
+        type=kind,
+        type_without=tuple(without),
+        cpu_s={one.turbine: round(one.seconds, 3) for one in outcomes},
+    )
+    write_text_whole(out / FLEET, result_text(found))
+    return found
 
 
-def _type_of(plan: Plan, out: Path, rows: Sequence[Mapping]) -> dict:
+def _type_of(plan: Plan, out: Path, rows: Sequence[Row]) -> tuple[TurbineType | None, list[str]]:
     """The pooled type of a fleet's fits, also as `type.json`, and the turbines that it is without.
 
     A turbine whose time constants depart from the others' is none of their type; the type is None where the
@@ -134,7 +135,7 @@ def _type_of(plan: Plan, out: Path, rows: Sequence[Mapping]) -> dict:
     done = [row for row in rows if row["status"] == DONE]
     names = [str(row["turbine"]) for row in done]
     if plan.task != "fit" or len(names) < FEWEST_OF_A_TYPE:
-        return {"type": None}
+        return None, []
     constants = [one for one in spreads(done, TASKS[plan.task].compared) if one.compared.lower]
     odd = sorted({one.turbines[i] for one in constants for i in one.outliers})
     folders = {job.turbine: job.folder for job in plan.jobs(out)}
@@ -142,20 +143,19 @@ def _type_of(plan: Plan, out: Path, rows: Sequence[Mapping]) -> dict:
         fits = [replace(read_fit(folders[name]), name=name) for name in names if name not in odd]
         kind = pool_types(fits, plan.name)
     except (TypeFault, ResultFault):  # fits that have nothing in common, or that someone has removed
-        return {"type": None}
+        return None, []
     write_type(kind, file)
-    return {"type": kind.to_json(), "type_without": odd}
+    return kind, odd
 
 
 def write_fleet_report(out: Path) -> Path:
     """Write `report.html` again from `fleet.json`; raises FleetFault where that is missing or damaged."""
     file = out / FLEET
     try:
-        fleet = json.loads(file.read_text(encoding="utf-8"))
-        named = [row["turbine"] for row in fleet["rows"]]
-        known = fleet["task"] in TASKS and len(named) == len(set(named))
-    except (OSError, ValueError, KeyError, TypeError, RecursionError) as fault:
-        raise FleetFault(str(file), [f"expected JSON written by `hygrokf fleet`, found: {fault}"]) from None
-    if not known:
+        fleet = read_result(FleetResults, file, "hygrokf fleet")
+    except ResultFault as fault:
+        raise FleetFault(str(file), [str(fault)]) from None
+    named = [row.get("turbine") for row in fleet.rows]
+    if fleet.task not in TASKS or None in named or len(named) != len(set(named)):
         raise FleetFault(str(file), ["expected rows of a task of this version; run `hygrokf fleet` again"])
     return write_text_whole(out / REPORT, fleet_page(fleet))

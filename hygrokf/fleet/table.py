@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
+from hygrokf.data.structured import Cell
+from hygrokf.fleet.job import Row
 from hygrokf.fleet.tasks import SHARED, TASKS
 
 CSV, PARQUET = "fleet.csv", "fleet.parquet"
@@ -16,7 +18,7 @@ def columns_of(task: str) -> dict[str, str]:
     return {**SHARED, **TASKS[task].columns}
 
 
-def table_csv(task: str, rows: Sequence[Mapping[str, object]]) -> str:
+def table_csv(task: str, rows: Sequence[Row]) -> str:
     """Rows as CSV text; what is not known, infinite or does not apply is empty; numbers as they are,
     unrounded."""
     buffer = io.StringIO()
@@ -28,7 +30,7 @@ def table_csv(task: str, rows: Sequence[Mapping[str, object]]) -> str:
     return buffer.getvalue()
 
 
-def _cell(value: object) -> str:
+def _cell(value: Cell) -> str:
     if value is None:
         return ""
     if isinstance(value, bool):
@@ -36,7 +38,7 @@ def _cell(value: object) -> str:
     return repr(value) if isinstance(value, float) else str(value)
 
 
-def table_parquet(task: str, rows: Sequence[Mapping[str, object]]) -> bytes | None:
+def table_parquet(task: str, rows: Sequence[Row]) -> bytes | None:
     """Rows as a Parquet file, columns without a value as null; None where pyarrow is not installed."""
     try:
         import pyarrow
@@ -55,7 +57,7 @@ def table_parquet(task: str, rows: Sequence[Mapping[str, object]]) -> bytes | No
     return sink.getvalue().to_pybytes()
 
 
-def _kind(name: str, values: Sequence[object]) -> type:
+def _kind(name: str, values: Sequence[Cell]) -> type:
     """The type of a column; one without any value is of numbers, or of words where its meaning has no
     unit."""
     there = {type(value) for value in values if value is not None}

@@ -16,15 +16,18 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hygrokf.data.files import write_text_whole
-from hygrokf.data.lookup import entry, number
-from hygrokf.data.structured import plain
+from hygrokf.data.result_file import result_text
+from hygrokf.data.structured import Cell
 from hygrokf.data.toml_form import FormFault, setting
-from hygrokf.fleet.job import DONE, FAILED, Job, Outcome, begin, finished, keep, outcome
+from hygrokf.fleet.job import DONE, FAILED, Job, Outcome, Row, begin, finished, keep, outcome
 from hygrokf.identification.verdict import PARTS, REJECT
 
 if TYPE_CHECKING:
     from hygrokf.data.record import Record
+    from hygrokf.evaluation.scoring import Scored
     from hygrokf.identification.fit import Fit
+    from hygrokf.identification.fit_results import TimeConstant
+    from hygrokf.identification.verdict_terms import Inherited
 
 BETWEEN = " | "
 """Between the statements of a column: sentences have semicolons of their own."""
@@ -45,7 +48,7 @@ class Compared:
     upper: str = ""
     verdict: str = ""
 
-    def rejected(self, row: Mapping[str, Any]) -> bool:
+    def rejected(self, row: Row) -> bool:
         """Whether a turbine's value is not to be believed."""
         return bool(self.verdict) and row.get(self.verdict) == REJECT
 
@@ -59,7 +62,7 @@ class Task:
     the column by which they are ranked, largest first. uses_fit: whether a fitted model is needed.
     """
 
-    perform: Callable[[Job], Mapping[str, Any]]
+    perform: Callable[[Job], Row]
     meaning: str
     options: type[Any]
     columns: Mapping[str, str]
@@ -80,15 +83,14 @@ def perform(job: Job) -> Outcome:
     try:
         begin(job)
         columns = TASKS[job.task].perform(job)
-        found = outcome(job, DONE, seconds=time.process_time() - started, **columns)
+        found = outcome(job, DONE, columns, seconds=time.process_time() - started)
     except Exception as fault:
-        found = outcome(job, FAILED, reason_of(fault), time.process_time() - started)
+        found = outcome(job, FAILED, None, reason_of(fault), time.process_time() - started)
     try:
         keep(job, found)
     except OSError as fault:
-        return outcome(
-            job, FAILED, f"{job.folder}: cannot be written: {fault.strerror or fault}", found.seconds
-        )
+        reason = f"{job.folder}: cannot be written: {fault.strerror or fault}"
+        return outcome(job, FAILED, None, reason, found.seconds)
     return found
 
 
@@ -112,7 +114,7 @@ def reason_of(fault: Exception) -> str:
 # --- the tasks -------------------------------------------------------------------------------
 
 
-def _fit(job: Job) -> dict:
+def _fit(job: Job) -> Row:
     """Identify the models of a case, as `hygrokf fit` does."""
     from hygrokf.cases.case_file import read_case
     from hygrokf.identification.procedure import identify
@@ -134,21 +136,20 @@ def _fit(job: Job) -> dict:
     return _of_fit(fit, record)
 
 
-def _of_fit(fit: Fit, record: Record) -> dict:
-    results = fit.to_json()
+def _of_fit(fit: Fit, record: Record) -> Row:
+    found = fit.results
     return {
         **_of_record(record),
-        "converged": results["converged"],
-        "n_readings": entry(results, "period", "n_readings"),
-        **_of_time_constants(results),
-        **_of_verdicts(results),
-        **_of_scores(results),
-        "loglik": number(results, "loglik"),
-        "at_bounds": " ".join(fit.results.at_bounds),
+        "converged": found.converged,
+        "n_readings": found.period.n_readings,
+        **_of_time_constants(found.time_constants),
+        **_of_scores(found),
+        "loglik": found.loglik,
+        "at_bounds": " ".join(found.at_bounds),
     }
 
 
-def _of_record(record: Record) -> dict:
+def _of_record(record: Record) -> dict[str, Cell]:
     from hygrokf.data.timestamps import stamp_text
 
     return {
@@ -160,37 +161,35 @@ def _of_record(record: Record) -> dict:
     }
 
 
-def _of_time_constants(results: Mapping) -> dict:
-    found: dict[str, object] = {}
-    for name in ("thermal", "hygric"):
+def _of_time_constants(constants: Mapping[str, TimeConstant]) -> dict[str, Cell]:
+    """Values, bounds, statements and verdicts; empty where a constant was not identified."""
+    found: dict[str, Cell] = {}
+    for name in PARTS:
+        one = constants.get(name)
         for part in ("value", "lower", "upper"):
-            found[f"{name}_{part}_h"] = number(results, "time_constants", name, f"{part}_h")
-        found[f"{name}_statement"] = entry(results, "time_constants", name, "statement") or ""
-    return found
+            found[f"{name}_{part}_h"] = math.nan if one is None else getattr(one, f"{part}_h")
+        found[f"{name}_statement"] = "" if one is None else one.statement
+    return found | _of_verdicts(constants)
 
 
-def _of_verdicts(data: object) -> dict:
-    """The verdict on each time constant of a fit, or of what has inherited its numbers; empty where there is
-    none."""
-    known = entry(data, "time_constants") or data
-    return {f"{part}_verdict": entry(known, part, "verdict") or "" for part in PARTS}
+def _of_verdicts(known: Mapping[str, TimeConstant | Inherited]) -> dict[str, Cell]:
+    """The verdict on each time constant of a fit, or of what inherited its numbers; empty without one."""
+    return {f"{part}_verdict": (known[part].verdict or "") if part in known else "" for part in PARTS}
 
 
-def _of_scores(results: Mapping) -> dict:
+def _of_scores(found: Scored) -> dict[str, Cell]:
     """Free-run errors in total, of the validation period where it was scored and else of the identification
     period."""
-    found: dict[str, object] = {}
-    scored = math.isfinite(number(results, "rmse", "validation", "temperature_K", "total"))
-    found["scored_period"] = period = "validation" if scored else "identification"
-    for quantity, column in _ERRORS.items():
-        found[column] = number(results, "rmse", period, quantity, "total")
-    return found
+    scored = math.isfinite(found.errors("validation", "temperature_K").total)
+    period = "validation" if scored else "identification"
+    errors = {column: found.errors(period, quantity).total for quantity, column in _ERRORS.items()}
+    return {"scored_period": period, **errors}
 
 
 _ERRORS = {"temperature_K": "temperature_rmse_K", "absolute_humidity_g_m3": "humidity_rmse_g_m3"}
 
 
-def _discover(job: Job) -> dict:
+def _discover(job: Job) -> Row:
     """Show what the simulation gets wrong, name the cause, extend the model, as `hygrokf discover` does."""
     from hygrokf.cases.case_file import read_case
     from hygrokf.discovery.library import LIBRARY
@@ -198,57 +197,50 @@ def _discover(job: Job) -> dict:
     from hygrokf.discovery.procedure import discover
     from hygrokf.discovery.results import write_discovery
     from hygrokf.report.discovery_page import write_discovery_report
-    from hygrokf.report.discovery_text import rows_of, scored_error, verdict_of
+    from hygrokf.report.discovery_text import scored_error
 
     own = load_library(*job.options["library"], installed=True)
     record = read_case(job.case)
-    found = discover(record, starts=job.options["starts"], library=(*LIBRARY, *own))
-    results = found.to_json()
+    made = discover(record, starts=job.options["starts"], library=(*LIBRARY, *own))
     if job.options["report"]:
-        write_discovery_report(found, job.folder)
+        write_discovery_report(made, job.folder)
     else:
-        write_discovery(found, job.folder)
-    final = results["extended"] or results["baseline"]
-    causes = rows_of(results, "causes")
-    columns: dict[str, object] = {
+        write_discovery(made, job.folder)
+    found = made.results
+    columns: dict[str, Cell] = {
         **_of_record(record),
-        "verdict": verdict_of(results),
-        "causes": " ".join(str(one["cause"]) for one in causes),
-        "confidence": min((number(one, "confidence") for one in causes), default=math.nan),
-        **_of_time_constants(final),
-        **_of_verdicts(final),
+        "verdict": found.verdict,
+        "causes": " ".join(one.cause for one in found.causes),
+        "confidence": min((one.confidence for one in found.causes), default=math.nan),
+        **_of_time_constants((found.extended or found.baseline).time_constants),
     }
     for quantity, column in _ERRORS.items():
-        before, after, period = scored_error(results, quantity)
+        before, after, period = scored_error(found, quantity)
         columns |= {"scored_period": columns.get("scored_period") or period}
         columns |= {column: after if math.isfinite(after) else before, f"base_{column}": before}
     return columns
 
 
-def _evaluate(job: Job) -> dict:
+def _evaluate(job: Job) -> Row:
     """Score a fitted model on a case, as `hygrokf evaluate` does."""
     from hygrokf.cases.case_file import read_case
-    from hygrokf.identification.results import dump
     from hygrokf.identification.tables import evaluate
 
     fit, record = _stored(job), read_case(job.case)
-    results = plain(evaluate(fit, record))
-    write_text_whole(job.folder / "evaluation.json", dump(results))
-    columns: dict[str, object] = {
+    found = evaluate(fit, record)
+    write_text_whole(job.folder / "evaluation.json", result_text(found))
+    columns: dict[str, Cell] = {
         **_of_record(record),
         "model": fit.name,
-        **_of_verdicts(results["verdicts"]),
-        **_of_scores(results),
+        **_of_verdicts(found.verdicts),
+        **_of_scores(found),
     }
-    period = str(columns["scored_period"])
     for quantity, column in _ERRORS.items():
-        name = column.partition("_rmse")[0]
-        for regime in ("operation", "standstill"):
-            columns[column.replace("rmse", f"rmse_{regime}")] = number(
-                results, "rmse", period, quantity, regime
-            )
-        columns[f"{name}_coverage"] = number(results, "bands", "free_run", quantity, "coverage")
-    columns["statements"] = BETWEEN.join(results["statements"])
+        errors = found.errors(str(columns["scored_period"]), quantity)
+        columns[column.replace("rmse", "rmse_operation")] = errors.operation
+        columns[column.replace("rmse", "rmse_standstill")] = errors.standstill
+        columns[f"{column.partition('_rmse')[0]}_coverage"] = found.band("free_run", quantity).coverage
+    columns["statements"] = BETWEEN.join(found.statements)
     return columns
 
 
@@ -271,7 +263,7 @@ def _stored(job: Job) -> Fit:
         return read_fit(_fit_of(job))
 
 
-def _transfer(job: Job) -> dict:
+def _transfer(job: Job) -> Row:
     """Try a fitted model, or a type, on another turbine's record, as `hygrokf transfer` does."""
     from hygrokf.cases.case_file import read_case
     from hygrokf.identification.turbine_type import is_type, read_type
@@ -283,7 +275,7 @@ def _transfer(job: Job) -> dict:
     made = transfer_fit(read_type(source) if is_type(source) else _stored(job), record)
     write_transfer([made], job.folder)
     results = made.results
-    columns: dict[str, object] = {
+    columns: dict[str, Cell] = {
         **_of_record(record),
         "model": results.source.name,
         "transfer": results.verdict,
@@ -303,7 +295,7 @@ def _transfer(job: Job) -> dict:
     return columns
 
 
-def _climate(job: Job) -> dict:
+def _climate(job: Job) -> Row:
     """The climate in a fitted cabinet under the weather and power of a case, as `hygrokf climate` has it."""
     from hygrokf.cases.case_file import read_case
     from hygrokf.climate.limits import read_limits
@@ -324,10 +316,10 @@ def _climate(job: Job) -> dict:
     )
     write_climate_report(study, job.folder)
     (region,) = study.regions
-    columns: dict[str, object] = {
+    columns: dict[str, Cell] = {
         **_of_record(weather),
         "model": fit.name,
-        **_of_verdicts(plain(study.verdicts)),
+        **_of_verdicts(study.verdicts),
         "bounds_hold": region.bounds_hold,
     }
     for name in _CLIMATE:

@@ -153,8 +153,8 @@ def _misfit() -> dict:
     return {
         "quantity": "temperature", "where": "", "when": "from 10 to 15 h UTC", "size": 1.4, "unit": "K",
         "direction": "too low", "duration_h": 5.0, "n_episodes": 27, "n_possible": 30, "sensor_share": 0.02,
-        "statement": "from 10 to 15 h UTC, simulated temperature is 1.4 K too low (27 of 30 days; the sensors "
-                     "explain 0.2 K)",
+        "statement": "from 10 to 15 h UTC, simulated temperature is 1.4 K too low (27 of 30 days; the "
+                     "sensors explain 0.2 K)",
         "p": 1e-9, "p_adjusted": 1e-7, "driver": "global_horizontal_irradiance", "kind": "hour", "curve": {},
         "spans": [[start + 86400.0 * day, start + 86400.0 * day + 18000.0] for day in (12, 5, 20, 1, 2)],
     }  # fmt: skip

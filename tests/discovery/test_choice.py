@@ -26,6 +26,7 @@ from hygrokf.discovery.candidate import (
 )
 from hygrokf.discovery.cause import Variant
 from hygrokf.discovery.clocks import Shift
+from hygrokf.discovery.discovery_results import CauseParameter
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.model_selection import NO_BETTER, _reason, choose, verdict_on, with_trial
 from hygrokf.discovery.procedure import verdict as verdict_of
@@ -510,16 +511,16 @@ def test_a_thermometer_off_by_a_constant_is_simulated_as_it_is_read() -> None:
     [
         ([(-0.245, 0.0, 0.462)], True),
         ([(0.1, 0.0, 0.462)], False),
-        ([(-0.2, 0.0, 0.5), (1.0, None, 2.0)], True),
+        ([(-0.2, 0.0, 0.5), (1.0, math.nan, 2.0)], True),
         ([(-0.2, 0.0, 0.5), (-0.9, 0.0, -0.1)], False),
-        ([(None, 0.0, 0.5)], False),
-        ([(1.0, None, 2.0)], False),
+        ([(math.nan, 0.0, 0.5)], False),
+        ([(1.0, math.nan, 2.0)], False),
         ([], False),
     ],
 )
 def test_a_cause_is_vague_where_no_amplitude_leaves_nothing_out(rows: list[tuple], said: bool) -> None:
     """The house: a scale that goes off by 0.11, bounds −0.25 to 0.46, and 2 ln L that pays for it."""
-    table = {str(i): {"lower": a, "null": b, "upper": c} for i, (a, b, c) in enumerate(rows)}
+    table = {str(i): CauseParameter(1.0, "K", lower=a, upper=c, null=b) for i, (a, b, c) in enumerate(rows)}
     assert evidence.vague(table) is said
 
 
@@ -543,6 +544,6 @@ def test_the_score_statistic_knows_what_priors_know() -> None:
     ],
 )
 def test_what_is_said_against_a_cause(event: bool, once: bool, low: float, said: tuple[str, ...]) -> None:
-    parameters = {"size": {"lower": low, "null": 0.0, "upper": 0.5}}
+    parameters = {"size": CauseParameter(0.3, "K", lower=low, upper=0.5, null=0.0)}
     found = evidence.reservations(event, once, parameters)
     assert found == tuple(getattr(evidence, name) for name in said)

@@ -39,7 +39,7 @@ from hygrokf.discovery.model_selection import choose, difference, verdict_on
 from hygrokf.discovery.procedure import discover
 from hygrokf.discovery.scan import Scanned, scan, slow_scan
 from hygrokf.identification.results import dump
-from hygrokf.report.discovery_text import discovery_text
+from hygrokf.report.discovery_page import discovery_text
 
 DAY_S = 86400.0
 IDENTIFIERS = """moisture_sorption condensation wall_thermal_mass solar_gain wind_driven_exchange
@@ -294,8 +294,8 @@ def test_a_discovery_is_complete_json_and_plain_text() -> None:
         assert set(data[side]) >= {"rmse", "baselines", "time_constants"}
     (rejected,) = data["rejected"]
     assert rejected["cause"] == "solar_gain" and rejected["reason"]
-    text = discovery_text(data)
-    assert "cause: moisture_sorption" in text and "check: look for polymers" in text
+    text = discovery_text(found.results)
+    assert "Moisture sorption (" in text and "To check: Look for polymers" in text
     assert max(len(line) for line in text.splitlines()) <= 100
     # the extended model drives the validation period and beyond: it is a fit like any other
     assert found.extended.design.model.mechanism("moisture_sorption").name == "moisture_sorption"

@@ -67,8 +67,8 @@ def test_vents_that_nobody_logged_show_in_their_hours(vented: Scene) -> None:
 def test_nothing_of_a_logged_actuators_class_is_named_and_what_is_named_simulates_better() -> None:
     """Plants give vapour (a wet surface), the sun warms; the held-out errors fall by a third and more."""
     found = discover(record("Koala"), budget_s=math.inf).results
-    named = [one["cause"] for one in found["causes"]]
-    assert "internal_moisture_source" in named and found["causes"][0]["form"] == "from a wet surface"
+    named = [one.cause for one in found.causes]
+    assert "internal_moisture_source" in named and found.causes[0].form == "from a wet surface"
     assert not set(named) & {"unlogged_heater", "cooling_switching"}
-    assert all(one["gain"]["rmse_after"] < one["gain"]["rmse_before"] for one in found["causes"])
-    assert found["causes"][0]["gain"]["rmse_after"] < 0.67 * found["causes"][0]["gain"]["rmse_before"]
+    assert all(one.gain.rmse_after < one.gain.rmse_before for one in found.causes)
+    assert found.causes[0].gain.rmse_after < 0.67 * found.causes[0].gain.rmse_before

@@ -21,7 +21,8 @@ from hygrokf.discovery.held_out import Model, Simulated, difference_bounds, gain
 from hygrokf.discovery.library import named
 from hygrokf.discovery.model_selection import choose
 from hygrokf.discovery.procedure import UNEXPLAINED_AT_MOST, discover
-from hygrokf.report.discovery_text import discovery_text, gain_sentence
+from hygrokf.report.discovery_page import discovery_text
+from hygrokf.report.discovery_text import gain_sentence
 
 DAY_S = 86400.0
 CABINET = (
@@ -69,22 +70,22 @@ def taken_back() -> Record:
 def test_a_change_that_the_held_out_period_does_not_show_is_refuted(taken_back: Record) -> None:
     found = discover(taken_back, starts=1)
     results = found.results
-    (one,) = [row for row in results["refuted"] if row["cause"] == "exchange_step"]
-    assert one["gain"]["upper"] < 0.0 and one["gain"]["rmse_after"] > one["gain"]["rmse_before"]
-    assert "exchange_step" not in [row["cause"] for row in results["causes"]]
-    (said,) = [row["reason"] for row in results["rejected"] if row["cause"] == "exchange_step"]
+    (one,) = [row for row in results.refuted if row.cause == "exchange_step"]
+    assert one.gain.upper < 0.0 and one.gain.rmse_after > one.gain.rmse_before
+    assert "exchange_step" not in [row.cause for row in results.causes]
+    (said,) = [row.reason for row in results.rejected if row.cause == "exchange_step"]
     assert said.startswith("the held-out period refutes it") and "grows from" in said
-    if not results["causes"]:
-        assert found.extended is None and results["extended"] is None
-        assert results["verdict"] == "unexplained"
-    assert "refuted by the held-out period: exchange_step" in discovery_text(results)
+    if not results.causes:
+        assert found.extended is None and results.extended is None
+        assert results.verdict == "unexplained"
+    assert "Refuted by the held-out period: exchange step" in discovery_text(results)
 
 
 def test_the_same_change_that_lasts_is_named(taken_back: Record) -> None:
     lasting = to_record(hidden_plant(9710, "exchange_step", days=80.0), until_s=taken_back.until_s)
     results = discover(lasting, starts=1).results
-    assert [row["cause"] for row in results["causes"]][:1] == ["exchange_step"]
-    assert results["refuted"] == []
+    assert [row.cause for row in results.causes][:1] == ["exchange_step"]
+    assert results.refuted == ()
 
 
 def test_a_measured_cabinet_keeps_its_base_model(tmp_path: Path) -> None:
@@ -94,10 +95,10 @@ def test_a_measured_cabinet_keeps_its_base_model(tmp_path: Path) -> None:
     case = tmp_path / "case.toml"
     case.write_text(TURBINE.format(file=CABINET.resolve()), encoding="utf-8")
     found = discover(read_case(case))
-    assert found.extended is None and found.to_json()["causes"] == []
-    assert found.to_json()["verdict"] == "unexplained"
-    for one in found.to_json()["refuted"]:
-        assert one["gain"]["upper"] < 0.0
+    assert found.extended is None and found.results.causes == ()
+    assert found.results.verdict == "unexplained"
+    for one in found.results.refuted:
+        assert one.gain.upper < 0.0
 
 
 # --- numbers ------------------------------------------------------------------------------------------------
@@ -113,17 +114,17 @@ def test_a_gain_is_that_of_the_better_simulators() -> None:
     before = Model(simulated(1.0), simulated(0.8))
     after = Model(simulated(0.5), simulated(0.9))
     gain = gain_of("temperature_K", before, after)
-    assert gain["rmse_before"] == before.moved.rmse("temperature_K", "validation")
-    assert gain["rmse_after"] == after.identified.rmse("temperature_K", "validation")
-    assert gain["identified_before"] == before.identified.rmse("temperature_K", "validation")
-    assert gain["lower"] < gain["rmse_before"] - gain["rmse_after"] < gain["upper"]
+    assert gain.rmse_before == before.moved.rmse("temperature_K", "validation")
+    assert gain.rmse_after == after.identified.rmse("temperature_K", "validation")
+    assert gain.identified_before == before.identified.rmse("temperature_K", "validation")
+    assert gain.lower < gain.rmse_before - gain.rmse_after < gain.upper
     assert not refutes(gain) and refutes(gain_of("temperature_K", after, before))
 
 
 def test_without_a_held_out_period_nothing_is_refuted() -> None:
     open_ended = [replace(simulated(size), until_s=math.inf) for size in (0.5, 1.0)]
     gain = gain_of("temperature_K", *(Model(one, one) for one in open_ended))
-    assert gain["period"] == "identification" and gain["upper"] < 0.0 and not refutes(gain)
+    assert gain.period == "identification" and gain.upper < 0.0 and not refutes(gain)
 
 
 def test_bounds_compare_the_readings_that_both_have() -> None:
@@ -141,12 +142,12 @@ def test_a_name_under_an_unknown_cause_is_no_certainty() -> None:
 # --- the time that it takes ---------------------------------------------------------------------------------
 def test_what_the_time_does_not_last_for_is_said(taken_back: Record) -> None:
     results = discover(taken_back, starts=1, budget_s=0.5).results
-    untried = results["not_tried"]["causes"]
-    tried = {row["cause"] for key in ("causes", "rejected") for row in results[key]}
+    untried = results.not_tried.causes
+    tried = {row.cause for row in (*results.causes, *results.rejected)}
     assert len(untried) > 10 and not tried & set(untried)
-    assert results["not_tried"]["budget_s"] == 0.5
+    assert results.not_tried.budget_s == 0.5
     said = " ".join(discovery_text(results).split())
-    assert "were not tried: a larger --budget does" in said and untried[0].replace("_", " ") in said
+    assert "were not tried: allow more time with --budget" in said and untried[0].replace("_", " ") in said
 
 
 def test_a_trial_that_runs_ends_with_the_time(taken_back: Record) -> None:
@@ -179,7 +180,7 @@ def test_a_budget_is_a_time() -> None:
 
 def test_a_refutation_in_words_tells_the_rise() -> None:
     gain = gain_of("temperature_K", *(Model(one, one) for one in (simulated(0.5), simulated(1.0))))
-    said = gain_sentence({"gain": gain})
+    said = gain_sentence(gain)
     assert (
         "rises from 0.51 to 1.02 K" in said
         and "95 % bounds of the rise: 0.4" in said
@@ -191,4 +192,4 @@ def test_a_growth_that_is_certain_and_nothing_refutes_nothing() -> None:
     """A clock that is set right moves the simulated error by a hundredth: certain, as all readings agree, and
     no matter."""
     gain = gain_of("temperature_K", *(Model(one, one) for one in (simulated(1.0), simulated(1.005))))
-    assert gain["upper"] < 0.0 and not refutes(gain)
+    assert gain.upper < 0.0 and not refutes(gain)

@@ -275,7 +275,7 @@ CAUSE = "C = hygrokf.cause_of('stove', thermal=made({effect}), **WORDS)\n"
         (
             "C = hygrokf.cause_of('stove', thermal=made(lambda p, x, u, q: {'heat_release': p.heat}), "
             "**WORDS)",
-            "thermal part: AttributeError: 'types.SimpleNamespace' object has no attribute 'heat' (line 20 "
+            "thermal part: AttributeError: 'types.SimpleNamespace' object has no attribute 'heat' (line 21 "
             "of own.py)",
         ),
         (
@@ -330,7 +330,7 @@ CAUSE = "C = hygrokf.cause_of('stove', thermal=made({effect}), **WORDS)\n"
             "def variants(scene):\n    return scene.nothing\n"
             "C = hygrokf.Cause('stove', 'a', 'b', 'c', variants, mechanisms={'stove': made(stove)})",
             "variants fails on a record with every signal: AttributeError: 'Scene' object has no attribute "
-            "'nothing' (line 21 of own.py)",
+            "'nothing' (line 22 of own.py)",
         ),
         (
             "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda scene: ['x'], mechanisms={'stove': "

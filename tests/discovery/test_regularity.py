@@ -103,5 +103,5 @@ def test_an_unknown_periodic_source_is_told_and_its_absence_is_not() -> None:
     size = float(np.nanstd(quiet.humidity_error))
     disturbed = with_source(record, 31.0, size)
     found = unlogged(residuals(identify(disturbed, starts=1, profiles=False), disturbed))
-    assert found is not None and found["kind"] == "period" and found["quantity"] == "humidity"
-    assert found["when"] == "every 31.0 h" and "timer" in found["statement"]
+    assert found is not None and found.kind == "period" and found.quantity == "humidity"
+    assert found.when == "every 31.0 h" and "timer" in found.statement

@@ -23,15 +23,15 @@ from hygrokf.data.toml_form import keys_of
 from hygrokf.fleet import job as job_module
 from hygrokf.fleet import running
 from hygrokf.fleet.cluster import batches, on_cluster
+from hygrokf.fleet.fleet_results import FleetResults
 from hygrokf.fleet.job import FleetFault, Job, content_key, finished
 from hygrokf.fleet.outliers import FEWEST, REACH, spread, spreads
-from hygrokf.fleet.page import fleet_page
+from hygrokf.fleet.page import fleet_page, fleet_text
 from hygrokf.fleet.plan import read_plan
 from hygrokf.fleet.processes import in_processes
 from hygrokf.fleet.running import run_fleet, write_fleet_report
 from hygrokf.fleet.table import columns_of, table_csv, table_parquet
 from hygrokf.fleet.tasks import TASKS, Compared, perform
-from hygrokf.fleet.text import fleet_text
 from hygrokf.identification.results import dump, read_fit
 from hygrokf.identification.turbine_type import pool_types, read_type
 
@@ -264,8 +264,8 @@ def lethal_plan(park: Path) -> Path:
 
 def test_a_turbine_that_kills_its_process_is_lost_and_told(park: Path, tmp_path: Path) -> None:
     result = run_fleet(read_plan(lethal_plan(park)), tmp_path, workers=1)
-    assert [row["status"] for row in result.rows] == ["lost", "lost"]
-    assert all("killed by SIGKILL, 2 times in a row" in row["reason"] for row in result.rows)
+    assert [row["status"] for row in result.results.rows] == ["lost", "lost"]
+    assert all("killed by SIGKILL, 2 times in a row" in row["reason"] for row in result.results.rows)
     assert json.loads((tmp_path / "turbines" / "T1" / "row.json").read_text())["row"]["status"] == "lost"
     assert "lost" in (tmp_path / "report.html").read_text()
 
@@ -278,8 +278,8 @@ def test_a_process_that_dies_before_it_begins_stops_nothing(
 
     monkeypatch.setattr(processes.sys, "executable", "/bin/false")
     result = run_fleet(read_plan(park / "fleet.toml"), tmp_path, workers=1)
-    assert [row["status"] for row in result.rows] == ["lost"] * TURBINES
-    assert "ended with status 1, 2 times in a row" in str(result.rows[0]["reason"])
+    assert [row["status"] for row in result.results.rows] == ["lost"] * TURBINES
+    assert "ended with status 1, 2 times in a row" in str(result.results.rows[0]["reason"])
     assert (tmp_path / "turbines" / "T5" / "row.json").is_file()
 
 
@@ -449,7 +449,7 @@ def test_models_go_elsewhere_on_a_cluster_as_here(
     here, there = tmp_path / "here", tmp_path / "there"
     table = table_csv(task, [perform(job).row for job in read_plan(file).jobs(here)])
     result = run_fleet(read_plan(file), there, cluster=cluster.scheduler_address)
-    assert [row["status"] for row in result.rows] == ["done", "failed"]
+    assert [row["status"] for row in result.results.rows] == ["done", "failed"]
     assert (there / "fleet.csv").read_text() == table
     made = sorted(one.name for one in (here / "turbines" / "T2").iterdir())
     assert made == sorted(one.name for one in (there / "turbines" / "T2").iterdir())
@@ -593,12 +593,16 @@ def test_the_page_of_climates_shows_limits_and_numbers_that_are_zero() -> None:
         row |= {f"wetness_h{end}": v for end, v in (("", 43.5397), ("_lower", 0.0), ("_upper", 116.1))}
         rows.append(row)
     rows[6] |= {"wetness_h": 0.0, "wetness_h_upper": 0.0}
-    text = fleet_page({"task": "climate", "rows": rows, "name": "one"})
+    text = fleet_page(table("climate", rows))
     assert "Limits: 1 fail, 6 pass." in text and "7 of 7: one; more<" in text and "6 of 7: the other<" in text
     ranking = text.split("<h2>Ranking</h2>")[1]
     assert ranking.count("43.5 (0 … 116)") == 6 and "43.5397" not in text
     assert "above zero on both sides, so not compared: time of wetness of W0, W1" in text
     assert "W6.</p>" in text  # also the one without any wet hour
+
+
+def table(task: str, rows: list[dict], name: str = "park") -> FleetResults:
+    return FleetResults(task, tuple(rows), name, created="2024-05-01T12:00:00")
 
 
 def made_rows(random: np.random.Generator, count: int, between: float, error: np.ndarray) -> list[dict]:
@@ -688,18 +692,14 @@ def test_the_page_shows_failures_outliers_and_ranking() -> None:
         rows.append(row | {"temperature_rmse_K": 1.0 + 0.01 * place, "humidity_rmse_g_m3": 0.4})
     rows[7] |= {"thermal_upper_h": None, "thermal_statement": "at least 1.2 h"}
     rows.append({"turbine": "W9", "status": "failed", "reason": "no <file>", "task": "fit"})
-    text = fleet_page(
-        {"name": "P & Q", "task": "fit", "rows": rows, "options": {}, "created": "2024-05-01T12:00:00"}
-    )
+    text = fleet_page(table("fit", rows, "P & Q"))
     assert "<script" not in text and "W<4>" not in text and "P &amp; Q" in text and "no &lt;file&gt;" in text
-    outliers = text.split("<h2>Outliers</h2>")[1].split("</section>")[0]
+    outliers = text.split("<h2>Turbines that depart from the others</h2>")[1].split("<h2>")[0]
     assert "W&lt;4&gt;" in outliers and outliers.count("<tr") == 2
     ranking = text.split("<h2>Ranking</h2>")[1]
     assert ranking.index("W&lt;8&gt;") < ranking.index("W&lt;1&gt;") and "at least 1.2 h" in ranking
     assert "9 of 10" in text and text.count("<svg") == 2 and "SYNTHETIC" in text
-    assert (
-        "Outliers" not in fleet_page({"task": "fit", "rows": rows[-1:], "name": "one"}).split("<footer>")[0]
-    )
+    assert "depart from the others" not in fleet_page(table("fit", rows[-1:]))
 
 
 def departing_rows() -> list[dict]:
@@ -715,10 +715,10 @@ def departing_rows() -> list[dict]:
 
 def test_the_terminal_says_who_departs() -> None:
     rows = departing_rows()
-    text = fleet_text("fit", rows)
-    assert "departs: W4, thermal time constant 4.3" in text and text.count("departs:") == 1
-    assert "none departs from the others" in fleet_text("fit", rows[:4] + rows[5:])
-    assert "depart" not in fleet_text("fit", rows[:3])
+    text = fleet_text(table("fit", rows))
+    assert "W4 departs: thermal time constant 4.3" in text and text.count("departs:") == 1
+    assert "No turbine departs from the others" in fleet_text(table("fit", rows[:4] + rows[5:]))
+    assert "depart" not in fleet_text(table("fit", rows[:3]))
 
 
 def test_a_turbine_that_departs_is_no_part_of_the_type(
@@ -745,7 +745,7 @@ def test_a_turbine_that_departs_is_no_part_of_the_type(
             return [SimpleNamespace(turbine=row["turbine"], folder=out / row["turbine"]) for row in rows]
 
     found = running._type_of(Park(), tmp_path, rows)
-    assert found["type_without"] == ["W4"] and taken == [f"W{i}" for i in range(9) if i != 4]
+    assert found[1] == ["W4"] and taken == [f"W{i}" for i in range(9) if i != 4]
 
 
 @dataclass(frozen=True)
@@ -806,7 +806,7 @@ def test_results_are_plain_data() -> None:
     from hygrokf.fleet.job import outcome
 
     job = Job("a", "fit", Path("c"), Path("f"))
-    found = outcome(job, "done", thermal_upper_h=float("inf"), n_readings=np.int64(3))
+    found = outcome(job, "done", {"thermal_upper_h": float("inf"), "n_readings": np.int64(3)})
     assert found.row["thermal_upper_h"] is None and json.loads(dump(found.to_json()))["row"] == found.row
 
 

@@ -29,8 +29,7 @@ from hygrokf.commands.main import main
 from hygrokf.data.record import Record
 from hygrokf.discovery.procedure import discover
 from hygrokf.engine import jit
-from hygrokf.report.discovery_page import write_discovery_report
-from hygrokf.report.discovery_text import discovery_text
+from hygrokf.report.discovery_page import discovery_text, write_discovery_report
 
 HERE = Path(__file__).resolve().parent
 ROOT = HERE.parents[1]
@@ -270,7 +269,7 @@ def attic(folder: Path) -> str:
 def discovered(record: Record, folder: Path) -> str:
     one = discover(record, starts=1, budget_s=math.inf)
     write_discovery_report(one, folder / "out")
-    return discovery_text(one.to_json())
+    return discovery_text(one.results)
 
 
 UK_WEATHER = """\

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builders.climate_case import known_fit, study_of
-from builders.discovery_case import discovery_case
+from builders.discovery_case import discovery_case, typed
 from builders.fit_case import with_parts
 from builders.html_page import Page
 
@@ -40,8 +40,8 @@ from hygrokf.live.web.views import fleet_view, turbine_view
 from hygrokf.report.blocks import Cards, Verdicts
 from hygrokf.report.climate_page import climate_blocks, climate_page
 from hygrokf.report.comparison_page import comparison_page, comparison_text
-from hygrokf.report.discovery_page import discovery_page
-from hygrokf.report.discovery_text import discovery_text, gain_sentence
+from hygrokf.report.discovery_page import discovery_page, discovery_text
+from hygrokf.report.discovery_text import error_sentences, gain_sentence
 from hygrokf.report.evaluation_text import evaluation_text
 from hygrokf.report.transfer_page import transfer_page, transfer_text
 from hygrokf.transfer.comparison import compare, comparison_column
@@ -176,15 +176,15 @@ def test_discovery() -> None:
     found = discovery_case()
     reasons = [Reason("worse_than_rule", REJECT, WHY)]
     found["baseline"]["time_constants"]["thermal"] |= plain(Verdict.of(reasons))
-    assert struck(discovery_page(found)) == ["1.36 h (1.31 … 1.41)"]
-    text = " ".join(discovery_text(found).split())
-    assert f"base model: x thermal time constant not to be believed, 1.36 h (1.31 … 1.41): {WHY}" in text
+    assert struck(discovery_page(typed(found))) == ["1.36 h (1.31 … 1.41)"]
+    text = " ".join(discovery_text(typed(found)).split())
+    assert f"x thermal time constant, not to be believed: {WHY} – 1.36 h (1.31 … 1.41)" in text
     nothing = found | {"verdict": "none", "causes": [], "extended": None}
-    words = Page(discovery_page(nothing)).text
+    words = Page(discovery_page(typed(nothing))).text
     assert "Nothing is missing" not in words and "the model is not right" in words
     # an extended model that is not to be believed does not tell how wrong the base was
     found["extended"]["time_constants"]["thermal"] |= plain(Verdict.of(reasons))
-    words = Page(discovery_page(found)).text
+    words = Page(discovery_page(typed(found))).text
     assert "too long" not in words and "does not tell how wrong the base model's is" in words
 
 
@@ -292,14 +292,10 @@ def test_the_card_of_a_discovery_shows_the_errors_of_its_tables_and_says_what_th
     base, wider = (found[w]["rmse"]["validation"]["temperature_K"]["total"] for w in ("baseline", "extended"))
     gain = found["causes"][0]["gain"]
     assert gain["rmse_before"] != base  # the gain is measured against a better simulator
-    page = discovery_page(found)
-    cards = re.findall(r"<p class=value>([^<]*K)</p>", page)
-    assert cards == [f"{base:.2f} → {wider:.2f} K"]
-    words = Page(page).text
-    assert (
-        f"as the better simulators that both can be: {gain['rmse_before']:.2f} → {gain['rmse_after']:.2f} K"
-        in words
-    )
-    assert f"they err by {base:.2f} and {wider:.2f} K" in gain_sentence(found["causes"][0])
+    (said, *_) = error_sentences(typed(found))
+    assert f"{base:.2f} → {wider:.2f} K" in said
+    words = gain_sentence(typed(found).causes[0].gain)
+    assert f"from {gain['rmse_before']:.2f} to {gain['rmse_after']:.2f} K" in words
+    assert f"as identified, they err by {base:.2f} and {wider:.2f} K" in words
     gain |= {"rmse_before": base, "rmse_after": wider}
-    assert "better simulators that both" not in Page(discovery_page(found)).text
+    assert "better simulators" not in gain_sentence(typed(found).causes[0].gain)
