@@ -101,24 +101,12 @@ def one_line(text: str) -> str:
     return "".join(c if c.isprintable() else " " for c in text)
 
 
-def text_of(value: object) -> str:
-    """A value as text on one line, without control characters; empty for null."""
-    return "" if value is None else one_line(value if isinstance(value, str) else str(value))
-
-
-def texts(value: object) -> list[str]:
-    """A list of strings, null and empty ones left out."""
-    items = value if isinstance(value, (list, tuple)) else []
-    return [text for one in items if (text := text_of(one).strip())]
-
-
 def sentence(text: str) -> str:
     """A text with a capital letter and a full stop; a leading name with underscores stays unchanged."""
     text = text[:1].upper() + text[1:] if not text.split(" ")[0].count("_") else text
     return text if text.endswith((".", "!", "?")) else text + "."
 
 
-def moment(value: object) -> str:
+def moment(text: str) -> str:
     """An instant of a result, "2024-05-01T12:00:00+00:00", as date and time to the minute."""
-    text = text_of(value)
     return text[:16].replace("T", " ") if len(text) >= 16 else text

@@ -21,7 +21,6 @@ from hygrokf.identification.wording import (
     percent,
     sentence,
     signed,
-    text_of,
 )
 from hygrokf.report.blocks import (
     Banner,
@@ -159,7 +158,7 @@ def comparison_blocks(found: ComparisonResults, courses: Sequence[Course] = ()) 
     )
     return Page(
         "Comparison",
-        _name([text_of(one.label) for one in found.columns]),
+        _name([one.label for one in found.columns]),
         (_about(found),),
         (
             *_banners(found),
@@ -381,6 +380,6 @@ def _method(found: ComparisonResults) -> tuple[Block, ...]:
         "They state how much an error varies within this record, not in another season. Where standstills "
         "fill fewer than four blocks no bounds are given.",
         "Differences are taken on the instants that both columns score, with the same blocks drawn for both.",
-        f"Compared by hygrokf {text_of(found.version)}; page written by hygrokf {__version__}.",
+        f"Compared by hygrokf {found.version}; page written by hygrokf {__version__}.",
     )
     return (Heading("Method"), *(Prose(line) for line in lines))

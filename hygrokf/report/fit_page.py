@@ -195,7 +195,7 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
 
 
 def _about(fit: FitResults) -> tuple[str, ...]:
-    start, until, end = (moment(one) for one in (fit.period.start, fit.period.until, fit.period.end))
+    start, until, end = (moment(one or "") for one in (fit.period.start, fit.period.until, fit.period.end))
     lines = []
     if start and end:
         lines.append(f"{start} to {end} UTC" + (f", identified on the part until {until}" if until else ""))

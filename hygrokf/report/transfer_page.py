@@ -22,7 +22,6 @@ from hygrokf.identification.wording import (
     percent,
     plain_number,
     sentence,
-    text_of,
 )
 from hygrokf.report.blocks import (
     Banner,
@@ -135,7 +134,7 @@ def transfer_text(found: TransferResults) -> str:
 
 def transfer_blocks(found: TransferResults, courses: Sequence[Course]) -> Page:
     """What a transfer says: the verdict on each record, and the held-out course of the first, first."""
-    source, names = text_of(found.source.name), [text_of(one.name) for one in found.records]
+    source, names = found.source.name, [one.name for one in found.records]
     cards = Cards(tuple(_card(found, one) for one in found.records))
     pictures = [
         Figure(
@@ -180,12 +179,12 @@ def _banners(found: TransferResults) -> tuple[Banner, ...]:
 
 def _card(found: TransferResults, one: TransferResult) -> Card:
     """The verdict on one record with its reasons; of several records, with the first reason."""
-    reasons = tuple(sentence(text_of(line)) for line in one.reasons)
+    reasons = tuple(sentence(line) for line in one.reasons)
     said = f"{found.source.name} on {one.name}: {one.sentence}."
     alone = len(found.records) == 1
     return Card(
-        text_of(one.name),
-        sentence(text_of(one.sentence)),
+        one.name,
+        sentence(one.sentence),
         " ".join((said, *reasons)),
         lines=reasons if alone else reasons[:1],
         wide=alone,
@@ -197,10 +196,10 @@ def _card(found: TransferResults, one: TransferResult) -> Card:
 def _record(found: TransferResults, place: int, course: Figure | None) -> tuple[Block, ...]:
     one = found.records[place]
     several = len(found.records) > 1
-    reasons = [Prose(sentence(text_of(line))) for line in one.reasons] if several else []
+    reasons = [Prose(sentence(line)) for line in one.reasons] if several else []
     own = inherited_verdicts(one.verdicts, "The time constants of the model to use here")
     return section(
-        f"{text_of(one.name)}: what travels" if several else "What travels",
+        f"{one.name}: what travels" if several else "What travels",
         *reasons,
         table_or(groups_table(one), "No group of parameters could be judged."),
         _notes(one),
@@ -237,11 +236,7 @@ def _record(found: TransferResults, place: int, course: Figure | None) -> tuple[
 
 
 def _notes(one: TransferResult) -> Block | None:
-    return (
-        Prose(" ".join(sentence(text_of(line)) for line in one.statements), "note")
-        if one.statements
-        else None
-    )
+    return Prose(" ".join(sentence(line) for line in one.statements), "note") if one.statements else None
 
 
 # --- tables ----------------------------------------------------------------------------------
@@ -259,7 +254,7 @@ def groups_table(one: TransferResult) -> Table | None:
             cells = (fixed(row.statistic, 1), str(row.df), _chance(row.p_adjusted), *changes)
         if row.outcome == "differs":
             marked.append(len(rows))
-        rows.append((text_of(row.group), *cells, text_of(row.statement)))
+        rows.append((row.group, *cells, row.statement))
     if not rows:
         return None
     return Table(
@@ -280,7 +275,7 @@ def _groups_in_brief(one: TransferResult) -> Facts:
     rows = []
     for row in one.groups:
         p = "" if row.p_adjusted is None else f" (p {_chance(row.p_adjusted)})"
-        rows.append((text_of(row.group), f"{text_of(row.statement)}{p}"))
+        rows.append((row.group, f"{row.statement}{p}"))
     return Facts(tuple(rows))
 
 
@@ -331,7 +326,7 @@ def parameters_table(one: TransferResult) -> Table | None:
 def ratios_table(one: TransferResult) -> Table | None:
     """Exact likelihood ratios on this record."""
     rows = tuple(
-        (text_of(r.of), fixed(r.likelihood_ratio, 1), str(r.df), fixed(r.factor), _chance(r.p))
+        (r.of, fixed(r.likelihood_ratio, 1), str(r.df), fixed(r.factor), _chance(r.p))
         for r in one.likelihood_ratios
     )
     if not rows:
@@ -381,7 +376,7 @@ def type_table(found: TurbineType) -> Table:
         "Spread: standard deviation from turbine to turbine beyond the uncertainty of the estimates (REML)."
     )
     return Table(
-        f"{len(found.turbines)} turbines: {', '.join(map(text_of, found.turbines))}",
+        f"{len(found.turbines)} turbines: {', '.join(found.turbines)}",
         ("parameter", "type", "95 %", "spread", "next turbine, 95 %", "unit", "n"),
         tuple(rows),
         left=(0, 5),
@@ -418,6 +413,6 @@ def _method(found: TransferResults) -> tuple[Block, ...]:
         "ends at a bound, where the record's own estimate errs by far more than the fit did on its own "
         "record, or where the re-estimated model is worse than a rule without a model, or than the fit as it "
         "is.",
-        f"Judged by hygrokf {text_of(found.version)}; page written by hygrokf {__version__}.",
+        f"Judged by hygrokf {found.version}; page written by hygrokf {__version__}.",
     )
     return (Heading("Method"), *(Prose(line) for line in lines))

@@ -12,8 +12,8 @@ from zipfile import BadZipFile
 import numpy as np
 
 from hygrokf.data.files import write_bytes_whole
-from hygrokf.data.lookup import instants
 from hygrokf.data.result_file import ResultFault
+from hygrokf.data.series_file import instants
 from hygrokf.evaluation.scoring import SCORED
 
 

@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 from builders.climate_case import made_up_weather, study_of
 from builders.comparison_case import made_column
+from builders.discovery_case import discovery_case, residuals_case
+from builders.discovery_case import typed as discovered
 from builders.fit_case import typed
 from builders.report_case import report_case
 from golden.difference import read
@@ -17,8 +19,11 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 from hygrokf.climate.limits import Limit
 from hygrokf.data.structured import structured
+from hygrokf.fleet.fleet_results import FleetResults
+from hygrokf.fleet.page import fleet_page
 from hygrokf.report.climate_page import climate_page
 from hygrokf.report.comparison_page import comparison_page
+from hygrokf.report.discovery_page import discovery_page
 from hygrokf.report.fit_page import report_page
 from hygrokf.report.transfer_page import transfer_page
 from hygrokf.transfer.comparison import compare
@@ -52,8 +57,26 @@ def climate() -> str:
     return climate_page(replace(study, synthetic=True))
 
 
+def discovery() -> str:
+    return discovery_page(discovered(discovery_case()), residuals_case(), residuals_case(0.2))
+
+
+def fleet() -> str:
+    rows = tuple(
+        {
+            "turbine": f"W{place}", "status": "done", "synthetic": True, "thermal_verdict": "caution",
+            "thermal_value_h": 1.5 + 0.1 * place, "thermal_lower_h": 1.3, "thermal_upper_h": 3.0,
+            "temperature_rmse_K": 1.0 + 0.1 * place,
+        }
+        for place in range(8)
+    )  # fmt: skip
+    failed = {"turbine": "W9", "status": "failed", "reason": "cabinet.csv: no such file " * 5}
+    return fleet_page(FleetResults("fit", (*rows, failed), "Park"))
+
+
 MADE: dict[Callable[[], str], int] = {
-    fit: 1_200_000, comparison: 400_000, transfer: 400_000, climate: 600_000
+    fit: 1_200_000, comparison: 400_000, transfer: 400_000, climate: 600_000,
+    discovery: 900_000, fleet: 300_000,
 }  # fmt: skip
 """How each page is made, and the most bytes that it may have."""
 

@@ -21,11 +21,11 @@ from hygrokf import identify, read_case, synthetic_turbine, write_case, write_fi
 from hygrokf.commands.main import main
 from hygrokf.data.record import Record
 from hygrokf.data.structured import plain
+from hygrokf.fleet.fleet_results import FleetResults
 from hygrokf.fleet.outliers import spreads
-from hygrokf.fleet.page import fleet_page
+from hygrokf.fleet.page import fleet_page, fleet_text
 from hygrokf.fleet.table import columns_of
 from hygrokf.fleet.tasks import TASKS
-from hygrokf.fleet.text import fleet_text
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.results import dump
 from hygrokf.identification.tables import evaluate, simulation_summary
@@ -205,12 +205,16 @@ def test_a_fleet_leaves_out_what_is_not_to_be_believed() -> None:
         one for one in spreads(rows, TASKS["fit"].compared) if one.compared.column == "thermal_value_h"
     )
     assert constant.rejected == ("T6",) and "T6" not in constant.turbines and "T7" in constant.turbines
-    words = Page(fleet_page({"task": "fit", "name": "park", "rows": rows})).text
+    words = Page(fleet_page(FleetResults("fit", tuple(rows), "park"))).text
     assert "Thermal time constant: 6 to be believed, 1 with caution, 1 not to be believed" in words
     assert "T6 not to be believed to be believed T7 with caution to be believed" in words
     assert "Not to be believed, so not compared: thermal time constant of T6" in words
     assert "9.00" not in words
-    line = next(one for one in fleet_text("fit", rows).splitlines() if one.startswith("T6"))
+    line = next(
+        one
+        for one in fleet_text(FleetResults("fit", tuple(rows), "park")).splitlines()
+        if one.startswith("T6")
+    )
     assert "not to be believed" in line and "9.00" not in line
 
 

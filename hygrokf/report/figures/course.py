@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.data.series_file import array, instants, scalar
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.report.figures.drawing import (
     AMBIENT,
@@ -31,7 +32,6 @@ from hygrokf.report.figures.drawing import (
     upright,
 )
 from hygrokf.report.figures.excerpts import choose_excerpts
-from hygrokf.report.figures.series import array, instants, scalar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.data.series_file import array, instants, scalar
 from hygrokf.evaluation.diagnosis import (
     Autocorrelation,
     CrossCorrelation,
@@ -33,7 +34,6 @@ from hygrokf.report.figures.drawing import (
     new_figure,
     styled,
 )
-from hygrokf.report.figures.series import array, instants, scalar
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,4 +1,4 @@
-"""Reading from data that may lack anything."""
+"""Arrays of series.npz, of which anything may be missing."""
 
 from __future__ import annotations
 
@@ -7,19 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hygrokf.data.lookup import array, entry, instants, number, numbers, scalar
-
-DATA = {"a": {"b": 1.5, "c": None, "d": [1, None, "x", 2.5, True], "e": True, "f": math.inf}, "g": [1, 2]}
-
-
-def test_entries_and_numbers() -> None:
-    assert entry(DATA, "a", "b") == 1.5
-    assert entry(DATA, "a", "c") is None and entry(DATA, "a", "x", "y") is None and entry(None, "a") is None
-    assert entry(DATA, "g", "b") is None
-    assert number(DATA, "a", "b") == 1.5
-    assert all(math.isnan(number(DATA, "a", name)) for name in ("c", "d", "e", "f", "x"))
-    np.testing.assert_array_equal(numbers(DATA, "a", "d"), [1.0, np.nan, np.nan, 2.5, np.nan])
-    assert len(numbers(DATA, "a", "b")) == 0
+from hygrokf.data.series_file import array, instants, scalar
 
 
 def test_series() -> None:
