@@ -65,13 +65,10 @@ class Sensitivities:
 
 @dataclass(frozen=True)
 class Trace:
-    """All moments of one filter run.
-
-    `prior_mean` (T, n), `prior_covariance` (T, n, n) before the readings of an instant, `mean`, `covariance`
-    after them; `prediction` (T, k) and `variance` (T, k) of every output, each given the readings processed
-    before it; `transition` (T, n, n) the derivative of the state with respect to that at the previous
-    instant; `last` the Gaussian to continue from.
-    """
+    """All moments of one filter run: `prior_mean` (T, n), `prior_covariance` (T, n, n) before the readings of
+    an instant, `mean`, `covariance` after them; `prediction` (T, k) and `variance` (T, k) of every output,
+    each given the readings processed before it; `transition` (T, n, n) the derivative of the state with
+    respect to that at the previous instant; `last` the Gaussian to continue from."""
 
     prior_mean: np.ndarray
     prior_covariance: np.ndarray
@@ -106,8 +103,7 @@ class Likelihood:
     """The likelihood of the innovations of one model on one timeline.
 
     initial: "prior" (each mechanism's own), "stationary" (steady state at the first inputs), "diffuse"
-        (exact, for the states named in `diffuse_states`, by default all; the others keep their prior), or a
-        `Gaussian`.
+        (exact, for `diffuse_states`, by default all; the others keep their prior), or a `Gaussian`.
     rate_step: largest product of the fastest rate and a sub-step, in place of the discretisation's own: a
         search may take longer sub-steps at the expense of the last digits.
     fastest: the model's fastest rate [1/h], in place of the bound derived from the timeline's inputs, so that
@@ -155,7 +151,6 @@ class Likelihood:
     def _bounds(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None) -> list[float]:
         """Upper bound of the rate of each state [1/h] (n,)."""
         r = self.recursion
-        expect_values(self.model.parameters, values)
         known: dict[str, Value] = {f"p:{name}": v for name, v in values.items()}
         if self._rate_moves:
             corners = self.timeline.corners if inputs is None else inputs
@@ -163,7 +158,11 @@ class Likelihood:
             known |= {f"m{i}": np.asarray(v) for i, v in enumerate(mean)}
             known |= {f"{kind}:{name}": v for name, v in corners.items() for kind in ("b", "g")}
         places, pairs = self._rate_entries
-        found = r.graph.evaluate([r.jacobian[i][j] for i, j in places], known)
+        try:
+            found = r.graph.evaluate([r.jacobian[i][j] for i, j in places], known)
+        except KeyError:
+            expect_values(self.model.parameters, values)
+            raise
         entry = dict(zip(places, found, strict=True))
         bounds = []
         for i in range(r.n):
