@@ -18,11 +18,11 @@ from pathlib import Path
 import numpy as np
 
 from hygrokf.data.files import write_text_whole
-from hygrokf.physics.psychrometrics import absolute_humidity_from_dew_point, relative_humidity
+from hygrokf.data.timestamps import DAY_S
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K, absolute_humidity_from_dew_point, relative_humidity
 
 MINUTE_S = 60
 MINUTE_H = 1.0 / 60.0
-DAY_S = 86400
 START = "2020-07-15T00:00:00"
 """UTC, the first instant of the record."""
 
@@ -30,7 +30,6 @@ LATITUDE_DEG = 52.4
 LONGITUDE_DEG = -0.95
 
 _REFERENCE_K = 283.15
-_FREEZING_K = 273.15
 _COARSE_MIN = 1
 
 
@@ -212,8 +211,8 @@ def _weather(seed: np.random.SeedSequence, time: np.ndarray) -> _Weather:
     def each_minute(values: np.ndarray) -> np.ndarray:
         return np.interp(time, coarse, values)
 
-    temperature = each_minute(celsius) + _FREEZING_K
-    dew_point = each_minute(dew) + _FREEZING_K
+    temperature = each_minute(celsius) + ZERO_CELSIUS_K
+    dew_point = each_minute(dew) + ZERO_CELSIUS_K
     return _Weather(
         temperature=temperature,
         absolute_humidity=absolute_humidity_from_dew_point(dew_point, temperature),
@@ -366,7 +365,7 @@ def _tables(
 
     # Cabinet logger: instants every 15 minutes, its clock 3 min 20 s past the quarter.
     time = np.arange(minutes[0] + 200.0, minutes[-1], 900.0)
-    celsius = at(time, truth_arrays["cabinet_temperature"]) - _FREEZING_K
+    celsius = at(time, truth_arrays["cabinet_temperature"]) - ZERO_CELSIUS_K
     celsius = sensor.read("cabinet.T_cab_degC", celsius, 0.3, 0.03, 0.1)
     percent = humidity_percent(time, "cabinet_temperature", "cabinet_absolute_humidity")
     percent = np.clip(sensor.read("cabinet.RH_cab_pct", percent, 2.0, 0.2, 0.1), 0.0, 100.0)
@@ -380,7 +379,7 @@ def _tables(
 
     # Ambient logger: instants every 10 minutes, 6 min 40 s past its own tens.
     time = np.arange(minutes[0] + 400.0, minutes[-1], 600.0)
-    celsius = at(time, truth_arrays["ambient_temperature"]) - _FREEZING_K
+    celsius = at(time, truth_arrays["ambient_temperature"]) - ZERO_CELSIUS_K
     celsius = sensor.read("ambient.T_amb_degC", celsius, 0.3, 0.03, 0.1)
     percent = humidity_percent(time, "ambient_temperature", "ambient_absolute_humidity")
     percent = np.clip(sensor.read("ambient.RH_amb_pct", percent, 2.0, 0.2, 0.1), 0.0, 100.0)

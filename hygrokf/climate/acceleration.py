@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.data.toml_form import setting
-from hygrokf.physics.cold_surface import FREEZING_K
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 BOLTZMANN_EV = 8.617333262e-5
 """[eV/K] CODATA 2018, exact."""
@@ -38,7 +38,7 @@ class Acceleration:
         """Ageing [h at the reference condition per h], any shape; humidity above saturation counts as
         saturation."""
         slope = self.activation_energy_eV / BOLTZMANN_EV
-        rate = np.exp(slope * (1.0 / (self.reference_degC + FREEZING_K) - 1.0 / temperature_K))
+        rate = np.exp(slope * (1.0 / (self.reference_degC + ZERO_CELSIUS_K) - 1.0 / temperature_K))
         if self.humid:
             if relative_humidity is None:
                 raise ValueError(

@@ -26,7 +26,7 @@ from hygrokf.identification.fit import Fit
 from hygrokf.physics.expression import Value
 from hygrokf.physics.model import Model
 
-FEWEST = 30
+FEWEST_JUMPS = 30
 """Shots that the fit's period must have seen: a fourth moment of fewer is none, so shots are not taken as
 rarer."""
 SETTLED = 2000
@@ -81,7 +81,7 @@ def shots(fit: Fit, model: Model, inputs: Mapping[str, float], state: np.ndarray
                 rates, reads, variance, noise, other.states, means, place, step_h
             )
         share = _share(rates, reads, variance, noise, states, means, place, step_h)
-        every_h = min(max(kurtosis, 0.0) / share, span_h / FEWEST) if share > 0.0 else 0.0
+        every_h = min(max(kurtosis, 0.0) / share, span_h / FEWEST_JUMPS) if share > 0.0 else 0.0
         found.append(Shots({"temperature": "heat", "humidity": "vapour"}[output], states, every_h))
     return tuple(found)
 

@@ -9,7 +9,7 @@ from hygrokf.climate.ensemble import YEAR_H, course
 from hygrokf.data.record import Record
 from hygrokf.identification.fit import Fit
 from hygrokf.modelling.inputs import IDENTIFIED_ON
-from hygrokf.physics.cold_surface import FREEZING_K
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 BEYOND_K = 2.0
 BEYOND_SHARE = 0.1
@@ -48,7 +48,7 @@ def extrapolation_words(fit: Fit, record: Record) -> list[str]:
 def _units(fit: Fit) -> dict[str, tuple[str, float, float, int]]:
     """How each input is told: unit and meaning, factor, offset, decimals."""
     return {
-        "ambient_temperature": ("°C of ambient air", 1.0, -FREEZING_K, 1),
+        "ambient_temperature": ("°C of ambient air", 1.0, -ZERO_CELSIUS_K, 1),
         "ambient_absolute_humidity": ("g/m³ of ambient air", 1.0, 0.0, 1),
         "power_1": ("kW of power", (fit.design.power_scale_W or 0.0) / 1e3, 0.0, 0),
     }

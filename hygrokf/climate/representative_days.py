@@ -15,7 +15,7 @@ import numpy as np
 
 from hygrokf.climate.acceleration import Acceleration
 from hygrokf.climate.ensemble import Year
-from hygrokf.physics.cold_surface import FREEZING_K
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 DAY_H = 24
 MOST_DAYS = 3000
@@ -57,7 +57,7 @@ def days_of(year: Year, members: Sequence[int]) -> Days:
     places = places[whole]
     assert year.relative_humidity is not None, "a test profile needs the humidity"
     chosen = np.asarray(members)
-    temperature = year.temperature_K[chosen][:, places] - FREEZING_K
+    temperature = year.temperature_K[chosen][:, places] - ZERO_CELSIUS_K
     humidity = 100.0 * year.relative_humidity[chosen][:, places]
     return Days(
         temperature.reshape(-1, DAY_H),
@@ -136,7 +136,7 @@ def _features(days: Days, law: Acceleration) -> tuple[np.ndarray, np.ndarray]:
     column = np.zeros(bins, dtype=int)
     column[used] = np.arange(len(used))
     flat = (np.arange(len(days))[:, None] * len(used) + column[place]).ravel()
-    rate = law.rate(celsius + FREEZING_K, percent / 100.0)
+    rate = law.rate(celsius + ZERO_CELSIUS_K, percent / 100.0)
     rate = rate / rate.mean()
     size = len(days) * len(used)
     joint = np.bincount(flat, minlength=size).reshape(len(days), -1) / DAY_H

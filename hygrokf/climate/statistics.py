@@ -16,7 +16,7 @@ import numpy as np
 from hygrokf.climate.acceleration import Acceleration
 from hygrokf.climate.cycles import cycles_from
 from hygrokf.climate.ensemble import YEAR_H, Year
-from hygrokf.physics.cold_surface import FREEZING_K
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 SCOPES = ("all", "operation", "standstill")
 WET_PERCENT = 80.0
@@ -28,7 +28,7 @@ CYCLE_RANGES_K = np.array([5.0, 10.0, 20.0])
 
 def courses(year: Year) -> dict[str, np.ndarray]:
     """Quantities (N, T) in °C, %, g/m³; those that there are."""
-    found = {"temperature_degC": year.temperature_K - FREEZING_K}
+    found = {"temperature_degC": year.temperature_K - ZERO_CELSIUS_K}
     if year.relative_humidity is not None and year.absolute_humidity_g_m3 is not None:
         found["relative_humidity_percent"] = 100.0 * year.relative_humidity
         found["absolute_humidity_g_m3"] = year.absolute_humidity_g_m3

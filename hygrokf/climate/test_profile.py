@@ -20,7 +20,7 @@ from hygrokf.climate.ensemble import YEAR_H
 from hygrokf.climate.representative_days import DAY_H, Days, choose_days, ordered, shares
 from hygrokf.climate.statistics import CYCLE_RANGES_K, WET_PERCENT
 from hygrokf.data.timestamps import stamp_text
-from hygrokf.physics.cold_surface import FREEZING_K
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 CUT_MOST = 0.5
 """Share of the hours that may stand at the chamber's highest temperature."""
@@ -197,8 +197,8 @@ def chamber_sequence(days: Days, ageing_h_a_year: float, plan: ProfilePlan) -> C
 def _span(celsius: np.ndarray, chamber: Chamber) -> tuple[float, float]:
     """Shifts between which to look: the hottest half of the hours at the limit, and the coldest half at the
     other one."""
-    kelvin = np.sort(celsius) + FREEZING_K
-    bottom, top = (one + FREEZING_K for one in chamber.temperature_degC)
+    kelvin = np.sort(celsius) + ZERO_CELSIUS_K
+    bottom, top = (one + ZERO_CELSIUS_K for one in chamber.temperature_degC)
     place = int((1.0 - CUT_MOST) * (len(kelvin) - 1))
     return 1.0 / kelvin[place] - 1.0 / max(bottom, 1.0), 1.0 / kelvin[place] - 1.0 / top
 
@@ -208,9 +208,9 @@ def set_points(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Temperature [°C] and humidity [%] (n,) after the shift δ [1/K], as the chamber can follow them."""
     inverse = np.maximum(
-        1.0 / (celsius + FREEZING_K) - shift, 1.0 / (chamber.temperature_degC[1] + FREEZING_K)
+        1.0 / (celsius + ZERO_CELSIUS_K) - shift, 1.0 / (chamber.temperature_degC[1] + ZERO_CELSIUS_K)
     )
-    warm = np.clip(1.0 / inverse - FREEZING_K, *chamber.temperature_degC)
+    warm = np.clip(1.0 / inverse - ZERO_CELSIUS_K, *chamber.temperature_degC)
     damp = np.clip(percent, *chamber.relative_humidity_percent)
     return (
         _ramped(warm, chamber.temperature_ramp_K_per_h),
@@ -229,7 +229,7 @@ def _ramped(values: np.ndarray, most: float) -> np.ndarray:
 
 
 def _in_si(celsius: np.ndarray, percent: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    return celsius + FREEZING_K, percent / 100.0
+    return celsius + ZERO_CELSIUS_K, percent / 100.0
 
 
 def closeness(

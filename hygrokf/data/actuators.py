@@ -11,7 +11,7 @@ import numpy as np
 
 from hygrokf.data.record import Record, Series
 
-FEWEST = 10
+FEWEST_EACH_SIDE = 10
 """Readings needed on either side of half of an actuator's span for its effect to be identifiable."""
 TOP = 0.999
 """Quantile of a power that counts as full power."""
@@ -104,9 +104,10 @@ def _why_not(value: np.ndarray) -> str:
     if value.min() == value.max():
         return "it never changes, and what it does is part of the model's constants"
     above = int((value > 0.5 * (value.min() + value.max())).sum())
-    if min(above, len(value) - above) >= FEWEST:
+    if min(above, len(value) - above) >= FEWEST_EACH_SIDE:
         return ""
     return (
-        f"{above} readings above half of its span and {len(value) - above} below; at least {FEWEST} of "
+        f"{above} readings above half of its span and {len(value) - above} below; at least "
+        f"{FEWEST_EACH_SIDE} of "
         "either are needed"
     )

@@ -26,7 +26,7 @@ from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_
 
 AMBIENT_BRIDGE_H = 6.0
 """[h] longest gap of the ambient series that is bridged linearly; readings in longer gaps are left out."""
-FEWEST = 200
+FEWEST_FOR_NOISE = 200
 """Number of readings below which no noise is estimated."""
 
 
@@ -38,12 +38,12 @@ def reading_noise(series: Series) -> tuple[float, float] | None:
     """
     there = ~series.missing
     time, value = series.time[there], series.value[there]
-    if len(time) < FEWEST:
+    if len(time) < FEWEST_FOR_NOISE:
         return None
     step = np.diff(time)
     usual = float(np.median(step))
     regular = np.abs(step - usual) < 0.1 * usual
-    if regular.sum() < FEWEST // 2:
+    if regular.sum() < FEWEST_FOR_NOISE // 2:
         return None
     increment = np.where(regular, np.diff(value), np.nan)
     # weather fronts are not noise: increments beyond eight times the usual spread are left out
@@ -52,7 +52,7 @@ def reading_noise(series: Series) -> tuple[float, float] | None:
         return None
     increment = np.where(np.abs(increment) < 8.0 * spread, increment, np.nan)
     products = [increment[lag:] * increment[: len(increment) - lag] for lag in range(3)]
-    if min(np.isfinite(product).sum() for product in products) < FEWEST // 2:
+    if min(np.isfinite(product).sum() for product in products) < FEWEST_FOR_NOISE // 2:
         return None
     gamma = [float(np.nanmean(product)) for product in products]
     if series.interval_s > 0:

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.errors import suggestion
-
-_ZERO_CELSIUS = 273.15
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 
 @dataclass(frozen=True)
@@ -36,8 +35,8 @@ UNITS: dict[str, Unit] = {
     unit.name: unit
     for unit in (
         Unit("K", "temperature"),
-        Unit("degC", "temperature", 1.0, _ZERO_CELSIUS),
-        Unit("degF", "temperature", 5.0 / 9.0, _ZERO_CELSIUS - 160.0 / 9.0),
+        Unit("degC", "temperature", 1.0, ZERO_CELSIUS_K),
+        Unit("degF", "temperature", 5.0 / 9.0, ZERO_CELSIUS_K - 160.0 / 9.0),
         Unit("1", "fraction"),
         Unit("%", "fraction", 0.01),
         Unit("Pa", "pressure"),
@@ -126,8 +125,8 @@ def _temperature(name: str, low: float, high: float, meaning: str, accuracy: flo
     return Signal(
         name,
         "K",
-        low + _ZERO_CELSIUS,
-        high + _ZERO_CELSIUS,
+        low + ZERO_CELSIUS_K,
+        high + ZERO_CELSIUS_K,
         meaning,
         accuracy,
         display="degC",

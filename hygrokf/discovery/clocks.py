@@ -9,9 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.data.record import Record, Series
-from hygrokf.data.timestamps import summer_time
-
-HOUR_S = 3600.0
+from hygrokf.data.timestamps import HOUR_S, summer_time
 
 
 @dataclass(frozen=True)

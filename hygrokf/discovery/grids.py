@@ -11,11 +11,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from hygrokf.data.record import Record
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.baseline import Part, Scene
 from hygrokf.discovery.scan import Scanned, scan, slow_scan
 from hygrokf.modelling.derived_inputs import feature
 
-DAY_S = 86400.0
 MOST_DATES = 90
 """Dates of the first look at a record; the next look goes between the best one and its neighbours."""
 PACES = (0.6, 0.8, 1.0, 1.25, 1.6)

@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.data.record import Record
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.baseline import HYGRIC, SIMULATION_STEP, THERMAL, Part, Scene, simulating
 from hygrokf.discovery.candidate import Trial, added, attempt, started
 from hygrokf.discovery.clocks import cabinet_moved, shifted
@@ -25,10 +26,9 @@ from hygrokf.evaluation.simulation import QUANTITIES, measured, simulate
 from hygrokf.modelling.design import merged
 from hygrokf.modelling.inputs import prepare_run
 
-DAY_S = 86400.0
 BLOCK_DAYS = 3.0
-"""[d] Blocks by which errors are drawn; shorter where the period would have fewer than `FEWEST`."""
-FEWEST = 6
+"""[d] Blocks by which errors are drawn; shorter where the period would have fewer than `FEWEST_BLOCKS`."""
+FEWEST_BLOCKS = 6
 QUANTITY = {THERMAL: "temperature_K", HYGRIC: "absolute_humidity_g_m3"}
 Errors = Mapping[str, tuple[np.ndarray, np.ndarray]]
 
@@ -179,7 +179,7 @@ def difference_bounds(
     # an extended model may have instants of its own: those of both are compared
     time = np.array(sorted(set(columns[0]) & set(columns[1])))
     errors = np.array([[column[at] for column in columns] for at in time]).reshape(-1, 2)
-    long = float(np.ptp(time)) / (FEWEST * DAY_S) if len(time) else 0.0
+    long = float(np.ptp(time)) / (FEWEST_BLOCKS * DAY_S) if len(time) else 0.0
     drawn = resampled(time, errors, length_h=24.0 * min(max(long, 1.0), BLOCK_DAYS))
     found = None if drawn is None else drawn.difference(0, 1)
     return (math.nan, math.nan) if found is None else (found[1], found[2])

@@ -10,14 +10,14 @@ from datetime import UTC, datetime
 import numpy as np
 
 from hygrokf.data.record import Record, Series
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.residuals import run_lengths
 
-DAY_S = 86400.0
 REPEATED = "repeated readings"
 """What such a remainder is called in `discovery.json`."""
 SHORTEST_S = 3600.0
 """[s] of a stretch at least."""
-FEWEST = 6
+FEWEST_REPEATED = 6
 """Readings of a stretch at least."""
 BEYOND = 1.5
 """A stretch must be so many times longer than the longest that chance makes: that of readings which equal
@@ -47,7 +47,7 @@ def repeats(series: Series) -> list[tuple[float, float]]:
     tolerance = 1e-6 * float(np.nanstd(value))
     others = (day + side * k for k in range(2, 2 + OTHERS // 2) for side in (-1, 1))
     chance = max((b - a for lag in others for a, b in _equal(grid, lag, tolerance)), default=0)
-    fewest = max(FEWEST, SHORTEST_S / step, BEYOND * chance)
+    fewest = max(FEWEST_REPEATED, SHORTEST_S / step, BEYOND * chance)
     return [
         (float(time[0] + step * (day + a)), float(time[0] + step * (day + b - 1)))
         for a, b in _equal(grid, day, tolerance)

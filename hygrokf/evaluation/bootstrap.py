@@ -19,6 +19,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from hygrokf.data.timestamps import HOUR_S
+
 SURROGATES = 400
 SEED = 20200925
 """Fixed seed: the same record gives the same result."""
@@ -34,7 +36,6 @@ FEWEST_BLOCKS = 4.0
 """Effective number of blocks below which no bounds are given."""
 MOST_LOST = 0.5
 """Largest share of the variance for which the shortness of blocks is corrected."""
-HOUR_S = 3600.0
 
 
 # --- memory ----------------------------------------------------------------------------------

@@ -32,7 +32,7 @@ from hygrokf.evaluation.diagnosis import (
 
 SMALL = 0.1
 """[1] correlations below this explain less than 1 % of the variance and are called small."""
-FEWEST = 30
+FEWEST_READINGS = 30
 """Fewest readings for a diagnosis."""
 POINTS = 400
 """Longest list in the result; longer ones are reduced to the value farthest from zero in each stretch."""
@@ -161,8 +161,9 @@ def _output(
     longest_h: float,
 ) -> tuple[OutputDiagnosis, list[_Test]]:
     n = len(e)
-    if n < FEWEST:
-        words = f"{name} innovations: {n} reading{'' if n == 1 else 's'}, too few for a diagnosis ({FEWEST})"
+    if n < FEWEST_READINGS:
+        readings = "reading" if n == 1 else "readings"
+        words = f"{name} innovations: {n} {readings}, too few for a diagnosis ({FEWEST_READINGS})"
         return OutputDiagnosis(n, statements=(words,)), []
     if float(np.ptp(e)) <= 1e-12 * max(1.0, float(np.max(np.abs(e)))):
         said = f"{name} innovations do not vary: nothing to diagnose"
@@ -376,14 +377,14 @@ def _cross_correlation(
 ) -> tuple[CrossCorrelation, _Test | None]:
     words = source.replace("_", " ")
     known = values[np.isfinite(values)]
-    if len(known) < FEWEST or float(np.ptp(known)) <= 1e-9 * max(1.0, float(np.max(np.abs(known)))):
+    if len(known) < FEWEST_READINGS or float(np.ptp(known)) <= 1e-9 * max(1.0, float(np.max(np.abs(known)))):
         said = f"{words}: does not vary, or is hardly known, at the readings"
         return CrossCorrelation(statement=said), None
     u, order = whitened(values)
     there = np.isfinite(u)
     n = int(there.sum())
     total = float(np.sum(u[there] ** 2))
-    if n < FEWEST or total <= 0.0:
+    if n < FEWEST_READINGS or total <= 0.0:
         said = f"{words}: foretold by its own past without error, nothing to correlate"
         return CrossCorrelation(statement=said), None
     u = np.where(there, u - float(u[there].mean()), 0.0)

@@ -24,7 +24,7 @@ from hygrokf.fleet.tasks import Compared
 
 LEVEL = 0.05
 """Chance of any outlier, in all quantities together, in a fleet of turbines that are alike."""
-FEWEST = 6
+FEWEST_JUDGED = 6
 """Turbines below which no one can be told from the others."""
 DRAWS, SEED = 4000, 20
 TO_SD = 1.4826
@@ -39,8 +39,8 @@ class Spread:
     bounds.
 
     `z` (N,) robust distances, `p` (N,) their chances after correction for turbines and quantities; both NaN
-    where there are fewer than `FEWEST` turbines.  `center`, `between` median of x and the turbines' own
-    spread (log).
+    where there are fewer than `FEWEST_JUDGED` turbines.  `center`, `between` median of x and the turbines'
+    own spread (log).
     """
 
     compared: Compared
@@ -64,7 +64,7 @@ class Spread:
         """Whether the bounds explain how the turbines scatter, outliers left out (Cochran's Q).
 
         `between` alone cannot say so: the median deviation does not see a few turbines that depart, and below
-        `FEWEST` none is called an outlier.
+        `FEWEST_JUDGED` none is called an outlier.
         """
         from scipy.special import chdtrc
 
@@ -116,7 +116,7 @@ def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Spre
     own = sds**2 if compared.lower else np.zeros(len(logs))
     between = float(np.sqrt(max(scale**2 - float(np.median(own)), 0.0)))
     z = p = nothing
-    if len(logs) >= FEWEST and scale > 0:
+    if len(logs) >= FEWEST_JUDGED and scale > 0:
         z = (logs - center) / np.sqrt(
             scale**2 - min(float(np.median(own)), scale**2) + own if own.any() else scale**2
         )

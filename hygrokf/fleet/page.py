@@ -9,7 +9,7 @@ from functools import partial
 
 from hygrokf.fleet.fleet_results import FleetResults
 from hygrokf.fleet.job import DONE, Outcome, Row, number, word
-from hygrokf.fleet.outliers import DRAWS, FEWEST, LEVEL, Spread, spreads
+from hygrokf.fleet.outliers import DRAWS, FEWEST_JUDGED, LEVEL, Spread, spreads
 from hygrokf.fleet.plots import figure_spreads
 from hygrokf.fleet.table import CSV
 from hygrokf.fleet.tasks import BETWEEN, TASKS, Compared
@@ -135,7 +135,7 @@ def _cards(fleet: FleetResults, found: Sequence[Spread]) -> list[Card]:
     said = f"{failed} without: the reasons are below" if failed else "every turbine has a result"
     cards = [_card("Turbines with a result", f"{count} of {total}", sentence(said), failed > 0)]
     odd = sorted({one.turbines[i] for one in found for i in one.outliers})
-    if any(len(one.turbines) >= FEWEST for one in found):
+    if any(len(one.turbines) >= FEWEST_JUDGED for one in found):
         names = ", ".join(odd) if len(odd) <= 4 else f"{len(odd)} turbines, listed below"
         text = names or "no turbine departs from the others by more than chance explains"
         cards.append(_card("Outliers", str(len(odd)), sentence(text), bool(odd)))
@@ -240,7 +240,7 @@ def _failures(fleet: FleetResults) -> tuple[Block, ...]:
 
 def _outliers(found: Sequence[Spread]) -> Block | None:
     """The outliers; None where there are too few turbines to tell."""
-    judged = [one for one in found if len(one.turbines) >= FEWEST]
+    judged = [one for one in found if len(one.turbines) >= FEWEST_JUDGED]
     if not judged:
         return None
     least = 2.0 * len(found) / DRAWS
@@ -457,7 +457,8 @@ def _method(fleet: FleetResults) -> tuple[Block, ...]:
         "deviations (the turbines’ own bounds taken out, and those of the turbine added again), is compared "
         f"with the largest distance in as many normal numbers ({DRAWS} simulated fleets at most). If "
         f"turbines differ normally, the chance of any false outlier is {percent(LEVEL)} for the whole fleet "
-        f"and all quantities together; fewer than {FEWEST} turbines are not judged. An outlier need not be "
+        f"and all quantities together; fewer than {FEWEST_JUDGED} turbines are not judged. An outlier need "
+        f"not be "
         "faulty: the turbine may stand, run or be built otherwise.",
         f"{CSV} has all numbers, and each turbine’s folder its results.",
         f"Done by hygrokf {fleet.version}; page written by hygrokf {__version__}.",

@@ -46,7 +46,7 @@ from hygrokf.identification.fit_results import (
 )
 from hygrokf.identification.time_constants import by_simulation, hygric_entry, thermal_entry
 from hygrokf.identification.verdict import PARTS, with_verdicts
-from hygrokf.modelling.design import CASCADE, JOINT, Design, design, merged
+from hygrokf.modelling.design import CASCADE, FEWEST_READINGS, JOINT, Design, design, merged
 from hygrokf.modelling.inputs import IDENTIFIED_ON, Run, prepare_run
 from hygrokf.physics.parameters import Parameter, Prior
 from hygrokf.version import __version__
@@ -57,8 +57,6 @@ if TYPE_CHECKING:
 STARTS = 5
 DEFAULT_KIND = CASCADE
 """Chosen by trial: docs/decisions/0002-joint-or-cascade.md."""
-FEWEST = 50
-"""Fewest readings from which anything is identified."""
 WELL_KNOWN = 0.1
 """[1] relative standard error below which a parameter counts as well known, whatever its correlations."""
 CRITERIA = ("likelihood", "simulation")
@@ -176,9 +174,9 @@ def expect_readings(early: Record) -> None:
     early: the identification period.  Raises ValueError that lists every temperature with too few readings.
     """
     missing = [
-        f"{name}: expected at least {FEWEST} readings in the identification period, found {found}"
+        f"{name}: expected at least {FEWEST_READINGS} readings in the identification period, found {found}"
         for name in ("cabinet_temperature", "ambient_temperature")
-        if (found := int(np.isfinite(early[name].value).sum()) if name in early else 0) < FEWEST
+        if (found := int(np.isfinite(early[name].value).sum()) if name in early else 0) < FEWEST_READINGS
     ]
     if missing:
         raise ValueError(

@@ -37,7 +37,7 @@ SHORTEST_H = 1.0
 """[h] shortest period; periods also last at least two steps of the slowest series."""
 LONGEST_H = 12.0
 """[h] longest period: sun and weather change over a day."""
-FEWEST = (8, 5)
+FEWEST_PERIODS = (8, 5)
 """Fewest periods and episodes for a regression."""
 EPISODES_A_PARAMETER = 3
 """Episodes needed for each coefficient."""
@@ -240,7 +240,7 @@ def heat_release_regression(
     made: dict[str, Regression | None] = {OPERATION: None, STANDSTILL: None}
     for regime in (OPERATION, STANDSTILL) if scale_W else (STANDSTILL,):
         choice = choose_length(cells, earliest, regime, shortest_h, wanted_h)
-        if len(choice.periods) < FEWEST[0] or choice.periods.n_episodes < FEWEST[1]:
+        if len(choice.periods) < FEWEST_PERIODS[0] or choice.periods.n_episodes < FEWEST_PERIODS[1]:
             statements.append(_too_few(cells, regime, choice))
             continue
         fit = _regression(
@@ -463,7 +463,7 @@ def _too_few(cells: Cells, regime: str, choice: Choice) -> str:
     return (
         f"{regime}: {_many(len(choice.periods), 'quasi-stationary period')} of {choice.window_h:.3g} h in "
         f"{_many(choice.periods.n_episodes, 'episode')} within {hours:.0f} h are too few for a regression, "
-        f"which takes {FEWEST[0]} in {FEWEST[1]}: the heat release is left to the likelihood"
+        f"which takes {FEWEST_PERIODS[0]} in {FEWEST_PERIODS[1]}: the heat release is left to the likelihood"
     )
 
 

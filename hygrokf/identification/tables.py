@@ -19,6 +19,7 @@ from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.modelling.design import HUMIDITIES, Design, read_as
 from hygrokf.modelling.inputs import Run, prepare_run
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 COLUMNS = {
     "cabinet_temperature_degC": "temperature_K",
@@ -83,7 +84,7 @@ def simulation_csv(fit: Fit, record: Record) -> str:
             continue
         value, sd = pair
         if quantity == "temperature_K":
-            value = value - 273.15
+            value = value - ZERO_CELSIUS_K
         elif quantity == "relative_humidity":
             value, sd = 100.0 * value, 100.0 * sd
         columns += [value, sd]

@@ -35,7 +35,7 @@ from hygrokf.modelling.design import Design
 from hygrokf.physics.parameters import Parameter, Prior
 from hygrokf.version import __version__
 
-FEWEST = 2
+FEWEST_TURBINES = 2
 """Fewest turbines that make a type."""
 OWN = ("_bias", "_offset", "_noise")
 """Suffixes of parameters that belong to a logger and not to a type of turbine."""
@@ -170,9 +170,9 @@ def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
     from hygrokf.estimation.confidence import normal_quantile
 
     faults = []
-    if len(fits) < FEWEST:
+    if len(fits) < FEWEST_TURBINES:
         faults.append(
-            f"expected the fits of at least {FEWEST} turbines, found {len(fits)}: fit more turbines"
+            f"expected the fits of at least {FEWEST_TURBINES} turbines, found {len(fits)}: fit more turbines"
         )
     names = [fit.name for fit in fits]
     twice = sorted({one for one in names if names.count(one) > 1})
@@ -199,7 +199,7 @@ def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
                 estimates[parameter].append(pair)
     found = {}
     for parameter, pairs in estimates.items():
-        if len(pairs) < FEWEST:
+        if len(pairs) < FEWEST_TURBINES:
             continue
         y, v = np.array(pairs).T
         mean, se, spread = random_effects(y, v)
@@ -233,9 +233,9 @@ def random_effects(y: np.ndarray, v: np.ndarray) -> tuple[float, float, float]:
     variances that are not above zero.
     """
     y, v = np.asarray(y, dtype=float), np.asarray(v, dtype=float)
-    if len(y) < FEWEST or not np.all(v > 0) or not np.all(np.isfinite(y)):
+    if len(y) < FEWEST_TURBINES or not np.all(v > 0) or not np.all(np.isfinite(y)):
         raise ValueError(
-            f"expected at least {FEWEST} finite estimates with variances above 0, found {y} and {v}"
+            f"expected at least {FEWEST_TURBINES} finite estimates with variances above 0, found {y} and {v}"
         )
     tau2 = restricted_maximum_likelihood(y, v)
     w = 1.0 / (tau2 + v)

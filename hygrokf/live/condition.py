@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.engine.timeline import Timeline
-from hygrokf.physics.cold_surface import FREEZING_K
 from hygrokf.physics.cold_surface import Surface as Surface
 from hygrokf.physics.model import Model
 from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
     ICE_RANGE,
+    ZERO_CELSIUS_K,
     absolute_humidity_from_vapour_pressure,
     dew_point,
     frost_point,
@@ -86,11 +86,11 @@ class DisplayedQuantity:
 
 
 QUANTITIES = (
-    DisplayedQuantity("temperature", "temperature_K", "celsius", offset=-FREEZING_K),
+    DisplayedQuantity("temperature", "temperature_K", "celsius", offset=-ZERO_CELSIUS_K),
     DisplayedQuantity("relative_humidity", "relative_humidity", "percent", factor=100.0),
     DisplayedQuantity("absolute_humidity", "absolute_humidity_g_m3", "g_m3"),
-    DisplayedQuantity("dew_point", "dew_point_K", "celsius", offset=-FREEZING_K),
-    DisplayedQuantity("frost_point", "frost_point_K", "celsius", offset=-FREEZING_K),
+    DisplayedQuantity("dew_point", "dew_point_K", "celsius", offset=-ZERO_CELSIUS_K),
+    DisplayedQuantity("frost_point", "frost_point_K", "celsius", offset=-ZERO_CELSIUS_K),
     DisplayedQuantity("margin", "margin_K", "kelvin"),
 )
 
@@ -156,11 +156,11 @@ def air_condition(
     absolute = derived(density, -density / air, density / e)
     dew = dew_point(e)
     by_dew = 1.0 / saturation_pressure_water_slope(dew)
-    frost = np.where(dew < FREEZING_K, frost_point(e), np.nan)
-    by_frost = 1.0 / saturation_pressure_ice_slope(np.clip(frost, ICE_RANGE[0], FREEZING_K))
+    frost = np.where(dew < ZERO_CELSIUS_K, frost_point(e), np.nan)
+    by_frost = 1.0 / saturation_pressure_ice_slope(np.clip(frost, ICE_RANGE[0], ZERO_CELSIUS_K))
     cold = surface.temperature(outside, air)
     # on a surface below freezing vapour deposits as frost, slightly above the dew point
-    icy = (cold < FREEZING_K) & np.isfinite(frost)
+    icy = (cold < ZERO_CELSIUS_K) & np.isfinite(frost)
     margin = derived(cold - np.where(icy, frost, dew), surface.follows, -np.where(icy, by_frost, by_dew))
     at_surface = saturation_pressure_water(cold)
     near = e / at_surface

@@ -54,8 +54,8 @@ BRIDGE_H = 1.0
 SETTLING_H = 12.0
 """[h] time after a long gap of the ambient series for which readings are left out, until the state has
 forgotten the gap."""
-FEWEST = 50
-"""Fewest readings of a humidity from which it is identified."""
+FEWEST_READINGS = 50
+"""Fewest readings of a signal from which anything is identified."""
 PARTS = ("thermal", "hygric")
 """The two networks of a model."""
 JOINT = "joint"
@@ -158,10 +158,10 @@ def accuracy_of(series: Series) -> float:
 def observed_humidity(record: Record) -> str | None:
     """The cabinet humidity used in the likelihood: the logger's relative humidity where there is one."""
     vapour = ambient_absolute_humidity(record)
-    if vapour is None or np.isfinite(vapour.value).sum() < FEWEST:
+    if vapour is None or np.isfinite(vapour.value).sum() < FEWEST_READINGS:
         return None
     for name in HUMIDITIES:
-        if name in record and np.isfinite(record[name].value).sum() >= FEWEST:
+        if name in record and np.isfinite(record[name].value).sum() >= FEWEST_READINGS:
             return name
     return None
 

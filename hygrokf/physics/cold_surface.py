@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.physics.psychrometrics import saturation_pressure_ice, saturation_pressure_water
-
-FREEZING_K = 273.15
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K, saturation_pressure_ice, saturation_pressure_water
 
 
 @dataclass(frozen=True)
@@ -33,8 +31,8 @@ def condenses(vapour_pressure: np.ndarray, surface_K: np.ndarray) -> np.ndarray:
     Condensation occurs where the vapour pressure exceeds the saturation pressure at the surface temperature,
     taken over ice below freezing.  This is the same as a surface colder than the dew point or frost point.
     """
-    cold = np.minimum(surface_K, FREEZING_K)
+    cold = np.minimum(surface_K, ZERO_CELSIUS_K)
     saturated = np.where(
-        surface_K < FREEZING_K, saturation_pressure_ice(cold), saturation_pressure_water(surface_K)
+        surface_K < ZERO_CELSIUS_K, saturation_pressure_ice(cold), saturation_pressure_water(surface_K)
     )
     return vapour_pressure > saturated

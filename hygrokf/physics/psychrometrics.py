@@ -16,6 +16,8 @@ from typing import Any
 
 import numpy as np
 
+ZERO_CELSIUS_K = 273.15
+"""[K] 0 °C."""
 GAS_CONSTANT_VAPOUR = 461.5
 """[J/(kg K)] specific gas constant of water vapour, R_v."""
 
@@ -153,7 +155,7 @@ def _inverse(
         wanted = np.log(np.where(inside, pressure, 0.5 * (lowest + highest)))
         steepness, offset = magnus
         ratio = wanted - math.log(611.2)
-        temperature = 273.15 + offset * ratio / (steepness - ratio)
+        temperature = ZERO_CELSIUS_K + offset * ratio / (steepness - ratio)
         for _ in range(_NEWTON_STEPS):
             excess = _log_saturation(temperature, coefficients) - wanted
             temperature = temperature - excess / _log_saturation_slope(temperature, coefficients)

@@ -28,6 +28,7 @@ from hygrokf.identification.wording import (
     plain_number,
     sentence,
 )
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.fit_tables import unit
 
 VERDICTS = {
@@ -348,7 +349,7 @@ def settings_words(settings: Settings) -> list[str]:
 def _level(value: float) -> str:
     """A threshold: temperatures above 150 K in °C, humidities up to 1 in per cent."""
     if value > 150.0:
-        return f"{fixed(value - 273.15, 1)} °C"
+        return f"{fixed(value - ZERO_CELSIUS_K, 1)} °C"
     return percent(value) if 0.0 < value <= 1.0 else plain_number(value)
 
 

@@ -21,6 +21,7 @@ from hygrokf.identification.wording import (
     sentence,
     signed,
 )
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.blocks import Table
 from hygrokf.report.fit_text import lead_words, method, range_of, simulated, time_constant
 
@@ -64,8 +65,8 @@ def time_constants_table(fit: FitResults) -> Table | None:
             decimals = decimals_for(0.2 * abs(high - low))
             shown = f"{low:.{decimals}f} … {high:.{decimals}f} h"
             rows.append(("  over the record's temperatures", shown, NONE, "", ""))
-        inside = found.reference.cabinet_temperature_K - 273.15
-        outside = found.reference.ambient_temperature_K - 273.15
+        inside = found.reference.cabinet_temperature_K - ZERO_CELSIUS_K
+        outside = found.reference.ambient_temperature_K - ZERO_CELSIUS_K
         if math.isfinite(inside) and math.isfinite(outside):
             notes.append(
                 f"The {name} time constant holds at {fixed(inside, 1)} °C inside and {fixed(outside, 1)} °C "

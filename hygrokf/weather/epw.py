@@ -19,7 +19,7 @@ from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import from_si, signal_named, to_si
 from hygrokf.data.timestamps import DAY_S, HOUR_S
-from hygrokf.physics.psychrometrics import dew_point, vapour_pressure
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K, dew_point, vapour_pressure
 from hygrokf.weather.archive import contents
 from hygrokf.weather.fields import saturation_doubt
 
@@ -295,10 +295,10 @@ def _local_seconds(stamps: np.ndarray) -> np.ndarray:
 def _dew_point_completed(value: dict[str, np.ndarray], faults: list[str]) -> list[str]:
     """Put dew points made from relative humidity where the file has none."""
     own = value.get("ambient_dew_point_temperature", np.full(len(value["ambient_temperature"]), math.nan))
-    kelvin = value["ambient_temperature"] + 273.15
+    kelvin = value["ambient_temperature"] + ZERO_CELSIUS_K
     # a relative humidity of 0 has no dew point, and one above 100 % is a rounding of it
     share = np.where(value["ambient_relative_humidity"] > 0.0, value["ambient_relative_humidity"], np.nan)
-    made = dew_point(vapour_pressure(np.minimum(0.01 * share, 1.0), kelvin)) - 273.15
+    made = dew_point(vapour_pressure(np.minimum(0.01 * share, 1.0), kelvin)) - ZERO_CELSIUS_K
     lacking = np.isnan(own) & np.isfinite(made)
     value["ambient_dew_point_temperature"] = np.where(lacking, made, own)
     if not lacking.any():

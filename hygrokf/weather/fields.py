@@ -12,6 +12,7 @@ from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import from_si, signal_named
 from hygrokf.data.timestamps import DAY_S, HOUR_S, duration_text, modal_step
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 GRAVITY = 9.80665
 """[m/s²] by which geopotential becomes height; the value of the reanalysis itself."""
@@ -68,8 +69,10 @@ NAMES: dict[str, tuple[str, ...]] = {
 
 _UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "temperature": {
-        "K": (1.0, 0.0), "kelvin": (1.0, 0.0), "degC": (1.0, 273.15), "°C": (1.0, 273.15), "C": (1.0, 273.15),
-        "celsius": (1.0, 273.15), "degree_Celsius": (1.0, 273.15), "degrees_celsius": (1.0, 273.15),
+        **dict.fromkeys(("K", "kelvin"), (1.0, 0.0)),
+        **dict.fromkeys(
+            ("degC", "°C", "C", "celsius", "degree_Celsius", "degrees_celsius"), (1.0, ZERO_CELSIUS_K)
+        ),
     },
     "pressure": {"Pa": (1.0, 0.0), "hPa": (100.0, 0.0), "mbar": (100.0, 0.0), "kPa": (1000.0, 0.0)},
     "speed": {

@@ -111,7 +111,7 @@ def test_fit_and_its_time_constants_by_the_readme_s_loop(
     fit = read_fit(plant.fit(shape))
     expected = ["thermal"] if shape in WITHOUT_VAPOUR else ["thermal", "hygric"]
     assert list(fit.results.time_constants) == expected
-    (loop,) = re.findall(r"^for name, found in .*?\n(?=\S)", README.read_text(), re.MULTILINE | re.DOTALL)
+    (loop,) = re.findall(r"^for name, tau in .*?\n(?=\S)", README.read_text(), re.MULTILINE | re.DOTALL)
     exec(loop, {"fit": fit})
     lines = capsys.readouterr().out.splitlines()
     pattern = r"(thermal|hygric) \d+\.\d\d h, \d+\.\d\d … (\d+\.\d\d|inf) (believe|caution|reject)"

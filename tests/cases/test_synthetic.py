@@ -295,5 +295,6 @@ def test_no_estimation_code_is_imported() -> None:
     imported = {node.module for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module}
     assert {name for name in imported if name.startswith("hygrokf")} == {
         "hygrokf.data.files",
+        "hygrokf.data.timestamps",
         "hygrokf.physics.psychrometrics",
     }

@@ -11,7 +11,7 @@ from builders.climate_case import BEGIN_S, known_fit
 from scipy.signal import lfilter
 
 from hygrokf.climate.ensemble import shots_of, simulate_years
-from hygrokf.climate.jump_noise import FEWEST, Shots, words
+from hygrokf.climate.jump_noise import FEWEST_JUMPS, Shots, words
 from hygrokf.climate.region import driven
 from hygrokf.data.record import Record, Series
 from hygrokf.estimation.likelihood import Likelihood
@@ -110,7 +110,7 @@ def test_shots_are_not_rarer_than_the_fit_can_know() -> None:
     heat, _ = shots_of(fit, record)
     found = fit.results.innovations.outputs["temperature"]
     span_h = found.n * found.step_h
-    assert heat.every_h == pytest.approx(span_h / FEWEST)
+    assert heat.every_h == pytest.approx(span_h / FEWEST_JUMPS)
 
 
 def test_without_a_diagnosis_disturbances_are_gaussian() -> None:

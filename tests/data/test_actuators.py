@@ -22,7 +22,7 @@ from builders.actuated import (
 from hygrokf import identify
 from hygrokf.cases.summary import describe
 from hygrokf.climate.region import driven
-from hygrokf.data.actuators import ACTUATORS, FEWEST, actuators
+from hygrokf.data.actuators import ACTUATORS, FEWEST_EACH_SIDE, actuators
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS
 from hygrokf.discovery.baseline import scene
@@ -136,7 +136,7 @@ def test_every_actuator_of_the_table_is_an_input(signal: str) -> None:
     [
         (np.ones(400), "never changes"),
         (np.zeros(400), "never changes"),
-        ((np.arange(400) < FEWEST - 1).astype(float), f"{FEWEST - 1} readings above"),
+        ((np.arange(400) < FEWEST_EACH_SIDE - 1).astype(float), f"{FEWEST_EACH_SIDE - 1} readings above"),
         ((np.arange(400) >= 3).astype(float), "3 below"),
         (np.full(400, np.nan), "no reading"),
     ],

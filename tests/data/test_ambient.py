@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from hygrokf.data.ambient import (
-    FEWEST,
+    FEWEST_FOR_NOISE,
     ambient_absolute_humidity,
     at_times,
     bridge_h,
@@ -89,7 +89,7 @@ def test_fronts_and_outages_do_not_pass_for_noise():
 @pytest.mark.parametrize(
     "series",
     [
-        walk(1, FEWEST - 1, 0.06, 0.05),
+        walk(1, FEWEST_FOR_NOISE - 1, 0.06, 0.05),
         replace(walk(1, 4000, 0.06, 0.05), value=np.full(4000, 283.0)),
         replace(walk(1, 4000, 0.06, 0.05), value=np.full(4000, np.nan)),
         replace(walk(1, 4000, 0.06, 0.05), time=START_S + np.cumsum(np.tile([300.0, 900.0], 2000))),

@@ -211,3 +211,16 @@ def test_points_that_the_model_does_not_have_are_named(thermal: tuple) -> None:
 def test_the_face_has_what_a_model_of_ones_own_needs() -> None:
     for name in ("linear_network", "maximise", "confidence_bounds", "system_time_constants"):
         assert callable(getattr(hygrokf, name))
+
+
+def test_parameters_without_a_value_are_named(thermal: tuple) -> None:
+    likelihood, estimate = thermal
+    name, *others = estimate.values
+    few = {other: estimate.values[other] for other in others}
+    for use in (
+        likelihood.value,
+        likelihood.trace,
+        lambda values: hygrokf.filterpy_filter(likelihood, values),
+    ):
+        with pytest.raises(ValueError, match=f"found none of {name}"):
+            use(few)

@@ -12,7 +12,7 @@ from scipy import stats
 
 from hygrokf.data.structured import plain, structured
 from hygrokf.evaluation.diagnosis import Diagnosis
-from hygrokf.evaluation.innovation_tests import FEWEST, POINTS, diagnose, whitened
+from hygrokf.evaluation.innovation_tests import FEWEST_READINGS, POINTS, diagnose, whitened
 
 STEP_H = 0.25
 N = 1500
@@ -281,7 +281,7 @@ def test_the_result_is_plain_json() -> None:
     assert "does not vary" in crossed["power"].statement and "does not vary" in crossed["unknown"].statement
 
 
-@pytest.mark.parametrize("n", [0, 1, 2, FEWEST - 1])
+@pytest.mark.parametrize("n", [0, 1, 2, FEWEST_READINGS - 1])
 def test_few_readings_are_said_and_nothing_is_tested(n: int) -> None:
     e = np.full(200, np.nan)
     e[:n] = _white(21, n)

@@ -25,7 +25,7 @@ from hygrokf.fleet import running
 from hygrokf.fleet.cluster import batches, on_cluster
 from hygrokf.fleet.fleet_results import FleetResults
 from hygrokf.fleet.job import FleetFault, Job, content_key, finished
-from hygrokf.fleet.outliers import FEWEST, REACH, spread, spreads
+from hygrokf.fleet.outliers import FEWEST_JUDGED, REACH, spread, spreads
 from hygrokf.fleet.page import fleet_page, fleet_text
 from hygrokf.fleet.plan import read_plan
 from hygrokf.fleet.processes import in_processes
@@ -647,11 +647,14 @@ def test_false_outliers_are_as_rare_as_stated(
 
 
 def test_open_bounds_and_few_turbines_are_not_judged() -> None:
-    rows = made_rows(np.random.default_rng(1), FEWEST - 1, 0.05, np.full(FEWEST - 1, 0.05))
+    rows = made_rows(np.random.default_rng(1), FEWEST_JUDGED - 1, 0.05, np.full(FEWEST_JUDGED - 1, 0.05))
     rows[1] |= {"u": None}
     (one,) = spreads(rows, [BOUNDED, Compared("none", "nothing", "")])
     assert (
-        one.open == ("W1",) and len(one.turbines) == FEWEST - 2 and np.isnan(one.z).all() and not one.outliers
+        one.open == ("W1",)
+        and len(one.turbines) == FEWEST_JUDGED - 2
+        and np.isnan(one.z).all()
+        and not one.outliers
     )
     alike = [{"turbine": f"W{i}", "v": 1.5, "l": 1.4, "u": 1.6} for i in range(9)]
     assert not spread(alike, BOUNDED).outliers

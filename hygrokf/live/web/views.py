@@ -25,7 +25,7 @@ from hygrokf.live.service import Health
 from hygrokf.live.sources.streams import SourceState
 from hygrokf.live.storage.database import Row
 from hygrokf.live.storage.store import Store
-from hygrokf.physics.cold_surface import FREEZING_K
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 DECIMALS = 4
 """Decimal places of numbers sent to the page; rounding halves the size of the response."""
@@ -269,7 +269,7 @@ def fleet_view(
                 "time": at,
                 "heard": last,
                 "fresh": last is not None and now - last < FRESH_S,
-                "temperature": _scaled(kelvin, 1.0, -FREEZING_K),
+                "temperature": _scaled(kelvin, 1.0, -ZERO_CELSIUS_K),
                 "temperature_half": _scaled(kelvin_sd, Z95, 0.0),
                 "relative_humidity": _scaled(humidity, 100.0, 0.0),
                 "relative_humidity_half": _scaled(humidity_sd, 100.0 * Z95, 0.0),

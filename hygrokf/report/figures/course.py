@@ -12,6 +12,7 @@ import numpy as np
 
 from hygrokf.data.series_file import array, instants, scalar
 from hygrokf.identification.fit_results import FitResults
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.figures.drawing import (
     AMBIENT,
     BINS,
@@ -37,7 +38,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-KELVIN = 273.15
 LEVEL_SD = 1.959964
 TEMPERATURE = "temperature"
 HUMIDITY = "absolute_humidity"
@@ -80,7 +80,7 @@ class _Record:
 
     def quantity(self, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         """Measured, simulated, its standard deviation, ambient (T,)."""
-        shift = KELVIN if name == TEMPERATURE else 0.0
+        shift = ZERO_CELSIUS_K if name == TEMPERATURE else 0.0
         measured, simulated = (
             array(self.series, f"{name}_{kind}") - shift for kind in ("measured", "simulated")
         )
@@ -360,7 +360,7 @@ def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figur
             errors[name] = value
     if not errors:
         raise NothingToShow("Fewer than 30 readings can be compared with the free run.")
-    ambient = array(series, "ambient_temperature") - KELVIN
+    ambient = array(series, "ambient_temperature") - ZERO_CELSIUS_K
     hour = (record.time / 3600.0) % 24.0
     columns: list[tuple[str, np.ndarray, np.ndarray]] = []
     if record.has_power:

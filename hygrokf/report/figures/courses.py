@@ -10,6 +10,7 @@ import numpy as np
 
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.identification.wording import QUANTITIES, SCORED
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.figures.drawing import (
     MEASURED,
     NothingToShow,
@@ -26,7 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 EXCERPT_S = 12 * DAY_S
-KELVIN = 273.15
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ def figure_courses(panels: Sequence[Panel]) -> Figure:
             for row, quantity in enumerate(rows):
                 axes = figure.add_subplot(grid[row, column])
                 name, unit = QUANTITIES[quantity]
-                shift = KELVIN if quantity == "temperature_K" else 0.0
+                shift = ZERO_CELSIUS_K if quantity == "temperature_K" else 0.0
                 drawn = {"measured": ("reading", MEASURED), **panel.lines}
                 for name_, (words, colour) in drawn.items():
                     made = panel.course.simulated.get(name_, panel.course.measured)

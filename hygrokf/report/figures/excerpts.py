@@ -8,7 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-HOUR_S = 3600.0
+from hygrokf.data.timestamps import HOUR_S
+
 LENGTH_H = 144.0
 """[h] length of an excerpt, a quarter of the record if that is shorter."""
 PACE_H = 6.0

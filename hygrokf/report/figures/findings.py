@@ -12,6 +12,7 @@ import numpy as np
 from hygrokf.discovery.discovery_results import Finding
 from hygrokf.discovery.residuals import HUMIDITY, TEMPERATURE, UNITS, Residuals, hourly
 from hygrokf.identification.wording import one_line
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.figures.drawing import (
     AMBIENT,
     DAY_S,
@@ -34,7 +35,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-KELVIN = 273.15
 LEVEL_SD = 1.959964
 CONDITION = "#f3e3c0"
 COURSE_LABEL = {TEMPERATURE: "temperature [°C]", HUMIDITY: "absolute humidity [g/m³]"}
@@ -131,7 +131,7 @@ def _course(
 ) -> None:
     """Ambient, reading, simulation with its band, and the extended model's."""
     time = residuals.time_s
-    shift = KELVIN if quantity == TEMPERATURE else 0.0
+    shift = ZERO_CELSIUS_K if quantity == TEMPERATURE else 0.0
     sd = residuals.sd.get(quantity)
     simulated = residuals.simulated[quantity] - shift
     if sd is not None:

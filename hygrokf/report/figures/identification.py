@@ -11,6 +11,7 @@ import numpy as np
 
 from hygrokf.identification.fit_results import FitResults, Interval, TimeConstant
 from hygrokf.identification.steady_state import Regression
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.figures.drawing import (
     INK,
     MEASURED,
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-KELVIN = 273.15
 THRESHOLD = 3.8415
 """95 % quantile of χ² with one degree of freedom."""
 POINTS = 500
@@ -41,7 +41,9 @@ def figure_heat_release(fit: FitResults, series: Mapping[str, np.ndarray]) -> Fi
     """Quasi-stationary periods and the regression over them, operation and standstill (Fig. 4 of the
     paper)."""
     release = fit.heat_release
-    reference = math.nan if release is None or release.reference_K is None else release.reference_K - KELVIN
+    reference = (
+        math.nan if release is None or release.reference_K is None else release.reference_K - ZERO_CELSIUS_K
+    )
     regimes = {} if release is None else release.regimes
     found = [_Points(name, one, reference) for name, one in regimes.items()]
     shown = [one for one in found if len(one.power)]
@@ -76,7 +78,7 @@ class _Points:
     def __init__(self, regime: str, data: Regression, reference: float) -> None:
         self.regime, self.data, self.reference = regime, data, reference
         points = data.points
-        ambient = points.ambient_K - KELVIN
+        ambient = points.ambient_K - ZERO_CELSIUS_K
         kept = np.isfinite(points.power) & np.isfinite(points.difference_K) & np.isfinite(ambient)
         self.power, self.difference = points.power[kept], points.difference_K[kept]
         self.ambient = ambient[kept]
@@ -107,7 +109,7 @@ def _likelihood(fit: FitResults) -> tuple[dict[str, float], float]:
     values = {name: row.value for name, row in fit.parameters.items() if name.startswith("heat_release_")}
     mechanisms = {} if fit.design is None else dict(fit.design.mechanisms)
     reference = mechanisms.get("heat_release", {}).get("reference_K")
-    return values, reference - KELVIN if isinstance(reference, (int, float)) else math.nan
+    return values, reference - ZERO_CELSIUS_K if isinstance(reference, (int, float)) else math.nan
 
 
 def _round_edges(low: float, high: float) -> np.ndarray:

@@ -49,7 +49,7 @@ AFTER = "#00796b"
 """Colour of the extended model; the base keeps that of the simulation."""
 DIVERGING = ("#16365c", "#4f8fbf", "#f7f7f5", "#dd8a4a", "#8f1d14")
 TITLE = {TEMPERATURE: "Temperature", HUMIDITY: "Absolute humidity"}
-FEWEST = 10
+FEWEST_IN_BIN = 10
 """Hours that a bin needs to be drawn."""
 FEWEST_READINGS = 100
 DRIVERS = 4
@@ -167,7 +167,7 @@ def _groups(value: np.ndarray, error: np.ndarray, edges: np.ndarray) -> list[tup
     for place, (low, high) in enumerate(itertools.pairwise(edges)):
         top = value <= high if place == len(edges) - 2 else value < high
         part = np.isfinite(error) & (value >= low) & top
-        if part.sum() >= FEWEST:
+        if part.sum() >= FEWEST_IN_BIN:
             result.append((float(np.median(value[part])), error[part]))
     return result
 
