@@ -115,7 +115,7 @@ def across(*keys: str) -> Callable[[Check], Check]:
 
 
 @cache
-def keys_of(form: Any) -> Mapping[str, tuple[dataclasses.Field, Key, Any]]:
+def keys_of(form: Any) -> Mapping[str, tuple[dataclasses.Field[Any], Key, Any]]:
     """The keys of a form by their names in the file: field, what is stated of it, its type without None.
 
     What has a reader of its own is written with its unit, so its key has no "_s" for seconds.

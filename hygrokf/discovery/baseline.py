@@ -16,6 +16,7 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.discovery.budget import Budget
+from hygrokf.discovery.discovery_results import Settings
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Objective, climb
@@ -188,8 +189,8 @@ class _Timed(Objective):
 
 def refitted(
     part: Part,
-    additions: Sequence[tuple[str, dict]],
-    features: Mapping[str, dict],
+    additions: Sequence[tuple[str, Settings]],
+    features: Mapping[str, Settings],
     starts: Sequence[Mapping[str, float]],
     record: Record | None = None,
     budget: Budget | None = None,

@@ -9,10 +9,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hygrokf.data.record import Record
+from hygrokf.data.timestamps import HOUR_S
 from hygrokf.discovery.baseline import Part, Scene, climbed, days, refitted, searching, self_driven
 from hygrokf.discovery.cause import Variant, penalty
 from hygrokf.discovery.causes_readings import SHIFTS_MIN
-from hygrokf.discovery.clocks import HOUR_S, Shift, shifted, sources
+from hygrokf.discovery.clocks import Shift, shifted, sources
+from hygrokf.discovery.discovery_results import Settings
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Trace
 from hygrokf.modelling.design import Design, extended
@@ -329,7 +331,7 @@ def score_statistic(scene: Scene, variant: Variant) -> float | None:
     return total
 
 
-def _altered(base: Design, altered: Mapping[str, dict]) -> Design:
+def _altered(base: Design, altered: Mapping[str, Settings]) -> Design:
     """The design with other settings of some of its mechanisms."""
     mechanisms = tuple((name, {**settings, **altered.get(name, {})}) for name, settings in base.mechanisms)
     return replace(base, mechanisms=mechanisms)

@@ -9,9 +9,10 @@ from typing import Any
 
 from hygrokf.discovery.baseline import Scene
 from hygrokf.discovery.clocks import Shift
+from hygrokf.discovery.discovery_results import Settings
 from hygrokf.physics.model import Mechanism
 
-Additions = Mapping[str, tuple[tuple[str, dict], ...]]
+Additions = Mapping[str, tuple[tuple[str, Settings], ...]]
 """What a variant adds: part → pairs of a mechanism's name and its settings."""
 
 
@@ -31,11 +32,11 @@ class Variant:
     cause: str
     form: str
     additions: Additions = field(default_factory=dict)
-    features: Mapping[str, dict] = field(default_factory=dict)
+    features: Mapping[str, Settings] = field(default_factory=dict)
     starts: tuple[Mapping[str, float], ...] = ({},)
     settings: Mapping[str, Any] = field(default_factory=dict)
     searched: float = 1.0
-    altered: Mapping[str, Mapping[str, dict]] = field(default_factory=dict)
+    altered: Mapping[str, Mapping[str, Settings]] = field(default_factory=dict)
     shift: Shift | None = None
     finer: Variant | None = None
     scaled: Mapping[str, float] = field(default_factory=dict)
@@ -63,7 +64,7 @@ class Cause:
     alone: float = math.inf
     event: bool = False
     mechanisms: Mapping[str, Callable[..., Mechanism]] = field(default_factory=dict)
-    features: Mapping[str, tuple[Callable, str]] = field(default_factory=dict)
+    features: Mapping[str, tuple[Callable[..., Any], str]] = field(default_factory=dict)
 
 
 def penalty(variant: Variant, parameters: int, n: int) -> float:
@@ -71,7 +72,9 @@ def penalty(variant: Variant, parameters: int, n: int) -> float:
     return parameters * math.log(max(n, 3)) + 2.0 * math.log(max(variant.searched, 1))
 
 
-def additions_of(scene: Scene, **additions: tuple) -> dict[str, tuple]:
+def additions_of(
+    scene: Scene, **additions: tuple[tuple[str, Settings], ...]
+) -> dict[str, tuple[tuple[str, Settings], ...]]:
     """Additions for the parts that the scene has."""
     return {part: pairs for part, pairs in additions.items() if part in scene.parts}
 

@@ -10,6 +10,7 @@ from hygrokf.data.ambient import at_times
 from hygrokf.data.input_paths import input_path
 from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene
 from hygrokf.discovery.cause import Variant, additions_of
+from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.grids import Probe, best_date, best_hours, best_switch, inside, span
 from hygrokf.discovery.scan import local_scan, scan
 from hygrokf.modelling.derived_inputs import operating
@@ -114,7 +115,7 @@ def _timed_vent(scene: Scene) -> Variant:
     )  # fmt: skip
 
 
-def _bands(scene: Scene, falling: bool = False) -> Iterator[dict]:
+def _bands(scene: Scene, falling: bool = False) -> Iterator[Settings]:
     """Bands in which a controller opens: upward with temperature or humidity; `falling`: downward with the
     temperature."""
     names = ("cabinet_temperature",) if falling else tuple(STEPS)
@@ -142,7 +143,7 @@ def heater(scene: Scene) -> list[Variant]:
     return [one for one in forms if one is not None]
 
 
-def _heater(scene: Scene, flag: str, grid: Sequence[dict], form: str) -> Variant | None:
+def _heater(scene: Scene, flag: str, grid: Sequence[Settings], form: str) -> Variant | None:
     mechanism = ("unreported_heater", {"flag": flag})
     found = best_switch(scene, flag, [Probe(THERMAL, mechanism, "heater_heat")], grid, STEPS)
     if found is None:
@@ -154,12 +155,12 @@ def _heater(scene: Scene, flag: str, grid: Sequence[dict], form: str) -> Variant
     )  # fmt: skip
 
 
-def _set_points(scene: Scene, there: np.ndarray | None = None) -> list[dict]:
+def _set_points(scene: Scene, there: np.ndarray | None = None) -> list[Settings]:
     """Set-points of a thermostat or humidistat among the readings `there` (all)."""
     series = scene.record["cabinet_temperature"]
     there = np.isfinite(series.value) if there is None else there
     levels = np.quantile(series.value[there], np.linspace(0.05, 0.8, 9))
-    grid = [
+    grid: list[Settings] = [
         {"reads": "cabinet_temperature", "on": float(a), "off": float(a + width)}
         for a in levels
         for width in (1.0, 3.0, 6.0)

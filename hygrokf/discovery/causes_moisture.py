@@ -8,6 +8,7 @@ import numpy as np
 
 from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene
 from hygrokf.discovery.cause import Additions, Variant
+from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.grids import Probe, best_date, best_hours, best_switch, inside
 from hygrokf.discovery.scan import abrupt
 
@@ -49,7 +50,7 @@ def condensation(scene: Scene) -> list[Variant]:
 
     pace = _pace(scene)
 
-    def starts(*undercooling: float) -> tuple[dict, ...]:
+    def starts(*undercooling: float) -> tuple[Settings, ...]:
         # a film is there or not: the likelihood has many maxima
         return tuple(
             {
@@ -102,9 +103,9 @@ def source(scene: Scene) -> list[Variant]:
         return []
     start = ({"moisture_source": 0.02}, {"moisture_source": 0.3}, {"moisture_source": 2.0})
 
-    def variant(form: str, when: str, features: dict, searched: float) -> Variant:
+    def variant(form: str, when: str, features: Settings, searched: float) -> Variant:
         additions: Additions = {HYGRIC: (("internal_moisture_source", {"when": when}),)}
-        settings: dict = next(iter(features.values()), {})
+        settings: Settings = next(iter(features.values()), {})
         return Variant("internal_moisture_source", form, additions, features, start, settings, searched)
 
     wet: Additions = {HYGRIC: (("wet_surface", {}),)}
@@ -146,7 +147,7 @@ def drier(scene: Scene) -> list[Variant]:
     if switched is None:
         return found
     chosen, tried = switched
-    forms: list[tuple[str, bool, dict]] = [
+    forms: list[tuple[str, bool, Settings]] = [
         ("two-point, cold plate", True, {}),
         ("two-point, desiccant", False, {}),
     ]

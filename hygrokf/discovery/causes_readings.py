@@ -8,6 +8,7 @@ import numpy as np
 from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene
 from hygrokf.discovery.cause import Variant, additions_of
 from hygrokf.discovery.clocks import Shift, sources, turns_within
+from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.grids import Probe, best_date, inside, span
 from hygrokf.discovery.scan import abrupt
 from hygrokf.identification.forms import LONGEST_RESPONSE_H, UNSTATED
@@ -46,7 +47,7 @@ def humidity_drift(scene: Scene) -> list[Variant]:
         return []
     lowest, *levels = np.quantile(inside(scene, "cabinet_relative_humidity"), (SOUND, 0.5, 0.8, 0.95))
     sticks = tuple({"humidity_lost": 0.5, "humidity_ceiling": float(a)} for a in levels)
-    forms: tuple[tuple[str, str, dict, dict, tuple[dict, ...]], ...] = (
+    forms: tuple[tuple[str, str, Settings, Settings, tuple[Settings, ...]], ...] = (
         ("drift", "humidity_drift", {}, {"elapsed": span(scene)}, ({},)),
         ("scale that goes off", "humidity_scale", {}, {"elapsed": span(scene)}, ({},)),
         ("scale", "humidity_scale", {"flag": None}, {}, ({},)),

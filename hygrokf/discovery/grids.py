@@ -13,6 +13,7 @@ import numpy as np
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.baseline import Part, Scene
+from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.scan import Scanned, scan, slow_scan
 from hygrokf.modelling.derived_inputs import feature
 
@@ -60,7 +61,7 @@ class Probe:
     """A mechanism of one part whose parameter a scan of dates looks for."""
 
     part: str
-    mechanism: tuple[str, dict]
+    mechanism: tuple[str, Settings]
     parameter: str
     nulls: Mapping[str, float] = field(default_factory=dict)
 
@@ -72,7 +73,7 @@ def best_date(
     more: Sequence[float] = (),
     days: Sequence[float] = (),
     sudden: bool = False,
-) -> tuple[dict, float]:
+) -> tuple[Settings, float]:
     """(settings of the feature, effective number searched) of the change that the parts' score statistics ask
     for most.
 
@@ -82,7 +83,7 @@ def best_date(
     spacing, step = _spaced(scene.record, 1.0)
     searched = 0.0
 
-    def asked_for(look: Look, settings: Sequence[dict]) -> dict:
+    def asked_for(look: Look, settings: Sequence[Settings]) -> Settings:
         nonlocal searched
         looks = [
             look(scene.parts[one.part], one.mechanism, one.parameter, feature, settings, one.nulls)
@@ -105,7 +106,7 @@ def best_date(
     return found, searched
 
 
-def best_hours(scene: Scene, probes: Sequence[Probe], name: str = "scheduled") -> tuple[dict, float]:
+def best_hours(scene: Scene, probes: Sequence[Probe], name: str = "scheduled") -> tuple[Settings, float]:
     """(settings of a feature `name` like `scheduled`, effective number searched): the hours of the day, or of
     workdays, in which the parts' score statistics ask most for more of an effect.
     """
@@ -137,8 +138,8 @@ def inside(scene: Scene, name: str) -> np.ndarray:
 
 
 def best_switch(
-    scene: Scene, feature: str, probes: Sequence[Probe], grid: Sequence[dict], steps: Mapping[str, float]
-) -> tuple[dict, float] | None:
+    scene: Scene, feature: str, probes: Sequence[Probe], grid: Sequence[Settings], steps: Mapping[str, float]
+) -> tuple[Settings, float] | None:
     """(setting of a controller that the parts' score statistics ask for most, effective number searched).
 
     grid: settings with two bounds each, numbers; refined twice by `steps`, of a setting's `reads` or of any.
@@ -170,7 +171,7 @@ def best_switch(
     return (chosen, searched) if best > -math.inf else None
 
 
-def starts(part: Part, name: str, settings: Mapping) -> int:
+def starts(part: Part, name: str, settings: Settings) -> int:
     """How often a controller starts by the readings of the part's run."""
     on = feature(part.record, name, settings, part.time_s) > 0.0
     return int(np.sum(on[1:] & ~on[:-1]))

@@ -22,6 +22,7 @@ from typing import Any
 from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene
 from hygrokf.discovery.cause import Additions, Cause, Variant
+from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.plugin_validation import form_faults, is_feature, told, variant_faults
 from hygrokf.errors import HygrokfError
@@ -54,7 +55,7 @@ def cause_of(
     remedy: str,
     separate_by: str,
     starts: Mapping[str, float] | Sequence[Mapping[str, float]] = (),
-    features: Mapping[str, Mapping | tuple[Callable, str]] | None = None,
+    features: Mapping[str, Settings | tuple[Callable[..., Any], str]] | None = None,
     needs: Sequence[str] = (),
     alone: float = math.inf,
 ) -> Cause:
@@ -102,7 +103,7 @@ def _lacking(
     scene: Scene,
     part: str,
     mechanism: Mechanism,
-    features: Mapping[str, dict],
+    features: Mapping[str, Settings],
     needs: Sequence[str],
 ) -> set[str]:
     """Signals that a mechanism or its features read and a record does not have."""
@@ -148,7 +149,7 @@ def _taken_in(cause: Cause, shown: Cause, origin: Origin) -> list[str]:
     return [f"cause {cause.name!r}: {fault}" for fault in faults]
 
 
-def origins_of(cause: Cause) -> dict[str, dict]:
+def origins_of(cause: Cause) -> dict[str, dict[str, str]]:
     """Origin of every mechanism and feature that an adopted cause brings."""
     return origins((*cause.mechanisms, *cause.features))
 
@@ -164,7 +165,7 @@ def _made_in(cause: Cause) -> dict[str, str]:
         return {"python": str(getattr(functions[0] if functions else None, "__module__", "?"))}
 
 
-def _mapping(value: object) -> Mapping:
+def _mapping(value: object) -> Settings:
     """The value where it is a mapping, else an empty one: that it is none is told as a fault."""
     return value if isinstance(value, Mapping) else {}
 
@@ -291,7 +292,7 @@ def _guarded(cause: Cause, file: Path | None = None) -> Cause:
     """The cause with functions whose exceptions are told as faults of its file, not of the package."""
     place = file.name if file else "a package"
 
-    def guard(function: Callable, what: str) -> Callable:
+    def guard(function: Callable[..., Any], what: str) -> Callable[..., Any]:
         @wraps(function)
         def called(*arguments: object, **settings: object) -> object:
             try:

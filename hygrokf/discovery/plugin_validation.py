@@ -23,6 +23,7 @@ from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import SIGNALS
 from hygrokf.discovery.baseline import HYGRIC, THERMAL, Part, Scene
 from hygrokf.discovery.cause import Cause, Variant
+from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.library import LIBRARY
 from hygrokf.engine.timeline import Timeline
 from hygrokf.errors import suggestion
@@ -229,7 +230,9 @@ class _Unnested(Exception):
     """A mechanism that is not nested in the base, in words."""
 
 
-def _nested(part: Part, pairs: tuple[tuple[str, dict], ...], features: Mapping[str, dict]) -> set[str]:
+def _nested(
+    part: Part, pairs: tuple[tuple[str, Settings], ...], features: Mapping[str, Settings]
+) -> set[str]:
     """Names of the parameters that mechanisms add to a part; raises where they are not nested in it."""
     wider = extended(part.base, pairs, features=features)
     added = [m for m in wider.model.mechanisms if m.name in {name for name, _ in pairs}]
@@ -271,7 +274,7 @@ def _nested(part: Part, pairs: tuple[tuple[str, dict], ...], features: Mapping[s
     return set(own)
 
 
-def _with_waves(made: Timeline, features: Mapping[str, dict]) -> Timeline:
+def _with_waves(made: Timeline, features: Mapping[str, Settings]) -> Timeline:
     """The run with waves for features that are constant on it: a threshold that this record never reaches, a
     late date."""
     u = made.u.copy()

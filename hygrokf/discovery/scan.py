@@ -19,6 +19,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from hygrokf.discovery.baseline import Part, searching
+from hygrokf.discovery.discovery_results import Settings
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.parallel import mapped
 from hygrokf.estimation.likelihood import Likelihood
@@ -143,11 +144,11 @@ def _copy(mechanism: Mechanism, names: Mapping[str, str]) -> Mechanism:
 
 def _bench(
     part: Part,
-    mechanism: tuple[str, dict],
+    mechanism: tuple[str, Settings],
     parameter: str,
     name: str,
-    setting: Mapping,
-    nulls: Mapping | None,
+    setting: Settings,
+    nulls: Settings | None,
 ) -> _Bench:
     wider = extended(part.base, [mechanism], features={name: dict(setting)})
     t = prepare_run(wider, part.record).timeline
@@ -186,10 +187,10 @@ def _bench(
 
 def scan(
     part: Part,
-    mechanism: tuple[str, dict],
+    mechanism: tuple[str, Settings],
     parameter: str,
     name: str,
-    settings: Sequence[Mapping],
+    settings: Sequence[Settings],
     nulls: Mapping[str, float] | None = None,
     sums: np.ndarray | None = None,
 ) -> Scanned:
@@ -208,10 +209,10 @@ def scan(
 
 def slow_scan(
     part: Part,
-    mechanism: tuple[str, dict],
+    mechanism: tuple[str, Settings],
     parameter: str,
     name: str,
-    settings: Sequence[Mapping],
+    settings: Sequence[Settings],
     nulls: Mapping[str, float] | None = None,
 ) -> Scanned:
     """The same for a feature that changes slowly, by one pass of the filter for all settings.

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.residuals import Hours, run_lengths, shown, words
 from hygrokf.evaluation.bootstrap import block_h
 
@@ -118,7 +119,7 @@ class Condition:
         total = np.bincount(self.bins[there] + 1, weights=error[there])
         return float((total**2 / np.maximum(number, 1.0)).sum())
 
-    def curve(self, error: np.ndarray, step_h: float) -> dict:
+    def curve(self, error: np.ndarray, step_h: float) -> Settings:
         """Mean error by bin, in the error's own sign, with a 95 % band that counts blocks instead of
         hours."""
         there = np.isfinite(error) & (self.bins >= 0)

@@ -96,7 +96,7 @@ def _prediction(
     return [model.evaluate(x, u, values).outputs[name][0]]
 
 
-def _jacobian(function: Callable[[list[complex]], Sequence], x: np.ndarray) -> np.ndarray:
+def _jacobian(function: Callable[[list[complex]], Sequence[complex]], x: np.ndarray) -> np.ndarray:
     """∂function/∂x (len(function), n) by complex steps, exact to rounding."""
     columns = []
     for i in range(len(x)):

@@ -6,10 +6,11 @@ import logging
 import math
 import os
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import Any
 
+from hygrokf.data.structured import JsonObject
 from hygrokf.fleet.job import LOST, FleetFault, Job, Outcome, outcome
 from hygrokf.fleet.tasks import perform
 from hygrokf.version import __version__
@@ -23,7 +24,7 @@ WAIT_S = 30.0
 _one_at_a_time = threading.Lock()
 
 
-def perform_batch(jobs: Sequence[Mapping]) -> list[dict]:
+def perform_batch(jobs: Sequence[JsonObject]) -> list[JsonObject]:
     """Outcomes of some jobs, one after the other, as plain data: what a worker of the cluster runs."""
     with _one_at_a_time:  # a worker with several threads is given several batches
         return [perform(Job.from_json(job)).to_json() for job in jobs]
@@ -130,6 +131,6 @@ def _checked(client: Any, address: str) -> int:
     return len(client.scheduler_info(n_workers=-1)["workers"])
 
 
-def _described() -> dict:
+def _described() -> JsonObject:
     """What matters of a worker: the version of hygrokf there, and its threads for linear algebra."""
     return {"version": __version__, "threads": os.environ.get("OMP_NUM_THREADS", "")}

@@ -12,6 +12,7 @@ import tempfile
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
+from typing import Any
 
 from hygrokf.fleet.job import LOST, Job, Outcome, outcome
 from hygrokf.fleet.worker import ENVIRONMENT
@@ -53,7 +54,7 @@ def in_processes(jobs: Sequence[Job], workers: int) -> Iterator[Outcome]:
             thread.join()
 
 
-def _serve(worker: _Worker, todo: queue.SimpleQueue, done: queue.SimpleQueue) -> None:
+def _serve(worker: _Worker, todo: queue.SimpleQueue[Any], done: queue.SimpleQueue[Any]) -> None:
     """Give a worker one job after the other."""
     try:
         while not worker.dismissed:

@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.data.actuators import HEATERS
+from hygrokf.data.ambient import at_times
 from hygrokf.data.record import Record, Series
 from hygrokf.modelling.design import TEMPERATURE, reading_step_h
-from hygrokf.modelling.inputs import at_times
 from hygrokf.physics.holds import LINEAR
 
 AMBIENT = "ambient_temperature"

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.data.timestamps import HOUR_S, MINUTE_S
-from hygrokf.identification.verdict import PARTS, Inherited, rests_on
+from hygrokf.identification.verdict import PARTS, rests_on
+from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live.condition import Condition
 from hygrokf.live.fault_isolation import SENSORS, Finding
 from hygrokf.live.properties import ParameterShift

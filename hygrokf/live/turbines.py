@@ -19,7 +19,7 @@ import numpy as np
 
 from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import HOUR_S
-from hygrokf.identification.verdict import Inherited
+from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live.alarms import (
     CHANGED,
     CONDENSATION,

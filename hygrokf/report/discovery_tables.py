@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults, Rejected
+from hygrokf.evaluation.scoring import REGIMES
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import REJECT, verdicts
 from hygrokf.identification.wording import NONE, SCORED, fixed, percent, plain_number
@@ -19,7 +20,7 @@ from hygrokf.report.discovery_text import (
     spoken,
     title,
 )
-from hygrokf.report.fit_tables import REGIMES, rmse_table
+from hygrokf.report.fit_tables import rmse_table
 from hygrokf.report.fit_text import simulated, time_constant
 
 

@@ -161,7 +161,7 @@ def align(one: Series, other: Series, *, america: bool = False, seed: int = 0) -
 
 def mean_days(
     one: Series, other: Series, shift: tuple[float, float] = (0.0, 0.0), *, america: bool = False
-) -> dict:
+) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Mean daily courses of both by the hour of UTC, winter and summer apart, for a picture.
 
     one, other: as for `align`. shift: [s] added to the stamps of `one` in winter and in summer.
@@ -182,7 +182,8 @@ def mean_days(
         if number.min() < 10:
             continue
         courses = [np.bincount(hour, value[known], minlength=24) / number for value in (x, y)]
-        found[name] = (np.arange(24.0), *(course - course.mean() for course in courses))
+        first_day, second_day = (course - course.mean() for course in courses)
+        found[name] = (np.arange(24.0), first_day, second_day)
     return found
 
 

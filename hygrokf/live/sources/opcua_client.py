@@ -30,8 +30,9 @@ from hygrokf.live.sources.opcua_samples import (
 from hygrokf.live.sources.opcua_security import Security, User
 
 if TYPE_CHECKING:
-    import asyncua
     from asyncua import ua
+    from asyncua.client.client import Client
+    from asyncua.common.node import Node as UaNode
     from asyncua.common.subscription import DataChangeNotif, Subscription
 
 ANSWER_S = 5.0
@@ -70,7 +71,7 @@ class Connection:
         """Nodes that lost samples because the queue here was full; the caller empties the set."""
         self._rates, self._security, self._user = rates, security, user
         self._ua = library().ua
-        self._client: asyncua.Client | None = None
+        self._client: Client | None = None
         self._subscription: Subscription | None = None
         self._handles: dict[int, Node] = {}
         self._ids: dict[Node, ua.NodeId] = {}
@@ -94,7 +95,7 @@ class Connection:
             raise ConnectionFault(words) from None
 
     @property
-    def _server(self) -> asyncua.Client:
+    def _server(self) -> Client:
         """The client of an open connection."""
         assert self._client is not None
         return self._client
@@ -105,12 +106,12 @@ class Connection:
         assert self._subscription is not None
         return self._subscription
 
-    async def _made(self) -> asyncua.Client:
+    async def _made(self) -> Client:
         """A client with this connection's security and user, not connected yet."""
         from asyncua.crypto import security_policies
         from asyncua.crypto.uacrypto import CertProperties
 
-        client: asyncua.Client = library().Client(self.url, timeout=ANSWER_S, watchdog_intervall=WATCH_S)
+        client: Client = library().Client(self.url, timeout=ANSWER_S, watchdog_intervall=WATCH_S)
         client.name = client.description = f"hygrokf on {socket.gethostname()}"
         client.session_timeout = int(1e3 * LIFETIME_S)
         client.connection_lost_callback = self._note_loss
@@ -129,7 +130,7 @@ class Connection:
             client.set_password(self._user.password)
         return client
 
-    async def _subscribed(self, client: asyncua.Client) -> None:
+    async def _subscribed(self, client: Client) -> None:
         """Create the subscription without asyncua's automatic renewal, which would not read back missed
         samples."""
         from asyncua.common.subscription import Subscription
@@ -273,7 +274,7 @@ class Connection:
         self._handles[wanted.ClientHandle] = node
         return item
 
-    def datachange_notification(self, node: asyncua.Node, value: object, data: DataChangeNotif) -> None:
+    def datachange_notification(self, node: UaNode, value: object, data: DataChangeNotif) -> None:
         """Called by asyncua; only queues the sample."""
         handle = data.subscription_data.client_handle
         assert handle is not None, "every item is asked for with one"

@@ -16,7 +16,8 @@ import numpy as np
 from hygrokf.data.signals import SIGNALS, from_si
 from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S
-from hygrokf.identification.verdict import MARKS, PARAMETER_OF, VERDICTS, Inherited, handed_on
+from hygrokf.identification.verdict import MARKS, PARAMETER_OF, VERDICTS, handed_on
+from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live.alarms import CHANGED
 from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
 from hygrokf.live.forecast import LIMIT, ForecastMade

@@ -35,6 +35,7 @@ from hygrokf.report.figures.drawing import (
 from hygrokf.report.figures.excerpts import choose_excerpts
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -264,12 +265,12 @@ def _hatch_unscored(axes: Axes, record: _Record, span: tuple[float, float]) -> N
             )  # fmt: skip
 
 
-def _handles(record: _Record, name: str) -> list:
+def _handles(record: _Record, name: str) -> list[Artist]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
     measured, simulated, sd, ambient = record.quantity(name)
-    handles: list = []
+    handles: list[Artist] = []
     for value, colour, label in (
         (measured, MEASURED, "readings"),
         (simulated, SIMULATED, "simulated"),
@@ -453,7 +454,7 @@ def _boxes(axes: Axes, middles: np.ndarray, halves: np.ndarray, groups: list[np.
     )
 
 
-def _residual_handles(validation: bool) -> list:
+def _residual_handles(validation: bool) -> list[Artist]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +18,7 @@ import numpy as np
 from hygrokf.data.timestamps import DAY_S as DAY_S
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -152,7 +153,7 @@ def _save(figure: Figure, buffer: io.BytesIO | io.StringIO, **settings: Any) -> 
         figure.savefig(buffer, **settings)
 
 
-def _rounded(match: re.Match) -> str:
+def _rounded(match: re.Match[str]) -> str:
     return match.group(1) + re.sub(r"(\d+\.\d\d)\d+", r"\1", match.group(2)) + '"'
 
 
@@ -182,7 +183,9 @@ def png(figure: Figure, dpi: int = 150) -> bytes:
 # --- long records ----------------------------------------------------------------------------
 
 
-def envelope(time: np.ndarray, value: np.ndarray, span: tuple[float, float], bins: int = BINS) -> tuple:
+def envelope(
+    time: np.ndarray, value: np.ndarray, span: tuple[float, float], bins: int = BINS
+) -> tuple[np.ndarray, ...]:
     """A line (time, value) of at most about 2 `bins` points that shows every extreme of a longer one.
 
     time: [s] (T,) increasing. value: (T,) NaN where there is none. span: [s] what the axis shows.
@@ -218,7 +221,8 @@ def band(
         starts, x = _bins(x, span, bins)
         below, above = np.minimum.reduceat(below, starts), np.maximum.reduceat(above, starts)
         step = max(step, (span[1] - span[0]) / bins)
-    return _broken(x, 3.0 * step, below, above)
+    x, below, above = _broken(x, 3.0 * step, below, above)
+    return x, below, above
 
 
 def _bins(x: np.ndarray, span: tuple[float, float], bins: int) -> tuple[np.ndarray, np.ndarray]:
@@ -228,7 +232,7 @@ def _bins(x: np.ndarray, span: tuple[float, float], bins: int) -> tuple[np.ndarr
     return starts, span[0] + (number[starts] + 0.5) * width
 
 
-def _broken(x: np.ndarray, limit: float, *values: np.ndarray) -> tuple:
+def _broken(x: np.ndarray, limit: float, *values: np.ndarray) -> tuple[np.ndarray, ...]:
     breaks = np.flatnonzero(np.diff(x) > max(limit, 1e-9)) + 1
     if limit <= 0:
         breaks = breaks[:0]
@@ -339,7 +343,10 @@ def upright(axes: Axes, text: str, place: float = 0.012) -> None:
 
 
 def key(
-    axes: Axes, handles: list, columns: int | None = None, anchor: tuple[float, float] = (0.0, 1.02)
+    axes: Axes,
+    handles: Sequence[Artist],
+    columns: int | None = None,
+    anchor: tuple[float, float] = (0.0, 1.02),
 ) -> None:
     """A key above the axes, flush left, in one line."""
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=anchor, ncols=columns or len(handles))

@@ -32,6 +32,7 @@ from hygrokf.report.figures.drawing import (
 from hygrokf.report.figures.residual_structure import AFTER, TITLE, error_label, held_out
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -163,7 +164,7 @@ def _error_line(
     return float(np.nanmax(np.abs(v), initial=0.0))
 
 
-def _course_handles(overlaid: bool, shaded: str) -> list:
+def _course_handles(overlaid: bool, shaded: str) -> list[Artist]:
     from matplotlib.lines import Line2D
     from matplotlib.patches import Patch
 
@@ -179,7 +180,7 @@ def _course_handles(overlaid: bool, shaded: str) -> list:
     return handles
 
 
-def _heading(figure: Figure, finding: Finding, handles: list) -> float:
+def _heading(figure: Figure, finding: Finding, handles: list[Artist]) -> float:
     """The finding's own sentence and a key above the figure; returns the height [in] that they take."""
     import textwrap
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -339,7 +339,7 @@ def figure_innovations(
     return figure
 
 
-def _diagnosed(residuals: Residuals) -> Mapping[str, Mapping]:
+def _diagnosed(residuals: Residuals) -> Mapping[str, Mapping[str, Any]]:
     """`diagnose` of the identification period's innovations, by quantity."""
     early = ~residuals.validation
     standard = {
@@ -354,7 +354,7 @@ def _diagnosed(residuals: Residuals) -> Mapping[str, Mapping]:
     return {name: plain(one) for name, one in found.outputs.items()}
 
 
-def _periodogram(axes: Axes, both: Sequence[tuple[Mapping, str]]) -> None:
+def _periodogram(axes: Axes, both: Sequence[tuple[Mapping[str, Any], str]]) -> None:
     first = both[0][0].get("periodogram")
     if not first:
         return empty(axes, "too few innovations for a periodogram")
@@ -381,12 +381,12 @@ def _periodogram(axes: Axes, both: Sequence[tuple[Mapping, str]]) -> None:
     axes.set_xticks([], minor=True)
 
 
-def _size(one: Mapping) -> float:
+def _size(one: Mapping[str, Any]) -> float:
     largest = float(np.max(np.abs(one["value"])))
     return max(1.2 * largest, 1.8 * float(one["limit_all"]))
 
 
-def _correlation(axes: Axes, one: Mapping, other: Mapping, reach: float) -> None:
+def _correlation(axes: Axes, one: Mapping[str, Any], other: Mapping[str, Any], reach: float) -> None:
     axes.axhspan(-one["limit"], one["limit"], color=QUIET, alpha=0.16, linewidth=0)
     for sign in (-1.0, 1.0):
         axes.axhline(sign * one["limit_all"], color=INK, linewidth=0.6, dashes=(4, 2))

@@ -27,6 +27,7 @@ from hygrokf.report.figures.drawing import (
 from hygrokf.weather.alignment import Alignment, mean_days
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
@@ -131,7 +132,7 @@ def _middle(start_s: float, span: tuple[float, float]) -> float:
     return 0.5 * (max(start_s, span[0]) + min(end_s, span[1]))
 
 
-def _handles(names: tuple[str, str]) -> list:
+def _handles(names: tuple[str, str]) -> list[Artist]:
     from matplotlib.lines import Line2D
 
     return [
