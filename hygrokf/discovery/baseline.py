@@ -1,4 +1,4 @@
-"""What all trials of causes share: a record, its two likelihoods at their maxima, and their errors day by
+"""What all candidates of causes share: a record, its two likelihoods at their maxima, and their errors day by
 day.
 
 The two parts of the cascade are tried by themselves: "thermal" on the cabinet temperature, "hygric" on the
@@ -33,7 +33,8 @@ THERMAL = "thermal"
 HYGRIC = "hygric"
 DAY_H = 24.0
 SEARCH_STEP = 2.0
-"""Product of rate and sub-step in trials: ln L is right to a few thousandths, at a quarter of the time."""
+"""Product of rate and sub-step in candidates: ln L is right to a few thousandths, at a quarter of
+the time."""
 SIMULATION_STEP = 1.0
 """The same for simulations over the whole record: without readings, coarser steps can leave a variance below
 zero."""
@@ -52,7 +53,7 @@ it."""
 
 @dataclass(frozen=True)
 class Part:
-    """One likelihood of a scene at its maximum: `objective` ln L + ln prior, `values` of its parameters, n
+    """One likelihood of a baseline at its maximum: `objective` ln L + ln prior, `values` of its parameters, n
     readings.
 
     `error` (T,) reading − free run in K or g/m³ at the run's instants, NaN where there is none or it is not
@@ -83,9 +84,10 @@ class Part:
 
 
 @dataclass(frozen=True)
-class Scene:
-    """The identification period of a record, the parts that were identified on it, and the time that trials
-    on it may take: where it is over, what estimates a trial raises BudgetSpent.
+class Baseline:
+    """The identification period of a record, the parts that were identified on it, and the time that
+    candidates
+    on it may take: where it is over, what estimates a candidate raises BudgetSpent.
     """
 
     record: Record
@@ -116,7 +118,7 @@ def temper(part: Part) -> float:
     return max(1.0, found / scores.shape[1]) if math.isfinite(found) else 1.0
 
 
-def scene(record: Record, starts: int = 2, say: Progress = lambda text: None) -> Scene:
+def baseline(record: Record, starts: int = 2, say: Progress = lambda text: None) -> Baseline:
     """Identify the base model on the identification period of a record."""
     early = record.identification()
     regression = heat_release_regression(early)
@@ -131,7 +133,7 @@ def scene(record: Record, starts: int = 2, say: Progress = lambda text: None) ->
         say("smoothed cabinet temperature")
         driven = _driven(parts[THERMAL], early, base.humidity)
         parts[HYGRIC] = part_of(HYGRIC, driven, _best(driven, base, starts, say))
-    return Scene(early, parts)
+    return Baseline(early, parts)
 
 
 def _best(early: Record, base: Design, starts: int, say: Progress) -> Estimated:
@@ -139,20 +141,21 @@ def _best(early: Record, base: Design, starts: int, say: Progress) -> Estimated:
     return formed(early, estimated(early, base, starts, say), say)[0]
 
 
-def redriven(scene: Scene) -> Scene:
-    """The scene with its hygric part on the temperature that its thermal part smooths now, estimated again.
+def redriven(baseline: Baseline) -> Baseline:
+    """The baseline with its hygric part on the temperature that its thermal part smooths now, estimated
+    again.
 
     Whoever simulates the temperature better knows it better between the readings too: a heater's cycles that
     the base smoothed away are errors of the humidity's saturation.  As it is where that does not gain.
     """
-    part = scene.parts.get(HYGRIC)
+    part = baseline.parts.get(HYGRIC)
     if part is None or part.base.humidity is None:
-        return scene
-    record = _driven(scene.parts[THERMAL], part.record, part.base.humidity)
+        return baseline
+    record = _driven(baseline.parts[THERMAL], part.record, part.base.humidity)
     part = climbed(replace(part, record=record, run=prepare_run(part.base, record)))
-    if part.objective <= scene.parts[HYGRIC].objective:
-        return scene
-    return replace(scene, parts={**scene.parts, HYGRIC: part})
+    if part.objective <= baseline.parts[HYGRIC].objective:
+        return baseline
+    return replace(baseline, parts={**baseline.parts, HYGRIC: part})
 
 
 def _driven(thermal: Part, record: Record, humidity: str) -> Record:
@@ -167,12 +170,12 @@ def part_of(name: str, record: Record, found: Estimated) -> Part:
 
 
 def searching(model: Model, timeline: Timeline) -> Likelihood:
-    """The likelihood that trials use."""
+    """The likelihood that candidates use."""
     return Likelihood(model, timeline, rate_step=SEARCH_STEP)
 
 
 class _Timed(Objective):
-    """An objective that is not evaluated any more where the time for trials is over."""
+    """An objective that is not evaluated any more where the time for candidates is over."""
 
     def __init__(self, likelihood: Likelihood, coordinates: Coordinates, budget: Budget) -> None:
         super().__init__(likelihood, coordinates)

@@ -8,11 +8,11 @@ import time
 SECONDS = 120.0
 """[s] a discovery's time where nothing is stated."""
 FOR_TRIALS = 0.6
-"""Share of it for trials: what was found by then has to be estimated to the end, judged and told."""
+"""Share of it for candidates: what was found by then has to be estimated to the end, judged and told."""
 
 
 class BudgetSpent(Exception):
-    """The time for trials is over."""
+    """The time for candidates is over."""
 
 
 class Budget:
@@ -27,10 +27,10 @@ class Budget:
 
     @property
     def spent(self) -> bool:
-        """Whether the time for trials is over."""
+        """Whether the time for candidates is over."""
         return time.monotonic() > self._until
 
     def check(self) -> None:
-        """Raise BudgetSpent where the time for trials is over."""
+        """Raise BudgetSpent where the time for candidates is over."""
         if self.spent:
             raise BudgetSpent

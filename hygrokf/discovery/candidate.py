@@ -10,7 +10,7 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import HOUR_S
-from hygrokf.discovery.baseline import Part, Scene, climbed, days, refitted, searching, self_driven
+from hygrokf.discovery.baseline import Baseline, Part, climbed, days, refitted, searching, self_driven
 from hygrokf.discovery.cause import Variant, penalty
 from hygrokf.discovery.causes_readings import SHIFTS_MIN
 from hygrokf.discovery.clocks import Shift, shifted, sources
@@ -54,12 +54,12 @@ cabinet."""
 
 
 @dataclass(frozen=True)
-class Trial:
-    """A variant estimated in a scene.
+class Candidate:
+    """A variant estimated in a baseline.
 
     `parts` the parts that it changed; `lrs` 2 Δ ln L of each, `lr` of them together, `parameters` their new
     ones, `price` what these and the grid cost, `bic_gain` the evidence: what is left of the lrs over the
-    scene's tempers; `gain` part → share of the squared free-run error that is gone, `lasting` the same
+    baseline's tempers; `gain` part → share of the squared free-run error that is gone, `lasting` the same
     without the three days that gained most, `z` the gain in standard errors of its blocks, `episodes` in how
     many episodes it was gained.
     """
@@ -122,87 +122,92 @@ def added(variant: Variant) -> set[str]:
     return {mechanism for pairs in variant.additions.values() for mechanism, _ in pairs}
 
 
-def attempt(scene: Scene, variant: Variant) -> Trial:
+def attempt(baseline: Baseline, variant: Variant) -> Candidate:
     """Estimate a variant in every part that it touches."""
     if variant.shift is not None:
-        return _shifted(scene, variant)
+        return _shifted(baseline, variant)
     parts = {}
-    for name, part in scene.parts.items():
+    for name, part in baseline.parts.items():
         additions = variant.additions.get(name, ())
         altered = variant.altered.get(name, {})
         if not additions and not altered:
             continue
         base = replace(part, base=_altered(part.base, altered))
-        parts[name] = refitted(base, additions, variant.features, variant.starts, budget=scene.budget)
-    return judged(scene, variant, parts)
+        parts[name] = refitted(base, additions, variant.features, variant.starts, budget=baseline.budget)
+    return judged(baseline, variant, parts)
 
 
-def refined(base: Scene, scene: Scene, trial: Trial, alone: bool) -> tuple[Trial, Scene]:
-    """An accepted trial in its finer form where that gains, and the scene with it; both as they are
+def refined(
+    base: Baseline, baseline: Baseline, candidate: Candidate, alone: bool
+) -> tuple[Candidate, Baseline]:
+    """An accepted candidate in its finer form where that gains, and the baseline with it; both as they are
     otherwise.
 
-    base: the scene that nothing was added to; alone: whether the trial is all that changed the parts that it
+    base: the baseline that nothing was added to; alone: whether the candidate is all that changed the parts
+        that it
     changed. Then it is judged anew; else what the finer form gains is added to its evidence, and its free
     run's gain is left.
     """
-    finer = trial.variant.finer
+    finer = candidate.variant.finer
     if finer is None:
-        return trial, scene
+        return candidate, baseline
     after = {}
     for name, additions in finer.additions.items():
-        part = scene.parts[name]
+        part = baseline.parts[name]
         start = {
             p.name: min(max(part.values[p.name] * finer.scaled.get(p.name, 1.0), p.lower), p.upper)
             for p in part.base.model.parameters
         }
         altered = replace(part, base=_altered(part.base, dict(additions)))
-        after[name] = refitted(altered, (), {}, (start,), budget=scene.budget)
-    if sum(_gained(scene, after).values()) <= FINER:
-        return trial, scene
-    after = {name: climbed(part, scene.budget) for name, part in after.items()}
+        after[name] = refitted(altered, (), {}, (start,), budget=baseline.budget)
+    if sum(_gained(baseline, after).values()) <= FINER:
+        return candidate, baseline
+    after = {name: climbed(part, baseline.budget) for name, part in after.items()}
     if alone:
-        found = judged(base, finer, {**trial.parts, **after})
+        found = judged(base, finer, {**candidate.parts, **after})
     else:
-        gained = _gained(scene, after)
-        lrs = {name: one + gained.get(name, 0.0) for name, one in trial.lrs.items()}
-        more = sum(one / scene.tempers[name] for name, one in gained.items())
-        found = replace(trial, variant=finer, lrs=lrs, bic_gain=trial.bic_gain + more)
-    return found, replace(scene, parts={**scene.parts, **after})
+        gained = _gained(baseline, after)
+        lrs = {name: one + gained.get(name, 0.0) for name, one in candidate.lrs.items()}
+        more = sum(one / baseline.tempers[name] for name, one in gained.items())
+        found = replace(candidate, variant=finer, lrs=lrs, bic_gain=candidate.bic_gain + more)
+    return found, replace(baseline, parts={**baseline.parts, **after})
 
 
-def started(scene: Scene, trial: Trial) -> Variant:
-    """The variant of a trial, to be tried again from where it ended."""
-    if trial.variant.shift is not None:
-        return trial.variant
-    known = {name for part in scene.parts.values() for name in part.values}
-    altered = {name for changed in trial.variant.altered.values() for name in changed}
+def started(baseline: Baseline, candidate: Candidate) -> Variant:
+    """The variant of a candidate, to be tried again from where it ended."""
+    if candidate.variant.shift is not None:
+        return candidate.variant
+    known = {name for part in baseline.parts.values() for name in part.values}
+    altered = {name for changed in candidate.variant.altered.values() for name in changed}
     start = {
         name: value
-        for part in trial.parts.values()
+        for part in candidate.parts.values()
         for name, value in part.values.items()
         if name not in known or altered
     }
-    return replace(trial.variant, starts=(start,))
+    return replace(candidate.variant, starts=(start,))
 
 
-def polished(scene: Scene, trial: Trial) -> Trial:
-    """The trial with its parts climbed to their maxima."""
+def polished(baseline: Baseline, candidate: Candidate) -> Candidate:
+    """The candidate with its parts climbed to their maxima."""
     return judged(
-        scene, trial.variant, {name: climbed(part, scene.budget) for name, part in trial.parts.items()}
+        baseline,
+        candidate.variant,
+        {name: climbed(part, baseline.budget) for name, part in candidate.parts.items()},
     )
 
 
-def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
-    """What changed parts gained over those of the scene; a switch with evidence is simulated by itself for
+def judged(baseline: Baseline, variant: Variant, parts: Mapping[str, Part]) -> Candidate:
+    """What changed parts gained over those of the baseline; a switch with evidence is simulated by itself for
     that."""
-    lrs = _gained(scene, parts)
+    lrs = _gained(baseline, parts)
     lr = sum(lrs.values())
     count, n = 0, 0
     gain, lasting, often, z = {}, {}, {}, {}
     switched = set(SWITCHES) & set(variant.features)
     own = lr > SHOWN and bool(switched)
     for name, part in parts.items():
-        before, after = scene.parts[name], self_driven(part) if own else part
+        before, after = baseline.parts[name], self_driven(part) if own else part
         squares = daily_squares(before, after)
         often[name], z[name] = episodes(*squares), standard_errors(*squares)
         count += part.parameters - before.parameters
@@ -210,13 +215,13 @@ def judged(scene: Scene, variant: Variant, parts: Mapping[str, Part]) -> Trial:
         gain[name], lasting[name] = shares(before, after)
     count = max(count, 1)
     price = penalty(variant, count, n)
-    evidence = sum(one / scene.tempers[name] for name, one in lrs.items()) - price
-    return Trial(variant, dict(parts), lrs, count, evidence, gain, lasting, often, price, z)
+    evidence = sum(one / baseline.tempers[name] for name, one in lrs.items()) - price
+    return Candidate(variant, dict(parts), lrs, count, evidence, gain, lasting, often, price, z)
 
 
-def _gained(scene: Scene, parts: Mapping[str, Part]) -> dict[str, float]:
-    """2 Δ ln L of changed parts over those of the scene."""
-    return {name: 2.0 * (part.objective - scene.parts[name].objective) for name, part in parts.items()}
+def _gained(baseline: Baseline, parts: Mapping[str, Part]) -> dict[str, float]:
+    """2 Δ ln L of changed parts over those of the baseline."""
+    return {name: 2.0 * (part.objective - baseline.parts[name].objective) for name, part in parts.items()}
 
 
 def daily_squares(before: Part, after: Part) -> tuple[np.ndarray, np.ndarray]:
@@ -265,7 +270,7 @@ def episodes(old: np.ndarray, new: np.ndarray) -> int:
     return sum(max(1, length // WEEK) for length in lengths)
 
 
-def probability(trial: Trial) -> float:
+def probability(candidate: Candidate) -> float:
     """p of 2 Δ ln L where there is no such effect: χ², half of it with one degree less where the null is a
     boundary.
 
@@ -274,11 +279,11 @@ def probability(trial: Trial) -> float:
     """
     from scipy.stats import chi2
 
-    lr, df = max(trial.lr, 0.0), trial.parameters
-    names = added(trial.variant)
+    lr, df = max(candidate.lr, 0.0), candidate.parameters
+    names = added(candidate.variant)
     bounded = any(
         p.null is not None and p.null <= p.lower
-        for part in trial.parts.values()
+        for part in candidate.parts.values()
         for mechanism in part.base.model.mechanisms
         if mechanism.name in names
         for p in mechanism.parameters
@@ -289,7 +294,7 @@ def probability(trial: Trial) -> float:
     return 0.5 * (float(chi2.sf(lr, df)) + below)
 
 
-def score_statistic(scene: Scene, variant: Variant) -> float | None:
+def score_statistic(baseline: Baseline, variant: Variant) -> float | None:
     """LM of a variant at its null value: the gain 2 Δ ln L that the base model's innovations promise for a
     small effect.
 
@@ -297,9 +302,9 @@ def score_statistic(scene: Scene, variant: Variant) -> float | None:
     """
     total = None
     for name, additions in variant.additions.items():
-        if name not in scene.parts:
+        if name not in baseline.parts:
             continue
-        part = scene.parts[name]
+        part = baseline.parts[name]
         wider = extended(part.base, additions, features=variant.features)
         likelihood = searching(wider.model, prepare_run(wider, part.record).timeline)
         parameters = wider.model.parameters
@@ -338,29 +343,29 @@ def _altered(base: Design, altered: Mapping[str, Settings]) -> Design:
 
 
 # -- clocks --------------------------------------------------------------------------------------------------
-def _shifted(scene: Scene, variant: Variant) -> Trial:
+def _shifted(baseline: Baseline, variant: Variant) -> Candidate:
     """The shift of a source that the innovations ask for, found on a grid, refined, and estimated."""
     assert variant.shift is not None
     source = variant.shift.source
     if variant.shift.summer:
         hours = [replace(variant.shift, seconds=s) for s in (HOUR_S, -HOUR_S)]
-        seconds, parts = _moved(scene, max(hours, key=lambda shift: _unestimated(scene, shift)))
+        seconds, parts = _moved(baseline, max(hours, key=lambda shift: _unestimated(baseline, shift)))
     else:
-        seconds = _coarse(scene, source)
+        seconds = _coarse(baseline, source)
         if seconds != 0.0:
-            seconds, parts = _climbed(scene, source, seconds)
+            seconds, parts = _climbed(baseline, source, seconds)
     shift = replace(variant.shift, seconds=seconds)
     settings = {
         **variant.settings,
         "source": source,
         "shift_s": seconds,
         "summer_time": shift.summer,
-        "ordinary_s": ordinary_shift(scene.record, source),
+        "ordinary_s": ordinary_shift(baseline.record, source),
     }
     variant = replace(variant, shift=shift, settings=settings)
     if seconds == 0.0:
-        return Trial(variant, {}, {}, 1, -penalty(variant, 1, 1), {}, {}, {})
-    return judged(scene, variant, parts)
+        return Candidate(variant, {}, {}, 1, -penalty(variant, 1, 1), {}, {}, {})
+    return judged(baseline, variant, parts)
 
 
 def ordinary_shift(record: Record, source: str) -> float:
@@ -374,29 +379,29 @@ def ordinary_shift(record: Record, source: str) -> float:
 
 
 def _moved(
-    scene: Scene, shift: Shift, near: Mapping[str, Part] | None = None
+    baseline: Baseline, shift: Shift, near: Mapping[str, Part] | None = None
 ) -> tuple[float, dict[str, Part]]:
-    """The parts estimated with a shift, from the scene's values or from those of a shift nearby."""
+    """The parts estimated with a shift, from the baseline's values or from those of a shift nearby."""
     parts = {}
-    for name, part in scene.parts.items():
+    for name, part in baseline.parts.items():
         begin = part if near is None else replace(part, values=near[name].values)
-        parts[name] = refitted(begin, (), {}, ({},), shifted(part.record, shift), scene.budget)
+        parts[name] = refitted(begin, (), {}, ({},), shifted(part.record, shift), baseline.budget)
     return shift.seconds, parts
 
 
-def _unestimated(scene: Scene, shift: Shift) -> float:
-    """ln L with a shift at the scene's own values."""
+def _unestimated(baseline: Baseline, shift: Shift) -> float:
+    """ln L with a shift at the baseline's own values."""
     found = 0.0
-    for part in scene.parts.values():
+    for part in baseline.parts.values():
         moved = prepare_run(part.base, shifted(part.record, shift)).timeline
         found += searching(part.base.model, moved).value(part.values)
     return found
 
 
-def _coarse(scene: Scene, source: str) -> float:
+def _coarse(baseline: Baseline, source: str) -> float:
     """The shift [s] that score statistics ask for, 0 where none gains."""
     grid = np.array(SHIFTS_MIN) * 60.0
-    gains = _gains(scene.parts, source, grid)
+    gains = _gains(baseline.parts, source, grid)
     grid, gains = np.append(grid, 0.0), np.append(gains, 0.0)
     order = np.argsort(grid)
     grid, gains = grid[order], gains[order]
@@ -406,25 +411,25 @@ def _coarse(scene: Scene, source: str) -> float:
         more = np.setdiff1d(np.linspace(low, high, 5)[1:-1], grid)
         if not len(more):
             break
-        extra = _gains(scene.parts, source, more)
+        extra = _gains(baseline.parts, source, more)
         grid, gains = np.append(grid, more), np.append(gains, extra)
         order = np.argsort(grid)
         grid, gains = grid[order], gains[order]
     return float(grid[int(np.argmax(gains))])
 
 
-def _climbed(scene: Scene, source: str, seconds: float) -> tuple[float, dict[str, Part]]:
+def _climbed(baseline: Baseline, source: str, seconds: float) -> tuple[float, dict[str, Part]]:
     """The shift of the largest likelihood near one, and the parts estimated there.
 
     Statistics of first order are minutes wrong for a clock that is off by many minutes; so they are taken
     again where the last ones led.
     """
-    best, parts = _moved(scene, Shift(source, seconds))
+    best, parts = _moved(baseline, Shift(source, seconds))
     for reach in CLOCK_REACH_S:
         delta = _summit(parts, source, reach * np.array([-1.0, -0.5, 0.5, 1.0]))
         if abs(delta) < CLOCK_S:
             continue
-        further, moved = _moved(scene, Shift(source, best + delta), parts)
+        further, moved = _moved(baseline, Shift(source, best + delta), parts)
         if _objective(moved) > _objective(parts):
             best, parts = further, moved
     return best, parts

@@ -1,4 +1,4 @@
-"""What a cause is: a name, words, a remedy, and the variants in which it is tried on a scene."""
+"""What a cause is: a name, words, a remedy, and the variants in which it is tried on a baseline."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-from hygrokf.discovery.baseline import Scene
+from hygrokf.discovery.baseline import Baseline
 from hygrokf.discovery.clocks import Shift
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.physics.model import Mechanism
@@ -45,21 +45,21 @@ class Variant:
 
 @dataclass(frozen=True)
 class Cause:
-    """A physical cause: its `variants` in a scene (none where the record cannot show it), in words what it
+    """A physical cause: its `variants` in a baseline (none where the record cannot show it), in words what it
     is, what to check in the turbine (`remedy`), and the measurement that would tell it from its rivals
     (`separate_by`).
 
-    `alone`: gain in evidence (see `choice`) that is enough without a better free run: a clock or a changed
-    exchange hardly shows in it, and simulated switches lose their phase.  `event`: whether it happened at
-    times that nobody logs, which no simulation can foresee.  A user's own cause brings its `mechanisms`, name
-    → factory, and its `features`, name → (function, hold).
+    `alone`: gain in evidence (see `model_selection`) that is enough without a better free run: a clock or a
+    changed exchange hardly shows in it, and simulated switches lose their phase.  `event`: whether it
+    happened at times that nobody logs, which no simulation can foresee.  A user's own cause brings its
+    `mechanisms`, name → factory, and its `features`, name → (function, hold).
     """
 
     name: str
     meaning: str
     remedy: str
     separate_by: str
-    variants: Callable[[Scene], list[Variant]]
+    variants: Callable[[Baseline], list[Variant]]
     needs: str = ""
     alone: float = math.inf
     event: bool = False
@@ -73,19 +73,19 @@ def penalty(variant: Variant, parameters: int, n: int) -> float:
 
 
 def additions_of(
-    scene: Scene, **additions: tuple[tuple[str, Settings], ...]
+    baseline: Baseline, **additions: tuple[tuple[str, Settings], ...]
 ) -> dict[str, tuple[tuple[str, Settings], ...]]:
-    """Additions for the parts that the scene has."""
-    return {part: pairs for part, pairs in additions.items() if part in scene.parts}
+    """Additions for the parts that the baseline has."""
+    return {part: pairs for part, pairs in additions.items() if part in baseline.parts}
 
 
 def one_mechanism(
     cause: str, part: str, mechanism: str, *starts: Mapping[str, float]
-) -> Callable[[Scene], list[Variant]]:
+) -> Callable[[Baseline], list[Variant]]:
     """A cause that is one mechanism of one part, without a grid."""
 
-    def variants(scene: Scene) -> list[Variant]:
-        if part not in scene.parts:
+    def variants(baseline: Baseline) -> list[Variant]:
+        if part not in baseline.parts:
             return []
         return [Variant(cause, mechanism, {part: ((mechanism, {}),)}, starts=starts)]
 

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene
+from hygrokf.discovery.baseline import HYGRIC, THERMAL, Baseline
 from hygrokf.discovery.cause import Additions, Variant
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.grids import Probe, best_date, best_hours, best_switch, inside
@@ -17,8 +17,8 @@ USUAL_EXCHANGE_H = 3.0
 """[h] time constant of the vapour's exchange beyond which films and driers are looked for at lower rates."""
 
 
-def sorption(scene: Scene) -> list[Variant]:
-    if HYGRIC not in scene.parts:
+def sorption(baseline: Baseline) -> list[Variant]:
+    if HYGRIC not in baseline.parts:
         return []
     found = []
     for uptake, activated in (("uptake faster when warm", True), ("uptake alike at all temperatures", False)):
@@ -38,17 +38,17 @@ def sorption(scene: Scene) -> list[Variant]:
     return found
 
 
-def _pace(scene: Scene) -> float:
+def _pace(baseline: Baseline) -> float:
     """Factor of rates that are looked for: what matters in a tight cabinet is slow, as its own exchange
     is."""
-    return min(1.0, USUAL_EXCHANGE_H / scene.parts[HYGRIC].values["hygric_k"])
+    return min(1.0, USUAL_EXCHANGE_H / baseline.parts[HYGRIC].values["hygric_k"])
 
 
-def condensation(scene: Scene) -> list[Variant]:
-    if HYGRIC not in scene.parts:
+def condensation(baseline: Baseline) -> list[Variant]:
+    if HYGRIC not in baseline.parts:
         return []
 
-    pace = _pace(scene)
+    pace = _pace(baseline)
 
     def starts(*undercooling: float) -> tuple[Settings, ...]:
         # a film is there or not: the likelihood has many maxima
@@ -65,7 +65,7 @@ def condensation(scene: Scene) -> list[Variant]:
         )
 
     forms = [("heavy surface", False, starts(0.3, 1.0))]
-    if scene.record.site is not None:
+    if baseline.record.site is not None:
         forms.append(("skin under the night sky", True, starts(1.5, 4.0)))
     return [
         Variant(
@@ -80,10 +80,10 @@ def condensation(scene: Scene) -> list[Variant]:
 HEAVY_MM_H = 1.0
 
 
-def rain(scene: Scene) -> list[Variant]:
-    if "rain" not in scene.record or HYGRIC not in scene.parts:
+def rain(baseline: Baseline) -> list[Variant]:
+    if "rain" not in baseline.record or HYGRIC not in baseline.parts:
         return []
-    series = scene.record["rain"]
+    series = baseline.record["rain"]
     step_s = series.interval_s if series.interval_s > 0 else float(np.median(np.diff(series.time)))
     above = HEAVY_MM_H * step_s / 3600.0
     starts = tuple({"rain_intake": 0.5, "rain_drying_time": t} for t in (2.0, 12.0))
@@ -98,8 +98,8 @@ def rain(scene: Scene) -> list[Variant]:
     ]  # fmt: skip
 
 
-def source(scene: Scene) -> list[Variant]:
-    if HYGRIC not in scene.parts:
+def source(baseline: Baseline) -> list[Variant]:
+    if HYGRIC not in baseline.parts:
         return []
     start = ({"moisture_source": 0.02}, {"moisture_source": 0.3}, {"moisture_source": 2.0})
 
@@ -109,41 +109,41 @@ def source(scene: Scene) -> list[Variant]:
         return Variant("internal_moisture_source", form, additions, features, start, settings, searched)
 
     wet: Additions = {HYGRIC: (("wet_surface", {}),)}
-    rates = tuple({"evaporation_rate": rate * _pace(scene)} for rate in (0.02, 0.2, 2.0))
+    rates = tuple({"evaporation_rate": rate * _pace(baseline)} for rate in (0.02, 0.2, 2.0))
     found = [
         variant("always", "always", {}, 3),
         Variant("internal_moisture_source", "from a wet surface", wet, starts=rates, searched=3),
     ]
-    if "active_power" in scene.record:
+    if "active_power" in baseline.record:
         found.append(variant("at standstill", "standstill", {"standstill": {}}, 3))
     late = ("internal_moisture_source", {"when": "fading"})
     probe = Probe(HYGRIC, late, "moisture_source", {"moisture_source": 1e-4})
     # where the air is exchanged fast, vapour jumps when the source begins: a date that is an hour off gains
     # nothing
     setting, tried = best_date(
-        scene, "fading", [probe], abrupt(scene.parts[HYGRIC]), days=FADING_DAYS, sudden=True
+        baseline, "fading", [probe], abrupt(baseline.parts[HYGRIC]), days=FADING_DAYS, sudden=True
     )
     found.append(variant("drying out from a date on", "fading", {"fading": setting}, tried))
     timed = ("internal_moisture_source", {"when": "scheduled"})
     probe = Probe(HYGRIC, timed, "moisture_source", {"moisture_source": 1e-4})
-    setting, tried = best_hours(scene, [probe])
+    setting, tried = best_hours(baseline, [probe])
     form = "by the clock, on workdays" if setting["workdays"] else "by the clock, every day"
     found.append(variant(form, "scheduled", {"scheduled": setting}, tried))
     return found
 
 
-def drier(scene: Scene) -> list[Variant]:
-    if HYGRIC not in scene.parts or "cabinet_relative_humidity" not in scene.record:
+def drier(baseline: Baseline) -> list[Variant]:
+    if HYGRIC not in baseline.parts or "cabinet_relative_humidity" not in baseline.record:
         return []
-    levels = np.quantile(inside(scene, "cabinet_relative_humidity"), np.linspace(0.3, 0.95, 9))
+    levels = np.quantile(inside(baseline, "cabinet_relative_humidity"), np.linspace(0.3, 0.95, 9))
     starts = tuple(
-        {"dehumidifier_rate": _pace(scene), "dehumidifier_setpoint": float(a)} for a in levels[[1, 4, 7]]
+        {"dehumidifier_rate": _pace(baseline), "dehumidifier_setpoint": float(a)} for a in levels[[1, 4, 7]]
     )
     found = [Variant("dehumidifier", "proportional", {HYGRIC: (("dehumidifier", {}),)}, starts=starts)]
     grid = [{"on": float(a), "off": float(a - width)} for a in levels for width in (0.03, 0.08)]
     # the rate is positive and estimated as a logarithm: its slope at a small value stands for that at zero
     probe = Probe(HYGRIC, ("switched_drying", {}), "drying_rate", {"drying_rate": 1e-4})
-    switched = best_switch(scene, "drying", [probe], grid, {"": 0.02})
+    switched = best_switch(baseline, "drying", [probe], grid, {"": 0.02})
     if switched is None:
         return found
     chosen, tried = switched
@@ -151,7 +151,7 @@ def drier(scene: Scene) -> list[Variant]:
         ("two-point, cold plate", True, {}),
         ("two-point, desiccant", False, {}),
     ]
-    if THERMAL in scene.parts:
+    if THERMAL in baseline.parts:
         forms.append(("two-point, cold plate, heats the air", True, {THERMAL: (("drying_heat", {}),)}))
     for form, plate, also in forms:
         found.append(

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene
+from hygrokf.discovery.baseline import HYGRIC, THERMAL, Baseline
 from hygrokf.discovery.cause import Variant, additions_of
 from hygrokf.discovery.clocks import Shift, sources, turns_within
 from hygrokf.discovery.discovery_results import Settings
@@ -14,20 +14,20 @@ from hygrokf.discovery.scan import abrupt
 from hygrokf.identification.forms import LONGEST_RESPONSE_H, UNSTATED
 
 
-def temperature_offset(scene: Scene) -> list[Variant]:
+def temperature_offset(baseline: Baseline) -> list[Variant]:
     found = []
-    if THERMAL in scene.parts:
+    if THERMAL in baseline.parts:
         probe = Probe(THERMAL, ("temperature_step", {}), "temperature_offset")
-        setting, tried = best_date(scene, "after_step", [probe], abrupt(scene.parts[THERMAL]))
+        setting, tried = best_date(baseline, "after_step", [probe], abrupt(baseline.parts[THERMAL]))
         # a humidity sensor has a temperature of its own: only what the hygric part is told moves
-        told = {HYGRIC: {"measured_air": {"step": True}}} if HYGRIC in scene.parts else {}
+        told = {HYGRIC: {"measured_air": {"step": True}}} if HYGRIC in baseline.parts else {}
         found.append(
             Variant(
                 "temperature_sensor_offset", "from a date on", {THERMAL: (("temperature_step", {}),)},
                 {"after_step": setting}, settings=setting, searched=tried, altered=told,
             )
         )  # fmt: skip
-    if HYGRIC in scene.parts:
+    if HYGRIC in baseline.parts:
         found.append(
             Variant(
                 "temperature_sensor_offset", "constant", {HYGRIC: (("thermometer_offset", {}),)},
@@ -42,14 +42,14 @@ SOUND = 0.25
 a ceiling."""
 
 
-def humidity_drift(scene: Scene) -> list[Variant]:
-    if HYGRIC not in scene.parts or "cabinet_relative_humidity" not in scene.record:
+def humidity_drift(baseline: Baseline) -> list[Variant]:
+    if HYGRIC not in baseline.parts or "cabinet_relative_humidity" not in baseline.record:
         return []
-    lowest, *levels = np.quantile(inside(scene, "cabinet_relative_humidity"), (SOUND, 0.5, 0.8, 0.95))
+    lowest, *levels = np.quantile(inside(baseline, "cabinet_relative_humidity"), (SOUND, 0.5, 0.8, 0.95))
     sticks = tuple({"humidity_lost": 0.5, "humidity_ceiling": float(a)} for a in levels)
     forms: tuple[tuple[str, str, Settings, Settings, tuple[Settings, ...]], ...] = (
-        ("drift", "humidity_drift", {}, {"elapsed": span(scene)}, ({},)),
-        ("scale that goes off", "humidity_scale", {}, {"elapsed": span(scene)}, ({},)),
+        ("drift", "humidity_drift", {}, {"elapsed": span(baseline)}, ({},)),
+        ("scale that goes off", "humidity_scale", {}, {"elapsed": span(baseline)}, ({},)),
         ("scale", "humidity_scale", {"flag": None}, {}, ({},)),
         ("ceiling", "humidity_ceiling", {"lowest": float(np.clip(lowest, 0.2, 0.95))}, {}, sticks),
     )
@@ -62,15 +62,15 @@ def humidity_drift(scene: Scene) -> list[Variant]:
     ]  # fmt: skip
 
 
-def response(scene: Scene) -> list[Variant]:
+def response(baseline: Baseline) -> list[Variant]:
     """A humidity sensor that follows slowly: the temperature beside it tells its delay from a slow exchange
     of air.
 
     Where the fit has estimated the response already, nothing is left to find.
     """
-    if HYGRIC not in scene.parts:
+    if HYGRIC not in baseline.parts:
         return []
-    sensors = dict(scene.parts[HYGRIC].base.mechanisms)
+    sensors = dict(baseline.parts[HYGRIC].base.mechanisms)
     return [
         Variant(
             "sensor_response", "humidity",
@@ -82,11 +82,11 @@ def response(scene: Scene) -> list[Variant]:
     ]  # fmt: skip
 
 
-def breathed(scene: Scene) -> list[Variant]:
+def breathed(baseline: Baseline) -> list[Variant]:
     """Offsets of the ambient's sensors, a lag of the breathed air, and a series that was smoothed."""
     found = []
     forms = ("vapour", "temperature", "humidity")
-    if HYGRIC in scene.parts:
+    if HYGRIC in baseline.parts:
         found += [
             Variant("ambient_bias", form, {HYGRIC: (("breathed_air", {"form": form}),)}, searched=len(forms))
             for form in forms
@@ -97,12 +97,12 @@ def breathed(scene: Scene) -> list[Variant]:
         "breathed_lag_share": 0.5,
         "breathed_lag_time": 3.0,
     }
-    both = additions_of(scene, thermal=(("lagged_ambient", {}),), hygric=(("breathed_lag", {}),))
+    both = additions_of(baseline, thermal=(("lagged_ambient", {}),), hygric=(("breathed_lag", {}),))
     found += [
         Variant("ambient_bias", f"the {part} air lags", {part: pairs}, starts=({}, lag), searched=3)
         for part, pairs in both.items()
     ]
-    leads = additions_of(scene, thermal=(("leading_ambient", {}),), hygric=(("breathed_lead", {}),))
+    leads = additions_of(baseline, thermal=(("leading_ambient", {}),), hygric=(("breathed_lead", {}),))
     rates = {THERMAL: "ambient_temperature_rate", HYGRIC: "ambient_vapour_rate"}
     # beside a smoothed series the base's own time constants shrink to nothing: one start has them as usual
     usual = {"ambient_lead": 0.8, "breathed_lead": 0.8, "thermal_time_constant": 1.5, "hygric_k": 0.3}
@@ -118,9 +118,9 @@ def breathed(scene: Scene) -> list[Variant]:
 SHIFTS_MIN = (-60.0, -30.0, -10.0, 10.0, 30.0, 60.0)
 
 
-def clock(scene: Scene) -> list[Variant]:
+def clock(baseline: Baseline) -> list[Variant]:
     told = ("cabinet_temperature", "ambient_temperature", "active_power")
-    clocks = sources(scene.record)
+    clocks = sources(baseline.record)
     names = [name for name, signals in clocks.items() if set(told) & set(signals)]
     settings = {}
     if len(clocks) == 2:  # to move the one is to move the other the opposite way
@@ -130,7 +130,7 @@ def clock(scene: Scene) -> list[Variant]:
         Variant("clock_shift", name, shift=Shift(name, 0.0), settings=settings, searched=4 * len(SHIFTS_MIN))
         for name in names
     ]
-    if turns_within(scene.record):
+    if turns_within(baseline.record):
         found += [
             Variant(
                 "clock_shift", f"{name}, in summer time", shift=Shift(name, 0.0, True), settings=settings,

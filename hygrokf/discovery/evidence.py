@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Mapping, Sequence
 
-from hygrokf.discovery.baseline import Scene
-from hygrokf.discovery.candidate import Trial, added, probability, score_statistic
+from hygrokf.discovery.baseline import Baseline
+from hygrokf.discovery.candidate import Candidate, added, probability, score_statistic
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.discovery_results import CauseFound, CauseParameter, Evidence, Gain
 from hygrokf.discovery.library import named
@@ -30,30 +30,30 @@ WEIGHTS = {"level": 0.1, "margin": 2.3, "lasting": 3.5}
 (docs/discover_measured.md)."""
 
 
-def evidence(scene: Scene, trial: Trial, tried: int) -> Evidence:
-    """What a trial found, in numbers.
+def evidence(baseline: Baseline, candidate: Candidate, tried: int) -> Evidence:
+    """What a candidate found, in numbers.
 
-    `scene` of the base model; `tried`: how many variants were tried: their number and that of the settings
+    `baseline` of the base model; `tried`: how many variants were tried: their number and that of the settings
     correct p.
     """
-    chance = probability(trial) * max(trial.variant.searched, 1.0) * max(tried, 1)
-    score = score_statistic(scene, trial.variant)
+    chance = probability(candidate) * max(candidate.variant.searched, 1.0) * max(tried, 1)
+    score = score_statistic(baseline, candidate.variant)
     return Evidence(
-        lr=trial.lr,
-        df=trial.parameters,
+        lr=candidate.lr,
+        df=candidate.parameters,
         p_adjusted=min(1.0, chance),
-        bic_gain=trial.bic_gain,
+        bic_gain=candidate.bic_gain,
         score_statistic=math.nan if score is None else score,
-        free_run_gain=dict(trial.gain),
-        lasting_gain=dict(trial.lasting),
-        settings=dict(trial.variant.settings),
+        free_run_gain=dict(candidate.gain),
+        lasting_gain=dict(candidate.lasting),
+        settings=dict(candidate.variant.settings),
     )
 
 
 def cause_entry(
-    scene: Scene,
-    trial: Trial,
-    rivals: Sequence[Trial],
+    baseline: Baseline,
+    candidate: Candidate,
+    rivals: Sequence[Candidate],
     margin: float,
     gain: Gain | None,
     known: Collection[str],
@@ -64,28 +64,28 @@ def cause_entry(
     """One entry of `causes`.  `margin`: see `confidence`; `gain`: its own on the held-out period, beside
     those accepted before it; `known`: parameters of the base model.
     """
-    cause = named(trial.variant.cause, library)
-    statement = f"{cause.meaning} ({trial.variant.form}){_clock(trial)}"
-    parameters = _parameters(trial, stages, known)
-    notes = reservations(cause.event, seen_once(trial), parameters)
-    sure = confidence(trial, margin)
+    cause = named(candidate.variant.cause, library)
+    statement = f"{cause.meaning} ({candidate.variant.form}){_clock(candidate)}"
+    parameters = _parameters(candidate, stages, known)
+    notes = reservations(cause.event, seen_once(candidate), parameters)
+    sure = confidence(candidate, margin)
     if VAGUE in notes:
         sure = min(sure, ONCE_AT_MOST)
     if {ONCE, EVENT} & set(notes):
         gain = None
     return CauseFound(
         cause=cause.name,
-        form=trial.variant.form,
+        form=candidate.variant.form,
         confidence=sure,
         margin=margin,
         statement="; ".join((statement, *notes)),
         parameters=parameters,
-        settings=dict(trial.variant.settings),
-        evidence=evidence(scene, trial, tried),
+        settings=dict(candidate.variant.settings),
+        evidence=evidence(baseline, candidate, tried),
         gain=gain,
         ambiguous_with=tuple(t.variant.cause for t in rivals),
         separate_by=cause.separate_by,
-        remedy=_remedy(cause, trial),
+        remedy=_remedy(cause, candidate),
     )
 
 
@@ -112,20 +112,20 @@ def vague(parameters: Mapping[str, CauseParameter]) -> bool:
     return bool(amplitudes) and all(lower <= null <= upper for lower, null, upper in amplitudes)
 
 
-def _clock(trial: Trial) -> str:
+def _clock(candidate: Candidate) -> str:
     """By how much a clock is off, and against which other one where there are but two."""
-    shift = trial.variant.shift
+    shift = candidate.variant.shift
     if shift is None:
         return ""
     minutes, late = abs(shift.seconds) / 60.0, "late" if shift.seconds < 0.0 else "early"
-    other = trial.variant.settings.get("relative_to")
+    other = candidate.variant.settings.get("relative_to")
     against = f" against {other}, or those of {other} as much the other way" if other else ""
     return f": its stamps are {minutes:.3g} min {late}{against}"
 
 
-def _remedy(cause: Cause, trial: Trial) -> str:
+def _remedy(cause: Cause, candidate: Candidate) -> str:
     """What to check, and for a constant error of a clock the line that corrects it until then."""
-    shift = trial.variant.shift
+    shift = candidate.variant.shift
     if shift is None or shift.summer:
         return cause.remedy
     line = f'clock_correction = "{shift.seconds / 60.0:+.4g}min"'
@@ -133,27 +133,29 @@ def _remedy(cause: Cause, trial: Trial) -> str:
     return f"{cause.remedy}; until then write {line} {place}, added to a correction that already stands there"
 
 
-def confidence(trial: Trial, margin: float) -> float:
+def confidence(candidate: Candidate, margin: float) -> float:
     """Probability [1] that the cause, or one of its class, is the right name.
 
     margin: [1] share of its evidence by which the best cause outside its class stays behind.  Logistic in the
     margin and the lasting gain of the free run.
     """
     score = WEIGHTS["level"] + WEIGHTS["margin"] * min(max(margin, -1.0), 1.0)
-    score += WEIGHTS["lasting"] * min(max(trial.best_lasting, 0.0), 0.5)
+    score += WEIGHTS["lasting"] * min(max(candidate.best_lasting, 0.0), 0.5)
     found = 1.0 / (1.0 + math.exp(-score))
-    return min(found, ONCE_AT_MOST) if seen_once(trial) else found
+    return min(found, ONCE_AT_MOST) if seen_once(candidate) else found
 
 
-def seen_once(trial: Trial) -> bool:
+def seen_once(candidate: Candidate) -> bool:
     """Whether one episode, or one window alone, speaks for the cause."""
-    return trial.once or len(trial.variant.settings.get("spans", (1, 2))) == 1
+    return candidate.once or len(candidate.variant.settings.get("spans", (1, 2))) == 1
 
 
-def _parameters(trial: Trial, stages: Sequence[Stage], known: Collection[str]) -> dict[str, CauseParameter]:
+def _parameters(
+    candidate: Candidate, stages: Sequence[Stage], known: Collection[str]
+) -> dict[str, CauseParameter]:
     """The cause's own parameters in the extended model, with bounds; `known` those of the base model."""
-    names = added(trial.variant)
-    altered = {name for changes in trial.variant.altered.values() for name in changes}
+    names = added(candidate.variant)
+    altered = {name for changes in candidate.variant.altered.values() for name in changes}
     found = {}
     for stage in stages:
         for mechanism in stage.base.model.mechanisms:

@@ -24,7 +24,7 @@ from hygrokf.discovery.residuals import (
     run_lengths,
 )
 from hygrokf.discovery.significance import Null, Prewhitened, benjamini_hochberg, centred, largest_p, linear_p
-from hygrokf.discovery.strata import Condition, conditions, dummies
+from hygrokf.discovery.strata import Stratum, dummies, strata
 
 LEVEL = 0.05
 MATERIAL = 0.2
@@ -79,7 +79,7 @@ class _State:
     told: list[tuple[np.ndarray, float]] = field(default_factory=list)
 
 
-def _answers(state: _State, asked: Sequence[Condition], step_h: float) -> list[_Answer]:
+def _answers(state: _State, asked: Sequence[Stratum], step_h: float) -> list[_Answer]:
     """Every condition is asked of the free run, of the innovations and, where it sets in sharply, free of
     memory."""
     views = [Null.of(state.error, step_h)]
@@ -116,7 +116,7 @@ def _answers(state: _State, asked: Sequence[Condition], step_h: float) -> list[_
     return result
 
 
-def _adjusted(answers: Mapping[str, Sequence[_Answer]], asked: Sequence[Condition]) -> dict[str, np.ndarray]:
+def _adjusted(answers: Mapping[str, Sequence[_Answer]], asked: Sequence[Stratum]) -> dict[str, np.ndarray]:
     """q (J,) by quantity: groups of conditions have equal shares of the level."""
     groups = [one.group for one in asked]
     weights = np.array([1.0 / groups.count(group) for group in groups])
@@ -139,7 +139,7 @@ def findings(residuals: Residuals, level: float = LEVEL) -> list[Finding]:
     A quantity with errors in fewer than 72 hours has no misfits.
     """
     hours = hourly(residuals)
-    asked = conditions(hours)
+    asked = strata(hours)
     states = {
         quantity: _State(
             hours.error[quantity].copy(),
@@ -186,24 +186,24 @@ def _told(
     hours: Hours,
     quantity: str,
     state: _State,
-    asked: Sequence[Condition],
+    asked: Sequence[Stratum],
     number: int,
     answer: _Answer,
     q: float,
 ) -> Finding | None:
     """The misfit in numbers and words, taken out of the state; None where it is immaterial or told
     already."""
-    condition = _strongest(asked[number], asked, state.error)
-    if condition.law == "change":
-        condition = _since(residuals, hours, quantity, condition, answer)
+    stratum = _strongest(asked[number], asked, state.error)
+    if stratum.law == "change":
+        stratum = _since(residuals, hours, quantity, stratum, answer)
     error = state.error
     known = np.isfinite(error)
-    worst = condition.worst(error)
+    worst = stratum.worst(error)
     if worst is None:
         return None
     first, last, inside = worst
     under = known & inside
-    elsewhere = float(error[known & ~inside & (condition.bins >= 0)].mean())
+    elsewhere = float(error[known & ~inside & (stratum.bins >= 0)].mean())
     size = float(error[under].mean()) - elsewhere
     if answer.step is not None:
         least = LASTING if answer.step.clear else 2.0 * LASTING
@@ -211,7 +211,7 @@ def _told(
             return None
         size = answer.step.size
     if answer.sharp:
-        sudden = Prewhitened.of(error).size(condition.basis[:, 0])
+        sudden = Prewhitened.of(error).size(stratum.basis[:, 0])
         if sudden * size <= 0:
             return None
         size = sudden
@@ -226,25 +226,25 @@ def _told(
     means = np.array([float(error[a:b][under[a:b]].mean()) - elsewhere for a, b in episodes])
     seen = int((means * np.sign(size) >= SEEN * abs(size)).sum())
     duration = math.nan
-    if condition.kind == "episode":
+    if stratum.kind == "episode":
         duration = duration_h(np.sign(size) * (error - elsewhere), episodes, hours.step_h)
-    where, when = condition.phrase(first, last)
-    curve = condition.curve(error, hours.step_h)
+    where, when = stratum.phrase(first, last)
+    curve = stratum.curve(error, hours.step_h)
     state.told.append((inside, size))
     if answer.sharp:
-        state.error = error - size * condition.basis[:, 0]
+        state.error = error - size * stratum.basis[:, 0]
     _take_out(
         state,
-        condition,
-        [one for one in asked if one.driver == condition.driver and one.driver],
+        stratum,
+        [one for one in asked if one.driver == stratum.driver and one.driver],
         answer.sharp,
     )
-    if answer.step is not None or condition.kind == "step":
+    if answer.step is not None or stratum.kind == "step":
         state.step = None
     sign = "too low" if size > 0 else "too high"
     made = Finding(
         quantity, where, when, abs(size), UNITS[quantity], sign, duration, seen, len(episodes), share, "",
-        answer.p, q, condition.driver or None, condition.kind, curve,
+        answer.p, q, stratum.driver or None, stratum.kind, curve,
         tuple(
             (float(hours.time_s[a] - 1800.0 * hours.step_h),
                 float(hours.time_s[b - 1] + 1800.0 * hours.step_h))
@@ -254,11 +254,11 @@ def _told(
     return replace(made, statement=_statement(made, sensors))
 
 
-def _strongest(condition: Condition, asked: Sequence[Condition], error: np.ndarray) -> Condition:
+def _strongest(stratum: Stratum, asked: Sequence[Stratum], error: np.ndarray) -> Stratum:
     """Of all ways in which an error may go with a driver the one whose bins explain most of it."""
-    if not condition.driver:
-        return condition
-    kin = [one for one in asked if one.driver == condition.driver]
+    if not stratum.driver:
+        return stratum
+    kin = [one for one in asked if one.driver == stratum.driver]
     return max((part for one in kin for part in one.columns or (one,)), key=lambda one: one.explained(error))
 
 
@@ -283,9 +283,7 @@ def _rms(values: np.ndarray) -> float:
     return float(np.sqrt(np.mean(there**2))) if len(there) else 0.0
 
 
-def _since(
-    residuals: Residuals, hours: Hours, quantity: str, condition: Condition, answer: _Answer
-) -> Condition:
+def _since(residuals: Residuals, hours: Hours, quantity: str, stratum: Stratum, answer: _Answer) -> Stratum:
     """The step at its date as a condition: after it, against before."""
     if answer.step is None:
         date = hours.start_s + 3600.0 * hours.step_h * answer.date
@@ -295,20 +293,20 @@ def _since(
         date = start + step * answer.step.place
         words = f"since {datetime.fromtimestamp(date, UTC):%-d %B %Y %H:%M} UTC"
     after = hours.time_s >= date
-    return Condition(
+    return Stratum(
         "step", "", after[:, None].astype(float), np.where(after, 0, 1), hours.time_s, lambda a,
         b: ("", words),
         "date", flag=True,
     )  # fmt: skip
 
 
-def _take_out(state: _State, condition: Condition, kin: Sequence[Condition], kept: bool) -> None:
+def _take_out(state: _State, stratum: Stratum, kin: Sequence[Stratum], kept: bool) -> None:
     """What the condition, and its driver in any other way, explains leaves the errors, unless they are to be
     kept.
 
     From the innovations goes also what the changes of these explain.
     """
-    basis = np.column_stack([condition.basis, dummies(condition.bins), *(one.basis for one in kin)])
+    basis = np.column_stack([stratum.basis, dummies(stratum.bins), *(one.basis for one in kin)])
     changes = np.vstack([np.zeros((1, basis.shape[1])), np.diff(np.nan_to_num(basis), axis=0)])
     for name, columns in (("error", basis), ("innovation", np.column_stack([basis, changes]))):
         if kept and name == "error":

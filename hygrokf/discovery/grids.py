@@ -12,7 +12,7 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.baseline import Part, Scene
+from hygrokf.discovery.baseline import Baseline, Part
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.scan import Scanned, scan, slow_scan
 from hygrokf.modelling.derived_inputs import feature
@@ -67,7 +67,7 @@ class Probe:
 
 
 def best_date(
-    scene: Scene,
+    baseline: Baseline,
     feature: str,
     probes: Sequence[Probe],
     more: Sequence[float] = (),
@@ -80,15 +80,15 @@ def best_date(
     `more` dates [s] that are looked at exactly; `days` in which the change takes place, for features that
     have such; `sudden` for one whose beginning is a jump, which is dated to minutes.
     """
-    spacing, step = _spaced(scene.record, 1.0)
+    spacing, step = _spaced(baseline.record, 1.0)
     searched = 0.0
 
     def asked_for(look: Look, settings: Sequence[Settings]) -> Settings:
         nonlocal searched
         looks = [
-            look(scene.parts[one.part], one.mechanism, one.parameter, feature, settings, one.nulls)
+            look(baseline.parts[one.part], one.mechanism, one.parameter, feature, settings, one.nulls)
             for one in probes
-            if one.part in scene.parts
+            if one.part in baseline.parts
         ]
         scanned = functools.reduce(operator.add, looks)
         searched += scanned.effective
@@ -106,7 +106,9 @@ def best_date(
     return found, searched
 
 
-def best_hours(scene: Scene, probes: Sequence[Probe], name: str = "scheduled") -> tuple[Settings, float]:
+def best_hours(
+    baseline: Baseline, probes: Sequence[Probe], name: str = "scheduled"
+) -> tuple[Settings, float]:
     """(settings of a feature `name` like `scheduled`, effective number searched): the hours of the day, or of
     workdays, in which the parts' score statistics ask most for more of an effect.
     """
@@ -120,9 +122,9 @@ def best_hours(scene: Scene, probes: Sequence[Probe], name: str = "scheduled") -
             rows = 24 * kind + (start + np.arange(long)) % 24
             sums[rows, kind * len(windows) + column] = 1.0
     looks = [
-        scan(scene.parts[one.part], one.mechanism, one.parameter, name, hours, one.nulls, sums)
+        scan(baseline.parts[one.part], one.mechanism, one.parameter, name, hours, one.nulls, sums)
         for one in probes
-        if one.part in scene.parts
+        if one.part in baseline.parts
     ]
     wanted = np.minimum.reduce([np.sign(one.root) for one in looks])
     scanned = functools.reduce(operator.add, looks)
@@ -131,28 +133,32 @@ def best_hours(scene: Scene, probes: Sequence[Probe], name: str = "scheduled") -
     return {"start_h": float(start), "hours": float(long), "workdays": bool(kind)}, scanned.effective
 
 
-def inside(scene: Scene, name: str) -> np.ndarray:
+def inside(baseline: Baseline, name: str) -> np.ndarray:
     """Readings of a signal in the cabinet, NaN left out."""
-    value = scene.record[name].value
+    value = baseline.record[name].value
     return value[np.isfinite(value)]
 
 
 def best_switch(
-    scene: Scene, feature: str, probes: Sequence[Probe], grid: Sequence[Settings], steps: Mapping[str, float]
+    baseline: Baseline,
+    feature: str,
+    probes: Sequence[Probe],
+    grid: Sequence[Settings],
+    steps: Mapping[str, float],
 ) -> tuple[Settings, float] | None:
     """(setting of a controller that the parts' score statistics ask for most, effective number searched).
 
     grid: settings with two bounds each, numbers; refined twice by `steps`, of a setting's `reads` or of any.
     None where no setting lets the controller start often enough.
     """
-    probes = [one for one in probes if one.part in scene.parts]
+    probes = [one for one in probes if one.part in baseline.parts]
     searched, best, chosen = 0.0, -math.inf, grid[0]
     for factor in (1.0, 0.4, 0.0):
-        grid = [one for one in grid if starts(scene.parts[probes[0].part], feature, one) >= FEWEST_STARTS]
+        grid = [one for one in grid if starts(baseline.parts[probes[0].part], feature, one) >= FEWEST_STARTS]
         if not grid:
             break
         looks = [
-            scan(scene.parts[one.part], one.mechanism, one.parameter, feature, grid, one.nulls)
+            scan(baseline.parts[one.part], one.mechanism, one.parameter, feature, grid, one.nulls)
             for one in probes
         ]
         scanned = functools.reduce(operator.add, looks)
@@ -177,5 +183,5 @@ def starts(part: Part, name: str, settings: Settings) -> int:
     return int(np.sum(on[1:] & ~on[:-1]))
 
 
-def span(scene: Scene) -> dict[str, float]:
-    return {"start_s": float(scene.record.start_s), "end_s": float(scene.record.end_s)}
+def span(baseline: Baseline) -> dict[str, float]:
+    return {"start_s": float(baseline.record.start_s), "end_s": float(baseline.record.end_s)}

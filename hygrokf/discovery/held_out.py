@@ -16,11 +16,11 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.baseline import HYGRIC, SIMULATION_STEP, THERMAL, Part, Scene, simulating
-from hygrokf.discovery.candidate import Trial, added, attempt, started
+from hygrokf.discovery.baseline import HYGRIC, SIMULATION_STEP, THERMAL, Baseline, Part, simulating
+from hygrokf.discovery.candidate import Candidate, added, attempt, started
 from hygrokf.discovery.clocks import cabinet_moved, shifted
 from hygrokf.discovery.discovery_results import Gain
-from hygrokf.discovery.model_selection import WORSE, Choice, with_trial
+from hygrokf.discovery.model_selection import WORSE, Selection, with_candidate
 from hygrokf.evaluation.bootstrap import resampled
 from hygrokf.evaluation.simulation import QUANTITIES, measured, simulate
 from hygrokf.modelling.design import merged
@@ -72,12 +72,12 @@ class Model:
 @dataclass(frozen=True)
 class Judged:
     """A choice without the causes that the held-out period refutes, those with their (negative) gain, and
-    `scenes` and `models` without any cause, with the first, with the first two, …
+    `baselines` and `models` without any cause, with the first, with the first two, …
     """
 
-    choice: Choice
-    refuted: tuple[tuple[Trial, Gain], ...]
-    scenes: tuple[Scene, ...]
+    selection: Selection
+    refuted: tuple[tuple[Candidate, Gain], ...]
+    baselines: tuple[Baseline, ...]
     models: tuple[Model, ...]
 
     @property
@@ -85,8 +85,8 @@ class Judged:
         """What each accepted cause gains in its own quantity beside those before it."""
         pairs = zip(self.models[:-1], self.models[1:], strict=True)
         return [
-            gain_of(quantity_of(trial), *pair)
-            for trial, pair in zip(self.choice.accepted, pairs, strict=True)
+            gain_of(quantity_of(candidate), *pair)
+            for candidate, pair in zip(self.selection.accepted, pairs, strict=True)
         ]
 
     def ending(self, last: Model) -> Judged:
@@ -96,30 +96,30 @@ class Judged:
         gain = ended.gains[-1]
         if not refutes(gain):
             return ended
-        trial = self.choice.accepted[-1]
-        choice = replace(
-            self.choice,
-            accepted=self.choice.accepted[:-1],
-            rivals=self.choice.rivals[:-1],
-            margins=self.choice.margins[:-1],
-            rejected=((trial, refutation(gain)), *self.choice.rejected),
-            scene=self.scenes[-2],
+        candidate = self.selection.accepted[-1]
+        selection = replace(
+            self.selection,
+            accepted=self.selection.accepted[:-1],
+            rivals=self.selection.rivals[:-1],
+            margins=self.selection.margins[:-1],
+            rejected=((candidate, refutation(gain)), *self.selection.rejected),
+            baseline=self.baselines[-2],
         )
-        return Judged(choice, ((trial, gain), *self.refuted), self.scenes[:-1], self.models[:-1])
+        return Judged(selection, ((candidate, gain), *self.refuted), self.baselines[:-1], self.models[:-1])
 
 
-def quantity_of(trial: Trial) -> str:
+def quantity_of(candidate: Candidate) -> str:
     """The quantity whose free run a cause gains most in: its own."""
-    return QUANTITY.get(trial.part, QUANTITY[THERMAL])
+    return QUANTITY.get(candidate.part, QUANTITY[THERMAL])
 
 
-def model_of(scene: Scene, record: Record, trials: Sequence[Trial] = ()) -> Model:
-    """A scene's model on the whole record, whose clocks are corrected as its trials say."""
-    shifts = [trial.variant.shift for trial in trials if trial.variant.shift is not None]
+def model_of(baseline: Baseline, record: Record, candidates: Sequence[Candidate] = ()) -> Model:
+    """A baseline's model on the whole record, whose clocks are corrected as its candidates say."""
+    shifts = [candidate.variant.shift for candidate in candidates if candidate.variant.shift is not None]
     corrected = record
     for shift in shifts:
         corrected = shifted(corrected, shift)
-    design = merged([part.base for part in scene.parts.values()])
+    design = merged([part.base for part in baseline.parts.values()])
     made = prepare_run(design, corrected)
     seconds = made.timeline.origin_s + 3600.0 * made.timeline.time - cabinet_moved(record, shifts)
     readings = measured(made)
@@ -138,7 +138,7 @@ def model_of(scene: Scene, record: Record, trials: Sequence[Trial] = ()) -> Mode
                 errors[quantity] = (seconds[there], error[there])
         return Simulated(errors, math.inf if record.until_s is None else record.until_s)
 
-    parts = scene.parts.values()
+    parts = baseline.parts.values()
     as_it_is = {name: value for part in parts for name, value in part.values.items()}
     toward = {name: value for part in parts for name, value in simulating(part).items()}
     return Model(simulated(as_it_is), simulated(toward))
@@ -187,55 +187,56 @@ def difference_bounds(
 
 def refutes(gain: Gain) -> bool:
     """Whether the held-out period is simulated worse: materially, as in the identification period
-    (`choice.WORSE`), and with 95 % bounds that exclude a gain.  The bounds know nothing of how the other
-    parameters were estimated anew.
+    (`model_selection.WORSE`), and with 95 % bounds that exclude a gain.  The bounds know nothing of how the
+    other parameters were estimated anew.
     """
     if gain.period != "validation" or not math.isfinite(gain.upper):
         return False
     return gain.upper < 0.0 and gain.rmse_after**2 > (1.0 - WORSE) * gain.rmse_before**2
 
 
-def judged(base: Scene, choice: Choice, record: Record) -> Judged:
+def judged(base: Baseline, selection: Selection, record: Record) -> Judged:
     """The choice without the causes under which the held-out error of their own quantity grows beyond its
     uncertainty.
 
     Those after a refuted one are estimated again without it.
     """
-    if not choice.accepted:
-        return Judged(choice, (), (), ())
+    if not selection.accepted:
+        return Judged(selection, (), (), ())
     kept: list[int] = []
-    refuted: list[tuple[Trial, Gain]] = []
-    scenes, models = [base], [model_of(base, record)]
-    for place, trial in enumerate(choice.accepted):
-        whole = place == len(choice.accepted) - 1 and not refuted
-        wider = choice.scene if whole else _with(scenes[-1], trial)
-        after = model_of(wider, record, [choice.accepted[i] for i in (*kept, place)])
-        gain = gain_of(quantity_of(trial), models[-1], after)
+    refuted: list[tuple[Candidate, Gain]] = []
+    baselines, models = [base], [model_of(base, record)]
+    for place, candidate in enumerate(selection.accepted):
+        whole = place == len(selection.accepted) - 1 and not refuted
+        wider = selection.baseline if whole else _with(baselines[-1], candidate)
+        after = model_of(wider, record, [selection.accepted[i] for i in (*kept, place)])
+        gain = gain_of(quantity_of(candidate), models[-1], after)
         if refutes(gain):
-            refuted.append((trial, gain))
+            refuted.append((candidate, gain))
         else:
             kept.append(place)
             models.append(after)
-            scenes.append(wider)
+            baselines.append(wider)
     without = replace(
-        choice,
-        accepted=tuple(choice.accepted[i] for i in kept),
-        rivals=tuple(choice.rivals[i] for i in kept),
-        margins=tuple(choice.margins[i] for i in kept),
-        rejected=(*((trial, refutation(gain)) for trial, gain in refuted), *choice.rejected),
-        scene=scenes[-1],
+        selection,
+        accepted=tuple(selection.accepted[i] for i in kept),
+        rivals=tuple(selection.rivals[i] for i in kept),
+        margins=tuple(selection.margins[i] for i in kept),
+        rejected=(*((candidate, refutation(gain)) for candidate, gain in refuted), *selection.rejected),
+        baseline=baselines[-1],
     )
-    return Judged(without, tuple(refuted), tuple(scenes), tuple(models))
+    return Judged(without, tuple(refuted), tuple(baselines), tuple(models))
 
 
-def _with(scene: Scene, trial: Trial) -> Scene:
-    """A scene with a cause that was accepted in another one; as it was estimated there where all else was the
-    same."""
-    same = trial.variant.shift is None and all(
-        part.record is scene.parts[name].record and _added(part, scene.parts[name]) == added(trial.variant)
-        for name, part in trial.parts.items()
+def _with(baseline: Baseline, candidate: Candidate) -> Baseline:
+    """A baseline with a cause that was accepted in another one; as it was estimated there where all else was
+    the same."""
+    same = candidate.variant.shift is None and all(
+        part.record is baseline.parts[name].record
+        and _added(part, baseline.parts[name]) == added(candidate.variant)
+        for name, part in candidate.parts.items()
     )
-    return with_trial(scene, trial if same else attempt(scene, started(scene, trial)))
+    return with_candidate(baseline, candidate if same else attempt(baseline, started(baseline, candidate)))
 
 
 def _added(wider: Part, part: Part) -> set[str]:

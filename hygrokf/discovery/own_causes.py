@@ -20,7 +20,7 @@ from types import ModuleType
 from typing import Any
 
 from hygrokf.data.ambient import ambient_absolute_humidity
-from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene
+from hygrokf.discovery.baseline import HYGRIC, THERMAL, Baseline
 from hygrokf.discovery.cause import Additions, Cause, Variant
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.library import LIBRARY
@@ -85,9 +85,9 @@ def cause_of(
     settings = {key: dict(value) if isinstance(value, Mapping) else {} for key, value in features.items()}
     first = (starts,) if isinstance(starts, Mapping) else tuple(starts)
 
-    def variants(scene: Scene) -> list[Variant]:
-        there = {part: one for part, one in made.items() if part in scene.parts}
-        if any(_lacking(scene, part, one, settings, needs) for part, one in there.items()) or not there:
+    def variants(baseline: Baseline) -> list[Variant]:
+        there = {part: one for part, one in made.items() if part in baseline.parts}
+        if any(_lacking(baseline, part, one, settings, needs) for part, one in there.items()) or not there:
             return []
         additions: Additions = {part: ((one.name, {}),) for part, one in there.items()}
         return [Variant(name, "as given", additions, settings, first or ({},))]
@@ -100,7 +100,7 @@ def cause_of(
 
 
 def _lacking(
-    scene: Scene,
+    baseline: Baseline,
     part: str,
     mechanism: Mechanism,
     features: Mapping[str, Settings],
@@ -110,10 +110,10 @@ def _lacking(
     there = {
         *ALWAYS,
         *features,
-        *scene.record.signals,
-        *scene.parts[part].base.model.inputs,
+        *baseline.record.signals,
+        *baseline.parts[part].base.model.inputs,
     }
-    if ambient_absolute_humidity(scene.record) is not None:
+    if ambient_absolute_humidity(baseline.record) is not None:
         there.add("ambient_absolute_humidity")
     return {*mechanism.inputs, *needs} - there
 

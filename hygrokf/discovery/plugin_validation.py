@@ -21,7 +21,7 @@ import numpy as np
 
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import SIGNALS
-from hygrokf.discovery.baseline import HYGRIC, THERMAL, Part, Scene
+from hygrokf.discovery.baseline import HYGRIC, THERMAL, Baseline, Part
 from hygrokf.discovery.cause import Cause, Variant
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.library import LIBRARY
@@ -51,7 +51,7 @@ _RANGES: Mapping[str, tuple[float, float]] = {
 """Range of a signal of the trial record, by its name or its unit [SI unit]."""
 
 
-# -- a scene to try causes in --------------------------------------------------------------------------------
+# -- a record to try causes on ------------------------------------------------------------------------------
 def trial_record() -> Record:
     """A record with every signal: sines of many periods in ordinary ranges.
 
@@ -75,8 +75,8 @@ def trial_record() -> Record:
 
 
 @lru_cache(maxsize=1)
-def trial_scene() -> Scene:
-    """Both parts of the base model on the trial record, at their start values: nothing is estimated."""
+def trial_scene() -> Baseline:
+    """Both parts of the base model on the candidate record, at their start values: nothing is estimated."""
     record = trial_record()
     parts = {}
     for name, kind in ((THERMAL, THERMAL), (HYGRIC, CASCADE)):
@@ -88,7 +88,7 @@ def trial_scene() -> Scene:
             objective=Likelihood(base.model, made.timeline).value(values), converged=True,
             error=np.zeros(len(made.timeline)),
         )  # fmt: skip
-    return Scene(record, parts)
+    return Baseline(record, parts)
 
 
 # -- faults, before anything is taken into the tables --------------------------------------------------------
@@ -177,10 +177,10 @@ def _package_names() -> frozenset[str]:
 
 # -- faults of its variants, with its mechanisms in the tables -----------------------------------------------
 def variant_faults(cause: Cause) -> list[str]:
-    """What is wrong with a cause's variants in the trial scene: names, starts, equations, nesting."""
-    scene = trial_scene()
+    """What is wrong with a cause's variants in the candidate baseline: names, starts, equations, nesting."""
+    baseline = trial_scene()
     try:
-        variants = list(cause.variants(scene))
+        variants = list(cause.variants(baseline))
     except Exception as fault:
         return [f"variants fails on a record with every signal: {told(fault)}"]
     if not variants:
@@ -192,14 +192,14 @@ def variant_faults(cause: Cause) -> list[str]:
         if not isinstance(variant, Variant) or variant.cause != cause.name:
             faults.append(f"variants: expected Variant objects of the cause {cause.name}, found {variant!r}")
         else:
-            faults += [f"variant {variant.form!r}: {fault}" for fault in _faults_of(variant, scene)]
+            faults += [f"variant {variant.form!r}: {fault}" for fault in _faults_of(variant, baseline)]
     return list(dict.fromkeys(faults))
 
 
-def _faults_of(variant: Variant, scene: Scene) -> list[str]:
+def _faults_of(variant: Variant, baseline: Baseline) -> list[str]:
     faults = [f"feature {fault}" for fault in feature_faults(variant.features)]
     for part, pairs in variant.additions.items():
-        if part not in scene.parts:
+        if part not in baseline.parts:
             faults.append(f"part {part!r}: expected {THERMAL} or {HYGRIC}")
         faults += [
             f"unknown mechanism {name!r}: name one of the package, or add it to the cause's mechanisms"
@@ -211,13 +211,13 @@ def _faults_of(variant: Variant, scene: Scene) -> list[str]:
     names: set[str] = set()
     for part, pairs in variant.additions.items():
         try:
-            names |= _nested(scene.parts[part], pairs, variant.features)
+            names |= _nested(baseline.parts[part], pairs, variant.features)
         except _Unnested as fault:
             faults.append(f"{part} part: {fault}")
         except Exception as fault:
             faults.append(f"{part} part: {told(fault)}")
     if not faults:
-        known = names | {name for part in scene.parts.values() for name in part.values}
+        known = names | {name for part in baseline.parts.values() for name in part.values}
         unknown = sorted({name for start in variant.starts for name in start} - known)
         if unknown:
             faults.append(

@@ -14,13 +14,13 @@ from hygrokf.discovery.baseline import (
     SEARCH_STEP,
     SIMULATION_STEP,
     THERMAL,
-    Scene,
+    Baseline,
     part_of,
     searching,
     simulating,
 )
 from hygrokf.discovery.budget import SECONDS, Budget
-from hygrokf.discovery.candidate import Trial
+from hygrokf.discovery.candidate import Candidate
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.clocks import shifted
 from hygrokf.discovery.discovery_results import (
@@ -35,7 +35,7 @@ from hygrokf.discovery.discovery_results import (
 from hygrokf.discovery.evidence import cause_entry, evidence
 from hygrokf.discovery.findings import findings
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.model_selection import Choice, choose, switches
+from hygrokf.discovery.model_selection import Selection, select, switches
 from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.repeats import REPEATED, repeated_text, without_repeats
 from hygrokf.discovery.residual_structure import remaining
@@ -119,7 +119,7 @@ def discover(
     simulated = output_errors(early, basis.whole, basis.values)
     base = assembled(record, basis, simulated, say=say)
     names = (THERMAL, HYGRIC)[: len(basis.stages)]
-    scene = Scene(
+    baseline = Baseline(
         early,
         {
             name: part_of(name, driven, Estimated(stage.base, stage.run, stage.estimate))
@@ -128,53 +128,53 @@ def discover(
         budget,
     )
     say("base model as a simulator")
-    simulator = assembled(record, _simulating(basis, scene), simulated, say=say)
-    choice = choose(scene, library, say)
-    scene = replace(scene, budget=Budget())
-    if choice.accepted:
+    simulator = assembled(record, _simulating(basis, baseline), simulated, say=say)
+    selection = select(baseline, library, say)
+    baseline = replace(baseline, budget=Budget())
+    if selection.accepted:
         say("held-out period")
-    tested = held_out.judged(scene, choice, record)
+    tested = held_out.judged(baseline, selection, record)
     wider, extended, simulator_after = basis, None, simulator
-    while tested.choice.accepted:
+    while tested.selection.accepted:
         say("extended model")
-        choice = tested.choice
-        wider = replace(basis, stages=_stages(basis, choice, not budget.spent, say))
-        ended = held_out.model_of(_ended(choice.scene, wider.stages), record, choice.accepted)
+        selection = tested.selection
+        wider = replace(basis, stages=_stages(basis, selection, not budget.spent, say))
+        ended = held_out.model_of(_ended(selection.baseline, wider.stages), record, selection.accepted)
         tested = tested.ending(ended)
-        if tested.choice is choice:
+        if tested.selection is selection:
             break
-    choice, moved = tested.choice, record
-    if choice.accepted:
-        for trial in choice.accepted:
-            if trial.variant.shift is not None:
-                moved = shifted(moved, trial.variant.shift)
+    selection, moved = tested.selection, record
+    if selection.accepted:
+        for candidate in selection.accepted:
+            if candidate.variant.shift is not None:
+                moved = shifted(moved, candidate.variant.shift)
         extended = assembled(moved, wider, {}, say=say, rate_step=SIMULATION_STEP)
-        simulating = _simulating(wider, choice.scene)
+        simulating = _simulating(wider, selection.baseline)
         simulator_after = assembled(moved, simulating, {}, say=say, rate_step=SIMULATION_STEP)
-    stages = wider.stages if choice.accepted else basis.stages
+    stages = wider.stages if selection.accepted else basis.stages
     say("what is left")
     before = residuals(base, record)
     after = before if extended is None else residuals(extended, moved)
     left = remaining((after, residuals(simulator_after, moved)))
-    results = _results(scene, before, left, base, extended, tested, stages, library, repeated, budget_s)
+    results = _results(baseline, before, left, base, extended, tested, stages, library, repeated, budget_s)
     return Discovery(base, extended, results, before, after if extended is not None else None)
 
 
-def _simulating(basis: Basis, scene: Scene) -> Basis:
+def _simulating(basis: Basis, baseline: Baseline) -> Basis:
     """The basis with parameters moved toward the least free-run error of each part."""
     stages = []
     for name, stage in zip((THERMAL, HYGRIC), basis.stages, strict=False):
-        values = simulating(replace(scene.parts[name], values=stage.estimate.values))
+        values = simulating(replace(baseline.parts[name], values=stage.estimate.values))
         stages.append(replace(stage, estimate=replace(stage.estimate, values=values)))
     return replace(basis, stages=tuple(stages))
 
 
-def _stages(basis: Basis, choice: Choice, profiles: bool, say: Progress) -> tuple[Stage, ...]:
+def _stages(basis: Basis, selection: Selection, profiles: bool, say: Progress) -> tuple[Stage, ...]:
     """The stages with the accepted causes in them, climbed to the end and judged, by `profiles` or Wald
     bounds."""
     found: list[Stage] = []
     for name, stage in zip((THERMAL, HYGRIC), basis.stages, strict=False):
-        part = choice.scene.parts[name]
+        part = selection.baseline.parts[name]
         if part.base is stage.base and part.record is basis.records[len(found)]:
             found.append(stage)
             continue
@@ -185,30 +185,30 @@ def _stages(basis: Basis, choice: Choice, profiles: bool, say: Progress) -> tupl
     return tuple(found)
 
 
-def _ended(scene: Scene, stages: Sequence[Stage]) -> Scene:
-    """The scene with its parts as the stages have them in the end."""
+def _ended(baseline: Baseline, stages: Sequence[Stage]) -> Baseline:
+    """The baseline with its parts as the stages have them in the end."""
     parts = {
         name: part_of(name, part.record, Estimated(stage.base, stage.run, stage.estimate))
-        for (name, part), stage in zip(scene.parts.items(), stages, strict=True)
+        for (name, part), stage in zip(baseline.parts.items(), stages, strict=True)
     }
-    return replace(scene, parts=parts)
+    return replace(baseline, parts=parts)
 
 
-def verdict(accepted: Sequence[Trial], rest: Remainder | None, foreign: bool, repeated: bool) -> Verdict:
+def verdict(accepted: Sequence[Candidate], rest: Remainder | None, foreign: bool, repeated: bool) -> Verdict:
     """`none`, `named` or `unexplained`.
 
     rest: structure that is left; foreign: whether nobody logs what makes it; repeated: whether readings were
     set aside.  Both overrule what was accepted, the first but for switches: simulated ones lose their phase,
     and what their cycles leave goes to one side too.
     """
-    overruled = repeated or (foreign and not any(switches(trial) for trial in accepted))
+    overruled = repeated or (foreign and not any(switches(candidate) for candidate in accepted))
     if accepted and not overruled:
         return "named"
     return "none" if rest is None else "unexplained"
 
 
 def _results(
-    scene: Scene,
+    baseline: Baseline,
     before: Residuals,
     left: tuple[Remainder | None, bool],
     base: Fit,
@@ -219,18 +219,18 @@ def _results(
     repeated: Mapping[str, list[tuple[float, float]]],
     budget_s: float,
 ) -> DiscoveryResults:
-    choice = tested.choice
+    selection = tested.selection
     rest, foreign = left
     if repeated:
         rest = Remainder("readings", REPEATED, repeated_text(repeated))
-    elif rest is None and tested.refuted and not choice.accepted:
+    elif rest is None and tested.refuted and not selection.accepted:
         rest = Remainder(tested.refuted[0][1].quantity, "refuted", REFUTED)
-    said = verdict(choice.accepted, rest, foreign, bool(repeated))
+    said = verdict(selection.accepted, rest, foreign, bool(repeated))
     known = {p.name for p in base.design.model.parameters}
     causes = [
-        cause_entry(scene, trial, rivals, margin, gain, known, stages, library, choice.tried)
-        for trial, rivals, margin, gain in zip(
-            choice.accepted, choice.rivals, choice.margins, tested.gains, strict=True
+        cause_entry(baseline, candidate, rivals, margin, gain, known, stages, library, selection.tried)
+        for candidate, rivals, margin, gain in zip(
+            selection.accepted, selection.rivals, selection.margins, tested.gains, strict=True
         )
     ]
     if said == "unexplained":
@@ -244,12 +244,12 @@ def _results(
         extended=None if extended is None else _scores(extended),
         causes=tuple(causes),
         rejected=tuple(
-            Rejected(t.variant.cause, t.variant.form, evidence(scene, t, choice.tried), reason)
-            for t, reason in choice.rejected
+            Rejected(t.variant.cause, t.variant.form, evidence(baseline, t, selection.tried), reason)
+            for t, reason in selection.rejected
         ),
         refuted=tuple(Refuted(t.variant.cause, t.variant.form, gain) for t, gain in tested.refuted),
         unexplained=rest,
-        not_tried=NotTried(tuple(choice.untried), choice.cut, budget_s),
+        not_tried=NotTried(tuple(selection.untried), selection.cut, budget_s),
         own_causes={cause.name: origins_of(cause) for cause in library if cause.mechanisms or cause.features},
         findings=tuple(findings(before)),
     )

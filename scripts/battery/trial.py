@@ -266,16 +266,16 @@ def gained(
 
 def _chosen(record: Record, truth: list[dict], starts: int | None) -> dict:
     """Scene and choice alone: no bounds, gains on the identification period."""
-    from hygrokf.discovery.baseline import rmse, scene
+    from hygrokf.discovery.baseline import baseline, rmse
     from hygrokf.discovery.evidence import confidence
-    from hygrokf.discovery.model_selection import choose
+    from hygrokf.discovery.model_selection import select
 
-    base = scene(record, **({} if starts is None else {"starts": starts}))
-    choice = choose(base)
+    base = baseline(record, **({} if starts is None else {"starts": starts}))
+    choice = select(base)
     for account in truth:
         part = PART.get(account.get("quantity", ""))
         if part in base.parts:
-            before, after = rmse(base.parts[part]), rmse(choice.scene.parts[part])
+            before, after = rmse(base.parts[part]), rmse(choice.baseline.parts[part])
             account |= gained(account, before, after, "identification", "errors of both models")
 
     def told(trial) -> dict:

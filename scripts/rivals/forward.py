@@ -14,10 +14,10 @@ from dataclasses import dataclass
 
 from scipy.stats import chi2
 
-from hygrokf.discovery.baseline import Scene
-from hygrokf.discovery.candidate import Trial, attempt
+from hygrokf.discovery.baseline import Baseline
+from hygrokf.discovery.candidate import Candidate, attempt
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.model_selection import with_trial
+from hygrokf.discovery.model_selection import with_candidate
 
 LEVEL = 0.05
 LIMIT_S = 45.0
@@ -26,45 +26,45 @@ LIMIT_S = 45.0
 
 @dataclass(frozen=True)
 class Search:
-    """Trials in the order in which they were added, the last scene, and why it ended: "p" or "time"."""
+    """Trials in the order in which they were added, the last baseline, and why it ended: "p" or "time"."""
 
-    added: tuple[Trial, ...]
-    scene: Scene
+    added: tuple[Candidate, ...]
+    baseline: Baseline
     ended: str
     tried: int
 
 
-def log_p(trial: Trial) -> float:
+def log_p(candidate: Candidate) -> float:
     """ln p of 2 Δ ln L by the χ² law of the parameters added; 0 where nothing was gained."""
-    if trial.lr <= 0.0 or not trial.parts:
+    if candidate.lr <= 0.0 or not candidate.parts:
         return 0.0
-    return float(chi2.logsf(trial.lr, trial.parameters))
+    return float(chi2.logsf(candidate.lr, candidate.parameters))
 
 
-def search(scene: Scene, spent_s: float = 0.0, limit_s: float = LIMIT_S) -> Search:
+def search(baseline: Baseline, spent_s: float = 0.0, limit_s: float = LIMIT_S) -> Search:
     """Add the mechanism of the smallest p while p < 0.05.
 
     spent_s: [s] that the base model took; of a round that the time cut short, the best of what was tried is
         still added.
     """
     begin = time.process_time() - spent_s
-    added: list[Trial] = []
+    added: list[Candidate] = []
     tried = 0
     while True:
-        trials, cut = [], False
-        known = {trial.variant.cause for trial in added}
+        candidates, cut = [], False
+        known = {candidate.variant.cause for candidate in added}
         for cause in LIBRARY:
             if cause.name in known:
                 continue
             if cut := time.process_time() - begin > limit_s:
                 break
-            for variant in cause.variants(scene):
-                trials.append(attempt(scene, variant))
-        tried += len(trials)
-        best = min(trials, key=lambda one: (log_p(one), -one.lr), default=None)
+            for variant in cause.variants(baseline):
+                candidates.append(attempt(baseline, variant))
+        tried += len(candidates)
+        best = min(candidates, key=lambda one: (log_p(one), -one.lr), default=None)
         if best is None or log_p(best) >= math.log(LEVEL):
-            return Search(tuple(added), scene, "time" if cut else "p", tried)
-        scene = with_trial(scene, best)
+            return Search(tuple(added), baseline, "time" if cut else "p", tried)
+        baseline = with_candidate(baseline, best)
         added.append(best)
         if cut:
-            return Search(tuple(added), scene, "time", tried)
+            return Search(tuple(added), baseline, "time", tried)

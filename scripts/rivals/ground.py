@@ -11,7 +11,7 @@ import numpy as np
 
 from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.data.record import Record, Series
-from hygrokf.discovery.baseline import HYGRIC, Scene, scene
+from hygrokf.discovery.baseline import HYGRIC, Baseline, baseline
 from hygrokf.discovery.held_out import Model, model_of
 from hygrokf.evaluation.simulation import measured
 from hygrokf.modelling.derived_inputs import clear_sky
@@ -36,13 +36,13 @@ DRIVERS = {
 
 @dataclass(frozen=True)
 class Ground:
-    """A record, its base model (`base`; `scene`) and what that took, its simulations (`model`), and the
+    """A record, its base model (`base`; `baseline`) and what that took, its simulations (`model`), and the
     readings by which every method is judged: quantity → (times [s], readings), those that the base model's
     free run is scored at.
     """
 
     record: Record
-    base: Scene
+    base: Baseline
     model: Model
     cpu_s: float
     readings: Mapping[str, tuple[np.ndarray, np.ndarray]]
@@ -69,7 +69,7 @@ class Ground:
 def ground(record: Record) -> Ground:
     """Identify the base model of a record and simulate it."""
     begin = time.process_time()
-    base = scene(record, starts=STARTS)
+    base = baseline(record, starts=STARTS)
     spent = time.process_time() - begin
     made = prepare_run(merged([part.base for part in base.parts.values()]), record)
     seconds = made.timeline.origin_s + 3600.0 * made.timeline.time

@@ -59,7 +59,7 @@ def forward(ground: Ground, options: Options) -> dict:
     found = search(ground.base, ground.cpu_s, options.limit_s)
     spent = time.process_time() - begin + ground.cpu_s
     after = (
-        ground.held_out(model_of(found.scene, ground.record, found.added))
+        ground.held_out(model_of(found.baseline, ground.record, found.added))
         if found.added
         else ground.held_out()
     )

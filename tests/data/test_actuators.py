@@ -25,7 +25,7 @@ from hygrokf.climate.region import driven
 from hygrokf.data.actuators import ACTUATORS, FEWEST_EACH_SIDE, actuators
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS
-from hygrokf.discovery.baseline import scene
+from hygrokf.discovery.baseline import baseline
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.identification.fit import Fit
 from hygrokf.live.plan import plan
@@ -237,7 +237,7 @@ def test_a_climate_has_actuators_off_or_as_the_power_s_record_has_them(all_logge
 
 def test_discovery_takes_what_is_logged_as_known() -> None:
     record, _, _ = actuated(41002, "heater_duty", "door_open", days=40.0)
-    found = scene(record.identification(), starts=1)
+    found = baseline(record.identification(), starts=1)
     assert {"heater_duty", "door_open"} <= set(found.parts["thermal"].base.model.inputs)
     assert "door_open" in found.parts["hygric"].base.model.inputs
     from hygrokf.discovery.causes_heat import door

@@ -1,4 +1,4 @@
-"""Which causes are accepted, on trials with numbers by hand."""
+"""Which causes are accepted, on candidates with numbers by hand."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from plants.hidden import hidden_plant
 
 from hygrokf.data.record import Record, Series
 from hygrokf.discovery import evidence, grids
-from hygrokf.discovery import model_selection as choice
-from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene, scene
+from hygrokf.discovery import model_selection as selection
+from hygrokf.discovery.baseline import HYGRIC, THERMAL, Baseline, baseline
 from hygrokf.discovery.candidate import (
-    Trial,
+    Candidate,
     attempt,
     ordinary_shift,
     refined,
@@ -28,7 +28,7 @@ from hygrokf.discovery.cause import Variant
 from hygrokf.discovery.clocks import Shift
 from hygrokf.discovery.discovery_results import CauseParameter
 from hygrokf.discovery.library import LIBRARY, named
-from hygrokf.discovery.model_selection import NO_BETTER, _reason, choose, verdict_on, with_trial
+from hygrokf.discovery.model_selection import NO_BETTER, _reason, select, verdict_on, with_candidate
 from hygrokf.discovery.procedure import verdict as verdict_of
 from hygrokf.evaluation.simulation import simulate
 from hygrokf.modelling.design import Design, extended, merged
@@ -45,15 +45,15 @@ def part_of(*mechanisms: Mechanism, converged: bool = True, **values: float) -> 
     return SimpleNamespace(base=base, values=values, converged=converged, n=5000)
 
 
-def trial(
+def candidate(
     cause: str,
     bic: float,
     lasting: float,
     part: str = HYGRIC,
     features: dict | None = None,
     converged: bool = True,
-) -> Trial:
-    return Trial(
+) -> Candidate:
+    return Candidate(
         Variant(cause, "by hand", features=features or {}, settings={"shift_s": 900.0, "ordinary_s": 240.0}),
         {part: part_of(converged=converged)},
         {part: bic + 20.0},
@@ -65,25 +65,25 @@ def trial(
     )
 
 
-def verdict(one: Trial) -> str:
+def verdict(one: Candidate) -> str:
     return verdict_on(one, named(one.variant.cause))
 
 
 def test_evidence_and_a_better_free_run_are_both_needed() -> None:
-    assert verdict(trial("moisture_sorption", 40.0, 0.2)) == ""
-    assert "does not pay" in verdict(trial("moisture_sorption", 9.0, 0.2))
-    assert "gains too little" in verdict(trial("moisture_sorption", 90.0, 0.04))
-    assert "free run worse" in verdict(trial("moisture_sorption", 900.0, -0.05))
-    assert "no likelihood" in verdict(trial("moisture_sorption", -30.0, 0.2))
-    assert verdict(trial("moisture_sorption", 40.0, 0.2, converged=False)) == ""
-    assert "no evidence" in verdict(trial("moisture_sorption", 5.0, 0.2, converged=False))
+    assert verdict(candidate("moisture_sorption", 40.0, 0.2)) == ""
+    assert "does not pay" in verdict(candidate("moisture_sorption", 9.0, 0.2))
+    assert "gains too little" in verdict(candidate("moisture_sorption", 90.0, 0.04))
+    assert "free run worse" in verdict(candidate("moisture_sorption", 900.0, -0.05))
+    assert "no likelihood" in verdict(candidate("moisture_sorption", -30.0, 0.2))
+    assert verdict(candidate("moisture_sorption", 40.0, 0.2, converged=False)) == ""
+    assert "no evidence" in verdict(candidate("moisture_sorption", 5.0, 0.2, converged=False))
 
 
 def test_overwhelming_evidence_needs_no_better_free_run() -> None:
     """Wind that carries a tenth of the exchange shows in every gust, and hardly in the mean."""
-    assert verdict(trial("wind_driven_exchange", 201.0, 0.01)) == ""
-    assert "gains too little" in verdict(trial("wind_driven_exchange", 199.0, 0.01))
-    assert "worse" in verdict(trial("wind_driven_exchange", 900.0, -0.03))
+    assert verdict(candidate("wind_driven_exchange", 201.0, 0.01)) == ""
+    assert "gains too little" in verdict(candidate("wind_driven_exchange", 199.0, 0.01))
+    assert "worse" in verdict(candidate("wind_driven_exchange", 900.0, -0.03))
 
 
 @pytest.mark.parametrize(
@@ -101,11 +101,11 @@ def test_overwhelming_evidence_needs_no_better_free_run() -> None:
 def test_a_sensor_that_is_off_beyond_what_is_possible_is_no_cause(
     mechanism: Mechanism, values: dict, beyond: bool
 ) -> None:
-    one = trial("humidity_sensor_drift", 900.0, 0.3)
+    one = candidate("humidity_sensor_drift", 900.0, 0.3)
     variant = replace(one.variant, additions={HYGRIC: ((mechanism.name, {}),)})
     one = replace(one, variant=variant, parts={HYGRIC: part_of(mechanism, **values)})
     assert ("physically possible" in verdict(one)) == beyond
-    assert not trial("humidity_sensor_drift", 900.0, 0.3).beyond
+    assert not candidate("humidity_sensor_drift", 900.0, 0.3).beyond
 
 
 @pytest.mark.parametrize(
@@ -115,13 +115,13 @@ def test_a_sensor_that_is_off_beyond_what_is_possible_is_no_cause(
      ("dehumidifier", 99.0, False)],
 )  # fmt: skip
 def test_some_causes_hardly_show_in_the_free_run(cause: str, bic: float, enough: bool) -> None:
-    assert (verdict(trial(cause, bic, 0.0)) == "") == enough
+    assert (verdict(candidate(cause, bic, 0.0)) == "") == enough
 
 
 def test_what_simulates_worse_in_any_part_is_no_cause() -> None:
-    assert "worse" in verdict(trial("unlogged_heater", 900.0, -0.03, THERMAL))
-    assert verdict(trial("unlogged_heater", 900.0, -0.01, THERMAL)) == ""
-    both = replace(trial("cooling_switching", 900.0, 0.3, THERMAL), gain={THERMAL: 0.3, HYGRIC: -0.03})
+    assert "worse" in verdict(candidate("unlogged_heater", 900.0, -0.03, THERMAL))
+    assert verdict(candidate("unlogged_heater", 900.0, -0.01, THERMAL)) == ""
+    both = replace(candidate("cooling_switching", 900.0, 0.3, THERMAL), gain={THERMAL: 0.3, HYGRIC: -0.03})
     assert "worse" in verdict(both)
 
 
@@ -135,18 +135,18 @@ def test_a_switch_that_drives_itself_simulates_better(
     """With the readings' course the free run of these plants was worse by a third and by 4 %; by its own it
     gains."""
     record = to_record(hidden_plant(seed, cause, form=form, strength=strength, days=60.0))
-    shared = scene(record, starts=1)
-    trials = [attempt(shared, variant) for variant in named(cause).variants(shared)]
-    best = max(trials, key=lambda one: one.lr)
+    shared = baseline(record, starts=1)
+    candidates = [attempt(shared, variant) for variant in named(cause).variants(shared)]
+    best = max(candidates, key=lambda one: one.lr)
     assert best.lr > 100.0 and best.lasting[part] > 0.05 and verdict(best) == ""
-    # the trial's parts keep the errors by readings, which later trials beside it are held against
+    # the candidate's parts keep the errors by readings, which later candidates beside it are held against
     by_readings = 1.0 - np.nansum(best.parts[part].error ** 2) / np.nansum(shared.parts[part].error ** 2)
     assert best.gain[part] > by_readings + 0.05
 
 
 def test_a_small_clock_error_is_ordinary() -> None:
-    late = trial("clock_shift", 400.0, 0.0)
-    small = Trial(
+    late = candidate("clock_shift", 400.0, 0.0)
+    small = Candidate(
         **{
             **late.__dict__,
             "variant": Variant("clock_shift", "x", settings={"shift_s": -180.0, "ordinary_s": 240.0}),
@@ -172,7 +172,7 @@ def test_half_an_interval_is_what_the_place_of_a_stamp_looks_like(
 
 
 def test_a_ceiling_at_saturation_is_the_airs() -> None:
-    one = trial("humidity_sensor_drift", 900.0, 0.3)
+    one = candidate("humidity_sensor_drift", 900.0, 0.3)
     for ceiling, named_so in ((0.9, True), (0.96, True), (0.98, False), (1.0, False)):
         parts = {HYGRIC: part_of(humidity_ceiling(), humidity_lost=1.0, humidity_ceiling=ceiling)}
         found = verdict(replace(one, parts=parts))
@@ -182,7 +182,7 @@ def test_a_ceiling_at_saturation_is_the_airs() -> None:
 def test_where_the_likelihood_knows_little_the_free_run_speaks() -> None:
     """Evidence that is nothing after tempering, and a free run that gains 12 of its own standard errors."""
     one = replace(
-        trial("internal_moisture_source", 2.0, 0.6), price=20.0, lrs={HYGRIC: 400.0}, z={HYGRIC: 12.0}
+        candidate("internal_moisture_source", 2.0, 0.6), price=20.0, lrs={HYGRIC: 400.0}, z={HYGRIC: 12.0}
     )
     cause = named("internal_moisture_source")
     assert verdict_on(one, cause, tried=60) == ""
@@ -208,7 +208,7 @@ def test_standard_errors_of_a_gain_come_from_blocks_of_days() -> None:
 
 
 def test_what_exchanges_air_must_show_in_heat_and_vapour() -> None:
-    one = trial("cooling_switching", 900.0, 0.2)
+    one = candidate("cooling_switching", 900.0, 0.2)
     both = replace(
         one, variant=replace(one.variant, joint=True), parts={THERMAL: part_of(), HYGRIC: part_of()},
         lrs={THERMAL: 600.0, HYGRIC: 300.0},
@@ -221,7 +221,7 @@ def test_what_exchanges_air_must_show_in_heat_and_vapour() -> None:
 
 def test_a_model_that_is_not_quite_right_tempers_its_likelihood() -> None:
     """Near one on a plant that hides nothing; measured boxes are far above it (test_greenhouse)."""
-    plain = scene(to_record(hidden_plant(941, "none", days=40.0)), starts=1)
+    plain = baseline(to_record(hidden_plant(941, "none", days=40.0)), starts=1)
     assert all(1.0 <= c < 1.6 for c in plain.tempers.values())
     (variant,) = named("wall_thermal_mass").variants(plain)
     found = attempt(plain, variant)
@@ -231,45 +231,47 @@ def test_a_model_that_is_not_quite_right_tempers_its_likelihood() -> None:
 def test_what_a_form_leaves_behind_is_no_further_cause() -> None:
     """A thermometer 1.7 K off beside a drier had 9 % of its evidence; a drier that sorption's form leaves
     behind, 5 %."""
-    first = trial("moisture_sorption", 1000.0, 0.2)
-    assert _reason(trial("temperature_sensor_offset", 90.0, 0.1), 1, [first], LIBRARY) == ""
-    assert "leaves behind" in _reason(trial("dehumidifier", 50.0, 0.1), 1, [first], LIBRARY)
-    assert _reason(trial("wall_thermal_mass", 20.0, 0.1, THERMAL), 1, [first], LIBRARY) == ""
+    first = candidate("moisture_sorption", 1000.0, 0.2)
+    assert _reason(candidate("temperature_sensor_offset", 90.0, 0.1), 1, [first], LIBRARY) == ""
+    assert "leaves behind" in _reason(candidate("dehumidifier", 50.0, 0.1), 1, [first], LIBRARY)
+    assert _reason(candidate("wall_thermal_mass", 20.0, 0.1, THERMAL), 1, [first], LIBRARY) == ""
 
 
 def test_a_further_cause_simulates_better() -> None:
     """Evidence alone is enough for the first one."""
-    clock = trial("clock_shift", 1200.0, 0.0)
+    clock = candidate("clock_shift", 1200.0, 0.0)
     assert _reason(clock, 1, [], LIBRARY) == ""
-    assert _reason(clock, 1, [trial("moisture_sorption", 400.0, 0.3)], LIBRARY) == NO_BETTER
+    assert _reason(clock, 1, [candidate("moisture_sorption", 400.0, 0.3)], LIBRARY) == NO_BETTER
 
 
 def test_evidence_is_compared_in_the_part_that_causes_share() -> None:
     """Rain beside a fan: what the fan explains of the temperature is no reason against a cause of the
     vapour."""
     fan = replace(
-        trial("cooling_switching", 930.0, 0.3, THERMAL),
+        candidate("cooling_switching", 930.0, 0.3, THERMAL),
         parts={THERMAL: part_of(), HYGRIC: part_of()},
         lrs={THERMAL: 750.0, HYGRIC: 200.0},
     )
     assert fan.lr == 950.0 and fan.bic_in([HYGRIC]) == pytest.approx(930.0 * 200.0 / 950.0)
-    assert _reason(trial("rain_ingress", 36.0, 0.14), 1, [fan], LIBRARY) == ""
+    assert _reason(candidate("rain_ingress", 36.0, 0.14), 1, [fan], LIBRARY) == ""
     alone = replace(fan, parts={HYGRIC: part_of()}, lrs={HYGRIC: 950.0})
-    assert "leaves behind" in _reason(trial("rain_ingress", 36.0, 0.14), 1, [alone], LIBRARY)
-    assert trial("rain_ingress", -30.0, 0.0).bic_in([HYGRIC]) == 0.0
+    assert "leaves behind" in _reason(candidate("rain_ingress", 36.0, 0.14), 1, [alone], LIBRARY)
+    assert candidate("rain_ingress", -30.0, 0.0).bic_in([HYGRIC]) == 0.0
 
 
 def test_what_simulates_the_same_is_another_name_though_the_likelihood_prefers_one(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    best, source = trial("ambient_bias", 40.0, 0.39), trial("internal_moisture_source", 2.0, 0.41)
-    idle, apart = trial("condensation", 5.0, 0.01), trial("rain_ingress", 3.0, 0.3)
+    best, source = candidate("ambient_bias", 40.0, 0.39), candidate("internal_moisture_source", 2.0, 0.41)
+    idle, apart = candidate("condensation", 5.0, 0.01), candidate("rain_ingress", 3.0, 0.3)
     apart_from = {"internal_moisture_source": 0.1, "rain_ingress": 0.9}
-    monkeypatch.setattr(choice, "difference", lambda scene, best, other: apart_from[other.variant.cause])
-    found = choice._class(None, best, [best], [best, source, idle, apart])  # type: ignore[arg-type]
+    monkeypatch.setattr(
+        selection, "difference", lambda baseline, best, other: apart_from[other.variant.cause]
+    )
+    found = selection._class(None, best, [best], [best, source, idle, apart])  # type: ignore[arg-type]
     assert [one.variant.cause for one in found] == ["internal_moisture_source"]
     refuted = replace(source, lrs={HYGRIC: -1.0})
-    assert choice._class(None, best, [best], [best, refuted]) == ()  # type: ignore[arg-type]
+    assert selection._class(None, best, [best], [best, refuted]) == ()  # type: ignore[arg-type]
 
 
 def test_a_cause_is_judged_at_its_maximum(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -277,56 +279,60 @@ def test_a_cause_is_judged_at_its_maximum(monkeypatch: pytest.MonkeyPatch) -> No
     one has its turn."""
     given = {
         one.variant.cause: one
-        for one in (trial("condensation", 60.0, 0.06), trial("ambient_bias", 40.0, 0.3))
+        for one in (candidate("condensation", 60.0, 0.06), candidate("ambient_bias", 40.0, 0.3))
     }
-    monkeypatch.setattr(choice, "attempt", lambda scene, variant: given[variant.cause])
+    monkeypatch.setattr(selection, "attempt", lambda baseline, variant: given[variant.cause])
     slipped = replace(given["condensation"], lasting={HYGRIC: 0.04}, gain={HYGRIC: 0.04})
     monkeypatch.setattr(
-        choice, "polished", lambda scene, one: slipped if one is given["condensation"] else one
+        selection, "polished", lambda baseline, one: slipped if one is given["condensation"] else one
     )
-    monkeypatch.setattr(choice, "refined", lambda base, scene, one, alone: (one, scene))
+    monkeypatch.setattr(selection, "refined", lambda base, baseline, one, alone: (one, baseline))
     library = tuple(
-        replace(named(name), variants=lambda scene, one=one: [one.variant]) for name, one in given.items()
+        replace(named(name), variants=lambda baseline, one=one: [one.variant]) for name, one in given.items()
     )
-    alone = choose(Scene(None, {HYGRIC: SimpleNamespace()}), library[:1])  # type: ignore[arg-type]
+    alone = select(Baseline(None, {HYGRIC: SimpleNamespace()}), library[:1])  # type: ignore[arg-type]
     assert not alone.accepted and "gains too little" in alone.rejected[0][1]
     # and the other one has its turn
-    monkeypatch.setattr(choice, "difference", lambda scene, best, other: math.inf)
-    monkeypatch.setattr(choice, "MOST_CAUSES", 1)
-    both = choose(Scene(None, {HYGRIC: SimpleNamespace()}), library)  # type: ignore[arg-type]
+    monkeypatch.setattr(selection, "difference", lambda baseline, best, other: math.inf)
+    monkeypatch.setattr(selection, "MOST_CAUSES", 1)
+    both = select(Baseline(None, {HYGRIC: SimpleNamespace()}), library)  # type: ignore[arg-type]
     assert [one.variant.cause for one in both.accepted] == ["ambient_bias"]
 
 
 def test_what_a_coarse_form_leaves_behind_is_no_further_cause(monkeypatch: pytest.MonkeyPatch) -> None:
     """The finer form comes first; what still looks like a further cause is then tried beside it."""
-    plain = trial("moisture_sorption", 900.0, 0.5)
+    plain = candidate("moisture_sorption", 900.0, 0.5)
     coarse = replace(plain, variant=replace(plain.variant, finer=plain.variant))
-    leftover = trial("ambient_bias", 200.0, 0.3)
-    answers = {"moisture_sorption": [coarse], "ambient_bias": [leftover, trial("ambient_bias", 3.0, 0.3)]}
+    leftover = candidate("ambient_bias", 200.0, 0.3)
+    answers = {"moisture_sorption": [coarse], "ambient_bias": [leftover, candidate("ambient_bias", 3.0, 0.3)]}
     asked = []
 
-    def attempted(scene: object, variant: Variant) -> Trial:
+    def attempted(baseline: object, variant: Variant) -> Candidate:
         asked.append(variant.cause)
         left = answers[variant.cause]
         return left.pop(0) if len(left) > 1 else left[0]
 
-    def finer(base: object, scene: Scene, one: Trial, alone: bool) -> tuple[Trial, Scene]:
-        return replace(one, lrs={HYGRIC: 970.0}), replace(scene, parts={HYGRIC: SimpleNamespace(values={})})
+    def finer(base: object, baseline: Baseline, one: Candidate, alone: bool) -> tuple[Candidate, Baseline]:
+        return replace(one, lrs={HYGRIC: 970.0}), replace(
+            baseline, parts={HYGRIC: SimpleNamespace(values={})}
+        )
 
-    monkeypatch.setattr(choice, "attempt", attempted)
-    monkeypatch.setattr(choice, "polished", lambda scene, one: one)
-    monkeypatch.setattr(choice, "difference", lambda scene, best, other: math.inf)
-    monkeypatch.setattr(choice, "with_trial", lambda scene, one: scene)
+    monkeypatch.setattr(selection, "attempt", attempted)
+    monkeypatch.setattr(selection, "polished", lambda baseline, one: one)
+    monkeypatch.setattr(selection, "difference", lambda baseline, best, other: math.inf)
+    monkeypatch.setattr(selection, "with_candidate", lambda baseline, one: baseline)
     monkeypatch.setattr(
-        choice, "_again", lambda scene, trials, accepted, *rest: [t for t in trials if t not in accepted]
+        selection,
+        "_again",
+        lambda baseline, candidates, accepted, *rest: [t for t in candidates if t not in accepted],
     )
-    monkeypatch.setattr(choice, "started", lambda scene, one: one.variant)
-    monkeypatch.setattr(choice, "refined", finer)
+    monkeypatch.setattr(selection, "started", lambda baseline, one: one.variant)
+    monkeypatch.setattr(selection, "refined", finer)
     library = tuple(
-        replace(named(name), variants=lambda scene, one=one: [one.variant])
+        replace(named(name), variants=lambda baseline, one=one: [one.variant])
         for name, one in {"moisture_sorption": coarse, "ambient_bias": leftover}.items()
     )
-    found = choose(Scene(None, {HYGRIC: SimpleNamespace(values={})}), library)  # type: ignore[arg-type]
+    found = select(Baseline(None, {HYGRIC: SimpleNamespace(values={})}), library)  # type: ignore[arg-type]
     assert [one.variant.cause for one in found.accepted] == ["moisture_sorption"]
     assert found.accepted[0].lr == 970.0
     assert asked.count("ambient_bias") == 2 and asked.count("moisture_sorption") == 1
@@ -344,7 +350,7 @@ def test_a_switch_is_refined_without_losing_its_hysteresis(monkeypatch: pytest.M
     monkeypatch.setattr(grids, "starts", lambda part, name, settings: 99)
     first = [{"on": a, "off": a - width} for a in (0.6644, 0.8572) for width in (0.03, 0.08)]
     probe = grids.Probe(HYGRIC, ("drier", {}), "rate")
-    bare = Scene(Record("bare", ()), {HYGRIC: SimpleNamespace()})
+    bare = Baseline(Record("bare", ()), {HYGRIC: SimpleNamespace()})
     chosen, searched = grids.best_switch(bare, "drying", [probe], first, {"": 0.02})
     # steps of 0.01 and 0.02 bring on and off together but for rounding: such a pair is no switch
     assert chosen["on"] - chosen["off"] > 1e-3 and searched == 3.0
@@ -367,7 +373,7 @@ def test_what_turns_with_the_seasons_is_no_switch(monkeypatch: pytest.MonkeyPatc
         grids, "scan", lambda *args: SimpleNamespace(root=np.ones(len(args[4])), effective=1.0)
     )
     probe = grids.Probe(THERMAL, ("cooling_loss", {}), "cooling_conductance")
-    roof = Scene(part.record, {THERMAL: part})
+    roof = Baseline(part.record, {THERMAL: part})
     seldom, often = {"on_K": 296.0, "off_K": 288.5}, {"on_K": 292.0, "off_K": 291.0}
     assert grids.best_switch(roof, "cooling", [probe], [seldom], {"": 0.5}) is None
     setting, _ = grids.best_switch(roof, "cooling", [probe], [seldom, often], {"": 0.1})
@@ -388,29 +394,29 @@ def test_what_turns_with_the_seasons_is_no_switch(monkeypatch: pytest.MonkeyPatc
 def test_a_clock_is_told_with_its_error(seconds: float, settings: dict, said: str) -> None:
     shift = Shift("logger", seconds)
     variant = Variant("clock_shift", "logger", shift=shift, settings=settings)
-    assert evidence._clock(Trial(variant, {}, {THERMAL: 90.0}, 1, 80.0, {}, {}, {})) == said
+    assert evidence._clock(Candidate(variant, {}, {THERMAL: 90.0}, 1, 80.0, {}, {}, {})) == said
     assert "clock_correction" in evidence._remedy(
-        named("clock_shift"), Trial(variant, {}, {THERMAL: 9.0}, 1, 8.0, {}, {}, {})
+        named("clock_shift"), Candidate(variant, {}, {THERMAL: 9.0}, 1, 8.0, {}, {}, {})
     )
 
 
 def test_finer_forms_are_tried_in_the_end() -> None:
     """A slab of material behind thin material's estimate; thin material itself does not become a slab."""
-    made = scene(to_record(hidden_plant(813, "moisture_sorption", form=1, days=50.0)), starts=1)
+    made = baseline(to_record(hidden_plant(813, "moisture_sorption", form=1, days=50.0)), starts=1)
     thin = named("moisture_sorption").variants(made)[0]
-    trial = attempt(made, thin)
-    beside = replace(made, parts={**made.parts, **trial.parts})
-    found, after = refined(made, beside, trial, alone=True)
-    assert found.variant.form.startswith("slab") and found.bic_gain > trial.bic_gain + 10.0
-    assert found.lasting[HYGRIC] > trial.lasting[HYGRIC]
+    candidate = attempt(made, thin)
+    beside = replace(made, parts={**made.parts, **candidate.parts})
+    found, after = refined(made, beside, candidate, alone=True)
+    assert found.variant.form.startswith("slab") and found.bic_gain > candidate.bic_gain + 10.0
+    assert found.lasting[HYGRIC] > candidate.lasting[HYGRIC]
     assert after.parts[HYGRIC].base.mechanisms[-1] == ("moisture_sorption", {"activated": True, "slab": True})
     assert len(after.parts[HYGRIC].values) == len(beside.parts[HYGRIC].values)
     again, same = refined(made, after, found, alone=True)
     assert again is found and same is after
     # beside others only what the form gains is its own, or another's evidence would be counted here too
-    told, _ = refined(made, beside, trial, alone=False)
-    assert told.lr == pytest.approx(found.lr, abs=0.1) and told.gain == trial.gain
-    assert told.bic_gain > trial.bic_gain + 5.0
+    told, _ = refined(made, beside, candidate, alone=False)
+    assert told.lr == pytest.approx(found.lr, abs=0.1) and told.gain == candidate.gain
+    assert told.bic_gain > candidate.bic_gain + 5.0
 
 
 @pytest.mark.parametrize(
@@ -430,7 +436,7 @@ def test_what_is_left_overrules_a_name_only_where_it_is_another_one(
     accepted = (
         []
         if features is None
-        else [Trial(Variant("a", "b", features=features), {}, {THERMAL: 9.0}, 1, 8.0, {}, {}, {})]
+        else [Candidate(Variant("a", "b", features=features), {}, {THERMAL: 9.0}, 1, 8.0, {}, {}, {})]
     )
     assert verdict_of(accepted, {} if left else None, foreign, repeated) == said
 
@@ -440,7 +446,7 @@ def test_a_source_that_begins_is_dated_to_the_reading() -> None:
     plant = hidden_plant(331, "internal_moisture_source", form=2, days=50.0)
     begins = plant.truth.hidden[0].dates[0]
     record = to_record(plant)
-    found = scene(to_record(plant, until_s=record.end_s), starts=1)
+    found = baseline(to_record(plant, until_s=record.end_s), starts=1)
     late = next(v for v in named("internal_moisture_source").variants(found) if "date" in v.form)
     assert late.settings["date_s"] == pytest.approx(begins, abs=1200.0)
     assert attempt(found, late).lr > 30.0
@@ -450,11 +456,11 @@ def test_humidity_is_driven_by_the_temperature_that_a_cause_makes_known() -> Non
     """A heater's cycles that the base smoothed away are errors of the saturation, and had looked like a drier
     that runs with it.
     """
-    base = scene(to_record(hidden_plant(930, "unlogged_heater", form=1, days=40.0)), starts=1)
+    base = baseline(to_record(hidden_plant(930, "unlogged_heater", form=1, days=40.0)), starts=1)
     found = max(
         (attempt(base, one) for one in named("unlogged_heater").variants(base)), key=lambda t: t.bic_gain
     )
-    driven = with_trial(base, found)
+    driven = with_candidate(base, found)
     assert driven.parts[THERMAL] is found.parts[THERMAL]
     assert driven.parts[HYGRIC].objective > base.parts[HYGRIC].objective + 50.0
     before, after = (
@@ -465,14 +471,14 @@ def test_humidity_is_driven_by_the_temperature_that_a_cause_makes_known() -> Non
     # an error of the thermometer is none of the air's, and the hygric part is told of it by itself
     told = {HYGRIC: {"measured_air": {"step": True}}}
     offset = replace(found, variant=replace(found.variant, altered=told))
-    assert with_trial(base, offset).parts[HYGRIC] is base.parts[HYGRIC]
+    assert with_candidate(base, offset).parts[HYGRIC] is base.parts[HYGRIC]
 
 
 def test_a_source_is_found_behind_a_disturbance_that_stands_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
     """At the base model's maximum the disturbance has a memory of days and the size of what the source
     brings."""
     plant = hidden_plant(49608, "unlogged_heater", form=1, days=120.0, second=("internal_moisture_source", 0))
-    made = scene(to_record(plant))
+    made = baseline(to_record(plant))
     always = named("internal_moisture_source").variants(made)[0]
     found = attempt(made, always)
     assert found.lr > 12.0
@@ -484,7 +490,7 @@ def test_a_source_is_found_behind_a_disturbance_that_stands_for_it(monkeypatch: 
 def test_a_thermometer_off_by_a_constant_is_simulated_as_it_is_read() -> None:
     """The reading 1.5 K too warm is told; so is the joint simulation, whose thermal part has the readings'
     temperature."""
-    made = scene(to_record(hidden_plant(941, "none", days=40.0)), starts=1)
+    made = baseline(to_record(hidden_plant(941, "none", days=40.0)), starts=1)
     part, kelvin = made.parts[HYGRIC], 1.5
     wider = extended(part.base, [("thermometer_offset", {})])
     values = {**part.values, "thermometer_offset": kelvin}
@@ -527,7 +533,7 @@ def test_a_cause_is_vague_where_no_amplitude_leaves_nothing_out(rows: list[tuple
 def test_the_score_statistic_knows_what_priors_know() -> None:
     """An ordinary offset that the base has anyway would take up all of a larger one: 2 ln L 118 were promised
     as 10⁸."""
-    made = scene(to_record(hidden_plant(942, "temperature_sensor_offset", form=0, days=40.0)), starts=1)
+    made = baseline(to_record(hidden_plant(942, "temperature_sensor_offset", form=0, days=40.0)), starts=1)
     constant = named("temperature_sensor_offset").variants(made)[1]
     found = attempt(made, constant)
     assert constant.form == "constant" and found.lr > 15.0

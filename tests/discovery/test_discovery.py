@@ -1,4 +1,4 @@
-"""Naming causes: score statistics, trials and the choice, on plants with and without a hidden cause."""
+"""Naming causes: score statistics, candidates and the choice, on plants with and without a hidden cause."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from hygrokf.discovery import baseline as scene_module
 from hygrokf.discovery.baseline import (
     HYGRIC,
     THERMAL,
-    Scene,
+    Baseline,
+    baseline,
     free_run_error,
     refitted,
     rmse,
-    scene,
     searching,
 )
 from hygrokf.discovery.candidate import (
@@ -35,7 +35,7 @@ from hygrokf.discovery.cause import Variant, penalty
 from hygrokf.discovery.clocks import Shift, shifted, sources
 from hygrokf.discovery.grids import dates
 from hygrokf.discovery.library import LIBRARY, named
-from hygrokf.discovery.model_selection import choose, difference, verdict_on
+from hygrokf.discovery.model_selection import difference, select, verdict_on
 from hygrokf.discovery.procedure import discover
 from hygrokf.discovery.scan import Scanned, scan, slow_scan
 from hygrokf.identification.results import dump
@@ -57,14 +57,14 @@ def library(*names: str) -> list:
 
 
 @pytest.fixture(scope="module")
-def quiet() -> Scene:
+def quiet() -> Baseline:
     """A plant that hides nothing."""
-    return scene(record_of("none", 811, 40.0), starts=1)
+    return baseline(record_of("none", 811, 40.0), starts=1)
 
 
 @pytest.fixture(scope="module")
-def sorbing() -> Scene:
-    return scene(record_of("moisture_sorption", 812, 50.0), starts=1)
+def sorbing() -> Baseline:
+    return baseline(record_of("moisture_sorption", 812, 50.0), starts=1)
 
 
 def test_the_library_has_every_identifier_with_words_for_it() -> None:
@@ -75,7 +75,7 @@ def test_the_library_has_every_identifier_with_words_for_it() -> None:
         named("stove")
 
 
-def test_score_statistics_are_standard_normal_where_there_is_no_effect(quiet: Scene) -> None:
+def test_score_statistics_are_standard_normal_where_there_is_no_effect(quiet: Baseline) -> None:
     """Neighbouring dates go together: their mean square is that of a few independent ones."""
     grid = [{"date_s": d} for d in dates(quiet.record, every_days=1.0)]
     probes = (
@@ -93,7 +93,7 @@ def test_score_statistics_are_standard_normal_where_there_is_no_effect(quiet: Sc
     assert np.abs(z).max() < 4.5
 
 
-def test_a_score_statistic_promises_what_the_refit_gains(quiet: Scene) -> None:
+def test_a_score_statistic_promises_what_the_refit_gains(quiet: Baseline) -> None:
     part = quiet.parts[THERMAL]
     date = dates(quiet.record)[3]
     (z,) = scan(part, ("temperature_step", {}), "temperature_offset", "after_step", [{"date_s": date}]).root
@@ -102,7 +102,7 @@ def test_a_score_statistic_promises_what_the_refit_gains(quiet: Scene) -> None:
     assert np.sign(found.values["temperature_offset"]) == np.sign(z)
 
 
-def test_slow_effects_are_scanned_in_one_pass(quiet: Scene) -> None:
+def test_slow_effects_are_scanned_in_one_pass(quiet: Baseline) -> None:
     """A release that drifts: the response to a lasting effect times its course is nearly the response
     itself."""
     part = quiet.parts[THERMAL]
@@ -113,7 +113,7 @@ def test_slow_effects_are_scanned_in_one_pass(quiet: Scene) -> None:
     assert np.max(np.abs(exact.factor @ exact.factor.T - quick.factor @ quick.factor.T)) < 0.1
 
 
-def test_settings_beside_each_other_give_what_each_gives_alone(quiet: Scene) -> None:
+def test_settings_beside_each_other_give_what_each_gives_alone(quiet: Baseline) -> None:
     """Eight copies of a mechanism in one pass, and a last pass that is not full."""
     part = quiet.parts[THERMAL]
     settings = [{"date_s": d, "days": 1.0} for d in dates(quiet.record, every_days=4.0)]
@@ -135,7 +135,7 @@ def test_settings_that_say_the_same_count_once() -> None:
     assert both.root == pytest.approx(np.full(20, 5.0))
 
 
-def test_a_step_in_the_readings_is_dated(quiet: Scene) -> None:
+def test_a_step_in_the_readings_is_dated(quiet: Baseline) -> None:
     """1 K on the temperature readings from a date on: the statistic peaks there and the refit gives its
     size."""
     series = quiet.record["cabinet_temperature"]
@@ -155,7 +155,7 @@ def test_a_step_in_the_readings_is_dated(quiet: Scene) -> None:
 
 
 @pytest.mark.parametrize("source", ["cabinet", "ambient"])
-def test_a_shifted_clock_is_measured(quiet: Scene, source: str) -> None:
+def test_a_shifted_clock_is_measured(quiet: Baseline, source: str) -> None:
     """A source 20 minutes late: moving it back by that is what the innovations ask for."""
     name = next(n for n, signals in sources(quiet.record).items() if f"{source}_temperature" in signals)
     late = shifted(quiet.record, Shift(name, 1200.0))
@@ -164,27 +164,27 @@ def test_a_shifted_clock_is_measured(quiet: Scene, source: str) -> None:
     gains = shift_gains(part, name, shifts)
     assert shifts[int(np.argmax(gains))] == -1200.0
     assert gains.max() > 20.0
-    alone = Scene(late, {THERMAL: part})
+    alone = Baseline(late, {THERMAL: part})
     variant = next(
         v for v in named("clock_shift").variants(alone) if v.shift is not None and v.shift.source == name
     )
-    trial = attempt(alone, variant)
-    assert trial.variant.settings["shift_s"] == pytest.approx(-1200.0, abs=60.0)
-    assert trial.bic_gain > 20.0
+    candidate = attempt(alone, variant)
+    assert candidate.variant.settings["shift_s"] == pytest.approx(-1200.0, abs=60.0)
+    assert candidate.bic_gain > 20.0
 
 
-def test_a_trial_counts_its_price_and_its_days(sorbing: Scene) -> None:
+def test_a_trial_counts_its_price_and_its_days(sorbing: Baseline) -> None:
     variant = named("moisture_sorption").variants(sorbing)[0]
-    trial = attempt(sorbing, variant)
+    candidate = attempt(sorbing, variant)
     before = sorbing.parts[HYGRIC]
-    assert trial.parameters == 2
-    assert trial.price == pytest.approx(2 * np.log(before.n) + 2 * np.log(4))
-    assert trial.bic_gain == pytest.approx(trial.lr / sorbing.tempers[HYGRIC] - trial.price)
-    after = trial.parts[HYGRIC]
-    assert trial.gain[HYGRIC] == pytest.approx(1.0 - (rmse(after) / rmse(before)) ** 2, abs=1e-9)
-    assert trial.lasting[HYGRIC] < trial.gain[HYGRIC]
-    assert trial.part == HYGRIC and trial.episodes[HYGRIC] >= 2 and not trial.once
-    assert probability(trial) < 1e-6
+    assert candidate.parameters == 2
+    assert candidate.price == pytest.approx(2 * np.log(before.n) + 2 * np.log(4))
+    assert candidate.bic_gain == pytest.approx(candidate.lr / sorbing.tempers[HYGRIC] - candidate.price)
+    after = candidate.parts[HYGRIC]
+    assert candidate.gain[HYGRIC] == pytest.approx(1.0 - (rmse(after) / rmse(before)) ** 2, abs=1e-9)
+    assert candidate.lasting[HYGRIC] < candidate.gain[HYGRIC]
+    assert candidate.part == HYGRIC and candidate.episodes[HYGRIC] >= 2 and not candidate.once
+    assert probability(candidate) < 1e-6
     assert score_statistic(sorbing, variant) > 10.0
     same = judged(sorbing, variant, {HYGRIC: before})
     assert (same.lr, same.gain[HYGRIC]) == (0.0, 0.0)
@@ -201,28 +201,28 @@ def test_episodes_are_counted_by_the_days_that_gained() -> None:
     assert episodes(old, 0.5 * old) == 6  # a gain that lasts counts for every week of four fifths
 
 
-def test_an_amplitude_at_its_boundary_has_half_a_chance(quiet: Scene) -> None:
+def test_an_amplitude_at_its_boundary_has_half_a_chance(quiet: Baseline) -> None:
     """p of a sorption that gains 3.84: half of χ² with two and half with one degree of freedom."""
     sun = Variant("moisture_sorption", "x", {HYGRIC: (("moisture_sorption", {}),)})
     part = refitted(quiet.parts[HYGRIC], sun.additions[HYGRIC], {}, ({},))
-    trial = replace(judged(quiet, sun, {HYGRIC: part}), lrs={HYGRIC: 3.84})
-    assert trial.parameters == 2
-    assert probability(trial) == pytest.approx(0.5 * (0.05004 + 0.14661), abs=1e-4)
+    candidate = replace(judged(quiet, sun, {HYGRIC: part}), lrs={HYGRIC: 3.84})
+    assert candidate.parameters == 2
+    assert probability(candidate) == pytest.approx(0.5 * (0.05004 + 0.14661), abs=1e-4)
     drift = Variant("humidity_sensor_drift", "x", {HYGRIC: (("humidity_drift", {}),)})
     span = {"elapsed": {"start_s": quiet.record.start_s, "end_s": quiet.record.end_s}}
     part = refitted(quiet.parts[HYGRIC], drift.additions[HYGRIC], span, ({},))
-    trial = replace(judged(quiet, drift, {HYGRIC: part}), lrs={HYGRIC: 3.84})
-    assert probability(trial) == pytest.approx(0.05004, abs=1e-4)
+    candidate = replace(judged(quiet, drift, {HYGRIC: part}), lrs={HYGRIC: 3.84})
+    assert probability(candidate) == pytest.approx(0.05004, abs=1e-4)
 
 
-def test_a_cause_is_like_itself_and_unlike_one_of_another_part(sorbing: Scene) -> None:
+def test_a_cause_is_like_itself_and_unlike_one_of_another_part(sorbing: Baseline) -> None:
     one = attempt(sorbing, named("moisture_sorption").variants(sorbing)[0])
     other = attempt(sorbing, named("wall_thermal_mass").variants(sorbing)[0])
     assert difference(sorbing, one, one) == 0.0
     assert difference(sorbing, one, other) > 0.9
 
 
-def test_sensors_are_no_worse_than_their_accuracy_in_a_free_run(quiet: Scene) -> None:
+def test_sensors_are_no_worse_than_their_accuracy_in_a_free_run(quiet: Baseline) -> None:
     part = quiet.parts[HYGRIC]
     far = {**part.values, "cabinet_relative_humidity_bias": 0.5}
     held = free_run_error(part.base, part.run, far)
@@ -232,7 +232,7 @@ def test_sensors_are_no_worse_than_their_accuracy_in_a_free_run(quiet: Scene) ->
 
 
 def test_a_free_run_that_grows_beyond_all_numbers_is_no_fault(
-    quiet: Scene, monkeypatch: pytest.MonkeyPatch
+    quiet: Baseline, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     part = quiet.parts[HYGRIC]
     plain = free_run_error(part.base, part.run, part.values)
@@ -253,21 +253,21 @@ def test_a_free_run_that_grows_beyond_all_numbers_is_no_fault(
     assert np.nansum(found**2) <= np.nansum(plain**2) * 4.0
 
 
-def test_nothing_is_named_where_nothing_is_hidden(quiet: Scene) -> None:
+def test_nothing_is_named_where_nothing_is_hidden(quiet: Baseline) -> None:
     tried = library(
         "moisture_sorption", "wall_thermal_mass", "solar_gain", "humidity_sensor_drift", "ambient_bias"
     )
-    choice = choose(quiet, tried)
-    assert choice.accepted == ()
-    assert {trial.variant.cause for trial, _ in choice.rejected} <= {cause.name for cause in tried}
-    assert all(reason for _, reason in choice.rejected)
+    selection = select(quiet, tried)
+    assert selection.accepted == ()
+    assert {candidate.variant.cause for candidate, _ in selection.rejected} <= {cause.name for cause in tried}
+    assert all(reason for _, reason in selection.rejected)
 
 
-def test_sorption_is_named_among_its_rivals(sorbing: Scene) -> None:
-    choice = choose(
+def test_sorption_is_named_among_its_rivals(sorbing: Baseline) -> None:
+    selection = select(
         sorbing, library("moisture_sorption", "dehumidifier", "internal_moisture_source", "ambient_bias")
     )
-    first = choice.accepted[0]
+    first = selection.accepted[0]
     assert first.variant.cause == "moisture_sorption"
     assert first.lasting[HYGRIC] > MATERIAL and first.bic_gain > 50.0
 

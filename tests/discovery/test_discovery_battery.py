@@ -752,12 +752,12 @@ def test_what_is_raised_is_part_of_the_result(monkeypatch: pytest.MonkeyPatch) -
 
 
 def test_the_light_engine_writes_the_same_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    from hygrokf.discovery import model_selection as choice
+    from hygrokf.discovery import model_selection
     from hygrokf.discovery.library import named
 
     cases, trial, command = part("cases"), part("trial"), part("command")
     few = [named(name) for name in ("solar_gain", "heat_release_drift")]
-    monkeypatch.setattr(choice, "choose", partial(choice.choose, library=few))
+    monkeypatch.setattr(model_selection, "select", partial(model_selection.select, library=few))
     made = trial.run_case(cases.Case("hidden", 4, (("solar_gain", 0),), days=30.0), "choose", 1)
     assert made["failure"] is None, made["failure"]
     assert made["key"] == "choose:hidden:solar_gain/0:1:4:30" and made["cpu_s"] > 0.0

@@ -29,7 +29,7 @@ from hygrokf.discovery.residual_structure import (
     unrest,
 )
 from hygrokf.discovery.residuals import Residuals, closed, duration_h, hourly, residuals, run_lengths
-from hygrokf.discovery.strata import conditions
+from hygrokf.discovery.strata import strata
 from hygrokf.identification.fit import Fit
 from hygrokf.report.figures.drawing import NothingToShow, inline_svg, png
 from hygrokf.report.figures.findings import figure_episodes
@@ -249,7 +249,7 @@ def test_errors_do_not_choose_their_own_condition() -> None:
     """No condition may be made from readings: other errors, the same conditions."""
     base = made(11)
     other = with_effect(base, "humidity", np.sin(base.time_h))
-    for one, two in zip(conditions(hourly(base)), conditions(hourly(other)), strict=True):
+    for one, two in zip(strata(hourly(base)), strata(hourly(other)), strict=True):
         assert np.array_equal(one.bins, two.bins)
         assert np.array_equal(one.basis, two.basis, equal_nan=True)
 

@@ -11,7 +11,7 @@ from builders import greenhouse
 from hygrokf import discover
 from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.record import Record
-from hygrokf.discovery.baseline import HYGRIC, THERMAL, Scene, part_of
+from hygrokf.discovery.baseline import HYGRIC, THERMAL, Baseline, part_of
 from hygrokf.identification.procedure import identified
 from hygrokf.modelling.design import CASCADE
 
@@ -22,15 +22,15 @@ def record(compartment: str, *withheld: str) -> Record:
     return greenhouse.record(compartment, greenhouse.excerpt(compartment), withheld, UNTIL)
 
 
-def base_scene(measured: Record) -> Scene:
+def base_scene(measured: Record) -> Baseline:
     early = measured.identification()
     basis = identified(early, CASCADE, 2, True, lambda text: None)
     stages = zip((THERMAL, HYGRIC), basis.records, basis.stages, strict=True)
-    return Scene(early, {name: part_of(name, driven, stage) for name, driven, stage in stages})
+    return Baseline(early, {name: part_of(name, driven, stage) for name, driven, stage in stages})
 
 
 @pytest.fixture(scope="module")
-def vented() -> Scene:
+def vented() -> Baseline:
     """Koala without its vents."""
     return base_scene(record("Koala", "fan_duty"))
 
@@ -46,18 +46,18 @@ def test_the_excerpts_have_what_they_are_said_to_have() -> None:
         assert "fan_duty" not in record(compartment, "fan_duty")
 
 
-def test_a_measured_box_is_far_from_the_model_and_its_likelihood_is_tempered(vented: Scene) -> None:
+def test_a_measured_box_is_far_from_the_model_and_its_likelihood_is_tempered(vented: Baseline) -> None:
     assert vented.tempers[THERMAL] > 1.5 and vented.tempers[HYGRIC] > 2.0
 
 
-def test_vents_that_nobody_logged_show_in_their_hours(vented: Scene) -> None:
+def test_vents_that_nobody_logged_show_in_their_hours(vented: Baseline) -> None:
     """They are open from 17 to 23 h, UTC+1, and cool: among the forms of the cause the one by the clock has
     the evidence."""
     from hygrokf.discovery.candidate import attempt
     from hygrokf.discovery.library import named
 
-    trials = [attempt(vented, one) for one in named("cooling_switching").variants(vented)]
-    best = max(trials, key=lambda one: one.bic_gain)
+    candidates = [attempt(vented, one) for one in named("cooling_switching").variants(vented)]
+    best = max(candidates, key=lambda one: one.bic_gain)
     assert best.variant.form == "vent, by the clock" and best.bic_gain > 60.0
     begin, hours = (float(best.variant.settings[key]) for key in ("start_h", "hours"))
     assert 15.0 <= begin <= 17.0 and 21.0 <= begin + hours <= 23.0

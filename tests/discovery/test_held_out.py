@@ -14,12 +14,12 @@ from plants.hidden import hidden_plant
 
 from hygrokf.cases.case_file import read_case
 from hygrokf.data.record import Record, Series
-from hygrokf.discovery.baseline import scene
+from hygrokf.discovery.baseline import baseline
 from hygrokf.discovery.budget import Budget, BudgetSpent
 from hygrokf.discovery.candidate import attempt
 from hygrokf.discovery.held_out import Model, Simulated, difference_bounds, gain_of, refutes
 from hygrokf.discovery.library import named
-from hygrokf.discovery.model_selection import choose
+from hygrokf.discovery.model_selection import select
 from hygrokf.discovery.procedure import UNEXPLAINED_AT_MOST, discover
 from hygrokf.report.discovery_page import discovery_text
 from hygrokf.report.discovery_text import gain_sentence
@@ -152,7 +152,7 @@ def test_what_the_time_does_not_last_for_is_said(taken_back: Record) -> None:
 
 def test_a_trial_that_runs_ends_with_the_time(taken_back: Record) -> None:
     """No pass of the filter is begun after it; the parts that are estimated already stay whole."""
-    made = scene(taken_back.identification(), starts=1)
+    made = baseline(taken_back.identification(), starts=1)
     variant = named("moisture_sorption").variants(made)[0]
 
     class Short(Budget):
@@ -166,9 +166,9 @@ def test_a_trial_that_runs_ends_with_the_time(taken_back: Record) -> None:
     with pytest.raises(BudgetSpent):
         attempt(replace(made, budget=Short()), variant)
     short = Short()
-    found = choose(replace(made, budget=short), [named("moisture_sorption"), named("solar_gain")])
+    found = select(replace(made, budget=short), [named("moisture_sorption"), named("solar_gain")])
     assert set(found.untried) == {"moisture_sorption", "solar_gain"} and not found.accepted
-    assert not found.scene.budget.spent
+    assert not found.baseline.budget.spent
 
 
 def test_a_budget_is_a_time() -> None:

@@ -20,7 +20,7 @@ from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.commands.main import main
 from hygrokf.data.signals import SIGNALS
 from hygrokf.discovery import own_causes
-from hygrokf.discovery.baseline import THERMAL, Scene
+from hygrokf.discovery.baseline import THERMAL, Baseline
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.own_causes import LibraryFault, adopt, cause_of, load_library
 from hygrokf.discovery.plugin_validation import trial_record, trial_scene, variant_faults
@@ -263,7 +263,7 @@ CAUSE = "C = hygrokf.cause_of('stove', thermal=made({effect}), **WORDS)\n"
             "there",
         ),
         (
-            "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda scene: [], mechanisms=[made(stove)], "
+            "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda baseline: [], mechanisms=[made(stove)], "
             "features=3)",
             "mechanisms: expected a mapping of names, found [",
         ),
@@ -327,29 +327,29 @@ CAUSE = "C = hygrokf.cause_of('stove', thermal=made({effect}), **WORDS)\n"
             "feature after_step: expected the settings date_s, days, found {}",
         ),
         (
-            "def variants(scene):\n    return scene.nothing\n"
+            "def variants(baseline):\n    return baseline.nothing\n"
             "C = hygrokf.Cause('stove', 'a', 'b', 'c', variants, mechanisms={'stove': made(stove)})",
-            "variants fails on a record with every signal: AttributeError: 'Scene' object has no attribute "
-            "'nothing' (line 22 of own.py)",
+            "variants fails on a record with every signal: AttributeError: 'Baseline' object has no "
+            "attribute 'nothing' (line 22 of own.py)",
         ),
         (
-            "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda scene: ['x'], mechanisms={'stove': "
+            "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda baseline: ['x'], mechanisms={'stove': "
             "made(stove)})",
             "variants: expected Variant objects of the cause stove, found 'x'",
         ),
         (
-            "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda scene: [Variant('stove', 'f', "
+            "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda baseline: [Variant('stove', 'f', "
             "{'thermal': (('oven', {}),), 'roof': ()})])",
             "variant 'f': unknown mechanism 'oven': name one of the package, or add it to the cause's "
             "mechanisms",
         ),
         (
-            "def factory(size):\n    return None\nC = hygrokf.Cause('stove', 'a', 'b', 'c', lambda scene: "
+            "def factory(size):\n    return None\nC = hygrokf.Cause('stove', 'a', 'b', 'c', lambda baseline: "
             "[], mechanisms={'stove': factory})",
             "mechanism 'stove': its factory, called without arguments, fails: TypeError",
         ),
         (
-            "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda scene: [], mechanisms={'stove': lambda: 7})",
+            "C = hygrokf.Cause('stove', 'a', 'b', 'c', lambda baseline: [], mechanisms={'stove': lambda: 7})",
             "expected its factory to return a Mechanism of that name, found 7",
         ),
     ],
@@ -428,7 +428,7 @@ def test_an_own_feature_is_an_input(tmp_path: Path) -> None:
     np.testing.assert_allclose(prepare_run(wider, record).timeline.input("glow"), 2.0 * record["rain"].value)
     assert set(wider.to_json()["origins"]) == {"stove", "glow"}
     dry = replace(record, series=tuple(s for s in record.series if s.signal != "rain"))
-    assert cause.variants(Scene(dry, trial_scene().parts)) == []
+    assert cause.variants(Baseline(dry, trial_scene().parts)) == []
 
 
 def test_a_function_that_fails_on_a_record_is_a_fault_of_its_file(
@@ -448,7 +448,7 @@ def test_a_function_that_fails_on_a_record_is_a_fault_of_its_file(
         "made(lambda p, x, u, q: {'heat_release': p.oven_heat}, ('oven_heat',), 'oven', ())})"  # fmt: skip
     (cause,) = load_library(written(tmp_path, text, "odd.py"))
     with pytest.raises(LibraryFault, match=r"odd\.py: cause 'odd': variants fails: AttributeError"):
-        cause.variants(Scene(dry, {}))
+        cause.variants(Baseline(dry, {}))
 
 
 @pytest.fixture
