@@ -75,7 +75,7 @@ def trial_record() -> Record:
 
 
 @lru_cache(maxsize=1)
-def trial_scene() -> Baseline:
+def trial_baseline() -> Baseline:
     """Both parts of the base model on the candidate record, at their start values: nothing is estimated."""
     record = trial_record()
     parts = {}
@@ -169,7 +169,7 @@ def _factory_faults(
 @lru_cache(maxsize=1)
 def _package_names() -> frozenset[str]:
     """Parameters and states of the base models and of the package's further mechanisms."""
-    parts = trial_scene().parts.values()
+    parts = trial_baseline().parts.values()
     models = [m for part in parts for m in part.base.model.mechanisms]
     models += [factory() for factory in (*LOGGED, *FURTHER)]
     return frozenset(name for m in models for name in (*(p.name for p in m.parameters), *m.states))
@@ -178,7 +178,7 @@ def _package_names() -> frozenset[str]:
 # -- faults of its variants, with its mechanisms in the tables -----------------------------------------------
 def variant_faults(cause: Cause) -> list[str]:
     """What is wrong with a cause's variants in the candidate baseline: names, starts, equations, nesting."""
-    baseline = trial_scene()
+    baseline = trial_baseline()
     try:
         variants = list(cause.variants(baseline))
     except Exception as fault:

@@ -23,7 +23,7 @@ from hygrokf.discovery import own_causes
 from hygrokf.discovery.baseline import THERMAL, Baseline
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.own_causes import LibraryFault, adopt, cause_of, load_library
-from hygrokf.discovery.plugin_validation import trial_record, trial_scene, variant_faults
+from hygrokf.discovery.plugin_validation import trial_record, trial_baseline, variant_faults
 from hygrokf.identification.results import LibraryAbsent, ResultFault, read_fit
 from hygrokf.modelling import registry as additions
 from hygrokf.modelling.derived_inputs import FEATURES
@@ -102,7 +102,7 @@ def test_a_file_brings_its_cause(file: Path) -> None:
         "transformer_heat", "auxiliary_power", ["transformer_heat"],
     )  # fmt: skip
     assert MECHANISMS["transformer_heat"]().inputs == ("auxiliary_power",)
-    (variant,) = cause.variants(trial_scene())
+    (variant,) = cause.variants(trial_baseline())
     assert variant.additions == {THERMAL: (("transformer_heat", {}),)}
     adopt((*LIBRARY, cause))  # once more changes nothing
     assert load_library(file)[0].name == cause.name
@@ -171,7 +171,7 @@ def test_the_packages_own_causes_pass_the_check_that_users_causes_must_pass() ->
         "humidity_sensor_drift"
     )
     for name in names.split():
-        assert len(named(name).variants(trial_scene())) and variant_faults(named(name)) == []
+        assert len(named(name).variants(trial_baseline())) and variant_faults(named(name)) == []
 
 
 # -- faults --------------------------------------------------------------------------------------------------
@@ -428,7 +428,7 @@ def test_an_own_feature_is_an_input(tmp_path: Path) -> None:
     np.testing.assert_allclose(prepare_run(wider, record).timeline.input("glow"), 2.0 * record["rain"].value)
     assert set(wider.to_json()["origins"]) == {"stove", "glow"}
     dry = replace(record, series=tuple(s for s in record.series if s.signal != "rain"))
-    assert cause.variants(Baseline(dry, trial_scene().parts)) == []
+    assert cause.variants(Baseline(dry, trial_baseline().parts)) == []
 
 
 def test_a_function_that_fails_on_a_record_is_a_fault_of_its_file(
