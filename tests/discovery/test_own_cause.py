@@ -23,7 +23,7 @@ from hygrokf.discovery import own_causes
 from hygrokf.discovery.baseline import THERMAL, Baseline
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.own_causes import LibraryFault, adopt, cause_of, load_library
-from hygrokf.discovery.plugin_validation import trial_record, trial_baseline, variant_faults
+from hygrokf.discovery.plugin_validation import trial_baseline, trial_record, variant_faults
 from hygrokf.identification.results import LibraryAbsent, ResultFault, read_fit
 from hygrokf.modelling import registry as additions
 from hygrokf.modelling.derived_inputs import FEATURES
