@@ -14,12 +14,13 @@ from hygrokf.data.record import Record
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import identify
-from hygrokf.live.condition import FREEZING_K, Surface
+from hygrokf.live.condition import Surface
 from hygrokf.live.plan import Form, Plan, plan
 from hygrokf.live.scenarios import DAYS, Scenarios, persistence
 from hygrokf.live.tracker import Course, Point, whole
 from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
+    ZERO_CELSIUS_K,
     dew_point,
     frost_point,
     saturation_pressure_water,
@@ -93,7 +94,7 @@ def truth(made: Plant, time_s: np.ndarray, surface: Surface = SURFACE) -> Truth:
     outside = np.interp(time_s, minutes, made.drivers.ambient_K)
     cold = outside + surface.follows * (kelvin - outside) + surface.offset_K
     dew = dew_point(pressure)
-    icy = (cold < FREEZING_K) & (dew < FREEZING_K)
+    icy = (cold < ZERO_CELSIUS_K) & (dew < ZERO_CELSIUS_K)
     # the ice's formula is not made for the pressures of warm air
     drops = np.where(icy, frost_point(np.minimum(pressure, 611.0)), dew)
     return Truth(
