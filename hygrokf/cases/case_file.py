@@ -139,7 +139,7 @@ def _undeclared(case: StatedCase, cabinet: bool, ambient: bool) -> list[str]:
     unheard = "ambient_temperature" not in case.declared and all(one.compare for one in case.weather)
     if ambient and unheard:
         faults.append(
-            f"{name}: no source names {signal('ambient_temperature')}, the input that no model goes without"
+            f"{name}: no source names {signal('ambient_temperature')}, the input that every model needs"
         )
     if cabinet and not any(one in case.declared for one in IDENTIFIABLE):
         faults.append(
@@ -287,7 +287,7 @@ def _source_series(
     if source.interval_s is not None and source.interval_s > 1.5 * step:
         warnings.append(
             f"interval = {duration_text(source.interval_s)} is longer than the step of "
-            f"{duration_text(step)}: means of overlapping intervals are no independent readings"
+            f"{duration_text(step)}: means of overlapping intervals are not independent readings"
         )
     return found, warnings, faults
 
@@ -297,7 +297,7 @@ def _no_step(source: StatedSource, step: float, regular: float) -> str:
     if math.isfinite(step):
         found = f"only {100 * regular:.0f} % of the steps are {duration_text(step)}"
     return (
-        f"the length of the interval averaged over is not to be seen from the stamps ({found}): "
+        f"the stamps do not show the length of the averaging interval ({found}): "
         'state it, such as interval = "10min"'
     )
 

@@ -153,7 +153,7 @@ def _doubts_of_periods(record: Record) -> list[str]:
         )
     if record.until_s is None:
         said.append(
-            "no validation period: every score will be one on the data that were fitted; state "
+            "no validation period: every score will be computed on the fitted data; state "
             "[identification] until"
         )
     elif not record.start_s < record.until_s < record.end_s:
@@ -185,7 +185,7 @@ def _doubts_of_power(record: Record) -> list[str]:
         said.append(
             Doubt(
                 f"active power is negative for {100 * standstill:.0f} % of its readings and hardly "
-                "ever positive: is the sign turned round (feeding in is positive)?",
+                "ever positive: is the sign reversed (feed-in is positive)?",
                 "thermal",
             )
         )
@@ -238,8 +238,8 @@ def _doubts_of_climate(record: Record) -> list[str]:
         step, _ = modal_step(record["ambient_temperature"].time)
         if step >= 3600.0:
             said.append(
-                f"ambient temperature every {duration_text(step)} only: how fast the cabinet "
-                "follows it (rho) will hardly be resolved"
+                f"ambient temperature every {duration_text(step)} only: the cabinet's "
+                "response to it (rho) will hardly be resolved"
             )
         if "cabinet_temperature" in record:
             pair = _pair(

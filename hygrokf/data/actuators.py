@@ -102,12 +102,11 @@ def _why_not(value: np.ndarray) -> str:
     if not len(value):
         return "it has no reading"
     if value.min() == value.max():
-        return "it never changes, and what it does is part of the model's constants"
+        return "it never changes, so its effect is part of the model's constants"
     above = int((value > 0.5 * (value.min() + value.max())).sum())
     if min(above, len(value) - above) >= FEWEST_EACH_SIDE:
         return ""
     return (
         f"{above} readings above half of its span and {len(value) - above} below; at least "
-        f"{FEWEST_EACH_SIDE} of "
-        "either are needed"
+        f"{FEWEST_EACH_SIDE} of each are needed"
     )

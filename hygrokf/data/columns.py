@@ -294,7 +294,7 @@ def _stamp_remedy(column: pandas.Series, unreadable: np.ndarray, here: str) -> s
     if column.name in words:
         return "; the header is repeated among the rows: remove these lines"
     if all(re.fullmatch(r"\d+(\.\d*)?", word) for word in words):
-        return "; bare numbers are no stamps: export the time as text such as 2020-12-01T00:00Z"
+        return "; bare numbers are not time stamps: export the time as text such as 2020-12-01T00:00Z"
     for pattern, form in (
         (r"\d{1,2}\.\d{1,2}\.\d{4} \d{1,2}:\d{2}:\d{2}", "%d.%m.%Y %H:%M:%S"),
         (r"\d{1,2}\.\d{1,2}\.\d{4} \d{1,2}:\d{2}", "%d.%m.%Y %H:%M"),

@@ -52,7 +52,7 @@ def order_readings(
         time = time[order]
         values = {name: array[order] for name, array in values.items()}
         if backward.mean() > 0.9:
-            warnings.append("unsorted stamps: the newest come first; turned round")
+            warnings.append("unsorted stamps: newest first; reversed")
         else:
             warnings.append(
                 f"unsorted stamps: {int(backward.sum())} of {len(time)} are earlier than the one "
@@ -220,7 +220,7 @@ def mask_frozen(series: Series) -> tuple[Series, tuple[str, ...]]:
         return series, ()
     if value[0] == value.min() == value.max() and not _is_idle(row.idle, value[0]):
         same = in_words(value[0], row)
-        doubt = f"all {len(value)} readings are {same}: perhaps a frozen sensor; nothing else vouches for it"
+        doubt = f"all {len(value)} readings are {same}: perhaps a frozen sensor; no other signal confirms it"
         return series, (f"{_label(series)}: {doubt}",)
     starts = np.flatnonzero(np.append(True, np.diff(value) != 0.0))
     lengths = np.diff(np.append(starts, len(value)))

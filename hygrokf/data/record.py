@@ -172,9 +172,8 @@ def _numbers(name: str, given: object, expected: str, faults: list[str]) -> np.n
         )
         found = type(next(iter(others), given)).__name__
     remedy = _REMEDIES[name]
-    faults.append(f"{name}: expected {expected}, found {found}; convert, such as {remedy}, or hand a frame "
-                  "over to "
-                  "Record.from_frames")  # fmt: skip
+    faults.append(f"{name}: expected {expected}, found {found}; convert, such as {remedy}, or pass a frame "
+                  "to Record.from_frames")  # fmt: skip
     return None
 
 

@@ -445,7 +445,7 @@ def signal_table_markdown() -> str:
     introduction = (
         "A case file names a signal, the column that holds it and the unit of that column. "
         "Inside the package every value is in the SI unit of this table. Readings outside of "
-        "the physical range are masked and said as a warning. The accuracy is the 95 % accuracy "
+        "the physical range are masked, with a warning. The accuracy is the 95 % accuracy "
         "assumed for the sensor where the case file states none."
     )
     lines = [

@@ -299,10 +299,10 @@ def _decodable(content: bytes) -> tuple[bytes, str]:
         try:
             return content.decode("utf-16").encode(), "utf-8"
         except UnicodeDecodeError as broken:
-            raise TableFault([f"is no text: {broken}"]) from None
+            raise TableFault([f"is not text: {broken}"]) from None
     if b"\x00" in content:
         line = content[: content.index(b"\x00")].count(b"\n") + 1
-        raise TableFault([f"line {line}: is no text (a zero byte); the file may be damaged"])
+        raise TableFault([f"line {line}: is not text (a zero byte); the file may be damaged"])
     content = content.removeprefix(b"\xef\xbb\xbf")
     if b"\r" in content and b"\n" not in content:
         content = content.replace(b"\r", b"\n")

@@ -29,7 +29,7 @@ _CLOCK_CHANGES = (
     'such as timezone = "Europe/Berlin"'
 )
 _CLOCK_DOES_NOT_CHANGE = (
-    "the stamps carry summer-time offsets although the clock has no summer time: take them without "
+    "the stamps carry summer-time offsets although the clock has no summer time: ignore them "
     "(ignore_offset = true, timezone = the clock's own fixed offset)"
 )
 

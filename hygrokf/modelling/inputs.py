@@ -137,7 +137,7 @@ def _common_span(record: Record, ambient: dict[str, Series]) -> tuple[float, flo
     if not first < last:
         what = "the cabinet's readings and the ambient series" if observed else "the ambient series"
         raise ValueError(
-            f"{what} have no stretch of time in common (a single reading is none): "
+            f"{what} have no stretch of time in common (a single reading does not count): "
             "check the spans with `hygrokf check`"
         )
     return first, last

@@ -110,7 +110,7 @@ def _packed(path: Path) -> bytes:
 
 
 def _too_large(what: str) -> str:
-    return f"{what} more than {MOST_BYTES / 2**30:g} GiB: ask for a smaller area, or for one year a file"
+    return f"{what} more than {MOST_BYTES / 2**30:g} GiB: request a smaller area, or one file per year"
 
 
 def _gunzipped(packed: bytes) -> bytes:
@@ -130,7 +130,7 @@ def _bounded(stream: BinaryIO | gzip.GzipFile, packed: int, what: str, most: int
             raise TableFault([_too_large(f"{what} unpacks to")])
         if size > RATIO_FROM and size > MOST_RATIO * max(packed, 1):
             raise TableFault(
-                [f"{what} unpacks to more than {MOST_RATIO:g} times its size: this is no weather file"]
+                [f"{what} unpacks to more than {MOST_RATIO:g} times its size: this is not a weather file"]
             )
         pieces.append(piece)
     return b"".join(pieces)

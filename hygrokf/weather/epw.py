@@ -108,14 +108,14 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     value = dict(lines.value)
     warnings += _dew_point_completed(value, faults)
     warnings += saturation_doubt(value["ambient_temperature"], value["ambient_dew_point_temperature"])
-    warnings.append("wind_speed is that at 10 m, not at hub height")
+    warnings.append("wind_speed is measured at 10 m, not at hub height")
     series = _series(value, time, file.name, place, faults)
     if "ambient_temperature" not in {one.signal for one in series} and not faults:
         faults.append("no dry-bulb temperature: all values of column 7 are missing")
     if faults:
         raise TableFault(faults)
     if "wind_speed" not in {one.signal for one in series}:
-        warnings.remove("wind_speed is that at 10 m, not at hub height")
+        warnings.remove("wind_speed is measured at 10 m, not at hub height")
     return Record(file.name, tuple(series), site, warnings=tuple(warnings), provenance=((file.name, digest),))
 
 
@@ -137,7 +137,7 @@ def _series(
             shown = [f"{float(from_si(end, row.display, row)):.4g}" for end in (low, high)]
             faults.append(
                 f"column {column + 1}: {signal} would lie at {shown[0]} … {shown[1]} {row.display}, which "
-                "cannot be: the columns are moved, or in other units"
+                "is impossible: the columns are shifted, or in other units"
             )
             continue
         held = kind != "instant"
@@ -185,7 +185,8 @@ def _lines(rows: list[list[str]], faults: list[str]) -> _Lines:
     periods = next((row for row in rows[:_HEADER] if row and row[0].strip().upper() == "DATA PERIODS"), None)
     if periods is None:
         faults.append(
-            f"expected {_HEADER} lines of header that end with DATA PERIODS; the file is cut short or no EPW"
+            f"expected {_HEADER} lines of header that end with DATA PERIODS; the file is cut short or is "
+            "not EPW"
         )
         return nothing
     hourly = len(periods) > 2 and periods[2].strip()
@@ -276,7 +277,7 @@ def _placed(lines: _Lines, year: int) -> tuple[_Lines, list[str]]:
     elif not calendar.isleap(year) and leap_day.any():
         keep = np.flatnonzero(~leap_day)
         stamps = stamps[keep]
-        said.append(f"{year} is no leap year: 29 February is left out")
+        said.append(f"{year} is not a leap year: 29 February is left out")
     own = sorted({int(one) for one in lines.calendar[:, 0]})
     if own != [year]:
         said.append(
@@ -309,4 +310,6 @@ def _dew_point_completed(value: dict[str, np.ndarray], faults: list[str]) -> lis
             f"column 9: relative humidity reaches {highest:.3g} only, expected per cent: its numbers look "
             "like fractions"
         )
-    return [f"{int(lacking.sum())} dew points are missing and made from relative humidity over water"]
+    return [
+        f"{int(lacking.sum())} dew points are missing; they were computed from relative humidity over water"
+    ]

@@ -200,8 +200,8 @@ class _Making:
             shown = [f"{float(from_si(end, row.display, row)):.4g}" for end in (low, high)]
             unit = "" if row.display == "1" else f" {row.display}"
             self.faults.append(
-                f"{names}: {signal} would lie at {shown[0]} … {shown[1]}{unit}, which cannot be: the file "
-                f"states {_stated(self.given, shorts)}; correct it or fetch the file again"
+                f"{names}: {signal} would lie at {shown[0]} … {shown[1]}{unit}, which is impossible: the "
+                f"file states {_stated(self.given, shorts)}; correct it or fetch the file again"
             )
             return None
         points = self.points
@@ -280,7 +280,7 @@ def _site(points: PointFields) -> Site | None:
     try:
         return Site(points.latitude_deg, east, points.altitude_m)
     except ValueError as outside:
-        raise TableFault([f"the point of the file cannot be: {outside}"]) from None
+        raise TableFault([f"the file's point is impossible: {outside}"]) from None
 
 
 def _converted(short: str, name: str, raw: np.ndarray, unit: str | None, faults: list[str]) -> np.ndarray:
@@ -336,7 +336,9 @@ def _wind(made: _Making, value: Mapping[str, np.ndarray]) -> list[Series | None]
     else:
         return []
     if height == "10":
-        made.warnings.append("wind_speed is that at 10 m, not at hub height: the file has no u100 and v100")
+        made.warnings.append(
+            "wind_speed is measured at 10 m, not at hub height: the file has no u100 and v100"
+        )
     speed = np.hypot(value[east], value[north])
     # where the wind comes from, clockwise from north
     direction = np.mod(np.arctan2(-value[east], -value[north]), 2.0 * math.pi)

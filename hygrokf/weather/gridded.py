@@ -53,7 +53,7 @@ def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
                     raise TableFault(
                         [
                             f"holds {opened.nbytes / 2**30:.1f} GiB of fields, expected no more than "
-                            f"{MOST_BYTES * 2 / 2**30:g}: ask for a smaller area, or for one year a file"
+                            f"{MOST_BYTES * 2 / 2**30:g}: request a smaller area, or one file per year"
                         ]
                     )
                 return opened.load()
@@ -64,9 +64,7 @@ def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
             ['reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"']
         ) from None
     except MemoryError:
-        raise TableFault(
-            ["does not fit into memory: ask for a smaller area, or for one year a file"]
-        ) from None
+        raise TableFault(["does not fit into memory: request a smaller area, or one file per year"]) from None
     except Exception as broken:  # each layer of the library has errors of its own for a damaged file
         reason = " ".join(str(broken).split())[:160] or type(broken).__name__
         raise TableFault(

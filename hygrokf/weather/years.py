@@ -52,7 +52,7 @@ def read_weather(
     if years < 1:
         raise ValueError(f"years must be 1 or more, found {years}")
     if years > 1 and year is None:
-        raise ValueError("years repeats a typical year from a stated one on: state year as well")
+        raise ValueError("years needs year, the first calendar year of the repeated typical year")
     if years > 1 and len(files) > 1:
         raise ValueError("years repeats one typical year; give one file, or years = 1")
     records, faults = [], []

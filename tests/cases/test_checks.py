@@ -105,7 +105,7 @@ def test_a_good_record_raises_neither_warning_nor_doubt():
             ["no cabinet signal"],
         ),
         (changed(good(), "active_power", np.full(8640, 1e6)), ["no standstill: 0.0 %"]),
-        (changed(good(), "active_power", np.full(8640, -5e3)), ["sign turned round"]),
+        (changed(good(), "active_power", np.full(8640, -5e3)), ["sign reversed"]),
         (changed(good(), "active_power", np.full(8640, np.nan)), ["power has no reading"]),
         (
             changed(good(), "active_power", good()["active_power"].value / 1e3),

@@ -257,7 +257,7 @@ def test_rows_without_a_stamp_doubled_and_unsorted_ones_are_repaired_and_said() 
     assert any("1 row without a stamp left out: iloc 7" in one for one in found.warnings)
     assert len(found["cabinet_temperature"]) == COUNT - 1
     turned = made({"cabinet": cabinet().iloc[::-1], "scada": scada()})
-    assert turned.series == made().series and any("newest come first" in one for one in turned.warnings)
+    assert turned.series == made().series and any("newest first" in one for one in turned.warnings)
     twice = made({"cabinet": pd.concat([cabinet(), cabinet().iloc[5:8] + 0.5]), "scada": scada()})
     assert np.flatnonzero(twice["cabinet_temperature"].missing).tolist() == [5, 6, 7]
     assert any("contradicting ones masked" in one for one in twice.warnings)
@@ -385,7 +385,7 @@ WRONG = [
         "correct its unit or rated"),
     (None, {"rated_power_kW": 0.0}, "rated_power_kW must be a number above 0", "0.0"),
     ({"scada": scada()}, {"units": {"P": "kW"}, "signals": {"P": "active_power"}},
-     "no source names ambient_temperature, the input that no model goes without", ""),
+     "no source names ambient_temperature, the input that every model needs", ""),
     ({"scada": scada().set_axis(["power"], axis=1)}, {"units": None, "signals": None},
         'none of its columns is a signal (it has "power")', "signals={"),
 ]  # fmt: skip

@@ -287,7 +287,7 @@ MASKED = [
     pytest.param(rows("cabinet.csv", swapped), ("unsorted stamps: 1 of 1847", "sorted"), 0, id="unsorted"),
     pytest.param(
         rows("cabinet.csv", lambda lines: lines[::-1]),
-        ("the newest come first; turned round",),
+        ("newest first; reversed",),
         0,
         id="reversed",
     ),

@@ -129,7 +129,7 @@ def test_a_typical_year_of_an_epw_file(folder: Path) -> None:
     assert 8740.0 < year["hours_known"] < 8760.0  # what follows a gap is not counted before it has settled
     assert region["outside"]["mean_temperature_degC"] == pytest.approx(10.0, abs=0.02)
     assert any("at 10 m, brought to 80 m" in words for words in region["statements"])
-    assert "wind_speed is that at 10 m, not at hub height" in region["statements"]
+    assert "wind_speed is measured at 10 m, not at hub height" in region["statements"]
     share = 100.0 * year["operating_share"]
     said = f"the turbine operates {share:.0f} % of the time"
     assert any(words.startswith(said) for words in region["statements"])

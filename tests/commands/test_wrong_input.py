@@ -92,11 +92,11 @@ WRONG: dict[str, tuple] = {
     "empty file": (FIT, holds("cabinet.csv", b""), ONE + "cabinet.csv: the file is empty"),
     "only a header": (FIT, rows("cabinet.csv", lambda lines: []),
         ONE + "cabinet.csv: expected readings, found no row below the header"),
-    "binary file": (FIT, holds("cabinet.csv", b"time,T\n\x00\x01"), ONE + "cabinet.csv: line 2: is no text"),
+    "binary file": (FIT, holds("cabinet.csv", b"time,T\n\x00\x01"), ONE + "cabinet.csv: line 2: is not text"),
     "a cell too many": (FIT, rows("scada.csv", lambda lines: [*lines[:3], lines[3] + ",7", *lines[4:]]),
         ONE + "scada.csv: line 5: expected 5 cells as in the header (line 1), found more"),
     "one mean alone": (FIT, rows("scada.csv", lambda lines: lines[:1]),
-        ONE + "scada.csv: the length of the interval averaged over is not to be seen", 'interval = "10min"'),
+        ONE + "scada.csv: the stamps do not show the length of the averaging interval", 'interval = "10min"'),
     "too few readings": (FIT, rows("cabinet.csv", lambda lines: lines[:29]),
         "hygrokf: case.toml: cabinet_temperature: expected at least 50 readings in the", "period, found 29"),
     # where to write
@@ -164,7 +164,7 @@ WRONG: dict[str, tuple] = {
         "that is no"),
     # the case for a fit
     "simulate without ambient": (SIMULATE, leave_out("ambient_temperature"),
-        ONE + "case.toml: no source names signals.ambient_temperature, the input that no model goes without"),
+        ONE + "case.toml: no source names signals.ambient_temperature, the input that every model needs"),
     "simulate without ambient humidity": (SIMULATE, leave_out("ambient_relative_humidity"),
         "hygrokf: case.toml: the model reads an ambient humidity (relative, absolute or dew point)",
         "which the record does not have (it has cabinet_temperature,"),

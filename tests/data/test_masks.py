@@ -71,7 +71,7 @@ class TestOrder:
     def test_newest_first_is_turned_round(self):
         ordered, _, (said,) = order_readings(np.arange(9.0)[::-1], {"a": np.zeros(9)})
         np.testing.assert_array_equal(ordered, np.arange(9.0))
-        assert "newest come first" in said
+        assert "newest first" in said
 
 
 class TestResolution:
@@ -233,8 +233,8 @@ class TestFrozen:
         masked, said = mask_frozen(one)
         assert masked == one
         assert said == (
-            "cabinet_temperature: all 300 readings are 21.4 degC: perhaps a frozen sensor; nothing else "
-            "vouches for it",
+            "cabinet_temperature: all 300 readings are 21.4 degC: perhaps a frozen sensor; no other "
+            "signal confirms it",
         )
         calm = series("wind_speed", np.zeros(300))
         assert mask_frozen(calm) == (calm, ())

@@ -259,7 +259,7 @@ def test_rows_without_stamp_are_left_out_and_said(write):
         (b"time,T,RH\n", "a.csv", "no row"),
         (b"PK\x03\x04rest", "a.csv", "Excel"),
         (b"PAR1rest", "a.csv", "Parquet"),
-        (GOOD.encode() + b"\x00\x00", "a.csv", "line 6: is no text"),
+        (GOOD.encode() + b"\x00\x00", "a.csv", "line 6: is not text"),
         (gzip.compress(GOOD.encode(), mtime=0)[:40], "a.csv.gz", "decompressed"),
         (b"not gzip", "a.csv.gz", "decompressed"),
         (GOOD.replace("20.5", '"20.5').encode(), "a.csv", "line 2: a quotation mark"),

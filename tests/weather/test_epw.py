@@ -76,7 +76,7 @@ def test_a_missing_dew_point_comes_from_relative_humidity(tmp_path: Path) -> Non
     dew, warm = record["ambient_dew_point_temperature"].value, record["ambient_temperature"].value
     assert relative_humidity_from_dew_point(dew[200], warm[200]) == pytest.approx(0.6, abs=1e-9)
     assert np.isnan(dew[201]) and np.isnan(dew).sum() == 1
-    assert any("1 dew points are missing and made from relative humidity" in said for said in record.warnings)
+    assert any("1 dew points are missing; they were computed from" in said for said in record.warnings)
 
 
 def test_a_typical_year_needs_a_year(tmp_path: Path) -> None:
@@ -119,7 +119,7 @@ def test_faults_of_files(tmp_path: Path) -> None:
     assert faults(written(tmp_path, "\n".join(lines[:5000]))) == (
         "expected 8760 hours after its DATA PERIODS, found 4992: the file is cut short; fetch it again"
     )
-    assert "the file is cut short or no EPW" in faults(written(tmp_path, "\n".join(lines[:4])))
+    assert "the file is cut short or is not EPW" in faults(written(tmp_path, "\n".join(lines[:4])))
     assert "first line begins with LOCATION" in faults(written(tmp_path, "time,T\n1,2\n"))
     wrong = [lines[0].replace("48.500", "north"), *lines[1:100], "2010,1,4,25,0,x,warm", *lines[101:]]
     said = faults(written(tmp_path, "\n".join(wrong)))

@@ -114,7 +114,7 @@ def test_the_point_products_csv(tmp_path: Path, packing: str) -> None:
         record["global_horizontal_irradiance"].value, made.truth("ssrd") / 3600.0, atol=1e-3
     )
     assert record.warnings == (
-        "wind_speed is that at 10 m, not at hub height: the file has no u100 and v100",
+        "wind_speed is measured at 10 m, not at hub height: the file has no u100 and v100",
     )
     assert (record.site.latitude_deg, record.site.longitude_deg) == (48.5, 5.5)
 

@@ -76,7 +76,7 @@ def test_faults_of_every_file_at_once(tmp_path: Path) -> None:
         read_weather([tmp_path / "broken.nc", tmp_path / "absent.nc"], site=SITE)
     assert [fault.split(":")[0] for fault in caught.value.faults] == ["broken.nc", "absent.nc"]
     for arguments, words in (
-        ({"years": 0}, "1 or more"), ({"years": 2}, "state year as well"),
+        ({"years": 0}, "1 or more"), ({"years": 2}, "years needs year"),
     ):  # fmt: skip
         with pytest.raises(ValueError, match=words):
             read_weather(tmp_path / "x.epw", **arguments)
