@@ -18,10 +18,10 @@ _WHERE = {
     "write_case": "cases.synthetic",
     "identify": "identification.procedure",
     "Fit": "identification.fit",
-    "read_fit": "identification.results",
-    "write_fit": "identification.results",
+    "read_fit": "identification.fit",
+    "write_fit": "identification.fit",
     "write_report": "report.fit_page",
-    "evaluate": "identification.tables",
+    "evaluate": "identification.fit_on_record",
     "prepare_run": "modelling.inputs",
     "simulate": "evaluation.simulation",
     "forecast": "evaluation.simulation",
@@ -106,10 +106,10 @@ if TYPE_CHECKING:
     from hygrokf.evaluation.simulation import simulate as simulate
     from hygrokf.fleet.running import run_fleet as run_fleet
     from hygrokf.identification.fit import Fit as Fit
+    from hygrokf.identification.fit import read_fit as read_fit
+    from hygrokf.identification.fit import write_fit as write_fit
+    from hygrokf.identification.fit_on_record import evaluate as evaluate
     from hygrokf.identification.procedure import identify as identify
-    from hygrokf.identification.results import read_fit as read_fit
-    from hygrokf.identification.results import write_fit as write_fit
-    from hygrokf.identification.tables import evaluate as evaluate
     from hygrokf.live.tracker import Tracker as Tracker
     from hygrokf.modelling.inputs import prepare_run as prepare_run
     from hygrokf.modelling.thermal_system import thermal_system as thermal_system

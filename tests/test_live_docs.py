@@ -23,7 +23,7 @@ from builders.track_case import MODEL
 
 from hygrokf.data.record import Site
 from hygrokf.data.toml_form import keys_of
-from hygrokf.identification.results import write_fit
+from hygrokf.identification.fit import write_fit
 from hygrokf.live import config
 from hygrokf.live.config import (
     MappingForm,

@@ -31,7 +31,8 @@ from hygrokf.climate.years import Gathered, is_whole, summary
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.verdict import inherited, rests_on
+from hygrokf.identification.verdict import inherited
+from hygrokf.identification.verdict_terms import rests_on
 from hygrokf.physics.cold_surface import Surface
 from hygrokf.version import __version__
 

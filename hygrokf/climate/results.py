@@ -12,8 +12,8 @@ from pathlib import Path
 
 from hygrokf.climate.study import Study, StudyRow
 from hygrokf.data.files import CLIMATE, write_text_whole
+from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.structured import StructureFault, plain, structured
-from hygrokf.identification.results import ResultFault, dump
 
 TABLE = "climate.csv"
 
@@ -30,7 +30,7 @@ def write_climate(study: Study, directory: str | os.PathLike[str]) -> Path:
     write_text_whole(folder / TABLE, climate_csv(study))
     for name, text in profile_files(study).items():
         write_text_whole(folder / name, text)
-    return write_text_whole(folder / CLIMATE, dump(plain(study)))
+    return write_text_whole(folder / CLIMATE, result_text(plain(study)))
 
 
 def read_climate(directory: str | os.PathLike[str]) -> Study:

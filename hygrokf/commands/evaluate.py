@@ -16,7 +16,7 @@ def _arguments(parser: ArgumentParser) -> None:
 
 
 def _run(options: Namespace) -> int:
-    from hygrokf.identification.tables import evaluate
+    from hygrokf.identification.fit_on_record import evaluate
     from hygrokf.report.evaluation_text import evaluation_text
 
     fit = stored_fit(options.fit, options.library)

@@ -50,7 +50,7 @@ def load_causes(libraries: Sequence[Path]) -> None:
 
 def stored_fit(path: Path, libraries: Sequence[Path]) -> Fit:
     """A fit with its users' mechanisms loaded; installed packages are searched only where it needs them."""
-    from hygrokf.identification.results import LibraryAbsent, read_fit
+    from hygrokf.identification.fit import LibraryAbsent, read_fit
 
     load_causes(libraries)
     try:
@@ -64,7 +64,7 @@ def stored_fit(path: Path, libraries: Sequence[Path]) -> Fit:
 
 def written(fit: Fit, out: Path) -> Path:
     """Write a fit and its page; returns the path of the page."""
-    from hygrokf.identification.results import write_fit
+    from hygrokf.identification.fit import write_fit
     from hygrokf.report.fit_page import write_report
 
     write_fit(fit, out)

@@ -21,8 +21,8 @@ def _arguments(parser: ArgumentParser) -> None:
 
 def _run(options: Namespace) -> int:
     from hygrokf.data.files import write_text_whole
-    from hygrokf.identification.tables import simulation_csv, simulation_summary
-    from hygrokf.identification.verdict import told
+    from hygrokf.identification.fit_on_record import simulation_csv, simulation_summary
+    from hygrokf.identification.verdict_terms import verdict_lines
 
     expect_file(options.out)
     fit = stored_fit(options.fit, options.library)
@@ -34,7 +34,7 @@ def _run(options: Namespace) -> int:
     write_text_whole(options.out, text)
     for sentence in summary.statements:
         print(f"note: {sentence}", file=sys.stderr)
-    said = [f"{summary.n} instants written: {options.out}", *told(summary.verdicts)]
+    said = [f"{summary.n} instants written: {options.out}", *verdict_lines(summary.verdicts)]
     show(summary, "\n".join(said), options.json)
     return 0
 

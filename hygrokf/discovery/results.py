@@ -18,7 +18,7 @@ from hygrokf.data.files import DISCOVERY, DISCOVERY_SERIES, write_bytes_whole, w
 from hygrokf.data.result_file import ResultFault, read_result, result_text
 from hygrokf.discovery.discovery_results import DiscoveryResults
 from hygrokf.discovery.residuals import Residuals
-from hygrokf.identification.results import write_fit
+from hygrokf.identification.fit import write_fit
 
 if TYPE_CHECKING:
     from hygrokf.discovery.procedure import Discovery

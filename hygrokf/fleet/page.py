@@ -13,7 +13,7 @@ from hygrokf.fleet.outliers import DRAWS, FEWEST_JUDGED, LEVEL, Spread, spreads
 from hygrokf.fleet.plots import figure_spreads
 from hygrokf.fleet.table import CSV
 from hygrokf.fleet.tasks import BETWEEN, TASKS, Compared
-from hygrokf.identification.verdict import CAUTION, PARTS, REJECT, VERDICTS, WORDS
+from hygrokf.identification.verdict_terms import CAUTION, REJECT, VERDICTS, WORDS
 from hygrokf.identification.wording import (
     NONE,
     decimals_for,
@@ -24,6 +24,7 @@ from hygrokf.identification.wording import (
     plain_number,
     sentence,
 )
+from hygrokf.modelling.design import PARTS
 from hygrokf.report.blocks import (
     Banner,
     Block,

@@ -19,7 +19,7 @@ from hygrokf.fleet.plan import Plan
 from hygrokf.fleet.processes import cores, in_processes
 from hygrokf.fleet.table import CSV, PARQUET, table_csv, table_parquet
 from hygrokf.fleet.tasks import TASKS
-from hygrokf.identification.results import read_fit
+from hygrokf.identification.fit import read_fit
 from hygrokf.identification.turbine_type import TurbineType, TypeFault, pool_types, write_type
 from hygrokf.version import __version__
 

@@ -20,7 +20,8 @@ from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import Cell
 from hygrokf.data.toml_form import FormFault, setting
 from hygrokf.fleet.job import DONE, FAILED, Job, Outcome, Row, begin, finished, keep, outcome
-from hygrokf.identification.verdict import PARTS, REJECT
+from hygrokf.identification.verdict_terms import REJECT
+from hygrokf.modelling.design import PARTS
 
 if TYPE_CHECKING:
     from hygrokf.data.record import Record
@@ -117,8 +118,8 @@ def reason_of(fault: Exception) -> str:
 def _fit(job: Job) -> Row:
     """Identify the models of a case, as `hygrokf fit` does."""
     from hygrokf.cases.case_file import read_case
+    from hygrokf.identification.fit import write_fit
     from hygrokf.identification.procedure import identify
-    from hygrokf.identification.results import write_fit
 
     record, options = read_case(job.case), job.options
     fit = identify(
@@ -224,7 +225,7 @@ def _discover(job: Job) -> Row:
 def _evaluate(job: Job) -> Row:
     """Score a fitted model on a case, as `hygrokf evaluate` does."""
     from hygrokf.cases.case_file import read_case
-    from hygrokf.identification.tables import evaluate
+    from hygrokf.identification.fit_on_record import evaluate
 
     fit, record = _stored(job), read_case(job.case)
     found = evaluate(fit, record)
@@ -252,7 +253,7 @@ def _fit_of(job: Job) -> Path:
 
 def _stored(job: Job) -> Fit:
     """The fitted model that a job uses, with causes of the user's own where it has some."""
-    from hygrokf.identification.results import LibraryAbsent, read_fit
+    from hygrokf.identification.fit import LibraryAbsent, read_fit
 
     try:
         return read_fit(_fit_of(job))

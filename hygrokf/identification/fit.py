@@ -1,17 +1,48 @@
-"""An identified model with everything needed to repeat it, use it elsewhere and report it."""
+"""An identified model with everything needed to repeat it, use it elsewhere and report it, and its files.
+
+A fit on disk is `fit.json` and `series.npz` in one directory, each written atomically.
+"""
 
 from __future__ import annotations
 
+import io
+import json
+import math
+import os
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeGuard
 
 import numpy as np
 
-from hygrokf.data.structured import JsonObject, plain, structured
+from hygrokf.data.files import (
+    BESIDE_DISCOVERY,
+    DISCOVERY,
+    DISCOVERY_SERIES,
+    FIT,
+    REPORT,
+    write_bytes_whole,
+    write_text_whole,
+)
+from hygrokf.data.result_file import ResultFault, result_text
+from hygrokf.data.structured import JsonObject, StructureFault, plain, structured
+from hygrokf.data.toml_form import FormFault, read_toml
 from hygrokf.identification.fit_results import FitResults
-from hygrokf.identification.verdict import inherited, told, with_verdicts
+from hygrokf.identification.verdict import inherited, with_verdicts
+from hygrokf.identification.verdict_terms import verdict_lines
+from hygrokf.modelling.derived_inputs import feature_faults
 from hygrokf.modelling.design import Design
+from hygrokf.modelling.registry import absent
+from hygrokf.version import __version__
+
+if TYPE_CHECKING:
+    from pandas import DataFrame
+
+
+class LibraryAbsent(ResultFault):
+    """A fit whose model has mechanisms from a user's file or package that is not loaded."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +84,159 @@ class Fit:
         values = {name: row.value for name, row in results.parameters.items()}
         return cls(results.name, results.design, values, results)
 
+    def to_frame(self) -> DataFrame:
+        """The time constants with bounds [h] and verdicts as a pandas data frame, one row each."""
+        from pandas import DataFrame
+
+        rows = {
+            part: (one.value_h, one.lower_h, one.upper_h, one.words)
+            for part, one in inherited(self.results).items()
+        }
+        columns = ["value [h]", "lower bound [h]", "upper bound [h]", "verdict"]
+        return DataFrame.from_dict(rows, orient="index", columns=columns)
+
     def __str__(self) -> str:
         """The name with its time constants and their verdicts."""
-        return "\n".join([self.name, *told(inherited(self.results))])
+        return "\n".join([self.name, *verdict_lines(inherited(self.results))])
 
     __repr__ = __str__
 
     def _repr_html_(self) -> str:
-        """The page of the fit, for a notebook."""
-        from hygrokf.report.fit_page import report_page
+        """The table of the time constants, for a notebook."""
+        return str(self.to_frame().to_html())
 
-        return report_page(self.results, self.series)
+
+# --- files -----------------------------------------------------------------------------------
+
+
+def write_fit(fit: Fit, directory: str | os.PathLike[str]) -> Path:
+    """Write a fit as `fit.json` and `series.npz`.
+
+    directory: made if absent; pages and a discovery of earlier results in it are removed first, because they
+        belong to other numbers.
+
+    Returns the path of fit.json.  Raises OSError from the system.
+    """
+    directory = Path(directory)
+    text, buffer = result_text(fit.results), io.BytesIO()
+    # numpy types the arrays' names as if one of them could be its own option allow_pickle
+    np.savez_compressed(buffer, **fit.series)  # type: ignore[arg-type]
+    directory.mkdir(parents=True, exist_ok=True)
+    for name in (REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES):
+        (directory / name).unlink(missing_ok=True)
+    write_bytes_whole(directory / "series.npz", buffer.getvalue())
+    return write_text_whole(directory / FIT, text)
+
+
+def read_fit(path: str | os.PathLike[str]) -> Fit:
+    """Read a fit that `write_fit` or `hygrokf fit` wrote.
+
+    path: of fit.json, or of its directory.
+
+    Returns the fit.  Raises ResultFault with the reason and the remedy, and LibraryAbsent where the model has
+    mechanisms of a user's that are not loaded (`load_library`).
+    """
+    path = Path(path)
+    file = path / FIT if path.is_dir() else path
+    try:
+        data = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ResultFault(
+            f"{file}: expected a result of `hygrokf fit`, found no such file; run `hygrokf fit` first"
+        ) from None
+    except (OSError, ValueError, RecursionError) as fault:
+        if _is_case(file):
+            raise ResultFault(
+                f"{file} is a case file, expected a result of `hygrokf fit`; the fit comes first, as in "
+                "`hygrokf evaluate FIT CASE`"
+            ) from None
+        reason = getattr(fault, "strerror", None) or fault
+        raise ResultFault(
+            f"{file}: expected JSON written by `hygrokf fit`, found {reason}; run `hygrokf fit` again"
+        ) from None
+    needed = {"name", "version", "design", "parameters", "covariance", "time_constants"}
+    missing = sorted(needed - set(data)) if isinstance(data, dict) else sorted(needed)
+    if missing:
+        raise ResultFault(
+            f"{file}: not a result of `hygrokf fit`: it lacks {', '.join(missing)}; "
+            "name the fit.json that `hygrokf fit` wrote"
+        )
+    if _release(data["version"]) > _release(__version__):
+        raise ResultFault(
+            f"{file}: written by hygrokf {data['version']}, this is {__version__}; "
+            "install that version, or run `hygrokf fit` again"
+        )
+    try:
+        lacking = absent(data["design"].get("origins", {}))
+        if lacking:
+            raise LibraryAbsent(f"{file}: {'; '.join(lacking)}")
+        fit = Fit.from_json(data)
+        faults = _faults(fit)
+    except StructureFault as fault:
+        faults = list(fault.faults)
+    except (AttributeError, KeyError, TypeError, ValueError) as fault:
+        faults = [f"{type(fault).__name__} {fault}"]
+    if faults:
+        raise ResultFault(
+            f"{file}: damaged, or of another version than hygrokf {__version__} (it states "
+            f"{data['version']}): {'; '.join(faults)}; run `hygrokf fit` again"
+        )
+    return fit
+
+
+def _is_case(file: Path) -> bool:
+    """Whether a file is TOML that names sources, as a case file does."""
+    try:
+        return not {"source", "weather", "identification"}.isdisjoint(read_toml(file)[1])
+    except FormFault:
+        return False
+
+
+def _release(version: Any) -> tuple[int, ...]:
+    """Major and minor number of a version; (0, 0) for anything that is not a version."""
+    found = re.match(r"(\d+)\.(\d+)", version) if isinstance(version, str) else None
+    return (int(found[1]), int(found[2])) if found else (0, 0)
+
+
+def _faults(fit: Fit) -> list[str]:
+    """Faults that prevent the use of a fit: values and covariance must belong to its model."""
+    faults = []
+    for p in fit.design.model.parameters:
+        value = fit.values.get(p.name)
+        if not _is_number(value):
+            faults.append(f"parameter {p.name}: expected a number, found {value!r}")
+        elif not p.lower * (1 - 1e-9 * math.copysign(1, p.lower)) <= value <= p.upper * (1 + 1e-9):
+            faults.append(f"parameter {p.name}: expected {p.lower:g} … {p.upper:g} {p.unit}, found {value:g}")
+    names, matrix = fit.covariance
+    unknown = sorted(set(names) - {p.name for p in fit.design.model.parameters})
+    if unknown:
+        faults.append(f"covariance of unknown parameters {', '.join(unknown)}")
+    if matrix.shape != (len(names), len(names)) or not np.all(np.isfinite(matrix)):
+        finite = int(np.isfinite(matrix).sum())
+        faults.append(f"covariance: expected {len(names)} × {len(names)} finite numbers, found {finite}")
+    if len(set(names)) < len(names):
+        faults.append("covariance: expected every parameter once, found some twice")
+    return faults + _design_faults(fit.design)
+
+
+def _design_faults(design: Design) -> list[str]:
+    """Faults of the constants with which a design makes inputs from a record."""
+    faults = []
+    scale, order, mean = design.power_scale_W, design.power_order, design.power_mean
+    if scale is not None and not (_is_number(scale) and scale > 0):
+        faults.append(f"design.power_scale_W: expected a number above 0 or null, found {scale!r}")
+    if type(order) is not int or order < 0:
+        faults.append(f"design.power_order: expected a whole number from 0 on, found {order!r}")
+    elif not all(map(_is_number, mean)) or len(mean) not in (0, order + 1):
+        faults.append(f"design.power_mean: expected {order + 1} numbers or none, found {list(mean)!r}")
+    for kind in ("averaged", "ambient_noise"):
+        for name, found in getattr(design, kind).items():
+            numbers, words = (found, "2 numbers") if kind == "ambient_noise" else ((found,), "1 number")
+            if len(numbers) != int(words[0]) or not all(_is_number(one) and one > 0 for one in numbers):
+                faults.append(f"design.{kind}.{name}: expected {words} above 0, found {found!r}")
+    faults += [f"design.features.{fault}" for fault in feature_faults(design.features)]
+    return faults
+
+
+def _is_number(value: Any) -> TypeGuard[float]:
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

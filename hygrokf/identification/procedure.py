@@ -45,8 +45,8 @@ from hygrokf.identification.fit_results import (
     TimeConstant,
 )
 from hygrokf.identification.time_constants import by_simulation, hygric_entry, thermal_entry
-from hygrokf.identification.verdict import PARTS, with_verdicts
-from hygrokf.modelling.design import CASCADE, FEWEST_READINGS, JOINT, Design, design, merged
+from hygrokf.identification.verdict import with_verdicts
+from hygrokf.modelling.design import CASCADE, FEWEST_READINGS, JOINT, PARTS, Design, design, merged
 from hygrokf.modelling.inputs import IDENTIFIED_ON, Run, prepare_run
 from hygrokf.physics.parameters import Parameter, Prior
 from hygrokf.version import __version__

@@ -30,7 +30,8 @@ from hygrokf.data.files import write_text_whole
 from hygrokf.data.structured import JsonObject
 from hygrokf.errors import HygrokfError
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.verdict import PARAMETER_OF, REJECT, verdicts
+from hygrokf.identification.verdict import verdicts
+from hygrokf.identification.verdict_terms import PARAMETER_OF, REJECT
 from hygrokf.modelling.design import Design
 from hygrokf.physics.parameters import Parameter, Prior
 from hygrokf.version import __version__

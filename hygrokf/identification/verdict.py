@@ -19,38 +19,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.data.structured import structured
 from hygrokf.evaluation.diagnosis import Autocorrelation, CrossCorrelation, OutputDiagnosis
 from hygrokf.evaluation.innovation_tests import SMALL
 from hygrokf.identification.fit_results import FitResults, Interval, ParameterRow, Sampling, TimeConstant
 from hygrokf.identification.verdict_terms import (
-    _OUTPUTS,
-    BELIEVE,
-    CARRIES_OVER,
     CAUTION,
-    CONSTANTS,
-    CONTRADICTION,
-    COVERAGE,
-    CREDIBLE,
-    DECADE,
-    FAILED,
-    FEWEST_IN_BAND,
-    FORGOTTEN,
-    MARKS,
-    MATERIAL,
     PARAMETER_OF,
-    PARTS_SCATTER,
-    PER_PARAMETER,
     PERIODS,
-    PLAIN_MARKS,
     QUANTITY_OF,
     REJECT,
-    SAYING,
-    SCATTER,
-    STRETCHED,
-    TIGHT,
-    VERDICTS,
-    WORDS,
     Inherited,
     Reason,
     Verdict,
@@ -58,25 +35,54 @@ from hygrokf.identification.verdict_terms import (
 from hygrokf.identification.wording import (
     BASELINES,
     QUANTITIES,
-    UNBOUNDED,
     WIDE,
     fixed,
-    interval,
     minus,
     percent,
     plain_number,
 )
 from hygrokf.modelling.design import PARTS
 
-__all__ = [  # other modules import all terms of verdicts from this one module
-    "BELIEVE", "CARRIES_OVER", "CAUTION", "CONSTANTS", "CONTRADICTION", "COVERAGE", "CREDIBLE", "DECADE",
-    "FAILED", "FEWEST_IN_BAND", "FORGOTTEN", "MARKS", "MATERIAL", "PARAMETER_OF", "PARTS", "PARTS_SCATTER",
-    "PERIODS", "PER_PARAMETER", "PLAIN_MARKS", "QUANTITY_OF", "REJECT", "RULES", "SAYING", "SCATTER",
-    "SMALL", "STRETCHED", "TIGHT", "VERDICTS", "WIDE", "WORDS", "Reason", "Rule", "Verdict", "band_failed",
-    "best_rule", "beyond_readings", "criteria_apart", "decide", "free_run_says", "half_width", "handed_on",
-    "inherited", "largest_correlation", "line", "rests_on", "spread_words", "told", "verdicts",
-    "with_reasons", "with_verdicts"
-]  # fmt: skip
+TIGHT = 0.25
+"""[1] largest relative half-width of the interval of a well-determined time constant."""
+DECADE = 10.0
+"""[1] ratio of upper to lower bound above which not even the order of magnitude is known."""
+CONTRADICTION = 2.0
+"""[1] distance of the two criteria, in units of their joint uncertainty, above which they contradict each
+other."""
+SAYING = 3.0
+"""[1] ratio of upper to lower bound of the free run's time constant below which it is informative."""
+MATERIAL = 0.1
+"""[1] relative difference of an error from a rule's error, or change of a time constant, that is worth
+mentioning."""
+CARRIES_OVER = 1.25
+"""[1] largest ratio of validation to identification error of a model that generalises."""
+COVERAGE = (0.90, 0.985)
+"""[1] acceptable shares of readings within a 95 % band."""
+FAILED = 0.5
+"""[1] share within the free run's 95 % band below which the free run is unreliable."""
+FEWEST_IN_BAND = 20
+"""Fewest readings for a meaningful share within a band."""
+SCATTER = 2.0
+"""[1] ratio of the score's variance to the model's above which most of the scatter is not explained by the
+model."""
+STRETCHED = 3.0
+"""[1] prior standard deviations above which a constant sensor error is no longer attributed to the sensor."""
+PER_PARAMETER = 20.0
+"""Readings per estimated parameter below which asymptotic bounds are doubtful."""
+CONSTANTS = 20.0
+"""[1] length of the identification period, in time constants, below which it cannot determine the time
+constant."""
+FORGOTTEN = 2.0
+"""[1] step between readings, in time constants, above which they hardly show the decay: 14 % of a change is
+left."""
+PARTS_SCATTER = 2.0
+"""[1] ratio of the scatter of estimates from quarters of the record to their bounds; exceeds 1.6 by chance in
+5 %."""
+CREDIBLE = 0.1
+"""[1] weight above which another form of the model is considered."""
+
+_OUTPUTS = {"thermal": "temperature", "hygric": "humidity"}
 
 
 # --- deciding --------------------------------------------------------------------------------
@@ -133,47 +139,6 @@ def inherited(fit: FitResults) -> dict[str, Inherited]:
         for part, found in verdicts(fit).items()
         for one in (fit.time_constants[part],)
     }
-
-
-def line(name: str, span: str, found: Verdict) -> str:
-    """One line with a number and its verdict; for a rejected number the verdict comes first."""
-    if found.verdict != REJECT:
-        return f"{name} {span}: {found.sentence}"
-    words = "" if span.startswith(UNBOUNDED) else f" {found.words},"
-    return f"{name}{words} {span}{f': {found.why}' if found.why else ''}"
-
-
-def told(data: Mapping[str, Inherited] | None) -> list[str]:
-    """One line with mark for each number that a result inherited (`inherited`), as printed by all
-    commands."""
-    lines = []
-    for part, one, found in handed_on(data):
-        value, bounds, _ = interval(one.value_h, one.lower_h, one.upper_h)
-        span = f"{value} ({bounds})" if bounds else value
-        lines.append(f"{PLAIN_MARKS[found.verdict]} {line(f'{part} time constant', span, found)}")
-    return lines
-
-
-def handed_on(data: Mapping[str, Inherited] | None) -> list[tuple[str, Inherited, Verdict]]:
-    """Part, numbers and verdict of each number that a result inherited; plain data of a file are read
-    too."""
-    known = structured(dict[str, Inherited], dict(data or {}))
-    return [(part, known[part], known[part].judged) for part in PARTS if part in known]
-
-
-def rests_on(data: Mapping[str, Inherited] | None, parts: Iterable[str] = PARTS) -> str:
-    """A sentence for a result that rests on rejected numbers; empty where it does not.
-
-    parts: those that the result rests on.
-    """
-    rejected = [part for part, _, found in handed_on(data) if found.verdict == REJECT and part in parts]
-    if not rejected:
-        return ""
-    several = len(rejected) > 1
-    return (
-        f"the model's {' and '.join(rejected)} time constant{'s' if several else ''}, on which this rests, "
-        f"{'are' if several else 'is'} {WORDS[REJECT]}"
-    )
 
 
 # --- the rules -------------------------------------------------------------------------------

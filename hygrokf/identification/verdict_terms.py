@@ -1,13 +1,15 @@
-"""The terms of a verdict: its words, its reasons, and the thresholds of evidence against a number."""
+"""The terms of a verdict: its words, its reasons, and how results that use a number report its verdict."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Final, Literal, TypeAlias
 
 from hygrokf.data.structured import structured
+from hygrokf.identification.wording import UNBOUNDED, interval
+from hygrokf.modelling.design import PARTS
 
 Kind: TypeAlias = Literal["believe", "caution", "reject"]
 BELIEVE: Final = "believe"
@@ -21,46 +23,6 @@ PLAIN_MARKS = {BELIEVE: "+", CAUTION: "!", REJECT: "x"}
 """Marks for a terminal."""
 PERIODS = ("validation", "identification")
 
-TIGHT = 0.25
-"""[1] largest relative half-width of the interval of a well-determined time constant."""
-DECADE = 10.0
-"""[1] ratio of upper to lower bound above which not even the order of magnitude is known."""
-CONTRADICTION = 2.0
-"""[1] distance of the two criteria, in units of their joint uncertainty, above which they contradict each
-other."""
-SAYING = 3.0
-"""[1] ratio of upper to lower bound of the free run's time constant below which it is informative."""
-MATERIAL = 0.1
-"""[1] relative difference of an error from a rule's error, or change of a time constant, that is worth
-mentioning."""
-CARRIES_OVER = 1.25
-"""[1] largest ratio of validation to identification error of a model that generalises."""
-COVERAGE = (0.90, 0.985)
-"""[1] acceptable shares of readings within a 95 % band."""
-FAILED = 0.5
-"""[1] share within the free run's 95 % band below which the free run is unreliable."""
-FEWEST_IN_BAND = 20
-"""Fewest readings for a meaningful share within a band."""
-SCATTER = 2.0
-"""[1] ratio of the score's variance to the model's above which most of the scatter is not explained by the
-model."""
-STRETCHED = 3.0
-"""[1] prior standard deviations above which a constant sensor error is no longer attributed to the sensor."""
-PER_PARAMETER = 20.0
-"""Readings per estimated parameter below which asymptotic bounds are doubtful."""
-CONSTANTS = 20.0
-"""[1] length of the identification period, in time constants, below which it cannot determine the time
-constant."""
-FORGOTTEN = 2.0
-"""[1] step between readings, in time constants, above which they hardly show the decay: 14 % of a change is
-left."""
-PARTS_SCATTER = 2.0
-"""[1] ratio of the scatter of estimates from quarters of the record to their bounds; exceeds 1.6 by chance in
-5 %."""
-CREDIBLE = 0.1
-"""[1] weight above which another form of the model is considered."""
-
-_OUTPUTS = {"thermal": "temperature", "hygric": "humidity"}
 QUANTITY_OF = {"thermal": "temperature_K", "hygric": "absolute_humidity_g_m3"}
 PARAMETER_OF = {"thermal": "thermal_time_constant", "hygric": "hygric_k"}
 
@@ -96,18 +58,11 @@ class _Said:
     text: str
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """Whether a number can be believed, and the reasons against it, the most serious first."""
+class _InWords:
+    """The words of a verdict and of the reasons against a number."""
 
-    verdict: Kind = BELIEVE
-    reasons: tuple[Reason, ...] = ()
-
-    @classmethod
-    def of(cls, reasons: Iterable[Reason]) -> Verdict:
-        """The worst reason decides."""
-        found = tuple(sorted(reasons, key=lambda one: -VERDICTS.index(one.verdict)))
-        return cls(found[0].verdict if found else BELIEVE, found)
+    verdict: Kind
+    reasons: tuple[Reason, ...]
 
     @property
     def words(self) -> str:
@@ -116,7 +71,7 @@ class Verdict:
 
     @property
     def sentence(self) -> str:
-        """The words with the first reason: the form of a verdict that fits in one line."""
+        """The verdict in one line: its words and the first reason."""
         return f"{self.words}: {self.why}" if self.reasons else self.words
 
     @property
@@ -130,8 +85,22 @@ class Verdict:
 
 
 @dataclass(frozen=True)
-class Inherited:
-    """A time constant [h] as results that use a fit hand it on: value, bounds, verdict and reasons."""
+class Verdict(_InWords):
+    """Whether a number can be believed, and the reasons against it, the most serious first."""
+
+    verdict: Kind = BELIEVE
+    reasons: tuple[Reason, ...] = ()
+
+    @classmethod
+    def of(cls, reasons: Iterable[Reason]) -> Verdict:
+        """The verdict of the most serious reason."""
+        found = tuple(sorted(reasons, key=lambda one: -VERDICTS.index(one.verdict)))
+        return cls(found[0].verdict if found else BELIEVE, found)
+
+
+@dataclass(frozen=True)
+class Inherited(_InWords):
+    """A time constant [h] in a result that uses a fit: value, bounds, and the verdict with its reasons."""
 
     value_h: float = math.nan
     lower_h: float = math.nan
@@ -139,7 +108,35 @@ class Inherited:
     verdict: Kind = BELIEVE
     reasons: tuple[Reason, ...] = ()
 
-    @property
-    def judged(self) -> Verdict:
-        """The verdict with its reasons."""
-        return Verdict(self.verdict, self.reasons)
+
+def verdict_line(name: str, span: str, found: Verdict | Inherited) -> str:
+    """One line with a number and its verdict; for a rejected number the verdict comes first."""
+    if found.verdict != REJECT:
+        return f"{name} {span}: {found.sentence}"
+    words = "" if span.startswith(UNBOUNDED) else f" {found.words},"
+    return f"{name}{words} {span}{f': {found.why}' if found.why else ''}"
+
+
+def verdict_lines(inherited: Mapping[str, Inherited]) -> list[str]:
+    """One line with a mark for each time constant that a result inherited, as all commands print it."""
+    lines = []
+    for part, one in inherited.items():
+        value, bounds, _ = interval(one.value_h, one.lower_h, one.upper_h)
+        span = f"{value} ({bounds})" if bounds else value
+        lines.append(f"{PLAIN_MARKS[one.verdict]} {verdict_line(f'{part} time constant', span, one)}")
+    return lines
+
+
+def rests_on(inherited: Mapping[str, Inherited], parts: Collection[str] = PARTS) -> str:
+    """A sentence for a result that rests on rejected time constants; empty where it does not.
+
+    parts: those that the result rests on.
+    """
+    rejected = [part for part, one in inherited.items() if one.verdict == REJECT and part in parts]
+    if not rejected:
+        return ""
+    several = len(rejected) > 1
+    return (
+        f"the model's {' and '.join(rejected)} time constant{'s' if several else ''}, on which this rests, "
+        f"{'are' if several else 'is'} {WORDS[REJECT]}"
+    )

@@ -15,12 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.data.timestamps import HOUR_S, MINUTE_S
-from hygrokf.identification.verdict import PARTS, rests_on
-from hygrokf.identification.verdict_terms import Inherited
+from hygrokf.identification.verdict_terms import Inherited, rests_on
 from hygrokf.live.condition import Condition
 from hygrokf.live.fault_isolation import SENSORS, Finding
 from hygrokf.live.properties import ParameterShift
 from hygrokf.live.storage.store import Alarm
+from hygrokf.modelling.design import PARTS
 
 if TYPE_CHECKING:
     from hygrokf.live.sources.streams import SourceState

@@ -11,10 +11,11 @@ from typing import Any
 
 from hygrokf.cases.form import STAMPS, StatedSensor, stated_signal
 from hygrokf.data.record import Site
+from hygrokf.data.result_file import ResultFault
 from hygrokf.data.signals import Signal
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import FormFault, Place, across, entry_name, read_form, read_toml, setting
-from hygrokf.identification.results import ResultFault, read_fit
+from hygrokf.identification.fit import read_fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import LIMIT

@@ -19,11 +19,12 @@ import numpy as np
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import SyntheticParameters, synthetic_turbine, write_case
 from hygrokf.data.record import Record, Series
+from hygrokf.data.result_file import ResultFault
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.data.toml_form import Place
+from hygrokf.identification.fit import read_fit, write_fit
 from hygrokf.identification.procedure import identify
-from hygrokf.identification.results import ResultFault, read_fit, write_fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.live.config import Config, ConfigFault
 from hygrokf.live.plan import Form, plan

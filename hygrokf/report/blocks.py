@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from hygrokf.identification.verdict import CAUTION, VERDICTS, WORDS
+from hygrokf.identification.verdict_terms import CAUTION, VERDICTS, WORDS
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing

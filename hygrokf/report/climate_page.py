@@ -13,7 +13,7 @@ from hygrokf.climate.results import read_climate, write_climate
 from hygrokf.climate.study import RegionClimate, Study
 from hygrokf.climate.test_profile import ChamberProfile
 from hygrokf.data.files import REPORT, write_bytes_whole, write_text_whole
-from hygrokf.identification.verdict import REJECT, rests_on
+from hygrokf.identification.verdict_terms import REJECT, rests_on
 from hygrokf.identification.wording import moment, percent, plain_number, sentence
 from hygrokf.report.blocks import (
     Banner,

@@ -7,7 +7,8 @@ import math
 from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults, Rejected
 from hygrokf.evaluation.scoring import REGIMES
 from hygrokf.identification.fit_results import FitResults
-from hygrokf.identification.verdict import REJECT, verdicts
+from hygrokf.identification.verdict import verdicts
+from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.identification.wording import NONE, SCORED, fixed, percent, plain_number
 from hygrokf.report.blocks import Table
 from hygrokf.report.discovery_text import (

@@ -15,7 +15,8 @@ from hygrokf.discovery.discovery_results import (
     Settings,
 )
 from hygrokf.discovery.repeats import REPEATED
-from hygrokf.identification.verdict import REJECT, handed_on, inherited
+from hygrokf.identification.verdict import inherited
+from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.identification.wording import (
     BASELINES,
     NONE,
@@ -122,7 +123,7 @@ def _doubts(found: DiscoveryResults) -> list[str]:
     """The base model's time constants that are rejected, with the reason."""
     return [
         f"its {part} time constant is {one.words}: {one.why}"
-        for part, _, one in handed_on(inherited(found.baseline.fit))
+        for part, one in inherited(found.baseline.fit).items()
         if one.verdict == REJECT
     ]
 

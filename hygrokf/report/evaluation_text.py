@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hygrokf.identification.tables import Evaluation
+from hygrokf.identification.fit_on_record import Evaluation
 from hygrokf.report.blocks import Block, Heading, Items, Prose
 from hygrokf.report.fit_tables import bands_table, rmse_table
 from hygrokf.report.inherited import inherited_verdicts

@@ -15,8 +15,10 @@ from hygrokf.data.files import BESIDE_DISCOVERY, DISCOVERY, FIT, REPORT, write_t
 from hygrokf.data.structured import StructureFault, structured
 from hygrokf.errors import HygrokfError
 from hygrokf.identification.fit_results import FitResults
-from hygrokf.identification.verdict import BELIEVE, CAUTION, PARTS, REJECT, with_verdicts
+from hygrokf.identification.verdict import with_verdicts
+from hygrokf.identification.verdict_terms import BELIEVE, CAUTION, REJECT
 from hygrokf.identification.wording import UNBOUNDED, fixed, moment, one_line, plain_number, sentence
+from hygrokf.modelling.design import PARTS
 from hygrokf.report.blocks import (
     Banner,
     Block,

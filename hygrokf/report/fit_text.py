@@ -10,29 +10,30 @@ import math
 from dataclasses import dataclass, field
 
 from hygrokf.evaluation.diagnosis import InnovationTest
+from hygrokf.evaluation.innovation_tests import SMALL
 from hygrokf.identification import fit_results
 from hygrokf.identification.fit_results import FitResults, Interval
 from hygrokf.identification.verdict import (
-    BELIEVE,
     CARRIES_OVER,
-    CAUTION,
     COVERAGE,
     FEWEST_IN_BAND,
     MATERIAL,
-    PARTS,
-    PERIODS,
-    QUANTITY_OF,
-    REJECT,
-    SMALL,
-    Verdict,
     band_failed,
     best_rule,
     beyond_readings,
     free_run_says,
     largest_correlation,
-    line,
     spread_words,
     verdicts,
+)
+from hygrokf.identification.verdict_terms import (
+    BELIEVE,
+    CAUTION,
+    PERIODS,
+    QUANTITY_OF,
+    REJECT,
+    Verdict,
+    verdict_line,
 )
 from hygrokf.identification.wording import (
     QUANTITIES,
@@ -44,6 +45,7 @@ from hygrokf.identification.wording import (
     plain_number,
     sentence,
 )
+from hygrokf.modelling.design import PARTS
 
 METHODS = {
     "composed": "all sources",
@@ -80,7 +82,11 @@ class TimeConstant:
     @property
     def sentence(self) -> str:
         """The number with its verdict; one that is not to be believed stands behind it."""
-        return f"{self.name} {self.span}" if self.found is None else line(self.name, self.span, self.verdict)
+        return (
+            f"{self.name} {self.span}"
+            if self.found is None
+            else verdict_line(self.name, self.span, self.verdict)
+        )
 
 
 def time_constant(fit: FitResults, name: str) -> TimeConstant:

@@ -7,7 +7,7 @@ from functools import cache
 from importlib import resources
 from typing import TYPE_CHECKING
 
-from hygrokf.identification.verdict import MARKS, VERDICTS, WORDS
+from hygrokf.identification.verdict_terms import MARKS, VERDICTS, WORDS
 from hygrokf.identification.wording import one_line
 from hygrokf.report.blocks import Figure, Page, Table
 from hygrokf.report.figures.drawing import FONTS, NothingToShow, inline_svg

@@ -6,7 +6,7 @@ import re
 import unicodedata
 from collections.abc import Iterable
 
-from hygrokf.identification.verdict import PLAIN_MARKS, VERDICTS
+from hygrokf.identification.verdict_terms import PLAIN_MARKS, VERDICTS
 from hygrokf.identification.wording import one_line
 from hygrokf.report.blocks import (
     Banner,

@@ -17,8 +17,8 @@ from hygrokf.evaluation.simulation import measured
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import expect_readings
 from hygrokf.identification.turbine_type import TurbineType
-from hygrokf.identification.verdict import Reason, inherited
-from hygrokf.identification.verdict_terms import Inherited
+from hygrokf.identification.verdict import inherited
+from hygrokf.identification.verdict_terms import Inherited, Reason
 from hygrokf.modelling.design import HUMIDITIES, Design, read_as
 from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.parameters import Coordinates

@@ -27,7 +27,7 @@ from hygrokf.evaluation.bootstrap import resampled
 from hygrokf.evaluation.scoring import PERIODS, SCORED, guesses, period_masks, rmse
 from hygrokf.evaluation.simulation import measured
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.tables import simulated, unlike
+from hygrokf.identification.fit_on_record import mismatches, simulate_fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.transfer.course import Course
@@ -233,7 +233,7 @@ def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -
     Returns readings, predictions and regimes (T,) for `compare`.
     Raises KeyError where the record lacks an input that the model reads.
     """
-    _, made, predicted = simulated(fit, record)
+    _, made, predicted = simulate_fit(fit, record)
     known = measured(made)
     errors, rules = {}, {}
     runs = {q: pair[0] for q in SCORED if (pair := predicted.of(q)) is not None}
@@ -250,7 +250,7 @@ def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -
     t = made.timeline
     masks = period_masks(made, record.until_s)
     masks["whole"] = np.ones(len(t), bool)
-    statements = unlike(fit, record)
+    statements = mismatches(fit, record)
     if not errors:
         statements.append(UNSCORED)
     course = Course(

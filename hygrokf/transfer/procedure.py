@@ -32,8 +32,8 @@ from hygrokf.identification.estimation import TIME_CONSTANTS, Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import Basis, assembled
 from hygrokf.identification.turbine_type import TurbineType
-from hygrokf.identification.verdict import PARTS, inherited, with_reasons
-from hygrokf.modelling.design import JOINT
+from hygrokf.identification.verdict import inherited, with_reasons
+from hygrokf.modelling.design import JOINT, PARTS
 from hygrokf.transfer.baseline import Origin, Scene, difference, scene_of, stamp
 from hygrokf.transfer.course import Course
 from hygrokf.transfer.groups import OFFSETS, Difference, Step, members, selection

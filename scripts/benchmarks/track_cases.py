@@ -12,8 +12,7 @@ import numpy as np
 
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import SIGNALS
-from hygrokf.identification.fit import Fit
-from hygrokf.identification.results import write_fit
+from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.live.plan import WANDERING, Form, plan
 from hygrokf.live.sources.streams import record_mapping
 from hygrokf.live.storage.store import Store

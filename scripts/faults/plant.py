@@ -16,8 +16,8 @@ from faults.outcome import Outcome
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.structured import structured
+from hygrokf.identification.fit import write_fit
 from hygrokf.identification.fit_results import FitResults
-from hygrokf.identification.results import write_fit
 from hygrokf.live.config import read_config
 from hygrokf.live.sources.streams import record_messages
 from hygrokf.live.storage.store import StoreFault, open_store

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from hygrokf.commands.console import UserFault, expect_directory, system_words
 from hygrokf.data.files import write_bytes_whole
-from hygrokf.identification.results import dump
+from hygrokf.data.result_file import result_text
 from hygrokf.report.figures.drawing import png, svg
 from paper import published
 from paper.experiments import Outcome, Plan, experiments, plain
@@ -61,7 +61,7 @@ def reproduce(plan: Plan, folder: Path, say: Say = lambda text: None) -> tuple[d
 
 def files(found: Mapping, figures: Sequence[Drawn]) -> dict[str, bytes]:
     """Everything that is written: path below the folder -> content."""
-    made = {"paper.json": dump(found).encode()}
+    made = {"paper.json": result_text(found).encode()}
     made |= {f"{name}.csv": csv_text(table).encode() for name, table in all_tables(found).items()}
     for one in figures:
         made[f"{one.name}.png"] = png(one.draw())

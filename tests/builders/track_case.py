@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from builders.fit_case import bare_fit
-from hygrokf.identification.results import write_fit
+from hygrokf.identification.fit import write_fit
 from hygrokf.modelling.design import Design
 
 MODEL = Design(

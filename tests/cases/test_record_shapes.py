@@ -24,7 +24,7 @@ from hygrokf.commands.main import main
 from hygrokf.data.record import Record
 from hygrokf.discovery.library import LIBRARY
 from hygrokf.discovery.procedure import discover
-from hygrokf.identification.results import read_fit
+from hygrokf.identification.fit import read_fit
 
 README = Path(__file__).resolve().parents[2] / "README.md"
 ORDINARY = "ordinary"

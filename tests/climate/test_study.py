@@ -19,8 +19,8 @@ from builders.climate_case import study_of
 from hygrokf.climate.limits import Limit
 from hygrokf.climate.results import climate_csv, profile_files, read_climate, write_climate
 from hygrokf.climate.study import Study
+from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.structured import StructureFault, plain, structured
-from hygrokf.identification.results import ResultFault, dump
 
 GOLDEN = Path(__file__).resolve().parents[1] / "golden/references/uk.json.xz"
 LIMITS = (Limit("hot", "temperature_degC", "above", 60.0), Limit("mild", "temperature_degC", "above", 10.0))
@@ -55,7 +55,7 @@ def test_keys_of_the_years_are_read_under_their_former_names() -> None:
 def test_a_study_comes_back_from_its_file_and_from_a_pickle(tmp_path: Path) -> None:
     write_climate(small(), tmp_path)
     for again in (read_climate(tmp_path), pickle.loads(pickle.dumps(small()))):
-        assert dump(plain(again)) == dump(plain(small()))
+        assert result_text(plain(again)) == result_text(plain(small()))
     assert repr(small()) == "Study('known cabinet': here; 3 members, seed 1)"
 
 

@@ -21,9 +21,9 @@ from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.commands.main import main
 from hygrokf.data.files import RESULTS
 from hygrokf.data.structured import plain
+from hygrokf.identification.fit import read_fit
+from hygrokf.identification.fit_on_record import evaluate, simulate_fit, simulation_summary
 from hygrokf.identification.procedure import DEFAULT_KIND
-from hygrokf.identification.results import read_fit
-from hygrokf.identification.tables import evaluate, simulated, simulation_summary
 from hygrokf.report.evaluation_text import evaluation_text
 from hygrokf.version import __version__
 
@@ -197,7 +197,7 @@ def test_simulate_writes_the_free_run(folder, told):
     assert head.split(",") == columns
     cells = np.array([line.split(",")[1:] for line in lines], dtype=float)
     fit, record = read_fit(folder / "result"), read_case(folder / "case.toml")
-    _, made, predicted = simulated(fit, record)
+    _, made, predicted = simulate_fit(fit, record)
     seconds = [datetime.fromisoformat(line.split(",")[0]).timestamp() for line in lines]
     np.testing.assert_allclose(seconds, made.timeline.origin_s + 3600 * made.timeline.time, atol=1e-3)
     np.testing.assert_allclose(cells[:, 0], predicted.temperature[0] - 273.15, atol=6e-5)

@@ -13,7 +13,7 @@ from builders.html_page import Page
 from builders.weather_case import epw_text
 
 from hygrokf.commands.main import main
-from hygrokf.identification.results import dump
+from hygrokf.data.result_file import result_text
 from hygrokf.version import __version__
 
 LIMITS = (
@@ -49,7 +49,7 @@ def write_known_fit(folder: Path) -> Path:
         "covariance": fit.to_json()["covariance"], "time_constants": {},
     }  # fmt: skip
     file = folder / "fit.json"
-    file.write_text(dump(data))
+    file.write_text(result_text(data))
     return file
 
 

@@ -13,7 +13,7 @@ from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.commands.main import main
 from hygrokf.discovery.library import named
 from hygrokf.discovery.procedure import discover
-from hygrokf.identification.results import read_fit
+from hygrokf.identification.fit import read_fit
 
 
 @pytest.fixture(scope="module")

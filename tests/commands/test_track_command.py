@@ -25,8 +25,7 @@ from builders.page_case import recent_record
 from builders.track_case import MODEL
 
 from hygrokf.commands.main import main
-from hygrokf.identification.fit import Fit
-from hygrokf.identification.results import write_fit
+from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.live import defaults
 from hygrokf.live.service import Service
 from hygrokf.live.storage.database import StoreUnready

@@ -11,6 +11,7 @@ from plants.as_record import to_record
 from plants.hidden import hidden_plant
 
 from hygrokf.data.record import Record
+from hygrokf.data.result_file import result_text
 from hygrokf.discovery import baseline as scene_module
 from hygrokf.discovery.baseline import (
     HYGRIC,
@@ -38,7 +39,6 @@ from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.model_selection import difference, select, verdict_on
 from hygrokf.discovery.procedure import discover
 from hygrokf.discovery.scan import Scanned, scan, slow_scan
-from hygrokf.identification.results import dump
 from hygrokf.report.discovery_page import discovery_text
 
 DAY_S = 86400.0
@@ -276,7 +276,7 @@ def test_a_discovery_is_complete_json_and_plain_text() -> None:
     record = record_of("moisture_sorption", 10, 60.0)
     record = replace(record, until_s=record.start_s + 45 * DAY_S)
     found = discover(record, library=library("moisture_sorption", "solar_gain"), starts=1)
-    data = json.loads(dump(found.to_json()))
+    data = json.loads(result_text(found.to_json()))
     assert data["verdict"] == "named"
     (cause,) = data["causes"]
     assert set(cause) >= set(

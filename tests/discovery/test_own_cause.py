@@ -18,13 +18,14 @@ from plants.as_record import to_record
 import hygrokf
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.commands.main import main
+from hygrokf.data.result_file import ResultFault
 from hygrokf.data.signals import SIGNALS
 from hygrokf.discovery import own_causes
 from hygrokf.discovery.baseline import THERMAL, Baseline
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.own_causes import LibraryFault, adopt, cause_of, load_library
 from hygrokf.discovery.plugin_validation import trial_baseline, trial_record, variant_faults
-from hygrokf.identification.results import LibraryAbsent, ResultFault, read_fit
+from hygrokf.identification.fit import LibraryAbsent, read_fit
 from hygrokf.modelling import registry as additions
 from hygrokf.modelling.derived_inputs import FEATURES
 from hygrokf.modelling.design import Design, design, extended

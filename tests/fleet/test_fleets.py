@@ -19,6 +19,7 @@ import pytest
 
 from hygrokf import identify, read_case, synthetic_turbine, write_case
 from hygrokf.commands.main import main
+from hygrokf.data.result_file import result_text
 from hygrokf.data.toml_form import keys_of
 from hygrokf.fleet import job as job_module
 from hygrokf.fleet import running
@@ -32,7 +33,7 @@ from hygrokf.fleet.processes import in_processes
 from hygrokf.fleet.running import run_fleet, write_fleet_report
 from hygrokf.fleet.table import columns_of, table_csv, table_parquet
 from hygrokf.fleet.tasks import TASKS, Compared, perform
-from hygrokf.identification.results import dump, read_fit
+from hygrokf.identification.fit import read_fit
 from hygrokf.identification.turbine_type import pool_types, read_type
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
@@ -810,7 +811,9 @@ def test_results_are_plain_data() -> None:
 
     job = Job("a", "fit", Path("c"), Path("f"))
     found = outcome(job, "done", {"thermal_upper_h": float("inf"), "n_readings": np.int64(3)})
-    assert found.row["thermal_upper_h"] is None and json.loads(dump(found.to_json()))["row"] == found.row
+    assert (
+        found.row["thermal_upper_h"] is None and json.loads(result_text(found.to_json()))["row"] == found.row
+    )
 
 
 @pytest.mark.slow

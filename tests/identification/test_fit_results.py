@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hygrokf.data.result_file import ResultFault
 from hygrokf.data.structured import StructureFault, plain, structured
-from hygrokf.identification.fit import Fit
+from hygrokf.identification.fit import Fit, read_fit
 from hygrokf.identification.fit_results import FitResults, TimeConstant
-from hygrokf.identification.results import ResultFault, read_fit
+from hygrokf.identification.verdict_terms import WORDS
 
 GOLDEN = Path(__file__).parents[1] / "golden" / "references"
 MADE = [("demo", "fit/fit.json"), ("discovery", "out/fit.json"), ("uk", "fit/fit.json")]
@@ -53,7 +54,11 @@ def test_a_fit_is_copied_between_processes_and_says_its_verdicts() -> None:
     assert again.to_json() == fit.to_json() and again.values == fit.values
     first, *numbers = repr(again).splitlines()
     assert first == fit.name and len(numbers) == len(fit.results.time_constants)
-    assert "<html" in fit._repr_html_()
+    frame = fit.to_frame()
+    for part, constant in fit.results.time_constants.items():
+        ends = [constant.value_h, constant.lower_h, constant.upper_h]
+        assert list(frame.loc[part]) == [*ends, WORDS[constant.verdict]]
+    assert "lower bound [h]" in fit._repr_html_() and frame.loc["thermal", "verdict"] in fit._repr_html_()
 
 
 def test_the_table_of_parameters_is_a_data_frame() -> None:

@@ -13,14 +13,14 @@ from plants import plant
 from plants.as_record import to_record
 
 from hygrokf.data.record import Record
+from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.structured import plain
 from hygrokf.estimation.confidence import Limit, describe
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import BETTER, Objective
 from hygrokf.identification.estimation import estimated, identify_stage, judged
-from hygrokf.identification.fit import Fit
+from hygrokf.identification.fit import Fit, read_fit, write_fit
 from hygrokf.identification.procedure import identify, shared_error
-from hygrokf.identification.results import ResultFault, dump, read_fit, write_fit
 from hygrokf.identification.time_constants import hygric_entry
 from hygrokf.modelling.design import Design, design
 from hygrokf.physics.parameters import Parameter
@@ -246,7 +246,7 @@ def test_fit_round_trip(fit, tmp_path):
     again = read_fit(path)
     assert dict(again.values) == {n: row["value"] for n, row in json.loads(text)["parameters"].items()}
     assert again.design.model.states == fit.design.model.states
-    assert Design.from_json(json.loads(dump(fit.design))) == again.design
+    assert Design.from_json(json.loads(result_text(fit.design))) == again.design
     arrays = np.load(tmp_path / "series.npz")
     assert len(arrays["time_s"]) == len(arrays["temperature_simulated"])
 
@@ -254,7 +254,7 @@ def test_fit_round_trip(fit, tmp_path):
 def test_damaged_fit_files_are_refused_in_one_line(fit, tmp_path):
     with pytest.raises(ResultFault, match="no such file"):
         read_fit(tmp_path / "none.json")
-    (tmp_path / "half.json").write_text(dump(fit.to_json())[:2000])
+    (tmp_path / "half.json").write_text(result_text(fit.to_json())[:2000])
     with pytest.raises(ResultFault, match="run `hygrokf fit` again"):
         read_fit(tmp_path / "half.json")
     (tmp_path / "other.json").write_text('{"a": 1}')

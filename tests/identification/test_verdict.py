@@ -17,22 +17,24 @@ from hygrokf.data.structured import StructureFault, plain, structured
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_results import FitResults, Profile
 from hygrokf.identification.verdict import (
+    criteria_apart,
+    decide,
+    inherited,
+    verdicts,
+    with_reasons,
+    with_verdicts,
+)
+from hygrokf.identification.verdict_terms import (
     BELIEVE,
     CAUTION,
     REJECT,
     VERDICTS,
     WORDS,
+    Inherited,
     Reason,
     Verdict,
-    criteria_apart,
-    decide,
-    inherited,
-    told,
-    verdicts,
-    with_reasons,
-    with_verdicts,
+    verdict_lines,
 )
-from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.report.blocks import Cards
 from hygrokf.report.fit_page import fit_blocks, report_text
 from hygrokf.report.fit_text import judgements
@@ -398,20 +400,20 @@ def test_a_fit_of_an_older_version_is_judged_when_it_is_read(tmp_path) -> None:
     assert Fit.from_json(again.to_json()).to_json() == again.to_json()
 
 
-def test_what_is_handed_on_is_told_in_one_way() -> None:
+def test_an_inherited_verdict_is_one_line() -> None:
     fit = _sound()
     CASES["not_converged"][0](fit)
     fit["time_constants"]["hygric"] |= plain(Verdict())
     fit["time_constants"]["thermal"] |= plain(decided(fit)["thermal"])
     handed = inherited(results(fit))
     assert handed["thermal"].value_h == 1.5 and handed["hygric"].verdict == BELIEVE
-    assert told(handed) == [
+    assert verdict_lines(handed) == [
         "x thermal time constant not to be believed, 1.50 h (1.42 … 1.58): the estimation did not converge",
         "+ hygric time constant 0.300 h (0.285 … 0.315): to be believed",
     ]
-    assert told(None) == []
+    assert verdict_lines({}) == []
     open_ = Inherited(9.0, 0.0, math.nan, REJECT)
-    assert told({"thermal": open_}) == ["x thermal time constant not identifiable (best 9.00 h)"]
+    assert verdict_lines({"thermal": open_}) == ["x thermal time constant not identifiable (best 9.00 h)"]
 
 
 # --- no mark of belief beside a refutation ---------------------------------------------------

@@ -8,7 +8,7 @@ import pytest
 from builders.fit_case import bare_fit
 from builders.live_case import live_fit, live_record
 
-from hygrokf.identification.results import write_fit
+from hygrokf.identification.fit import write_fit
 from hygrokf.live.config import ConfigFault
 from hygrokf.live.defaults import default_config, default_mapping, page_at, table_of
 from hygrokf.live.sources.payload import taken

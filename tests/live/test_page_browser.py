@@ -20,7 +20,7 @@ from builders.service_case import running
 from builders.waiting import eventually
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from hygrokf.identification.verdict import REJECT, Inherited, Reason
+from hygrokf.identification.verdict_terms import REJECT, Inherited, Reason
 from hygrokf.live.condition import Surface
 from hygrokf.live.service import Service
 from hygrokf.live.sources.streams import record_mapping, record_messages

@@ -8,7 +8,7 @@ import pytest
 from builders.fit_case import bare_fit
 from builders.track_case import MODEL
 
-from hygrokf.identification.results import write_fit
+from hygrokf.identification.fit import write_fit
 from hygrokf.live.config import Config, ConfigFault, read_config
 from hygrokf.live.web.page_settings import PageSettings
 

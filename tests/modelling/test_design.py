@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from hygrokf.data.record import Record, Series
-from hygrokf.identification.results import dump
+from hygrokf.data.result_file import result_text
 from hygrokf.modelling.design import (
     BRIDGE_H,
     Design,
@@ -309,7 +309,7 @@ def test_a_design_survives_json():
     base = extended(
         design(record(power(gap), averaged)), [("second_heat_disturbance", {})], {"rain": "linear"}
     )
-    again = Design.from_json(json.loads(dump(base.to_json())))
+    again = Design.from_json(json.loads(result_text(base.to_json())))
     assert again == base
     assert again.model.states == base.model.states
     assert [p.name for p in again.model.parameters] == [p.name for p in base.model.parameters]

@@ -32,8 +32,7 @@ from hygrokf.discovery.discovery_results import DiscoveryResults
 from hygrokf.discovery.procedure import Discovery
 from hygrokf.discovery.repeats import REPEATED
 from hygrokf.discovery.results import read_discovery, write_discovery
-from hygrokf.identification.fit import Fit
-from hygrokf.identification.results import write_fit
+from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.report.blocks import Card, Cards
 from hygrokf.report.discovery_page import (
     discovery_blocks,

@@ -20,6 +20,7 @@ from builders.html_page import Page
 from hygrokf import identify, read_case, synthetic_turbine, write_case, write_fit
 from hygrokf.commands.main import main
 from hygrokf.data.record import Record
+from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import plain
 from hygrokf.fleet.fleet_results import FleetResults
 from hygrokf.fleet.outliers import spreads
@@ -27,10 +28,10 @@ from hygrokf.fleet.page import fleet_page, fleet_text
 from hygrokf.fleet.table import columns_of
 from hygrokf.fleet.tasks import TASKS
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.results import dump
-from hygrokf.identification.tables import evaluate, simulation_summary
+from hygrokf.identification.fit_on_record import evaluate, simulation_summary
 from hygrokf.identification.turbine_type import TypeFault, pool_types
-from hygrokf.identification.verdict import BELIEVE, CAUTION, REJECT, Reason, Verdict, inherited, verdicts
+from hygrokf.identification.verdict import inherited, verdicts
+from hygrokf.identification.verdict_terms import BELIEVE, CAUTION, REJECT, Reason, Verdict
 from hygrokf.identification.wording import sentence
 from hygrokf.live.alarms import Level, resting_on
 from hygrokf.live.defaults import default_config
@@ -100,7 +101,7 @@ def test_simulate_and_evaluate(case: Path, record: Record, fit: Fit, tmp_path, c
         assert found["verdicts"]["thermal"]["reasons"] == [
             {"code": "criteria_disagree", "verdict": REJECT, "text": WHY, "apart": 3.0}
         ]
-        assert json.loads(dump(found))["verdicts"]["hygric"]["verdict"] == BELIEVE
+        assert json.loads(result_text(found))["verdicts"]["hygric"]["verdict"] == BELIEVE
     text = " ".join(evaluation_text(evaluate(doubtful, record)).split())
     assert f"x thermal time constant, not to be believed: {WHY} – 1.50 h (1.40 … 1.60)" in text
     assert "+ hygric time constant " in text

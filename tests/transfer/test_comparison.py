@@ -17,10 +17,10 @@ from hygrokf.commands.compare import labels_of, pairs_of
 from hygrokf.commands.console import UserFault
 from hygrokf.commands.main import main
 from hygrokf.data.record import Record
-from hygrokf.identification.fit import Fit
+from hygrokf.data.result_file import ResultFault
+from hygrokf.identification.fit import Fit, write_fit
+from hygrokf.identification.fit_on_record import evaluate
 from hygrokf.identification.procedure import identify
-from hygrokf.identification.results import ResultFault, write_fit
-from hygrokf.identification.tables import evaluate
 from hygrokf.report.blocks import Cards
 from hygrokf.report.comparison_page import (
     comparison_blocks,

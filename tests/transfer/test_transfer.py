@@ -23,10 +23,9 @@ from plants.plant import plant
 from hygrokf.data.record import Record
 from hygrokf.data.structured import plain
 from hygrokf.evaluation.simulation import simulate
-from hygrokf.identification.fit import Fit
+from hygrokf.identification.fit import Fit, read_fit, write_fit
+from hygrokf.identification.fit_on_record import evaluate
 from hygrokf.identification.procedure import identify
-from hygrokf.identification.results import read_fit, write_fit
-from hygrokf.identification.tables import evaluate
 from hygrokf.identification.turbine_type import pool_types
 from hygrokf.report.blocks import Cards
 from hygrokf.report.transfer_page import (

@@ -16,7 +16,7 @@ import numpy as np
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import HOUR_S
-from hygrokf.identification.verdict import REJECT, handed_on
+from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.live.config import Config
 from hygrokf.live.doctor.check import LEVELS, Check, doubt, fault, ok, worst
 from hygrokf.live.doctor.machine import Watch, file_checks, machine_checks
@@ -137,7 +137,7 @@ def model_checks(
     fine, unheard = [], []
     for name, one in turbines.items():
         mapped = mapped_signals(name, streams)
-        for part, _, found in handed_on(one.verdicts):
+        for part, found in one.verdicts.items():
             if found.verdict == REJECT:
                 yield doubt(
                     f"turbine {name}",

@@ -16,8 +16,7 @@ import numpy as np
 from hygrokf.data.signals import SIGNALS, from_si
 from hygrokf.data.structured import structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S
-from hygrokf.identification.verdict import MARKS, PARAMETER_OF, VERDICTS, handed_on
-from hygrokf.identification.verdict_terms import Inherited
+from hygrokf.identification.verdict_terms import MARKS, PARAMETER_OF, VERDICTS, Inherited
 from hygrokf.live.alarms import CHANGED
 from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
 from hygrokf.live.forecast import LIMIT, ForecastMade
@@ -220,7 +219,7 @@ def model_view(verdicts: Verdicts) -> ModelView:
             "words": found.words,
             "why": found.why,
         }
-        for part, _, found in handed_on(verdicts)
+        for part, found in verdicts.items()
     ]
     worst = max((VERDICTS.index(one["verdict"]) for one in numbers), default=None)
     return {"verdict": None if worst is None else VERDICTS[worst], "numbers": numbers}

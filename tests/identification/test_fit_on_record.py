@@ -16,20 +16,20 @@ import pytest
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.data.record import Record, Series
+from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import plain, structured
 from hygrokf.evaluation.scoring import REGIMES, SCORED
 from hygrokf.evaluation.simulation import Prediction, simulate
 from hygrokf.identification import tables
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.fit_results import Covariance, FitResults
-from hygrokf.identification.results import dump
-from hygrokf.identification.tables import (
+from hygrokf.identification.fit_on_record import (
     Evaluation,
     SimulationSummary,
     evaluate,
     simulation_csv,
     simulation_summary,
 )
+from hygrokf.identification.fit_results import Covariance, FitResults
 from hygrokf.identification.wording import NONE, QUANTITIES, RULES
 from hygrokf.modelling.design import design
 from hygrokf.modelling.inputs import Run, prepare_run
@@ -297,7 +297,7 @@ def test_the_summary_is_that_of_the_file(fit, record, text):
     assert list(means) == ["temperature_K", "relative_humidity", "absolute_humidity_g_m3"]
     expected = cells[:, 0].mean() + 273.15, cells[:, 2].mean() / 100, cells[:, 4].mean()
     np.testing.assert_allclose(list(means.values()), expected, atol=1e-4)
-    assert plain(structured(SimulationSummary, json.loads(dump(summary)))) == plain(summary)
+    assert plain(structured(SimulationSummary, json.loads(result_text(summary)))) == plain(summary)
 
 
 def test_what_fit_and_record_do_not_share_is_said(fit, record):
@@ -351,7 +351,7 @@ def test_the_evaluation_has_everything_and_is_json(found):
     for period in ("identification", "validation"):
         assert set(found.baselines[period]) == {"ambient", "ambient_pressure_balance", "no_dynamics"}
         assert set(found.sensor_share[period]) == {"temperature_K", "absolute_humidity_g_m3"}
-    assert plain(structured(Evaluation, json.loads(dump(found)))) == plain(found)
+    assert plain(structured(Evaluation, json.loads(result_text(found)))) == plain(found)
 
 
 def tables_of(found: Evaluation) -> dict[str, Table]:

@@ -61,7 +61,7 @@ class Evaluation(Scored):
     statements: tuple[str, ...] = ()
 
 
-def simulated(fit: Fit, record: Record) -> tuple[Design, Run, Prediction]:
+def simulate_fit(fit: Fit, record: Record) -> tuple[Design, Run, Prediction]:
     """The fitted model driven by a record's inputs alone; the averaging intervals are those of the record's
     loggers."""
     base = read_as(fit.design, record)
@@ -72,7 +72,7 @@ def simulated(fit: Fit, record: Record) -> tuple[Design, Run, Prediction]:
 def simulation_csv(fit: Fit, record: Record) -> str:
     """Free run as CSV text: time (UTC), three quantities with their standard deviations, and whether all
     inputs are known."""
-    _, made, predicted = simulated(fit, record)
+    _, made, predicted = simulate_fit(fit, record)
     t = made.timeline
     milliseconds = np.round(1e3 * (t.origin_s + t.time * 3600.0)).astype("int64")
     unit: Literal["s", "ms"] = "s" if np.all(milliseconds % 1000 == 0) else "ms"
@@ -99,7 +99,7 @@ def simulation_csv(fit: Fit, record: Record) -> str:
 
 def simulation_summary(fit: Fit, record: Record) -> SimulationSummary:
     """Span and means of a simulation."""
-    _, made, predicted = simulated(fit, record)
+    _, made, predicted = simulate_fit(fit, record)
     t = made.timeline
     ends = [
         datetime.fromtimestamp(t.origin_s + h * 3600.0, UTC).isoformat(timespec="seconds")
@@ -119,7 +119,7 @@ def simulation_summary(fit: Fit, record: Record) -> SimulationSummary:
         float(made.scored.mean()),
         means,
         inherited(fit.results),
-        (*unlike(fit, record), *_unknown_throughout(fit, record, made)),
+        (*mismatches(fit, record), *_unknown_throughout(fit, record, made)),
     )
 
 
@@ -144,7 +144,7 @@ def evaluate(fit: Fit, record: Record) -> Evaluation:
     error that the sensors explain, and coverage [1] by lead (`band`).  Raises KeyError where the record
     lacks an input that the model reads.
     """
-    base, made, predicted = simulated(fit, record)
+    base, made, predicted = simulate_fit(fit, record)
     table = scores(made, predicted, record.until_s)
     return Evaluation(
         table,
@@ -154,11 +154,11 @@ def evaluate(fit: Fit, record: Record) -> Evaluation:
         fit.name,
         record.name,
         inherited(fit.results),
-        tuple(unlike(fit, record)),
+        tuple(mismatches(fit, record)),
     )
 
 
-def unlike(fit: Fit, record: Record) -> list[str]:
+def mismatches(fit: Fit, record: Record) -> list[str]:
     """Sentences about signals that only the fitted model or only the record has."""
     found = []
     scale = fit.design.power_scale_W
