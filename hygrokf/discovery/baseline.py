@@ -21,7 +21,13 @@ from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Objective, climb
 from hygrokf.evaluation.self_switching import self_switched, switches_of
-from hygrokf.identification.estimation import Estimated, Progress, estimated, formed, smoothed_temperature
+from hygrokf.identification.estimation import (
+    DesignEstimate,
+    Progress,
+    estimate_design,
+    select_form,
+    smoothed_temperature,
+)
 from hygrokf.identification.steady_state import heat_release_regression
 from hygrokf.modelling.design import CASCADE, Design, design, extended
 from hygrokf.modelling.inputs import Run, prepare_run
@@ -136,9 +142,9 @@ def baseline(record: Record, starts: int = 2, say: Progress = lambda text: None)
     return Baseline(early, parts)
 
 
-def _best(early: Record, base: Design, starts: int, say: Progress) -> Estimated:
+def _best(early: Record, base: Design, starts: int, say: Progress) -> DesignEstimate:
     """A design's estimate in the form that the record calls for."""
-    return formed(early, estimated(early, base, starts, say), say)[0]
+    return select_form(early, estimate_design(early, base, starts, say), say)[0]
 
 
 def redriven(baseline: Baseline) -> Baseline:
@@ -164,7 +170,7 @@ def _driven(thermal: Part, record: Record, humidity: str) -> Record:
     return record.replace_series(smoothed)
 
 
-def part_of(name: str, record: Record, found: Estimated) -> Part:
+def part_of(name: str, record: Record, found: DesignEstimate) -> Part:
     estimate = found.estimate
     return _part(name, record, found.base, found.run, estimate.values, estimate.objective, estimate.converged)
 

@@ -41,9 +41,9 @@ from hygrokf.discovery.repeats import REPEATED, repeated_text, without_repeats
 from hygrokf.discovery.residual_structure import remaining
 from hygrokf.discovery.residuals import Residuals, residuals
 from hygrokf.estimation.optimiser import climbed_on
-from hygrokf.identification.estimation import Estimated, Progress, Stage, judged, output_errors
+from hygrokf.identification.estimation import DesignEstimate, Progress, Stage, assess_stage, output_errors
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.procedure import Basis, assembled, identified
+from hygrokf.identification.procedure import Basis, assemble_fit, identify_stages
 from hygrokf.modelling.design import CASCADE
 from hygrokf.version import __version__
 
@@ -115,20 +115,20 @@ def discover(
     say = progress or (lambda text: None)
     record, repeated = without_repeats(record)
     early = record.identification()
-    basis = identified(early, CASCADE, starts, True, say)
+    basis = identify_stages(early, CASCADE, starts, True, say)
     simulated = output_errors(early, basis.whole, basis.values)
-    base = assembled(record, basis, simulated, say=say)
+    base = assemble_fit(record, basis, simulated, say=say)
     names = (THERMAL, HYGRIC)[: len(basis.stages)]
     baseline = Baseline(
         early,
         {
-            name: part_of(name, driven, Estimated(stage.base, stage.run, stage.estimate))
+            name: part_of(name, driven, DesignEstimate(stage.base, stage.run, stage.estimate))
             for name, driven, stage in zip(names, basis.records, basis.stages, strict=True)
         },
         budget,
     )
     say("base model as a simulator")
-    simulator = assembled(record, _simulating(basis, baseline), simulated, say=say)
+    simulator = assemble_fit(record, _simulating(basis, baseline), simulated, say=say)
     selection = select(baseline, library, say)
     baseline = replace(baseline, budget=Budget())
     if selection.accepted:
@@ -148,9 +148,9 @@ def discover(
         for candidate in selection.accepted:
             if candidate.variant.shift is not None:
                 moved = shifted(moved, candidate.variant.shift)
-        extended = assembled(moved, wider, {}, say=say, rate_step=SIMULATION_STEP)
+        extended = assemble_fit(moved, wider, {}, say=say, rate_step=SIMULATION_STEP)
         simulating = _simulating(wider, selection.baseline)
-        simulator_after = assembled(moved, simulating, {}, say=say, rate_step=SIMULATION_STEP)
+        simulator_after = assemble_fit(moved, simulating, {}, say=say, rate_step=SIMULATION_STEP)
     stages = wider.stages if selection.accepted else basis.stages
     say("what is left")
     before = residuals(base, record)
@@ -180,7 +180,9 @@ def _stages(basis: Basis, selection: Selection, profiles: bool, say: Progress) -
             continue
         estimate = climbed_on(searching(part.base.model, part.run.timeline), part.values)
         found.append(
-            judged(part.record, Estimated(part.base, part.run, estimate, SEARCH_STEP), profiles, say)
+            assess_stage(
+                part.record, DesignEstimate(part.base, part.run, estimate, SEARCH_STEP), profiles, say
+            )
         )
     return tuple(found)
 
@@ -188,7 +190,7 @@ def _stages(basis: Basis, selection: Selection, profiles: bool, say: Progress) -
 def _ended(baseline: Baseline, stages: Sequence[Stage]) -> Baseline:
     """The baseline with its parts as the stages have them in the end."""
     parts = {
-        name: part_of(name, part.record, Estimated(stage.base, stage.run, stage.estimate))
+        name: part_of(name, part.record, DesignEstimate(stage.base, stage.run, stage.estimate))
         for (name, part), stage in zip(baseline.parts.items(), stages, strict=True)
     }
     return replace(baseline, parts=parts)

@@ -48,7 +48,7 @@ class ActuatorEffect:
 
 
 def actuator_effects(
-    design: Design, values: Mapping[str, float], errors: Mapping[str, float], made: Run, record: Record
+    design: Design, values: Mapping[str, float], errors: Mapping[str, float], run: Run, record: Record
 ) -> tuple[ActuatorEffect, ...]:
     """The effect of each logged actuator [K, 1, g/m³], from free runs with and without it.
 
@@ -61,7 +61,7 @@ def actuator_effects(
         known = [
             p for name in names if one.signal in mechanisms[name].inputs for p in mechanisms[name].parameters
         ]
-        share, changes = _effects(design, values, errors, made, one, known) if known else (math.nan, None)
+        share, changes = _effects(design, values, errors, run, one, known) if known else (math.nan, None)
         parameters = tuple(p.name for p in known)
         found.append(ActuatorEffect(one.signal, bool(known), one.statement, parameters, share, changes))
     return tuple(found)
@@ -71,22 +71,22 @@ def _effects(
     design: Design,
     values: Mapping[str, float],
     errors: Mapping[str, float],
-    made: Run,
+    run: Run,
     one: Actuator,
     known: Sequence[Parameter],
 ) -> tuple[float, dict[str, Change]]:
     """Share of the time that an actuator is on, and the changes that its parameters cause during that
     time."""
-    step = np.diff(made.timeline.time, prepend=made.timeline.time[0])
-    weight = np.where(made.timeline.input(one.signal) > one.half, step, 0.0)
+    step = np.diff(run.timeline.time, prepend=run.timeline.time[0])
+    weight = np.where(run.timeline.input(one.signal) > one.half, step, 0.0)
     share = float(weight.sum() / max(step.sum(), 1e-9))
     if share == 0.0:
         return 0.0, {}
 
     def means(at: Mapping[str, float]) -> dict[str, float]:
         """Mean of each quantity while the actuator is on."""
-        run = simulate(design, {**values, **at}, made)
-        pairs = {name: run.of(name) for name in QUANTITIES}
+        prediction = simulate(design, {**values, **at}, run)
+        pairs = {name: prediction.of(name) for name in QUANTITIES}
         return {
             name: float(np.average(pair[0], weights=weight))
             for name, pair in pairs.items()

@@ -114,18 +114,18 @@ def _self_switched(
     model: Model,
     values: Mapping[str, float],
     switches: Mapping[str, Switch | Throttle],
-    one: Run,
+    run: Run,
     start: Gaussian | None,
 ) -> Run:
-    t = one.timeline
-    pieces = _pieces(model, one)
+    t = run.timeline
+    pieces = _pieces(model, run)
     rate = Likelihood(model, all_on(t, switches)).rate(values)
     first = start or Likelihood(model, t).first_gaussian(values)
     controls = {_control(model, name, switch): switch.levels for name, switch in switches.items()}
     likelihood = Likelihood(model, pieces.timeline, initial=first, fastest=rate)
     found = likelihood.controlled(values, controls, pieces.idle)
     shares = {control.input: pieces.over(found[:, i]) for i, control in enumerate(controls)}
-    return replace(one, timeline=t.with_inputs(shares))
+    return replace(run, timeline=t.with_inputs(shares))
 
 
 def _control(model: Model, name: str, switch: Switch | Throttle) -> Control:

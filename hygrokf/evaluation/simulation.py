@@ -210,9 +210,9 @@ def simulate(
     run = self_switched(design, values, [run])[0]
     blind = run.timeline.with_readings(np.full_like(run.timeline.y, np.nan))
     likelihood = Likelihood(design.model, blind, rate_step=rate_step)
-    made = predicted_readings(design, values, run, likelihood.trace(values))
+    prediction = predicted_readings(design, values, run, likelihood.trace(values))
     if covariance is None:
-        return made
+        return prediction
     names, matrix = covariance
     place = {p.name: i for i, p in enumerate(design.model.parameters)}
     directions = np.zeros((len(place), len(names)))
@@ -225,26 +225,30 @@ def simulate(
     warm = rows.get("cabinet_temperature")
     moist = rows.get("cabinet_relative_humidity")
     vapour = rows.get("cabinet_absolute_humidity")
-    if made.absolute_humidity is not None and made.relative_humidity is not None and moist is not None:
-        humidity, kelvin = made.relative_humidity[0], _temperature(made, run)
-        vapour = (made.absolute_humidity[0] / humidity)[:, None] * moist
+    if (
+        prediction.absolute_humidity is not None
+        and prediction.relative_humidity is not None
+        and moist is not None
+    ):
+        humidity, kelvin = prediction.relative_humidity[0], _temperature(prediction, run)
+        vapour = (prediction.absolute_humidity[0] / humidity)[:, None] * moist
         if warm is not None:
             vapour = vapour + 1e3 * absolute_humidity_slope_temperature(humidity, kelvin)[:, None] * warm
     return Prediction(
         *(
             _wider(pair, jacobian, matrix)
             for pair, jacobian in (
-                (made.temperature, warm),
-                (made.relative_humidity, moist),
-                (made.absolute_humidity, vapour),
+                (prediction.temperature, warm),
+                (prediction.relative_humidity, moist),
+                (prediction.absolute_humidity, vapour),
             )
         )
     )
 
 
-def _temperature(made: Prediction, run: Run) -> np.ndarray:
-    if made.temperature is not None:
-        return made.temperature[0]
+def _temperature(prediction: Prediction, run: Run) -> np.ndarray:
+    if prediction.temperature is not None:
+        return prediction.temperature[0]
     return run.timeline.input("cabinet_temperature")
 
 
@@ -303,10 +307,10 @@ def forecast(
         ahead = Likelihood(design.model, part, rate_step=rate_step, fastest=fastest).trace(
             values, start=state
         )
-        made = predicted_readings(design, values, piece, ahead)
+        prediction = predicted_readings(design, values, piece, ahead)
         for lead in leads_h:
             for quantity in QUANTITIES:
-                pair = made.of(quantity)
+                pair = prediction.of(quantity)
                 if pair is None:
                     continue
                 seen = known[quantity][start + 1 : last]

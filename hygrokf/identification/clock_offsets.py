@@ -89,9 +89,9 @@ def _system(series: Series) -> str:
 def clock_offsets(
     early: Record,
     base: Design,
-    made: Run,
+    run: Run,
     estimate: Estimate,
-    found: Uncertainty,
+    uncertainty: Uncertainty,
     rate_step: float | None = None,
 ) -> ClockOffsets:
     """Offsets of the sources that drive a design's run on a record, at its estimate; sources without clock
@@ -103,13 +103,13 @@ def clock_offsets(
     for series in early.series:
         if series.signal in DRIVERS and prior_s(series, reference) > 0:
             groups.setdefault(_system(series), []).append(series)
-    likelihood = Likelihood(base.model, made.timeline, rate_step=rate_step)
-    weights, errors, slopes = _innovations(likelihood, estimate, found)
+    likelihood = Likelihood(base.model, run.timeline, rate_step=rate_step)
+    weights, errors, slopes = _innovations(likelihood, estimate, uncertainty)
     moved, names = [], []
     for name, group in groups.items():
         shifted = early.replace_series(*(replace(s, time=s.time - STEP_S) for s in group))
         other = prepare_run(base, shifted)
-        there = _matched(made, other)
+        there = _matched(run, other)
         if there is None:
             continue
         trace = Likelihood(base.model, other.timeline, rate_step=rate_step).trace(estimate.values)
@@ -121,30 +121,30 @@ def clock_offsets(
     if not moved:
         return NO_OFFSETS
     prior = np.array([max(prior_s(s, reference) for s in groups[name]) for name in names])
-    return _solved(found, names, prior, weights, errors, slopes, np.stack(moved, axis=-1))
+    return _solved(uncertainty, names, prior, weights, errors, slopes, np.stack(moved, axis=-1))
 
 
 def _innovations(
-    likelihood: Likelihood, estimate: Estimate, found: Uncertainty
+    likelihood: Likelihood, estimate: Estimate, uncertainty: Uncertainty
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """1/S and innovations (T, k), 0 without reading, and slopes (T, k, f) of the innovations with respect to
     the coordinates."""
     coordinates = estimate.coordinates
     trace = likelihood.trace(estimate.values)
     there = np.isfinite(likelihood.timeline.y)
-    directions = np.zeros((len(coordinates.parameters), len(found.names)))
+    directions = np.zeros((len(coordinates.parameters), len(uncertainty.names)))
     slope = dict(zip(coordinates.names, coordinates.slopes(estimate.z), strict=True))
     place = {p.name: i for i, p in enumerate(coordinates.parameters)}
-    for column, name in enumerate(found.names):
+    for column, name in enumerate(uncertainty.names):
         directions[place[name], column] = slope[name]
     slopes = likelihood.slopes(estimate.values, directions)
     errors = np.where(there, likelihood.timeline.y - trace.prediction, 0.0)
     return np.where(there, 1.0 / trace.variance, 0.0), errors, np.where(there[..., None], slopes, 0.0)
 
 
-def _matched(made: Run, other: Run) -> tuple[np.ndarray, np.ndarray] | None:
+def _matched(run: Run, other: Run) -> tuple[np.ndarray, np.ndarray] | None:
     """Rows of two runs with the same readings, where the runs differ only in the times of their inputs."""
-    one, two = made.timeline, other.timeline
+    one, two = run.timeline, other.timeline
     first = np.round((one.origin_s + 3600.0 * one.time) * 1e3)
     second = np.round((two.origin_s + 3600.0 * two.time) * 1e3)
     read = np.isfinite(one.y).any(axis=1)
@@ -153,7 +153,7 @@ def _matched(made: Run, other: Run) -> tuple[np.ndarray, np.ndarray] | None:
 
 
 def _solved(
-    found: Uncertainty,
+    uncertainty: Uncertainty,
     names: list[str],
     prior: np.ndarray,
     weights: np.ndarray,
@@ -166,18 +166,20 @@ def _solved(
     flat = moved.reshape(-1, len(names))
     weighted = flat * weights.reshape(-1, 1)
     cross = slopes.reshape(-1, slopes.shape[-1]).T @ weighted
-    information = np.block([[found.hessian, cross], [cross.T, flat.T @ weighted + np.diag(1.0 / prior**2)]])
+    information = np.block(
+        [[uncertainty.hessian, cross], [cross.T, flat.T @ weighted + np.diag(1.0 / prior**2)]]
+    )
     covariance = positive_inverse(information)
     score = -(errors.reshape(-1) @ weighted)
-    step = covariance[:, len(found.names) :] @ score
-    added = np.maximum(np.diag(covariance)[: len(found.names)] - np.diag(found.wald), 0.0)
-    deviations = np.sqrt(np.diag(covariance)[len(found.names) :])
-    offsets = step[len(found.names) :]
+    step = covariance[:, len(uncertainty.names) :] @ score
+    added = np.maximum(np.diag(covariance)[: len(uncertainty.names)] - np.diag(uncertainty.wald), 0.0)
+    deviations = np.sqrt(np.diag(covariance)[len(uncertainty.names) :])
+    offsets = step[len(uncertainty.names) :]
     return ClockOffsets(
         tuple(
             ClockOffset(name, float(before), float(offset), float(sd))
             for name, before, offset, sd in zip(names, prior, offsets, deviations, strict=True)
         ),
-        dict(zip(found.names, step.tolist(), strict=False)),
-        dict(zip(found.names, added.tolist(), strict=True)),
+        dict(zip(uncertainty.names, step.tolist(), strict=False)),
+        dict(zip(uncertainty.names, added.tolist(), strict=True)),
     )

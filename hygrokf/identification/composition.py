@@ -64,7 +64,7 @@ class Step:
 
 
 @dataclass(frozen=True)
-class Composed:
+class ComposedInterval:
     """The headline interval [the value's unit] and its sources; `steps` the interval after each of them."""
 
     lower: float
@@ -76,12 +76,12 @@ class Composed:
         """The steps in hours; `scale` [h per unit of the value]."""
         told = [(math.nan, ""), *((math.sqrt(one.variance), one.text) for one in self.sources)]
         return tuple(
-            Step(name, lower * scale, closed(upper) * scale, sd, text)
+            Step(name, lower * scale, nan_if_open(upper) * scale, sd, text)
             for (name, lower, upper), (sd, text) in zip(self.steps, told, strict=True)
         )
 
 
-def closed(bound: float) -> float:
+def nan_if_open(bound: float) -> float:
     """A bound as results state it: NaN where it is open."""
     return bound if math.isfinite(bound) else math.nan
 
@@ -134,14 +134,16 @@ def from_sampling(shift: float, step_h: float) -> Source:
     )
 
 
-def composed(value: float, lower: float, upper: float, level: float, sources: Sequence[Source]) -> Composed:
+def compose_interval(
+    value: float, lower: float, upper: float, level: float, sources: Sequence[Source]
+) -> ComposedInterval:
     """The interval from a profile's bounds and further sources; an open side stays open."""
     z, total = normal_quantile(level), 0.0
     steps = [("profile", lower, upper)]
     for source in sources:
         total += source.variance
         steps.append((source.name, _moved(value, lower, -z, total), _moved(value, upper, z, total)))
-    return Composed(steps[-1][1], steps[-1][2], tuple(sources), tuple(steps))
+    return ComposedInterval(steps[-1][1], steps[-1][2], tuple(sources), tuple(steps))
 
 
 def _moved(value: float, bound: float, z: float, variance: float) -> float:

@@ -30,7 +30,7 @@ from hygrokf.estimation.output_error import OutputError, fit_output_error
 from hygrokf.estimation.smoother import smooth
 from hygrokf.evaluation.simulation import air_temperature, project
 from hygrokf.identification.clock_offsets import NO_OFFSETS, ClockOffsets, clock_offsets
-from hygrokf.identification.forms import ADOPTED, Form, ended, weighed
+from hygrokf.identification.forms import ADOPTED, Form, ended_at_limits, weigh_forms
 from hygrokf.modelling.design import CASCADE, Design, design, reading_step_h
 from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.holds import LINEAR
@@ -67,7 +67,7 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Estimated:
+class DesignEstimate:
     """One likelihood with its maximum, before its uncertainty is known.
 
     `rate_step`: as in `Likelihood`, for the estimate and its uncertainty.
@@ -86,11 +86,13 @@ class Estimated:
 def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say: Progress) -> Stage:
     """Estimate one likelihood on the identification period `early`, in the form that the record supports,
     with its uncertainty."""
-    found, forms = formed(early, estimated(early, base, starts, say), say)
-    return judged(early, found, profiles, say, forms)
+    found, forms = select_form(early, estimate_design(early, base, starts, say), say)
+    return assess_stage(early, found, profiles, say, forms)
 
 
-def formed(early: Record, found: Estimated, say: Progress) -> tuple[Estimated, tuple[Form, ...]]:
+def select_form(
+    early: Record, found: DesignEstimate, say: Progress
+) -> tuple[DesignEstimate, tuple[Form, ...]]:
     """The form that the evidence of a record selects, and all forms with their weights.
 
     A form with more than `ADOPTED` of the evidence becomes the base, and its share is divided among the forms
@@ -99,29 +101,33 @@ def formed(early: Record, found: Estimated, say: Progress) -> tuple[Estimated, t
     another cause.
     """
     say("forms of the model")
-    forms = weighed(early, found.base, found.run, found.estimate, TIME_CONSTANTS, _search(found.likelihood))
+    forms = weigh_forms(
+        early, found.base, found.run, found.estimate, TIME_CONSTANTS, _search(found.likelihood)
+    )
     chosen = next((form for form in forms if form.adoptable and form.weight > ADOPTED), None)
     if chosen is None:
         return found, forms
-    made = prepare_run(chosen.design, early)
-    estimate = maximise(Likelihood(chosen.design.model, made.timeline), chosen.estimate.values, count=1)
+    run = prepare_run(chosen.design, early)
+    estimate = maximise(Likelihood(chosen.design.model, run.timeline), chosen.estimate.values, count=1)
     least = least_objective(estimate.coordinates, (found.estimate,))
-    last, further = formed(early, Estimated(chosen.design, made, refused_below(least, estimate)), say)
-    if ended(last.estimate, found.estimate):
+    last, further = select_form(
+        early, DesignEstimate(chosen.design, run, refused_below(least, estimate)), say
+    )
+    if ended_at_limits(last.estimate, found.estimate):
         return found, forms
     return last, (*(form for form in forms if form is not chosen), *(form.within(chosen) for form in further))
 
 
-def estimated(early: Record, base: Design, starts: int, say: Progress) -> Estimated:
+def estimate_design(early: Record, base: Design, starts: int, say: Progress) -> DesignEstimate:
     """Maximum likelihood of one design."""
-    made = prepare_run(base, early)
-    likelihood = Likelihood(base.model, made.timeline)
+    run = prepare_run(base, early)
+    likelihood = Likelihood(base.model, run.timeline)
     estimate = maximise(likelihood, count=starts, progress=say, search=_search(likelihood))
-    return Estimated(base, made, estimate)
+    return DesignEstimate(base, run, estimate)
 
 
-def judged(
-    early: Record, found: Estimated, profiles: bool, say: Progress, forms: tuple[Form, ...] = ()
+def assess_stage(
+    early: Record, found: DesignEstimate, profiles: bool, say: Progress, forms: tuple[Form, ...] = ()
 ) -> Stage:
     """Uncertainty, bounds of the time constants, and their sensitivity to clocks and sampling.
 
@@ -149,7 +155,7 @@ def judged(
     )
 
 
-def _bounded(found: Estimated, profiles: bool, say: Progress) -> tuple[Uncertainty, dict[str, Bounds]]:
+def _bounded(found: DesignEstimate, profiles: bool, say: Progress) -> tuple[Uncertainty, dict[str, Bounds]]:
     """Uncertainty of an estimate, and bounds of its time constants."""
     estimate = found.estimate
     objective = Objective(found.likelihood, estimate.coordinates)
@@ -172,7 +178,7 @@ def _search(likelihood: Likelihood) -> Likelihood | None:
     return Likelihood(likelihood.model, t.window(0, int(np.searchsorted(t.time, 24.0 * SEARCH_DAYS))))
 
 
-def _moved(early: Record, old: Estimated, passes: int) -> dict[str, float]:
+def _moved(early: Record, old: DesignEstimate, passes: int) -> dict[str, float]:
     """The estimate on a slightly changed record, starting from the old estimate."""
     estimate = old.estimate
     likelihood = Likelihood(old.base.model, prepare_run(old.base, early).timeline, rate_step=old.rate_step)
@@ -181,7 +187,7 @@ def _moved(early: Record, old: Estimated, passes: int) -> dict[str, float]:
 
 
 def _sampling(
-    early: Record, old: Estimated, names: tuple[str, ...], say: Progress
+    early: Record, old: DesignEstimate, names: tuple[str, ...], say: Progress
 ) -> dict[str, float] | None:
     """Change of the log time constants with half as many ambient readings.
 
@@ -198,7 +204,7 @@ def _sampling(
 
 
 def smoothed_temperature(
-    base: Design, made: Run, values: Mapping[str, float], early: Record, humidity: str
+    base: Design, run: Run, values: Mapping[str, float], early: Record, humidity: str
 ) -> Series:
     """The cabinet air temperature given all its readings [K], at the run's instants and the times of the
     humidity.
@@ -211,9 +217,9 @@ def smoothed_temperature(
     humidity sensor also responds to the temperature between the readings, which ambient and power determine
     better than a straight line.
     """
-    t = made.timeline
+    t = run.timeline
     mean, _ = smooth(Likelihood(base.model, t), values, covariance=False)
-    air, _ = project(base, values, made, mean, None, air_temperature)
+    air, _ = project(base, values, run, mean, None, air_temperature)
     seconds = t.origin_s + 3600.0 * t.time
     raw = early["cabinet_temperature"]
     moist = early[humidity]

@@ -65,15 +65,15 @@ def simulate_fit(fit: Fit, record: Record) -> tuple[Design, Run, Prediction]:
     """The fitted model driven by a record's inputs alone; the averaging intervals are those of the record's
     loggers."""
     base = read_as(fit.design, record)
-    made = prepare_run(base, record)
-    return base, made, simulate(base, fit.values, made, fit.covariance)
+    run = prepare_run(base, record)
+    return base, run, simulate(base, fit.values, run, fit.covariance)
 
 
 def simulation_csv(fit: Fit, record: Record) -> str:
     """Free run as CSV text: time (UTC), three quantities with their standard deviations, and whether all
     inputs are known."""
-    _, made, predicted = simulate_fit(fit, record)
-    t = made.timeline
+    _, run, predicted = simulate_fit(fit, record)
+    t = run.timeline
     milliseconds = np.round(1e3 * (t.origin_s + t.time * 3600.0)).astype("int64")
     unit: Literal["s", "ms"] = "s" if np.all(milliseconds % 1000 == 0) else "ms"
     stamps = np.datetime_as_string(milliseconds.astype("datetime64[ms]"), unit=unit)
@@ -91,7 +91,7 @@ def simulation_csv(fit: Fit, record: Record) -> str:
         names += [name, f"{name}_sd"]
     buffer = io.StringIO()
     buffer.write(",".join(["time", *names, "inputs_known"]) + "\n")
-    for stamp, row, known in zip(stamps, np.column_stack(columns), made.scored, strict=True):
+    for stamp, row, known in zip(stamps, np.column_stack(columns), run.scored, strict=True):
         numbers = ",".join("" if not np.isfinite(v) else f"{v:.4f}" for v in row)
         buffer.write(f"{stamp}Z,{numbers},{int(known)}\n")
     return buffer.getvalue()
@@ -99,8 +99,8 @@ def simulation_csv(fit: Fit, record: Record) -> str:
 
 def simulation_summary(fit: Fit, record: Record) -> SimulationSummary:
     """Span and means of a simulation."""
-    _, made, predicted = simulate_fit(fit, record)
-    t = made.timeline
+    _, run, predicted = simulate_fit(fit, record)
+    t = run.timeline
     ends = [
         datetime.fromtimestamp(t.origin_s + h * 3600.0, UTC).isoformat(timespec="seconds")
         for h in (t.time[0], t.time[-1])
@@ -116,16 +116,16 @@ def simulation_summary(fit: Fit, record: Record) -> SimulationSummary:
         ends[0],
         ends[1],
         len(t),
-        float(made.scored.mean()),
+        float(run.scored.mean()),
         means,
         inherited(fit.results),
-        (*mismatches(fit, record), *_unknown_throughout(fit, record, made)),
+        (*mismatches(fit, record), *_unknown_throughout(fit, record, run)),
     )
 
 
-def _unknown_throughout(fit: Fit, record: Record, made: Run) -> list[str]:
+def _unknown_throughout(fit: Fit, record: Record, run: Run) -> list[str]:
     """A sentence for a run in which no instant has all inputs known, with the missing input."""
-    if made.scored.any():
+    if run.scored.any():
         return []
     inputs = fit.design.model.inputs
     powered = "operating" in inputs or any(name.startswith("power_") for name in inputs)
@@ -144,13 +144,13 @@ def evaluate(fit: Fit, record: Record) -> Evaluation:
     error that the sensors explain, and coverage [1] by lead (`band`).  Raises KeyError where the record
     lacks an input that the model reads.
     """
-    base, made, predicted = simulate_fit(fit, record)
-    table = scores(made, predicted, record.until_s)
+    base, run, predicted = simulate_fit(fit, record)
+    table = scores(run, predicted, record.until_s)
     return Evaluation(
         table,
-        baselines(made, record.until_s),
-        sensor_share(record, made, table),
-        bands(base, fit.values, made, predicted, record.until_s),
+        baselines(run, record.until_s),
+        sensor_share(record, run, table),
+        bands(base, fit.values, run, predicted, record.until_s),
         fit.name,
         record.name,
         inherited(fit.results),

@@ -140,12 +140,12 @@ class _Short:
         return cls(likelihood, found.objective)
 
 
-def candidates(base: Design, early: Record, made: Run, values: Mapping[str, float]) -> list[Candidate]:
+def candidates(base: Design, early: Record, run: Run, values: Mapping[str, float]) -> list[Candidate]:
     """The forms to compare with a design on a record, except those that the design already contains."""
     names = [name for name, _ in base.mechanisms]
     found: list[Candidate] = []
     if "thermal_network" in names:
-        difference = _difference_K(made)
+        difference = _difference_K(run)
         if "natural_convection" not in names and difference > STILL_K:
             wider = extended(base, [("natural_convection", {"difference_K": difference})])
             found.append(Candidate(CONVECTION, wider, ({"convection_exponent": 0.1},), True))
@@ -183,17 +183,17 @@ def _second(base: Design, first: str, values: Mapping[str, float]) -> Candidate:
     return Candidate(SECOND[first], extended(base, [(f"second_{first}", settings)]), starts, True)
 
 
-def _difference_K(made: Run) -> float:
+def _difference_K(run: Run) -> float:
     """Median difference [K] between cabinet and ambient, over the readings."""
-    inside = made.timeline.reading(TEMPERATURE)
-    apart = np.abs(inside - made.timeline.input("ambient_temperature"))
+    inside = run.timeline.reading(TEMPERATURE)
+    apart = np.abs(inside - run.timeline.input("ambient_temperature"))
     return float(np.nanmedian(apart)) if np.isfinite(apart).any() else 0.0
 
 
-def weighed(
+def weigh_forms(
     early: Record,
     base: Design,
-    made: Run,
+    run: Run,
     estimate: Estimate,
     constants: Sequence[str],
     scout: Likelihood | None = None,
@@ -203,7 +203,7 @@ def weighed(
     `made` is the base's run; `constants` are the parameters of interest, whose misfit tempers the evidence;
     `scout` is the base's likelihood of a shorter stretch, on which every form is tried first.
     """
-    likelihood = Likelihood(base.model, made.timeline)
+    likelihood = Likelihood(base.model, run.timeline)
     at_base = _curvature(Objective(likelihood, estimate.coordinates), estimate)
     places = [at_base.names.index(name) for name in constants if name in at_base.names]
     temper = max([1.0, *(float(at_base.factor[i]) for i in places)])
@@ -221,11 +221,11 @@ def weighed(
         at = _curvature(Objective(likelihood, found.coordinates), found)
         gain = found.objective - estimate.objective
         further = [p.name for p in found.coordinates.free if p.name not in estimate.coordinates.names]
-        adoptable = one.adoptable and not ended(found, estimate)
+        adoptable = one.adoptable and not ended_at_limits(found, estimate)
         form = Form(one.name, one.design, found, gain, 0.0, at.names, at.widest, adoptable)
         return form, gain / temper + _occam(found, at, further, temper)
 
-    for answer in mapped(tried, candidates(base, early, made, estimate.values)):
+    for answer in mapped(tried, candidates(base, early, run, estimate.values)):
         if answer is not None:
             forms.append(answer[0])
             evidence.append(answer[1])
@@ -234,7 +234,7 @@ def weighed(
     return tuple(replace(form, weight=weight) for form, weight in zip(forms, weights, strict=True))
 
 
-def ended(found: Estimate, base: Estimate) -> set[str]:
+def ended_at_limits(found: Estimate, base: Estimate) -> set[str]:
     """Parameters of an estimate, besides the base's, that ended at a limit of their range, which indicates
     another cause.
 

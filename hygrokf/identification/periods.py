@@ -112,7 +112,7 @@ class Cells:
     usable: np.ndarray
 
 
-def known(record: Record, name: str) -> bool:
+def has_readings(record: Record, name: str) -> bool:
     """Whether a record has at least two readings of a signal."""
     return name in record and int(np.isfinite(record[name].value).sum()) > 1
 

@@ -21,17 +21,17 @@ from hygrokf.evaluation.actuator_effects import actuator_effects
 from hygrokf.evaluation.diagnosis import Diagnosis
 from hygrokf.evaluation.scoring import bands, baselines, readings_sd, scores, sensor_share
 from hygrokf.evaluation.simulation import Prediction, measured, simulate
-from hygrokf.identification.composition import closed
+from hygrokf.identification.composition import nan_if_open
 from hygrokf.identification.estimation import (
     LEVEL,
     TIME_CONSTANTS,
     Progress,
     Stage,
-    estimated,
-    formed,
+    assess_stage,
+    estimate_design,
     identify_stage,
-    judged,
     output_errors,
+    select_form,
     smoothed_temperature,
 )
 from hygrokf.identification.fit import Fit
@@ -95,9 +95,9 @@ def identify(
         raise ValueError(f"criterion: expected one of {CRITERIA}, found {criterion!r}")
     say = progress or (lambda text: None)
     early = record.identification()
-    basis = identified(early, kind, starts, profiles, say, prior)
+    basis = identify_stages(early, kind, starts, profiles, say, prior)
     say("output-error fit")
-    return assembled(record, basis, output_errors(early, basis.whole, basis.values), criterion, say)
+    return assemble_fit(record, basis, output_errors(early, basis.whole, basis.values), criterion, say)
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class Basis:
         return {name: value for stage in self.stages for name, value in stage.estimate.values.items()}
 
 
-def identified(
+def identify_stages(
     early: Record,
     kind: str,
     starts: int,
@@ -147,12 +147,12 @@ def identified(
         return replace(base, priors=known)
 
     first = base_of(JOINT if kind == JOINT else "thermal")
-    found, forms = formed(early, estimated(early, first, starts, say), say)
+    found, forms = select_form(early, estimate_design(early, first, starts, say), say)
 
     second = None if kind == JOINT else base_of(CASCADE)
 
     def own() -> tuple[Record, Stage]:
-        return early, judged(early, found, profiles, say, forms)
+        return early, assess_stage(early, found, profiles, say, forms)
 
     def moist(base: Design, humidity: str) -> tuple[Record, Stage]:
         say("smoothed cabinet temperature")
@@ -199,7 +199,7 @@ def _orders(regression: HeatRelease) -> dict[str, Any]:
     return settings
 
 
-def assembled(
+def assemble_fit(
     record: Record,
     basis: Basis,
     simulated: Mapping[str, OutputError],
@@ -429,9 +429,9 @@ def _rows(
             rows[name] = replace(
                 rows[name],
                 value=found.values[name],
-                se=closed(0.5 * (upper - lower) / normal_quantile(LEVEL)),
-                lower=closed(lower),
-                upper=closed(upper),
+                se=nan_if_open(0.5 * (upper - lower) / normal_quantile(LEVEL)),
+                lower=nan_if_open(lower),
+                upper=nan_if_open(upper),
                 at_bound=name in found.at_bounds,
             )
         for name in set(found.unseen) & rows.keys():
@@ -457,9 +457,9 @@ def _parameters(
         rows[p.name] = ParameterRow(
             values[p.name],
             p.unit,
-            closed(errors.get(p.name, math.nan)),
-            closed(b.lower),
-            closed(b.upper),
+            nan_if_open(errors.get(p.name, math.nan)),
+            nan_if_open(b.lower),
+            nan_if_open(b.upper),
             p.meaning,
             None if p.prior is None else PriorTerms(*p.prior.in_unit()),
             p.name in stage.estimate.coordinates.fixed,

@@ -24,7 +24,7 @@ from hygrokf.identification.periods import (
     cells_between,
     choose_length,
     earliest_starts,
-    known,
+    has_readings,
     rough_time_constant,
 )
 from hygrokf.modelling.design import TEMPERATURE, power_scale, reading_step_h
@@ -211,14 +211,14 @@ def heat_release_regression(
     """
     _expect_arguments(scale_W, reference_K, time_constant_h, largest_order)
     early = record.identification()
-    missing = [name for name in (TEMPERATURE, AMBIENT) if not known(early, name)]
+    missing = [name for name in (TEMPERATURE, AMBIENT) if not has_readings(early, name)]
     if missing:
         said = f"no readings of {' and '.join(missing)}: no heat release from stationary periods"
         return HeatRelease(None, None, reference_K, scale_W, time_constant_h, said)
     if reference_K is None:
         reference_K = float(np.nanmean(early[AMBIENT].value))
     statements = []
-    if not known(early, POWER):
+    if not has_readings(early, POWER):
         scale_W = None
         statements.append("no power in the record: all of it counts as standstill")
     elif scale_W is None:

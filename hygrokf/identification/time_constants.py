@@ -15,13 +15,13 @@ from hygrokf.evaluation.simulation import measured
 from hygrokf.identification.composition import (
     Alternative,
     Source,
-    closed,
-    composed,
+    compose_interval,
     from_clocks,
     from_forms,
     from_free_run,
     from_parts,
     from_sampling,
+    nan_if_open,
 )
 from hygrokf.identification.estimation import LEVEL, Stage
 from hygrokf.identification.fit_results import (
@@ -46,10 +46,10 @@ OPEN = 1e3
 """Ratio of the free run's bounds above which they are uninformative."""
 
 
-def reference_temperatures(run_: Run) -> tuple[float, float]:
+def reference_temperatures(run: Run) -> tuple[float, float]:
     """Mean cabinet and ambient temperature [K] over the instants with a temperature reading (else all)."""
-    known = measured(run_)["temperature_K"]
-    ambient = run_.timeline.input("ambient_temperature")
+    known = measured(run)["temperature_K"]
+    ambient = run.timeline.input("ambient_temperature")
     there = np.isfinite(known)
     if not there.any():
         return float(ambient.mean()), float(ambient.mean())
@@ -101,10 +101,10 @@ def hygric_entry(stage: Stage, simulated: Mapping[str, OutputError]) -> TimeCons
     )
 
 
-def _differences_K(run_: Run) -> tuple[float, ...]:
+def _differences_K(run: Run) -> tuple[float, ...]:
     """10, 50 and 90 % quantiles of the difference [K] between cabinet and ambient over the readings, at least
     `STILL_K`."""
-    apart = measured(run_)["temperature_K"] - run_.timeline.input("ambient_temperature")
+    apart = measured(run)["temperature_K"] - run.timeline.input("ambient_temperature")
     apart = np.abs(apart[np.isfinite(apart)])
     return tuple(np.maximum(np.quantile(apart, (0.1, 0.5, 0.9)), STILL_K).tolist()) if len(apart) else ()
 
@@ -131,14 +131,14 @@ def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> 
     lower, upper = (
         value * math.exp(sign * normal_quantile(entry.level) * math.sqrt(own)) for sign in (-1.0, 1.0)
     )
-    whole = composed(
+    whole = compose_interval(
         value,
         lower,
         upper,
         entry.level,
         [*kept, from_forms(math.log(value), own, forms)] if forms else kept,
     )
-    return ResistanceCapacity(value, whole.lower, closed(whole.upper), exponent)
+    return ResistanceCapacity(value, whole.lower, nan_if_open(whole.upper), exponent)
 
 
 def _response(stage: Stage) -> SensorResponse:
@@ -173,13 +173,13 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
         statement = re.sub(r"^([≤≥] \S+ h)\b", r"\1 at 273 K", statement)
     other = simulated.get(name)
     free = _by_free_run(other, name)
-    whole = composed(b.value, b.lower, b.upper, b.level, _sources(stage, name, free))
-    ends = (b.value * scale, b.lower * scale, closed(b.upper) * scale)
+    whole = compose_interval(b.value, b.lower, b.upper, b.level, _sources(stage, name, free))
+    ends = (b.value * scale, b.lower * scale, nan_if_open(b.upper) * scale)
     sampling = stage.sampling
     return TimeConstant(
         value_h=b.value * scale,
         lower_h=whole.lower * scale,
-        upper_h=closed(whole.upper) * scale,
+        upper_h=nan_if_open(whole.upper) * scale,
         level=b.level,
         method="composed" if b.method == "profile" else b.method,
         statement=statement,

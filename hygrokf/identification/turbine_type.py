@@ -191,7 +191,7 @@ def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
         taken = {n for n, row in fit.results.parameters.items() if row.fixed}
         # neither is a rejected time constant
         taken |= {PARAMETER_OF[part] for part, one in verdicts(fit.results).items() if one.verdict == REJECT}
-        for parameter, value, variance in _on(base, fit):
+        for parameter, value, variance in _converted(base, fit):
             if (
                 parameter in known
                 and parameter not in taken
@@ -298,7 +298,7 @@ def _scale_ratio(wanted: Design, given: Design) -> float:
     return wanted.power_scale_W / given.power_scale_W
 
 
-def _on(base: Design, fit: Fit) -> list[tuple[str, float, float]]:
+def _converted(base: Design, fit: Fit) -> list[tuple[str, float, float]]:
     """(name, value, variance) of a fit's parameters, converted to another design's reference temperature and
     power scale."""
     names, matrix = fit.covariance

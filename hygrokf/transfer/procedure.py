@@ -30,7 +30,7 @@ from hygrokf.evaluation.scoring import SCORED, guesses, period_masks, rmse
 from hygrokf.evaluation.simulation import Prediction, measured, simulate
 from hygrokf.identification.estimation import TIME_CONSTANTS, Stage
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.procedure import Basis, assembled
+from hygrokf.identification.procedure import Basis, assemble_fit
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited, with_reasons
 from hygrokf.modelling.design import JOINT, PARTS
@@ -290,7 +290,7 @@ def _fit(scene: Scene, estimate: Estimate, spread: Uncertainty) -> Fit:
             bounds[name] = Bounds(value, *ends, 0.95, method, "", np.empty((0, 2)))
     stage = Stage(scene.base, scene.early_run, estimate, wider, bounds)
     basis = Basis(JOINT, (stage,), (scene.early,), heat_release_regression(scene.early))
-    made = assembled(scene.record, basis, {})
+    made = assemble_fit(scene.record, basis, {})
     said = f"design and values that are marked as fixed come from {scene.origin.name}"
     results = replace(made.results, statements=(said, *made.results.statements))
     for part, name in zip(PARTS, TIME_CONSTANTS, strict=True):

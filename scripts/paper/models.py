@@ -14,7 +14,7 @@ from hygrokf.evaluation.simulation import Prediction, measured
 from hygrokf.evaluation.simulation import simulate as free_run
 from hygrokf.identification.estimation import output_errors
 from hygrokf.identification.fit import Fit
-from hygrokf.identification.procedure import assembled, identified
+from hygrokf.identification.procedure import assemble_fit, identify_stages
 from hygrokf.modelling.design import CASCADE, Design, read_as
 from hygrokf.modelling.inputs import Run, prepare_run
 
@@ -47,9 +47,9 @@ def _no_errors(design: Design) -> dict[str, float]:
 def identify_both(record: Record, starts: int, say: Say) -> Identified:
     """Identify a record on its identification period by both criteria."""
     early = record.identification()
-    basis = identified(early, CASCADE, starts, True, say)
+    basis = identify_stages(early, CASCADE, starts, True, say)
     simulated = output_errors(early, basis.whole, basis.values)
-    fit = assembled(record, basis, simulated, "likelihood", say)
+    fit = assemble_fit(record, basis, simulated, "likelihood", say)
     free = dict(basis.values)
     for found in simulated.values():
         free |= {n: found.values[n] for n in (*found.names, *found.unseen) if n in free}

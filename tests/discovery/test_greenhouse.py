@@ -12,7 +12,7 @@ from hygrokf import discover
 from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.record import Record
 from hygrokf.discovery.baseline import HYGRIC, THERMAL, Baseline, part_of
-from hygrokf.identification.procedure import identified
+from hygrokf.identification.procedure import identify_stages
 from hygrokf.modelling.design import CASCADE
 
 UNTIL = "2022-03-01T00:00+01:00"
@@ -24,7 +24,7 @@ def record(compartment: str, *withheld: str) -> Record:
 
 def base_scene(measured: Record) -> Baseline:
     early = measured.identification()
-    basis = identified(early, CASCADE, 2, True, lambda text: None)
+    basis = identify_stages(early, CASCADE, 2, True, lambda text: None)
     stages = zip((THERMAL, HYGRIC), basis.records, basis.stages, strict=True)
     return Baseline(early, {name: part_of(name, driven, stage) for name, driven, stage in stages})
 

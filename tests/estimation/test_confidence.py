@@ -32,8 +32,8 @@ from hygrokf.estimation.confidence import (
 )
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective, maximise
-from hygrokf.identification.estimation import estimated, judged
-from hygrokf.identification.procedure import identified
+from hygrokf.identification.estimation import assess_stage, estimate_design
+from hygrokf.identification.procedure import identify_stages
 from hygrokf.modelling.design import design, extended
 from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.mechanisms import linear_network
@@ -424,9 +424,9 @@ def test_a_measured_house_ends_on_no_cliff(tmp_path: Path) -> None:
     record = read_case(case)
     record = replace(record, until_s=record.start_s + 2.0 / 3.0 * (record.end_s - record.start_s))
     early, quiet = record.identification(), lambda text: None
-    driven = identified(early, "cascade", 4, False, quiet).records[1]
+    driven = identify_stages(early, "cascade", 4, False, quiet).records[1]
     twice = extended(design(driven, kind="cascade"), [("second_vapour_disturbance", {})])
-    stage = judged(driven, estimated(driven, twice, 4, quiet), True, quiet)
+    stage = assess_stage(driven, estimate_design(driven, twice, 4, quiet), True, quiet)
     bounds = stage.bounds["hygric_k"]
     larger = max(("vapour_disturbance_sd", "second_vapour_disturbance_sd"), key=stage.estimate.values.get)
     assert stage.estimate.converged and 10.0 < stage.estimate.values[larger] < 20.0

@@ -22,14 +22,14 @@ from hygrokf.identification.clock_offsets import ONE_SYSTEM_S, TWO_SYSTEMS_S, cl
 from hygrokf.identification.composition import (
     Alternative,
     Source,
-    composed,
+    compose_interval,
     from_clocks,
     from_forms,
     from_free_run,
     from_parts,
     from_sampling,
 )
-from hygrokf.identification.estimation import estimated, smoothed_temperature
+from hygrokf.identification.estimation import estimate_design, smoothed_temperature
 from hygrokf.identification.forms import CONVECTION, RESPONSE, SECOND, SECOND_MASS, candidates
 from hygrokf.modelling.design import Design, design
 from hygrokf.modelling.inputs import prepare_run
@@ -239,7 +239,7 @@ def test_the_smoothed_temperature_has_what_happens_between_the_readings(thermal_
 def thermal_part():
     record, _ = plant_record("instants", 31004)
     base = design(record, kind="thermal")
-    return record, estimated(record, base, 1, lambda text: None)
+    return record, estimate_design(record, base, 1, lambda text: None)
 
 
 def test_an_offset_of_a_source_is_found_and_what_it_does_is_foreseen(thermal_part):
@@ -312,13 +312,13 @@ def test_what_is_known_of_two_clocks_beforehand(stated, source, expected):
 
 
 def test_without_further_sources_the_interval_is_the_profiles():
-    found = composed(2.0, 1.8, 2.3, 0.95, [])
+    found = compose_interval(2.0, 1.8, 2.3, 0.95, [])
     assert (found.lower, found.upper) == (1.8, 2.3)
     assert plain(found.steps_h()) == [{"source": "profile", "lower_h": 1.8, "upper_h": 2.3}]
 
 
 def test_sources_add_in_squares_on_the_logarithm_and_keep_the_profiles_skew():
-    found = composed(2.0, 1.8, 2.3, 0.95, [Source("a", 0.0009, ""), Source("b", 0.0016, "")])
+    found = compose_interval(2.0, 1.8, 2.3, 0.95, [Source("a", 0.0009, ""), Source("b", 0.0016, "")])
     down, up = math.log(2.0 / 1.8), math.log(2.3 / 2.0)
     assert found.lower == pytest.approx(2.0 * math.exp(-math.hypot(down, Z * 0.05)))
     assert found.upper == pytest.approx(2.0 * math.exp(math.hypot(up, Z * 0.05)))
@@ -328,7 +328,7 @@ def test_sources_add_in_squares_on_the_logarithm_and_keep_the_profiles_skew():
 
 @pytest.mark.parametrize(("lower", "upper"), [(0.0, 2.3), (1.8, math.inf)])
 def test_an_open_side_stays_open(lower, upper):
-    found = composed(2.0, lower, upper, 0.95, [Source("a", 0.01, "")])
+    found = compose_interval(2.0, lower, upper, 0.95, [Source("a", 0.01, "")])
     assert (found.lower == 0.0) == (lower == 0.0) and math.isinf(found.upper) == math.isinf(upper)
     assert math.isnan(found.steps_h()[-1].upper_h) or math.isfinite(upper)
 

@@ -18,7 +18,7 @@ from hygrokf.data.structured import plain
 from hygrokf.estimation.confidence import Limit, describe
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import BETTER, Objective
-from hygrokf.identification.estimation import estimated, identify_stage, judged
+from hygrokf.identification.estimation import assess_stage, estimate_design, identify_stage
 from hygrokf.identification.fit import Fit, read_fit, write_fit
 from hygrokf.identification.procedure import identify, shared_error
 from hygrokf.identification.time_constants import hygric_entry
@@ -98,7 +98,7 @@ def test_an_estimate_below_its_own_profile_is_climbed_on(record):
     from there."""
     early = record.identification()
     base = design(early, kind="thermal")
-    whole = estimated(early, base, 1, print)
+    whole = estimate_design(early, base, 1, print)
     coordinates = whole.estimate.coordinates
     off = {
         **whole.estimate.values,
@@ -108,7 +108,7 @@ def test_an_estimate_below_its_own_profile_is_climbed_on(record):
     objective = Objective(whole.likelihood, coordinates).value(z)
     assert objective < whole.estimate.objective - BETTER
     short = replace(whole, estimate=replace(whole.estimate, z=z, values=off, objective=objective))
-    stage = judged(early, short, True, print)
+    stage = assess_stage(early, short, True, print)
     assert stage.estimate.objective == pytest.approx(whole.estimate.objective, abs=1e-3)
     assert stage.bounds["thermal_time_constant"].better is None
     assert stage.bounds["thermal_time_constant"].value == stage.estimate.values["thermal_time_constant"]
