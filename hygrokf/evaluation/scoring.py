@@ -109,16 +109,16 @@ def rmse(error: np.ndarray, operating: np.ndarray) -> Errors:
 
 
 def scores(run: Run, predicted: Prediction, until_s: float | None) -> Scores:
-    """The paper's Table III for both quantities and both periods; stretches with unknown inputs are left
-    out."""
-    known = measured(run)
-    result: dict[str, dict[str, Errors]] = {period: {} for period in PERIODS}
-    for period, chosen in period_masks(run, until_s).items():
-        for quantity in SCORED:
-            pair = predicted.of(quantity)
-            error = np.full(len(run.scored), np.nan) if pair is None else known[quantity] - pair[0]
-            result[period][quantity] = rmse(np.where(chosen & run.scored, error, np.nan), run.operating)
-    return result
+    """The paper's Table III for both quantities and both periods, without stretches of unknown inputs."""
+    known, nothing = measured(run), np.full(len(run.scored), np.nan)
+    errors = {q: known[q] - (predicted.of(q) or (nothing,))[0] for q in SCORED}
+    return {
+        period: {
+            q: rmse(np.where(chosen & run.scored, error, np.nan), run.operating)
+            for q, error in errors.items()
+        }
+        for period, chosen in period_masks(run, until_s).items()
+    }
 
 
 def readings_sd(run: Run, until_s: float | None) -> Shares:
@@ -127,12 +127,15 @@ def readings_sd(run: Run, until_s: float | None) -> Shares:
     A free run with a larger error is worse than the readings' own mean.
     """
     known = measured(run)
-    result: dict[str, dict[str, float]] = {period: {} for period in PERIODS}
-    for period, chosen in period_masks(run, until_s).items():
-        for quantity in SCORED:
-            part = known[quantity][chosen & run.scored & np.isfinite(known[quantity])]
-            result[period][quantity] = float(np.std(part)) if len(part) else math.nan
-    return result
+
+    def spread(reading: np.ndarray, chosen: np.ndarray) -> float:
+        part = reading[chosen & run.scored & np.isfinite(reading)]
+        return float(np.std(part)) if len(part) else math.nan
+
+    return {
+        period: {q: spread(known[q], chosen) for q in SCORED}
+        for period, chosen in period_masks(run, until_s).items()
+    }
 
 
 def guesses(run: Run, until_s: float | None) -> dict[str, dict[str, np.ndarray]]:
@@ -173,14 +176,15 @@ def baselines(run: Run, until_s: float | None) -> RuleScores:
 
 
 def _static(run: Run, temperature: np.ndarray, chosen: np.ndarray) -> np.ndarray | None:
+    """The rule `no_dynamics` (T,), fitted to the chosen instants (T,); None where they are too few."""
     t = run.timeline
     ambient = t.input("ambient_temperature")
     columns = [np.ones(len(t)), ambient - 283.15]
     for name in t.varying:
-        if name == "operating" or name.startswith("power_") or name == "preheating":
+        if name in ("operating", "preheating") or name.startswith("power_"):
             columns.append(t.input(name))
-            if name == "operating":
-                columns.append(t.input(name) * (ambient - 283.15))
+        if name == "operating":
+            columns.append(t.input(name) * (ambient - 283.15))
     features = np.column_stack(columns)
     usable = chosen & run.scored & np.isfinite(temperature)
     if usable.sum() < 5 * features.shape[1]:

@@ -93,10 +93,7 @@ class Switchboard:
 
 
 def self_switched(
-    design: Design,
-    values: Mapping[str, float],
-    runs: Sequence[Run],
-    starts: Sequence[Gaussian] | None = None,
+    design: Design, values: Mapping[str, float], runs: Sequence[Run], starts: Sequence[Gaussian] | None = None
 ) -> list[Run]:
     """Runs whose switches follow their own simulation instead of readings; unchanged where the model has no
     switch.

@@ -30,8 +30,7 @@ from hygrokf.estimation.confidence import normal_quantile
 
 @dataclass(frozen=True)
 class Source:
-    """One source of uncertainty: the `variance` [1] that it adds to the logarithm, and its evidence in
-    words."""
+    """A source of uncertainty: the `variance` [1] that it adds to the logarithm, and its evidence in words."""
 
     name: str
     variance: float
@@ -61,24 +60,6 @@ class Step:
     upper_h: float = math.nan
     sd_ln: float = optional(math.nan)
     text: str = optional("")
-
-
-@dataclass(frozen=True)
-class ComposedInterval:
-    """The headline interval [the value's unit] and its sources; `steps` the interval after each of them."""
-
-    lower: float
-    upper: float
-    sources: tuple[Source, ...]
-    steps: tuple[tuple[str, float, float], ...]
-
-    def steps_h(self, scale: float = 1.0) -> tuple[Step, ...]:
-        """The steps in hours; `scale` [h per unit of the value]."""
-        told = [(math.nan, ""), *((math.sqrt(one.variance), one.text) for one in self.sources)]
-        return tuple(
-            Step(name, lower * scale, nan_if_open(upper) * scale, sd, text)
-            for (name, lower, upper), (sd, text) in zip(self.steps, told, strict=True)
-        )
 
 
 def nan_if_open(bound: float) -> float:
@@ -135,15 +116,19 @@ def from_sampling(shift: float, step_h: float) -> Source:
 
 
 def compose_interval(
-    value: float, lower: float, upper: float, level: float, sources: Sequence[Source]
-) -> ComposedInterval:
-    """The interval from a profile's bounds and further sources; an open side stays open."""
+    value: float, lower: float, upper: float, level: float, sources: Sequence[Source], scale: float = 1.0
+) -> tuple[Step, ...]:
+    """The profile's interval [h], and the interval after each source; the last is the headline interval.
+
+    An open side stays open.  scale: [h] per unit of `value` and its bounds.
+    """
     z, total = normal_quantile(level), 0.0
-    steps = [("profile", lower, upper)]
+    steps = [Step("profile", lower * scale, nan_if_open(upper) * scale)]
     for source in sources:
         total += source.variance
-        steps.append((source.name, _moved(value, lower, -z, total), _moved(value, upper, z, total)))
-    return ComposedInterval(steps[-1][1], steps[-1][2], tuple(sources), tuple(steps))
+        low, high = _moved(value, lower, -z, total), nan_if_open(_moved(value, upper, z, total))
+        steps.append(Step(source.name, low * scale, high * scale, math.sqrt(source.variance), source.text))
+    return tuple(steps)
 
 
 def _moved(value: float, bound: float, z: float, variance: float) -> float:

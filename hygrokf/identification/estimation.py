@@ -36,6 +36,7 @@ from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.holds import LINEAR
 
 LEVEL = 0.95
+"""[1] probability of the bounds of the time constants."""
 TIME_CONSTANTS = ("thermal_time_constant", "hygric_k")
 SEARCH_DAYS = 30.0
 """[d] stretch of the record on which starts and forms are tried."""
@@ -84,8 +85,8 @@ class DesignEstimate:
 
 
 def identify_stage(early: Record, base: Design, starts: int, profiles: bool, say: Progress) -> Stage:
-    """Estimate one likelihood on the identification period `early`, in the form that the record supports,
-    with its uncertainty."""
+    """Estimate a design on the identification period `early`, in the form that the record supports, with its
+    uncertainty."""
     found, forms = select_form(early, estimate_design(early, base, starts, say), say)
     return assess_stage(early, found, profiles, say, forms)
 
@@ -139,20 +140,12 @@ def assess_stage(
         say("climb from a better point of the profile")
         found = replace(found, estimate=climbed_on(found.likelihood, better))
         spread, bounds = _bounded(found, profiles, say)
-    base = found.base
-    return Stage(
-        base,
-        found.run,
-        found.estimate,
-        spread,
-        bounds,
-        clock_offsets(early, base, found.run, found.estimate, spread, found.rate_step),
-        _sampling(early, found, tuple(bounds), say),
-        forms,
-        base.humidity is not None
-        and base.humidity in early
-        and early[base.humidity].response_time_s is not None,
-    )
+    base, run, estimate = found.base, found.run, found.estimate
+    clock = clock_offsets(early, base, run, estimate, spread, found.rate_step)
+    sampling = _sampling(early, found, tuple(bounds), say)
+    moist = early[base.humidity] if base.humidity is not None and base.humidity in early else None
+    stated = moist is not None and moist.response_time_s is not None
+    return Stage(base, run, estimate, spread, bounds, clock, sampling, forms, stated)
 
 
 def _bounded(found: DesignEstimate, profiles: bool, say: Progress) -> tuple[Uncertainty, dict[str, Bounds]]:
@@ -178,14 +171,6 @@ def _search(likelihood: Likelihood) -> Likelihood | None:
     return Likelihood(likelihood.model, t.window(0, int(np.searchsorted(t.time, 24.0 * SEARCH_DAYS))))
 
 
-def _moved(early: Record, old: DesignEstimate, passes: int) -> dict[str, float]:
-    """The estimate on a slightly changed record, starting from the old estimate."""
-    estimate = old.estimate
-    likelihood = Likelihood(old.base.model, prepare_run(old.base, early).timeline, rate_step=old.rate_step)
-    found = climb(Objective(likelihood, estimate.coordinates), estimate.z, passes=passes, tolerance=0.05)
-    return estimate.coordinates.values(found.z)
-
-
 def _sampling(
     early: Record, old: DesignEstimate, names: tuple[str, ...], say: Progress
 ) -> dict[str, float] | None:
@@ -198,8 +183,11 @@ def _sampling(
     if not sparse or not all(len(s) > 2 for s in sparse):
         return None
     say("ambient sampling")
-    values = _moved(early.replace_series(*sparse), old, 8)
-    shifts = {name: math.log(values[name] / old.estimate.values[name]) for name in names}
+    estimate, run = old.estimate, prepare_run(old.base, early.replace_series(*sparse))
+    likelihood = Likelihood(old.base.model, run.timeline, rate_step=old.rate_step)
+    found = climb(Objective(likelihood, estimate.coordinates), estimate.z, passes=8, tolerance=0.05)
+    values = estimate.coordinates.values(found.z)
+    shifts = {name: math.log(values[name] / estimate.values[name]) for name in names}
     return {"step_h": reading_step_h(sparse[0]) / 2.0, **shifts}
 
 
@@ -231,7 +219,6 @@ def smoothed_temperature(
 def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> dict[str, OutputError]:
     """Output-error estimates: the thermal model on temperature, the hygric one on the measured
     temperature."""
-    plain = _plain(base, values)
     fitted: dict[str, Design] = {}
     if "thermal_network" in [name for name, _ in base.mechanisms]:
         fitted["thermal_time_constant"] = replace(
@@ -244,10 +231,11 @@ def output_errors(early: Record, base: Design, values: Mapping[str, float]) -> d
     if base.humidity is not None and "cabinet_temperature" in early:
         fitted["hygric_k"] = _with_sensors_of(base, design(early, kind=CASCADE, coloured=False))
 
-    def free(one: Design) -> OutputError:
-        return fit_output_error(Likelihood(one.model, prepare_run(one, early).timeline), plain(one))
+    def free_run(one: Design) -> OutputError:
+        start = {p.name: values.get(p.name, p.start) for p in one.model.parameters}
+        return fit_output_error(Likelihood(one.model, prepare_run(one, early).timeline), start)
 
-    return dict(zip(fitted, mapped(free, fitted.values()), strict=True))
+    return dict(zip(fitted, mapped(free_run, fitted.values()), strict=True))
 
 
 _THERMAL_PLAIN = (
@@ -266,10 +254,3 @@ def _with_sensors_of(base: Design, other: Design) -> Design:
     return replace(
         other, mechanisms=tuple((name, sensors.get(name, settings)) for name, settings in other.mechanisms)
     )
-
-
-def _plain(base: Design, values: Mapping[str, float]) -> Callable[[Design], dict[str, float]]:
-    def of(other: Design) -> dict[str, float]:
-        return {p.name: values.get(p.name, p.start) for p in other.model.parameters}
-
-    return of

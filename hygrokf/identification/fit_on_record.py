@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import io
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from typing import Literal
 
 import numpy as np
@@ -17,6 +15,7 @@ from hygrokf.evaluation.simulation import Prediction, simulate
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited
+from hygrokf.identification.wording import iso_time
 from hygrokf.modelling.design import HUMIDITIES, Design, read_as
 from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
@@ -89,22 +88,17 @@ def simulation_csv(fit: Fit, record: Record) -> str:
             value, sd = 100.0 * value, 100.0 * sd
         columns += [value, sd]
         names += [name, f"{name}_sd"]
-    buffer = io.StringIO()
-    buffer.write(",".join(["time", *names, "inputs_known"]) + "\n")
+    lines = [",".join(["time", *names, "inputs_known"])]
     for stamp, row, known in zip(stamps, np.column_stack(columns), run.scored, strict=True):
         numbers = ",".join("" if not np.isfinite(v) else f"{v:.4f}" for v in row)
-        buffer.write(f"{stamp}Z,{numbers},{int(known)}\n")
-    return buffer.getvalue()
+        lines.append(f"{stamp}Z,{numbers},{int(known)}")
+    return "\n".join(lines) + "\n"
 
 
 def simulation_summary(fit: Fit, record: Record) -> SimulationSummary:
     """Span and means of a simulation."""
     _, run, predicted = simulate_fit(fit, record)
     t = run.timeline
-    ends = [
-        datetime.fromtimestamp(t.origin_s + h * 3600.0, UTC).isoformat(timespec="seconds")
-        for h in (t.time[0], t.time[-1])
-    ]
     means = {
         quantity: float(np.mean(pair[0]))
         for quantity in COLUMNS.values()
@@ -113,8 +107,8 @@ def simulation_summary(fit: Fit, record: Record) -> SimulationSummary:
     return SimulationSummary(
         fit.name,
         record.name,
-        ends[0],
-        ends[1],
+        iso_time(t.origin_s + t.time[0] * 3600.0),
+        iso_time(t.origin_s + t.time[-1] * 3600.0),
         len(t),
         float(run.scored.mean()),
         means,
@@ -172,13 +166,11 @@ def mismatches(fit: Fit, record: Record) -> list[str]:
         found.append("the fit knows pre-heating, the record brings none: it is taken as off throughout")
     if "preheating" not in inputs and "preheating" in record and np.nanmax(record["preheating"].value) > 0:
         found.append("the record brings pre-heating, which the fit does not know: it is left out")
-    for name in HUMIDITIES:
-        if (
-            name in record
-            and name not in outputs
-            and not set(outputs) & set(HUMIDITIES) & set(record.signals)
-        ):
-            read = next((n for n in HUMIDITIES if n in outputs), None)
-            if read is not None:
-                found.append(f"the fit reads {read}, the record brings {name}: its humidity is not scored")
+    predicted = [name for name in HUMIDITIES if name in outputs]
+    if predicted and not any(name in record for name in predicted):
+        found += [
+            f"the fit reads {predicted[0]}, the record brings {name}: its humidity is not scored"
+            for name in HUMIDITIES
+            if name in record
+        ]
     return found

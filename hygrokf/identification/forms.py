@@ -38,10 +38,7 @@ BASE = "base"
 CONVECTION = "natural convection"
 SECOND_MASS = "second mass"
 RESPONSE = "sensor response"
-SECOND = {
-    "heat_disturbance": "second heat disturbance",
-    "vapour_disturbance": "second vapour disturbance",
-}
+SECOND = {"heat_disturbance": "second heat disturbance", "vapour_disturbance": "second vapour disturbance"}
 """Coloured disturbances, and the names of the forms that add another one on another time scale."""
 OTHER_TIMES = (0.2, 5.0)
 """[1] initial correlation times of a second disturbance, as multiples of the first one's."""
@@ -160,8 +157,7 @@ def candidates(base: Design, early: Record, run: Run, values: Mapping[str, float
         if settings.get("longest_response_h") is None:
             responding = {**settings, "longest_response_h": LONGEST_RESPONSE_H}
             wider = replace(
-                base,
-                mechanisms=tuple((m, responding if m == sensor else s) for m, s in base.mechanisms),
+                base, mechanisms=tuple((m, responding if m == sensor else s) for m, s in base.mechanisms)
             )
             found.append(Candidate(RESPONSE, wider, ({f"{signal}_response": 0.1},), True))
     return found + [

@@ -42,6 +42,9 @@ LAGS = (1, 2, 3, 6)
 FEWEST_BLOCKS = 100
 """Fewest blocks for the rough time constant."""
 
+Range = tuple[np.ndarray, np.ndarray]
+"""Lowest and highest values (N,)."""
+
 
 @dataclass(frozen=True)
 class Periods:
@@ -105,7 +108,7 @@ class Cells:
     ambient: np.ndarray
     power: np.ndarray
     running: np.ndarray
-    ranges: tuple[tuple[np.ndarray, np.ndarray], ...]
+    ranges: tuple[Range, ...]
     change_K: np.ndarray
     ambient_change_K: np.ndarray
     regime: np.ndarray
@@ -150,7 +153,7 @@ def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> C
     def mean(value: np.ndarray) -> np.ndarray:
         return np.add.reduceat(value * length, begin) / span if len(begin) else np.empty(0)
 
-    def course(name: str) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray], np.ndarray]:
+    def course(name: str) -> tuple[np.ndarray, Range, np.ndarray]:
         """Mean, range and change of a temperature in each cell [K]; NaN where it is unknown."""
         series, bridge_h = record[name], _bridge_h(record[name])
         value = at_times(series, middle, bridge_h)
@@ -175,11 +178,8 @@ def cells_between(record: Record, scale_W: float | None, edges: np.ndarray) -> C
         # as in `modelling.inputs.prepare_run`, a missing duty counts as 0
         usable &= ~(mean((np.nan_to_num(at_times(record[name], middle, 24.0)) > 0).astype(float)) > 0)
     width_K, width = 2.0 * TEMPERATURE_TOLERANCE_K, 2.0 * POWER_TOLERANCE
-    ranges = (
-        (cabinet_range[0] / width_K, cabinet_range[1] / width_K),
-        (ambient_range[0] / width_K, ambient_range[1] / width_K),
-        (power / width, power / width),
-    )
+    spans = ((cabinet_range, width_K), (ambient_range, width_K), ((power, power), width))
+    ranges = tuple((low / tolerated, high / tolerated) for (low, high), tolerated in spans)
     regime = np.where(running > 1.0 - 1e-9, 1, np.where(running < 1e-9, 0, -1))
     return Cells(
         edges[:-1],

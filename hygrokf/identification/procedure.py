@@ -19,8 +19,8 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.output_error import OutputError
 from hygrokf.evaluation.actuator_effects import actuator_effects
 from hygrokf.evaluation.diagnosis import Diagnosis
-from hygrokf.evaluation.scoring import bands, baselines, readings_sd, scores, sensor_share
-from hygrokf.evaluation.simulation import Prediction, measured, simulate
+from hygrokf.evaluation.scoring import bands, baselines, period_masks, readings_sd, scores, sensor_share
+from hygrokf.evaluation.simulation import QUANTITIES, Prediction, measured, simulate
 from hygrokf.identification.composition import nan_if_open
 from hygrokf.identification.estimation import (
     LEVEL,
@@ -46,6 +46,7 @@ from hygrokf.identification.fit_results import (
 )
 from hygrokf.identification.time_constants import by_simulation, hygric_entry, thermal_entry
 from hygrokf.identification.verdict import with_verdicts
+from hygrokf.identification.wording import iso_time
 from hygrokf.modelling.design import CASCADE, FEWEST_READINGS, JOINT, PARTS, Design, design, merged
 from hygrokf.modelling.inputs import IDENTIFIED_ON, Run, prepare_run
 from hygrokf.physics.parameters import Parameter, Prior
@@ -209,43 +210,36 @@ def assemble_fit(
 ) -> Fit:
     """A fit from its stages: free run, scores, bands and tables on the whole record; `rate_step` as in
     `Likelihood`."""
-    stages, whole, values, regression, kind = (
-        list(basis.stages),
-        basis.whole,
-        basis.values,
-        basis.regression,
-        basis.kind,
-    )
+    stages, whole, values = basis.stages, basis.whole, basis.values
+    by_free_run = simulated if criterion == "simulation" else {}
     say("free run and scores")
-    if criterion == "simulation":
-        for found in simulated.values():
-            values |= {n: found.values[n] for n in (*found.names, *found.unseen) if n in values}
+    for found in by_free_run.values():
+        values |= {n: found.values[n] for n in (*found.names, *found.unseen) if n in values}
     errors = {
         p.name: standard_error(stage.estimate, stage.uncertainty, p.name)
         for stage in stages
         for p in stage.estimate.coordinates.parameters
     }
-    made = prepare_run(whole, record)
-    spread = _covariance(stages, whole, simulated if criterion == "simulation" else {}, values)
-    predicted = simulate(whole, values, made, spread, rate_step)
+    run = prepare_run(whole, record)
+    spread = _covariance(stages, whole, by_free_run, values)
+    predicted = simulate(whole, values, run, spread, rate_step)
     thermal = next((e for stage in stages if (e := thermal_entry(stage, simulated))), None)
     moist = next((e for stage in stages if (e := hygric_entry(stage, simulated))), None)
     if criterion == "simulation":
         thermal, moist = by_simulation(thermal), by_simulation(moist)
-    table = scores(made, predicted, record.until_s)
-    unseen = criterion == "simulation" and any(found.unseen for found in simulated.values())
+    table = scores(run, predicted, record.until_s)
     doubts = all_doubts(record)
     scored = FitResults(
         rmse=table,
-        baselines=baselines(made, record.until_s),
-        readings_sd=readings_sd(made, record.until_s),
-        sensor_share=sensor_share(record, made, table),
-        bands=bands(whole, values, made, predicted, record.until_s, rate_step),
-        heat_release=regression.thinned(),
-        actuators=actuator_effects(whole, values, errors, made, record),
+        baselines=baselines(run, record.until_s),
+        readings_sd=readings_sd(run, record.until_s),
+        sensor_share=sensor_share(record, run, table),
+        bands=bands(whole, values, run, predicted, record.until_s, rate_step),
+        heat_release=basis.regression.thinned(),
+        actuators=actuator_effects(whole, values, errors, run, record),
     )
     say("innovations")
-    series = _series(whole, values, made, predicted, record, rate_step)
+    series = _series(whole, values, run, predicted, record, rate_step)
     results = replace(
         _searched(scored, stages),
         name=record.name,
@@ -253,27 +247,23 @@ def assemble_fit(
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         synthetic="synthetic" in record.name.lower(),
         criterion=criterion,
-        kind=kind,
+        kind=basis.kind,
         rated_power_kW=math.nan if record.rated_power_W is None else record.rated_power_W / 1e3,
         site=record.site,
         period=_period(record, stages[0]),
         design=whole,
-        statements=tuple(_statements(stages, thermal, moist, unseen)),
+        statements=tuple(_statements(stages, thermal, moist, any(f.unseen for f in by_free_run.values()))),
         warnings=tuple(record.warnings),
         doubts=tuple(doubts),
-        doubted={part: tuple(said) for part, said in doubted(doubts).items()},
+        doubted={part: tuple(lines) for part, lines in doubted(doubts).items()},
         provenance=tuple(record.provenance),
         parameters=_rows(
-            stages,
-            values,
-            errors,
-            simulated if criterion == "simulation" else {},
-            {"thermal_time_constant": thermal, "hygric_k": moist},
+            stages, values, errors, by_free_run, {"thermal_time_constant": thermal, "hygric_k": moist}
         ),
         covariance=Covariance(*spread),
         time_constants={n: e for n, e in (("thermal", thermal), ("hygric", moist)) if e is not None},
-        innovations=_diagnosis(made, series, record),
-        identified_on=_identified_on(whole, made, record),
+        innovations=_diagnosis(run, series, record),
+        identified_on=_identified_on(whole, run, record),
     )
     return Fit(record.name, whole, values, with_verdicts(results), series)
 
@@ -281,12 +271,12 @@ def assemble_fit(
 def _statements(
     stages: Sequence[Stage], thermal: TimeConstant | None, moist: TimeConstant | None, unseen: bool
 ) -> list[str]:
-    """The statements of a fit; `unseen`: the criterion takes constant sensor errors as 0."""
+    """The statements of a fit; `unseen`: the criterion sets constant sensor errors to 0."""
     lines = list(dict.fromkeys(line for stage in stages for line in stage.base.statements))
     if unseen:
         lines.append(
-            "the free run's least error is the criterion: constant errors of the cabinet's sensors are taken "
-            "as 0, and what there is of them is in the model's parameters"
+            "the criterion is the least error of the free run: it sets constant errors of the cabinet's "
+            "sensors to 0, so that the other parameters absorb them"
         )
     lines += [e.disagreement for e in (thermal, moist) if e and e.disagreement]
     return lines + [line for stage in stages for line in _remarks(stage)]
@@ -317,22 +307,19 @@ def _searched(results: FitResults, stages: Sequence[Stage]) -> FitResults:
 
 
 def _period(record: Record, stage: Stage) -> Period:
-    def stamp(seconds: float | None) -> str | None:
-        return None if seconds is None else datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
-
-    start, until, end = (stamp(seconds) for seconds in (record.start_s, record.until_s, record.end_s))
-    return Period(start, until, end, len(stage.run.timeline), stage.run.timeline.n_readings)
+    until = None if record.until_s is None else iso_time(record.until_s)
+    t = stage.run.timeline
+    return Period(iso_time(record.start_s), until, iso_time(record.end_s), len(t), t.n_readings)
 
 
 def shared_error(
     pair: Sequence[Parameter], values: Sequence[float], errors: Sequence[float], correlation: float
 ) -> str:
-    """The meaning of a high correlation of two estimates; `errors` are their standard errors, in the values'
-    units.
+    """What a high correlation of two estimates means, in words; `errors` are their standard errors.
 
     Where both are well known, the correlation does no harm; otherwise only a combination is identified.
-    Their difference (the ratio of positive parameters) is better known than either where their errors are of
-    similar size.
+    Their difference (for positive parameters their ratio) is known better than either where their errors are
+    of similar size.
     """
     a, b = (p.name for p in pair)
     if not all(se < WELL_KNOWN * abs(value) for se, value in zip(errors, values, strict=True)):
@@ -377,19 +364,16 @@ def _remarks(stage: Stage) -> list[str]:
 
 
 def _covariance(
-    stages: list[Stage],
-    whole: Design,
-    simulated: Mapping[str, OutputError],
-    values: Mapping[str, float],
+    stages: Sequence[Stage], whole: Design, simulated: Mapping[str, OutputError], values: Mapping[str, float]
 ) -> tuple[tuple[str, ...], np.ndarray]:
     """Covariance of the whole model's estimated parameters in their units: the sandwich of every stage, or of
     the output error."""
     blocks: list[tuple[tuple[str, ...], np.ndarray]] = []
     known = {p.name for p in whole.model.parameters}
+    known -= {name for found in simulated.values() for name in (*found.names, *found.unseen)}
     for stage in stages:
         slopes = {p.name: p.slope(values[p.name]) for p in stage.base.model.parameters}
-        taken = {name for found in simulated.values() for name in (*found.names, *found.unseen)}
-        names = tuple(n for n in stage.uncertainty.names if n not in taken and n in known)
+        names = tuple(n for n in stage.uncertainty.names if n in known)
         place = [stage.uncertainty.names.index(n) for n in names]
         scale = np.array([slopes[n] for n in names])
         # the wider of both variances on the diagonal, with the sandwich's correlations
@@ -411,7 +395,7 @@ def _covariance(
 
 
 def _rows(
-    stages: list[Stage],
+    stages: Sequence[Stage],
     values: Mapping[str, float],
     errors: Mapping[str, float],
     simulated: Mapping[str, OutputError],
@@ -454,18 +438,11 @@ def _parameters(
     for p in stage.base.model.parameters:
         b = stage.bounds.get(p.name) or wald_bounds(stage.estimate, stage.uncertainty, p.name)
         at_bound = p.name in stage.estimate.at_bounds
+        se, lower, upper = (nan_if_open(one) for one in (errors.get(p.name, math.nan), b.lower, b.upper))
+        prior = None if p.prior is None else PriorTerms(*p.prior.in_unit())
+        fixed, at_guard = p.name in stage.estimate.coordinates.fixed, at_bound and p.guarded(values[p.name])
         rows[p.name] = ParameterRow(
-            values[p.name],
-            p.unit,
-            nan_if_open(errors.get(p.name, math.nan)),
-            nan_if_open(b.lower),
-            nan_if_open(b.upper),
-            p.meaning,
-            None if p.prior is None else PriorTerms(*p.prior.in_unit()),
-            p.name in stage.estimate.coordinates.fixed,
-            at_bound,
-            at_bound and p.guarded(values[p.name]),
-            parts,
+            values[p.name], p.unit, se, lower, upper, p.meaning, prior, fixed, at_bound, at_guard, parts
         )
     return rows
 
@@ -473,18 +450,19 @@ def _parameters(
 def _series(
     base: Design,
     values: Mapping[str, float],
-    whole: Run,
+    run: Run,
     predicted: Prediction,
     record: Record,
     rate_step: float | None,
 ) -> dict[str, np.ndarray]:
-    t = whole.timeline
-    known = measured(whole)
+    """The arrays of `series.npz`: readings, free run, standardised innovations, inputs."""
+    t, known = run.timeline, measured(run)
     nothing = np.full(len(t), np.nan)
-
-    def pair(quantity: str) -> tuple[np.ndarray, np.ndarray]:
-        return predicted.of(quantity) or (nothing, nothing)
-
+    readings = {quantity.removesuffix("_K").removesuffix("_g_m3"): quantity for quantity in QUANTITIES}
+    simulated: dict[str, np.ndarray] = {}
+    for name, quantity in readings.items():
+        value, sd = predicted.of(quantity) or (nothing, nothing)
+        simulated |= {f"{name}_simulated": value, f"{name}_sd": sd}
     trace = Likelihood(base.model, t, rate_step=rate_step).trace(values)
     standard = (t.y - trace.prediction) / np.sqrt(trace.variance)
 
@@ -497,37 +475,28 @@ def _series(
     def given(name: str) -> np.ndarray:
         return t.input(name) if name in (*t.varying, *t.regimes) else nothing
 
-    power = given("power_1") if "power_1" in t.varying else np.where(whole.operating, 1.0, 0.0)
+    power = given("power_1") if "power_1" in t.varying else np.where(run.operating, 1.0, 0.0)
     return {
         "time_s": t.origin_s + t.time * 3600.0,
-        "temperature_measured": known["temperature_K"],
-        "relative_humidity_measured": known["relative_humidity"],
-        "absolute_humidity_measured": known["absolute_humidity_g_m3"],
-        "temperature_simulated": pair("temperature_K")[0],
-        "temperature_sd": pair("temperature_K")[1],
-        "relative_humidity_simulated": pair("relative_humidity")[0],
-        "relative_humidity_sd": pair("relative_humidity")[1],
-        "absolute_humidity_simulated": pair("absolute_humidity_g_m3")[0],
-        "absolute_humidity_sd": pair("absolute_humidity_g_m3")[1],
+        **{f"{name}_measured": known[quantity] for name, quantity in readings.items()},
+        **simulated,
         "temperature_innovation": innovation("cabinet_temperature"),
         "humidity_innovation": innovation("cabinet_relative_humidity", "cabinet_absolute_humidity"),
         "ambient_temperature": given("ambient_temperature"),
         "ambient_absolute_humidity": given("ambient_absolute_humidity"),
         "power": power,
-        "operating": whole.operating.astype(float),
+        "operating": run.operating.astype(float),
         "preheating": given("preheating") if "preheating" in t.varying else np.zeros(len(t)),
-        "scored": whole.scored.astype(float),
+        "scored": run.scored.astype(float),
         "until_s": np.array(math.nan if record.until_s is None else record.until_s),
         "start_s": np.array(record.start_s),
     }
 
 
-def _identified_on(design: Design, whole: Run, record: Record) -> dict[str, tuple[float, float]]:
+def _identified_on(design: Design, run: Run, record: Record) -> dict[str, tuple[float, float]]:
     """0.1 and 99.9 % quantiles of the inputs over the instants used for the identification."""
-    t = whole.timeline
-    chosen = whole.scored.copy()
-    if record.until_s is not None:
-        chosen &= t.origin_s + t.time * 3600.0 <= record.until_s
+    t = run.timeline
+    chosen = period_masks(run, record.until_s)["identification"] & run.scored
     if not chosen.any():
         return {}
     return {
@@ -537,13 +506,11 @@ def _identified_on(design: Design, whole: Run, record: Record) -> dict[str, tupl
     }
 
 
-def _diagnosis(whole: Run, series: Mapping[str, np.ndarray], record: Record) -> Diagnosis:
+def _diagnosis(run: Run, series: Mapping[str, np.ndarray], record: Record) -> Diagnosis:
     """Whiteness of the innovations on the identification period."""
     from hygrokf.evaluation.innovation_tests import diagnose
 
-    chosen = np.ones(len(whole.timeline), bool)
-    if record.until_s is not None:
-        chosen = series["time_s"] <= record.until_s
+    chosen = period_masks(run, record.until_s)["identification"]
     standard = {
         name: series[key][chosen]
         for name, key in (("temperature", "temperature_innovation"), ("humidity", "humidity_innovation"))
@@ -554,4 +521,4 @@ def _diagnosis(whole: Run, series: Mapping[str, np.ndarray], record: Record) -> 
         for name in ("ambient_temperature", "ambient_absolute_humidity", "power", "preheating")
         if np.isfinite(series[name]).any() and np.nanstd(series[name][chosen]) > 0
     }
-    return diagnose(whole.timeline.time[chosen], standard, inputs)
+    return diagnose(run.timeline.time[chosen], standard, inputs)

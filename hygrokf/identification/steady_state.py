@@ -44,9 +44,10 @@ EPISODES_A_PARAMETER = 3
 LEAST_AMBIENT_K = 2.0
 """[K] spread of the ambient temperature needed for a slope over it."""
 WORSE = 2.0
-"""[1] periods are not settled with a time constant that increases their error by more than this factor.  Some
-increase is
-expected: a slow cabinet smooths the disturbances of its heat release, and settling undoes the smoothing.
+"""[1] periods are not settled with a time constant that increases their error by more than this factor.
+
+Some increase is expected: a slow cabinet smooths the disturbances of its heat release, and settling undoes
+the smoothing.
 """
 MOST_POINTS = 2000
 """Largest number of points of a regime in the results of a fit."""
@@ -99,9 +100,9 @@ class StationaryPoints:
     def __len__(self) -> int:
         return len(self.power)
 
-    def thinned(self, most: int) -> StationaryPoints:
-        """At most so many of the points, evenly thinned."""
-        kept = slice(None, None, max(1, math.ceil(len(self) / most)))
+    def thinned(self) -> StationaryPoints:
+        """At most `MOST_POINTS` of the points, evenly thinned."""
+        kept = slice(None, None, max(1, math.ceil(len(self) / MOST_POINTS)))
         return StationaryPoints(**{name: value[kept] for name, value in vars(self).items()})
 
 
@@ -129,10 +130,6 @@ class Regression:
     settled: bool = False
     points: StationaryPoints = field(default_factory=StationaryPoints)
     statement: str = ""
-
-    def thinned(self) -> Regression:
-        """The regression with as many points as results hold."""
-        return replace(self, points=self.points.thinned(MOST_POINTS))
 
 
 @dataclass(frozen=True)
@@ -170,7 +167,7 @@ class HeatRelease:
 
     def thinned(self) -> HeatRelease:
         """The heat release with as many points as results hold."""
-        thinned = {regime: one.thinned() for regime, one in self.regimes.items()}
+        thinned = {regime: replace(one, points=one.points.thinned()) for regime, one in self.regimes.items()}
         return replace(self, operation=thinned.get(OPERATION), standstill=thinned.get(STANDSTILL))
 
 
@@ -209,12 +206,14 @@ def heat_release_regression(
     A regime with too few periods is None, and the statement gives the reason. Raises ValueError for arguments
     out of range. Source: equation (1), Fig. 3 and Fig. 4 of the paper.
     """
-    _expect_arguments(scale_W, reference_K, time_constant_h, largest_order)
+    _expect_arguments(
+        largest_order, scale_W=scale_W, reference_K=reference_K, time_constant_h=time_constant_h
+    )
     early = record.identification()
     missing = [name for name in (TEMPERATURE, AMBIENT) if not has_readings(early, name)]
     if missing:
-        said = f"no readings of {' and '.join(missing)}: no heat release from stationary periods"
-        return HeatRelease(None, None, reference_K, scale_W, time_constant_h, said)
+        text = f"no readings of {' and '.join(missing)}: no heat release from stationary periods"
+        return HeatRelease(None, None, reference_K, scale_W, time_constant_h, text)
     if reference_K is None:
         reference_K = float(np.nanmean(early[AMBIENT].value))
     statements = []
@@ -237,34 +236,27 @@ def heat_release_regression(
     wanted_h = LONGEST_H if time_constant_h is None else min(TIME_CONSTANTS * time_constant_h, LONGEST_H)
     wanted_h = max(wanted_h, shortest_h)
     earliest = earliest_starts(cells, wanted_h)
-    made: dict[str, Regression | None] = {OPERATION: None, STANDSTILL: None}
+    regressions: dict[str, Regression] = {}
     for regime in (OPERATION, STANDSTILL) if scale_W else (STANDSTILL,):
         choice = choose_length(cells, earliest, regime, shortest_h, wanted_h)
         if len(choice.periods) < FEWEST_PERIODS[0] or choice.periods.n_episodes < FEWEST_PERIODS[1]:
             statements.append(_too_few(cells, regime, choice))
             continue
-        fit = _regression(
-            regime, choice, reference_K, time_constant_h, largest_order, settle,
-            _lead(wanted_h, shortest_h, time_constant_h, rough, choice.reason),
-        )  # fmt: skip
-        made[regime] = fit
+        lead = _length_words(wanted_h, shortest_h, time_constant_h, rough, choice.reason)
+        fit = _regression(regime, choice, reference_K, time_constant_h, largest_order, settle, lead)
+        regressions[regime] = fit
         statements.append(fit.statement)
-    return HeatRelease(
-        made[OPERATION], made[STANDSTILL], reference_K, scale_W, time_constant_h, "; ".join(statements)
-    )
+    pair = (regressions.get(OPERATION), regressions.get(STANDSTILL))
+    return HeatRelease(*pair, reference_K, scale_W, time_constant_h, "; ".join(statements))
 
 
-def _expect_arguments(
-    scale_W: float | None, reference_K: float | None, time_constant_h: float | None, largest_order: int
-) -> None:
+def _expect_arguments(largest_order: int, **positive: float | None) -> None:
     """Raises ValueError with every argument of `heat_release_regression` that is out of range."""
     faults = [
         f"{name} must be a number above 0, found {value}"
-        for name, value in (
-            ("scale_W", scale_W), ("reference_K", reference_K), ("time_constant_h", time_constant_h),
-        )
+        for name, value in positive.items()
         if value is not None and not 0.0 < value < math.inf
-    ]  # fmt: skip
+    ]
     if largest_order not in (0, 1, 2, 3):
         faults.append(f"largest_order must be 0, 1, 2 or 3, found {largest_order}")
     if faults:
@@ -277,10 +269,9 @@ def _expect_arguments(
 def _parameters(regime: str, order: int, ambient: bool) -> tuple[Parameter, ...]:
     """Parameters of the mechanism, in the order of `_regressors`."""
     running = regime == OPERATION
-    made = heat_release(
+    return heat_release(
         order=order, ambient=ambient, standstill_ambient=ambient, operation=running, standstill=not running
-    )
-    return made.parameters
+    ).parameters
 
 
 def _regressors(points: Periods, order: int, ambient: bool, reference_K: float) -> np.ndarray:
@@ -345,11 +336,11 @@ def _cross_validate(
     The standard error is that of the difference of both errors over episodes, so that errors common to all
     forms, such as a day's disturbance, do not hide a slope.
     """
-    tried = {}
-    for form in forms:
-        sums = _left_out(_regressors(points, *form, reference_K), response, points.episode)
-        if sums is not None:
-            tried[form] = sums
+    tried = {
+        form: sums
+        for form in forms
+        if (sums := _left_out(_regressors(points, *form, reference_K), response, points.episode)) is not None
+    }
     best = min(tried.values(), key=lambda sums: float(sums.sum()))
     counts = np.unique(points.episode, return_counts=True)[1]
     n, episodes = len(points), points.n_episodes
@@ -405,10 +396,9 @@ def _regression(
         for name, value, se, other in zip(names, fit.params, fit.bse, robust, strict=True)
     }
     words = [
-        f"{regime}: {_many(len(points), 'quasi-stationary period')} of {choice.window_h:.3g} h in "
-        f"{_many(points.n_episodes, 'episode')} ({lead})",
-        _form_said(regime, points, chosen, sd, max(c.order for c in candidates) < largest_order),
-        *_transient_said(transient_K, settled, settle),
+        f"{regime}: {_periods_words(choice)} ({lead})",
+        _form_words(regime, points, chosen, sd, max(c.order for c in candidates) < largest_order),
+        *_transient_words(transient_K, settled, settle),
         *_doubts(points, coefficients),
     ]
     return Regression(
@@ -424,17 +414,11 @@ def _regression(
         transient_K=transient_K,
         settled=settled,
         points=StationaryPoints(
-            points.start_s,
-            points.end_s,
-            points.power,
-            points.difference_K,
-            points.ambient_K,
-            points.episode,
-            response,
-            regressors @ fit.params,
+            points.start_s, points.end_s, points.power, points.difference_K, points.ambient_K,
+            points.episode, response, regressors @ fit.params,
         ),
         statement="; ".join(words),
-    )
+    )  # fmt: skip
 
 
 # --- words ----------------------------------------------------------------------------------
@@ -444,7 +428,14 @@ def _many(count: int, noun: str) -> str:
     return f"{count} {noun}{'' if count == 1 else 's'}"
 
 
-def _lead(wanted_h: float, shortest_h: float, time_constant_h: float | None, rough: bool, reason: str) -> str:
+def _periods_words(choice: Choice) -> str:
+    periods = _many(len(choice.periods), "quasi-stationary period")
+    return f"{periods} of {choice.window_h:.3g} h in {_many(choice.periods.n_episodes, 'episode')}"
+
+
+def _length_words(
+    wanted_h: float, shortest_h: float, time_constant_h: float | None, rough: bool, reason: str
+) -> str:
     """The reason for the length of the periods, in words."""
     if time_constant_h is None:
         wanted = f"the time constant is not known: as long as there are enough, up to {wanted_h:.3g} h"
@@ -461,13 +452,12 @@ def _too_few(cells: Cells, regime: str, choice: Choice) -> str:
     if hours <= 0.0:
         return f"{regime}: none in the record"
     return (
-        f"{regime}: {_many(len(choice.periods), 'quasi-stationary period')} of {choice.window_h:.3g} h in "
-        f"{_many(choice.periods.n_episodes, 'episode')} within {hours:.0f} h are too few for a regression, "
-        f"which takes {FEWEST_PERIODS[0]} in {FEWEST_PERIODS[1]}: the heat release is left to the likelihood"
+        f"{regime}: {_periods_words(choice)} within {hours:.0f} h are too few for a regression, which takes "
+        f"{FEWEST_PERIODS[0]} in {FEWEST_PERIODS[1]}: the heat release is left to the likelihood"
     )
 
 
-def _form_said(regime: str, points: Periods, chosen: Candidate, sd: float, limited: bool) -> str:
+def _form_words(regime: str, points: Periods, chosen: Candidate, sd: float, limited: bool) -> str:
     shape = ("constant", "linear in the power", "quadratic in the power", "cubic in the power")[chosen.order]
     slope = "with a slope" if chosen.ambient else "without a slope"
     text = (
@@ -484,7 +474,7 @@ def _form_said(regime: str, points: Periods, chosen: Candidate, sd: float, limit
     return text
 
 
-def _transient_said(transient_K: float | None, settled: bool, settle: bool) -> list[str]:
+def _transient_words(transient_K: float | None, settled: bool, settle: bool) -> list[str]:
     if transient_K is None:
         return []
     if settled:
@@ -498,16 +488,16 @@ def _transient_said(transient_K: float | None, settled: bool, settle: bool) -> l
 
 
 def _doubts(points: Periods, coefficients: Mapping[str, Coefficient]) -> list[str]:
-    said = []
+    doubts = []
     apart = [
         f"{name} {c.value:.3g} ± {c.se:.2g} against {c.robust:.3g}"
         for name, c in coefficients.items()
         if abs(c.value - c.robust) > 2.0 * c.se + 1e-9
     ]
     if apart:
-        said.append(
+        doubts.append(
             f"least squares and the robust fit differ by more than two standard errors: {', '.join(apart)}"
         )
     if points.n_episodes < 2 * ENOUGH[1]:
-        said.append(f"with {points.n_episodes} episodes the standard errors are optimistic")
-    return said
+        doubts.append(f"with {points.n_episodes} episodes the standard errors are optimistic")
+    return doubts

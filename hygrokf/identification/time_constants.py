@@ -122,23 +122,15 @@ def _resistance_capacity(stage: Stage, entry: TimeConstant, exponent: float) -> 
         for form in stage.forms
         for n in [form.estimate.values.get("convection_exponent", 0.0)]
     ]
-    others = [Source(one.source, one.sd_ln**2, "") for one in entry.composition[1:]]
-    chosen = max(forms, key=lambda form: form.weight) if forms else None
-    own = _variance(stage, THERMAL)
-    if chosen is not None and exponent > 0:
-        own = max(own, chosen.variance)
-    kept = [source for source in others if source.name != "forms"]
-    lower, upper = (
-        value * math.exp(sign * normal_quantile(entry.level) * math.sqrt(own)) for sign in (-1.0, 1.0)
-    )
-    whole = compose_interval(
-        value,
-        lower,
-        upper,
-        entry.level,
-        [*kept, from_forms(math.log(value), own, forms)] if forms else kept,
-    )
-    return ResistanceCapacity(value, whole.lower, nan_if_open(whole.upper), exponent)
+    sources = [Source(one.source, one.sd_ln**2, "") for one in entry.composition[1:] if one.source != "forms"]
+    variance = _variance(stage, THERMAL)
+    if forms:
+        if exponent > 0:
+            variance = max(variance, max(forms, key=lambda form: form.weight).variance)
+        sources.append(from_forms(math.log(value), variance, forms))
+    reach = normal_quantile(entry.level) * math.sqrt(variance)
+    steps = compose_interval(value, value * math.exp(-reach), value * math.exp(reach), entry.level, sources)
+    return ResistanceCapacity(value, steps[-1].lower_h, steps[-1].upper_h, exponent)
 
 
 def _response(stage: Stage) -> SensorResponse:
@@ -165,6 +157,7 @@ def _variance(stage: Stage, name: str) -> float:
 
 
 def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, OutputError]) -> TimeConstant:
+    """What was found about one time constant; `scale` [h] per unit of its parameter."""
     b = stage.bounds[name]
     place = stage.uncertainty.place(name)
     factor = float(stage.uncertainty.factor[place]) if place is not None else 1.0
@@ -173,18 +166,18 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
         statement = re.sub(r"^([≤≥] \S+ h)\b", r"\1 at 273 K", statement)
     other = simulated.get(name)
     free = _by_free_run(other, name)
-    whole = compose_interval(b.value, b.lower, b.upper, b.level, _sources(stage, name, free))
+    steps = compose_interval(b.value, b.lower, b.upper, b.level, _sources(stage, name, free), scale)
     ends = (b.value * scale, b.lower * scale, nan_if_open(b.upper) * scale)
     sampling = stage.sampling
     return TimeConstant(
         value_h=b.value * scale,
-        lower_h=whole.lower * scale,
-        upper_h=nan_if_open(whole.upper) * scale,
+        lower_h=steps[-1].lower_h,
+        upper_h=steps[-1].upper_h,
         level=b.level,
         method="composed" if b.method == "profile" else b.method,
         statement=statement,
         profile=Profile(*ends, b.method, statement),
-        composition=whole.steps_h(scale),
+        composition=steps,
         forms=tuple(_form(form, name, scale, b.level) for form in stage.forms),
         parts=_parts(stage, name, scale),
         limited_by=b.limited_by,
@@ -200,18 +193,15 @@ def _entry(stage: Stage, name: str, scale: float, simulated: Mapping[str, Output
 
 def _sources(stage: Stage, name: str, free: Alternative | None) -> list[Source]:
     """Sources of uncertainty that widen a profile's bounds."""
-    value = math.log(stage.estimate.values[name])
-    variance = _variance(stage, name)
-    if stage.uncertainty.place(name) is None:
+    place = stage.uncertainty.place(name)
+    if place is None:
         return []
+    value, variance = math.log(stage.estimate.values[name]), _variance(stage, name)
     found = [from_parts(parts_scale(stage.uncertainty, name), variance)]
     if stage.forms:
         alternatives = [
             Alternative(
-                form.name,
-                math.log(form.estimate.values[name]),
-                form.variance({name: 1.0}),
-                form.weight,
+                form.name, math.log(form.estimate.values[name]), form.variance({name: 1.0}), form.weight
             )
             for form in stage.forms
         ]
@@ -219,12 +209,12 @@ def _sources(stage: Stage, name: str, free: Alternative | None) -> list[Source]:
     if free is not None:
         found.append(from_free_run(value, variance, free))
     if stage.clock.sources:
-        factor = float(stage.uncertainty.factor[stage.uncertainty.place(name)])
-        said = ", ".join(
+        factor = float(stage.uncertainty.factor[place])
+        text = ", ".join(
             f"{one.source or 'its source'} {one.offset_s:+.0f} ± {one.sd_s:.0f} s late"
             for one in stage.clock.sources
         )
-        found.append(from_clocks(factor * stage.clock.variance[name], stage.clock.shift[name], said))
+        found.append(from_clocks(factor * stage.clock.variance[name], stage.clock.shift[name], text))
     if stage.sampling is not None:
         found.append(from_sampling(stage.sampling[name], stage.sampling["step_h"]))
     return found
@@ -241,7 +231,7 @@ def _by_free_run(found: OutputError | None, name: str) -> Alternative | None:
 
 
 def _simulation(found: OutputError, free: Alternative | None, name: str, scale: float) -> OtherEstimate:
-    """The free run's estimate [h]."""
+    """The free run's estimate of a time constant."""
     value = found.values[name] * scale
     if free is None:
         return OtherEstimate(value, 0.0, statement="not identifiable from the free run")

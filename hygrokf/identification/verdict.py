@@ -32,15 +32,7 @@ from hygrokf.identification.verdict_terms import (
     Reason,
     Verdict,
 )
-from hygrokf.identification.wording import (
-    BASELINES,
-    QUANTITIES,
-    WIDE,
-    fixed,
-    minus,
-    percent,
-    plain_number,
-)
+from hygrokf.identification.wording import BASELINES, QUANTITIES, WIDE, fixed, minus, percent, plain_number
 from hygrokf.modelling.design import PARTS
 
 TIGHT = 0.25
@@ -99,37 +91,36 @@ def decide(fit: FitResults) -> dict[str, Verdict]:
 
 def with_verdicts(fit: FitResults) -> FitResults:
     """The results with a verdict on each time constant that lacks one."""
-    return _told(fit, verdicts(fit))
+    return _with(fit, verdicts(fit))
 
 
 def verdicts(fit: FitResults) -> dict[str, Verdict]:
     """The verdicts stated in a fit; missing ones are decided."""
     constants = {part: fit.time_constants[part] for part in PARTS if part in fit.time_constants}
-    judged = decide(fit) if any(one.verdict is None for one in constants.values()) else {}
+    decided = decide(fit) if any(one.verdict is None for one in constants.values()) else {}
     return {
-        part: judged[part] if one.verdict is None else Verdict(one.verdict, one.reasons)
+        part: decided[part] if one.verdict is None else Verdict(one.verdict, one.reasons)
         for part, one in constants.items()
     }
 
 
 def with_reasons(fit: FitResults, part: str, further: Iterable[Reason]) -> FitResults:
-    """The results with further reasons against one of their numbers; reasons already present are not
-    repeated."""
+    """The results with further reasons against a time constant; those already present are not repeated."""
     known = verdicts(fit).get(part)
     if known is None:
         return fit
-    said = {(one.code, one.verdict) for one in known.reasons}
-    new = [one for one in further if (one.code, one.verdict) not in said]
-    return _told(fit, {part: Verdict.of((*known.reasons, *new))})
+    present = {(one.code, one.verdict) for one in known.reasons}
+    new = [one for one in further if (one.code, one.verdict) not in present]
+    return _with(fit, {part: Verdict.of((*known.reasons, *new))})
 
 
-def _told(fit: FitResults, found: Mapping[str, Verdict]) -> FitResults:
+def _with(fit: FitResults, found: Mapping[str, Verdict]) -> FitResults:
     """The results with these verdicts on their time constants."""
-    told = {
+    judged = {
         part: replace(fit.time_constants[part], verdict=one.verdict, reasons=one.reasons)
         for part, one in found.items()
     }
-    return replace(fit, time_constants={**fit.time_constants, **told})
+    return replace(fit, time_constants={**fit.time_constants, **judged})
 
 
 def inherited(fit: FitResults) -> dict[str, Inherited]:
@@ -250,17 +241,17 @@ def _criteria(fit: FitResults, part: str) -> Iterator[Reason]:
     if data.simulation is None:
         return
     other, low, high = data.simulation.value_h, data.simulation.lower_h, data.simulation.upper_h
-    if said := data.disagreement:
+    if data.disagreement:
         apart = criteria_apart(data)
         values = (other, math.nan if data.likelihood is None else data.likelihood.value_h)
         held = not any(value < data.lower_h or value > data.upper_h for value in values)
         yield Reason(
             "criteria_disagree",
             REJECT if apart > CONTRADICTION and not held else CAUTION,
-            said,
+            data.disagreement,
             {"simulation_h": other, "simulation_lower_h": low, "simulation_upper_h": high, "apart": apart},
         )
-    elif not free_run_says(data) and data.likelihood is None:
+    elif not free_run_informs(data) and data.likelihood is None:
         closed = low > 0 and math.isfinite(high)
         how = "without bounds" if not closed else f"{plain_number(low)} … {plain_number(high)} h"
         yield Reason(
@@ -272,7 +263,7 @@ def _criteria(fit: FitResults, part: str) -> Iterator[Reason]:
         )
 
 
-def free_run_says(data: TimeConstant) -> bool:
+def free_run_informs(data: TimeConstant) -> bool:
     """Whether the free run's own estimate of a time constant has informative bounds."""
     free = data.simulation or Interval()
     return free.lower_h > 0 and free.upper_h < SAYING * free.lower_h
@@ -314,7 +305,7 @@ def _free_run(fit: FitResults, part: str) -> Iterator[Reason]:
         assert rule is not None
         data = fit.time_constants[part]
         asked = data.simulation is not None
-        alone = asked and (not free_run_says(data) or bool(data.disagreement))
+        alone = asked and (not free_run_informs(data) or bool(data.disagreement))
         tail = "and its own best constant does not confirm the number" if alone else ""
         if asked and not alone:
             tail = "though its own best constant agrees with the number"
@@ -465,8 +456,8 @@ def _data(fit: FitResults, part: str) -> Iterator[Reason]:
             "to trust the interval",
             {"time_constants": length / value},
         )
-    for said in fit.doubted.get(part, ()):
-        yield Reason("record_doubted", CAUTION, f"doubt about the record: {said}")
+    for doubt in fit.doubted.get(part, ()):
+        yield Reason("record_doubted", CAUTION, f"doubt about the record: {doubt}")
 
 
 def _hours(start: str | None, end: str | None) -> float:

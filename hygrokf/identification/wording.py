@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from datetime import UTC, datetime
 
 NONE = "–"
 UNBOUNDED = "not identifiable"
@@ -11,7 +12,6 @@ QUANTITIES = {
     "absolute_humidity_g_m3": ("absolute humidity", "g/m³"),
     "relative_humidity": ("relative humidity", "1"),
 }
-SCORED = ("temperature_K", "absolute_humidity_g_m3")
 BASELINES = {
     "temperature_K": {"no_dynamics": "heat release without heat storage"},
     "absolute_humidity_g_m3": {
@@ -56,11 +56,9 @@ def percent(share: float, decimals: int = 0) -> str:
 
 def decimals_for(spread: float) -> int:
     """Decimals that show a spread with one significant digit, or with two where the first is 1 or 2."""
-    return (
-        2
-        if not (math.isfinite(spread) and spread > 0)
-        else min(max(math.ceil(0.4 - math.log10(spread)), 0), 8)
-    )
+    if not (math.isfinite(spread) and spread > 0):
+        return 2
+    return min(max(math.ceil(0.4 - math.log10(spread)), 0), 8)
 
 
 WIDE = 4.0
@@ -105,6 +103,11 @@ def sentence(text: str) -> str:
     """A text with a capital letter and a full stop; a leading name with underscores stays unchanged."""
     text = text[:1].upper() + text[1:] if not text.split(" ")[0].count("_") else text
     return text if text.endswith((".", "!", "?")) else text + "."
+
+
+def iso_time(seconds: float) -> str:
+    """An instant [s since 1970] as ISO 8601 in UTC, to the second."""
+    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
 
 
 def moment(text: str) -> str:

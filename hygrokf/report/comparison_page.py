@@ -12,16 +12,8 @@ from pathlib import Path
 
 from hygrokf.data.files import COMPARISON, COMPARISON_SERIES, COMPARISON_TABLE, REPORT, write_text_whole
 from hygrokf.data.result_file import read_result, result_text
-from hygrokf.identification.wording import (
-    NONE,
-    QUANTITIES,
-    RULES,
-    SCORED,
-    fixed,
-    percent,
-    sentence,
-    signed,
-)
+from hygrokf.evaluation.scoring import REGIMES, SCORED
+from hygrokf.identification.wording import NONE, QUANTITIES, RULES, fixed, percent, sentence, signed
 from hygrokf.report.blocks import (
     Banner,
     Block,
@@ -46,7 +38,6 @@ from hygrokf.report.inherited import inherited_verdicts
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 from hygrokf.transfer.comparison import (
-    REGIMES,
     TABLE_HEAD,
     Comparison,
     ComparisonResults,

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 from hygrokf.discovery.discovery_results import CauseFound, DiscoveryResults, Rejected
-from hygrokf.evaluation.scoring import REGIMES
+from hygrokf.evaluation.scoring import REGIMES, SCORED
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.identification.verdict import verdicts
 from hygrokf.identification.verdict_terms import REJECT
-from hygrokf.identification.wording import NONE, SCORED, fixed, percent, plain_number
+from hygrokf.identification.wording import NONE, fixed, percent, plain_number
 from hygrokf.report.blocks import Table
 from hygrokf.report.discovery_text import (
     PARTS,

@@ -15,13 +15,13 @@ from hygrokf.discovery.discovery_results import (
     Settings,
 )
 from hygrokf.discovery.repeats import REPEATED
+from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.identification.wording import (
     BASELINES,
     NONE,
     QUANTITIES,
-    SCORED,
     decimals_for,
     fixed,
     minus,

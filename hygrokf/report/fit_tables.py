@@ -6,13 +6,12 @@ import math
 
 from hygrokf.evaluation.actuator_effects import Change
 from hygrokf.evaluation.diagnosis import CumulativePeriodogram
-from hygrokf.evaluation.scoring import REGIMES, Errors, Scored
+from hygrokf.evaluation.scoring import REGIMES, SCORED, Errors, Scored
 from hygrokf.identification.fit_results import FitResults, PriorTerms, TimeConstant
 from hygrokf.identification.wording import (
     NONE,
     QUANTITIES,
     RULES,
-    SCORED,
     decimals_for,
     ends,
     fixed,

@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 
 from hygrokf.evaluation.diagnosis import InnovationTest
 from hygrokf.evaluation.innovation_tests import SMALL
+from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification import fit_results
 from hygrokf.identification.fit_results import FitResults, Interval
 from hygrokf.identification.verdict import (
@@ -21,7 +22,7 @@ from hygrokf.identification.verdict import (
     band_failed,
     best_rule,
     beyond_readings,
-    free_run_says,
+    free_run_informs,
     largest_correlation,
     spread_words,
     verdicts,
@@ -35,16 +36,7 @@ from hygrokf.identification.verdict_terms import (
     Verdict,
     verdict_line,
 )
-from hygrokf.identification.wording import (
-    QUANTITIES,
-    SCORED,
-    ends,
-    fixed,
-    interval,
-    percent,
-    plain_number,
-    sentence,
-)
+from hygrokf.identification.wording import QUANTITIES, ends, fixed, interval, percent, plain_number, sentence
 from hygrokf.modelling.design import PARTS
 
 METHODS = {
@@ -182,7 +174,7 @@ def _time_constant(fit: FitResults, name: str) -> list[Judgement]:
         if one.code != "record_doubted" or one.text.partition(": ")[2] not in fit.doubts
     ]
     other = simulated(constant.found)
-    if verdict.verdict == BELIEVE and other and free_run_says(constant.found):
+    if verdict.verdict == BELIEVE and other and free_run_informs(constant.found):
         said = f"The free run alone gives {other} for it: the criteria agree."
         made.append(Judgement(BELIEVE, said, name, reason=True))
     return made

@@ -12,17 +12,10 @@ from typing import Literal
 
 from hygrokf.data.files import REPORT, TRANSFER, TRANSFER_SERIES, TYPE, write_text_whole
 from hygrokf.data.result_file import read_result, result_text
+from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.fit import write_fit
 from hygrokf.identification.turbine_type import TurbineType, write_type
-from hygrokf.identification.wording import (
-    NONE,
-    QUANTITIES,
-    SCORED,
-    fixed,
-    percent,
-    plain_number,
-    sentence,
-)
+from hygrokf.identification.wording import NONE, QUANTITIES, fixed, percent, plain_number, sentence
 from hygrokf.report.blocks import (
     Banner,
     Block,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from datetime import UTC, datetime
 from typing import Literal
 
 import numpy as np
@@ -19,6 +18,7 @@ from hygrokf.identification.procedure import expect_readings
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import Inherited, Reason
+from hygrokf.identification.wording import iso_time
 from hygrokf.modelling.design import HUMIDITIES, Design, read_as
 from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.parameters import Coordinates
@@ -121,7 +121,7 @@ def scene_of(origin: Origin, record: Record) -> tuple[Scene, list[str]]:
         until_s = _three_quarters(record)
         record = replace(record, until_s=until_s)
         statements.append(
-            f"no `until` is stated: estimated on the first three quarters, up to {stamp(until_s)}"
+            f"no `until` is stated: estimated on the first three quarters, up to {iso_time(until_s)}"
         )
     statements += _kinship(origin, record)
     base = replace(read_as(origin.design, record), priors={})
@@ -186,10 +186,6 @@ def _kinship(origin: Origin, record: Record) -> list[str]:
     if record.name in origin.turbines:
         return [f"the type was made of {record.name} among others: its own record says little about the type"]
     return []
-
-
-def stamp(seconds: float) -> str:
-    return datetime.fromtimestamp(seconds, UTC).isoformat(timespec="seconds")
 
 
 def difference(origin: Origin, own: Estimate, spread: Uncertainty, names: Sequence[str]) -> Difference:

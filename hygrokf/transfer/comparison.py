@@ -24,7 +24,7 @@ from hygrokf.data.record import Record
 from hygrokf.data.structured import optional
 from hygrokf.data.timestamps import DAY_S, WEEK_S
 from hygrokf.evaluation.bootstrap import resampled
-from hygrokf.evaluation.scoring import PERIODS, SCORED, guesses, period_masks, rmse
+from hygrokf.evaluation.scoring import PERIODS, REGIMES, SCORED, guesses, period_masks, rmse
 from hygrokf.evaluation.simulation import measured
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import mismatches, simulate_fit
@@ -36,7 +36,6 @@ from hygrokf.version import __version__
 if TYPE_CHECKING:
     import pandas
 
-REGIMES = ("operation", "standstill", "total")
 ALL_PERIODS = (*PERIODS, "whole")
 SAME = 1e-6
 """Readings of one instant that differ by less [K], [g/m³] are the same reading."""

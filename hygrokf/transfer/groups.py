@@ -34,11 +34,7 @@ UNKNOWN = "not known to the type"
 OF_THE_RECORD = (OFFSETS, DISTURBANCES, UNKNOWN)
 """Groups that belong to a logger, a site and a season, not to a type of cabinet: every record has its own."""
 LEVEL = 0.05
-_BASE = {
-    "thermal_network": THERMAL,
-    "heat_release": HEAT,
-    "hygric_exchange": HYGRIC,
-}
+_BASE = {"thermal_network": THERMAL, "heat_release": HEAT, "hygric_exchange": HYGRIC}
 _OFFSETS = ("_bias", "_offset")
 
 

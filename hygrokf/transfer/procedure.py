@@ -16,7 +16,7 @@ covariances count, each the wider of Wald and sandwich) and where the difference
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -28,29 +28,20 @@ from hygrokf.estimation.optimiser import Estimate, Objective, maximise
 from hygrokf.evaluation.bootstrap import Resampled, resampled
 from hygrokf.evaluation.scoring import SCORED, guesses, period_masks, rmse
 from hygrokf.evaluation.simulation import Prediction, measured, simulate
-from hygrokf.identification.estimation import TIME_CONSTANTS, Stage
+from hygrokf.identification.estimation import TIME_CONSTANTS, Progress, Stage
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import Basis, assemble_fit
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited, with_reasons
+from hygrokf.identification.wording import iso_time
 from hygrokf.modelling.design import JOINT, PARTS
-from hygrokf.transfer.baseline import Origin, Scene, difference, scene_of, stamp
+from hygrokf.transfer.baseline import Origin, Scene, difference, scene_of
 from hygrokf.transfer.course import Course
 from hygrokf.transfer.groups import OFFSETS, Difference, Step, members, selection
-from hygrokf.transfer.results import (
-    OPEN,
-    Gain,
-    Gains,
-    SetError,
-    Source,
-    Structure,
-    Transfer,
-    TransferResult,
-)
+from hygrokf.transfer.results import OPEN, Gain, Gains, SetError, Source, Structure, Transfer, TransferResult
 from hygrokf.transfer.verdict import MATTERS, groups_of, judged, matters, parameters_of, ratios_of
 
 SETS = ("as_is", "own_loggers", "re_estimated", "all_own")
-Progress = Callable[[str], None]
 
 
 def transfer_fit(
@@ -144,7 +135,7 @@ def _results(
     return TransferResult(
         name=scene.record.name,
         synthetic="synthetic" in scene.record.name.lower(),
-        until=stamp(scene.until_s),
+        until=iso_time(scene.until_s),
         n_readings=scene.early_run.timeline.n_readings,
         verdict=OPEN,
         sentence=OPEN,

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.identification.wording import SCORED
+from hygrokf.evaluation.scoring import SCORED
 from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, RULE, SIMULATED, new_figure, styled
 from hygrokf.report.figures.overview import figure_excerpts, figure_humidity, figure_temperature
 from paper.experiments import Outcome

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from hygrokf.identification.wording import SCORED, fixed
+from hygrokf.evaluation.scoring import SCORED
+from hygrokf.identification.wording import fixed
 from hygrokf.report.blocks import Banner, Block, Figure, Heading, Items, Page, Prose, section
 from hygrokf.report.page import page_html
 from hygrokf.version import __version__

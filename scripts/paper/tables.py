@@ -7,7 +7,8 @@ import io
 import math
 from collections.abc import Mapping, Sequence
 
-from hygrokf.identification.wording import NONE, SCORED, fixed, percent, plain_number
+from hygrokf.evaluation.scoring import SCORED
+from hygrokf.identification.wording import NONE, fixed, percent, plain_number
 from hygrokf.report.blocks import Table
 from hygrokf.report.fit_tables import REGIMES
 from paper.models import CRITERIA, FREE_RUN, LIKELIHOOD

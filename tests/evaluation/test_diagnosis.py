@@ -342,11 +342,7 @@ def test_a_minute_logger_gives_short_lists_that_keep_the_extremes() -> None:
 
 
 @settings(max_examples=25, deadline=None)
-@given(
-    scale=st.floats(1e-3, 1e3),
-    shift=st.floats(-1e3, 1e3),
-    seed=st.integers(0, 1000),
-)
+@given(scale=st.floats(1e-3, 1e3), shift=st.floats(-1e3, 1e3), seed=st.integers(0, 1000))
 def test_an_inputs_unit_does_not_matter(scale: float, shift: float, seed: int) -> None:
     random = np.random.default_rng(seed)
     e, u = random.standard_normal(300), _autoregressive(random, 300, 0.6)

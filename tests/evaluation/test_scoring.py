@@ -246,10 +246,7 @@ def test_two_percent_of_humidity_are_a_quarter_of_a_gram(one):
     record, driven = sensor_case(one.record, 0.5, 15.0)
     exact = record.replace_series(replace(record["cabinet_temperature"], accuracy=0.0))
     table = {
-        period: {
-            "temperature_K": Errors(total=1.5),
-            "absolute_humidity_g_m3": Errors(total=0.4),
-        }
+        period: {"temperature_K": Errors(total=1.5), "absolute_humidity_g_m3": Errors(total=0.4)}
         for period in ("identification", "validation")
     }
     found = sensor_share(exact, driven, table)["identification"]

@@ -453,7 +453,7 @@ def test_a_free_run_that_fails_gets_no_good_mark() -> None:
         ((0.5, None), "hardly says anything about it (1.00 h, without bounds)"),
     ],
 )
-def test_the_criteria_agree_only_where_the_free_run_says_something(bounds, words) -> None:
+def test_the_criteria_agree_only_where_the_free_run_informs_something(bounds, words) -> None:
     fit, _ = report_case()
     row = {"value_h": 1.0, "lower_h": bounds[0], "upper_h": bounds[1]}
     fit["time_constants"]["thermal"]["simulation"] = row

@@ -18,10 +18,7 @@ from hygrokf.transfer.comparison import ComparisonResults
 from hygrokf.transfer.course import Course, read_courses, write_courses
 from hygrokf.transfer.results import TransferResults
 
-FILES = {
-    ComparisonResults: "compared/compare.json",
-    TransferResults: "transferred/transfer.json",
-}
+FILES = {ComparisonResults: "compared/compare.json", TransferResults: "transferred/transfer.json"}
 
 
 @pytest.fixture(params=FILES, ids=lambda kind: kind.__name__)

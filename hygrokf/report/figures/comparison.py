@@ -8,7 +8,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from hygrokf.data.timestamps import WEEK_S
-from hygrokf.identification.wording import QUANTITIES, SCORED
+from hygrokf.evaluation.scoring import SCORED
+from hygrokf.identification.wording import QUANTITIES
 from hygrokf.report.figures.courses import Panel, figure_courses
 from hygrokf.report.figures.drawing import (
     AMBIENT,

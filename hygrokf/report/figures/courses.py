@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.identification.wording import QUANTITIES, SCORED
+from hygrokf.evaluation.scoring import SCORED
+from hygrokf.identification.wording import QUANTITIES
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.figures.drawing import (
     MEASURED,
