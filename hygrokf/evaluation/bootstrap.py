@@ -22,12 +22,15 @@ import numpy as np
 from hygrokf.data.timestamps import HOUR_S
 
 SURROGATES = 400
+"""Surrogate series of a test."""
 SEED = 20200925
 """Fixed seed: the same record gives the same result."""
 LEAST_BLOCK_H = 24.0
+"""[h] shortest block."""
 BLOCKS_PER_TIME = 4.0
-"""Length of blocks in integral times; blocks last at least a day."""
+"""Length of blocks in integral times."""
 LARGEST_ORDER = 24
+"""Largest order of an autoregression."""
 SHORT_HOLE = 6
 """Longest hole, in bins, that is bridged by a straight line before the memory is estimated."""
 DRAWS = 600
@@ -111,12 +114,19 @@ def autoregression(values: np.ndarray, largest: int = LARGEST_ORDER) -> tuple[np
         aic = n * math.log(spread) + 2.0 * order
         if aic < best_aic:
             best, best_aic = phi, aic
-    kernel = np.concatenate([[1.0], -best])
-    error = np.convolve(centred, kernel)[: len(values)]
-    missing = (~np.isfinite(values)).astype(float)
-    spoilt = np.convolve(missing, np.ones(len(kernel)))[: len(values)] > 0.5
-    spoilt[: len(best)] = True
-    return best, np.where(spoilt, np.nan, error)
+    return best, prediction_error(centred, np.isfinite(values), best)
+
+
+def prediction_error(centred: np.ndarray, known: np.ndarray, phi: np.ndarray) -> np.ndarray:
+    """Errors (n,) of the predictions of deviations (n,) by an autoregression with coefficients φ (p,).
+
+    NaN at the first p, and where one of the values involved is not known (n,).
+    """
+    n, order = len(centred), len(phi)
+    error = np.convolve(centred, np.concatenate([[1.0], -phi]))[:n]
+    spoilt = np.convolve((~known).astype(float), np.ones(order + 1))[:n] > 0.5
+    spoilt[:order] = True
+    return np.where(spoilt, np.nan, error)
 
 
 def surrogates(
@@ -160,12 +170,11 @@ class Resampled:
 
     def bounds(self, column: int, level: float = 0.95) -> tuple[float, float] | None:
         """Bounds of one error, symmetric in its logarithm; None where there are too few blocks."""
-        if self.value[column] <= 0:
-            return None
+        value = float(self.value[column])
         reach = self._reach(np.log(np.maximum(self.draws[:, column], 1e-300)), level)
-        if reach is None:
+        if value <= 0 or reach is None:
             return None
-        return float(self.value[column] * math.exp(-reach)), float(self.value[column] * math.exp(reach))
+        return value * math.exp(-reach), value * math.exp(reach)
 
     def difference(self, first: int, second: int, level: float = 0.95) -> tuple[float, float, float] | None:
         """The first error minus the second with bounds (value, lower, upper); None where there are too few
@@ -188,7 +197,7 @@ class Resampled:
 
     def _reach(self, draws: np.ndarray, level: float) -> float | None:
         """Half the width of bounds: Student's quantile for the number of blocks, times the spread of the
-        draws.
+        draws; None where there are too few blocks.
 
         A mean of K blocks varies by σ²/K, its bootstrap by σ² (K−1)/K²: the factor K/(K−1) corrects this.
         1/(1 − τ/L) adds the variance due to correlation beyond the end of a block (length L, integral time τ

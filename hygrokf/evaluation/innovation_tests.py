@@ -16,6 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from hygrokf.evaluation.bootstrap import prediction_error
 from hygrokf.evaluation.diagnosis import (
     Autocorrelation,
     CrossCorrelation,
@@ -41,6 +42,7 @@ SPECTRUM_POINTS = 120
 LARGEST_ORDER = 48
 """Largest order of the autoregression that whitens an input."""
 BEYOND = 3.0
+"""[1] size of a standardised innovation beyond which it counts as an outlier."""
 NOTE = (
     "standardised innovations e/√S of the identification period; lags count readings, a gap counts as one "
     "step, hours are lags times the median step; inputs are whitened by an autoregression before they are "
@@ -78,7 +80,8 @@ def diagnose(
     for name, values in standardised.items():
         e = np.where(np.isfinite(values), np.asarray(values, dtype=float), np.nan)
         there = np.isfinite(e)
-        outputs[name], found = _output(name, time[there], e[there], _at(inputs, there), level, longest_h)
+        known = {source: np.asarray(u, dtype=float)[there] for source, u in inputs.items()}
+        outputs[name], found = _output(name, time[there], e[there], known, level, longest_h)
         tests += found
     adjusted = _holm([one.p for one in tests])
     rows = tuple(
@@ -92,8 +95,8 @@ def diagnose(
             outputs[one.output] = replace(outputs[one.output], cross_correlation=crossed)
     for name, data in outputs.items():
         outputs[name] = replace(data, statements=_statements(name, data, tests, rows))
-    said = tuple(sentence for one in outputs.values() for sentence in one.statements)
-    return Diagnosis(level, NOTE, outputs, rows, said)
+    statements = tuple(sentence for one in outputs.values() for sentence in one.statements)
+    return Diagnosis(level, NOTE, outputs, rows, statements)
 
 
 @dataclass(frozen=True)
@@ -114,14 +117,14 @@ class _Test:
 def _statements(
     name: str, data: OutputDiagnosis, tests: Sequence[_Test], rows: Sequence[InnovationTest]
 ) -> tuple[str, ...]:
-    """What the tests of one output say: one sentence for each subject that a test rejects."""
-    said = list(data.statements)
+    """The result of one output's tests in words: one sentence for each subject that a test rejects."""
+    statements = list(data.statements)
     pairs = [(one, row) for one, row in zip(tests, rows, strict=True) if row.output == name]
     first = {one.subject: one.words for one, row in reversed(pairs) if row.rejected}
-    said += [first.pop(one.subject) for one, row in pairs if row.rejected and one.subject in first]
-    if pairs and not said:
-        said.append(f"{name} innovations: none of {len(pairs)} tests speaks against white noise")
-    return tuple(said)
+    statements += [first.pop(one.subject) for one, row in pairs if row.rejected and one.subject in first]
+    if pairs and not statements:
+        statements.append(f"{name} innovations: none of {len(pairs)} tests speaks against white noise")
+    return tuple(statements)
 
 
 def _check(
@@ -148,10 +151,6 @@ def _check(
         raise ValueError("diagnose: " + "; ".join(faults))
 
 
-def _at(inputs: Mapping[str, np.ndarray], there: np.ndarray) -> dict[str, np.ndarray]:
-    return {name: np.asarray(values, dtype=float)[there] for name, values in inputs.items()}
-
-
 def _output(
     name: str,
     time: np.ndarray,
@@ -166,8 +165,8 @@ def _output(
         words = f"{name} innovations: {n} {readings}, too few for a diagnosis ({FEWEST_READINGS})"
         return OutputDiagnosis(n, statements=(words,)), []
     if float(np.ptp(e)) <= 1e-12 * max(1.0, float(np.max(np.abs(e)))):
-        said = f"{name} innovations do not vary: nothing to diagnose"
-        return OutputDiagnosis(n, statements=(said,)), []
+        words = f"{name} innovations do not vary: nothing to diagnose"
+        return OutputDiagnosis(n, statements=(words,)), []
     step = float(np.median(np.diff(time)))
     lags = int(min(max(round(longest_h / step), 1), n // 10))
     moments, tests = _moments(name, e)
@@ -348,8 +347,7 @@ def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> tuple[DailyCycle
 
 
 def whitened(values: np.ndarray) -> tuple[np.ndarray, int]:
-    """An input (n,) [any unit] as the prediction error (n,) of its own autoregression, and the order of the
-    latter.
+    """The prediction errors (n,) of an input (n,) [any unit] by its own autoregression, and its order.
 
     AIC chooses the order, up to 48, over the Levinson–Durbin recursion.  NaN remains NaN, also at readings
     predicted from a missing value and at the first ones.
@@ -365,11 +363,7 @@ def whitened(values: np.ndarray) -> tuple[np.ndarray, int]:
     spread = np.concatenate([[covariance[0]], spread[1:]])
     criterion = n * np.log(np.maximum(spread, 1e-12 * covariance[0])) + 2.0 * np.arange(largest + 1)
     order = int(np.argmin(criterion))
-    kernel = np.concatenate([[1.0], -phi[1 : order + 1, order]])
-    error = np.convolve(centred, kernel)[:n]
-    spoilt = np.convolve((~known).astype(float), np.ones(order + 1))[:n] > 0.5
-    spoilt[:order] = True
-    return np.where(spoilt, np.nan, error), order
+    return prediction_error(centred, known, phi[1 : order + 1, order]), order
 
 
 def _cross_correlation(
@@ -378,15 +372,16 @@ def _cross_correlation(
     words = source.replace("_", " ")
     known = values[np.isfinite(values)]
     if len(known) < FEWEST_READINGS or float(np.ptp(known)) <= 1e-9 * max(1.0, float(np.max(np.abs(known)))):
-        said = f"{words}: does not vary, or is hardly known, at the readings"
-        return CrossCorrelation(statement=said), None
+        return CrossCorrelation(
+            statement=f"{words}: does not vary, or is hardly known, at the readings"
+        ), None
     u, order = whitened(values)
     there = np.isfinite(u)
     n = int(there.sum())
     total = float(np.sum(u[there] ** 2))
     if n < FEWEST_READINGS or total <= 0.0:
-        said = f"{words}: foretold by its own past without error, nothing to correlate"
-        return CrossCorrelation(statement=said), None
+        statement = f"{words}: its own past predicts it without error, nothing to correlate"
+        return CrossCorrelation(statement=statement), None
     u = np.where(there, u - float(u[there].mean()), 0.0)
     centred = e - e.mean()
     product = _lagged_products(centred, u, lags)
@@ -402,9 +397,14 @@ def _cross_correlation(
     kept = _extremes(r)
     at = float(lag[worst] * step)
     value = float(r[worst])
+    lead = (
+        f": the readings move before the {words} does, so doubt the clocks or the hold first"
+        if at < 0
+        else ""
+    )
     sentence = (
         f"{name} innovations are correlated with the {words} at lag {_lag(at)} "
-        f"({_against(value, limit_all)}){_size(value) or _direction(at, words)}"
+        f"({_against(value, limit_all)}){_size(value) or lead}"
     )
     found = CrossCorrelation(
         _rounded(lag[kept] * step),
@@ -426,24 +426,16 @@ def _lagged_products(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:
     return np.concatenate([product[-lags:], product[: lags + 1]])
 
 
-def _direction(lag_h: float, words: str) -> str:
-    if lag_h < 0:
-        return f": the readings move before the {words} does, so doubt the clocks or the hold first"
-    return ""
-
-
 # --- numbers ---------------------------------------------------------------------------------
 
 
 def _holm(p: list[float]) -> list[float]:
     """p values adjusted so that the chance of any false rejection is the level (Holm's step-down)."""
-    order = np.argsort(p)
-    adjusted = np.empty(len(p))
-    running = 0.0
-    for rank, i in enumerate(order):
+    adjusted, running = [0.0] * len(p), 0.0
+    for rank, i in enumerate(np.argsort(p)):
         running = max(running, (len(p) - rank) * p[i])
         adjusted[i] = min(running, 1.0)
-    return [float(value) for value in adjusted]
+    return adjusted
 
 
 def _two_sided(z: float) -> float:

@@ -18,8 +18,6 @@ from hygrokf.physics.model import Equations
 from hygrokf.physics.psychrometrics import absolute_humidity, absolute_humidity_slope_temperature
 
 QUANTITIES = ("temperature_K", "relative_humidity", "absolute_humidity_g_m3")
-Courses = Mapping[str, np.ndarray]
-"""Values (T,) of states or inputs by name."""
 
 
 @dataclass(frozen=True)
@@ -79,13 +77,13 @@ def project(
     run: Run,
     mean: np.ndarray,
     covariance: np.ndarray | None,
-    function: Callable[[Equations, Courses, Courses], np.ndarray],
+    function: Callable[[Equations], np.ndarray],
 ) -> tuple[np.ndarray, np.ndarray]:
     """Value (T,) and variance (T,) of a function of the model's equations, to first order in the state's
     covariance.
 
-    `function(equations, x, u)` -> (T,); the slopes come from complex steps.  Without a covariance the
-    variance is zero.
+    mean, covariance: (T, n), (T, n, n) of the states; without a covariance the variance is zero.
+    function: equations -> (T,); the slopes come from complex steps.
     """
     t = run.timeline
     model = design.model
@@ -94,10 +92,7 @@ def project(
 
     # constants of the interpreter are floats, so results must be broadcast to (T,)
     def at(state: list[np.ndarray]) -> np.ndarray:
-        equations = model.evaluate(state, u, values)
-        return np.broadcast_to(
-            np.asarray(function(equations, dict(zip(model.states, state, strict=True)), u)), len(t)
-        )
+        return np.broadcast_to(np.asarray(function(model.evaluate(state, u, values))), len(t))
 
     columns = [mean[:, i] for i in range(n)]
     value = np.real(at(columns))
@@ -111,14 +106,9 @@ def project(
     return value, np.einsum("ti,tij,tj->t", slopes, covariance, slopes)
 
 
-def air_temperature(equations: Equations, x: Courses, u: Courses) -> np.ndarray:
+def air_temperature(equations: Equations) -> np.ndarray:
     """T_conv,a [K] of the model."""
     return equations.quantities["cabinet_air_temperature"]
-
-
-def air_humidity(equations: Equations, x: Courses, u: Courses) -> np.ndarray:
-    """c_conv,a [g/m³] of the model, equation (5)."""
-    return x["vapour"] * u["ambient_temperature"] / equations.quantities["cabinet_air_temperature"]
 
 
 def predicted_readings(design: Design, values: Mapping[str, float], run: Run, trace: Trace) -> Prediction:
@@ -141,14 +131,10 @@ def predicted_readings(design: Design, values: Mapping[str, float], run: Run, tr
         warm = run.timeline.input("cabinet_temperature")
     if relative is not None and warm is not None:
         value = 1e3 * absolute_humidity(relative[0], warm)
-        by_humidity = (
-            1e3 * absolute_humidity(1.0, warm) * _noise(design, values, run, "cabinet_relative_humidity")
-        )
-        by_temperature = (
-            1e3
-            * absolute_humidity_slope_temperature(relative[0], warm)
-            * _noise(design, values, run, "cabinet_temperature")
-        )
+        slope = 1e3 * absolute_humidity_slope_temperature(relative[0], warm)
+        by_temperature = slope * _noise(design, values, run, "cabinet_temperature")
+        saturated = 1e3 * absolute_humidity(1.0, warm)
+        by_humidity = saturated * _noise(design, values, run, "cabinet_relative_humidity")
         state = model.states.index("vapour")
         ratio = run.timeline.input("ambient_temperature") / warm  # equation (5)
         vapour = ratio * np.sqrt(np.maximum(trace.prior_covariance[:, state, state], 0.0))
@@ -168,10 +154,9 @@ def _between_means(
     instant."""
     state, interval = design.model.states.index(f"mean_{name}"), design.model.averaged[name]
 
-    def instant(equations: Equations, x: Courses, u: Courses) -> np.ndarray:
-        return equations.rates[state] * interval
-
-    value, variance = project(design, values, run, trace.prior_mean, trace.prior_covariance, instant)
+    value, variance = project(
+        design, values, run, trace.prior_mean, trace.prior_covariance, lambda e: e.rates[state] * interval
+    )
     sd = np.sqrt(np.maximum(variance, 0.0) + _noise(design, values, run, name) ** 2)
     read = np.isfinite(run.timeline.reading(name))
     return np.where(read, pair[0], value), np.where(read, pair[1], sd)
@@ -225,31 +210,17 @@ def simulate(
     warm = rows.get("cabinet_temperature")
     moist = rows.get("cabinet_relative_humidity")
     vapour = rows.get("cabinet_absolute_humidity")
-    if (
-        prediction.absolute_humidity is not None
-        and prediction.relative_humidity is not None
-        and moist is not None
-    ):
-        humidity, kelvin = prediction.relative_humidity[0], _temperature(prediction, run)
-        vapour = (prediction.absolute_humidity[0] / humidity)[:, None] * moist
-        if warm is not None:
-            vapour = vapour + 1e3 * absolute_humidity_slope_temperature(humidity, kelvin)[:, None] * warm
+    relative, absolute = prediction.relative_humidity, prediction.absolute_humidity
+    if absolute is not None and relative is not None and moist is not None:
+        vapour = (absolute[0] / relative[0])[:, None] * moist
+        if prediction.temperature is not None and warm is not None:
+            slope = 1e3 * absolute_humidity_slope_temperature(relative[0], prediction.temperature[0])
+            vapour = vapour + slope[:, None] * warm
     return Prediction(
-        *(
-            _wider(pair, jacobian, matrix)
-            for pair, jacobian in (
-                (prediction.temperature, warm),
-                (prediction.relative_humidity, moist),
-                (prediction.absolute_humidity, vapour),
-            )
-        )
+        _wider(prediction.temperature, warm, matrix),
+        _wider(relative, moist, matrix),
+        _wider(absolute, vapour, matrix),
     )
-
-
-def _temperature(prediction: Prediction, run: Run) -> np.ndarray:
-    if prediction.temperature is not None:
-        return prediction.temperature[0]
-    return run.timeline.input("cabinet_temperature")
 
 
 def _wider(

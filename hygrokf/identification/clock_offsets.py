@@ -74,12 +74,12 @@ class ClockOffsets:
 NO_OFFSETS = ClockOffsets()
 
 
-def prior_s(one: Series, reference: Series) -> float:
+def prior_s(series: Series, reference: Series) -> float:
     """Prior standard uncertainty [s] of the offset between two series."""
-    stated = [s.clock_uncertainty_s for s in (one, reference) if s.clock_uncertainty_s is not None]
+    stated = [s.clock_uncertainty_s for s in (series, reference) if s.clock_uncertainty_s is not None]
     if stated:
-        return float(np.hypot(stated[0], stated[1])) if len(stated) == 2 else float(stated[0])
-    return ONE_SYSTEM_S if _system(one) == _system(reference) else TWO_SYSTEMS_S
+        return float(np.hypot.reduce(stated))
+    return ONE_SYSTEM_S if _system(series) == _system(reference) else TWO_SYSTEMS_S
 
 
 def _system(series: Series) -> str:

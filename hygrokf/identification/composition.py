@@ -30,7 +30,8 @@ from hygrokf.estimation.confidence import normal_quantile
 
 @dataclass(frozen=True)
 class Source:
-    """A source of uncertainty: the `variance` [1] that it adds to the logarithm, and its evidence in words."""
+    """A source of uncertainty: the `variance` [1] that it adds to the logarithm, and its evidence in
+    words."""
 
     name: str
     variance: float
@@ -80,12 +81,12 @@ def from_forms(log_value: float, variance: float, forms: Sequence[Alternative]) 
     """Variance about the value that other forms add."""
     total = sum(f.weight * (f.variance + (f.log_value - log_value) ** 2) for f in forms)
     others = [f for f in forms if f.weight >= 0.01 and abs(f.log_value - log_value) > 1e-9]
-    said = ", ".join(
+    evidence = ", ".join(
         f"{f.name} {100.0 * math.expm1(f.log_value - log_value):+.0f} % ({100.0 * f.weight:.0f} % of the "
         "evidence)"
         for f in others
     )
-    return Source("forms", max(total - variance, 0.0), said or "no other form has evidence")
+    return Source("forms", max(total - variance, 0.0), evidence or "no other form has evidence")
 
 
 def from_free_run(log_value: float, variance: float, free: Alternative, level: float = 0.95) -> Source:
@@ -100,9 +101,9 @@ def from_free_run(log_value: float, variance: float, free: Alternative, level: f
     )
 
 
-def from_clocks(variance: float, shift: float, said: str) -> Source:
+def from_clocks(variance: float, shift: float, text: str) -> Source:
     """Variance due to clock offsets: their uncertainty, and the effect of the most likely ones."""
-    return Source("clocks", variance + shift**2, said)
+    return Source("clocks", variance + shift**2, text)
 
 
 def from_sampling(shift: float, step_h: float) -> Source:

@@ -203,7 +203,7 @@ def _faults(fit: Fit) -> list[str]:
     faults = []
     for p in fit.design.model.parameters:
         value = fit.values.get(p.name)
-        if not _is_number(value):
+        if not is_number(value):
             faults.append(f"parameter {p.name}: expected a number, found {value!r}")
         elif not p.lower * (1 - 1e-9 * math.copysign(1, p.lower)) <= value <= p.upper * (1 + 1e-9):
             faults.append(f"parameter {p.name}: expected {p.lower:g} … {p.upper:g} {p.unit}, found {value:g}")
@@ -223,20 +223,21 @@ def _design_faults(design: Design) -> list[str]:
     """Faults of the constants with which a design makes inputs from a record."""
     faults = []
     scale, order, mean = design.power_scale_W, design.power_order, design.power_mean
-    if scale is not None and not (_is_number(scale) and scale > 0):
+    if scale is not None and not (is_number(scale) and scale > 0):
         faults.append(f"design.power_scale_W: expected a number above 0 or null, found {scale!r}")
     if type(order) is not int or order < 0:
         faults.append(f"design.power_order: expected a whole number from 0 on, found {order!r}")
-    elif not all(map(_is_number, mean)) or len(mean) not in (0, order + 1):
+    elif not all(map(is_number, mean)) or len(mean) not in (0, order + 1):
         faults.append(f"design.power_mean: expected {order + 1} numbers or none, found {list(mean)!r}")
     for kind in ("averaged", "ambient_noise"):
         for name, found in getattr(design, kind).items():
             numbers, words = (found, "2 numbers") if kind == "ambient_noise" else ((found,), "1 number")
-            if len(numbers) != int(words[0]) or not all(_is_number(one) and one > 0 for one in numbers):
+            if len(numbers) != int(words[0]) or not all(is_number(one) and one > 0 for one in numbers):
                 faults.append(f"design.{kind}.{name}: expected {words} above 0, found {found!r}")
     faults += [f"design.features.{fault}" for fault in feature_faults(design.features)]
     return faults
 
 
-def _is_number(value: Any) -> TypeGuard[float]:
+def is_number(value: Any) -> TypeGuard[float]:
+    """Whether a value from a file is a finite number."""
     return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value)

@@ -2,8 +2,7 @@
 
 A time constant depends on the model's form: with a second thermal mass, natural convection, a second
 disturbance or a slow sensor, the same readings give another value.  Each form here is the base with one more
-mechanism, fitted from the base's own
-maximum (so that it is never worse), and has the evidence
+mechanism, fitted from the base's own maximum (so that it is never worse), and has the evidence
 
     ln Z = ln L̂/c + Σ ln min(1, √(2π) σ_j / w_j),
 
@@ -47,8 +46,7 @@ LONGEST_RESPONSE_H = 1.0 / 3.0
 usual."""
 ADOPTED = 0.99
 """[1] share of the evidence with which a form becomes the base; with 0.95 a slow second disturbance replaced
-drifting sensors, which then went undetected.
-"""
+drifting sensors, which then went undetected."""
 PASSES = 15
 """Scoring passes after which a form's climb is stopped."""
 TOLERANCE = 0.02
@@ -120,6 +118,7 @@ class _Curvature:
 
     @property
     def widest(self) -> np.ndarray:
+        """The covariance (f, f) with the wider of both variances on its diagonal."""
         root = np.sqrt(self.factor)
         return self.covariance * np.outer(root, root)
 
@@ -208,7 +207,8 @@ def weigh_forms(
 
     short = None if scout is None else _Short.of(scout, estimate)
 
-    def tried(one: Candidate) -> tuple[Form, float] | None:
+    def try_form(one: Candidate) -> tuple[Form, float] | None:
+        """A form and its evidence; None where the shorter stretch rules it out."""
         timeline = prepare_run(one.design, early).timeline
         likelihood = Likelihood(one.design.model, timeline, rate_step=SEARCH_STEP)
         found = _fitted(one, likelihood, estimate, short)
@@ -221,10 +221,10 @@ def weigh_forms(
         form = Form(one.name, one.design, found, gain, 0.0, at.names, at.widest, adoptable)
         return form, gain / temper + _occam(found, at, further, temper)
 
-    for answer in mapped(tried, candidates(base, early, run, estimate.values)):
-        if answer is not None:
-            forms.append(answer[0])
-            evidence.append(answer[1])
+    for tried in mapped(try_form, candidates(base, early, run, estimate.values)):
+        if tried is not None:
+            forms.append(tried[0])
+            evidence.append(tried[1])
     share = np.exp(np.array(evidence) - max(evidence))
     weights = (share / share.sum()).tolist()
     return tuple(replace(form, weight=weight) for form, weight in zip(forms, weights, strict=True))

@@ -3,8 +3,8 @@
 Random effects, parameter by parameter, with y_i the estimate of turbine i on its scale (ln θ for positive
 parameters, θ otherwise), v_i its squared standard error and K turbines:
 
-    y_i = μ + b_i + e_i,    b_i ~ N(0, τ²),    e_i ~ N(0, v_i),    w_i = 1/(τ² + v_i),    μ = Σ w_i y_i / Σ
-    w_i,
+    y_i = μ + b_i + e_i,    b_i ~ N(0, τ²),    e_i ~ N(0, v_i),
+    w_i = 1/(τ² + v_i),    μ = Σ w_i y_i / Σ w_i,
 
 τ² by restricted maximum likelihood, bounds of μ after Hartung & Knapp (Student's t with K−1 degrees of
 freedom), and for the next turbine's own value the prediction μ ± t √(τ² + se²) with K−2 degrees of freedom;
@@ -29,7 +29,7 @@ import numpy as np
 from hygrokf.data.files import write_text_whole
 from hygrokf.data.structured import JsonObject
 from hygrokf.errors import HygrokfError
-from hygrokf.identification.fit import Fit
+from hygrokf.identification.fit import Fit, is_number
 from hygrokf.identification.verdict import verdicts
 from hygrokf.identification.verdict_terms import PARAMETER_OF, REJECT
 from hygrokf.modelling.design import Design
@@ -76,10 +76,7 @@ class Pooled:
         """Raises ValueError for values that are not numbers, negative widths, and a mean that no parameter
         can have."""
         numbers = (self.mean, self.se, self.lower, self.upper, self.spread, self.next_sd)
-        if any(
-            isinstance(one, bool) or not isinstance(one, (int, float)) or not math.isfinite(one)
-            for one in numbers
-        ):
+        if not all(map(is_number, numbers)):
             raise ValueError(f"{name} with {numbers}: expected finite numbers")
         if min(self.se, self.spread, self.next_sd) < 0.0 or not self.lower <= self.mean <= self.upper:
             raise ValueError(f"{name}: expected lower ≤ mean ≤ upper and se, spread, next_sd of 0 or more")
@@ -187,17 +184,15 @@ def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:
     known = {p.name: p for p in base.model.parameters if not p.name.endswith(OWN)}
     estimates: dict[str, list[tuple[float, float]]] = {name: [] for name in known}
     for fit in fits:
-        # a parameter taken over from another turbine is no independent evidence
-        taken = {n for n, row in fit.results.parameters.items() if row.fixed}
-        # neither is a rejected time constant
-        taken |= {PARAMETER_OF[part] for part, one in verdicts(fit.results).items() if one.verdict == REJECT}
+        # neither parameters taken over from another turbine nor rejected time constants are evidence
+        left_out = {n for n, row in fit.results.parameters.items() if row.fixed}
+        left_out |= {
+            PARAMETER_OF[part] for part, one in verdicts(fit.results).items() if one.verdict == REJECT
+        }
         for parameter, value, variance in _converted(base, fit):
-            if (
-                parameter in known
-                and parameter not in taken
-                and (pair := _on_scale(known[parameter], value, variance)) is not None
-            ):
-                estimates[parameter].append(pair)
+            if parameter in known and parameter not in left_out:
+                pair = _on_scale(known[parameter], value, variance)
+                estimates[parameter] += [] if pair is None else [pair]
     found = {}
     for parameter, pairs in estimates.items():
         if len(pairs) < FEWEST_TURBINES:
@@ -325,11 +320,10 @@ def _on_scale(parameter: Parameter, value: float, variance: float) -> tuple[floa
 # --- on disk ---------------------------------------------------------------------------------
 
 
-def write_type(found: TurbineType, path: str | os.PathLike[str]) -> Path:
+def write_type(turbine_type: TurbineType, path: str | os.PathLike[str]) -> Path:
     """Write a type as JSON, atomically.  Raises OSError from the system."""
-    return write_text_whole(
-        path, json.dumps(found.to_json(), indent=1, ensure_ascii=False, allow_nan=False) + "\n"
-    )
+    text = json.dumps(turbine_type.to_json(), indent=1, ensure_ascii=False, allow_nan=False)
+    return write_text_whole(path, text + "\n")
 
 
 def read_type(path: str | os.PathLike[str]) -> TurbineType:
