@@ -95,7 +95,7 @@ class Scored:
 
 def period_masks(run: Run, until_s: float | None) -> dict[str, np.ndarray]:
     """Instants (T,) of the identification and of the validation period."""
-    seconds = run.timeline.origin_s + run.timeline.time * 3600.0
+    seconds = run.timeline.seconds
     early = np.ones(len(seconds), bool) if until_s is None else seconds <= until_s
     return {"identification": early, "validation": ~early}
 

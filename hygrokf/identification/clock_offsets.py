@@ -145,8 +145,8 @@ def _innovations(
 def _matched(run: Run, other: Run) -> tuple[np.ndarray, np.ndarray] | None:
     """Rows of two runs with the same readings, where the runs differ only in the times of their inputs."""
     one, two = run.timeline, other.timeline
-    first = np.round((one.origin_s + 3600.0 * one.time) * 1e3)
-    second = np.round((two.origin_s + 3600.0 * two.time) * 1e3)
+    first = np.round(one.seconds * 1e3)
+    second = np.round(two.seconds * 1e3)
     read = np.isfinite(one.y).any(axis=1)
     _, left, right = np.intersect1d(first[read], second, assume_unique=True, return_indices=True)
     return (np.flatnonzero(read)[left], right) if len(left) else None

@@ -208,7 +208,7 @@ def smoothed_temperature(
     t = run.timeline
     mean, _ = smooth(Likelihood(base.model, t), values, covariance=False)
     air, _ = project(base, values, run, mean, None, air_temperature)
-    seconds = t.origin_s + 3600.0 * t.time
+    seconds = t.seconds
     raw = early["cabinet_temperature"]
     moist = early[humidity]
     time = np.union1d(seconds, moist.time[~moist.missing])

@@ -73,7 +73,7 @@ def simulation_csv(fit: Fit, record: Record) -> str:
     inputs are known."""
     _, run, predicted = simulate_fit(fit, record)
     t = run.timeline
-    milliseconds = np.round(1e3 * (t.origin_s + t.time * 3600.0)).astype("int64")
+    milliseconds = np.round(1e3 * t.seconds).astype("int64")
     unit: Literal["s", "ms"] = "s" if np.all(milliseconds % 1000 == 0) else "ms"
     stamps = np.datetime_as_string(milliseconds.astype("datetime64[ms]"), unit=unit)
     columns, names = [], []
@@ -107,8 +107,8 @@ def simulation_summary(fit: Fit, record: Record) -> SimulationSummary:
     return SimulationSummary(
         fit.name,
         record.name,
-        iso_time(t.origin_s + t.time[0] * 3600.0),
-        iso_time(t.origin_s + t.time[-1] * 3600.0),
+        iso_time(t.seconds[0]),
+        iso_time(t.seconds[-1]),
         len(t),
         float(run.scored.mean()),
         means,
@@ -152,15 +152,21 @@ def evaluate(fit: Fit, record: Record) -> Evaluation:
     )
 
 
+def rated_power_mismatch(design: Design, record: Record) -> list[str]:
+    """A sentence where the rated power of a record differs from the power scale of a design."""
+    scale = design.power_scale_W
+    ratio = record.rated_power_W / scale if record.rated_power_W and scale else 1.0
+    if abs(ratio - 1.0) <= 0.02:
+        return []
+    return [
+        f"this turbine's rated power is {ratio:.2f} times that of the fit: another type? The heat release "
+        "counts power in the fit's scale"
+    ]
+
+
 def mismatches(fit: Fit, record: Record) -> list[str]:
-    """Sentences about signals that only the fitted model or only the record has."""
-    found = []
-    scale = fit.design.power_scale_W
-    if record.rated_power_W and scale and abs(record.rated_power_W / scale - 1.0) > 0.02:
-        found.append(
-            f"this turbine's rated power is {record.rated_power_W / scale:.2f} times that of the fit: "
-            "another type? The heat release counts power in the fit's scale"
-        )
+    """Sentences about another rated power, and signals that only the fitted model or only the record has."""
+    found = rated_power_mismatch(fit.design, record)
     inputs, outputs = fit.design.model.inputs, fit.design.model.outputs
     if "preheating" in inputs and "preheating" not in record:
         found.append("the fit knows pre-heating, the record brings none: it is taken as off throughout")

@@ -477,7 +477,7 @@ def _series(
 
     power = given("power_1") if "power_1" in t.varying else np.where(run.operating, 1.0, 0.0)
     return {
-        "time_s": t.origin_s + t.time * 3600.0,
+        "time_s": t.seconds,
         **{f"{name}_measured": known[quantity] for name, quantity in readings.items()},
         **simulated,
         "temperature_innovation": innovation("cabinet_temperature"),

@@ -1,4 +1,4 @@
-"""The baseline of a transfer: the origin of the model, the record's periods, and what the record can tell."""
+"""The baseline of a transfer: the origin of the model, the record's periods, and what the record determines."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Estimate, Objective
 from hygrokf.evaluation.simulation import measured
 from hygrokf.identification.fit import Fit
+from hygrokf.identification.fit_on_record import rated_power_mismatch
 from hygrokf.identification.procedure import expect_readings
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited
@@ -25,6 +26,7 @@ from hygrokf.physics.parameters import Coordinates
 from hygrokf.transfer.groups import OF_THE_RECORD, UNKNOWN, Difference, group_of
 
 EARLY_SHARE = 0.75
+"""[1] share of a record without `until` that serves as its identification period."""
 
 
 @dataclass(frozen=True)
@@ -80,10 +82,10 @@ class Origin:
 
 
 @dataclass(frozen=True)
-class Scene:
+class Baseline:
     """The origin, the record, its identification period and the model, which all sets of values share.
 
-    `held` values of parameters that the record says nothing about; `groups` of all parameters.
+    `held`: values of parameters that the record does not determine; `groups`: group of every parameter.
     """
 
     origin: Origin
@@ -101,20 +103,20 @@ class Scene:
 
     @property
     def until_s(self) -> float:
-        """The end of the part that is estimated on [s since 1970]; every scene states one."""
+        """The end of the identification period [s since 1970]; every baseline states one."""
         assert self.record.until_s is not None
         return self.record.until_s
 
     @property
     def cabinet(self) -> tuple[str, ...]:
-        """Parameters of the cabinet that this record can tell something about."""
+        """Parameters of the cabinet that this record determines."""
         return tuple(n for n, g in self.groups.items() if g not in OF_THE_RECORD and n not in self.held)
 
 
-def scene_of(origin: Origin, record: Record) -> tuple[Scene, list[str]]:
-    """The scene of a transfer, and statements about it.
+def baseline_of(origin: Origin, record: Record) -> tuple[Baseline, list[str]]:
+    """The baseline of a transfer, and statements about it.
 
-    Raises ValueError where the record cannot judge a model.
+    Raises ValueError for a record on which no model can be judged.
     """
     statements = []
     if record.until_s is None:
@@ -131,28 +133,23 @@ def scene_of(origin: Origin, record: Record) -> tuple[Scene, list[str]]:
     early_run = prepare_run(base, early)
     if not any(np.isfinite(one[early_run.scored]).any() for one in measured(early_run).values()):
         raise ValueError(
-            "nothing to judge by: no reading of the cabinet in the identification period at a time when all "
-            "inputs are known (a model that reads the power needs the power); check the case with `hygrokf "
-            "check`"
+            "no reading to judge the model by: the identification period has no reading of the cabinet at a "
+            "time when all inputs are known (a model that reads the power needs the power); check the case "
+            "with `hygrokf check`"
         )
     unknown = [n for n, g in groups.items() if g not in OF_THE_RECORD and n not in origin.names]
     if origin.kind == "type" and unknown:
         groups |= dict.fromkeys(unknown, UNKNOWN)
         statements.append(
-            f"the type does not know {', '.join(unknown)}: estimated on this record, not judged"
+            f"the type has no value of {', '.join(unknown)}: estimated on this record, not judged"
         )
     held = _unknowable(origin, base, early_run)
     if held:
         statements.append(f"this record says nothing about {', '.join(held)}: kept as they were")
-    ratio = None
-    if record.rated_power_W and origin.design.power_scale_W:
-        ratio = record.rated_power_W / origin.design.power_scale_W
-    if ratio is not None and abs(ratio - 1.0) > 0.02:
-        statements.append(
-            f"this turbine's rated power is {ratio:.2f} times that of the fit: another type? The heat "
-            "release counts power in the fit's scale"
-        )
-    return Scene(origin, record, early, base, prepare_run(base, record), early_run, held, groups), statements
+    statements += rated_power_mismatch(origin.design, record)
+    return Baseline(
+        origin, record, early, base, prepare_run(base, record), early_run, held, groups
+    ), statements
 
 
 def _three_quarters(record: Record) -> float:
@@ -176,15 +173,15 @@ def _unknowable(origin: Origin, base: Design, early_run: Run) -> dict[str, float
 
 
 def _kinship(origin: Origin, record: Record) -> list[str]:
-    """A remark where the record is, or seems to be, one that the model was made from."""
+    """A statement where the model was, or seems to be, made from this very record."""
     files = frozenset(digest for _, digest in record.provenance)
     if files and files == origin.files:
         return [
-            "the files of this record are those of the fit: if its columns are too, both estimates are of "
-            "the same readings, and nothing is tried by this"
+            "this record was read from the files of the fit: if the columns are the same too, both estimates "
+            "come from the same readings, which is no test of the fit"
         ]
     if record.name in origin.turbines:
-        return [f"the type was made of {record.name} among others: its own record says little about the type"]
+        return [f"{record.name} is one of the turbines of the type: its record hardly tests the type"]
     return []
 
 

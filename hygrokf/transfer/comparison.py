@@ -24,8 +24,7 @@ from hygrokf.data.record import Record
 from hygrokf.data.structured import optional
 from hygrokf.data.timestamps import DAY_S, WEEK_S
 from hygrokf.evaluation.bootstrap import resampled
-from hygrokf.evaluation.scoring import PERIODS, REGIMES, SCORED, guesses, period_masks, rmse
-from hygrokf.evaluation.simulation import measured
+from hygrokf.evaluation.scoring import PERIODS, REGIMES, guesses, period_masks, rmse
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import mismatches, simulate_fit
 from hygrokf.identification.verdict import inherited
@@ -218,7 +217,7 @@ class Column:
     synthetic: bool
     verdicts: Mapping[str, Inherited] = field(default_factory=dict)
 
-    def shown(self, quantity: str, period: str, regime: str) -> np.ndarray:
+    def scored_at(self, quantity: str, period: str, regime: str) -> np.ndarray:
         """(T,) True at the scored instants of a period and a regime."""
         chosen = self.masks[period] & np.isfinite(self.errors[quantity])
         return chosen if regime == "total" else chosen & (self.course.operating == (regime == "operation"))
@@ -232,34 +231,18 @@ def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -
     Returns readings, predictions and regimes (T,) for `compare`.
     Raises KeyError where the record lacks an input that the model reads.
     """
-    _, made, predicted = simulate_fit(fit, record)
-    known = measured(made)
+    _, run, prediction = simulate_fit(fit, record)
+    course = Course.of(run, record.until_s, {"simulated": prediction})
+    guessed = guesses(run, record.until_s)
     errors, rules = {}, {}
-    runs = {q: pair[0] for q in SCORED if (pair := predicted.of(q)) is not None}
-    ruled = guesses(made, record.until_s)
-    for quantity, run in runs.items():
-        if not np.isfinite(known[quantity][made.scored]).any():
-            continue
-        errors[quantity] = np.where(made.scored, known[quantity] - run, np.nan)
-        rules[quantity] = {
-            name: np.where(made.scored, known[quantity] - guess[quantity], np.nan)
-            for name, guess in ruled.items()
-            if quantity in guess
-        }
-    t = made.timeline
-    masks = period_masks(made, record.until_s)
-    masks["whole"] = np.ones(len(t), bool)
-    statements = mismatches(fit, record)
-    if not errors:
-        statements.append(UNSCORED)
-    course = Course(
-        t.origin_s + 3600.0 * t.time,
-        math.nan if record.until_s is None else record.until_s,
-        made.scored,
-        made.operating,
-        {q: known[q] for q in SCORED},
-        {"simulated": runs},
-    )
+    for quantity, simulated in course.simulated["simulated"].items():
+        reading = np.where(run.scored, course.measured[quantity], np.nan)
+        if np.isfinite(reading).any():
+            errors[quantity] = reading - simulated
+            rules[quantity] = {
+                name: reading - guess[quantity] for name, guess in guessed.items() if quantity in guess
+            }
+    masks = {**period_masks(run, record.until_s), "whole": np.ones(len(run.timeline), bool)}
     return Column(
         label,
         fit.name,
@@ -269,7 +252,7 @@ def comparison_column(fit: Fit, record: Record, label: str, own: bool = False) -
         errors,
         rules,
         masks,
-        tuple(statements),
+        (*mismatches(fit, record), *(() if errors else (UNSCORED,))),
         fit.results.synthetic or "synthetic" in record.name.lower(),
         inherited(fit.results),
     )
@@ -311,7 +294,7 @@ def _column_scores(one: Column) -> ColumnScores:
     scores = {
         period: {
             quantity: {
-                regime: _scored(one, quantity, one.shown(quantity, period, regime)) for regime in REGIMES
+                regime: _scored(one, quantity, one.scored_at(quantity, period, regime)) for regime in REGIMES
             }
             for quantity in one.errors
         }
@@ -356,7 +339,7 @@ def _difference(a: Column, b: Column) -> PairDifference:
             same[quantity], pairs[quantity] = bool(apart.max() <= SAME), pair
 
     def apart_in(period: str, quantity: str, regime: str) -> ErrorDifference:
-        chosen = a.shown(quantity, period, regime)[i] & b.shown(quantity, period, regime)[j]
+        chosen = a.scored_at(quantity, period, regime)[i] & b.scored_at(quantity, period, regime)[j]
         drawn = resampled(common, np.where(chosen[:, None], pairs[quantity], np.nan))
         if drawn is None:
             return ErrorDifference(0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import math
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ from hygrokf.data.files import write_bytes_whole
 from hygrokf.data.result_file import ResultFault
 from hygrokf.data.series_file import instants
 from hygrokf.evaluation.scoring import SCORED
+from hygrokf.evaluation.simulation import Prediction, measured
+from hygrokf.modelling.inputs import Run
 
 
 @dataclass(frozen=True)
@@ -32,6 +35,17 @@ class Course:
     operating: np.ndarray
     measured: Mapping[str, np.ndarray]
     simulated: Mapping[str, Mapping[str, np.ndarray]]
+
+    @classmethod
+    def of(cls, run: Run, until_s: float | None, simulated: Mapping[str, Prediction]) -> Course:
+        """The readings of a run, and simulations of it by name."""
+        t, known = run.timeline, measured(run)
+        courses = {
+            name: {q: pair[0] for q in SCORED if (pair := prediction.of(q)) is not None}
+            for name, prediction in simulated.items()
+        }
+        end_s = math.nan if until_s is None else until_s
+        return cls(t.seconds, end_s, run.scored, run.operating, {q: known[q] for q in SCORED}, courses)
 
     def arrays(self) -> dict[str, np.ndarray]:
         """The arrays of a file: `temperature_K_measured`, `temperature_K_as_is`, and so on."""
@@ -81,7 +95,7 @@ def write_courses(courses: Sequence[Course], path: str | os.PathLike[str]) -> Pa
 
 
 def read_courses(path: Path, count: int, command: str) -> tuple[Course, ...]:
-    """So many courses from a file that `command` wrote.  Raises ResultFault."""
+    """The courses of `count` records from a file that `command` wrote.  Raises ResultFault."""
     found: dict[int, dict[str, np.ndarray]] = {}
     try:
         with open(path, "rb") as stream, np.load(stream, allow_pickle=False) as file:

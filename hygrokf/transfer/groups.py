@@ -84,7 +84,7 @@ class Difference:
 
 
 @dataclass(frozen=True)
-class Step:
+class SelectionStep:
     """One step of the selection: each group's statistic beside those let differ before, and which was taken,
     if any."""
 
@@ -92,7 +92,7 @@ class Step:
     degrees: Mapping[str, int]
     p: Mapping[str, float]
     p_adjusted: Mapping[str, float]
-    taken: str | None
+    selected: str | None
 
 
 def unexplained(found: Difference, differing: Sequence[str]) -> float:
@@ -105,18 +105,20 @@ def unexplained(found: Difference, differing: Sequence[str]) -> float:
     return float(value @ positive_inverse(found.covariance[np.ix_(others, others)]) @ value)
 
 
-def selection(found: Difference, groups: Mapping[str, str], level: float = LEVEL) -> tuple[Step, ...]:
+def selection(
+    found: Difference, groups: Mapping[str, str], level: float = LEVEL
+) -> tuple[SelectionStep, ...]:
     """Forward selection of the groups that differ; the last step takes none, unless every group was taken."""
     from scipy.stats import chi2
 
     left = list(dict.fromkeys(groups[name] for name in found.names))
-    taken: list[str] = []
-    steps: list[Step] = []
+    selected: list[str] = []
+    steps: list[SelectionStep] = []
     while left:
-        rest = unexplained(found, [n for n in found.names if groups[n] in taken])
+        rest = unexplained(found, [n for n in found.names if groups[n] in selected])
         statistic, degrees, p = {}, {}, {}
         for group in left:
-            wider = [n for n in found.names if groups[n] in (*taken, group)]
+            wider = [n for n in found.names if groups[n] in (*selected, group)]
             statistic[group] = max(rest - unexplained(found, wider), 0.0)
             degrees[group] = sum(groups[n] == group for n in found.names)
             p[group] = float(chi2.sf(statistic[group], degrees[group]))
@@ -124,9 +126,9 @@ def selection(found: Difference, groups: Mapping[str, str], level: float = LEVEL
         # p of large statistics underflows to zero: the mean square decides then
         best = min(left, key=lambda group: (p[group], -statistic[group] / degrees[group]))
         hit = adjusted[best] < level
-        steps.append(Step(statistic, degrees, p, adjusted, best if hit else None))
+        steps.append(SelectionStep(statistic, degrees, p, adjusted, best if hit else None))
         if not hit:
             break
-        taken.append(best)
+        selected.append(best)
         left.remove(best)
     return tuple(steps)

@@ -35,11 +35,11 @@ from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.verdict import inherited, with_reasons
 from hygrokf.identification.wording import iso_time
 from hygrokf.modelling.design import JOINT, PARTS
-from hygrokf.transfer.baseline import Origin, Scene, difference, scene_of
+from hygrokf.transfer.baseline import Baseline, Origin, baseline_of, difference
 from hygrokf.transfer.course import Course
-from hygrokf.transfer.groups import OFFSETS, Difference, Step, members, selection
+from hygrokf.transfer.groups import OFFSETS, Difference, SelectionStep, members, selection
 from hygrokf.transfer.results import OPEN, Gain, Gains, SetError, Source, Structure, Transfer, TransferResult
-from hygrokf.transfer.verdict import MATTERS, groups_of, judged, matters, parameters_of, ratios_of
+from hygrokf.transfer.verdict import MATTERS, groups_of, matters, parameters_of, ratios_of, with_verdict
 
 SETS = ("as_is", "own_loggers", "re_estimated", "all_own")
 
@@ -59,21 +59,21 @@ def transfer_fit(
     Raises ValueError where the record lacks an input or a reading that the model needs.
     """
     say = progress or (lambda text: None)
-    scene, statements = scene_of(Origin.of(source), record)
+    baseline, statements = baseline_of(Origin.of(source), record)
     say("as it is")
-    found = _estimates(scene, say)
+    found = _estimates(baseline, say)
     say("held-out errors")
-    predicted = {n: simulate(scene.base, one, scene.run) for n, one in found.values(scene).items()}
-    results = judged(_results(scene, found, predicted, statements))
-    course = _course(scene, predicted)
+    predicted = {n: simulate(baseline.base, one, baseline.run) for n, one in found.values(baseline).items()}
+    results = with_verdict(_results(baseline, found, predicted, statements))
+    course = Course.of(baseline.run, baseline.until_s, predicted)
     if not fits:
         return Transfer(results, course)
     say("its own fit")
-    mine = made = _fit(scene, found.own, found.spread)
+    own = adapted = _fit(baseline, found.own, found.spread)
     if found.adapted is not found.own:
-        spread = uncertainty(Objective(scene.likelihood, found.adapted.coordinates), found.adapted)
-        made = _fit(scene, found.adapted, spread)
-    return Transfer(replace(results, verdicts=inherited(made.results)), course, made, mine)
+        spread = uncertainty(Objective(baseline.likelihood, found.adapted.coordinates), found.adapted)
+        adapted = _fit(baseline, found.adapted, spread)
+    return Transfer(replace(results, verdicts=inherited(adapted.results)), course, adapted, own)
 
 
 @dataclass(frozen=True)
@@ -89,70 +89,72 @@ class _Estimates:
     own: Estimate
     spread: Uncertainty
     apart: Difference
-    steps: tuple[Step, ...]
+    steps: tuple[SelectionStep, ...]
     effects: Mapping[str, Mapping[str, float]]
     differing: tuple[str, ...]
 
-    def values(self, scene: Scene) -> dict[str, Mapping[str, float]]:
+    def values(self, baseline: Baseline) -> dict[str, Mapping[str, float]]:
         """Values by the names in `SETS`."""
-        made = (self.logger, self.adapted, self.own)
-        return dict(zip(SETS, (dict(scene.origin.values), *(one.values for one in made)), strict=True))
+        estimates = (self.logger, self.adapted, self.own)
+        return dict(zip(SETS, (dict(baseline.origin.values), *(e.values for e in estimates)), strict=True))
 
 
-def _estimates(scene: Scene, say: Progress) -> _Estimates:
-    starts = dict(scene.origin.values) | {n: 0.0 for n in members(scene.groups, OFFSETS)}
-    cabinet = {n: scene.origin.values[n] for n in scene.cabinet}
+def _estimates(baseline: Baseline, say: Progress) -> _Estimates:
+    starts = dict(baseline.origin.values) | {n: 0.0 for n in members(baseline.groups, OFFSETS)}
+    cabinet = {n: baseline.origin.values[n] for n in baseline.cabinet}
     say("own loggers")
-    logger = maximise(scene.likelihood, starts, {**scene.held, **cabinet}, count=1)
+    logger = maximise(baseline.likelihood, starts, {**baseline.held, **cabinet}, count=1)
     say("all parameters")
-    own = maximise(scene.likelihood, logger.values, scene.held, count=1)
+    own = maximise(baseline.likelihood, logger.values, baseline.held, count=1)
     if own.objective < logger.objective - 0.01:  # the search ended at another maximum
-        own = maximise(scene.likelihood, starts, scene.held, count=3)
+        own = maximise(baseline.likelihood, starts, baseline.held, count=3)
     say("uncertainty")
-    spread = uncertainty(Objective(scene.likelihood, own.coordinates), own)
-    apart = difference(scene.origin, own, spread, scene.cabinet)
-    steps = selection(apart, scene.groups)
+    spread = uncertainty(Objective(baseline.likelihood, own.coordinates), own)
+    apart = difference(baseline.origin, own, spread, baseline.cabinet)
+    steps = selection(apart, baseline.groups)
     say("what differences do")
-    effects = {g: _effect(scene, own, g) for g in dict.fromkeys(scene.groups[n] for n in apart.names)}
-    significant = [step.taken for step in steps]
+    effects = {g: _effect(baseline, own, g) for g in dict.fromkeys(baseline.groups[n] for n in apart.names)}
+    significant = [step.selected for step in steps]
     differing = tuple(
-        g for g in effects if g in significant and matters(g, apart.of(members(scene.groups, g)), effects[g])
+        g
+        for g in effects
+        if g in significant and matters(g, apart.of(members(baseline.groups, g)), effects[g])
     )
     say("re-estimated")
-    adapted = _adapted(scene, logger, own, differing)
+    adapted = _adapted(baseline, logger, own, differing)
     return _Estimates(logger, adapted, own, spread, apart, steps, effects, differing)
 
 
 def _results(
-    scene: Scene, found: _Estimates, predicted: Mapping[str, Prediction], statements: Sequence[str]
+    baseline: Baseline, found: _Estimates, predicted: Mapping[str, Prediction], statements: Sequence[str]
 ) -> TransferResult:
     """Everything that a transfer finds; not yet judged."""
-    masks = period_masks(scene.run, scene.record.until_s)
-    held_out = (masks["validation"] & scene.run.scored).any()
+    masks = period_masks(baseline.run, baseline.record.until_s)
+    held_out = (masks["validation"] & baseline.run.scored).any()
     period: Literal["identification", "validation"] = "validation" if held_out else "identification"
-    table, gains = _scored(scene, predicted, masks[period])
-    origin, estimates = scene.origin, (found.logger, found.adapted, found.own)
+    table, gains = _scored(baseline, predicted, masks[period])
+    origin, estimates = baseline.origin, (found.logger, found.adapted, found.own)
     return TransferResult(
-        name=scene.record.name,
-        synthetic="synthetic" in scene.record.name.lower(),
-        until=iso_time(scene.until_s),
-        n_readings=scene.early_run.timeline.n_readings,
+        name=baseline.record.name,
+        synthetic="synthetic" in baseline.record.name.lower(),
+        until=iso_time(baseline.until_s),
+        n_readings=baseline.early_run.timeline.n_readings,
         verdict=OPEN,
         sentence=OPEN,
         reasons=(),
         re_estimate=found.differing,
         statements=tuple(statements),
-        parameters=parameters_of(scene, found.apart, found.values(scene), found.spread, found.own),
-        groups=groups_of(scene, found.apart, found.steps, found.effects, found.differing),
-        likelihood_ratios=ratios_of(scene, *estimates, found.spread, found.differing),
+        parameters=parameters_of(baseline, found.apart, found.values(baseline), found.spread, found.own),
+        groups=groups_of(baseline, found.apart, found.steps, found.effects, found.differing),
+        likelihood_ratios=ratios_of(baseline, *estimates, found.spread, found.differing),
         period=period,
         rmse=table,
         gains=gains,
-        structure=_structure(scene, predicted["all_own"]),
+        structure=_structure(baseline, predicted["all_own"]),
         at_bounds=tuple(
             n
             for n in found.adapted.at_bounds
-            if scene.groups[n] in found.differing and n != "resistance_ratio"
+            if baseline.groups[n] in found.differing and n != "resistance_ratio"
         ),
         converged={name: one.converged for name, one in zip(SETS[1:], estimates, strict=True)},
         matters=dict(MATTERS),
@@ -160,63 +162,62 @@ def _results(
     )
 
 
-def _effect(scene: Scene, own: Estimate, group: str) -> dict[str, float]:
+def _effect(baseline: Baseline, own: Estimate, group: str) -> dict[str, float]:
     """What a group's own values change in the free run: root mean square [K] and [g/m³] over the record."""
-    changed = dict(scene.origin.values) | {n: own.values[n] for n in members(scene.groups, group)}
-    runs = [simulate(scene.base, values, scene.run) for values in (scene.origin.values, changed)]
+    changed = dict(baseline.origin.values) | {n: own.values[n] for n in members(baseline.groups, group)}
+    runs = [simulate(baseline.base, values, baseline.run) for values in (baseline.origin.values, changed)]
     found = {}
     for quantity in SCORED:
         before, after = (made.of(quantity) for made in runs)
         if before is not None and after is not None:
-            found[quantity] = float(np.sqrt(np.mean((before[0] - after[0])[scene.run.scored] ** 2)))
+            found[quantity] = float(np.sqrt(np.mean((before[0] - after[0])[baseline.run.scored] ** 2)))
     return found
 
 
-def _adapted(scene: Scene, logger: Estimate, own: Estimate, differing: Sequence[str]) -> Estimate:
+def _adapted(baseline: Baseline, logger: Estimate, own: Estimate, differing: Sequence[str]) -> Estimate:
     """Offsets, disturbances and the differing groups estimated here, the others as they were."""
     if not differing:
         return logger
-    fixed = {n: scene.origin.values[n] for n in scene.cabinet if scene.groups[n] not in differing}
+    fixed = {n: baseline.origin.values[n] for n in baseline.cabinet if baseline.groups[n] not in differing}
     if not fixed:
         return own
     start = {**own.values, **fixed}
-    return maximise(scene.likelihood, start, {**scene.held, **fixed}, count=1)
+    return maximise(baseline.likelihood, start, {**baseline.held, **fixed}, count=1)
 
 
 # --- held-out errors -------------------------------------------------------------------------
 
 
-def _errors(scene: Scene, predicted: Mapping[str, Prediction], quantity: str) -> dict[str, np.ndarray]:
+def _errors(baseline: Baseline, predicted: Mapping[str, Prediction], quantity: str) -> dict[str, np.ndarray]:
     """Errors (T,) of every set and of the sceptic's rules at scored instants."""
-    reading = measured(scene.run)[quantity]
+    reading = measured(baseline.run)[quantity]
     columns = {n: pair[0] for n, made in predicted.items() if (pair := made.of(quantity)) is not None}
     columns |= {
         n: guess[quantity]
-        for n, guess in guesses(scene.run, scene.record.until_s).items()
+        for n, guess in guesses(baseline.run, baseline.record.until_s).items()
         if quantity in guess
     }
-    return {n: np.where(scene.run.scored, reading - value, np.nan) for n, value in columns.items()}
+    return {n: np.where(baseline.run.scored, reading - value, np.nan) for n, value in columns.items()}
 
 
 def _scored(
-    scene: Scene, predicted: Mapping[str, Prediction], chosen: np.ndarray
+    baseline: Baseline, predicted: Mapping[str, Prediction], chosen: np.ndarray
 ) -> tuple[dict[str, dict[str, SetError]], dict[str, dict[str, Gains]]]:
     """Errors of the sets and the rules at the chosen instants (T,) that all of them score, and the gains, by
     quantity."""
-    seconds = scene.run.timeline.origin_s + 3600.0 * scene.run.timeline.time
     table, gains = {}, {}
     for quantity in SCORED:
-        errors = {n: np.where(chosen, e, np.nan) for n, e in _errors(scene, predicted, quantity).items()}
+        errors = {n: np.where(chosen, e, np.nan) for n, e in _errors(baseline, predicted, quantity).items()}
         errors = {n: e for n, e in errors.items() if np.isfinite(e).any()}
         if not errors:
             continue
         columns = np.column_stack(list(errors.values()))
-        drawn = resampled(seconds, columns)
+        drawn = resampled(baseline.run.timeline.seconds, columns)
         if drawn is None:
             continue
         there = np.isfinite(columns).all(axis=1)
         table[quantity] = {
-            n: _set_error(np.where(there, e, np.nan), scene.run.operating, drawn.bounds(i))
+            n: _set_error(np.where(there, e, np.nan), baseline.run.operating, drawn.bounds(i))
             for i, (n, e) in enumerate(errors.items())
         }
         gains[quantity] = _gains(drawn, list(errors))
@@ -243,33 +244,34 @@ def _gains(drawn: Resampled, names: Sequence[str]) -> dict[str, Gains]:
     return {name: Gains(over("as_is", name), over(best, name)) for name in SETS if name in names}
 
 
-def _structure(scene: Scene, predicted: Prediction) -> dict[str, Structure]:
+def _structure(baseline: Baseline, predicted: Prediction) -> dict[str, Structure]:
     """Free-run error of the record's own model in the identification period, beside that of the fit on its
     own record."""
-    masks = period_masks(scene.run, scene.record.until_s)
-    seconds = scene.run.timeline.origin_s + 3600.0 * scene.run.timeline.time
+    masks = period_masks(baseline.run, baseline.record.until_s)
     found = {}
     for quantity in SCORED:
-        errors = _errors(scene, {"all_own": predicted}, quantity).get("all_own")
-        before = scene.origin.rmse.get(quantity)
+        errors = _errors(baseline, {"all_own": predicted}, quantity).get("all_own")
+        before = baseline.origin.rmse.get(quantity)
         if errors is None or before is None:
             continue
-        drawn = resampled(seconds, np.where(masks["identification"], errors, np.nan)[:, None])
+        drawn = resampled(
+            baseline.run.timeline.seconds, np.where(masks["identification"], errors, np.nan)[:, None]
+        )
         if drawn is not None:
             value, (low, _) = float(drawn.value[0]), drawn.bounds(0) or (math.nan, math.nan)
             found[quantity] = Structure(value, before, value / before, low / before)
     return found
 
 
-# --- fits and courses ------------------------------------------------------------------------
+# --- fits ------------------------------------------------------------------------------------
 
 
-def _fit(scene: Scene, estimate: Estimate, spread: Uncertainty) -> Fit:
+def _fit(baseline: Baseline, estimate: Estimate, spread: Uncertainty) -> Fit:
     """An estimate on the record as a fit; parameters taken over keep their value and uncertainty."""
     from hygrokf.identification.steady_state import heat_release_regression
 
-    kept = [n for n in scene.origin.names if n in estimate.coordinates.fixed]
-    wider = _with_kept(scene, spread, kept)
+    kept = [n for n in baseline.origin.names if n in estimate.coordinates.fixed]
+    wider = _with_kept(baseline, spread, kept)
     bounds = {}
     for name in TIME_CONSTANTS:
         i = wider.place(name)
@@ -279,23 +281,23 @@ def _fit(scene: Scene, estimate: Estimate, spread: Uncertainty) -> Fit:
             ends = (value * math.exp(-reach), value * math.exp(reach))
             method = "taken over" if name in kept else "wald"
             bounds[name] = Bounds(value, *ends, 0.95, method, "", np.empty((0, 2)))
-    stage = Stage(scene.base, scene.early_run, estimate, wider, bounds)
-    basis = Basis(JOINT, (stage,), (scene.early,), heat_release_regression(scene.early))
-    made = assemble_fit(scene.record, basis, {})
-    said = f"design and values that are marked as fixed come from {scene.origin.name}"
-    results = replace(made.results, statements=(said, *made.results.statements))
+    stage = Stage(baseline.base, baseline.early_run, estimate, wider, bounds)
+    basis = Basis(JOINT, (stage,), (baseline.early,), heat_release_regression(baseline.early))
+    made = assemble_fit(baseline.record, basis, {})
+    origin = f"design and values that are marked as fixed come from {baseline.origin.name}"
+    results = replace(made.results, statements=(origin, *made.results.statements))
     for part, name in zip(PARTS, TIME_CONSTANTS, strict=True):
         if name in kept:
-            results = with_reasons(results, part, scene.origin.reasons(part))
+            results = with_reasons(results, part, baseline.origin.reasons(part))
     return replace(made, results=results)
 
 
-def _with_kept(scene: Scene, spread: Uncertainty, kept: Sequence[str]) -> Uncertainty:
+def _with_kept(baseline: Baseline, spread: Uncertainty, kept: Sequence[str]) -> Uncertainty:
     """The uncertainty of an estimate with that of the parameters taken over, which are independent of it."""
-    place = [scene.origin.names.index(n) for n in kept]
-    parameters = {p.name: p for p in scene.base.model.parameters}
-    slopes = np.array([parameters[n].slope(scene.origin.values[n]) for n in kept])
-    old = scene.origin.covariance[np.ix_(place, place)] / np.outer(slopes, slopes)
+    place = [baseline.origin.names.index(n) for n in kept]
+    parameters = {p.name: p for p in baseline.base.model.parameters}
+    slopes = np.array([parameters[n].slope(baseline.origin.values[n]) for n in kept])
+    old = baseline.origin.covariance[np.ix_(place, place)] / np.outer(slopes, slopes)
     return replace(
         spread,
         names=(*spread.names, *kept),
@@ -313,19 +315,3 @@ def _blocks(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     result = np.zeros((n + m, n + m))
     result[:n, :n], result[n:, n:] = first, second
     return result
-
-
-def _course(scene: Scene, predicted: Mapping[str, Prediction]) -> Course:
-    """Readings and the simulations of all sets of values."""
-    t, known = scene.run.timeline, measured(scene.run)
-    return Course(
-        t.origin_s + 3600.0 * t.time,
-        scene.until_s,
-        scene.run.scored,
-        scene.run.operating,
-        {q: known[q] for q in SCORED},
-        {
-            name: {q: pair[0] for q in SCORED if (pair := made.of(q)) is not None}
-            for name, made in predicted.items()
-        },
-    )

@@ -13,8 +13,16 @@ from hygrokf.estimation.confidence import Uncertainty
 from hygrokf.estimation.optimiser import Estimate
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.identification.wording import QUANTITIES, RULES
-from hygrokf.transfer.baseline import Scene
-from hygrokf.transfer.groups import HYGRIC, OF_THE_RECORD, THERMAL, Difference, Step, members, unexplained
+from hygrokf.transfer.baseline import Baseline
+from hygrokf.transfer.groups import (
+    HYGRIC,
+    OF_THE_RECORD,
+    THERMAL,
+    Difference,
+    SelectionStep,
+    members,
+    unexplained,
+)
 from hygrokf.transfer.results import (
     NOT,
     OPEN,
@@ -59,20 +67,20 @@ def matters(group: str, apart: Difference, effect: Mapping[str, float]) -> bool:
 
 
 def parameters_of(
-    scene: Scene,
+    baseline: Baseline,
     apart: Difference,
     values: Mapping[str, Mapping[str, float]],
     spread: Uncertainty,
     own: Estimate,
 ) -> dict[str, ParameterChange]:
     """Every parameter: its original and own value with standard errors, and their difference with bounds."""
-    known = {n: i for i, n in enumerate(scene.origin.names)}
+    known = {n: i for i, n in enumerate(baseline.origin.names)}
     rows = {}
-    for p in scene.base.model.parameters:
+    for p in baseline.base.model.parameters:
         i, place = known.get(p.name), spread.place(p.name)
         old = new = math.nan
         if i is not None:
-            old = math.sqrt(max(float(scene.origin.covariance[i, i]), 0.0))
+            old = math.sqrt(max(float(baseline.origin.covariance[i, i]), 0.0))
         if place is not None:
             sd = math.sqrt(spread.wald[place, place] * spread.factor[place])
             new = sd * abs(p.slope(own.values[p.name]))
@@ -82,7 +90,7 @@ def parameters_of(
             if p.positive:
                 change = change.ratio
         rows[p.name] = ParameterChange(
-            scene.groups[p.name],
+            baseline.groups[p.name],
             p.unit,
             p.meaning,
             original=values["as_is"][p.name],
@@ -92,25 +100,25 @@ def parameters_of(
             re_estimated=values["re_estimated"][p.name],
             difference=change,
             difference_is=None if change is None else "ratio" if p.positive else "difference",
-            kept=p.name in scene.held,
+            kept=p.name in baseline.held,
         )
     return rows
 
 
 def groups_of(
-    scene: Scene,
+    baseline: Baseline,
     apart: Difference,
-    steps: Sequence[Step],
+    steps: Sequence[SelectionStep],
     effects: Mapping[str, Mapping[str, float]],
     differing: Sequence[str],
 ) -> tuple[GroupChange, ...]:
     """For each group the statistic at the step that decided on it, its effect, and the outcome."""
     from scipy.stats import chi2
 
-    significant = [step.taken for step in steps if step.taken]
+    significant = [step.selected for step in steps if step.selected]
     rows = []
-    for group in dict.fromkeys(scene.groups.values()):
-        names = members(scene.groups, group)
+    for group in dict.fromkeys(baseline.groups.values()):
+        names = members(baseline.groups, group)
         if group in OF_THE_RECORD:
             said = "belongs to the record: always estimated there"
             rows.append(GroupChange(group, names, "own", said))
@@ -163,7 +171,7 @@ def _could_matter(group: str, alone: Difference, effect: Mapping[str, float]) ->
 
 
 def ratios_of(
-    scene: Scene,
+    baseline: Baseline,
     logger: Estimate,
     adapted: Estimate,
     own: Estimate,
@@ -181,7 +189,7 @@ def ratios_of(
         (logger, adapted, True, "re-estimating what differs"),
         (adapted, own, False, "re-estimating the rest"),
     ):
-        names = tuple(n for n in scene.cabinet if (scene.groups[n] in differing) is differ)
+        names = tuple(n for n in baseline.cabinet if (baseline.groups[n] in differing) is differ)
         if not names:
             continue
         place = [spread.names.index(n) for n in names if n in spread.names]
@@ -195,7 +203,7 @@ def ratios_of(
 # --- the verdict -----------------------------------------------------------------------------
 
 
-def judged(found: TransferResult) -> TransferResult:
+def with_verdict(found: TransferResult) -> TransferResult:
     """The result with its verdict, the sentence of the verdict, and the reasons, objections first."""
     worse_than_rules, doubts = _against_the_rules(found)
     against = [*_of_the_model(found), *worse_than_rules, *_worse_than_before(found)]

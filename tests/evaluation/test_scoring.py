@@ -93,7 +93,7 @@ def one():
         run=driven,
         predicted=simulate(base, values, driven),
         until=record.start_s + 14 * DAY_S,
-        seconds=driven.timeline.origin_s + 3600.0 * driven.timeline.time,
+        seconds=driven.timeline.seconds,
         known=measured(driven),
     )
 

@@ -20,7 +20,7 @@ from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import plain, structured
 from hygrokf.evaluation.scoring import REGIMES, SCORED
 from hygrokf.evaluation.simulation import Prediction, simulate
-from hygrokf.identification import tables
+from hygrokf.identification import fit_on_record
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.fit_on_record import (
     Evaluation,
@@ -120,7 +120,7 @@ def test_the_file_is_the_free_run_in_everyday_units(fit, record, text):
     ]
     whole = prepare_run(fit.design, record)
     ran = simulate(fit.design, fit.values, whole, fit.covariance)
-    np.testing.assert_allclose(times, whole.timeline.origin_s + HOUR * whole.timeline.time, atol=1e-3)
+    np.testing.assert_allclose(times, whole.timeline.seconds, atol=1e-3)
     columns = [
         ran.temperature[0] - 273.15,
         ran.temperature[1],
@@ -164,16 +164,15 @@ def test_whole_seconds_stay_whole_and_milliseconds_are_written(fit, record, text
 
 def test_every_cell_of_a_small_file(monkeypatch):
     """Four decimals, milliseconds only where they are needed, an empty cell where there is no number."""
-    line = SimpleNamespace(
-        origin_s=datetime(2021, 1, 1, tzinfo=UTC).timestamp(), time=np.array([0.0, 0.5, 1.0])
-    )
+    start = datetime(2021, 1, 1, tzinfo=UTC).timestamp()
+    line = SimpleNamespace(seconds=start + HOUR * np.array([0.0, 0.5, 1.0]))
     ran = Prediction(
         (np.array([293.15, np.nan, 272.65]), np.array([0.5, np.inf, 0.25])),
         None,
         (np.array([7.0, 7.12344, 7.12346]), np.array([0.1, 0.2, 0.3])),
     )
     flags = np.array([True, False, True])
-    monkeypatch.setattr(tables, "simulated", lambda *_: (None, Run(line, flags, flags), ran))
+    monkeypatch.setattr(fit_on_record, "simulate_fit", lambda *_: (None, Run(line, flags, flags), ran))
     lines = [
         "time,cabinet_temperature_degC,cabinet_temperature_degC_sd,"
         "cabinet_absolute_humidity_g_m3,cabinet_absolute_humidity_g_m3_sd,inputs_known",
@@ -182,7 +181,7 @@ def test_every_cell_of_a_small_file(monkeypatch):
         "2021-01-01T01:00:00Z,-0.5000,0.2500,7.1235,0.3000,1",
     ]
     assert simulation_csv(None, None).splitlines() == lines
-    line.time[1] += 0.0014 / HOUR
+    line.seconds[1] += 0.0014
     assert simulation_csv(None, None).splitlines()[2] == "2021-01-01T00:30:00.001Z,,,7.1234,0.2000,0"
 
 

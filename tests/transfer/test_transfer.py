@@ -38,7 +38,7 @@ from hygrokf.report.transfer_page import (
 from hygrokf.transfer.groups import HEAT, HYGRIC, THERMAL
 from hygrokf.transfer.procedure import transfer_fit
 from hygrokf.transfer.results import Gain, Structure, Transfer, TransferResult, transfer_results
-from hygrokf.transfer.verdict import judged
+from hygrokf.transfer.verdict import with_verdict
 
 DAYS, HELD_OUT = 36.0, 9.0
 SEED = 31_000
@@ -171,8 +171,8 @@ def with_gain(found: TransferResult, **gains: Gain) -> TransferResult:
 def test_what_speaks_against_a_transfer_is_named(
     other: Transfer, spoil: Callable[[TransferResult], TransferResult], word: str
 ) -> None:
-    assert judged(other.results) == other.results
-    found = judged(spoil(other.results))
+    assert with_verdict(other.results) == other.results
+    found = with_verdict(spoil(other.results))
     assert found.verdict == "does not transfer" and word in found.reasons[0]
 
 
@@ -199,13 +199,13 @@ def test_the_fits_own_record_and_a_types_own_turbine_are_told(origin: Fit) -> No
     record = replace(sister(()), provenance=(("cabinet.csv", "a" * 64),))
     made = with_parts(origin, provenance=[["elsewhere/cabinet.csv", "a" * 64]])
     statements = transfer_fit(made, record, fits=False).results.statements
-    assert any("nothing is tried" in line for line in statements)
+    assert any("no test of the fit" in line for line in statements)
     kind = pool_types([replace(origin, name="one"), replace(origin, name=record.name)])
     known = {name: row for name, row in kind.parameters.items() if name != "hygric_k"}
     found = transfer_fit(replace(kind, parameters=known), record, fits=False).results
-    assert any(f"made of {record.name} among others" in line for line in found.statements)
+    assert any(f"{record.name} is one of the turbines" in line for line in found.statements)
     # a start value is no knowledge of the type
-    assert any("does not know hygric_k" in line for line in found.statements)
+    assert any("no value of hygric_k" in line for line in found.statements)
     assert found.parameters["hygric_k"].difference is None and found.verdict == "transfers"
 
 
@@ -274,11 +274,11 @@ def test_what_is_too_short_to_judge_is_not_called_a_transfer(origin: Fit) -> Non
     for rows in found.gains.values():
         assert math.isnan(rows["re_estimated"].over_rule.upper)
     found = replace(found, re_estimate=())
-    worse = judged(with_gain(found, over_rule=Gain("no_dynamics", -0.5)))
+    worse = with_verdict(with_gain(found, over_rule=Gain("no_dynamics", -0.5)))
     assert worse.verdict == "cannot be judged" and "take a longer record" in worse.reasons[0]
     better = with_gain(found, over_rule=Gain("no_dynamics", 0.5))
     all_better = all(rows["re_estimated"].over_rule.gain > 0 for rows in better.gains.values())
-    assert (judged(better).verdict == "transfers") == all_better
+    assert (with_verdict(better).verdict == "transfers") == all_better
 
 
 @pytest.mark.slow

@@ -47,7 +47,7 @@ def test_what_is_left_is_that_of_generalised_least_squares() -> None:
 
 
 def test_false_alarms_are_as_rare_as_stated() -> None:
-    alarms = sum(selection(difference_of(seed), GROUPS)[0].taken is not None for seed in range(600))
+    alarms = sum(selection(difference_of(seed), GROUPS)[0].selected is not None for seed in range(600))
     assert alarms / 600 < 0.075
 
 
@@ -57,7 +57,7 @@ def test_false_alarms_are_as_rare_as_stated() -> None:
 def test_large_differences_are_named_and_no_others(right: dict[str, float]) -> None:
     wanted = {GROUPS[n] for n in right}
     hits = sum(
-        {s.taken for s in selection(difference_of(seed, right), GROUPS) if s.taken} == wanted
+        {s.selected for s in selection(difference_of(seed, right), GROUPS) if s.selected} == wanted
         for seed in range(100)
     )
     assert hits >= 92
@@ -67,7 +67,7 @@ def test_the_most_telling_comes_first_even_where_p_underflows() -> None:
     steps = selection(
         Difference(("tau", "k"), np.array([60.0, 90.0]), np.eye(2)), {"tau": THERMAL, "k": HYGRIC}
     )
-    assert [s.taken for s in steps] == [HYGRIC, THERMAL]
+    assert [s.selected for s in steps] == [HYGRIC, THERMAL]
     assert steps[0].p[HYGRIC] == 0.0 and steps[0].p_adjusted[THERMAL] <= 1.0
 
 
