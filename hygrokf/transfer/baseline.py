@@ -1,4 +1,4 @@
-"""The baseline of a transfer: the origin of the model, the record's periods, and what the record determines."""
+"""The baseline of a transfer: the model's origin, the record's periods, and what the record determines."""
 
 from __future__ import annotations
 

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from plants import Truth
+
+    from hygrokf.modelling.design import Design
 
 RELEASE = {
     "heat_release_operation": 7.5,
@@ -31,3 +34,11 @@ def physical_values(truth: Truth) -> dict[str, float]:
         "heat_release_standstill": truth.standstill_K[0],
         "heat_release_standstill_ambient": truth.standstill_K[1],
     }
+
+
+def with_reference(base: Design, kelvin: float = 283.15) -> Design:
+    """The design with another reference temperature of the heat release; that of the plants is 283.15 K."""
+    chosen = tuple(
+        (n, {**s, "reference_K": kelvin} if n == "heat_release" else s) for n, s in base.mechanisms
+    )
+    return replace(base, mechanisms=chosen)

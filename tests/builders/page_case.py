@@ -21,6 +21,7 @@ from cryptography.hazmat.primitives.asymmetric import ec
 from cryptography.x509.oid import NameOID
 
 from builders.live_case import live_record, live_turbine
+from builders.record_edits import without
 from hygrokf.data.record import Record
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import LIMIT
@@ -83,7 +84,7 @@ def filled(
             records[case.seed] = recent_record(folder / f"record{case.seed}", case.seed, days, end_s)
         record = records[case.seed]
         turbines[case.name] = replace(live_turbine(record, **case.known), surface=case.surface)
-        kept = replace(record, series=tuple(s for s in record.series if s.signal not in case.without))
+        kept = without(record, *case.without)
         if case.silent_h:
             kept = kept.window(kept.start_s, end_s - HOUR_S * case.silent_h)
         streams.append(played(kept, case.name))

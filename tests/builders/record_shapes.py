@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from builders.record_edits import without
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import LATITUDE_DEG, LONGITUDE_DEG, synthetic_turbine, write_case
 from hygrokf.data.record import Record, Series
@@ -60,10 +61,6 @@ def _power(record: Record, value: Callable[[np.ndarray], np.ndarray]) -> Record:
     return _changed(record, lambda s: replace(s, value=value(s.value)) if s.signal == "active_power" else s)
 
 
-def _without(record: Record, *names: str) -> Record:
-    return replace(record, series=tuple(s for s in record.series if s.signal not in names))
-
-
 def ordinary(record: Record) -> Record:
     return record
 
@@ -79,7 +76,7 @@ def only_standstill(record: Record) -> Record:
 
 
 def no_power(record: Record) -> Record:
-    return _without(record, "active_power")
+    return without(record, "active_power")
 
 
 def constant_power(record: Record) -> Record:
@@ -87,11 +84,11 @@ def constant_power(record: Record) -> Record:
 
 
 def no_humidity(record: Record) -> Record:
-    return _without(record, "cabinet_relative_humidity", "ambient_relative_humidity")
+    return without(record, "cabinet_relative_humidity", "ambient_relative_humidity")
 
 
 def no_ambient_humidity(record: Record) -> Record:
-    return _without(record, "ambient_relative_humidity")
+    return without(record, "ambient_relative_humidity")
 
 
 def _every(record: Record, step_s: float) -> Record:

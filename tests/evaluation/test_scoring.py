@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from builders.known_values import physical_values, with_reference
 from numpy.testing import assert_array_equal
 from plants import plant
 from plants.as_record import to_record
@@ -47,17 +48,8 @@ def true_values(made) -> dict[str, float]:
         """What a first-order lag makes the stated free-run error of."""
         return free_run * math.sqrt((correlation_h + lag_h) / correlation_h)
 
-    a0, a1, a2, slope = truth.operation_K
     return {
-        "thermal_time_constant": truth.tau_h,
-        "resistance_ratio": truth.rho,
-        "hygric_k": truth.hygric_constant_h,
-        "heat_release_operation": a0,
-        "heat_release_power_1": a1,
-        "heat_release_power_2": a2,
-        "heat_release_operation_ambient": slope,
-        "heat_release_standstill": truth.standstill_K[0],
-        "heat_release_standstill_ambient": truth.standstill_K[1],
+        **physical_values(truth),
         "heat_disturbance_sd": coloured(truth.heat.free_run_K, truth.heat.correlation_h, truth.tau_h),
         "heat_disturbance_time": truth.heat.correlation_h,
         "thermal_diffusion": truth.heat.diffusion_K,
@@ -74,12 +66,7 @@ def true_values(made) -> dict[str, float]:
 def true_model(seed: int, days: float = 30.0):
     made = plant(seed, days=days)
     record = to_record(made)
-    base = design(record)
-    chosen = tuple(
-        (n, {**s, "reference_K": 283.15} if n == "heat_release" else s) for n, s in base.mechanisms
-    )
-    base = replace(base, mechanisms=chosen)
-    return record, base, true_values(made)
+    return record, with_reference(design(record)), true_values(made)
 
 
 @pytest.fixture(scope="module")
@@ -229,6 +216,12 @@ def test_baselines_of_a_thermal_model_and_of_few_readings(one):
 # --- sensors --------------------------------------------------------------------------------
 
 
+def errors_of(kelvin: float, grams: float) -> dict[str, dict[str, Errors]]:
+    """The same errors in both periods."""
+    row = {"temperature_K": Errors(total=kelvin), "absolute_humidity_g_m3": Errors(total=grams)}
+    return dict.fromkeys(("identification", "validation"), row)
+
+
 def sensor_case(record, humidity: float, celsius: float):
     """The record with constant readings, and its run."""
     warm, moist = record["cabinet_temperature"], record["cabinet_relative_humidity"]
@@ -245,15 +238,11 @@ def test_two_percent_of_humidity_are_a_quarter_of_a_gram(one):
     assert grams == pytest.approx(0.256, abs=0.002)
     record, driven = sensor_case(one.record, 0.5, 15.0)
     exact = record.replace_series(replace(record["cabinet_temperature"], accuracy=0.0))
-    table = {
-        period: {"temperature_K": Errors(total=1.5), "absolute_humidity_g_m3": Errors(total=0.4)}
-        for period in ("identification", "validation")
-    }
-    found = sensor_share(exact, driven, table)["identification"]
+    found = sensor_share(exact, driven, errors_of(1.5, 0.4))["identification"]
     assert found["absolute_humidity_g_m3"] == pytest.approx((grams / 1.96) ** 2 / 0.4**2, rel=1e-3)
     assert "temperature_K" not in found  # stated as exact: nothing to explain
     # a temperature sensor that is 0.3 K off moves e_s by 2 %: in quadrature
-    both = sensor_share(record, driven, table)["identification"]
+    both = sensor_share(record, driven, errors_of(1.5, 0.4))["identification"]
     slope = (absolute_humidity(0.5, 288.45) - absolute_humidity(0.5, 287.85)) / 0.6 * 1e3
     expected = ((grams / 1.96) ** 2 + (slope * 0.3 / 1.96) ** 2) / 0.4**2
     assert both["absolute_humidity_g_m3"] == pytest.approx(expected, rel=1e-3)
@@ -262,22 +251,14 @@ def test_two_percent_of_humidity_are_a_quarter_of_a_gram(one):
 
 def test_sensor_share_is_a_share(one):
     record, driven = sensor_case(one.record, 0.5, 15.0)
-    small = {
-        p: {"temperature_K": Errors(total=0.01), "absolute_humidity_g_m3": Errors()}
-        for p in ("identification", "validation")
-    }
-    found = sensor_share(record, driven, small)
+    found = sensor_share(record, driven, errors_of(0.01, math.nan))
     assert found["identification"]["temperature_K"] == 1.0
     assert math.isnan(found["identification"]["absolute_humidity_g_m3"])
 
 
 def test_a_bone_dry_cabinet_divides_by_nothing(one):
     record, driven = sensor_case(one.record, 0.0, 15.0)
-    table = {
-        p: {"temperature_K": Errors(total=1.5), "absolute_humidity_g_m3": Errors(total=0.4)}
-        for p in ("identification", "validation")
-    }
-    found = sensor_share(record, driven, table)["identification"]["absolute_humidity_g_m3"]
+    found = sensor_share(record, driven, errors_of(1.5, 0.4))["identification"]["absolute_humidity_g_m3"]
     assert found == pytest.approx((0.256 / 1.96) ** 2 / 0.16, rel=0.01)
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders.known_values import RELEASE, physical_values
+from builders.known_values import RELEASE, physical_values, with_reference
 from numpy.testing import assert_allclose
 from plants import plant, undisturbed
 from plants.as_record import to_record
@@ -57,14 +57,6 @@ def parameters(base: Design, **changes: float) -> dict[str, float]:
 def of_plant(made) -> dict[str, float]:
     """True parameters of a plant, by the package's names; its reference temperature is 283.15 K."""
     return VALUES | physical_values(made.truth)
-
-
-def with_reference(base: Design, kelvin: float = 283.15) -> Design:
-    """The design with another reference temperature of the heat release."""
-    chosen = tuple(
-        (n, {**s, "reference_K": kelvin} if n == "heat_release" else s) for n, s in base.mechanisms
-    )
-    return replace(base, mechanisms=chosen)
 
 
 @pytest.fixture(scope="module")

@@ -6,12 +6,15 @@ import csv
 import io
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from datetime import UTC, datetime
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from builders.known_values import RELEASE
+from builders.record_edits import changed, without
 
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
@@ -38,22 +41,18 @@ from hygrokf.report.evaluation_text import evaluation_blocks, evaluation_text
 
 HOUR = 3600.0
 DAY = 86400.0
-NEAR = {"thermal_time_constant": 1.5, "resistance_ratio": 0.85, "hygric_k": 0.35}
-RELEASE = {
-    "heat_release_operation": 7.5,
-    "heat_release_power_1": 7.0,
-    "heat_release_power_2": -2.0,
-    "heat_release_operation_ambient": -0.15,
-    "heat_release_standstill": 5.0,
-    "heat_release_standstill_ambient": -0.1,
+KNOWN = RELEASE | {
+    "thermal_time_constant": 1.5,
+    "resistance_ratio": 0.85,
+    "hygric_k": 0.35,
     "preheating_heat": 9.0,
 }
 
 
-def made(record: Record) -> Fit:
+def unfitted(record: Record) -> Fit:
     """A fit without the fitting: the model that the record calls for, its parameters near the truth."""
     base = design(record.identification())
-    values = {p.name: (NEAR | RELEASE).get(p.name, p.start) for p in base.model.parameters}
+    values = {p.name: (KNOWN).get(p.name, p.start) for p in base.model.parameters}
     return Fit("made", base, values, spread(0.2))
 
 
@@ -61,19 +60,6 @@ def spread(standstill_K2: float) -> FitResults:
     """Results with a covariance of two parameters, the second one's variance stated."""
     names = ("thermal_time_constant", "heat_release_standstill")
     return FitResults(covariance=Covariance(names, np.diag([0.01, standstill_K2])))
-
-
-def without(record: Record, *signals: str) -> Record:
-    return replace(record, series=tuple(one for one in record.series if one.signal not in signals))
-
-
-def blank(record: Record, signal: str, first_d: float, last_d: float) -> Record:
-    """The record without the readings of a signal between two days after its start."""
-    one = record[signal]
-    days = (one.time - record.start_s) / DAY
-    return record.replace_series(
-        replace(one, value=np.where((days > first_d) & (days < last_d), np.nan, one.value))
-    )
 
 
 def parsed(text: str) -> tuple[list[str], np.ndarray, np.ndarray]:
@@ -94,7 +80,7 @@ def record(tmp_path_factory) -> Record:
 
 @pytest.fixture(scope="module")
 def fit(record) -> Fit:
-    return made(record)
+    return unfitted(record)
 
 
 @pytest.fixture(scope="module")
@@ -107,17 +93,18 @@ def found(fit, record) -> dict:
     return evaluate(fit, record)
 
 
+def columns_of(names: Sequence[str]) -> list[str]:
+    """The head of a simulation file with these quantities."""
+    return ["time", *(f"cabinet_{name}{end}" for name in names for end in ("", "_sd")), "inputs_known"]
+
+
 # --- the simulation file ---------------------------------------------------------------------
 
 
 def test_the_file_is_the_free_run_in_everyday_units(fit, record, text):
     head, times, cells = parsed(text)
     names = ("temperature_degC", "relative_humidity_pct", "absolute_humidity_g_m3")
-    assert head == [
-        "time",
-        *(f"cabinet_{name}{end}" for name in names for end in ("", "_sd")),
-        "inputs_known",
-    ]
+    assert head == columns_of(names)
     whole = prepare_run(fit.design, record)
     ran = simulate(fit.design, fit.values, whole, fit.covariance)
     np.testing.assert_allclose(times, whole.timeline.seconds, atol=1e-3)
@@ -198,13 +185,9 @@ def test_every_cell_of_a_small_file(monkeypatch):
     ids=["no humidity inside", "no humidity outside", "absolute humidity"],
 )
 def test_columns_are_those_that_the_model_has(record, change, columns):
-    changed = change(record)
-    head, _, cells = parsed(simulation_csv(made(changed), changed))
-    assert head == [
-        "time",
-        *(f"cabinet_{name}{end}" for name in columns for end in ("", "_sd")),
-        "inputs_known",
-    ]
+    other = change(record)
+    head, _, cells = parsed(simulation_csv(unfitted(other), other))
+    assert head == columns_of(columns)
     assert np.isfinite(cells).all()
 
 
@@ -227,7 +210,11 @@ def test_a_fit_runs_on_inputs_alone(fit, record):
 @pytest.mark.parametrize("signal", ["ambient_temperature", "ambient_relative_humidity", "active_power"])
 def test_a_gap_of_an_input_is_flagged_until_the_state_has_forgotten_it(fit, record, text, signal):
     """Two days without an input: the numbers go on, unknown from the gap's start to 12 h after its end."""
-    _, times, cells = parsed(simulation_csv(fit, blank(record, signal, 3.0, 5.0)))
+    _, times, cells = parsed(
+        simulation_csv(
+            fit, changed(record, signal, np.nan, record.start_s + 3 * DAY, record.start_s + 5 * DAY)
+        )
+    )
     assert np.isfinite(cells).all()
     days = (times - record.start_s) / DAY
     assert not cells[(days > 3.05) & (days < 5.45), -1].any()
@@ -242,7 +229,7 @@ def test_a_model_that_knows_the_power_is_never_sure_without_it(fit, record):
     assert np.isfinite(cells).all()
     assert not cells[:, -1].any()
     assert simulation_summary(fit, idle).share_with_known_inputs == 0.0
-    own = made(idle)  # a fit of its own counts the record as standstill, and knows all of that
+    own = unfitted(idle)  # a fit of its own counts the record as standstill, and knows all of that
     assert simulation_summary(own, idle).share_with_known_inputs == 1.0
 
 
@@ -274,18 +261,6 @@ def test_loggers_that_average_are_simulated_as_such(fit, record):
 def test_the_summary_is_that_of_the_file(fit, record, text):
     _, times, cells = parsed(text)
     summary = simulation_summary(fit, record)
-    keys = [
-        "fit",
-        "record",
-        "start",
-        "end",
-        "n",
-        "share_with_known_inputs",
-        "means",
-        "verdicts",
-        "statements",
-    ]
-    assert list(vars(summary)) == keys
     assert (summary.fit, summary.record) == ("made", "synthetic-turbine-4")
     ends = [datetime.fromisoformat(getattr(summary, key)).timestamp() for key in ("start", "end")]
     np.testing.assert_allclose(ends, [times[0], times[-1]], atol=1.0)
@@ -302,15 +277,15 @@ def test_the_summary_is_that_of_the_file(fit, record, text):
 def test_what_fit_and_record_do_not_share_is_said(fit, record):
     idle = without(record, "preheating")
     (sentence,) = simulation_summary(fit, idle).statements
-    assert sentence == "the fit knows pre-heating, the record brings none: it is taken as off throughout"
+    assert "pre-heating" in sentence and "off" in sentence
     assert f"note: {sentence}" in evaluation_text(evaluate(fit, idle))
-    (sentence,) = simulation_summary(made(idle), record).statements
-    assert sentence.startswith("the record brings pre-heating, which the fit does not know")
+    (sentence,) = simulation_summary(unfitted(idle), record).statements
+    assert "pre-heating" in sentence and "left out" in sentence
 
 
 def test_the_summary_of_a_thermal_fit_has_one_mean(record):
     dry = without(record, "cabinet_relative_humidity")
-    assert list(simulation_summary(made(dry), dry).means) == ["temperature_K"]
+    assert list(simulation_summary(unfitted(dry), dry).means) == ["temperature_K"]
 
 
 # --- the evaluation --------------------------------------------------------------------------
@@ -396,7 +371,7 @@ def test_a_record_without_a_validation_period_has_one_table_of_errors(fit, recor
 
 def test_a_thermal_fit_scores_the_temperature_alone(record):
     dry = without(record, "cabinet_relative_humidity", "ambient_relative_humidity")
-    found = evaluate(made(dry), dry)
+    found = evaluate(unfitted(dry), dry)
     assert found.rmse["validation"]["temperature_K"].total > 0
     assert math.isnan(found.errors("validation", "absolute_humidity_g_m3").total)
     assert set(found.baselines["validation"]) == {"no_dynamics"}
@@ -413,15 +388,15 @@ def test_a_thermal_fit_scores_the_temperature_alone(record):
     [
         lambda record: without(record, "active_power"),
         lambda record: without(record, "cabinet_temperature"),
-        lambda record: blank(record, "cabinet_temperature", -1.0, 99.0),
+        lambda record: changed(record, "cabinet_temperature", np.nan),
     ],
     ids=["no power", "no temperature", "no reading"],
 )
 def test_nothing_to_score_is_said_with_its_reasons(fit, record, change):
-    changed = change(record)
-    shown = evaluation_text(evaluate(fit, changed))
-    assert "Nothing to score" in shown and not tables_of(evaluate(fit, changed))
+    other = change(record)
+    shown = evaluation_text(evaluate(fit, other))
+    assert "Nothing to score" in shown and not tables_of(evaluate(fit, other))
     shown = " ".join(shown.split())
     for words in ("no temperature or absolute humidity of the cabinet", "needs the power", "`hygrokf check`"):
         assert words in shown
-    assert simulation_csv(fit, changed).count("\n") > 1000
+    assert simulation_csv(fit, other).count("\n") > 1000

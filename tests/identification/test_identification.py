@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from builders.record_edits import changed, without
 from plants import plant
 from plants.as_record import to_record
 
-from hygrokf.data.record import Record
 from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.structured import plain
 from hygrokf.estimation.confidence import Limit, describe
@@ -26,10 +26,6 @@ from hygrokf.modelling.design import Design, design
 from hygrokf.physics.parameters import Parameter
 
 DAYS = 45
-
-
-def without(record: Record, *signals: str) -> Record:
-    return replace(record, series=tuple(s for s in record.series if s.signal not in signals))
 
 
 @pytest.fixture(scope="module")
@@ -80,9 +76,8 @@ def test_bands_hold_on_the_validation_period(fit):
 
 def test_validation_readings_touch_nothing(record, fit):
     """Readings after `until` may change scores, never an estimate."""
-    late = record["cabinet_temperature"]
-    spoilt = np.where(late.time > record.until_s, late.value + 5.0, late.value)
-    other = identify(record.replace_series(replace(late, value=spoilt)), starts=2)
+    late = record["cabinet_temperature"].value + 5.0
+    other = identify(changed(record, "cabinet_temperature", late, record.until_s), starts=2)
     assert other.values == fit.values
     # a verdict may rest on the held-out scores, a number may not
     judged_by_it = {"verdict": None, "reasons": ()}
@@ -125,10 +120,8 @@ def test_an_open_end_names_the_parameter_that_left_it_open(record):
     open_ = replace(bounds, upper=math.inf, statement=said, limited_by=(limit,))
     entry = hygric_entry(replace(stage, bounds={"hygric_k": open_}), {})
     assert math.isnan(entry.upper_h) and entry.limited_by[0].parameter == "vapour_disturbance_sd"
-    assert entry.statement == (
-        f"≥ {bounds.lower:.3g} h at 273 K; the upper end stays open: there vapour_disturbance_sd is 400 "
-        "g/m3, far beyond its limit 20 g/m3"
-    )
+    assert entry.statement.startswith(f"≥ {bounds.lower:.3g} h at 273 K")
+    assert all(word in entry.statement for word in ("vapour_disturbance_sd", "400 g/m3", "20 g/m3"))
 
 
 def test_joint_and_cascade_agree(record, fit):
@@ -154,7 +147,7 @@ def test_record_without_humidity_or_power_is_legal(record):
     assert list(dry.results.time_constants) == ["thermal"]
     assert math.isnan(dry.results.errors("identification", "absolute_humidity_g_m3").total)
     idle = identify(without(record, "active_power"), starts=1)
-    assert any("counts as standstill" in line for line in idle.results.statements)
+    assert any("standstill" in line for line in idle.results.statements)
     assert math.isnan(idle.results.errors("identification", "temperature_K").operation)
     assert idle.results.errors("identification", "temperature_K").standstill > 0
 
@@ -184,7 +177,7 @@ def test_simulation_criterion_knows_no_errors_of_the_sensors():
     are not added."""
     wrong = to_record(plant(8, days=40))
     for name, amount in {"cabinet_temperature": 1.0, "cabinet_relative_humidity": 0.02}.items():
-        wrong = wrong.replace_series(replace(wrong[name], value=wrong[name].value + amount))
+        wrong = changed(wrong, name, wrong[name].value + amount)
     by_likelihood = identify(wrong, starts=1)
     other = identify(wrong, criterion="simulation", starts=1)
     held = [name for name in other.values if name.endswith("_bias")]
@@ -193,7 +186,7 @@ def test_simulation_criterion_knows_no_errors_of_the_sensors():
         row = other.results.parameters[name]
         assert other.values[name] == row.value == 0.0 and row.fixed and math.isnan(row.se)
         assert name not in other.results.covariance.names
-    assert any("taken as 0" in line for line in other.results.statements)
+    assert any("sensors to 0" in line for line in other.results.statements)
     least, ours = (f.results.rmse["identification"]["temperature_K"].total for f in (other, by_likelihood))
     assert least <= ours * 1.002
 
@@ -201,8 +194,8 @@ def test_simulation_criterion_knows_no_errors_of_the_sensors():
 @pytest.mark.parametrize(
     ("options", "part"),
     [
-        ({"power": "constant"}, "hardly any standstill"),
-        ({"standstill": False}, "hardly any standstill"),
+        ({"power": "constant"}, "standstill"),
+        ({"standstill": False}, "standstill"),
         ({"rho": 1.0}, ""),
         ({"ambient_step_min": 60}, ""),
         ({"logger_mean": True}, ""),
@@ -277,33 +270,16 @@ def test_a_fit_keeps_the_range_of_what_it_was_identified_on(fit, record):
 @pytest.mark.parametrize(
     ("positive", "values", "errors", "correlation", "words"),
     [
-        (
-            False,
-            (8.0, -9.0),
-            (0.2, 0.25),
-            0.97,
-            "share one error (correlation 0.97): their difference is known better",
-        ),
-        (
-            False,
-            (8.0, 9.0),
-            (0.2, 0.25),
-            -0.97,
-            "share one error (correlation -0.97): their sum is known better",
-        ),
-        (True, (8.0, 1.0), (0.2, 0.03), 0.97, "their ratio is known better than either"),
-        (False, (8.0, 90.0), (0.2, 2.5), 0.97, "a combination is known better than either"),
-        (
-            False,
-            (8.0, 9.0),
-            (0.2, 0.95),
-            0.97,
-            "a and b trade off against each other (correlation 0.97): only a",
-        ),
-        (True, (8.0, 9.0), (0.2, math.nan), 0.97, "only a combination is identified"),
+        (False, (8.0, -9.0), (0.2, 0.25), 0.97, ("0.97", "their difference")),
+        (False, (8.0, 9.0), (0.2, 0.25), -0.97, ("-0.97", "their sum")),
+        (True, (8.0, 1.0), (0.2, 0.03), 0.97, ("their ratio",)),
+        (False, (8.0, 90.0), (0.2, 2.5), 0.97, ("a combination is known better",)),
+        (False, (8.0, 9.0), (0.2, 0.95), 0.97, ("a and b trade off", "0.97")),
+        (True, (8.0, 9.0), (0.2, math.nan), 0.97, ("only a combination",)),
     ],
 )
 def test_two_well_known_parameters_do_not_trade_off(positive, values, errors, correlation, words):
     ends = (1e-3, 1e3) if positive else (-1e3, 1e3)
     pair = [Parameter(name, "K", 1.0, *ends, positive) for name in "ab"]
-    assert words in shared_error(pair, values, errors, correlation)
+    text = shared_error(pair, values, errors, correlation)
+    assert all(word in text for word in words)

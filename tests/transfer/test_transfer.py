@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from builders.fit_case import with_parts
+from builders.record_edits import without
 from builders.transfer_pairs import Pair, changed, pair, record_of
 from plants.plant import plant
 
@@ -142,7 +143,7 @@ def test_without_until_a_quarter_is_held_out_and_another_rated_power_is_told(ori
 def test_what_a_record_cannot_tell_is_kept_and_said(origin: Fit) -> None:
     """No humidity in the cabinet: nothing is said about the hygric exchange."""
     record = sister(())
-    dry = replace(record, series=tuple(s for s in record.series if s.signal != "cabinet_relative_humidity"))
+    dry = without(record, "cabinet_relative_humidity")
     found = transfer_fit(origin, dry, fits=False).results
     assert any("says nothing about" in line and "hygric_k" in line for line in found.statements)
     assert {row.group: row.outcome for row in found.groups}[HYGRIC] == "not judged"
@@ -178,7 +179,7 @@ def test_what_speaks_against_a_transfer_is_named(
 
 def test_a_record_that_can_judge_nothing_is_refused(origin: Fit) -> None:
     record = sister(())
-    idle = replace(record, series=tuple(s for s in record.series if s.signal != "active_power"))
+    idle = without(record, "active_power")
     with pytest.raises(ValueError, match="needs the power"):
         transfer_fit(origin, idle, fits=False)
     with pytest.raises(ValueError, match="at least 50 readings in the identification period, found"):
