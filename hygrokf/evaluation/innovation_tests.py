@@ -75,26 +75,26 @@ def diagnose(
     """
     time = np.asarray(time_h, dtype=float)
     _check(time, standardised, inputs, level, longest_h)
-    tests: list[_Test] = []
+    tests: list[tuple[str, _Test]] = []
     outputs: dict[str, OutputDiagnosis] = {}
     for name, values in standardised.items():
         e = np.where(np.isfinite(values), np.asarray(values, dtype=float), np.nan)
         there = np.isfinite(e)
         known = {source: np.asarray(u, dtype=float)[there] for source, u in inputs.items()}
         outputs[name], found = _output(name, time[there], e[there], known, level, longest_h)
-        tests += found
-    adjusted = _holm([one.p for one in tests])
+        tests += [(name, one) for one in found]
+    adjusted = _holm([one.p for _, one in tests])
     rows = tuple(
-        InnovationTest(one.output, one.name, one.p, p, p < level)
-        for one, p in zip(tests, adjusted, strict=True)
+        InnovationTest(name, one.name, one.p, p, p < level)
+        for (name, one), p in zip(tests, adjusted, strict=True)
     )
-    for one, p in zip(tests, adjusted, strict=True):
-        if one.source:
-            crossed = dict(outputs[one.output].cross_correlation)
-            crossed[one.source] = replace(crossed[one.source], p_adjusted=p)
-            outputs[one.output] = replace(outputs[one.output], cross_correlation=crossed)
     for name, data in outputs.items():
-        outputs[name] = replace(data, statements=_statements(name, data, tests, rows))
+        own = [(one, row) for (_, one), row in zip(tests, rows, strict=True) if row.output == name]
+        crossed = dict(data.cross_correlation)
+        for one, row in own:
+            if one.source:
+                crossed[one.source] = replace(crossed[one.source], p_adjusted=row.p_adjusted)
+        outputs[name] = replace(data, cross_correlation=crossed, statements=_statements(name, data, own))
     statements = tuple(sentence for one in outputs.values() for sentence in one.statements)
     return Diagnosis(level, NOTE, outputs, rows, statements)
 
@@ -106,7 +106,6 @@ class _Test:
     Of several rejecting tests of one subject, only the first is reported in words.
     """
 
-    output: str
     subject: str
     name: str
     p: float
@@ -115,15 +114,17 @@ class _Test:
 
 
 def _statements(
-    name: str, data: OutputDiagnosis, tests: Sequence[_Test], rows: Sequence[InnovationTest]
+    name: str, data: OutputDiagnosis, tests: Sequence[tuple[_Test, InnovationTest]]
 ) -> tuple[str, ...]:
     """The result of one output's tests in words: one sentence for each subject that a test rejects."""
     statements = list(data.statements)
-    pairs = [(one, row) for one, row in zip(tests, rows, strict=True) if row.output == name]
-    first = {one.subject: one.words for one, row in reversed(pairs) if row.rejected}
-    statements += [first.pop(one.subject) for one, row in pairs if row.rejected and one.subject in first]
-    if pairs and not statements:
-        statements.append(f"{name} innovations: none of {len(pairs)} tests speaks against white noise")
+    reported = set()
+    for one, row in tests:
+        if row.rejected and one.subject not in reported:
+            reported.add(one.subject)
+            statements.append(one.words)
+    if tests and not statements:
+        statements.append(f"{name} innovations: none of {len(tests)} tests speaks against white noise")
     return tuple(statements)
 
 
@@ -224,7 +225,6 @@ def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[_Test]]:
     shape = f"tails {tails} than normal" if abs(kurtosis) >= abs(skewness) else "skewed"
     return result, [
         _Test(
-            name,
             "mean",
             "mean",
             _two_sided(mean * math.sqrt(n / variance)),
@@ -232,7 +232,6 @@ def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[_Test]]:
             f"{' (small)' if abs(mean) < SMALL else ': the prediction is biased'}",
         ),
         _Test(
-            name,
             "variance",
             "variance",
             _two_sided((variance - 1.0) / spread),
@@ -241,7 +240,6 @@ def _moments(name: str, e: np.ndarray) -> tuple[OutputDiagnosis, list[_Test]]:
             f"{'too narrow' if variance > 1 else 'too wide'}",
         ),
         _Test(
-            name,
             "normality",
             "normality",
             float(normality.pvalue),
@@ -273,7 +271,6 @@ def _autocorrelation(
         span = f"{k * step:.3g} h"
         tests.append(
             _Test(
-                name,
                 "whiteness",
                 f"autocorrelation up to {span}",
                 float(p[k - 1]),
@@ -319,7 +316,7 @@ def _spectrum(
         f"{distance:.3f}, limit {limit:.3f}), with {side} power at periods longer than "
         f"{1.0 / frequency[worst]:.2g} h"
     )
-    return summed, banded, _Test(name, "whiteness", "cumulative periodogram", p, words)
+    return summed, banded, _Test("whiteness", "cumulative periodogram", p, words)
 
 
 def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> tuple[DailyCycle | None, list[_Test]]:
@@ -340,7 +337,7 @@ def _daily_cycle(name: str, time: np.ndarray, e: np.ndarray) -> tuple[DailyCycle
         f"{name} innovations keep a daily cycle of {amplitude:.2f} standard deviations ({_p(p)}), "
         f"{100 * explained:.1f} % of their variance: sun, ventilation or people follow the same clock"
     )
-    return DailyCycle(amplitude, explained, p), [_Test(name, "daily cycle", "daily cycle", p, words)]
+    return DailyCycle(amplitude, explained, p), [_Test("daily cycle", "daily cycle", p, words)]
 
 
 # --- against the inputs ----------------------------------------------------------------------
@@ -415,7 +412,7 @@ def _cross_correlation(
         LargestCorrelation(at, value, sentence),
         p,
     )
-    return found, _Test(name, f"input {source}", f"correlation with {words}", p, sentence, source)
+    return found, _Test(f"input {source}", f"correlation with {words}", p, sentence, source)
 
 
 def _lagged_products(a: np.ndarray, b: np.ndarray, lags: int) -> np.ndarray:

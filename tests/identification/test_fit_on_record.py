@@ -52,7 +52,7 @@ KNOWN = RELEASE | {
 def unfitted(record: Record) -> Fit:
     """A fit without the fitting: the model that the record calls for, its parameters near the truth."""
     base = design(record.identification())
-    values = {p.name: (KNOWN).get(p.name, p.start) for p in base.model.parameters}
+    values = {p.name: KNOWN.get(p.name, p.start) for p in base.model.parameters}
     return Fit("made", base, values, spread(0.2))
 
 
