@@ -48,6 +48,12 @@ MATTERS = {
 """Smaller differences do not matter, however significant: 10 % of a time constant, 0.05 of R_AT/(R_AT+R_IC),
 and in the simulated readings the paper's loggers' accuracy (0.3 K; 2 % relative humidity, 0.26 g/m³ at 15
 °C)."""
+WATCHED = {
+    THERMAL: {"thermal_time_constant": "ln_time_constant", "resistance_ratio": "resistance_ratio"},
+    HYGRIC: {"hygric_k": "ln_time_constant"},
+}
+"""Parameters that decide whether the difference of a group matters, with their keys of `MATTERS`; for other
+groups the effect on the simulated readings decides."""
 STRUCTURE = 1.5
 """Free-run error of the record's own model over that of the fit on its own record, beyond which the form is
 doubted."""
@@ -55,15 +61,10 @@ doubted."""
 
 def matters(group: str, apart: Difference, effect: Mapping[str, float]) -> bool:
     """Whether a group's difference is large enough to matter."""
+    if group not in WATCHED:
+        return any(effect.get(quantity, 0.0) >= MATTERS[quantity] for quantity in SCORED)
     size = dict(zip(apart.names, np.abs(apart.value), strict=True))
-    if group == THERMAL:
-        return (
-            size.get("thermal_time_constant", 0.0) >= MATTERS["ln_time_constant"]
-            or size.get("resistance_ratio", 0.0) >= MATTERS["resistance_ratio"]
-        )
-    if group == HYGRIC:
-        return size.get("hygric_k", 0.0) >= MATTERS["ln_time_constant"]
-    return any(effect.get(quantity, 0.0) >= MATTERS[quantity] for quantity in SCORED)
+    return any(size.get(name, 0.0) >= MATTERS[key] for name, key in WATCHED[group].items())
 
 
 def parameters_of(
@@ -120,8 +121,7 @@ def groups_of(
     for group in dict.fromkeys(baseline.groups.values()):
         names = members(baseline.groups, group)
         if group in OF_THE_RECORD:
-            said = "belongs to the record: always estimated there"
-            rows.append(GroupChange(group, names, "own", said))
+            rows.append(GroupChange(group, names, "own", "belongs to the record: always estimated there"))
             continue
         if group not in effects:
             rows.append(GroupChange(group, names, "not judged", "this record cannot tell"))
@@ -129,20 +129,20 @@ def groups_of(
         step = next(s for s in reversed(steps) if group in s.p)
         alone = apart.of(names)
         single, df = unexplained(alone, ()), len(alone.names)
-        outcome: Outcome = "travels"
-        said = "no difference that both uncertainties do not explain"
+        outcome: Outcome = "differs" if group in differing else "travels"
+        statement = "no difference that both uncertainties do not explain"
         if group in differing:
-            outcome, said = "differs", "differs by more than both uncertainties explain, and enough to matter"
+            statement = "differs by more than both uncertainties explain, and enough to matter"
         elif group in significant:
-            said = "differs measurably, but by less than matters"
+            statement = "differs measurably, but by less than matters"
         elif _could_matter(group, alone, effects[group]):
-            said += "; one that would matter cannot be excluded by this record"
+            statement += "; one that would matter cannot be excluded by this record"
         rows.append(
             GroupChange(
                 group,
                 alone.names,
                 outcome,
-                said,
+                statement,
                 step.statistic[group],
                 step.degrees[group],
                 step.p[group],
@@ -157,16 +157,12 @@ def groups_of(
 def _could_matter(group: str, alone: Difference, effect: Mapping[str, float]) -> bool:
     """Whether a difference that would matter is within the uncertainty of this record.
 
-    Of time constants and the resistance ratio: whether their bounds hold one. Of other groups: whether the
-    estimate itself, which is within its bounds, changes the simulation by what matters.
+    For time constants and the resistance ratio: whether their bounds hold such a difference. For other
+    groups: whether the estimate, which is within its bounds, changes the simulation enough to matter.
     """
-    watched = {
-        THERMAL: {"thermal_time_constant": "ln_time_constant", "resistance_ratio": "resistance_ratio"},
-        HYGRIC: {"hygric_k": "ln_time_constant"},
-    }.get(group)
-    if watched is None:
+    if group not in WATCHED:
         return matters(group, alone, effect)
-    ends = {key: alone.bounds(name)[1:] for name, key in watched.items() if name in alone.names}
+    ends = {key: alone.bounds(name)[1:] for name, key in WATCHED[group].items() if name in alone.names}
     return any(max(-low, high) >= MATTERS[key] for key, (low, high) in ends.items())
 
 
@@ -224,11 +220,11 @@ def _of_the_model(found: TransferResult) -> list[str]:
     tried = {row.group for row in found.groups if row.outcome in ("travels", "differs")}
     if len(tried) > 1 and tried == set(differing):
         against.append(
-            f"nothing of the cabinet is the same: {_list(differing)} all differ; identify this turbine by "
-            "itself"
+            f"nothing of the cabinet is the same, as {_list(differing)} all differ: identify this turbine on "
+            "its own"
         )
     if found.at_bounds:
-        against.append(f"re-estimated at the edge of its range: {', '.join(found.at_bounds)}")
+        against.append(f"at a limit of its range after re-estimating: {', '.join(found.at_bounds)}")
     for quantity, row in found.structure.items():
         if row.lower > STRUCTURE:
             name, unit = QUANTITIES[quantity]
@@ -253,7 +249,7 @@ def _against_the_rules(found: TransferResult) -> tuple[list[str], list[str]]:
             )
         if over.upper < 0.0:
             against.append(
-                f"no gain over the sceptic's rule: the simulated {name} errs by {size} more than {rule} does"
+                f"no gain over a rule without a model: the simulated {name} errs by {size} more than {rule}"
             )
     return against, doubts
 

@@ -70,9 +70,10 @@ def exact():
 
 @pytest.fixture(scope="module")
 def noisy():
-    """A plant with everything on, its record and design."""
+    """A plant with everything on: its record, design, run and parameters."""
     record = to_record(plant(22, days=20))
-    return record, design(record)
+    base = design(record)
+    return record, base, prepare_run(base, record), parameters(base)
 
 
 # --- free run -------------------------------------------------------------------------------
@@ -102,10 +103,8 @@ def test_free_run_is_the_plants_own_trajectory(exact):
 def test_free_run_is_the_differential_equation(noisy):
     """Against scipy's integrator from the same start, over 60 h of odd clocks, equations (2) to (5) written
     here."""
-    record, base = noisy
-    driven = prepare_run(base, record)
+    _, base, driven, values = noisy
     t = driven.timeline
-    values = parameters(base)
     found = simulate(base, values, driven)
     last = int(np.searchsorted(t.time, 60.0))
     reference = dict(base.mechanisms)["heat_release"]["reference_K"]
@@ -148,11 +147,10 @@ def test_free_run_is_the_differential_equation(noisy):
 
 
 def test_free_run_looks_at_no_reading(noisy):
-    record, base = noisy
-    driven = prepare_run(base, record)
+    _, base, driven, values = noisy
     other = replace(driven, timeline=driven.timeline.with_readings(driven.timeline.y + 3.0))
     for quantity in QUANTITIES:
-        a, b = (simulate(base, parameters(base), one).of(quantity) for one in (driven, other))
+        a, b = (simulate(base, values, one).of(quantity) for one in (driven, other))
         assert_allclose(a, b, rtol=0, atol=0)
 
 
@@ -356,9 +354,8 @@ def constant_timeline(base: Design, hours: float):
 def test_parameters_spread_is_that_of_slightly_different_parameters(noisy):
     """J V J' against the spread over 200 free runs with drawn parameters (small, so that first order is
     all)."""
-    record, base = noisy
+    record, base, _, values = noisy
     driven = prepare_run(base, record.window(record.start_s, record.start_s + 3 * 86400.0))
-    values = parameters(base)
     names = ("thermal_time_constant", "heat_release_power_1", "hygric_k", "cabinet_relative_humidity_bias")
     sd = np.array([0.02, 0.1, 0.005, 0.002])
     correlation = np.eye(4)
@@ -384,10 +381,8 @@ def test_parameters_spread_is_that_of_slightly_different_parameters(noisy):
 
 
 def test_a_forecast_is_the_filter_with_its_later_readings_hidden(noisy):
-    record, base = noisy
-    driven = prepare_run(base, record)
+    _, base, driven, values = noisy
     t = driven.timeline
-    values = parameters(base)
     first = int(np.searchsorted(t.time, 200.0))
     found = forecast(base, values, driven, first, leads_h=(1.0, 6.0), count=40)
     seen = np.isfinite(t.y).any(axis=1) & driven.scored
@@ -419,17 +414,16 @@ def test_a_forecast_is_the_filter_with_its_later_readings_hidden(noisy):
 
 
 def test_too_few_readings_give_no_forecast(noisy):
-    record, base = noisy
-    driven = prepare_run(base, record)
-    assert forecast(base, parameters(base), driven, len(driven.timeline) - 9) == {}
+    _, base, driven, values = noisy
+    assert forecast(base, values, driven, len(driven.timeline) - 9) == {}
 
 
 def test_forecasts_leave_unscored_stretches_out(noisy):
-    record, base = noisy
+    record, base, _, values = noisy
     driven = prepare_run(base, record.window(record.start_s, record.start_s + 4 * 86400.0))
     scored = driven.timeline.time < 60.0
-    found = forecast(base, parameters(base), replace(driven, scored=scored), 0, (1.0,), 10_000)
-    usual = forecast(base, parameters(base), driven, 0, (1.0,), 10_000)
+    found = forecast(base, values, replace(driven, scored=scored), 0, (1.0,), 10_000)
+    usual = forecast(base, values, driven, 0, (1.0,), 10_000)
     share = len(found[1.0]["temperature_K"][0]) / len(usual[1.0]["temperature_K"][0])
     assert share == pytest.approx(60.0 / driven.timeline.time[-1], abs=0.02)
 
@@ -438,9 +432,8 @@ def test_forecasts_leave_unscored_stretches_out(noisy):
 
 
 def test_projections_have_the_slopes_of_finite_differences(noisy):
-    record, base = noisy
+    record, base, _, values = noisy
     driven = prepare_run(base, record.window(record.start_s, record.start_s + 86400.0))
-    values = parameters(base)
     trace = Likelihood(base.model, driven.timeline).trace(values)
     for function in (air_temperature, lambda equations: equations.rates[0] ** 2):
         value, variance = project(base, values, driven, trace.mean, trace.covariance, function)
@@ -488,9 +481,7 @@ def test_measured_absolute_humidity_uses_a_temperature_no_further_than_half_an_h
 
 def test_predictions_start_from_any_state(noisy):
     """A prediction from a given Gaussian begins there: the checkpoint of a filter."""
-    record, base = noisy
-    driven = prepare_run(base, record)
-    values = parameters(base)
+    _, base, driven, values = noisy
     trace = Likelihood(base.model, driven.timeline).trace(values)
     part = driven.timeline.window(501, 700)
     ahead = Likelihood(base.model, part).trace(values, start=Gaussian(trace.mean[500], trace.covariance[500]))
@@ -500,11 +491,11 @@ def test_predictions_start_from_any_state(noisy):
 
 
 def test_records_without_readings_are_predicted_all_the_same(noisy):
-    record, base = noisy
+    record, base, _, values = noisy
     alone = Record(
         "drivers", tuple(s for s in record.series if not s.signal.startswith("cabinet")), rated_power_W=2e6
     )
     driven = prepare_run(base, alone)
-    found = simulate(base, parameters(base), driven)
+    found = simulate(base, values, driven)
     assert np.isfinite(found.temperature[0]).all()
     assert np.isnan(measured(driven)["temperature_K"]).all()

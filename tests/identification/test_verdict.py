@@ -191,6 +191,13 @@ CASES = {
 }  # fmt: skip
 
 
+def spoilt(*changes: Callable[[dict], None]) -> dict:
+    """A sound fit after these changes."""
+    fit = _sound()
+    _all(*changes)(fit)
+    return fit
+
+
 def decided(fit: dict) -> dict[str, Verdict]:
     return decide(typed(fit))
 
@@ -207,8 +214,7 @@ def test_a_sound_fit_is_believed() -> None:
 @pytest.mark.parametrize("code", CASES)
 def test_each_rule_gives_its_reason_and_no_other(code: str) -> None:
     change, verdict, words = CASES[code]
-    fit = _sound()
-    change(fit)
+    fit = spoilt(change)
     found = decided(fit)
     others = {"worse_than_rule": {"free_run_silent"}, "worse_than_mean": {"worse_than_rule"}}.get(code, set())
     assert {one.code for one in found["thermal"].reasons} - others == {code}
@@ -231,9 +237,7 @@ def test_the_docs_name_every_reason() -> None:
 
 
 def test_the_worst_reason_decides_and_stands_first() -> None:
-    fit = _sound()
-    CASES["imprecise"][0](fit)
-    CASES["not_converged"][0](fit)
+    fit = spoilt(CASES["imprecise"][0], CASES["not_converged"][0])
     found = decided(fit)["thermal"]
     assert found.verdict == REJECT
     assert [one.verdict for one in found.reasons] == [REJECT, CAUTION]
@@ -260,8 +264,7 @@ def test_criteria_that_contradict_reject_and_those_that_differ_a_little_warn(
 
 
 def test_a_contradiction_that_the_interval_holds_only_warns() -> None:
-    fit = _sound()
-    CASES["criteria_disagree"][0](fit)
+    fit = spoilt(CASES["criteria_disagree"][0])
     plain = {key: fit["time_constants"]["thermal"][key] for key in ("value_h", "lower_h", "upper_h")}
     _put(f"{THERMAL}/profile", plain)(fit)
     _put(SIMULATION, {"value_h": 2.6, "lower_h": 2.4, "upper_h": 2.8})(fit)
@@ -283,13 +286,11 @@ def test_the_plain_profile_is_held_against_the_free_run_where_the_headline_is_wi
 
 def test_losing_to_a_rule_in_one_period_or_against_a_free_run_that_agrees_only_warns() -> None:
     for change in (_all(_errors(2.5, "validation"), SILENT), _errors(2.5, *BOTH)):
-        fit = _sound()
-        change(fit)
+        fit = spoilt(change)
         found = {one.code: one for one in decided(fit)["thermal"].reasons}
         assert found["worse_than_rule"].verdict == CAUTION
     assert "its own best constant agrees" in found["worse_than_rule"].text
-    fit = _sound()
-    _all(_errors(1.9, *BOTH), SILENT)(fit)  # by less than a tenth
+    fit = spoilt(_all(_errors(1.9, *BOTH), SILENT))  # by less than a tenth
     assert "worse_than_rule" not in {one.code for one in decided(fit)["thermal"].reasons}
 
 
@@ -298,22 +299,19 @@ def test_small_or_accidental_correlations_are_no_reason() -> None:
         _correlated(0.09),
         _put("innovations/outputs/temperature/cross_correlation/power/value", [0.4]),  # no test rejects
     ):
-        fit = _sound()
-        change(fit)
+        fit = spoilt(change)
         assert decided(fit)["thermal"].verdict == BELIEVE
 
 
 def test_a_shift_within_the_interval_or_below_a_tenth_is_no_reason() -> None:
     for shift, ends in ((0.09, (1.45, 1.55)), (0.2, (1.2, 1.86))):
-        fit = _sound()
-        _put(f"{THERMAL}/sampling/shift_ln_when_halved", shift)(fit)
+        fit = spoilt(_put(f"{THERMAL}/sampling/shift_ln_when_halved", shift))
         _all(_put(f"{THERMAL}/lower_h", ends[0]), _put(f"{THERMAL}/upper_h", ends[1]))(fit)
         assert decided(fit)["thermal"].verdict == BELIEVE
 
 
 def test_parameters_of_the_other_part_are_no_reason() -> None:
-    fit = _sound()
-    CASES["sensor_stretched"][0](fit)
+    fit = spoilt(CASES["sensor_stretched"][0])
     assert decided(fit)["hygric"].verdict == BELIEVE
     del fit["parameters"]["cabinet_temperature_bias"]["parts"]  # not stated: it may belong to both
     assert decided(fit)["hygric"].verdict == CAUTION
@@ -398,8 +396,7 @@ def test_a_fit_of_an_older_version_is_judged_when_it_is_read(tmp_path) -> None:
 
 
 def test_an_inherited_verdict_is_one_line() -> None:
-    fit = _sound()
-    CASES["not_converged"][0](fit)
+    fit = spoilt(CASES["not_converged"][0])
     fit["time_constants"]["hygric"] |= plain(Verdict())
     fit["time_constants"]["thermal"] |= plain(decided(fit)["thermal"])
     handed = inherited(typed(fit))

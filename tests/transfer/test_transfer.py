@@ -161,7 +161,7 @@ def with_gain(found: TransferResult, **gains: Gain) -> TransferResult:
 @pytest.mark.parametrize(
     ("spoil", "word"),
     [
-        (lambda one: replace(one, at_bounds=("hygric_k",)), "edge of its range"),
+        (lambda one: replace(one, at_bounds=("hygric_k",)), "limit of its range"),
         (lambda one: with_gain(one, over_rule=Gain("no_dynamics", -1.0, -1.5, -0.4)), "no gain over"),
         (lambda one: replace(one, structure={"temperature_K": Structure(4.0, 1.5, 2.7, 2.2)}),
          "hygrokf discover"),
