@@ -118,7 +118,7 @@ def simulation_summary(fit: Fit, record: Record) -> SimulationSummary:
 
 
 def _unknown_throughout(fit: Fit, record: Record, run: Run) -> list[str]:
-    """A sentence for a run in which no instant has all inputs known, with the missing input."""
+    """A sentence with the missing input where all inputs are known at no instant of a run."""
     if run.scored.any():
         return []
     inputs = fit.design.model.inputs
@@ -169,13 +169,15 @@ def mismatches(fit: Fit, record: Record) -> list[str]:
     found = rated_power_mismatch(fit.design, record)
     inputs, outputs = fit.design.model.inputs, fit.design.model.outputs
     if "preheating" in inputs and "preheating" not in record:
-        found.append("the fit knows pre-heating, the record brings none: it is taken as off throughout")
+        found.append(
+            "the fit's model has pre-heating, the record has no such signal: it counts as off throughout"
+        )
     if "preheating" not in inputs and "preheating" in record and np.nanmax(record["preheating"].value) > 0:
-        found.append("the record brings pre-heating, which the fit does not know: it is left out")
+        found.append("the record has pre-heating, which the fit's model lacks: it is left out")
     predicted = [name for name in HUMIDITIES if name in outputs]
     if predicted and not any(name in record for name in predicted):
         found += [
-            f"the fit reads {predicted[0]}, the record brings {name}: its humidity is not scored"
+            f"the fit predicts {predicted[0]}, the record has {name}: the humidity is not scored"
             for name in HUMIDITIES
             if name in record
         ]

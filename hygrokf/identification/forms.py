@@ -195,7 +195,7 @@ def weigh_forms(
 ) -> tuple[Form, ...]:
     """The base and its competing forms on the identification period `early`, with their weights.
 
-    `made` is the base's run; `constants` are the parameters of interest, whose misfit tempers the evidence;
+    `run` is the base's run; `constants` are the parameters of interest, whose misfit tempers the evidence;
     `scout` is the base's likelihood of a shorter stretch, on which every form is tried first.
     """
     likelihood = Likelihood(base.model, run.timeline)

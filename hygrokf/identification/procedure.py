@@ -84,7 +84,7 @@ def identify(
         at once.
     starts: number of start points of the maximisation.
     profiles: whether to compute profile-likelihood bounds.
-    progress: is told each step in words.
+    progress: called with each step in words.
     prior: gives priors of a design's parameters, from other turbines of the type (`TurbineType.prior`).
 
     Returns the fit: time constants [h] with bounds in `results.time_constants`.
@@ -368,6 +368,8 @@ def _covariance(
 ) -> tuple[tuple[str, ...], np.ndarray]:
     """Covariance of the whole model's estimated parameters in their units: the sandwich of every stage, or of
     the output error."""
+    from scipy.linalg import block_diag
+
     blocks: list[tuple[tuple[str, ...], np.ndarray]] = []
     known = {p.name for p in whole.model.parameters}
     known -= {name for found in simulated.values() for name in (*found.names, *found.unseen)}
@@ -385,13 +387,7 @@ def _covariance(
             if set(found.names) <= set(slopes):
                 scale = np.array([slopes[n] for n in found.names])
                 blocks.append((found.names, found.covariance * np.outer(scale, scale)))
-    names = tuple(n for part, _ in blocks for n in part)
-    result = np.zeros((len(names), len(names)))
-    first = 0
-    for part, matrix in blocks:
-        result[first : first + len(part), first : first + len(part)] = matrix
-        first += len(part)
-    return names, result
+    return tuple(n for part, _ in blocks for n in part), block_diag(*(matrix for _, matrix in blocks))
 
 
 def _rows(

@@ -144,17 +144,17 @@ class TurbineType:
         }
 
     @classmethod
-    def from_json(cls, data: dict[str, Any]) -> TurbineType:
-        """A type from the data of `to_json`."""
+    def from_json(cls, data: JsonObject) -> TurbineType:
+        """A type from the data of `to_json`.  Raises KeyError, TypeError or ValueError for other data."""
+        found: dict[str, Any] = data
         parameters = {
             name: Pooled(**{key: value for key, value in row.items() if key != "in_unit"})
-            for name, row in data["type_parameters"].items()
+            for name, row in found["type_parameters"].items()
         }
         for name, row in parameters.items():
             row.expect_sound(name)
-        return cls(
-            str(data["name"]), Design.from_json(data["design"]), tuple(map(str, data["turbines"])), parameters
-        )
+        turbines = tuple(map(str, found["turbines"]))
+        return cls(str(found["name"]), Design.from_json(found["design"]), turbines, parameters)
 
 
 def pool_types(fits: Sequence[Fit], name: str = "") -> TurbineType:

@@ -46,13 +46,13 @@ class Reason:
     @classmethod
     def from_json(cls, data: Mapping[str, str | float]) -> Reason:
         """A reason from the data of `to_json`.  Raises ValueError for an unknown verdict."""
-        said = structured(_Said, data)
-        numbers = {name: value for name, value in data.items() if name not in vars(said)}
-        return cls(said.code, said.verdict, said.text, structured(dict[str, float], numbers))
+        words = structured(_ReasonWords, data)
+        numbers = {name: value for name, value in data.items() if name not in vars(words)}
+        return cls(words.code, words.verdict, words.text, structured(dict[str, float], numbers))
 
 
 @dataclass(frozen=True)
-class _Said:
+class _ReasonWords:
     code: str
     verdict: Kind
     text: str

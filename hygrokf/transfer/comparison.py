@@ -160,9 +160,9 @@ class ComparisonResults:
                     continue
                 place = (quantity, UNITS[quantity], period, regime)
                 yield "rmse", one.label, "", *names, *place, row.n, row.rmse, row.lower, row.upper
-                for rule, said in row.rules.items():
-                    yield "rule", one.label, rule, *names, *place, said.n, said.rmse, *none
-                    ends = (said.n, said.skill, said.lower, said.upper)
+                for rule, score in row.rules.items():
+                    yield "rule", one.label, rule, *names, *place, score.n, score.rmse, *none
+                    ends = (score.n, score.skill, score.lower, score.upper)
                     yield "skill", one.label, rule, *names, quantity, "1", period, regime, *ends
         for pair in self.differences:
             for (period, quantity, regime), apart in cells(pair.scores):

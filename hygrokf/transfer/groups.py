@@ -2,14 +2,14 @@
 estimates.
 
 With δ = z₁ − z₀ the difference of two independent estimates in the parameters' coordinates, Σ = V₁ + V₀ its
-covariance and S the groups that are let differ, what the others' equality leaves unexplained is
+covariance and S the groups that may differ, the equality of the others leaves unexplained
 
     Q(S) = min_Δ (δ − D_S Δ)' Σ⁻¹ (δ − D_S Δ),
 
 D_S the columns of the identity that belong to S.  Where all groups outside S ∪ {G} are shared, Q(S) − Q(S ∪
 {G}) is χ² with as many degrees of freedom as G has parameters: the likelihood ratio of two quadratic
-likelihoods.  Groups are let differ one by one, the most telling first, as long as its p times the number of
-groups left is below the level (Holm 1979; Bonferroni within a step).
+likelihoods.  Groups are added to S one by one, the most significant first, as long as its p times the number
+of groups left is below the level (Holm 1979; Bonferroni within a step).
 
 Shapes: d parameters.
 """
@@ -85,8 +85,8 @@ class Difference:
 
 @dataclass(frozen=True)
 class SelectionStep:
-    """One step of the selection: each group's statistic beside those let differ before, and which was taken,
-    if any."""
+    """One step of the selection: each group's statistic beside the groups selected before, and the group that
+    it selects, if any."""
 
     statistic: Mapping[str, float]
     degrees: Mapping[str, int]
@@ -96,8 +96,8 @@ class SelectionStep:
 
 
 def unexplained(found: Difference, differing: Sequence[str]) -> float:
-    """Q(S): squared distance that is left when the parameters `differing` may differ and all others are the
-    same."""
+    """Q(S): the squared distance that remains when the parameters `differing` may differ and all others are
+    equal."""
     others = [i for i, name in enumerate(found.names) if name not in set(differing)]
     if not others:
         return 0.0
@@ -108,7 +108,7 @@ def unexplained(found: Difference, differing: Sequence[str]) -> float:
 def selection(
     found: Difference, groups: Mapping[str, str], level: float = LEVEL
 ) -> tuple[SelectionStep, ...]:
-    """Forward selection of the groups that differ; the last step takes none, unless every group was taken."""
+    """Forward selection of the groups that differ; the last step selects none, unless all are selected."""
     from scipy.stats import chi2
 
     left = list(dict.fromkeys(groups[name] for name in found.names))

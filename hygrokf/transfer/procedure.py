@@ -51,7 +51,7 @@ def transfer_fit(
 
     source: a fit, or a type of turbines (`identification.turbine_type`).
     record: of the other turbine.
-    progress: is told each step in words.
+    progress: called with each step in words.
     fits: whether to make the record's own fits too, with their scores and bands.
 
     Returns `results` as in transfer.json: the verdict, and by group of parameters whether it holds, with
@@ -294,6 +294,8 @@ def _fit(baseline: Baseline, estimate: Estimate, spread: Uncertainty) -> Fit:
 
 def _with_kept(baseline: Baseline, spread: Uncertainty, kept: Sequence[str]) -> Uncertainty:
     """The uncertainty of an estimate with that of the parameters taken over, which are independent of it."""
+    from scipy.linalg import block_diag
+
     place = [baseline.origin.names.index(n) for n in kept]
     parameters = {p.name: p for p in baseline.base.model.parameters}
     slopes = np.array([parameters[n].slope(baseline.origin.values[n]) for n in kept])
@@ -301,17 +303,10 @@ def _with_kept(baseline: Baseline, spread: Uncertainty, kept: Sequence[str]) -> 
     return replace(
         spread,
         names=(*spread.names, *kept),
-        hessian=_blocks(spread.hessian, np.linalg.pinv(old)),
-        wald=_blocks(spread.wald, old),
-        sandwich=_blocks(spread.sandwich, old),
+        hessian=block_diag(spread.hessian, np.linalg.pinv(old)),
+        wald=block_diag(spread.wald, old),
+        sandwich=block_diag(spread.sandwich, old),
         factor=np.concatenate([spread.factor, np.ones(len(kept))]),
-        # no part of this record tells anything about the parameters taken over
+        # no part of this record determines the parameters taken over
         parts=np.pad(spread.parts, ((0, 0), (0, len(kept) if spread.parts.size else 0))),
     )
-
-
-def _blocks(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    n, m = len(first), len(second)
-    result = np.zeros((n + m, n + m))
-    result[:n, :n], result[n:, n:] = first, second
-    return result

@@ -277,7 +277,7 @@ def test_the_summary_is_that_of_the_file(fit, record, text):
 def test_what_fit_and_record_do_not_share_is_said(fit, record):
     idle = without(record, "preheating")
     (sentence,) = simulation_summary(fit, idle).statements
-    assert "pre-heating" in sentence and "off" in sentence
+    assert "pre-heating" in sentence and "off throughout" in sentence
     assert f"note: {sentence}" in evaluation_text(evaluate(fit, idle))
     (sentence,) = simulation_summary(unfitted(idle), record).statements
     assert "pre-heating" in sentence and "left out" in sentence
