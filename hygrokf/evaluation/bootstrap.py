@@ -21,6 +21,8 @@ import numpy as np
 
 from hygrokf.data.timestamps import HOUR_S
 
+LEVEL = 0.95
+"""[1] probability of the bounds."""
 SURROGATES = 400
 """Surrogate series of a test."""
 SEED = 20200925
@@ -168,34 +170,34 @@ class Resampled:
     length_h: float
     lost: float
 
-    def bounds(self, column: int, level: float = 0.95) -> tuple[float, float] | None:
-        """Bounds of one error, symmetric in its logarithm; None where there are too few blocks."""
+    def bounds(self, column: int) -> tuple[float, float] | None:
+        """95 % bounds of one error, symmetric in its logarithm; None where there are too few blocks."""
         value = float(self.value[column])
-        reach = self._reach(np.log(np.maximum(self.draws[:, column], 1e-300)), level)
+        reach = self._reach(np.log(np.maximum(self.draws[:, column], 1e-300)))
         if value <= 0 or reach is None:
             return None
         return value * math.exp(-reach), value * math.exp(reach)
 
-    def difference(self, first: int, second: int, level: float = 0.95) -> tuple[float, float, float] | None:
+    def difference(self, first: int, second: int) -> tuple[float, float, float] | None:
         """The first error minus the second with bounds (value, lower, upper); None where there are too few
         blocks."""
         value = float(self.value[first] - self.value[second])
-        reach = self._reach(self.draws[:, first] - self.draws[:, second], level)
+        reach = self._reach(self.draws[:, first] - self.draws[:, second])
         return None if reach is None else (value, value - reach, value + reach)
 
-    def skill(self, column: int, rule: int, level: float = 0.95) -> tuple[float, float, float] | None:
+    def skill(self, column: int, rule: int) -> tuple[float, float, float] | None:
         """1 − MSE/MSE of a rule (value, lower, upper), with bounds symmetric in the ratio's logarithm; None
         as for `bounds`."""
         if not (self.value[column] > 0 and self.value[rule] > 0):
             return None
         ratio = 2.0 * math.log(self.value[column] / self.value[rule])
         draws = np.log(np.maximum(self.draws, 1e-300))
-        reach = self._reach(2.0 * (draws[:, column] - draws[:, rule]), level)
+        reach = self._reach(2.0 * (draws[:, column] - draws[:, rule]))
         if reach is None:
             return None
         return -math.expm1(ratio), -math.expm1(ratio + reach), -math.expm1(ratio - reach)
 
-    def _reach(self, draws: np.ndarray, level: float) -> float | None:
+    def _reach(self, draws: np.ndarray) -> float | None:
         """Half the width of bounds: Student's quantile for the number of blocks, times the spread of the
         draws; None where there are too few blocks.
 
@@ -208,15 +210,11 @@ class Resampled:
         from scipy.stats import t as student
 
         spread = float(np.std(draws)) * math.sqrt(self.blocks / (self.blocks - 1.0) / (1.0 - self.lost))
-        return float(student.ppf(0.5 + 0.5 * level, self.blocks - 1.0)) * spread
+        return float(student.ppf(0.5 + 0.5 * LEVEL, self.blocks - 1.0)) * spread
 
 
 def resampled(
-    time_s: np.ndarray,
-    errors: np.ndarray,
-    length_h: float | None = None,
-    count: int = DRAWS,
-    seed: int = SEED,
+    time_s: np.ndarray, errors: np.ndarray, length_h: float | None = None, count: int = DRAWS
 ) -> Resampled | None:
     """Root mean squared errors of columns (T, k) at times (T,) [s], with draws of circular blocks of hours.
 
@@ -245,7 +243,7 @@ def resampled(
         [np.zeros((1, table.shape[1])), np.cumsum(np.vstack([table, table[:length]]), axis=0)]
     )
     whole = running[length : length + size] - running[:size]
-    random = np.random.default_rng(seed)
+    random = np.random.default_rng(SEED)
     starts = random.integers(0, size, (count, max(round(size / length), 1)))
     drawn = whole[starts].sum(axis=1)
     drawn = drawn[drawn[:, 0] > 0]

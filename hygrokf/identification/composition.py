@@ -89,11 +89,10 @@ def from_forms(log_value: float, variance: float, forms: Sequence[Alternative]) 
     return Source("forms", max(total - variance, 0.0), evidence or "no other form has evidence")
 
 
-def from_free_run(log_value: float, variance: float, free: Alternative, level: float = 0.95) -> Source:
-    """Variance due to the free run's own estimate, where it contradicts the likelihood's at the interval's
-    level."""
+def from_free_run(log_value: float, variance: float, free: Alternative) -> Source:
+    """Variance due to the free run's own estimate, where both contradict each other at the 95 % level."""
     apart, both = free.log_value - log_value, variance + free.variance
-    contradicts = apart**2 > normal_quantile(level) ** 2 * both
+    contradicts = apart**2 > normal_quantile(0.95) ** 2 * both
     return Source(
         "free run",
         0.5 * (apart**2 - both) if contradicts else 0.0,

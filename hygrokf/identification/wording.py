@@ -75,8 +75,8 @@ def ends(value: float, low: float, high: float) -> tuple[str, str]:
     return fixed(value, decimals), f"{fixed(low, decimals)} … {fixed(high, decimals)}"
 
 
-def interval(value: float, low: float, high: float, unit: str = "h") -> tuple[str, str, bool]:
-    """A number and its interval as printed, and whether the interval is closed: ("1.49 h", "1.44 … 1.54",
+def interval(value: float, low: float, high: float) -> tuple[str, str, bool]:
+    """A number [h] and its interval as printed, and whether the interval is closed: ("1.49 h", "1.44 … 1.54",
     True).
 
     Open on one side: ("≤ 0.35 h", "best 0.1 h", False); open on both: ("not identifiable", "best 9 h",
@@ -85,12 +85,12 @@ def interval(value: float, low: float, high: float, unit: str = "h") -> tuple[st
     low = low if low > 0 else math.nan
     if math.isfinite(value) and math.isfinite(low) and math.isfinite(high):
         shown, span = ends(value, low, high)
-        return f"{shown} {unit}", span, True
-    best = f"best {plain_number(value)} {unit}" if math.isfinite(value) else ""
+        return f"{shown} h", span, True
+    best = f"best {plain_number(value)} h" if math.isfinite(value) else ""
     if math.isfinite(high):
-        return f"≤ {plain_number(high)} {unit}", best, False
+        return f"≤ {plain_number(high)} h", best, False
     if math.isfinite(low):
-        return f"≥ {plain_number(low)} {unit}", best, False
+        return f"≥ {plain_number(low)} h", best, False
     return UNBOUNDED, best, False
 
 

@@ -105,9 +105,7 @@ def unexplained(found: Difference, differing: Sequence[str]) -> float:
     return float(value @ positive_inverse(found.covariance[np.ix_(others, others)]) @ value)
 
 
-def selection(
-    found: Difference, groups: Mapping[str, str], level: float = LEVEL
-) -> tuple[SelectionStep, ...]:
+def selection(found: Difference, groups: Mapping[str, str]) -> tuple[SelectionStep, ...]:
     """Forward selection of the groups that differ; the last step selects none, unless all are selected."""
     from scipy.stats import chi2
 
@@ -125,7 +123,7 @@ def selection(
         adjusted = {group: min(1.0, value * len(left)) for group, value in p.items()}
         # p of large statistics underflows to zero: the mean square decides then
         best = min(left, key=lambda group: (p[group], -statistic[group] / degrees[group]))
-        hit = adjusted[best] < level
+        hit = adjusted[best] < LEVEL
         steps.append(SelectionStep(statistic, degrees, p, adjusted, best if hit else None))
         if not hit:
             break

@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders.known_values import RELEASE, physical_values, with_reference
+from builders.record_edits import without
 from numpy.testing import assert_allclose
 from plants import plant, undisturbed
 from plants.as_record import to_record
@@ -155,7 +156,7 @@ def test_free_run_looks_at_no_reading(noisy):
 
 
 def test_quantities_that_a_model_lacks_are_none(noisy):
-    record, _ = noisy
+    record, *_ = noisy
     thermal = design(record, kind="thermal")
     found = simulate(thermal, parameters(thermal), prepare_run(thermal, record))
     assert found.of("relative_humidity") is None
@@ -170,29 +171,23 @@ def test_quantities_that_a_model_lacks_are_none(noisy):
 
 
 def test_absolute_humidity_may_be_what_is_read(noisy):
-    record, _ = noisy
+    record, own, run, values = noisy
     moist = record["cabinet_relative_humidity"]
-    kelvin = np.interp(moist.time, *known(record["cabinet_temperature"]))
+    kelvin = np.interp(moist.time, *record["cabinet_temperature"].known)
     grams = replace(
         moist,
         signal="cabinet_absolute_humidity",
         value=absolute_humidity(moist.value, kelvin),
         resolution=0.0,
     )
-    other = replace(record, series=(*(s for s in record.series if s.signal != moist.signal), grams))
+    other = replace(record, series=(*without(record, moist.signal).series, grams))
     base = design(other)
     driven = prepare_run(base, other)
     found = simulate(base, parameters(base), driven)
     assert found.relative_humidity is None
-    usual = simulate(noisy[1], parameters(noisy[1]), prepare_run(noisy[1], record))
-    at = np.isin(driven.timeline.time, prepare_run(noisy[1], record).timeline.time)
-    assert at.all()
+    usual = simulate(own, values, run)
+    assert np.isin(driven.timeline.time, run.timeline.time).all()
     assert_allclose(found.absolute_humidity[0], usual.absolute_humidity[0], atol=2e-3)
-
-
-def known(series) -> tuple[np.ndarray, np.ndarray]:
-    there = ~series.missing
-    return series.time[there], series.value[there]
 
 
 # --- interval means -------------------------------------------------------------------------
@@ -454,7 +449,7 @@ def test_projections_have_the_slopes_of_finite_differences(noisy):
 
 
 def test_measured_absolute_humidity_uses_a_temperature_no_further_than_half_an_hour(noisy):
-    record, _ = noisy
+    record, *_ = noisy
     warm = record["cabinet_temperature"]
     hole = (warm.time > record.start_s + 20 * 3600) & (warm.time < record.start_s + 25 * 3600)
     single = np.flatnonzero(~warm.missing)[400]
@@ -469,7 +464,7 @@ def test_measured_absolute_humidity_uses_a_temperature_no_further_than_half_an_h
     assert np.isfinite(found["relative_humidity"][amid]).any()
     assert np.isnan(found["absolute_humidity_g_m3"][amid]).all()
     at = int(np.argmin(np.abs(seconds - warm.time[single])))
-    expected = np.interp(warm.time[single], *known(holed["cabinet_temperature"]))
+    expected = np.interp(warm.time[single], *holed["cabinet_temperature"].known)
     humidity = found["relative_humidity"][at]
     assert found["absolute_humidity_g_m3"][at] == pytest.approx(1e3 * absolute_humidity(humidity, expected))
     there = np.isfinite(found["temperature_K"]) & np.isfinite(found["relative_humidity"])
