@@ -254,7 +254,7 @@ def test_heavy_tails_and_a_rarely_switched_input_raise_no_false_correlation() ->
         (lambda e: e + 0.3 * np.sin(2 * np.pi * _time() / 24), "daily cycle"),
     ],
 )
-def test_each_departure_is_found_and_said(spoil, test: str) -> None:
+def test_each_departure_is_found_and_reported(spoil, test: str) -> None:
     found = _of(spoil(_white(17)))
     assert test in _rejected(found)
     assert found.statements and all(s.startswith("temperature innovations") for s in found.statements)
@@ -282,7 +282,7 @@ def test_the_result_is_plain_json() -> None:
 
 
 @pytest.mark.parametrize("n", [0, 1, 2, FEWEST_READINGS - 1])
-def test_few_readings_are_said_and_nothing_is_tested(n: int) -> None:
+def test_few_readings_give_a_statement_and_no_test(n: int) -> None:
     e = np.full(200, np.nan)
     e[:n] = _white(21, n)
     found = diagnose(_time(200), {"humidity": e}, {"power": _white(22, 200)})

@@ -1,4 +1,4 @@
-"""Scores by hand, baselines by hand, the sensors' share, and bands that hold as often as they say."""
+"""Scores and baselines by hand, the sensors' share, and the coverage of bands."""
 
 from __future__ import annotations
 
@@ -147,7 +147,7 @@ def test_unknown_stretches_are_not_scored(one):
     )
 
 
-def test_what_a_model_lacks_has_no_score(one):
+def test_a_quantity_that_the_model_lacks_has_no_score(one):
     thermal = Prediction(one.predicted.temperature, None, None)
     found = scores(one.run, thermal, None)
     assert math.isnan(found["identification"]["absolute_humidity_g_m3"].total)

@@ -1,5 +1,4 @@
-"""Free runs and forecasts against other integrators, plants and Monte-Carlo; spreads against what they
-promise."""
+"""Free runs and forecasts against other integrators, plants and Monte-Carlo; coverage of their bands."""
 
 from __future__ import annotations
 
@@ -170,7 +169,7 @@ def test_quantities_that_a_model_lacks_are_none(noisy):
     assert_allclose(found.absolute_humidity[0], 1e3 * absolute_humidity(found.relative_humidity[0], warm))
 
 
-def test_absolute_humidity_may_be_what_is_read(noisy):
+def test_a_logger_may_read_absolute_humidity(noisy):
     record, own, run, values = noisy
     moist = record["cabinet_relative_humidity"]
     kelvin = np.interp(moist.time, *record["cabinet_temperature"].known)

@@ -1,4 +1,4 @@
-"""Tables of a fit on a record: the simulation file, its summary, and the evaluation with its text."""
+"""A fit on a record: the simulation file, its summary, and the evaluation with its text."""
 
 from __future__ import annotations
 
@@ -274,7 +274,7 @@ def test_the_summary_is_that_of_the_file(fit, record, text):
     assert plain(structured(SimulationSummary, json.loads(result_text(summary)))) == plain(summary)
 
 
-def test_what_fit_and_record_do_not_share_is_said(fit, record):
+def test_mismatches_of_fit_and_record_are_reported(fit, record):
     idle = without(record, "preheating")
     (sentence,) = simulation_summary(fit, idle).statements
     assert "pre-heating" in sentence and "off throughout" in sentence
@@ -392,7 +392,7 @@ def test_a_thermal_fit_scores_the_temperature_alone(record):
     ],
     ids=["no power", "no temperature", "no reading"],
 )
-def test_nothing_to_score_is_said_with_its_reasons(fit, record, change):
+def test_an_evaluation_without_readings_gives_the_reasons(fit, record, change):
     other = change(record)
     shown = evaluation_text(evaluate(fit, other))
     assert "Nothing to score" in shown and not tables_of(evaluate(fit, other))

@@ -31,7 +31,7 @@ def test_a_file_of_an_earlier_revision_is_read_and_written_alike(name: str, file
     assert json.loads(json.dumps(plain(structured(FitResults, data)))) == data
 
 
-def test_every_fault_of_a_file_is_told_with_its_place_and_the_version(tmp_path: Path) -> None:
+def test_a_damaged_file_is_refused_with_every_fault_and_its_place(tmp_path: Path) -> None:
     data = golden(*MADE[0])
     data["time_constants"]["thermal"]["value_h"] = "long"
     data["parameters"]["hygric_k"]["fixed"] = 1

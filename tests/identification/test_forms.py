@@ -212,7 +212,7 @@ def test_no_form_that_a_design_has_already_is_a_candidate():
     assert candidates(base, record, made, values) == []
 
 
-def test_the_smoothed_temperature_has_what_happens_between_the_readings(thermal_part):
+def test_the_smoothed_temperature_is_better_between_readings_than_a_straight_line(thermal_part):
     """Ambient and power between the cabinet's readings tell its temperature better than the chord does."""
     record, found = thermal_part
     smoothed = smoothed_temperature(
@@ -237,7 +237,7 @@ def thermal_part():
     return record, estimate_design(record, base, 1, lambda text: None)
 
 
-def test_an_offset_of_a_source_is_found_and_what_it_does_is_foreseen(thermal_part):
+def test_an_offset_of_a_source_and_its_effect_are_found(thermal_part):
     """Stamps of the power made 90 s late: the offset moves by 90 s, and the estimate moves as foreseen to
     first order."""
     record, found = thermal_part
@@ -295,7 +295,7 @@ def test_a_source_whose_clock_is_known_exactly_has_no_offset(thermal_part):
         ((0.0, 0.0), ("a.csv, x", "b.csv, y"), 0.0),
     ],
 )
-def test_what_is_known_of_two_clocks_beforehand(stated, source, expected):
+def test_prior_uncertainty_of_two_clocks(stated, source, expected):
     one, other = (
         Series("ambient_temperature", [0.0, 60.0], [280.0, 281.0], clock_uncertainty_s=s, source=name)
         for s, name in zip(stated, source, strict=True)

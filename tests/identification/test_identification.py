@@ -109,7 +109,7 @@ def test_an_estimate_below_its_own_profile_is_climbed_on(record):
     assert stage.bounds["thermal_time_constant"].value == stage.estimate.values["thermal_time_constant"]
 
 
-def test_an_open_end_names_the_parameter_that_left_it_open(record):
+def test_an_open_end_names_the_parameter_that_leaves_it_open(record):
     """The statement of k, and the limits that were met, reach the entry of `fit.json`."""
     stage = identify_stage(
         record.identification(), design(record.identification(), kind="cascade"), 1, True, print
@@ -131,7 +131,7 @@ def test_joint_and_cascade_agree(record, fit):
         assert b.lower_h < a.value_h < b.upper_h
 
 
-def test_white_noise_alone_is_wrong_and_proud(record, made):
+def test_without_coloured_disturbances_the_time_constant_is_far_too_long(record, made):
     """The warning that everything rests on: without coloured disturbances τ comes out far too long."""
     from hygrokf.estimation.optimiser import maximise
     from hygrokf.modelling.inputs import prepare_run
@@ -255,7 +255,7 @@ def test_damaged_fit_files_are_refused_in_one_line(fit, tmp_path):
         read_fit(tmp_path / "other.json")
 
 
-def test_a_fit_keeps_the_range_of_what_it_was_identified_on(fit, record):
+def test_a_fit_keeps_the_ranges_of_its_inputs(fit, record):
     found = fit.results.identified_on
     assert set(found) == {"ambient_temperature_K", "ambient_absolute_humidity_g_m3", "power_share"}
     early = record["ambient_temperature"].window(record.start_s, record.until_s).known[1]

@@ -1,5 +1,4 @@
-"""Quasi-stationary periods: found by brute force too, on clocks of their own, with holds, gaps and
-regimes."""
+"""Quasi-stationary periods against a brute-force search, with separate clocks, holds, gaps and regimes."""
 
 from __future__ import annotations
 

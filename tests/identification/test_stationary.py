@@ -1,5 +1,5 @@
-"""Heat release from quasi-stationary periods: truth recovered, errors by an own formula, everything legal is
-had."""
+"""Heat release from quasi-stationary periods: recovery of the truth, standard errors by an independent
+formula, and records of every legal shape."""
 
 from __future__ import annotations
 
@@ -335,7 +335,7 @@ def test_no_curve_is_drawn_through_powers_that_no_period_reaches() -> None:
     assert "not tried" not in whole.statement
 
 
-def test_a_disagreement_of_the_robust_fit_is_said() -> None:
+def test_a_disagreement_of_the_robust_fit_is_reported() -> None:
     record = block_record(5, scatter_K=0.2)
     value, power = record["cabinet_temperature"].value.copy(), record["active_power"]
     blocks = ((record["cabinet_temperature"].time - START_S) // (8.0 * HOUR_S)).astype(int)
@@ -369,7 +369,7 @@ def test_a_record_without_scatter_raises_no_warning() -> None:
 # --- what records are like ------------------------------------------------------------------
 
 
-def test_too_few_periods_are_said(made: Plant) -> None:
+def test_too_few_periods_give_no_regression(made: Plant) -> None:
     record = to_record(made)
     short = record.window(record.start_s, record.start_s + 3.0 * 24.0 * HOUR_S)
     found = heat_release_regression(short)
@@ -478,7 +478,7 @@ def test_the_length_of_the_periods_follows_the_time_constant() -> None:
 # --- use ------------------------------------------------------------------------------------
 
 
-def test_what_follows_the_identification_period_is_not_used(made: Plant) -> None:
+def test_readings_after_the_identification_period_are_not_used(made: Plant) -> None:
     record = to_record(made, until_s=to_record(made).start_s + 120.0 * 24.0 * HOUR_S)
     found = heat_release_regression(record)
     other = heat_release_regression(changed(record, "cabinet_temperature", 350.0, record.until_s))

@@ -150,14 +150,14 @@ def test_offsets_of_loggers_are_no_part_of_a_type() -> None:
     assert set(made.parameters) == {"thermal_time_constant"}
 
 
-def test_what_was_taken_over_from_another_turbine_is_not_counted_twice() -> None:
+def test_parameters_of_another_turbine_are_not_counted_twice() -> None:
     fits = [fit_of("a", 1.5, 0.03), fit_of("b", 1.6, 0.03), fit_of("c", 1.5, 0.03)]
     results = replace(fits[2].results, parameters={"thermal_time_constant": ParameterRow(fixed=True)})
     made = pool_types([*fits[:2], replace(fits[2], results=results)])
     assert made.parameters["thermal_time_constant"].turbines == 2
 
 
-def test_what_cannot_be_pooled_is_said() -> None:
+def test_fits_that_cannot_be_pooled_are_refused() -> None:
     with pytest.raises(TypeFault, match="at least 2 turbines, found 1"):
         pool_types([fit_of("a", 1.5, 0.03)])
     with pytest.raises(TypeFault, match="several fits of a"):

@@ -1,5 +1,4 @@
-"""One verdict for every number: each rule by what it says, and that nothing is believed beside its
-refutation."""
+"""Verdicts on time constants: the reason that each rule gives, and consistency between all statements."""
 
 from __future__ import annotations
 
@@ -351,7 +350,7 @@ def test_verdicts_survive_json() -> None:
     assert plain(Reason("a", CAUTION, "b", {"x": math.inf}))["x"] is None
 
 
-def test_what_a_fit_states_stays_and_what_it_does_not_state_is_decided() -> None:
+def test_stated_verdicts_stay_and_missing_ones_are_decided() -> None:
     data = _sound()
     CASES["imprecise"][0](data)
     fit = typed(data)
@@ -424,7 +423,7 @@ def _rejected() -> dict:
 
 
 @pytest.mark.parametrize("code", [None, *(code for code in CASES if not code.startswith("worse_than"))])
-def test_nothing_is_believed_beside_what_refutes_it(code: str | None) -> None:
+def test_nothing_is_believed_beside_its_refutation(code: str | None) -> None:
     """Of one subject no judgement is believed where another one rejects it, or warns of it as a whole."""
     fit = _rejected()
     if code is not None:

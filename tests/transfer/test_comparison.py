@@ -1,4 +1,4 @@
-"""Columns side by side: plain root mean squares, like compared with like, and what the command combines."""
+"""Columns side by side: root mean squares, differences on common instants, and the command."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def test_scores_are_plain_root_mean_squares() -> None:
     assert found.differences[0].same_readings == {"temperature_K": True}
 
 
-def test_only_common_instants_are_compared_and_other_readings_are_told() -> None:
+def test_only_common_instants_are_compared_and_other_readings_are_reported() -> None:
     one, late = made_column("a", 1), made_column("b", 2, shift_s=600 * HOUR)
     row = compare([one, late]).results.differences[0].total("whole", "temperature_K")
     a, b = one.errors["temperature_K"][600:], late.errors["temperature_K"][:600]
@@ -136,7 +136,7 @@ def test_long_labels_are_cut_but_told_apart() -> None:
     assert len(set(cut)) == 4 and all(len(one) <= 33 for one in cut)
 
 
-def test_what_may_be_combined() -> None:
+def test_combinations_of_cases_and_fits() -> None:
     a, b, f, g = (Path(name) for name in ("a.toml", "b.toml", "f.json", "g.json"))
     assert pairs_of([a, b], []) == [(a, None), (b, None)]
     assert pairs_of([a, b], [f]) == [(a, f), (b, f)]
@@ -172,7 +172,7 @@ def turbines(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path, Fit]
     return paths[0], paths[1], fit
 
 
-def test_a_column_is_what_evaluate_says(turbines: tuple[Path, Path, Fit]) -> None:
+def test_a_column_has_the_scores_of_evaluate(turbines: tuple[Path, Path, Fit]) -> None:
     from hygrokf.cases.case_file import read_case
 
     record: Record = read_case(turbines[1])
@@ -241,7 +241,7 @@ def test_compare_and_transfer_from_the_command_line(
         (None, None, ["The columns have no common instants: compare their errors by their own bounds."]),
     ],
 )  # fmt: skip
-def test_the_summary_says_what_is_sure(validation, whole, expected: list[str]) -> None:
+def test_the_summary_tells_sure_differences_from_others(validation, whole, expected: list[str]) -> None:
     """Validation alone where it has bounds; where it is too short for them, the whole record beside it."""
     scores = {}
     for period, row in (("validation", validation), ("whole", whole)):

@@ -1,4 +1,4 @@
-"""compare.json and transfer.json: earlier files are read, and faults are told with their places."""
+"""compare.json and transfer.json: earlier files are read, and faults are reported with their places."""
 
 from __future__ import annotations
 
@@ -44,7 +44,9 @@ def test_files_of_earlier_versions_are_read_whole(kept: tuple[type, dict, Path])
     assert plain(pickle.loads(pickle.dumps(found))) == plain(found)
 
 
-def test_every_fault_is_told_with_its_place_and_the_version(kept: tuple[type, dict, Path]) -> None:
+def test_a_damaged_file_is_refused_with_every_fault_and_its_place(
+    kept: tuple[type, dict, Path],
+) -> None:
     kind, data, path = kept
     spoilt = copy.deepcopy(data) | {"version": "0.0.7"}
     if kind is ComparisonResults:

@@ -1,5 +1,4 @@
-"""Transfers between simulated cabinets: the right verdict, a model to go on with, and words for what speaks
-against it.
+"""Transfers between simulated cabinets: the right verdict, the adapted model, and the objections in words.
 
 The plants share no code with the package.  `scripts/transfer_trials` does the same on many more pairs
 (docs/transfer.md).
@@ -86,7 +85,7 @@ def test_re_estimating_gains_where_something_differs(other: Transfer) -> None:
     assert ratios[0].parameters == tuple(n for n in other.results.parameters if n.startswith("heat_release"))
 
 
-def test_as_it_is_is_what_evaluate_says(origin: Fit, other: Transfer) -> None:
+def test_the_model_as_it_is_has_the_scores_of_evaluate(origin: Fit, other: Transfer) -> None:
     """The same free run as `hygrokf evaluate`, on the instants that all columns score."""
     record = sister((HEAT,))
     theirs = evaluate(origin, record).rmse["validation"]["temperature_K"]
@@ -94,7 +93,7 @@ def test_as_it_is_is_what_evaluate_says(origin: Fit, other: Transfer) -> None:
     assert ours.n.total == theirs.n.total and ours.total == pytest.approx(theirs.total, rel=1e-9)
 
 
-def test_the_adapted_fit_keeps_what_travels_and_can_be_used(
+def test_the_adapted_fit_keeps_shared_parameters_and_can_be_used(
     origin: Fit, other: Transfer, tmp_path: Path
 ) -> None:
     made = other.adapted
@@ -132,7 +131,7 @@ def test_a_type_takes_the_place_of_a_fit(origin: Fit, other: Transfer) -> None:
     assert row["se"] / row["value"] < 1.05 * prior.sd
 
 
-def test_without_until_a_quarter_is_held_out_and_another_rated_power_is_told(origin: Fit) -> None:
+def test_without_until_a_quarter_is_held_out_and_another_rated_power_is_reported(origin: Fit) -> None:
     record = replace(sister(()), until_s=None, rated_power_W=3e6)
     found = transfer_fit(origin, record, fits=False).results
     assert any("first three quarters" in line for line in found.statements)
@@ -140,7 +139,7 @@ def test_without_until_a_quarter_is_held_out_and_another_rated_power_is_told(ori
     assert found.period == "validation"
 
 
-def test_what_a_record_cannot_tell_is_kept_and_said(origin: Fit) -> None:
+def test_parameters_that_a_record_does_not_determine_are_kept(origin: Fit) -> None:
     """No humidity in the cabinet: nothing is said about the hygric exchange."""
     record = sister(())
     dry = without(record, "cabinet_relative_humidity")
@@ -169,7 +168,7 @@ def with_gain(found: TransferResult, **gains: Gain) -> TransferResult:
         (lambda one: replace(one, re_estimate=(THERMAL, HEAT, HYGRIC)), "nothing of the cabinet"),
     ],
 )  # fmt: skip
-def test_what_speaks_against_a_transfer_is_named(
+def test_objections_to_a_transfer_are_named(
     other: Transfer, spoil: Callable[[TransferResult], TransferResult], word: str
 ) -> None:
     assert with_verdict(other.results) == other.results
@@ -196,7 +195,7 @@ def test_a_short_record_excludes_little_of_the_heat_release(origin: Fit) -> None
     assert "cannot be excluded" in row.statement
 
 
-def test_the_fits_own_record_and_a_types_own_turbine_are_told(origin: Fit) -> None:
+def test_the_fits_own_record_and_a_types_own_turbine_are_reported(origin: Fit) -> None:
     record = replace(sister(()), provenance=(("cabinet.csv", "a" * 64),))
     made = with_parts(origin, provenance=[["elsewhere/cabinet.csv", "a" * 64]])
     statements = transfer_fit(made, record, fits=False).results.statements
@@ -266,7 +265,7 @@ def test_the_free_run_of_all_sets_is_in_the_series(other: Transfer) -> None:
     np.testing.assert_allclose(again, simulation, rtol=1e-9)
 
 
-def test_what_is_too_short_to_judge_is_not_called_a_transfer(origin: Fit) -> None:
+def test_a_record_too_short_to_judge_has_no_verdict(origin: Fit) -> None:
     """Two days, of which nothing is held out, on which a rule without a model does better: no verdict."""
     made = pair(3, differ=(), days=30.0)
     begin = made.second.start_s

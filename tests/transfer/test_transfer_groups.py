@@ -33,7 +33,7 @@ def difference_of(seed: int, shift: dict[str, float] | None = None) -> Differenc
     return Difference(NAMES, mean + root @ random.standard_normal(6), covariance)
 
 
-def test_what_is_left_is_that_of_generalised_least_squares() -> None:
+def test_the_unexplained_distance_is_that_of_generalised_least_squares() -> None:
     found = difference_of(1)
     precision = np.linalg.inv(found.covariance)
     for differing in ((), ("tau", "rho"), ("k",), ("tau", "rho", "k")):
@@ -71,7 +71,7 @@ def test_the_most_telling_comes_first_even_where_p_underflows() -> None:
     assert steps[0].p[HYGRIC] == 0.0 and steps[0].p_adjusted[THERMAL] <= 1.0
 
 
-def test_groups_of_a_base_model_and_of_what_is_added() -> None:
+def test_groups_of_a_base_model_and_of_an_added_mechanism() -> None:
     from hygrokf.modelling.design import Design, extended
 
     base = Design(
