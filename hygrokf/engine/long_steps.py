@@ -30,18 +30,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hygrokf.engine.discretisation import NODES
 from hygrokf.engine.packing import pack, unpack
+from hygrokf.engine.traced_filter import Recursion
 from hygrokf.physics.expression import Matrix, is_zero
 from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.model import Values
-
-if TYPE_CHECKING:
-    from hygrokf.engine.traced_filter import Recursion
 
 MOST = 10_000
 """Largest number of sub-steps that the loops take for a whole step; of a longer step they take the last

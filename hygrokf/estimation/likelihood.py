@@ -18,6 +18,7 @@ import numpy as np
 from hygrokf.data.timestamps import duration_text, stamp_text
 from hygrokf.engine.control_loop import Control
 from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
+from hygrokf.engine.filter_loops import filter_loop
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.long_steps import MOST, TAIL, LongStep, inputs_between
 from hygrokf.engine.packing import pack, trace_width, unpack
@@ -399,7 +400,7 @@ class Likelihood:
         if part.start in steps.long:
             self._long(steps, part.start).take(values, state)
         out = np.zeros(3)
-        self.recursion.code("value")("value", *self._common(values, steps, state, part), out)
+        filter_loop(self.recursion, "value")("value", *self._common(values, steps, state, part), out)
         return self._loglik(out)
 
     def controlled(
@@ -419,7 +420,7 @@ class Likelihood:
         # the loop writes the positions into the inputs, so it gets a copy
         own = replace(self, timeline=replace(self.timeline, u=self.timeline.u.copy()))
         own.timeline.u[0, columns] = np.round(own.timeline.u[0, columns])
-        code = self.recursion.code("controlled", False, tuple(controls))
+        code = filter_loop(self.recursion, "controlled", False, tuple(controls))
         steps = self._steps(values)
         for part in steps.pieces(self._whole):
             if part.start in steps.long:
@@ -468,7 +469,7 @@ class Likelihood:
         key_bar = np.zeros(max(1, len(steps.keys) * len(r.key_nodes)))
         buffer = np.empty((max(int(steps.parts.max(initial=1)), len(r.updates)) + 1, width))
         common = self._common(values, steps, state, part)
-        r.code("adjoint")("adjoint", *common, out, store, key_bar, theta_bar, state_bar, buffer)
+        filter_loop(r, "adjoint")("adjoint", *common, out, store, key_bar, theta_bar, state_bar, buffer)
         return self._loglik(out), theta_bar
 
     # where the filter breaks down and the value is −∞, these sums are not finite either
@@ -548,7 +549,7 @@ class Likelihood:
                 own = slice(piece.start - part.start, piece.stop - part.start)
                 out, common = np.zeros(3), self._common(values, steps, state, piece)
                 rows = (e[own], s[own], de[own], ds[own])
-                r.code("tangent", gain)("tangent", *common, out, seed, dot, key_dot, *rows)
+                filter_loop(r, "tangent", gain)("tangent", *common, out, seed, dot, key_dot, *rows)
                 loglik += self._loglik(out)
             derivatives.append((de, ds))
         return (
@@ -579,7 +580,7 @@ class Likelihood:
             long = part.start in steps.long
             through = self._long(steps, part.start).take(values, state) if long else None
             out, common = np.zeros(3), self._common(values, steps, state, part)
-            r.code("trace", gain)("trace", *common, out, rows[part])
+            filter_loop(r, "trace", gain)("trace", *common, out, rows[part])
             loglik += self._loglik(out)
             if through is not None:
                 rows[part.start, 2 * width + 2 * outputs :] = (

@@ -48,14 +48,16 @@ from hygrokf.physics.mechanisms.moisture import (
     wind_exchange,
 )
 from hygrokf.physics.mechanisms.network import linear_network
-from hygrokf.physics.mechanisms.readings import (
+from hygrokf.physics.mechanisms.sensors import (
+    absolute_humidity_sensor,
     humidity_ceiling,
     humidity_drift,
     humidity_scale,
+    humidity_sensor,
+    temperature_sensor,
     temperature_step,
     thermometer_offset,
 )
-from hygrokf.physics.mechanisms.sensors import absolute_humidity_sensor, humidity_sensor, temperature_sensor
 from hygrokf.physics.mechanisms.thermal import (
     heat_disturbance,
     heat_release,
