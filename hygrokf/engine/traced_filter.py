@@ -21,7 +21,7 @@ from __future__ import annotations
 
 import hashlib
 import weakref
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -41,7 +41,7 @@ from hygrokf.physics.expression import (
     where,
 )
 from hygrokf.physics.holds import LINEAR, REGIME
-from hygrokf.physics.model import Model, System, TracedOutput
+from hygrokf.physics.model import Model, System, TracedOutput, Values
 
 DIFFUSE_TOLERANCE = 1e-9
 """An infinite variance counts as resolved below this share of its initial value."""
@@ -170,6 +170,14 @@ class Recursion:
         moments = [where(seen, a, b) for a, b in zip([*mean, *covariance], usual, strict=True)]
         return [*moments, *rest, error, where(seen, f, spread), where(seen, 0.0, quadratic)]
 
+    def symbols(
+        self, values: Values, mean: Iterable[Value] = (), inputs: Values | None = None
+    ) -> dict[str, Value]:
+        """Parameters, states (n) and inputs by the names of their symbols, as `graph.evaluate` takes them."""
+        known = {f"p:{name}": value for name, value in values.items()}
+        known |= {f"m{i}": value for i, value in enumerate(mean)}
+        return known | {f"{kind}:{name}": v for name, v in (inputs or {}).items() for kind in ("b", "g")}
+
     @cached_property
     def stage(self) -> list[int]:
         """For every node, the earliest stage at which its value is known."""
@@ -253,20 +261,20 @@ class Recursion:
         their code."""
         outputs = [[e.index for e in block] for block in self._blocks]
         system = self.system
-        said = (
+        content = (
             *(system.parameters, system.states, sorted(system.inputs.items()), list(system.inputs)),
             *(system.resets, self.diffuse, self.graph.nodes, outputs),
             [e.index for e in self.transition],
         )
-        return hashlib.sha256(repr(said).encode()).hexdigest()
+        return hashlib.sha256(repr(content).encode()).hexdigest()
 
 
 def _quadratic(row: list[Value], covariance: Matrix, cross: list[Value]) -> Value:
     """h P h'; a row with a single entry squares it first, which shortens the dependency chain between
     steps."""
-    there = [i for i, v in enumerate(row) if not is_zero(v)]
-    if len(there) == 1:
-        (i,) = there
+    nonzero = [i for i, v in enumerate(row) if not is_zero(v)]
+    if len(nonzero) == 1:
+        (i,) = nonzero
         return (row[i] * row[i]) * covariance[i][i]
     return dot(row, cross)
 

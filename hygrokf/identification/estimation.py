@@ -21,10 +21,10 @@ from hygrokf.estimation.optimiser import (
     Estimate,
     Objective,
     climb,
-    climbed_on,
     least_objective,
     maximise,
-    refused_below,
+    refine,
+    reject_below,
 )
 from hygrokf.estimation.output_error import OutputError, fit_output_error
 from hygrokf.estimation.smoother import smooth
@@ -106,7 +106,7 @@ def formed(early: Record, found: Estimated, say: Progress) -> tuple[Estimated, t
     made = prepare_run(chosen.design, early)
     estimate = maximise(Likelihood(chosen.design.model, made.timeline), chosen.estimate.values, count=1)
     least = least_objective(estimate.coordinates, (found.estimate,))
-    last, further = formed(early, Estimated(chosen.design, made, refused_below(least, estimate)), say)
+    last, further = formed(early, Estimated(chosen.design, made, reject_below(least, estimate)), say)
     if ended(last.estimate, found.estimate):
         return found, forms
     return last, (*(form for form in forms if form is not chosen), *(form.within(chosen) for form in further))
@@ -131,7 +131,7 @@ def judged(
     better = next((b.better for b in bounds.values() if b.better is not None), None)
     if better is not None:
         say("climb from a better point of the profile")
-        found = replace(found, estimate=climbed_on(found.likelihood, better))
+        found = replace(found, estimate=refine(found.likelihood, better))
         spread, bounds = _bounded(found, profiles, say)
     base = found.base
     return Stage(
