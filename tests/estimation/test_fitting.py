@@ -7,6 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from builders.constant_level import constant_level
 
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation import optimiser as fitting
@@ -28,30 +29,21 @@ from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Coordinates, Parameter, Prior
 
 COUNT = 50
+HILLS = 2.0 + 0.2 * np.random.default_rng(2).normal(size=30)
 READ = 3.0 + 0.7 * np.random.default_rng(1).normal(size=COUNT)
 
 
 def sample(
     read: np.ndarray = READ, centre: Callable = lambda p: p.mean, prior: Prior | None = None, **bounds: tuple
 ) -> Likelihood:
-    """Independent normal readings as a filter: a constant that starts at `centre` without any variance."""
+    """Independent normal readings about `centre`."""
     low, high = bounds.get("mean", (-50.0, 50.0))
     small, large = bounds.get("spread", (1e-3, 1e3))
-    constant = linear_network(
-        "constant",
-        [
-            Parameter("mean", "1", min(max(1.0, low), high), low, high, prior=prior),
-            Parameter("spread", "1", min(max(2.0, small), large), small, large, positive=True, noise=True),
-        ],
-        ["x"],
-        [],
-        lambda p, x, u: {"x": 0.0 * x.x},
-        {"y": lambda p, x, u: (x.x, p.spread * p.spread)},
-        lambda p: {"x": 0.0},
-        lambda p, u: {"x": (centre(p), 0.0)},
-    )
-    model = compose([constant])
-    return Likelihood(model, timeline(model, np.arange(float(len(read))), {}, {"y": read}))
+    parameters = [
+        Parameter("mean", "1", min(max(1.0, low), high), low, high, prior=prior),
+        Parameter("spread", "1", min(max(2.0, small), large), small, large, positive=True, noise=True),
+    ]
+    return constant_level(parameters, read, centre, lambda p: p.spread * p.spread)
 
 
 def normal(read: np.ndarray, mean: float, spread: float) -> float:
@@ -128,10 +120,9 @@ def two_hills(p: object) -> object:
 
 
 def test_other_optima_are_reported_and_are_optima() -> None:
-    read = 2.0 + 0.2 * np.random.default_rng(2).normal(size=30)
-    likelihood = sample(read, two_hills, prior=Prior(0.5, 1.0))
+    likelihood = sample(HILLS, two_hills, prior=Prior(0.5, 1.0))
     found = maximise(likelihood, {"mean": -1.0}, count=1, more_starts=[{"mean": 1.0}])
-    right, left = (-0.05 + s * math.sqrt(0.05**2 + 4 * read.mean()) for s in (1, -1))
+    right, left = (-0.05 + s * math.sqrt(0.05**2 + 4 * HILLS.mean()) for s in (1, -1))
     assert found.values["mean"] == pytest.approx(right / 2, abs=0.03)  # the prior prefers it
     assert len(found.others) == 1
     objective, values = found.others[0]
@@ -153,9 +144,8 @@ def test_where_a_climb_did_not_converge_is_not_reported_as_an_optimum(
         return climbs(objective, start, *rest, **more)
 
     monkeypatch.setattr(fitting, "climb", tired)
-    read = 2.0 + 0.2 * np.random.default_rng(2).normal(size=30)
     found = maximise(
-        sample(read, two_hills), {"mean": 1.4}, count=1, more_starts=[{"mean": -1.3, "spread": 0.5}]
+        sample(HILLS, two_hills), {"mean": 1.4}, count=1, more_starts=[{"mean": -1.3, "spread": 0.5}]
     )
     assert found.converged and found.values["mean"] > 0
     assert found.others == ()
@@ -186,29 +176,17 @@ def test_starts_stay_where_a_prior_is() -> None:
     assert max(abs(mean - 3.0) for mean in means) <= 0.2 and np.ptp(means) > 0.2
 
 
-HILLS = 2.0 + 0.2 * np.random.default_rng(2).normal(size=30)
-
-
 def hills(lowest: float = -50.0, shift: bool = False) -> Likelihood:
     """Readings about mean² + mean/20, with a prior that prefers the hill at positive means; and a shift of
     it, if wanted."""
-    more = [Parameter("shift", "1", 0.005, -0.01, 0.01, null=0.0)] if shift else []
-    constant = linear_network(
-        "constant",
-        [
-            Parameter("mean", "1", -1.0, lowest, 50.0 if lowest == -50.0 else -0.1, prior=Prior(0.5, 1.0)),
-            Parameter("spread", "1", 2.0, 1e-3, 1e3, positive=True, noise=True),
-            *more,
-        ],
-        ["x"],
-        [],
-        lambda p, x, u: {"x": 0.0 * x.x},
-        {"y": lambda p, x, u: (x.x, p.spread * p.spread)},
-        lambda p: {"x": 0.0},
-        lambda p, u: {"x": (two_hills(p) + (p.shift if shift else 0.0), 0.0)},
+    parameters = [
+        Parameter("mean", "1", -1.0, lowest, 50.0 if lowest == -50.0 else -0.1, prior=Prior(0.5, 1.0)),
+        Parameter("spread", "1", 2.0, 1e-3, 1e3, positive=True, noise=True),
+        *([Parameter("shift", "1", 0.005, -0.01, 0.01, null=0.0)] if shift else []),
+    ]
+    return constant_level(
+        parameters, HILLS, lambda p: two_hills(p) + (p.shift if shift else 0.0), lambda p: p.spread * p.spread
     )
-    model = compose([constant])
-    return Likelihood(model, timeline(model, np.arange(30.0), {}, {"y": HILLS}))
 
 
 def test_a_model_starts_from_one_that_it_contains() -> None:

@@ -139,9 +139,8 @@ def condensation(sky: bool = False) -> Mechanism:
         dT_s/dt = (T_amb − δ s + κ (T_a − T_amb) − T_s)/θ_s,    x = c* − e_s(T_s)/(R_v T_amb),
         dm/dt = β max(0, x) − β max(0, −x) · m/(|m| + 1 g/m³);    vapour release −dm/dt,
     m ≥ 0 [g/m³] is the film per volume of cabinet air, θ_s [h] the lag of the surface, δ [K] its cooling
-    below the air by
-    radiation: always (s = 1), or with `sky` in proportion to the input `night_sky`.  The last gram stands in
-    drops whose area shrinks with them.  The edges of max are rounded over 0.05 g/m³.
+    below the air by radiation: always (s = 1), or with `sky` in proportion to the input `night_sky`.  The
+    last gram stands in drops whose area shrinks with them.  The edges of max are rounded over 0.05 g/m³.
     """
 
     def rate(p: Space, x: Space, u: Space, q: Space) -> Value:

@@ -263,10 +263,9 @@ def wall_thermal_mass() -> Mechanism:
 
         dT_w/dt = (T_w∞ − T_w)/θ_w,    T_w∞ = T_amb + λ (T_conv,a − T_amb),    f += g (T_w − T_w∞)  [K],
     g is the conductance between air and mass in units of 1/R_AT, θ_w [h] the time constant of the mass.  λ
-    [1] is its
-    position: 1 for fittings in the cabinet air, 0 for an outer wall warmed by the ambient alone.  The mass
-    stores heat without losing any, so steady states do not change; g = 0 gives exactly the network of the
-    paper.
+    [1] is its position: 1 for fittings in the cabinet air, 0 for an outer wall warmed by the ambient alone.
+    The mass stores heat without losing any, so steady states do not change; g = 0 gives exactly the network
+    of the paper.
     """
 
     def rest(p: Space, u: Space, q: Space) -> Value:
