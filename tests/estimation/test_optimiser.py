@@ -10,7 +10,7 @@ import pytest
 from builders.constant_level import constant_level
 
 from hygrokf.engine.timeline import timeline
-from hygrokf.estimation import optimiser as fitting
+from hygrokf.estimation import optimiser
 from hygrokf.estimation.confidence import uncertainty
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import (
@@ -90,9 +90,8 @@ def test_bounds_hold_and_are_reported() -> None:
 
 
 def test_objective_gradient_and_information_in_coordinates() -> None:
-    objective = Objective(
-        sample(prior=Prior(1.0, 0.5)), Coordinates(sample(prior=Prior(1.0, 0.5)).model.parameters)
-    )
+    likelihood = sample(prior=Prior(1.0, 0.5))
+    objective = Objective(likelihood, Coordinates(likelihood.model.parameters))
     z = np.array([2.0, math.log(1.3)])
     value, gradient, information = objective.information(z)
     again, score = objective.score(z)
@@ -136,14 +135,14 @@ def test_other_optima_are_reported_and_are_optima() -> None:
 def test_where_a_climb_did_not_converge_is_not_reported_as_an_optimum(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    climbs = fitting.climb
+    climbs = optimiser.climb
 
     def tired(objective: Objective, start: np.ndarray, *rest: object, **more: object) -> Optimum:
         if start[0] < 0:
             return Optimum(start, objective.value(start), False, "stopped after 60 passes", 60)
         return climbs(objective, start, *rest, **more)
 
-    monkeypatch.setattr(fitting, "climb", tired)
+    monkeypatch.setattr(optimiser, "climb", tired)
     found = maximise(
         sample(HILLS, two_hills), {"mean": 1.4}, count=1, more_starts=[{"mean": -1.3, "spread": 0.5}]
     )
@@ -203,12 +202,11 @@ def test_a_model_starts_from_one_that_it_contains() -> None:
 
 def test_what_is_below_a_model_that_it_contains_has_not_converged() -> None:
     parent = maximise(hills(), {"mean": 1.0}, count=1)
-    held = maximise(
-        hills(lowest=-40.0, shift=True), count=1, parents=[parent]
-    )  # its bounds keep the hill out
+    # the larger model's bounds keep the parent's hill out
+    held = maximise(hills(lowest=-40.0, shift=True), count=1, parents=[parent])
     assert not held.converged
     short = parent.objective - held.objective
-    assert f"more likely, by {short:.2f} in ln L" in held.message and "start values" in held.message
+    assert f"{short:.2f} in ln L" in held.message and "start values" in held.message
     assert maximise(hills(lowest=-40.0, shift=True), count=1).converged
 
 
@@ -251,9 +249,7 @@ def test_a_stiff_corner_ends_with_its_budget() -> None:
     begun = Objective(likelihood, Coordinates(likelihood.model.parameters))
     start = begun.coordinates.start(first)
     ended = climb(begun, start, budget=2.5 * each)
-    assert (
-        not ended.converged and "budget" in ended.message and "interval between the readings" in ended.message
-    )
+    assert not ended.converged and "budget" in ended.message and "interval" in ended.message
     assert ended.objective >= begun.value(start)
     said = maximise(likelihood, count=1, budget=2.5 * each)
     assert not said.converged and "budget" in said.message
@@ -276,7 +272,7 @@ def test_a_climb_that_stops_early_says_so() -> None:
     objective = Objective(sample(), Coordinates(sample().model.parameters))
     far = np.array([40.0, math.log(0.01)])
     stopped = climb(objective, far, passes=2)
-    assert not stopped.converged and stopped.message == "stopped after 2 passes"
+    assert not stopped.converged and "2 passes" in stopped.message
     assert stopped.objective > objective.value(far)  # never worse than where it began
     assert climb(objective, far).converged
 
@@ -301,7 +297,7 @@ def test_a_simulated_cabinet_is_recovered_within_its_standard_errors(make_case: 
     assert found.converged
     known = uncertainty(Objective(case.likelihood, found.coordinates), found)
     for place, name in enumerate(known.names):
-        p = next(q for q in found.coordinates.free if q.name == name)
+        p = found.coordinates.parameter(name)
         away = p.to_coordinate(found.values[name]) - p.to_coordinate(case.values[name])
         assert abs(away) < 4 * math.sqrt(known.wald[place, place]), name
     assert found.values["thermal_time_constant"] == pytest.approx(1.5, rel=0.2)
