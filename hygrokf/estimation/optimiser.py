@@ -50,7 +50,6 @@ class Optimum:
     objective: float
     converged: bool
     message: str
-    passes: int
 
 
 @dataclass(frozen=True)
@@ -125,7 +124,6 @@ class _Metered:
         self.coordinates = objective.coordinates
         self._objective = objective
         self._budget = self._left = budget
-        self.evaluations = 0
         self.best = (-math.inf, np.empty(0))
 
     def value(self, z: np.ndarray) -> float:
@@ -151,7 +149,6 @@ class _Metered:
             steps = self._objective.likelihood.steps_per_instant(self.coordinates.values(z))
         except FloatingPointError:  # without finite rates there are no steps to count
             steps = 1.0
-        self.evaluations += 1
         self._left -= steps
         if self._left < 0.0:
             raise _BudgetSpent(
@@ -183,7 +180,7 @@ def climb(
         return _climb(metered, start, passes, tolerance)
     except _BudgetSpent as spent:
         value, z = metered.best
-        return Optimum(z if z.size else start, value, False, str(spent), metered.evaluations)
+        return Optimum(z if z.size else start, value, False, str(spent))
 
 
 def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float) -> Optimum:
@@ -223,13 +220,13 @@ def _scoring(objective: _Metered, start: np.ndarray, passes: int, tolerance: flo
     damping = 1e-3
     value, gradient, information = objective.information(z)
     if not math.isfinite(value):
-        return Optimum(z, -math.inf, False, "the likelihood is not finite at the start", 0)
-    for done in range(1, passes + 1):
+        return Optimum(z, -math.inf, False, "the likelihood is not finite at the start")
+    for _ in range(passes):
         free = ~(((z <= lower) & (gradient <= 0)) | ((z >= upper) & (gradient >= 0)))
         if not free.any():
-            return Optimum(z, value, True, "converged: every free parameter is at a bound", done)
+            return Optimum(z, value, True, "converged: every free parameter is at a bound")
         if bounded_step(information, gradient, free, z, lower, upper, 1e-9)[1] < tolerance:
-            return Optimum(z, value, True, "converged", done)
+            return Optimum(z, value, True, "converged")
         for _ in range(25):
             step, promised = bounded_step(information, gradient, free, z, lower, upper, damping)
             if promised > 0:
@@ -238,15 +235,13 @@ def _scoring(objective: _Metered, start: np.ndarray, passes: int, tolerance: flo
                     damping = max(damping / (10.0 if trial - value > 0.5 * promised else 2.0), 1e-9)
                     break
                 if promised < 0.1 * tolerance:
-                    return Optimum(z, value, True, "converged to rounding", done)
+                    return Optimum(z, value, True, "converged to rounding")
             damping = max(damping, 1e-6) * 6.0
         else:
-            return Optimum(
-                z, value, False, "no step improves the likelihood, yet its score is not zero", done
-            )
+            return Optimum(z, value, False, "no step improves the likelihood, yet its score is not zero")
         z = z + step
         value, gradient, information = objective.information(z)
-    return Optimum(z, value, False, f"stopped after {passes} passes", passes)
+    return Optimum(z, value, False, f"stopped after {passes} passes")
 
 
 def bounded_step(
@@ -406,7 +401,7 @@ def maximise(
         short.append(
             climb(scout, z, passes=15 if several else 25, tolerance=1e-2, budget=budget)
             if several or search
-            else Optimum(z, 0.0, False, "", 0)
+            else Optimum(z, 0.0, False, "")
         )
     short.sort(key=lambda o: -o.objective)
     optima: list[Optimum] = []

@@ -23,8 +23,7 @@ FEWEST_BLOCKS = 40
 
 @dataclass(frozen=True)
 class OutputError:
-    """Estimates by simulation: `values` of all parameters, covariance of the coordinates `names`, residual sd
-    by output.
+    """Estimates by simulation: `values` of all parameters, and the covariance of the coordinates `names`.
 
     `at_bounds`: parameters that ended at a bound; `unseen`: constant errors of the sensors, which are 0 in
     `values` because a free run cannot distinguish them from the model's own parameters and this criterion has
@@ -34,7 +33,6 @@ class OutputError:
     values: dict[str, float]
     names: tuple[str, ...]
     covariance: np.ndarray
-    residual_sd: tuple[float, ...]
     converged: bool
     at_bounds: tuple[str, ...] = ()
     unseen: tuple[str, ...] = ()
@@ -107,11 +105,10 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
     # them
     block_h = min(max((time[-1] - time[0]) / FEWEST_BLOCKS, 12.0), 48.0)
     spread = long_run_variance(scores, time, block_h, lags=1)
-    sd = tuple(float(np.sqrt(np.nanmean(c**2))) if np.isfinite(c).any() else math.nan for c in e.T)
     ends = (z <= coordinates.lower + AT_LIMIT) | (z >= coordinates.upper - AT_LIMIT)
     at = tuple(name for name, there in zip(coordinates.names, ends, strict=True) if there)
     covariance = inverse @ spread @ inverse
-    return OutputError(coordinates.values(z), coordinates.names, covariance, sd, converged, at, unseen)
+    return OutputError(coordinates.values(z), coordinates.names, covariance, converged, at, unseen)
 
 
 def _normal_equations(e: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

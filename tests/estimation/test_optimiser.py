@@ -139,7 +139,7 @@ def test_where_a_climb_did_not_converge_is_not_reported_as_an_optimum(
 
     def tired(objective: Objective, start: np.ndarray, *rest: object, **more: object) -> Optimum:
         if start[0] < 0:
-            return Optimum(start, objective.value(start), False, "stopped after 60 passes", 60)
+            return Optimum(start, objective.value(start), False, "stopped after 60 passes")
         return climbs(objective, start, *rest, **more)
 
     monkeypatch.setattr(optimiser, "climb", tired)
