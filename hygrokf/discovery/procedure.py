@@ -40,7 +40,7 @@ from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.repeats import REPEATED, repeated_text, without_repeats
 from hygrokf.discovery.residual_structure import remaining
 from hygrokf.discovery.residuals import Residuals, residuals
-from hygrokf.estimation.optimiser import climbed_on
+from hygrokf.estimation.optimiser import refine
 from hygrokf.identification.estimation import DesignEstimate, Progress, Stage, assess_stage, output_errors
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.procedure import Basis, assemble_fit, identify_stages
@@ -178,7 +178,7 @@ def _stages(basis: Basis, selection: Selection, profiles: bool, say: Progress) -
         if part.base is stage.base and part.record is basis.records[len(found)]:
             found.append(stage)
             continue
-        estimate = climbed_on(searching(part.base.model, part.run.timeline), part.values)
+        estimate = refine(searching(part.base.model, part.run.timeline), part.values)
         found.append(
             assess_stage(
                 part.record, DesignEstimate(part.base, part.run, estimate, SEARCH_STEP), profiles, say

@@ -12,14 +12,11 @@ their previous value.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 from hygrokf.engine.llvm_writer import RUNS, TRUTH, Writer, declarations, literal, vector
+from hygrokf.engine.traced_filter import Recursion
 from hygrokf.physics.expression import Expression
 from hygrokf.physics.holds import LINEAR
-
-if TYPE_CHECKING:
-    from hygrokf.engine.traced_filter import Recursion
 
 VECTOR, TRUTHS = vector(RUNS), vector(RUNS, TRUTH)
 ARGUMENTS = [("i64", "blocks")] + [
@@ -82,7 +79,7 @@ class _Emission:
         return self._row("theta", block, leaves) | self._keys(block)
 
     def _keys(self, block: str) -> dict[int, str]:
-        return {e.index: self._column("keys", block, c) for c, e in enumerate(self.recursion._key_leaves)}
+        return {e.index: self._column("keys", block, c) for c, e in enumerate(self.recursion.key_leaves)}
 
     def _keep(self, block: str) -> None:
         r, w = self.recursion, self.writer
@@ -110,7 +107,7 @@ class _Emission:
             still = w.value(f"fcmp olt {VECTOR} {here}, {parts}")
             old = {i: w.load(VECTOR, slot) for i, slot in slots.items()}
             leaves = old | self._known(block) | self._inputs_within(block, here, parts)
-            made = self._values(r.predict.outputs, leaves)
+            made = self._values(r.predict, leaves)
             for (i, slot), value in zip(slots.items(), made, strict=True):
                 w.store(VECTOR, self._where(still, value, old[i]), slot)
 
@@ -149,6 +146,6 @@ class _Emission:
             with w.when(w.value(f"icmp ne i{RUNS} {bits}, 0")):
                 old = {i: w.load(VECTOR, slot) for i, slot in slots.items()}
                 leaves = old | self._known(block) | now | {r.reading.index: y}
-                made = self._values(update.outputs[: len(slots)], leaves)
+                made = self._values(update[: len(slots)], leaves)
                 for (i, slot), value in zip(slots.items(), made, strict=True):
                     w.store(VECTOR, self._where(there, value, old[i]), slot)

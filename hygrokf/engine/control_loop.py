@@ -1,18 +1,15 @@
-"""Compiled free run that drives its own controllers: heaters, fans and vents follow what a logger would
-show."""
+"""The loop of a free run that drives its own controllers: heaters, fans and vents follow the readings that a
+logger would show."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
+from hygrokf.engine.filter_codegen import Emission
 from hygrokf.engine.llvm_writer import SCALAR, Writer, literal
-
-if TYPE_CHECKING:
-    from hygrokf.engine.filter_codegen import Emission
-    from hygrokf.engine.traced_filter import Recursion
-    from hygrokf.physics.expression import Expression
+from hygrokf.engine.traced_filter import Recursion
+from hygrokf.physics.expression import Expression
 
 
 @dataclass(frozen=True)
@@ -33,14 +30,15 @@ class Control:
     idle: bool = False
 
 
-def write_controlled(emission: Emission, controls: Sequence[Control]) -> None:
-    """Write the loop: means of a free run, and `positions` (T, c) of the controls in the step that leads to
-    each instant.
+def controlled_text(r: Recursion, controls: Sequence[Control]) -> str:
+    """LLVM text of the loop: means of a free run, and `positions` (T, c) of the controls in the step that
+    leads to each instant.
 
     The controls read the logger at the start of each step.  `idle` (T,) is 1 at standstill; `levels` (c, 2)
     are those of the controls.
     """
-    w, r = emission.writer, emission.recursion
+    emission = Emission(r, "controlled", gain=False)
+    w = emission.writer
     means = [e.index for e in r.mean]
     slots = emission.slots(r.state)
     emission.load_state(slots, "%state")
@@ -55,7 +53,7 @@ def write_controlled(emission: Emission, controls: Sequence[Control]) -> None:
         }
         leaves = emission.read(slots) | emission.table(key) | begun | emission.at_parameters
         leaves |= {r.reading.index: literal(0.0)}
-        shown = [name for _, name in w.block(r.graph, [_shown(r, one) for one in controls], leaves)]
+        shown = [name for _, name in w.block(r.graph, [_shown(r, control) for control in controls], leaves)]
         idle = w.value(f"fcmp ogt double {w.load(SCALAR, w.at(SCALAR, '%idle', k))}, {literal(0.5)}")
         place = w.integer("mul", k, len(controls))
         for c, (control, value) in enumerate(zip(controls, shown, strict=True)):
@@ -67,10 +65,11 @@ def write_controlled(emission: Emission, controls: Sequence[Control]) -> None:
             w.store(SCALAR, position, w.at(SCALAR, "%u", column))
         with w.loop(parts) as j:
             leaves = emission.read(slots) | emission.table(key) | emission.inputs_within(k, j, parts)
-            after = w.block(r.graph, r.predict.outputs[: len(means)], leaves | emission.at_parameters)
+            after = w.block(r.graph, r.predict[: len(means)], leaves | emission.at_parameters)
             for i, (_, name) in zip(means, after, strict=True):
                 w.store(SCALAR, name, slots[i])
     emission.save_state(slots, "%state")
+    return emission.text()
 
 
 def _shown(recursion: Recursion, control: Control) -> Expression:
@@ -80,7 +79,7 @@ def _shown(recursion: Recursion, control: Control) -> Expression:
         place = recursion.system.states.index(f"mean_{control.reads}")
         return recursion.rates[place] * control.mean_h
     names = [name for name, _ in recursion.system.outputs]
-    return recursion.updates[names.index(control.reads)].outputs[-3]
+    return recursion.updates[names.index(control.reads)][-3]
 
 
 def _position(w: Writer, control: Control, c: int, value: str, before: str, idle: str) -> str:

@@ -12,12 +12,12 @@ remainder b = f − A (x − x₀) interpolated through them as b(t) = β + s t,
     P⁺ = e^Ω P e^Ω' + ∫₀¹ e^{Ωσ} Q̄ e^{Ω'σ} dσ,    Q̄ = h Q + (√3/12) h² (D Q + Q D').
 
 Rows of a linear model have A₁ = A₂ and an exactly affine b.  For them every formula above is *exact* under
-the stated
-hold (zero-order or linear) for any h, and with x₀ = 0 the matrix e^Ω and its relatives are computed only
-once.  Where rates vary, x₀ = m: the remainder then changes with what happens within the step and not with the
-distance of the state from zero (kelvins from absolute zero), which makes the error of a sub-step about 250
-times smaller.  This error is of order h⁵ for the mean and of order h⁴ for the covariance, whose Jacobians are
-taken where a second-order rule places the nodes.  Sub-steps keep both below a stated size (`VARYING_RATES`).
+the stated hold (zero-order or linear) for any h, and with x₀ = 0 the matrix e^Ω and its relatives are
+computed only once.  Where rates vary, x₀ = m: the remainder then changes with what happens within the step
+and not with the distance of the state from zero (kelvins from absolute zero), which makes the error of a
+sub-step about 250 times smaller.  This error is of order h⁵ for the mean and of order h⁴ for the covariance,
+whose Jacobians are taken where a second-order rule places the nodes.  Sub-steps keep both below a stated size
+(`VARYING_RATES`).
 
 The exponential and its relatives φ₁, φ₂ are Taylor polynomials in the traced entries, centred in the range of
 rates that sub-steps permit.  A sparse model costs as much as its non-zero entries, and entries that depend

@@ -1,29 +1,20 @@
-"""The compiled loops of a recursion as LLVM text: value, trace, adjoint and tangent.
+"""The loops of a traced filter as LLVM text: value, trace, adjoint and tangent.
 
-`loop_text` writes the function of one kind for a traced recursion (`hygrokf.engine.traced_filter.Recursion`):
-first the stages before the time loop (parameters, then the table of keys), then the loop over the instants
-with its blocks of straight-line code.  `COMMON` lists the arguments that all kinds share, `ARGUMENTS` those
-of each kind.
+`loop_text` writes the function of one kind for a `hygrokf.engine.traced_filter.Recursion`: first the stages
+before the time loop (parameters, then the table of keys), then the loop over the instants with its blocks of
+straight-line code.  `COMMON` lists the arguments that all kinds share, `ARGUMENTS` those of each kind.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
-from hygrokf.engine.control_loop import Control, write_controlled
 from hygrokf.engine.llvm_writer import SCALAR, VECTOR, Writer, declarations, literal
 from hygrokf.engine.packing import place, trace_width
 from hygrokf.engine.running_sums import RunningSums, accumulate
+from hygrokf.engine.traced_filter import INSTANT, KEY, Block, Recursion
 from hygrokf.physics.expression import Expression, forward, reverse
 from hygrokf.physics.holds import LINEAR
-
-if TYPE_CHECKING:
-    from hygrokf.engine.traced_filter import Block, Recursion
-
-CONSTANT, PARAMETER, KEY, INSTANT = range(4)
-"""Stages: when a value first becomes known."""
 
 Names = dict[int, str]
 """Node -> the LLVM name of its value, or of the stack slot that holds it."""
@@ -59,27 +50,27 @@ ARGUMENTS = {
 }
 
 
-def loop_text(recursion: Recursion, kind: str, gain: bool, controls: Sequence[Control] = ()) -> str:
-    """LLVM text of a module with one function, named after its kind; without `gain`, readings do not correct
-    the state."""
-    return declarations() + Emission(recursion, gain, controls).function(kind)
+def loop_text(recursion: Recursion, kind: str, gain: bool) -> str:
+    """LLVM text of a module with one function, named after its kind: value, trace, adjoint or tangent.
+
+    Without `gain`, readings do not correct the state.
+    """
+    emission = Emission(recursion, kind, gain)
+    getattr(emission, "_" + kind)()
+    return emission.text()
 
 
-@dataclass
 class Emission:
-    """LLVM text of the loops of one recursion."""
+    """LLVM text of one loop of a recursion, begun with the stages before the time loop."""
 
-    recursion: Recursion
-    gain: bool
-    controls: Sequence[Control] = ()
-    writer: Writer = field(init=False)
-
-    def function(self, kind: str) -> str:
+    def __init__(self, recursion: Recursion, kind: str, gain: bool) -> None:
+        self.recursion, self.gain = recursion, gain
         self.writer = Writer(kind, COMMON + ARGUMENTS[kind])
         self._parameters()
         self._keys()
-        getattr(self, "_" + kind)()
-        return self.writer.text()
+
+    def text(self) -> str:
+        return declarations() + self.writer.text()
 
     # -- stages before the time loop -------------------------------------------------------------------------
     def _parameters(self) -> None:
@@ -91,14 +82,15 @@ class Emission:
         for e, (_, name) in zip(wanted, w.block(r.graph, wanted, self.at_parameters), strict=True):
             self.at_parameters[e.index] = name
 
+    def _row(self, base: str, row: str, nodes: Sequence[int], kind: str = SCALAR) -> Names:
+        """The numbers of one row of an array, by node."""
+        w = self.writer
+        start = w.integer("mul", row, len(nodes))
+        return {i: w.load(kind, w.at(kind, base, w.integer("add", start, c))) for c, i in enumerate(nodes)}
+
     def _key_row(self, key: str) -> Names:
         """Values of the key's leaves: sub-step length and regimes."""
-        r, w = self.recursion, self.writer
-        row = w.integer("mul", key, len(r._key_leaves))
-        return {
-            e.index: w.load(SCALAR, w.at(SCALAR, "%keys", w.integer("add", row, c)))
-            for c, e in enumerate(r._key_leaves)
-        }
+        return self._row("%keys", key, [e.index for e in self.recursion.key_leaves])
 
     def _keys(self) -> None:
         r, w = self.recursion, self.writer
@@ -140,12 +132,7 @@ class Emission:
         return w.value(f"sext i32 {value} to i64")
 
     def table(self, key: str) -> Names:
-        r, w = self.recursion, self.writer
-        row = w.integer("mul", key, len(r.key_nodes))
-        values = {
-            i: w.load(SCALAR, w.at(SCALAR, "%table", w.integer("add", row, c)))
-            for c, i in enumerate(r.key_nodes)
-        }
+        values = self._row("%table", key, self.recursion.key_nodes)
         return self._key_row(key) | values
 
     def inputs_within(self, k: str, j: str, count: str) -> Names:
@@ -171,12 +158,8 @@ class Emission:
         return result
 
     def _inputs_at(self, k: str) -> Names:
-        r, w = self.recursion, self.writer
-        row = w.integer("mul", k, len(r.varying))
-        return {
-            r.now[name].index: w.load(SCALAR, w.at(SCALAR, "%u", w.integer("add", row, c)))
-            for c, name in enumerate(r.varying)
-        }
+        r = self.recursion
+        return self._row("%u", k, [r.now[name].index for name in r.varying])
 
     def _predict(
         self, slots: Names, k: str, key: str, count: str, each: Callable[[str], None] | None = None
@@ -196,9 +179,8 @@ class Emission:
     def _advance(self, slots: Names, key: str, inputs: Names) -> None:
         r, w = self.recursion, self.writer
         leaves = self.read(slots) | self.table(key) | inputs
-        values = w.block(r.graph, r.predict.outputs, leaves | self.at_parameters)
-        for s, (_, name) in zip(slots.values(), values, strict=True):
-            w.store(SCALAR, name, s)
+        values = w.block(r.graph, r.predict, leaves | self.at_parameters)
+        self._store(slots, values)
 
     def _inputs_whole(self, k: str) -> Names:
         """Inputs at the start and the end of the step between instants k−1 and k."""
@@ -251,8 +233,8 @@ class Emission:
 
     # -- the functions ---------------------------------------------------------------------------------------
     def _value(self) -> None:
-        w = self.writer
-        slots = self.slots(self.recursion.state)
+        w, r = self.writer, self.recursion
+        slots = self.slots(r.state)
         self.load_state(slots, "%state")
         total = RunningSums(w)
         with w.loop("%count") as k:
@@ -264,24 +246,35 @@ class Emission:
         total.write(w, "%out")
 
     def _correct(self, slots: Names, k: str, key: str, total: RunningSums) -> None:
-        w, r = self.writer, self.recursion
-        for update, (y, there) in zip(r.updates, self._readings(k), strict=True):
-            with w.when(there):
-                values = w.block(r.graph, self._kept(update), self._update_leaves(slots, k, key, y))
-                total.take(w, values[-2][1], values[-1][1])
-                if self.gain:
-                    for s, (_, name) in zip(slots.values(), values, strict=False):
-                        w.store(SCALAR, name, s)
+        for update, (y, there) in zip(self.recursion.updates, self._readings(k), strict=True):
+            self._correct_by(update, y, there, slots, k, key, total)
 
-    def _kept(self, update: Block) -> list[Expression]:
+    def _correct_by(
+        self, update: Block, y: str, there: str, slots: Names, k: str, key: str, total: RunningSums
+    ) -> None:
+        """Count one reading and correct the state by it, if it exists."""
+        w = self.writer
+        with w.when(there):
+            leaves = self._update_leaves(slots, k, key, y)
+            values = w.block(self.recursion.graph, self._kept(update), leaves)
+            total.take(w, values[-2][1], values[-1][1])
+            if self.gain:
+                self._store(slots, values)
+
+    def _store(self, slots: Names, values: Sequence[tuple[str, str]]) -> None:
+        """Store the first of some (kind, value) in the slots of the state."""
+        for s, (_, name) in zip(slots.values(), values, strict=False):
+            self.writer.store(SCALAR, name, s)
+
+    def _kept(self, update: Block) -> Block:
         """Results of an update; without gain only the innovation, its variance and the quadratic form."""
-        return update.outputs if self.gain else update.outputs[-3:]
+        return update if self.gain else update[-3:]
 
     def _trace(self) -> None:
         """Rows: mean and covariance before; (prediction, variance) of every output; mean and covariance
         after; transition."""
         w, r = self.writer, self.recursion
-        slots = self.slots(self.recursion.state)
+        slots = self.slots(r.state)
         self.load_state(slots, "%state")
         total = RunningSums(w)
         width = trace_width(r.n, len(r.updates), r.diffuse)
@@ -295,19 +288,14 @@ class Emission:
             self.save_state(slots, row)
             column = len(slots)
             for update, (y, there) in zip(r.updates, self._readings(k), strict=True):
-                outputs = update.outputs[-3:-1]
+                outputs = update[-3:-1]
                 missing = w.value(f"select i1 {there}, double {y}, double {literal(0.0)}")
                 leaves = self._update_leaves(slots, k, key, missing)
                 (_, error), (_, variance) = w.block(r.graph, outputs, leaves)
                 w.store(SCALAR, w.real("fsub", missing, error), w.at(SCALAR, row, column))
                 w.store(SCALAR, variance, w.at(SCALAR, row, column + 1))
                 column += 2
-                with w.when(there):
-                    values = w.block(r.graph, self._kept(update), self._update_leaves(slots, k, key, y))
-                    total.take(w, values[-2][1], values[-1][1])
-                    if self.gain:
-                        for s, (_, name) in zip(slots.values(), values, strict=False):
-                            w.store(SCALAR, name, s)
+                self._correct_by(update, y, there, slots, k, key, total)
             self.save_state(slots, w.at(SCALAR, row, column))
             column += len(slots)
             for c, s in enumerate(transition):
@@ -323,7 +311,7 @@ class Emission:
         n = r.n
         with w.loop(count) as j:
             leaves = self.read(slots) | self.table(key) | self.inputs_within(k, j, count)
-            both = [*r.predict.outputs, *r._transition_outputs]
+            both = [*r.predict, *r.transition]
             values = w.block(r.graph, both, leaves | self.at_parameters)
             f = [name for _, name in values[len(slots) :]]
             old = [w.load(SCALAR, s) for s in transition]
@@ -334,16 +322,12 @@ class Emission:
                         term = w.real("fmul", f[i * n + inner], old[inner * n + c])
                         total = w.real("fadd", total, term)
                     w.store(SCALAR, total, transition[i * n + c])
-            for s, (_, name) in zip(slots.values(), values, strict=False):
-                w.store(SCALAR, name, s)
-
-    def _controlled(self) -> None:
-        write_controlled(self, self.controls)
+            self._store(slots, values)
 
     def _adjoint(self) -> None:
         """Score by a forward pass that stores the moments and a backward pass."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
-        slots = self.slots(self.recursion.state)
+        slots = self.slots(r.state)
         self.load_state(slots, "%state")
         total = RunningSums(w)
         # store: row 2k the moments before the updates of instant k, row 2k+1 those after it
@@ -356,7 +340,7 @@ class Emission:
             self.save_state(slots, "%store", w.integer("add", w.integer("mul", k, 2), 1))
         total.write(w, "%out")
 
-        bars = self.slots(self.recursion.state)
+        bars = self.slots(r.state)
         bar_symbol = {i: g.symbol(f"bar:{i}") for i in bars}
         self.load_state(bars, "%statebar")
         self.parameter_bars = {i: w.slot(SCALAR, literal(0.0)) for i in r.estimated_nodes}
@@ -381,9 +365,8 @@ class Emission:
                 y, there = readings[c]
                 with w.when(there):
                     leaves = self._update_leaves(slots, k, key, y)
-                    values = w.block(r.graph, update.outputs[: len(slots)], leaves)
-                    for s, (_, name) in zip(slots.values(), values, strict=True):
-                        w.store(SCALAR, name, s)
+                    values = w.block(r.graph, update[: len(slots)], leaves)
+                    self._store(slots, values)
         for c in range(last, -1, -1):
             update = r.updates[c]
             y, there = readings[c]
@@ -392,9 +375,9 @@ class Emission:
                 leaves = self._update_leaves(slots, k, key, y)
                 seeds: Symbols = {}
                 if self.gain:
-                    for e, i in zip(update.outputs, bars, strict=False):
+                    for e, i in zip(update, bars, strict=False):
                         _seed(seeds, e, bar_symbol[i])
-                spread, quadratic = update.outputs[-2:]
+                spread, quadratic = update[-2:]
                 g = r.graph
                 _seed(seeds, spread, -0.5 / spread)
                 _seed(seeds, quadratic, g.constant(-0.5))
@@ -423,7 +406,7 @@ class Emission:
             self.load_state(slots, "%buffer", j)
             leaves = self.read(slots) | self.table(key) | self.inputs_within(k, j, parts)
             seeds: Symbols = {}
-            for e, i in zip(r.predict.outputs, bars, strict=True):
+            for e, i in zip(r.predict, bars, strict=True):
                 _seed(seeds, e, bar_symbol[i])
             self._reverse_block(
                 r.predict, seeds, leaves | self.at_parameters, bars, bar_symbol, key, keep=False
@@ -442,7 +425,7 @@ class Emission:
         """Adjoint of one block: replaces the bars of the state (adds to them with `keep`) and adds to those
         of earlier stages."""
         w, r = self.writer, self.recursion
-        parameters, keys = r._boundary(block.outputs, INSTANT)
+        parameters, keys = r.boundary(block, INSTANT)
         parameters = [i for i in parameters if i in self.parameter_bars]
         targets = [*bars, *parameters, *keys]
         found = reverse(r.graph, seeds, targets)
@@ -469,16 +452,12 @@ class Emission:
         """Pass the adjoints of the key table on to the parameter stage, and from there to the parameters."""
         w, r, g = self.writer, self.recursion, self.recursion.graph
         keys = [Expression(g, i) for i in r.key_nodes]
-        inner, _ = r._boundary(keys, KEY)
+        inner, _ = r.boundary(keys, KEY)
         seeds = {i: g.symbol(f"keybar:{i}") for i in r.key_nodes}
         found = reverse(g, seeds, inner)
         order = [i for i in inner if i in found and i in self.parameter_bars]
         with w.loop("%nkeys") as key:
-            row = w.integer("mul", key, len(r.key_nodes))
-            names = {
-                seeds[i].index: w.load(SCALAR, w.at(SCALAR, "%keybar", w.integer("add", row, c)))
-                for c, i in enumerate(r.key_nodes)
-            }
+            names = self._row("%keybar", key, [seeds[i].index for i in r.key_nodes])
             leaves = self._key_row(key) | self.at_parameters | names
             values = w.block(g, [found[i] for i in order], leaves)
             for i, (_, name) in zip(order, values, strict=True):
@@ -499,7 +478,7 @@ class Emission:
         w, r, g = self.writer, self.recursion, self.recursion.graph
         directions, dots = self._stage_tangents()
         key_dots = {i: g.symbol(f"dot:{i}") for i in r.key_nodes}
-        slots = self.slots(self.recursion.state)
+        slots = self.slots(r.state)
         state_dots = {i: g.symbol(f"dot:{i}") for i in slots}
         dot_slots = {i: w.slot(VECTOR) for i in slots}
         self.load_state(slots, "%state")
@@ -509,21 +488,15 @@ class Emission:
         tangents = directions | key_dots | state_dots
 
         def dot_leaves(key: str) -> Names:
-            row = w.integer("mul", key, len(r.key_nodes))
-            result = dict(dots)
-            for c, i in enumerate(r.key_nodes):
-                pointer = w.at(VECTOR, "%keydot", w.integer("add", row, c))
-                result[key_dots[i].index] = w.load(VECTOR, pointer)
-            for i, s in dot_slots.items():
-                result[state_dots[i].index] = w.load(VECTOR, s)
-            return result
+            keys = self._row("%keydot", key, [key_dots[i].index for i in r.key_nodes], VECTOR)
+            states = {state_dots[i].index: w.load(VECTOR, s) for i, s in dot_slots.items()}
+            return dots | keys | states
 
         def run(
             outputs: list[Expression], leaves: Names, key: str
         ) -> tuple[list[tuple[str, str]], list[str]]:
             vectors = dot_leaves(key)
-            there = {i: t for i, t in tangents.items()}
-            derivative = forward(g, outputs, there)
+            derivative = forward(g, outputs, tangents)
             both = w.block(g, [*outputs, *derivative], leaves | vectors, list(vectors))
             half = len(outputs)
             return both[:half], [w.as_vector(*v) for v in both[half:]]
@@ -533,9 +506,8 @@ class Emission:
             key, parts = self.instant_keys(k)
             with w.loop(parts) as j:
                 leaves = self.read(slots) | self.table(key) | self.inputs_within(k, j, parts)
-                values, derivatives = run(r.predict.outputs, leaves | self.at_parameters, key)
-                for s, (_, name) in zip(slots.values(), values, strict=True):
-                    w.store(SCALAR, name, s)
+                values, derivatives = run(r.predict, leaves | self.at_parameters, key)
+                self._store(slots, values)
                 for s, name in zip(dot_slots.values(), derivatives, strict=True):
                     w.store(VECTOR, name, s)
             row = w.integer("mul", k, width)
@@ -558,8 +530,7 @@ class Emission:
                     w.store(VECTOR, error_dot, w.at(VECTOR, "%edot", place))
                     w.store(VECTOR, derivatives[-2], w.at(VECTOR, "%sdot", place))
                     if self.gain:
-                        for s, (_, name) in zip(slots.values(), values, strict=False):
-                            w.store(SCALAR, name, s)
+                        self._store(slots, values)
                         for s, name in zip(dot_slots.values(), derivatives, strict=False):
                             w.store(VECTOR, name, s)
             self._resets(slots, k)

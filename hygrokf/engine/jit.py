@@ -65,9 +65,8 @@ def has_fused_multiply_add() -> bool:
     return arm or bool(llvm.get_host_cpu_features().get("fma", False))
 
 
-_engines: dict[
-    str, llvm.ExecutionEngine
-] = {}  # kept for the life of the process: code that may run is never freed
+_engines: dict[str, llvm.ExecutionEngine] = {}
+"""Engines by key, kept for the life of the process: code that may run is never freed."""
 _compiling = Lock()
 """Held while code is compiled: a second engine of the same code would replace the first and free running
 code."""

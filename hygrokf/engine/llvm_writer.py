@@ -189,10 +189,7 @@ class Writer:
                     names[i] = self.value(f"select {truth} {a[0]}, {kind} {a[1]}, {kind} {a[2]}")
                 case _:
                     names[i] = self.value(f"call {kind} @llvm.{operation}.{_suffix(kind)}({kind} {a[0]})")
-        result = []
-        for e in outputs:
-            result.append((kinds[e.index], names[e.index]))
-        return result
+        return [(kinds[e.index], names[e.index]) for e in outputs]
 
     def _fma(self, kind: str, a: Sequence[str]) -> str:
         if has_fused_multiply_add():
@@ -207,9 +204,8 @@ class Writer:
     def splat(self, value: str) -> str:
         """A double in every lane of a vector."""
         first = self.value(f"insertelement {self.vector} poison, double {value}, i64 0")
-        return self.value(
-            f"shufflevector {self.vector} {first}, {self.vector} poison, <{self.lanes} x i32> zeroinitializer"
-        )
+        mask = f"<{self.lanes} x i32> zeroinitializer"
+        return self.value(f"shufflevector {self.vector} {first}, {self.vector} poison, {mask}")
 
 
 def _align(kind: str) -> int:

@@ -30,18 +30,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hygrokf.engine.discretisation import NODES
 from hygrokf.engine.packing import pack, unpack
+from hygrokf.engine.traced_filter import Recursion
 from hygrokf.physics.expression import Matrix, is_zero
 from hygrokf.physics.holds import LINEAR
 from hygrokf.physics.model import Values
-
-if TYPE_CHECKING:
-    from hygrokf.engine.traced_filter import Recursion
 
 MOST = 10_000
 """Largest number of sub-steps that the loops take for a whole step; of a longer step they take the last
@@ -71,7 +68,7 @@ class LongStep:
 
     def take(self, values: Mapping[str, float], state: np.ndarray) -> np.ndarray:
         """Move a state to the tail, in place; returns the transition (n, n) to there."""
-        moved, transition = self._moved(values, state[None])
+        moved, transition = self._jumped(values, state[None])
         state[:] = moved[0]
         return transition[0]
 
@@ -83,10 +80,10 @@ class LongStep:
         moved = {
             name: values[name] + 1e-30j * seed for name, seed in zip(self.recursion.p, seeds, strict=True)
         }
-        found, _ = self._moved(moved, state + 1e-30j * dots.T)
+        found, _ = self._jumped(moved, state + 1e-30j * dots.T)
         return np.imag(found).T * 1e30
 
-    def back(
+    def adjoints(
         self, values: Mapping[str, float], state: np.ndarray, bar: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray]:
         """Adjoints (width,) of the state before and (d,) of the parameters, from the adjoints `bar` of the
@@ -96,20 +93,19 @@ class LongStep:
         dots, seeds = np.zeros((width, n + d)), np.zeros((d, n + d))
         dots[:n, :n], seeds[:, n:] = np.eye(n), np.eye(d)
         found = bar @ self.tangents(values, state, dots, seeds)
-        transition = self._moved(values, state[None])[1][0]
-        share = np.where(
-            np.eye(n, dtype=bool), 1.0, 0.5
-        )  # of the adjoint of a packed entry, which stands for two
+        transition = self._jumped(values, state[None])[1][0]
+        # off the diagonal, a packed entry stands for two entries: each takes half of its adjoint
+        share = np.where(np.eye(n, dtype=bool), 1.0, 0.5)
         back = [
             pack(transition.T @ (unpack(part, n) * share) @ transition / share)
             for part in np.split(bar[n:], 2 * (width - n) // (n * (n + 1)))
         ]
         return np.concatenate([found[:n], *back]), found[n:]
 
-    def _moved(self, values: Values, packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def _jumped(self, values: Values, packed: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Packed moments (B, width) at the tail, and the transition (B, n, n)."""
         n, (count, width) = self.recursion.n, packed.shape
-        found = jumped(
+        found = jump(
             self.recursion,
             values,
             self.before,
@@ -123,7 +119,7 @@ class LongStep:
 
 
 @dataclass(frozen=True)
-class Jumped:
+class Moments:
     """Moments after a jump: `mean` (B, n), `covariances` (B, n, n) each, and the `transition` (B, n, n) of
     the state."""
 
@@ -132,7 +128,7 @@ class Jumped:
     transition: np.ndarray
 
 
-def jumped(
+def jump(
     recursion: Recursion,
     values: Values,
     before: Mapping[str, np.ndarray | float],
@@ -141,7 +137,7 @@ def jumped(
     rest_h: np.ndarray,
     mean: np.ndarray,
     covariances: Sequence[np.ndarray],
-) -> Jumped:
+) -> Moments:
     """The moments after `hours` (B,) [h].
 
     `values` of the parameters; `before` and `after` the inputs at both ends (numbers or (B,)), linear in
@@ -149,8 +145,7 @@ def jumped(
     first one accumulates the noise, the others are only propagated.  Accepts complex numbers, so that complex
     steps give exact derivatives.  A model that grows without limit yields numbers that are not finite.
     """
-    known = {f"p:{name}": value for name, value in values.items()}
-    noise = _matrix(recursion, recursion.noise, known, len(mean))
+    noise = _matrix(recursion, recursion.noise, recursion.symbols(values), len(mean))
     transition = np.broadcast_to(np.eye(recursion.n), (len(mean), recursion.n, recursion.n))
     pieces = 1 if recursion.exact else max(1, math.ceil(math.log2(np.max(1.0 + hours / rest_h)) - 1e-9))
     shrink = (1.0 + hours / rest_h) ** (-1.0 / pieces)
@@ -159,11 +154,11 @@ def jumped(
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(pieces):
             first, last = (inputs_between(holds, before, after, share[i]) for i in (k, k + 1))
-            short = known | {f"m{i}": mean[:, i] for i in range(recursion.n)}
-            matrix = _matrix(recursion, recursion.jacobian, short | _at(last), len(mean))
+            at_end = recursion.symbols(values, mean.T, last)
+            matrix = _matrix(recursion, recursion.jacobian, at_end, len(mean))
             rest = [
-                _vector(recursion, short | _at(inputs_between(holds, first, last, c)), len(mean))
-                for c in NODES
+                _vector(recursion, at_end | recursion.symbols({}, (), inputs), len(mean))
+                for inputs in (inputs_between(holds, first, last, c) for c in NODES)
             ]
             change, gained = _doubled(matrix, rest, noise, (share[k + 1] - share[k]) * hours)
             n = recursion.n
@@ -172,7 +167,7 @@ def jumped(
             carried = tuple(_symmetric(step @ p @ np.swapaxes(step, 1, 2)) for p in carried)
             carried = (carried[0] + gained, *carried[1:])
             transition = step @ transition
-    return Jumped(mean, carried, transition)
+    return Moments(mean, carried, transition)
 
 
 def _doubled(
@@ -228,10 +223,6 @@ def inputs_between(
     }
 
 
-def _at(inputs: Mapping[str, np.ndarray | float]) -> dict[str, np.ndarray | float]:
-    return {f"{kind}:{name}": value for name, value in inputs.items() for kind in ("b", "g")}
-
-
 def _vector(recursion: Recursion, known: Values, count: int) -> np.ndarray:
     """The rates f (B, n)."""
     found = [np.broadcast_to(v, count) for v in recursion.graph.evaluate(recursion.rates, known)]
@@ -243,10 +234,10 @@ def _matrix(recursion: Recursion, rows: Matrix, known: Values, count: int) -> np
     n = recursion.n
     places = [(i, j) for i in range(n) for j in range(n) if not is_zero(rows[i][j])]
     found = recursion.graph.evaluate([rows[i][j] for i, j in places], known)
-    made = np.zeros((count, n, n), dtype=np.result_type(float, *found))
+    matrix = np.zeros((count, n, n), dtype=np.result_type(float, *found))
     for (i, j), value in zip(places, found, strict=True):
-        made[:, i, j] = value
-    return made
+        matrix[:, i, j] = value
+    return matrix
 
 
 def _symmetric(matrix: np.ndarray) -> np.ndarray:

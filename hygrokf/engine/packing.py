@@ -19,22 +19,22 @@ def trace_width(n: int, outputs: int, diffuse: bool = False) -> int:
     return 2 * (n + (2 if diffuse else 1) * (n * (n + 1) // 2)) + 2 * outputs + n * n
 
 
-def unpack(packed: np.ndarray, n: int) -> np.ndarray:
-    """Packed lower triangles (..., q) as symmetric matrices (..., n, n)."""
-    return packed[..., _places(n)]
-
-
 @cache
 def _places(n: int) -> np.ndarray:
     return np.array([[place(i, j) for j in range(n)] for i in range(n)])
+
+
+@cache
+def _triangle(n: int) -> tuple[np.ndarray, np.ndarray]:
+    return np.tril_indices(n)
+
+
+def unpack(packed: np.ndarray, n: int) -> np.ndarray:
+    """Packed lower triangles (..., q) as symmetric matrices (..., n, n)."""
+    return packed[..., _places(n)]
 
 
 def pack(matrix: np.ndarray) -> np.ndarray:
     """Symmetric matrices (..., n, n) as packed lower triangles (..., q)."""
     rows, columns = _triangle(matrix.shape[-1])
     return np.ascontiguousarray(matrix[..., rows, columns])
-
-
-@cache
-def _triangle(n: int) -> tuple[np.ndarray, np.ndarray]:
-    return np.tril_indices(n)

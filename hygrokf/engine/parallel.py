@@ -29,6 +29,6 @@ def mapped(function: Callable[[T], R], items: Iterable[T]) -> list[R]:
     known = list(items)
     count = min(threads(), len(known))
     if count < 2:
-        return [function(one) for one in known]
+        return [function(item) for item in known]
     with ThreadPoolExecutor(count) as pool:
         return list(pool.map(function, known))

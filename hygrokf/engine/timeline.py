@@ -48,9 +48,17 @@ class Timeline:
 
     @cached_property
     def corners(self) -> dict[str, np.ndarray]:
-        """Inputs that span the range of the whole run: sub-steps are chosen by them, so that a piece takes
-        the same as the whole."""
-        return _corners(self.whole)
+        """All inputs at the instants of the whole run where one of them is largest or smallest, and at two
+        dozen instants in between.
+
+        The sub-steps follow from these, so that a piece of the run takes the same ones as the whole.
+        """
+        count = len(next(iter(self.whole.values()), ()))
+        rows = set(np.linspace(0, count - 1, 24).astype(int).tolist())
+        for values in self.whole.values():
+            rows |= {int(np.argmin(values)), int(np.argmax(values))}
+        chosen = np.array(sorted(rows))
+        return {name: values[chosen] for name, values in self.whole.items()}
 
     @property
     def seconds(self) -> np.ndarray:
@@ -83,8 +91,9 @@ class Timeline:
         u = self.u.copy()
         for name, value in inputs.items():
             u[1:, self.varying.index(name)] = value
-        made = replace(self, u=u)
-        return replace(made, whole={n: np.append(value, made.input(n)) for n, value in self.whole.items()})
+        changed = replace(self, u=u)
+        whole = {n: np.append(value, changed.input(n)) for n, value in self.whole.items()}
+        return replace(changed, whole=whole)
 
     def window(self, first: int, last: int) -> Timeline:
         """Instants first … last−1, including the step to the first one, which starts from an earlier
@@ -144,12 +153,13 @@ def timeline(
     flags = np.zeros(count, dtype=np.int32)
     for bit, name in enumerate(model.averaged):
         flags |= (np.asarray((resets or {}).get(name, np.zeros(count, bool)), bool) << bit).astype(np.int32)
+    u = _columns([inputs[n] for n in varying], count)
     return Timeline(
         whole={n: np.asarray(inputs[n], float) for n in model.inputs},
         time=time,
         key=key,
         steps=steps,
-        u=_led(_columns([inputs[n] for n in varying], count)),
+        u=np.concatenate([u[:1], u]),
         y=_columns([readings.get(n, math.nan) for n in model.outputs], count),
         reset=flags,
         varying=varying,
@@ -168,22 +178,6 @@ def _distinct(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     key = np.empty(len(rows), dtype=np.int32)
     key[order] = np.cumsum(begins) - 1
     return np.ascontiguousarray(placed[begins]), key
-
-
-def _corners(inputs: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """All inputs at the instants where one of them is largest or smallest, and at two dozen instants in
-    between."""
-    count = len(next(iter(inputs.values()), ()))
-    rows = set(np.linspace(0, count - 1, 24).astype(int).tolist())
-    for values in inputs.values():
-        rows |= {int(np.argmin(values)), int(np.argmax(values))}
-    chosen = np.array(sorted(rows))
-    return {name: values[chosen] for name, values in inputs.items()}
-
-
-def _led(rows: np.ndarray) -> np.ndarray:
-    """The rows with the first one repeated at the front."""
-    return np.concatenate([rows[:1], rows])
 
 
 def _columns(columns: Sequence[np.ndarray | float], count: int) -> np.ndarray:

@@ -1,11 +1,11 @@
-"""The extended Kalman filter of one traced model as compiled loops: value, score, sensitivities, trace.
+"""The extended Kalman filter of a model, traced: the expressions of one step, and when each is known.
 
 One step of the filter is traced once as two kinds of blocks, `predict` (a sub-step) and `update` (one scalar
-reading). The likelihood, its adjoint (score), its tangents (sensitivities of every innovation) and the trace
-of all moments are made from these blocks.  Readings at one instant are processed one after the other, each
-linearised at the state that the previous one left.  A missing reading (NaN) is skipped, so that a gap, a dead
-sensor and a forecast take the same path. Every loop starts from a given Gaussian and returns the last one:
-the offline filter is a fold of the online step.
+reading).  The compiled loops (`hygrokf.engine.filter_loops`) are made from these blocks: the likelihood, its
+adjoint (score), its tangents (sensitivities of every innovation) and the trace of all moments.  Readings at
+one instant are processed one after the other, each linearised at the state that the previous one left.  A
+missing reading (NaN) is skipped, so that a gap, a dead sensor and a forecast take the same path.  Every loop
+starts from a given Gaussian and returns the last one: the offline filter is a fold of the online step.
 
 Numbers of one record (`expression.Given`) are passed after the parameters and are not part of the code:
 recursions that differ only in these numbers share their code.
@@ -21,17 +21,12 @@ from __future__ import annotations
 
 import hashlib
 import weakref
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from functools import cached_property
-from threading import Lock
 
 import numpy as np
 
-from hygrokf.engine.control_loop import Control
 from hygrokf.engine.discretisation import Step, congruence, step
-from hygrokf.engine.filter_codegen import CONSTANT, INSTANT, KEY, PARAMETER, loop_text
-from hygrokf.engine.jit import Code
 from hygrokf.engine.packing import place
 from hygrokf.physics.expression import (
     Expression,
@@ -46,21 +41,19 @@ from hygrokf.physics.expression import (
     where,
 )
 from hygrokf.physics.holds import LINEAR, REGIME
-from hygrokf.physics.model import Model, System, TracedOutput
+from hygrokf.physics.model import Model, System, TracedOutput, Values
 
 DIFFUSE_TOLERANCE = 1e-9
 """An infinite variance counts as resolved below this share of its initial value."""
 
-
-@dataclass
-class Block:
-    """Traced straight-line code: outputs from leaves."""
-
-    outputs: list[Expression]
+CONSTANT, PARAMETER, KEY, INSTANT = range(4)
+"""Stages: when a value first becomes known."""
+Block = list[Expression]
+"""Outputs of traced straight-line code."""
 
 
 class Recursion:
-    """Compiled filter loops of one `System`.
+    """The filter of one `System` as expressions.
 
     With `diffuse`, a second covariance P∞ follows the first in the moments: the prior covariance is κ P∞ with
     κ → ∞ (exact diffuse start, Durbin & Koopman 2012, section 5.2).
@@ -78,7 +71,7 @@ class Recursion:
         self.regimes = [name for name, hold in system.inputs.items() if hold == REGIME]
         self.h = g.symbol("h")
         regime = {name: g.symbol(f"g:{name}") for name in self.regimes}
-        self._key_leaves = [self.h, *regime.values()]
+        self.key_leaves = [self.h, *regime.values()]
         self.mean = [g.symbol(f"m{i}") for i in range(n)]
         self.packed = [g.symbol(f"P{i}{j}") for i in range(n) for j in range(i + 1)]
         self.covariance = self._square(self.packed)
@@ -104,18 +97,17 @@ class Recursion:
             self.end,
             self.h,
         )
-        self.predict = Block([*self.step.mean, *self._lower(self.step.covariance)])
+        self.predict: Block = [*self.step.mean, *self._lower(self.step.covariance)]
         if diffuse:
             carried = congruence(self.step.transition, self._square(self.infinite))
-            self.predict.outputs.extend(self._lower(carried))
+            self.predict.extend(self._lower(carried))
         self.rates = [g.lift(v) for v in system.drift(self.mean, self.now, self.p)]
         self.jacobian = jacobian(self.rates, self.mean)
         self.updates = [self._trace_update(function) for _, function in system.outputs]
-        self._transition_outputs = [g.lift(v) for row in self.step.transition for v in row]
+        self.transition = [g.lift(v) for row in self.step.transition for v in row]
         self.given = [g.symbol(f"c:{i}") for i in range(len(g.given))]
         self.constants = np.array(g.given, dtype=float)
-        self._structure = self._described()
-        self._making = Lock()
+        self.structure = self._digest()
 
     # -- tracing ---------------------------------------------------------------------------------------------
     def _lower(self, matrix: Matrix) -> list[Expression]:
@@ -146,7 +138,7 @@ class Recursion:
         ]
         quadratic = error * error * inverse
         if not self.diffuse:
-            return Block([*mean, *covariance, error, spread, quadratic])
+            return [*mean, *covariance, error, spread, quadratic]
         return self._diffuse_update(row, cross, error, spread, [*mean, *covariance], quadratic)
 
     def _diffuse_update(
@@ -176,12 +168,20 @@ class Recursion:
         ]
         rest = [where(seen, infinite[i][j] - m[i] * m[j] * inverse, infinite[i][j]) for i, j in lower]
         moments = [where(seen, a, b) for a, b in zip([*mean, *covariance], usual, strict=True)]
-        return Block([*moments, *rest, error, where(seen, f, spread), where(seen, 0.0, quadratic)])
+        return [*moments, *rest, error, where(seen, f, spread), where(seen, 0.0, quadratic)]
+
+    def symbols(
+        self, values: Values, mean: Iterable[Value] = (), inputs: Values | None = None
+    ) -> dict[str, Value]:
+        """Parameters, states (n) and inputs by the names of their symbols, as `graph.evaluate` takes them."""
+        known = {f"p:{name}": value for name, value in values.items()}
+        known |= {f"m{i}": value for i, value in enumerate(mean)}
+        return known | {f"{kind}:{name}": v for name, v in (inputs or {}).items() for kind in ("b", "g")}
 
     @cached_property
     def stage(self) -> list[int]:
         """For every node, the earliest stage at which its value is known."""
-        key = {e.index for e in self._key_leaves}
+        key = {e.index for e in self.key_leaves}
         result: list[int] = []
         for i, node in enumerate(self.graph.nodes):
             if node[0] == "const":
@@ -200,7 +200,7 @@ class Recursion:
         varying = [f"m{i}" for i in range(self.n)] + [f"b:{name}" for name in self.varying]
         return not any(depends_on(self.graph, v, varying) for row in self.jacobian for v in row)
 
-    def _boundary(self, outputs: Sequence[Expression], stage: int) -> tuple[list[int], list[int]]:
+    def boundary(self, outputs: Sequence[Expression], stage: int) -> tuple[list[int], list[int]]:
         """Nodes of earlier stages read by the code of `stage`: (of the parameter stage, of the key stage)."""
         stages = self.stage
         found: set[int] = set()
@@ -233,8 +233,8 @@ class Recursion:
         _ = self.stage
         found: set[int] = set()
         for block in self._blocks:
-            found.update(self._boundary(block.outputs, INSTANT)[1])
-        found.update(e.index for e in self._transition_outputs if self.stage[e.index] == KEY)
+            found.update(self.boundary(block, INSTANT)[1])
+        found.update(e.index for e in self.transition if self.stage[e.index] == KEY)
         return sorted(found)
 
     @cached_property
@@ -243,11 +243,11 @@ class Recursion:
         themselves."""
         found: set[int] = set()
         for block in self._blocks:
-            found.update(self._boundary(block.outputs, INSTANT)[0])
+            found.update(self.boundary(block, INSTANT)[0])
         keys = [Expression(self.graph, i) for i in self.key_nodes]
-        found.update(self._boundary(keys, KEY)[0])
-        found.update(e.index for b in self._blocks for e in b.outputs if self.stage[e.index] == PARAMETER)
-        found.update(e.index for e in self._transition_outputs if self.stage[e.index] == PARAMETER)
+        found.update(self.boundary(keys, KEY)[0])
+        found.update(e.index for b in self._blocks for e in b if self.stage[e.index] == PARAMETER)
+        found.update(e.index for e in self.transition if self.stage[e.index] == PARAMETER)
         return sorted(found)
 
     @cached_property
@@ -256,40 +256,25 @@ class Recursion:
         names = [f"p:{name}" for name in self.p]
         return [i for i in self.parameter_nodes if depends_on(self.graph, Expression(self.graph, i), names)]
 
-    def _described(self) -> str:
+    def _digest(self) -> str:
         """Digest of everything that determines the compiled loops: recursions with the same digest share
         their code."""
-        outputs = [[e.index for e in block.outputs] for block in self._blocks]
+        outputs = [[e.index for e in block] for block in self._blocks]
         system = self.system
-        said = (
+        content = (
             *(system.parameters, system.states, sorted(system.inputs.items()), list(system.inputs)),
             *(system.resets, self.diffuse, self.graph.nodes, outputs),
-            [e.index for e in self._transition_outputs],
+            [e.index for e in self.transition],
         )
-        return hashlib.sha256(repr(said).encode()).hexdigest()
-
-    def code(self, kind: str, gain: bool = True, controls: tuple[Control, ...] = ()) -> Code:
-        """Compiled function of a kind: value, trace, adjoint, tangent; without `gain` the filter runs free.
-
-        The kind "controlled" is a free run in which the `controls` follow the simulation.
-        """
-        made = _codes.setdefault(self._structure, {})
-        if (kind, gain, controls) not in made:
-            with self._making:
-                if (kind, gain, controls) not in made:
-                    made[kind, gain, controls] = Code(loop_text(self, kind, gain, controls), [kind])
-        return made[kind, gain, controls]
-
-
-_codes: dict[str, dict[tuple[str, bool, tuple[Control, ...]], Code]] = {}
+        return hashlib.sha256(repr(content).encode()).hexdigest()
 
 
 def _quadratic(row: list[Value], covariance: Matrix, cross: list[Value]) -> Value:
     """h P h'; a row with a single entry squares it first, which shortens the dependency chain between
     steps."""
-    there = [i for i, v in enumerate(row) if not is_zero(v)]
-    if len(there) == 1:
-        (i,) = there
+    nonzero = [i for i, v in enumerate(row) if not is_zero(v)]
+    if len(nonzero) == 1:
+        (i,) = nonzero
         return (row[i] * row[i]) * covariance[i][i]
     return dot(row, cross)
 
@@ -303,8 +288,7 @@ _filters: dict[tuple[int, bool], Recursion] = {}
 
 
 def traced(model: Model, diffuse: bool = False) -> Recursion:
-    """The compiled filter of a model, traced and compiled at first use; with `diffuse` it carries an infinite
-    covariance too."""
+    """The filter of a model, traced at first use; with `diffuse` it carries an infinite covariance too."""
     key = (id(model), diffuse)
     found = _filters.get(key)
     if found is None:

@@ -15,7 +15,7 @@ from hygrokf.engine.batch_codegen import fleet_text, kept_nodes
 from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
 from hygrokf.engine.jit import Code
 from hygrokf.engine.llvm_writer import RUNS
-from hygrokf.engine.long_steps import MOST, TAIL, inputs_between, jumped
+from hygrokf.engine.long_steps import MOST, TAIL, inputs_between, jump
 from hygrokf.engine.packing import pack, unpack
 from hygrokf.engine.traced_filter import traced
 from hygrokf.estimation.likelihood import Gaussian
@@ -124,7 +124,7 @@ class SideBySide:
         parts = np.maximum(np.ceil(np.multiply(hours, self._fastest) / self._limit - 1e-9), 1.0)
         if (far := parts > MOST).any():
             hours = np.array(np.broadcast_to(hours, self._count), dtype=float)
-            hours[far], parts[far] = self._jumped(far, hours[far], inputs), TAIL
+            hours[far], parts[far] = self._jump(far, hours[far], inputs), TAIL
         self._fill(self._parts, parts)
         self._fill(self._keys[0], hours / parts)
         for place, name in enumerate(self.regimes):
@@ -137,7 +137,7 @@ class SideBySide:
             self._known, self._before, self._now, self._y, self._state,
         )  # fmt: skip
 
-    def _jumped(
+    def _jump(
         self, far: np.ndarray, hours: np.ndarray, inputs: Mapping[str, np.ndarray | float]
     ) -> np.ndarray:
         """Move the runs `far` (N,) to the tails of their long steps of `hours` [h]; returns the remaining
@@ -149,7 +149,7 @@ class SideBySide:
         }
         tail = inputs_between(self.model.holds, before, now, 1.0 - rest_h / hours)
         rows, n = self._in_rows(self._state).copy(), traced(self.model).n
-        found = jumped(
+        found = jump(
             traced(self.model),
             {name: column[far] for name, column in self._values.items()},
             before,

@@ -22,15 +22,13 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from hygrokf.engine.parallel import mapped
-from hygrokf.estimation.optimiser import BETTER, Estimate, Objective, bounded_step
+from hygrokf.estimation.optimiser import AT_LIMIT, BETTER, Estimate, Objective, bounded_step
 from hygrokf.physics.parameters import Coordinates, Parameter
 
 STEP_OF_SE = 0.02
 """Central differences of the score move a coordinate by this share of its standard error."""
 FLAT_SE = 3.0
 """[ln] a positive parameter whose logarithm has a larger standard error is called not identifiable."""
-AT_LIMIT = 1e-9
-"""Distance within which a coordinate counts as being at a limit."""
 WALK_STEPS = 40
 WALK_TOLERANCE = 2e-3
 """Re-estimation along a profile ends when the next step promises less than this much log-likelihood."""
@@ -103,8 +101,8 @@ class Bounds:
     upper: float
     level: float
     method: str
-    statement: str
-    curve: np.ndarray
+    statement: str = ""
+    curve: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
     limited_by: tuple[Limit, ...] = ()
     better: Mapping[str, float] | None = None
 
@@ -116,7 +114,7 @@ def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
     """
     coordinates, z = estimate.coordinates, estimate.z
     inside = np.array([name not in estimate.at_bounds for name in coordinates.names])
-    _, _, information = objective.information(z)
+    _, _, information, scores = objective.information_and_scores(z)
     if not np.isfinite(information).all():
         raise ValueError(
             "expected a finite likelihood around the estimate, found none: the model runs away with "
@@ -130,7 +128,7 @@ def uncertainty(objective: Objective, estimate: Estimate) -> Uncertainty:
     names = tuple(n for n, there in zip(coordinates.names, inside, strict=True) if there)
     wald = positive_inverse(hessian)
     prior = coordinates.log_prior(z)[2][inside]
-    scores = objective.scores(z)[:, inside]
+    scores = scores[:, inside]
     variance = long_run_variance(scores, objective.likelihood.timeline.time, block_h(estimate.values))
     sandwich = wald @ (variance + np.diag(prior)) @ wald
     factor = np.maximum(1.0, np.diag(sandwich) / np.diag(wald))
@@ -238,14 +236,9 @@ def long_run_variance(scores: np.ndarray, time: np.ndarray, block_h: float, lags
 
 
 def _flat(coordinates: Coordinates, names: tuple[str, ...], covariance: np.ndarray) -> tuple[str, ...]:
-    by_name = {p.name: p for p in coordinates.free}
-    flat = []
-    for name, se in zip(names, np.sqrt(np.diag(covariance)), strict=True):
-        p = by_name[name]
-        width = FLAT_SE if p.positive else 0.5 * (p.upper - p.lower)
-        if se > width:
-            flat.append(name)
-    return tuple(flat)
+    widths = [FLAT_SE if p.positive else 0.5 * (p.upper - p.lower) for p in map(coordinates.parameter, names)]
+    errors = np.sqrt(np.diag(covariance))
+    return tuple(name for name, se, width in zip(names, errors, widths, strict=True) if se > width)
 
 
 def _trade_offs(names: tuple[str, ...], covariance: np.ndarray) -> tuple[tuple[str, str, float], ...]:
@@ -269,17 +262,17 @@ def wald_bounds(
     value = estimate.values[name]
     place = found.place(name)
     if place is None:
-        return Bounds(value, -math.inf, math.inf, level, "none", "at a bound or fixed", np.empty((0, 2)))
-    p = next(q for q in estimate.coordinates.parameters if q.name == name)
+        return Bounds(value, -math.inf, math.inf, level, "none", "at a bound or fixed")
+    p = estimate.coordinates.parameter(name)
     variances = {"wald": found.wald[place, place], "sandwich": found.sandwich[place, place]}
     variances["wider"] = max(variances.values())
     se, method = math.sqrt(variances[covariance]), "wald" if covariance == "wider" else covariance
     z = p.to_coordinate(value)
     reach = normal_quantile(level) * se
     if p.positive and se > FLAT_SE:
-        return Bounds(value, 0.0, math.inf, level, method, "not identifiable", np.empty((0, 2)))
+        return Bounds(value, 0.0, math.inf, level, method, "not identifiable")
     ends = [p.from_coordinate(min(max(z + s * reach, -700.0), 700.0)) for s in (-1.0, 1.0)]
-    return Bounds(value, ends[0], ends[1], level, method, "", np.empty((0, 2)))
+    return Bounds(value, ends[0], ends[1], level, method)
 
 
 def standard_error(estimate: Estimate, found: Uncertainty, name: str) -> float:
@@ -290,7 +283,7 @@ def standard_error(estimate: Estimate, found: Uncertainty, name: str) -> float:
     place = found.place(name)
     if place is None:
         return math.nan
-    p = next(q for q in estimate.coordinates.parameters if q.name == name)
+    p = estimate.coordinates.parameter(name)
     variance = max(found.wald[place, place], found.sandwich[place, place])
     if p.positive and math.sqrt(variance) > FLAT_SE:
         return math.nan
@@ -321,7 +314,7 @@ def profile(
     limit stays there unless the score moves it back.
     """
     coordinates = estimate.coordinates
-    p = next(q for q in coordinates.free if q.name == name)
+    p = coordinates.parameter(name)
     index = coordinates.names.index(name)
     place = found.place(name)
     factor = float(found.factor[place]) if place is not None else 1.0
@@ -345,9 +338,9 @@ def profile(
     curve = np.array(sorted(points))
     lower = (0.0 if p.positive else p.lower) if ends[0] is None else p.from_coordinate(ends[0])
     upper = (math.inf if p.positive else p.upper) if ends[1] is None else p.from_coordinate(ends[1])
-    said = describe(p.unit, lower, upper, ends, limits)
+    statement = describe(p.unit, lower, upper, ends, limits)
     return Bounds(
-        estimate.values[name], lower, upper, level, "profile", said, curve, tuple(limits), walk.better()
+        estimate.values[name], lower, upper, level, "profile", statement, curve, tuple(limits), walk.better()
     )
 
 
@@ -358,33 +351,30 @@ def describe(
     open."""
     open_ = [limit for limit in limits if limit.effect == "open"]
     because = "".join(
-        f"; the {limit.end} end stays open: there {limit.parameter} is {_of_unit(limit.value, limit.unit)}, "
-        f"far beyond its limit {_of_unit(limit.limit, limit.unit)}"
+        f"; the {limit.end} end stays open: there {limit.parameter} is "
+        f"{_with_unit(limit.value, limit.unit)}, far beyond its limit {_with_unit(limit.limit, limit.unit)}"
         for limit in open_
     )
     if ends[0] is None and ends[1] is None:
         return "not identifiable from this record" + because
     if ends[0] is None:
-        return f"≤ {_of_unit(upper, unit)}{because}"
-    return f"≥ {_of_unit(lower, unit)}{because}" if ends[1] is None else ""
+        return f"≤ {_with_unit(upper, unit)}{because}"
+    return f"≥ {_with_unit(lower, unit)}{because}" if ends[1] is None else ""
 
 
 def limit_remarks(name: str, bounds: Bounds) -> list[str]:
     """One sentence for each limit of another parameter that closed ends of a profile met; `name` is the
     profiled parameter."""
-    said = {
-        "lifted": "beyond the limit {limit} of its search",
-        "held": "its physical limit",
-    }
+    remarks = {"lifted": "beyond the limit {limit} of its search", "held": "its physical limit"}
     return [
-        f"the {limit.end} bound of {name} has {limit.parameter} = {_of_unit(limit.value, limit.unit)}, "
-        + said[limit.effect].format(limit=_of_unit(limit.limit, limit.unit))
+        f"the {limit.end} bound of {name} has {limit.parameter} = {_with_unit(limit.value, limit.unit)}, "
+        + remarks[limit.effect].format(limit=_with_unit(limit.limit, limit.unit))
         for limit in bounds.limited_by
-        if limit.effect in said
+        if limit.effect in remarks
     ]
 
 
-def _of_unit(value: float, unit: str) -> str:
+def _with_unit(value: float, unit: str) -> str:
     return f"{value:.3g}" + ("" if unit == "1" else f" {unit}")
 
 
@@ -501,8 +491,7 @@ def _end(
     """The coordinate where the profile crosses the threshold on one side; None if it does not cross within
     the bound."""
     z = walk.estimate.z[index]
-    limit = (p.to_coordinate(p.upper) if direction > 0 else p.to_coordinate(p.lower)) - z
-    limit = abs(limit)
+    limit = abs(p.to_coordinate(p.upper if direction > 0 else p.lower) - z)
     points: list[tuple[float, float]] = []
 
     def root(offset: float) -> float:

@@ -18,12 +18,13 @@ import numpy as np
 from hygrokf.data.timestamps import duration_text, stamp_text
 from hygrokf.engine.control_loop import Control
 from hygrokf.engine.discretisation import CONSTANT_RATES, VARYING_RATES
+from hygrokf.engine.filter_loops import filter_loop
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.long_steps import MOST, TAIL, LongStep, inputs_between
 from hygrokf.engine.packing import pack, trace_width, unpack
 from hygrokf.engine.timeline import Timeline
 from hygrokf.engine.traced_filter import Recursion, traced
-from hygrokf.physics.expression import Value, is_zero
+from hygrokf.physics.expression import is_zero
 from hygrokf.physics.model import Model
 from hygrokf.physics.parameters import expect_values
 
@@ -151,12 +152,11 @@ class Likelihood:
     def _bounds(self, values: Mapping[str, float], inputs: Mapping[str, np.ndarray] | None) -> list[float]:
         """Upper bound of the rate of each state [1/h] (n,)."""
         r = self.recursion
-        known: dict[str, Value] = {f"p:{name}": v for name, v in values.items()}
+        known = r.symbols(values)
         if self._rate_moves:
             corners = self.timeline.corners if inputs is None else inputs
             mean, _ = self.model.initial(values, corners)
-            known |= {f"m{i}": np.asarray(v) for i, v in enumerate(mean)}
-            known |= {f"{kind}:{name}": v for name, v in corners.items() for kind in ("b", "g")}
+            known = r.symbols(values, map(np.asarray, mean), corners)
         places, pairs = self._rate_entries
         try:
             found = r.graph.evaluate([r.jacobian[i][j] for i, j in places], known)
@@ -289,6 +289,10 @@ class Likelihood:
         covariance = covariance * np.outer(1.0 - infinite, 1.0 - infinite)
         return np.concatenate([mean * (1.0 - infinite), pack(covariance), pack(np.diag(infinite))])
 
+    def _start(self, values: Mapping[str, float]) -> np.ndarray:
+        """The packed moments that a loop starts from and moves."""
+        return np.ascontiguousarray(self.first_state(values), dtype=float)
+
     def _stationary(self, values: Mapping[str, complex], mean: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Steady state at the first inputs, and the covariance that solves A P + P A' + Q = 0."""
         n = len(mean)
@@ -310,10 +314,8 @@ class Likelihood:
     def jacobian(self, values: Mapping[str, complex], mean: np.ndarray, u: Mapping[str, float]) -> np.ndarray:
         """Derivatives (n, n) [1/h] of the states' rates by the states, at `mean` (n,) and inputs `u`."""
         r = self.recursion
-        known: dict[str, Value] = {f"p:{name}": v for name, v in values.items()}
-        known |= {f"m{i}": v for i, v in enumerate(mean)}
-        known |= {f"{kind}:{name}": v for name, v in u.items() for kind in ("b", "g")}
-        return np.array([[v for v in r.graph.evaluate(row, known)] for row in r.jacobian])
+        known = r.symbols(values, mean, u)
+        return np.array([r.graph.evaluate(row, known) for row in r.jacobian])
 
     def _first_state_slopes(self, values: Mapping[str, float]) -> np.ndarray:
         """Derivatives (d, w) of the first moments, by complex steps (exact to rounding)."""
@@ -349,9 +351,9 @@ class Likelihood:
         )
 
     def _inputs(self, steps: _Steps, part: slice) -> np.ndarray:
-        """Inputs of these instants as a view; the compiled loop also reads the row in front of the first one.
+        """Inputs of these instants as a view; the compiled loop also reads the row in front of them.
 
-        After a long first step, the row in front holds the inputs at the start of its tail.
+        Where a long step leads to the first instant, that row holds the inputs at the start of its tail.
         """
         t = self.timeline
         if part.start not in steps.long:
@@ -376,6 +378,12 @@ class Likelihood:
         tail = inputs_between(self.model.holds, before, after, 1.0 - steps.tail_h / hours)
         return LongStep(self.recursion, before, tail, hours - steps.tail_h, steps.tail_h)
 
+    def _enter(
+        self, values: Mapping[str, float], steps: _Steps, part: slice, state: np.ndarray
+    ) -> np.ndarray | None:
+        """Move a state to the tail of the long step that a piece may begin with; returns the transition."""
+        return self._long(steps, part.start).take(values, state) if part.start in steps.long else None
+
     @cached_property
     def _store(self) -> np.ndarray:
         """Moments for the backward pass, kept between calls: allocation costs more than the filter."""
@@ -389,17 +397,16 @@ class Likelihood:
     # -- verbs -----------------------------------------------------------------------------------------------
     def value(self, values: Mapping[str, float]) -> float:
         """ln L; −inf where the filter breaks down (a variance that is not positive)."""
-        state = np.ascontiguousarray(self.first_state(values), dtype=float)
+        state = self._start(values)
         steps = self._steps(values)
         value = sum(self._run(values, steps, part, state) for part in steps.pieces(self._whole))
         return value if math.isfinite(value) else -math.inf
 
     def _run(self, values: Mapping[str, float], steps: _Steps, part: slice, state: np.ndarray) -> float:
         """ln L of a piece; moves `state` through it."""
-        if part.start in steps.long:
-            self._long(steps, part.start).take(values, state)
+        self._enter(values, steps, part, state)
         out = np.zeros(3)
-        self.recursion.code("value")("value", *self._common(values, steps, state, part), out)
+        filter_loop(self.recursion, "value")("value", *self._common(values, steps, state, part), out)
         return self._loglik(out)
 
     def controlled(
@@ -411,20 +418,20 @@ class Likelihood:
         the controls set, only the values at the instant before the first are used.
         """
         n, count = len(self.model.states), len(self.timeline)
-        state = np.ascontiguousarray(self.first_state(values), dtype=float)
+        state = self._start(values)
         state[n:] = 0.0
         found = np.zeros((count, len(controls)))
         levels, still = np.array(list(controls.values()), dtype=float), np.asarray(idle, dtype=float)
-        columns = [self.timeline.varying.index(one.input) for one in controls]
+        columns = [self.timeline.varying.index(control.input) for control in controls]
         # the loop writes the positions into the inputs, so it gets a copy
         own = replace(self, timeline=replace(self.timeline, u=self.timeline.u.copy()))
         own.timeline.u[0, columns] = np.round(own.timeline.u[0, columns])
-        code = self.recursion.code("controlled", False, tuple(controls))
+        code = filter_loop(self.recursion, "controlled", False, tuple(controls))
         steps = self._steps(values)
         for part in steps.pieces(self._whole):
             if part.start in steps.long:
                 own.timeline.u[part.start + 1, columns] = own.timeline.u[part.start, columns]
-                own._long(steps, part.start).take(values, state)
+            own._enter(values, steps, part, state)
             common = own._common(values, steps, state, part)
             code("controlled", *common, still[part], levels, found[part])
             own.timeline.u[part.stop, columns] = found[part.stop - 1]
@@ -432,7 +439,7 @@ class Likelihood:
 
     def score(self, values: Mapping[str, float]) -> tuple[float, np.ndarray]:
         """ln L and its exact derivatives (d,) with respect to all parameters, by one backward pass."""
-        state = np.ascontiguousarray(self.first_state(values), dtype=float)
+        state = self._start(values)
         steps = self._steps(values)
         pieces = steps.pieces(self._whole)
         states = [state]
@@ -443,12 +450,11 @@ class Likelihood:
         loglik, theta_bar, state_bar = 0.0, np.zeros(len(self.recursion.p)), np.zeros(len(state))
         for part, state in zip(reversed(pieces), reversed(states), strict=True):
             entered = state.copy()
-            if part.start in steps.long:
-                self._long(steps, part.start).take(values, entered)
+            self._enter(values, steps, part, entered)
             share, slopes = self._pulled_back(values, steps, part, entered, state_bar)
             loglik, theta_bar = loglik + share, theta_bar + slopes
             if part.start in steps.long:
-                state_bar, slopes = self._long(steps, part.start).back(values, state, state_bar)
+                state_bar, slopes = self._long(steps, part.start).adjoints(values, state, state_bar)
                 theta_bar = theta_bar + slopes
         return loglik, theta_bar + self._first_state_slopes(values) @ state_bar
 
@@ -468,7 +474,7 @@ class Likelihood:
         key_bar = np.zeros(max(1, len(steps.keys) * len(r.key_nodes)))
         buffer = np.empty((max(int(steps.parts.max(initial=1)), len(r.updates)) + 1, width))
         common = self._common(values, steps, state, part)
-        r.code("adjoint")("adjoint", *common, out, store, key_bar, theta_bar, state_bar, buffer)
+        filter_loop(r, "adjoint")("adjoint", *common, out, store, key_bar, theta_bar, state_bar, buffer)
         return self._loglik(out), theta_bar
 
     # where the filter breaks down and the value is −∞, these sums are not finite either
@@ -505,7 +511,7 @@ class Likelihood:
         blocks = range(0, max(count, 1), LANES)
         padded = np.zeros((directions.shape[0], len(blocks) * LANES))
         padded[:, :count] = directions
-        first = np.ascontiguousarray(self.first_state(values), dtype=float)
+        first = self._start(values)
         slopes = self._first_state_slopes(values).T @ padded
         states = [first.copy() for _ in blocks]
         dots = [np.ascontiguousarray(slopes[:, b : b + LANES]) for b in blocks]
@@ -542,13 +548,12 @@ class Likelihood:
             key_dot = np.empty(max(1, len(steps.keys) * len(r.key_nodes)) * LANES)
             for piece in steps.pieces(part):
                 if piece.start in steps.long:
-                    long = self._long(steps, piece.start)
-                    dot[:] = long.tangents(values, state, dot, seed)
-                    long.take(values, state)
+                    dot[:] = self._long(steps, piece.start).tangents(values, state, dot, seed)
+                self._enter(values, steps, piece, state)
                 own = slice(piece.start - part.start, piece.stop - part.start)
                 out, common = np.zeros(3), self._common(values, steps, state, piece)
                 rows = (e[own], s[own], de[own], ds[own])
-                r.code("tangent", gain)("tangent", *common, out, seed, dot, key_dot, *rows)
+                filter_loop(r, "tangent", gain)("tangent", *common, out, seed, dot, key_dot, *rows)
                 loglik += self._loglik(out)
             derivatives.append((de, ds))
         return (
@@ -568,7 +573,7 @@ class Likelihood:
         r = self.recursion
         n, outputs = r.n, len(r.updates)
         if start is None:
-            state = np.ascontiguousarray(self.first_state(values), dtype=float)
+            state = self._start(values)
         else:
             state = np.concatenate([start.mean, pack(start.covariance)])
         rows = np.empty((len(self.timeline), trace_width(n, outputs, self._diffuse)))
@@ -576,15 +581,13 @@ class Likelihood:
         q = n * (n + 1) // 2
         steps, loglik = self._steps(values), 0.0
         for part in steps.pieces(self._whole):
-            long = part.start in steps.long
-            through = self._long(steps, part.start).take(values, state) if long else None
+            through = self._enter(values, steps, part, state)
             out, common = np.zeros(3), self._common(values, steps, state, part)
-            r.code("trace", gain)("trace", *common, out, rows[part])
+            filter_loop(r, "trace", gain)("trace", *common, out, rows[part])
             loglik += self._loglik(out)
             if through is not None:
-                rows[part.start, 2 * width + 2 * outputs :] = (
-                    rows[part.start, 2 * width + 2 * outputs :].reshape(n, n) @ through
-                ).ravel()
+                transition = rows[part.start, 2 * width + 2 * outputs :]
+                transition[:] = (transition.reshape(n, n) @ through).ravel()
         before, after = rows[:, :width], rows[:, width + 2 * outputs : 2 * width + 2 * outputs]
         return Trace(
             prior_mean=before[:, :n],

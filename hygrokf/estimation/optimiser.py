@@ -30,6 +30,8 @@ MAXIMUM_PASSES = 60
 BUDGET = 3_000.0
 """Filter steps per instant of the record after which a climb is stopped; the fit of the demo's cabinet takes
 at most 76."""
+AT_LIMIT = 1e-9
+"""Distance within which a coordinate counts as being at a limit."""
 BETTER = 0.1
 """Excess in log-likelihood by which another point shows that an estimate is not a maximum; climbs converge
 far below it."""
@@ -48,7 +50,6 @@ class Optimum:
     objective: float
     converged: bool
     message: str
-    passes: int
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,6 @@ class Objective:
         self.likelihood = likelihood
         self.coordinates = coordinates
         self._place = coordinates.place()
-        self._count = len(coordinates.parameters)
 
     def value(self, z: np.ndarray) -> float:
         try:
@@ -104,16 +104,11 @@ class Objective:
     def _sensitivities(
         self, z: np.ndarray, each: bool
     ) -> tuple[float, np.ndarray, np.ndarray, np.ndarray | None]:
-        directions = np.zeros((self._count, len(z)))
-        directions[self._place, np.arange(len(z))] = self.coordinates.slopes(z)
+        directions = self.coordinates.directions(z)
         found = self.likelihood.sensitivities(self.coordinates.values(z), directions, each=each)
         prior, slope, curvature = self.coordinates.log_prior(z)
         information = found.information + np.diag(curvature)
         return found.loglik + prior, found.score + slope, information, found.scores
-
-    def scores(self, z: np.ndarray) -> np.ndarray:
-        """Each instant's share (T, d) of the score, without the prior."""
-        return self.information_and_scores(z)[3]
 
     def information_and_scores(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray, np.ndarray]:
         """`information`, and each instant's share (T, d) of the score, without the prior."""
@@ -129,7 +124,6 @@ class _Metered:
         self.coordinates = objective.coordinates
         self._objective = objective
         self._budget = self._left = budget
-        self.evaluations = 0
         self.best = (-math.inf, np.empty(0))
 
     def value(self, z: np.ndarray) -> float:
@@ -155,7 +149,6 @@ class _Metered:
             steps = self._objective.likelihood.steps_per_instant(self.coordinates.values(z))
         except FloatingPointError:  # without finite rates there are no steps to count
             steps = 1.0
-        self.evaluations += 1
         self._left -= steps
         if self._left < 0.0:
             raise _BudgetSpent(
@@ -187,7 +180,7 @@ def climb(
         return _climb(metered, start, passes, tolerance)
     except _BudgetSpent as spent:
         value, z = metered.best
-        return Optimum(z if z.size else start, value, False, str(spent), metered.evaluations)
+        return Optimum(z if z.size else start, value, False, str(spent))
 
 
 def _climb(objective: _Metered, start: np.ndarray, passes: int, tolerance: float) -> Optimum:
@@ -227,13 +220,13 @@ def _scoring(objective: _Metered, start: np.ndarray, passes: int, tolerance: flo
     damping = 1e-3
     value, gradient, information = objective.information(z)
     if not math.isfinite(value):
-        return Optimum(z, -math.inf, False, "the likelihood is not finite at the start", 0)
-    for done in range(1, passes + 1):
+        return Optimum(z, -math.inf, False, "the likelihood is not finite at the start")
+    for _ in range(passes):
         free = ~(((z <= lower) & (gradient <= 0)) | ((z >= upper) & (gradient >= 0)))
         if not free.any():
-            return Optimum(z, value, True, "converged: every free parameter is at a bound", done)
+            return Optimum(z, value, True, "converged: every free parameter is at a bound")
         if bounded_step(information, gradient, free, z, lower, upper, 1e-9)[1] < tolerance:
-            return Optimum(z, value, True, "converged", done)
+            return Optimum(z, value, True, "converged")
         for _ in range(25):
             step, promised = bounded_step(information, gradient, free, z, lower, upper, damping)
             if promised > 0:
@@ -242,16 +235,13 @@ def _scoring(objective: _Metered, start: np.ndarray, passes: int, tolerance: flo
                     damping = max(damping / (10.0 if trial - value > 0.5 * promised else 2.0), 1e-9)
                     break
                 if promised < 0.1 * tolerance:
-                    return Optimum(z, value, True, "converged to rounding", done)
+                    return Optimum(z, value, True, "converged to rounding")
             damping = max(damping, 1e-6) * 6.0
         else:
-            return Optimum(
-                z, value, False, "no step improves the likelihood, yet its score is not zero", done
-            )
-        new = z + step
-        z = new
+            return Optimum(z, value, False, "no step improves the likelihood, yet its score is not zero")
+        z = z + step
         value, gradient, information = objective.information(z)
-    return Optimum(z, value, False, f"stopped after {passes} passes", passes)
+    return Optimum(z, value, False, f"stopped after {passes} passes")
 
 
 def bounded_step(
@@ -391,7 +381,7 @@ def maximise(
         also begin from each of them (see `nested_starts`), and an estimate less likely than a parent's is
         never called converged.
     budget: filter steps per instant of the record for each climb.
-    progress: is told each step in words.
+    progress: called with a sentence about each step.
 
     Returns the estimate: `values` in the parameters' units, `loglik`, `converged` and `message`, `others`.
     Raises KeyError for unknown names in `fixed`.
@@ -411,7 +401,7 @@ def maximise(
         short.append(
             climb(scout, z, passes=15 if several else 25, tolerance=1e-2, budget=budget)
             if several or search
-            else Optimum(z, 0.0, False, "", 0)
+            else Optimum(z, 0.0, False, "")
         )
     short.sort(key=lambda o: -o.objective)
     optima: list[Optimum] = []
@@ -427,10 +417,10 @@ def maximise(
     least = least_objective(coordinates, parents)
     if max(o.objective for o in optima) < least - BETTER:
         optima += [climb(objective, z, budget=budget) for z in nested]
-    return refused_below(least, estimate_of(likelihood, coordinates, optima))
+    return reject_below(least, estimate_of(likelihood, coordinates, optima))
 
 
-def refused_below(least: float, found: Estimate) -> Estimate:
+def reject_below(least: float, found: Estimate) -> Estimate:
     """The estimate, marked as not converged where it is below the maximum of a model that it contains."""
     short = least - found.objective
     if not short > BETTER:
@@ -442,9 +432,7 @@ def refused_below(least: float, found: Estimate) -> Estimate:
     return replace(found, converged=False, message=message)
 
 
-def climbed_on(
-    likelihood: Likelihood, values: Mapping[str, float], passes: int = MAXIMUM_PASSES - 1
-) -> Estimate:
+def refine(likelihood: Likelihood, values: Mapping[str, float], passes: int = MAXIMUM_PASSES - 1) -> Estimate:
     """The estimate after a bounded number of scoring passes from values near a maximum.
 
     There is no quasi-Newton climb where scoring gets stuck: on a likelihood with edges it would take hundreds
@@ -459,13 +447,8 @@ def estimate_of(likelihood: Likelihood, coordinates: Coordinates, optima: list[O
     """The best of some optima, with the others beside it."""
     optima = sorted(optima, key=lambda o: -o.objective)
     best = optima[0]
-    values_ = coordinates.values(best.z)
-    margin = 1e-9
-    at = tuple(
-        p.name
-        for p, z, a, b in zip(coordinates.free, best.z, coordinates.lower, coordinates.upper, strict=True)
-        if z <= a + margin or z >= b - margin
-    )
+    values = coordinates.values(best.z)
+    ends = (best.z <= coordinates.lower + AT_LIMIT) | (best.z >= coordinates.upper - AT_LIMIT)
     message = (
         best.message
         if best.converged
@@ -474,12 +457,12 @@ def estimate_of(likelihood: Likelihood, coordinates: Coordinates, optima: list[O
     return Estimate(
         coordinates=coordinates,
         z=best.z,
-        values=values_,
-        loglik=likelihood.value(values_),
+        values=values,
+        loglik=likelihood.value(values),
         objective=best.objective,
         converged=best.converged,
         message=message,
-        at_bounds=at,
+        at_bounds=tuple(name for name, at in zip(coordinates.names, ends, strict=True) if at),
         others=tuple((o.objective, coordinates.values(o.z)) for o in optima[1:] if o.converged),
     )
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from hygrokf.estimation.confidence import long_run_variance, normal_quantile, positive_inverse
 from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.estimation.optimiser import AT_LIMIT
 from hygrokf.physics.parameters import Coordinates
 
 TRANSIENT_H = 24.0
@@ -22,8 +23,7 @@ FEWEST_BLOCKS = 40
 
 @dataclass(frozen=True)
 class OutputError:
-    """Estimates by simulation: `values` of all parameters, covariance of the coordinates `names`, residual sd
-    by output.
+    """Estimates by simulation: `values` of all parameters, and the covariance of the coordinates `names`.
 
     `at_bounds`: parameters that ended at a bound; `unseen`: constant errors of the sensors, which are 0 in
     `values` because a free run cannot distinguish them from the model's own parameters and this criterion has
@@ -33,7 +33,6 @@ class OutputError:
     values: dict[str, float]
     names: tuple[str, ...]
     covariance: np.ndarray
-    residual_sd: tuple[float, ...]
     converged: bool
     at_bounds: tuple[str, ...] = ()
     unseen: tuple[str, ...] = ()
@@ -43,13 +42,12 @@ class OutputError:
         range."""
         if name in self.at_bounds:
             return (0.0 if positive else -math.inf), math.inf
-        i = self.names.index(name)
+        i, value = self.names.index(name), self.values[name]
         reach = normal_quantile(level) * math.sqrt(max(self.covariance[i, i], 0.0))
         if positive:
-            return self.values[name] * math.exp(-min(reach, 50.0)), self.values[name] * math.exp(
-                min(reach, 50.0)
-            )
-        return self.values[name] - reach, self.values[name] + reach
+            factor = min(reach, 50.0)
+            return value * math.exp(-factor), value * math.exp(factor)
+        return value - reach, value + reach
 
 
 def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: int = 40) -> OutputError:
@@ -63,23 +61,17 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
     unseen = tuple(p.name for p in model.parameters if p.prior is not None)
     coordinates = Coordinates(model.parameters, held | dict.fromkeys(unseen, 0.0))
     z = coordinates.start(values)
-    place, count = coordinates.place(), len(model.parameters)
 
     def residuals(z: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        directions = np.zeros((count, len(z)))
-        directions[place, np.arange(len(z))] = coordinates.slopes(z)
-        e, slopes = likelihood.residuals(coordinates.values(z), directions)
+        e, slopes = likelihood.residuals(coordinates.values(z), coordinates.directions(z))
         return np.where(counted[:, None], e, np.nan), slopes
 
     def objective(e: np.ndarray) -> float:
         total = 0.0
         for column in e.T:
             seen = column[np.isfinite(column)]
-            total += (
-                0.5 * len(seen) * math.log(float(seen @ seen) / max(len(seen), 1) + 1e-300)
-                if len(seen)
-                else 0.0
-            )
+            if len(seen):
+                total += 0.5 * len(seen) * math.log(float(seen @ seen) / len(seen) + 1e-300)
         return total
 
     e, slopes = residuals(z)
@@ -113,11 +105,10 @@ def fit_output_error(likelihood: Likelihood, values: dict[str, float], passes: i
     # them
     block_h = min(max((time[-1] - time[0]) / FEWEST_BLOCKS, 12.0), 48.0)
     spread = long_run_variance(scores, time, block_h, lags=1)
-    sd = tuple(float(np.sqrt(np.nanmean(c**2))) if np.isfinite(c).any() else math.nan for c in e.T)
-    ends = (z <= coordinates.lower + 1e-9) | (z >= coordinates.upper - 1e-9)
+    ends = (z <= coordinates.lower + AT_LIMIT) | (z >= coordinates.upper - AT_LIMIT)
     at = tuple(name for name, there in zip(coordinates.names, ends, strict=True) if there)
     covariance = inverse @ spread @ inverse
-    return OutputError(coordinates.values(z), coordinates.names, covariance, sd, converged, at, unseen)
+    return OutputError(coordinates.values(z), coordinates.names, covariance, converged, at, unseen)
 
 
 def _normal_equations(e: np.ndarray, slopes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -6,8 +6,8 @@ Between two instants the moments of the state follow
     dm/dt = f(m, u(t)),    dP/dt = A P + P A' + Q,    A = ∂f/∂x at m,
 
 and each reading y = h(x) + e, e ~ N(0, R), corrects them by K = P H'/S, S = H P H' + R, H = ∂h/∂x at m.  The
-compiled
-filter (`engine.traced_filter`) does the same with closed-form steps and is some ten thousand times as fast.
+compiled filter (`engine.filter_loops`) does the same with closed-form steps and is some ten thousand times as
+fast.
 """
 
 from __future__ import annotations

@@ -21,10 +21,10 @@ from hygrokf.estimation.optimiser import (
     Estimate,
     Objective,
     climb,
-    climbed_on,
     least_objective,
     maximise,
-    refused_below,
+    refine,
+    reject_below,
 )
 from hygrokf.estimation.output_error import OutputError, fit_output_error
 from hygrokf.estimation.smoother import smooth
@@ -112,7 +112,7 @@ def select_form(
     estimate = maximise(Likelihood(chosen.design.model, run.timeline), chosen.estimate.values, count=1)
     least = least_objective(estimate.coordinates, (found.estimate,))
     last, further = select_form(
-        early, DesignEstimate(chosen.design, run, refused_below(least, estimate)), say
+        early, DesignEstimate(chosen.design, run, reject_below(least, estimate)), say
     )
     if ended_at_limits(last.estimate, found.estimate):
         return found, forms
@@ -138,7 +138,7 @@ def assess_stage(
     better = next((b.better for b in bounds.values() if b.better is not None), None)
     if better is not None:
         say("climb from a better point of the profile")
-        found = replace(found, estimate=climbed_on(found.likelihood, better))
+        found = replace(found, estimate=refine(found.likelihood, better))
         spread, bounds = _bounded(found, profiles, say)
     base, run, estimate = found.base, found.run, found.estimate
     clock = clock_offsets(early, base, run, estimate, spread, found.rate_step)

@@ -97,7 +97,7 @@ def night_sky(record: Record, time: np.ndarray) -> np.ndarray:
     clear = clear_sky(hours, site)
     seen = np.minimum(_signal(record, "global_horizontal_irradiance", hours), 1.2 * clear)
     window = np.ones(48)
-    sums = [np.convolve(one, window)[: len(hours)] for one in (seen, clear)]
+    sums = [np.convolve(irradiance, window)[: len(hours)] for irradiance in (seen, clear)]
     clearness = np.clip(sums[0] / np.maximum(sums[1], 1.0), 0.0, 1.0)
     return dark * np.interp(time, hours, clearness)
 
@@ -236,7 +236,7 @@ def feature_faults(features: Mapping[str, Mapping[str, Any]]) -> list[str]:
             faults.append(f"{name}: expected one of {', '.join(FEATURES)}")
             continue
         known = dict(list(inspect.signature(FEATURES[name][0]).parameters.items())[2:])
-        needed = {key for key, one in known.items() if one.default is one.empty}
+        needed = {key for key, argument in known.items() if argument.default is argument.empty}
         if not isinstance(settings, Mapping) or not needed <= set(settings) <= set(known):
             faults.append(f"{name}: expected the settings {', '.join(known) or 'none'}, found {settings!r}")
     return faults
@@ -277,9 +277,8 @@ def sun_place(time: np.ndarray, site: Site) -> tuple[np.ndarray, np.ndarray]:
     height = np.sin(latitude) * np.sin(declination)
     height = height + np.cos(latitude) * np.cos(declination) * np.cos(hour_angle)
     east = -np.cos(declination) * np.sin(hour_angle)
-    north = np.cos(latitude) * np.sin(declination) - np.sin(latitude) * np.cos(declination) * np.cos(
-        hour_angle
-    )
+    north = np.cos(latitude) * np.sin(declination)
+    north = north - np.sin(latitude) * np.cos(declination) * np.cos(hour_angle)
     return height, np.arctan2(east, north)
 
 

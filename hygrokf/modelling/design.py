@@ -32,8 +32,8 @@ STEPPED = ("W", "1", "rad/s")
 """Units of signals that hold over steps (power, duties, speeds of machines), except humidities."""
 HOLDS = {
     **{
-        one.name: ZERO_ORDER if one.unit in STEPPED and "humidity" not in one.name else LINEAR
-        for one in SIGNALS.values()
+        signal.name: ZERO_ORDER if signal.unit in STEPPED and "humidity" not in signal.name else LINEAR
+        for signal in SIGNALS.values()
     },
     "ambient_temperature": LINEAR,
     "ambient_absolute_humidity": LINEAR,
@@ -95,26 +95,26 @@ class Design:
         """The model; equal designs share it, because tracing and compiling takes time and memory."""
         features = {name: FEATURES[name][1] for name in self.features if name in FEATURES}
         holds = {**HOLDS, **features, **self.holds}
-        said = [
+        content = [
             [settings for _, settings in self.mechanisms],
             sorted(holds.items()),
             dict(self.averaged),
             sorted(self.priors.items()),
         ]
-        key = (tuple(LIBRARY[name] for name, _ in self.mechanisms), json.dumps(said))
+        key = (tuple(LIBRARY[name] for name, _ in self.mechanisms), json.dumps(content))
         found = _models.get(key)
         if found is None:
-            made: list[Mechanism] = [
-                _informed(LIBRARY[name](**settings), self.priors) for name, settings in self.mechanisms
+            mechanisms = [
+                _with_priors(LIBRARY[name](**settings), self.priors) for name, settings in self.mechanisms
             ]
-            found = _models[key] = compose(made, holds, self.averaged)
+            found = _models[key] = compose(mechanisms, holds, self.averaged)
         return found
 
     def to_json(self) -> dict[str, Any]:
         """All fields as plain data, with the `origins` of mechanisms and features that a user brought."""
         own = origins([*(name for name, _ in self.mechanisms), *self.features])
-        said = {one.name: getattr(self, one.name) for one in fields(self)}
-        return said | ({"origins": own} if own else {})
+        stored = {entry.name: getattr(self, entry.name) for entry in fields(self)}
+        return stored | ({"origins": own} if own else {})
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Design:
@@ -124,11 +124,11 @@ class Design:
         for name in ("power_mean", "statements"):
             known[name] = tuple(known.get(name, ()))
         for name in ("ambient_noise", "priors"):
-            known[name] = {key: tuple(one) for key, one in known.get(name, {}).items()}
+            known[name] = {key: tuple(numbers) for key, numbers in known.get(name, {}).items()}
         return cls(mechanisms, **known)
 
 
-def _informed(mechanism: Mechanism, priors: Mapping[str, tuple[float, float, bool]]) -> Mechanism:
+def _with_priors(mechanism: Mechanism, priors: Mapping[str, tuple[float, float, bool]]) -> Mechanism:
     """The mechanism with priors for its parameters."""
     if not any(p.name in priors for p in mechanism.parameters):
         return mechanism
@@ -196,22 +196,20 @@ def design(
     statements: list[str] = []
     chosen: list[Chosen] = []
     averaged: dict[str, float] = {}
-    seen = observed_humidity(record)
-    humidity = seen if kind != "thermal" else None
+    observed = observed_humidity(record)
+    humidity = observed if kind != "thermal" else None
     scale = power_scale(record) if kind != CASCADE else None
     mean: tuple[float, ...] = ()
     reference = float(np.nanmean(record["ambient_temperature"].value))
-    acting = [one for one in actuators(record) if one.used]
+    acting = [actuator for actuator in actuators(record) if actuator.used]
     if kind != CASCADE:
         chosen.append(("thermal_network", {}))
-        release, mean, said = _release(
+        release, mean, remarks = _release(
             record, scale, power_order, operation_ambient, standstill_ambient, reference, heat_start or {}
         )
         chosen.append(("heat_release", release))
-        statements += said
-        chosen += [
-            (name, dict(settings)) for name, settings in (one.thermal for one in acting if one.thermal)
-        ]
+        statements += remarks
+        chosen += [(name, dict(settings)) for name, settings in (a.thermal for a in acting if a.thermal)]
         temperature = record[TEMPERATURE]
         if coloured:
             chosen.append(("heat_disturbance", _correlation_bounds(temperature, record)))
@@ -227,7 +225,7 @@ def design(
         series = record[humidity]
         shortest = RESOLVED * reading_step_h(series)
         chosen.append(("hygric_exchange", {"shortest_h": shortest} if shortest > SHORTEST_H else {}))
-        chosen += [(name, dict(settings)) for name, settings in (one.hygric for one in acting if one.hygric)]
+        chosen += [(name, dict(settings)) for name, settings in (a.hygric for a in acting if a.hygric)]
         if coloured:
             chosen.append(("vapour_disturbance", _correlation_bounds(series, record)))
         chosen.append(("hygric_diffusion", {}))
@@ -236,7 +234,7 @@ def design(
         chosen.append(("humidity_sensor" if relative else "absolute_humidity_sensor", settings))
         if series.interval_s > 0:
             averaged[humidity] = series.interval_s / 3600.0
-    elif seen is None:
+    elif observed is None:
         statements.append("no humidity readings of both inside and outside: the hygric model is left out")
     return Design(
         mechanisms=tuple(chosen),
@@ -291,15 +289,10 @@ def _release(
     settings: dict[str, Any] = {"reference_K": reference, "start": dict(start)}
     if "preheating" in record and np.nanmax(record["preheating"].value, initial=0.0) > 0:
         settings["preheating"] = True
+    idle = {"operation": False, "standstill": True, "standstill_ambient": standstill_ambient, "order": 0}
     if scale is None:
-        settings |= {
-            "operation": False,
-            "standstill": True,
-            "standstill_ambient": standstill_ambient,
-            "order": 0,
-        }
         statements.append("no power in the record: all of it counts as standstill")
-        return settings, (), statements
+        return settings | idle, (), statements
     series = record["active_power"]
     value = series.value[~series.missing] / scale
     running = value > 0
@@ -310,13 +303,7 @@ def _release(
         )
     if not operation:
         statements.append("hardly any operation in the record: its heat release cannot be identified")
-        settings |= {
-            "operation": False,
-            "standstill": True,
-            "standstill_ambient": standstill_ambient,
-            "order": 0,
-        }
-        return settings, (), statements
+        return settings | idle, (), statements
     distinct = float(np.ptp(np.quantile(value[running], [0.02, 0.98])))
     if distinct < 0.05 and order > 0:
         order = 0

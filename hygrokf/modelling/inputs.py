@@ -82,14 +82,7 @@ def prepare_run(design: Design, record: Record) -> Run:
     time = time[np.append(True, time[1:] > time[:-1])]
     values, unknown_ambient = _ambient_inputs(ambient, time, inputs_of)
     if "preheating" in inputs_of:
-        duty = (
-            _over_steps(
-                record["preheating"], time, bridge_h(record["preheating"], longest_gap_h("preheating"))
-            )
-            if "preheating" in record
-            else np.zeros(len(time))
-        )
-        values["preheating"] = np.nan_to_num(duty)
+        values["preheating"] = np.nan_to_num(_bridged(record, "preheating", time))
     power, operating, unknown_power = _power_inputs(design, record, time)
     values |= power
     for name in sorted(inputs_of & set(design.features)):
@@ -98,9 +91,9 @@ def prepare_run(design: Design, record: Record) -> Run:
         values[name] = _further(record, name, time, model.holds[name])
     near = _spread(time, unknown_ambient, SETTLING_H)
     readings, resets = _readings(design, record, outputs, time, near)
-    made = timeline(model, (time - first) / 3600.0, values, readings, resets, origin_s=first)
+    run = timeline(model, (time - first) / 3600.0, values, readings, resets, origin_s=first)
     scored = ~near & ~_spread(time, unknown_power, SETTLING_H)
-    return Run(made, operating, scored)
+    return Run(run, operating, scored)
 
 
 def _courses(design: Design, record: Record) -> dict[str, Series]:
@@ -110,11 +103,9 @@ def _courses(design: Design, record: Record) -> dict[str, Series]:
     ambient = {"ambient_temperature": without_response(record["ambient_temperature"])}
     if vapour is not None:
         ambient["ambient_absolute_humidity"] = vapour
-    ambient = {
-        name: input_path(smoothed(series, noise), noise)
-        for name, series in ambient.items()
-        for noise in [design.ambient_noise.get(name)]
-    }
+    for name, series in ambient.items():
+        noise = design.ambient_noise.get(name)
+        ambient[name] = input_path(smoothed(series, noise), noise)
     if TEMPERATURE in inputs_of:
         ambient[TEMPERATURE] = input_path(without_response(record[TEMPERATURE]))
     return ambient
@@ -135,9 +126,9 @@ def _common_span(record: Record, ambient: dict[str, Series]) -> tuple[float, flo
     first = max(min(s.time[0] - s.interval_s for s in spans), *(time[0] for time in known))
     last = min(max(s.time[-1] for s in spans), *(time[-1] for time in known))
     if not first < last:
-        what = "the cabinet's readings and the ambient series" if observed else "the ambient series"
+        series = "the cabinet's readings and the ambient series" if observed else "the ambient series"
         raise ValueError(
-            f"{what} have no stretch of time in common (a single reading does not count): "
+            f"{series} have no stretch of time in common (a single reading does not count): "
             "check the spans with `hygrokf check`"
         )
     return first, last
@@ -244,10 +235,7 @@ def _power_inputs(
                 ~nothing,
             )
         return {}, nothing, nothing
-    series = record["active_power"]
-    relative = (
-        _over_steps(series, time, bridge_h(series, longest_gap_h("active_power"))) / design.power_scale_W
-    )
+    relative = _bridged(record, "active_power", time) / design.power_scale_W
     unknown = np.isnan(relative)
     features = power_features(np.where(unknown, 0.0, relative), design.power_order)
     features[unknown] = np.array(design.power_mean) if design.power_mean else 0.0
@@ -261,6 +249,13 @@ def _power_inputs(
 
 def _feature_names(design: Design) -> list[str]:
     return ["operating", *(f"power_{k}" for k in range(1, design.power_order + 1))]
+
+
+def _bridged(record: Record, name: str, time: np.ndarray) -> np.ndarray:
+    """A signal over the steps, its short gaps bridged; NaN in longer gaps, 0 where the record lacks it."""
+    if name not in record:
+        return np.zeros(len(time))
+    return _over_steps(record[name], time, bridge_h(record[name], longest_gap_h(name)))
 
 
 def _over_steps(series: Series, time: np.ndarray, longest_h: float) -> np.ndarray:

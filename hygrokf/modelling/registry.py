@@ -17,8 +17,7 @@ Origin = Mapping[str, str]
 
 _PACKAGE = frozenset({*LIBRARY, *FEATURES, *SIGNALS})
 _origins: dict[str, Origin] = {}
-_held: dict[str, set[str]] = {"mechanisms": set(), "features": set()}
-"""Names that users brought, by kind."""
+"""Origins of the mechanisms and features that users brought, by name."""
 
 
 def name_faults(mechanisms: Iterable[str], features: Iterable[str]) -> list[str]:
@@ -45,21 +44,15 @@ def admit(mechanisms: Mapping[str, Factory], features: Mapping[str, Feature], or
     withdraw((*mechanisms, *features))
     LIBRARY.update(mechanisms)
     FEATURES.update(features)
-    _held["mechanisms"].update(mechanisms)
-    _held["features"].update(features)
     _origins.update({name: dict(origin) for name in (*mechanisms, *features)})
 
 
 def withdraw(names: Iterable[str]) -> None:
     """Remove from the tables what a user brought under these names."""
     for name in names:
-        if _origins.pop(name, None) is not None:
-            if name in _held["mechanisms"]:
-                _held["mechanisms"].remove(name)
-                del LIBRARY[name]
-            if name in _held["features"]:
-                _held["features"].remove(name)
-                del FEATURES[name]
+        if _origins.pop(name, None) is not None:  # the package's own names never stand there
+            LIBRARY.pop(name, None)
+            FEATURES.pop(name, None)
 
 
 def origins(names: Iterable[str]) -> dict[str, dict[str, str]]:

@@ -1,11 +1,9 @@
 """Scalar expression graphs: a model is traced once, differentiated exactly, and compiled.
 
 A mechanism is an ordinary Python function of numbers.  Called with floats, arrays or complex numbers, it
-computes. Called with `Expression`s, it is *traced*: every operation becomes a node of a `Graph`.  The graph
-yields exact
-derivatives (`jacobian`, `reverse`, `forward`), an interpreter (`evaluate`, the reference in the tests) and
-the compiled
-filter (`hygrokf.engine.traced_filter`).
+computes.  Called with `Expression`s, it is *traced*: every operation becomes a node of a `Graph`.  The graph
+yields exact derivatives (`jacobian`, `reverse`, `forward`), an interpreter (`evaluate`, the reference in the
+tests) and the compiled filter (`hygrokf.engine.filter_loops`).
 
 Equal nodes are created once (hash-consing), and zeros and ones are simplified away, so that a sparse model
 costs as much as its non-zero entries.  A product that is added to something becomes one fused multiply-add
@@ -78,11 +76,8 @@ class Graph:
             if value.graph is not self:
                 raise ValueError("an expression of another graph was mixed in: trace the model once, whole")
             return value
-        if isinstance(value, Given) and value not in (
-            0.0,
-            1.0,
-            -1.0,
-        ):  # 0 and ±1 stay constants, because they simplify the operations they enter
+        # 0 and ±1 stay constants, because they simplify the operations they enter
+        if isinstance(value, Given) and value not in (0.0, 1.0, -1.0):
             return self._given(value)
         return self.constant(value)
 
@@ -104,7 +99,7 @@ class Graph:
         value = [self.number(i) for i in index]
         constants = [v for v in value if v is not None]
         if len(constants) == len(value):
-            return self.constant(_fold(operation, constants))
+            return self.constant(float(_compute(operation, constants)))
         rule = getattr(self, "_make_" + operation, None)
         if rule is not None:
             simple = rule(arguments, value)
@@ -190,9 +185,7 @@ class Graph:
             return self.constant(0.0)
         if v[1] is not None:
             return self.make("mul", a[0], self.constant(1.0 / v[1]))
-        if (
-            v[0] != 1.0
-        ):  # a reciprocal is a node of its own, so that reciprocals of parameters leave the time loop
+        if v[0] != 1.0:  # a reciprocal is a node of its own, so that those of parameters leave the time loop
             return self.make("mul", a[0], self.make("div", self.constant(1.0), a[1]))
         return None
 
@@ -319,10 +312,6 @@ class Expression:
 
     def __repr__(self) -> str:
         return f"Expression({self.graph.nodes[self.index]})"
-
-
-def _fold(operation: str, value: Sequence[float]) -> float:
-    return float(_compute(operation, value))
 
 
 def _compute(operation: str, v: Sequence[Value]) -> Value:
@@ -485,9 +474,9 @@ def _plain(value: Expression | float) -> Expression | float:
 
 
 def _depends(graph: Graph, order: Sequence[int], leaves: set[int]) -> set[int]:
-    active = set()
+    active: set[int] = set()
     for i in order:
-        if i in leaves or any(j in active for j in arguments(graph.nodes[i])):
+        if i in leaves or not active.isdisjoint(arguments(graph.nodes[i])):
             active.add(i)
     return active
 
@@ -525,9 +514,9 @@ def dot(a: Sequence[Value], b: Sequence[Value]) -> Value:
 
 
 def is_zero(value: Expression | float) -> bool:
-    return (not isinstance(value, Expression) and value == 0.0) or (
-        isinstance(value, Expression) and value.graph.number(value.index) == 0.0
-    )
+    """Whether a value is a structural zero."""
+    number = value.graph.number(value.index) if isinstance(value, Expression) else value
+    return number == 0.0
 
 
 def add(a: Matrix, b: Matrix) -> Matrix:

@@ -1,4 +1,4 @@
-"""How an input goes on between two instants: a term of models, records and the filter alike."""
+"""Holds: how an input runs between two instants, in models, records and the filter."""
 
 LINEAR = "linear"
 """Joined by straight lines: readings of an instant."""

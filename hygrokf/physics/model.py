@@ -102,9 +102,8 @@ class System:
 
     `inputs` maps names to holds (`linear`, `zero-order`, or `regime`: piecewise constant with few distinct
     values); `drift(x, u, p)` -> n rates [1/h]; `noise(p)` -> (n, n) intensity [1/h]; `outputs` are pairs
-    (name,
-    function (x, u, p) -> (prediction, noise variance)); `resets` are the indices of the states that are
-    running means of an output, set to zero where an averaging interval begins.
+    (name, function (x, u, p) -> (prediction, noise variance)); `resets` are the indices of the states that
+    are running means of an output, set to zero where an averaging interval begins.
     """
 
     parameters: tuple[str, ...]
@@ -198,14 +197,9 @@ class Model:
         return found
 
     def _equations(
-        self,
-        x: Sequence[Value] | np.ndarray,
-        u: Values,
-        p: Values,
-        as_read: Callable[[Values], Space],
+        self, x: Sequence[Value] | np.ndarray, u: Values, p: Values, as_read: Callable[[Values], Space]
     ) -> Equations:
-        """The values of `evaluate`; `as_read` turns all sums into the object that mechanisms read them
-        from."""
+        """The values of `evaluate`; `as_read` makes the object from which mechanisms read the sums."""
         spaces = self._spaces(x, u, p)
         state = vars(spaces[1])
         quantities = self._quantities(spaces)

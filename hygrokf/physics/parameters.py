@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 
 LIFT = 20.0
-"""Factor by which lifted guards widen the range of a parameter; of one that need not be positive, about the
-middle of its range."""
+"""Factor by which a lifted guard widens a search range: at each end for a positive parameter, about the
+middle of the range for any other."""
 
 
 @dataclass(frozen=True)
@@ -106,10 +106,10 @@ class Parameter:
 
         Physical limits, the null value and the lower limit of a noise parameter are not guards.
         """
-        meant = [*self.physical, *(() if self.null is None else (self.null,))]
+        natural = [*self.physical, *(() if self.null is None else (self.null,))]
         if self.noise and self.positive:
-            meant.append(self.lower)
-        return all(abs(value - one) > 1e-6 * (self.upper - self.lower) for one in meant)
+            natural.append(self.lower)
+        return all(abs(value - limit) > 1e-6 * (self.upper - self.lower) for limit in natural)
 
     def slope(self, value: float) -> float:
         """dθ/dz at the value."""
@@ -148,7 +148,7 @@ class Coordinates:
         """z (d,) of the given values, of the parameters' starts where none is given; moved into the
         bounds."""
         given = values or {}
-        z = [p.to_coordinate(_inside(p, given.get(p.name, p.start))) for p in self.free]
+        z = [p.to_coordinate(min(max(given.get(p.name, p.start), p.lower), p.upper)) for p in self.free]
         return np.clip(np.array(z, dtype=float), self.lower, self.upper)
 
     def values(self, z: np.ndarray) -> dict[str, float]:
@@ -165,9 +165,15 @@ class Coordinates:
         index = {p.name: i for i, p in enumerate(self.parameters)}
         return np.array([index[name] for name in self.names], dtype=int)
 
-    def holding(self, more: Mapping[str, float]) -> Coordinates:
-        """The same estimation with further parameters fixed."""
-        return Coordinates(self.parameters, {**self.fixed, **more})
+    def directions(self, z: np.ndarray) -> np.ndarray:
+        """Derivatives (all parameters, d) of the parameter values by the coordinates z."""
+        result = np.zeros((len(self.parameters), len(z)))
+        result[self.place(), np.arange(len(z))] = self.slopes(z)
+        return result
+
+    def parameter(self, name: str) -> Parameter:
+        """The parameter with this name, free or fixed."""
+        return next(p for p in self.parameters if p.name == name)
 
     def log_prior(self, z: np.ndarray) -> tuple[float, np.ndarray, np.ndarray]:
         """Log prior density, its gradient (d,) and minus its second derivative (d,) in z.
@@ -184,10 +190,6 @@ class Coordinates:
                 gradient[i] = p.prior.log_slope(value) * slope
                 curvature[i] = p.prior.information(value) * slope**2
         return total, gradient, curvature
-
-
-def _inside(p: Parameter, value: float) -> float:
-    return min(max(value, p.lower), p.upper)
 
 
 def unique(parameters: Iterable[Parameter]) -> tuple[Parameter, ...]:

@@ -11,7 +11,7 @@ from collections.abc import Callable
 import control
 import numpy as np
 import pytest
-from scipy.linalg import expm
+from builders.linear_oracles import linear_hold, van_loan
 
 from hygrokf.engine.discretisation import CONSTANT_RATES, congruence, step
 from hygrokf.engine.timeline import timeline
@@ -43,31 +43,6 @@ def zero_order(a: np.ndarray, b: np.ndarray, h: float) -> tuple[np.ndarray, np.n
     """F and the gain by python-control."""
     made = control.sample_system(control.ss(a, b, np.eye(len(a)), np.zeros_like(b)), h, method="zoh")
     return made.A, made.B
-
-
-def linear_hold(a: np.ndarray, b: np.ndarray, h: float) -> tuple[np.ndarray, np.ndarray]:
-    """Gains of the input at the start and at the end of the step, the input running straight between them."""
-    n, m = b.shape
-    block = np.zeros((n + 2 * m, n + 2 * m))
-    block[:n, :n], block[:n, n : n + m] = a * h, b * h
-    block[n : n + m, n + m :] = np.eye(m)
-    power = expm(block)
-    level, slope = power[:n, n : n + m], power[:n, n + m :]
-    return level - slope, slope
-
-
-def van_loan(a: np.ndarray, q: np.ndarray, h: float) -> np.ndarray:
-    """Accumulated noise; long steps by doubling, for the block exponential overflows."""
-    n = len(a)
-    doublings = max(0, int(np.ceil(np.log2(np.abs(np.linalg.eigvals(a)).max() * h))))
-    part = h / 2**doublings
-    power = expm(np.block([[-a, q], [np.zeros((n, n)), a.T]]) * part)
-    f = power[n:, n:].T
-    noise = f @ power[:n, n:]
-    for _ in range(doublings):
-        noise = f @ noise @ f.T + noise
-        f = f @ f
-    return 0.5 * (noise + noise.T)
 
 
 def close(found: np.ndarray, expected: np.ndarray, tolerance: float = EXACT) -> None:
@@ -119,8 +94,8 @@ def test_one_sub_step_of_a_network_is_exact(seed: int, share: float) -> None:
     close(found["F"], f)
     close(found["response"], f)
     close(found["end"], gain)
-    close(found["Q"] / h, van_loan(a, q, h) / h, 2e-11)  # the polynomial of the noise stops at 8e-12
-    close(found["P"], f @ found["prior"] @ f.T + van_loan(a, q, h))
+    close(found["Q"] / h, van_loan(a, q, h)[1] / h, 2e-11)  # the polynomial of the noise stops at 8e-12
+    close(found["P"], f @ found["prior"] @ f.T + van_loan(a, q, h)[1])
     found = traced_step(a, q, b, h, "linear")
     first, last = linear_hold(a, b, h)
     close(found["start"], first)
@@ -175,7 +150,7 @@ def test_compiled_steps_from_a_second_to_a_fortnight_are_exact(seed: int, h: flo
     # rounding of up to thousands of sub-steps adds to the 1e-12
     rounding = EXACT + 2e-16 * 20 * np.abs(a).max() * length
     close(transition, f, rounding)
-    close(noise, van_loan(a, q, length), rounding + 1e-11)
+    close(noise, van_loan(a, q, length)[1], rounding + 1e-11)
     first, last = linear_hold(a, b, length)
     for j in range(m):
         unit = np.eye(m)[j]

@@ -208,11 +208,6 @@ def test_points_that_the_model_does_not_have_are_named(thermal: tuple) -> None:
         system_time_constants(*thermal, inputs={"windd": 3.0})
 
 
-def test_the_face_has_what_a_model_of_ones_own_needs() -> None:
-    for name in ("linear_network", "maximise", "confidence_bounds", "system_time_constants"):
-        assert callable(getattr(hygrokf, name))
-
-
 def test_parameters_without_a_value_are_named(thermal: tuple) -> None:
     likelihood, estimate = thermal
     name, *others = estimate.values

@@ -8,6 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from builders.linear_oracles import (
+    first_of,
+    heat_release,
+    linear_hold,
+    thermal_force,
+    thermal_matrices,
+    van_loan,
+)
 from builders.scores import check_score
 from scipy.integrate import solve_ivp
 from scipy.linalg import solve_continuous_lyapunov
@@ -97,28 +105,14 @@ def within(case: object, name: str) -> Callable[[float, int], float]:
 
 
 def thermal_system(case: object) -> Linear:
-    p = case.values
     u = {name: within(case, name) for name in case.inputs}
-    ratio, tau, colour = p["resistance_ratio"], p["thermal_time_constant"], p["heat_disturbance_time"]
 
     def force(t: float, k: int) -> np.ndarray:
-        outside, on = u["ambient_temperature"](t, k), u["operating"](t, k)
-        release = on * (
-            p["heat_release_operation"] + p["heat_release_operation_ambient"] * (outside - 283.15)
-        )
-        release += (1 - on) * (
-            p["heat_release_standstill"] + p["heat_release_standstill_ambient"] * (outside - 283.15)
-        )
-        release += p["heat_release_power_1"] * u["power_1"](t, k) + p["heat_release_power_2"] * u["power_2"](
-            t, k
-        )
-        return np.array([(outside + release / ratio) / tau, 0.0])
+        at = (u[name](t, k) for name in ("ambient_temperature", "operating", "power_1"))
+        return thermal_force(case.values, *at)
 
-    slope = np.array([[-1 / tau, 1 / ratio / tau], [0, -1 / colour]])
-    noise = np.diag([p["thermal_diffusion"] ** 2, 2 * p["heat_disturbance_sd"] ** 2 / colour])
-    outside = case.inputs["ambient_temperature"][0]
-    first = Gaussian(np.array([outside + 5.0, 0.0]), np.diag([25.0, p["heat_disturbance_sd"] ** 2]))
-    return Linear(lambda t, k: slope, force, noise, first, case.timeline.time)
+    slope, noise = thermal_matrices(case.values)
+    return Linear(lambda t, k: slope, force, noise, first_of(case), case.timeline.time)
 
 
 def cascade_system(case: object) -> Linear:
@@ -133,15 +127,11 @@ def cascade_system(case: object) -> Linear:
         return np.array([[-rate(t, k), rate(t, k)], [0, -1 / colour]])
 
     noise = np.diag([p["hygric_diffusion"] ** 2, 2 * p["vapour_disturbance_sd"] ** 2 / colour])
-    damp = case.inputs["ambient_absolute_humidity"][0]
-    first = Gaussian(np.array([damp, 0.0]), np.diag([(0.3 * damp) ** 2, p["vapour_disturbance_sd"] ** 2]))
-    return Linear(
-        slope,
-        lambda t, k: np.array([rate(t, k) * u["ambient_absolute_humidity"](t, k), 0.0]),
-        noise,
-        first,
-        case.timeline.time,
-    )
+
+    def force(t: float, k: int) -> np.ndarray:
+        return np.array([rate(t, k) * u["ambient_absolute_humidity"](t, k), 0.0])
+
+    return Linear(slope, force, noise, first_of(case), case.timeline.time)
 
 
 def absolute(case: object) -> object:
@@ -297,13 +287,8 @@ def two_outputs(count: int, seed: int) -> tuple[Likelihood, dict[str, float], np
 
 def matrices(values: dict[str, float], h: float) -> tuple[np.ndarray, np.ndarray]:
     """Transition and noise of the pair by Van Loan."""
-    from scipy.linalg import expm
-
     a = np.array([[-values["k1"], values["k1"]], [0, -values["k2"]]])
-    q = np.diag([math.exp(values["q1"]), math.exp(values["q2"])])
-    power = expm(np.block([[-a, q], [np.zeros((2, 2)), a.T]]) * h)
-    f = power[2:, 2:].T
-    return f, f @ power[:2, 2:]
+    return van_loan(a, np.diag([math.exp(values["q1"]), math.exp(values["q2"])]), h)
 
 
 def in_statsmodels(values: dict[str, float], y: np.ndarray) -> KalmanFilter:
@@ -331,31 +316,21 @@ def test_two_sensors_missing_one_by_one_agree_with_statsmodels() -> None:
 
 
 def test_the_thermal_part_agrees_with_statsmodels_on_the_same_matrices(make_case: Callable) -> None:
-    from scipy.linalg import expm
-
     case = make_case("thermal", 0.25 * np.arange(400), 8)
     p, system = case.values, thermal_system(case)
     a, ratio = system.a(0.0, 1), p["resistance_ratio"]
-    block = np.zeros((6, 6))
-    block[:2, :2], block[:2, 2:4], block[2:4, 4:] = a * 0.25, np.eye(2) * 0.25, np.eye(2)
-    power = expm(block)
-    loan = expm(np.block([[-a, system.q], [np.zeros((2, 2)), a.T]]) * 0.25)
+    at_start, at_end = linear_hold(a, np.eye(2), 0.25)
     time = case.timeline.time
     start = np.array([system.b(t, k) for k, t in enumerate(time[:-1], start=1)])
     end = np.array([system.b(t, k) for k, t in enumerate(time[1:], start=1)])
     made = KalmanFilter(1, 2)
-    made["design"], made["obs_cov"] = (
-        np.array([[ratio, 0.0]]),
-        np.array([[p["cabinet_temperature_noise"] ** 2]]),
-    )
+    made["design"] = np.array([[ratio, 0.0]])
+    made["obs_cov"] = np.array([[p["cabinet_temperature_noise"] ** 2]])
+    made["selection"] = np.eye(2)
+    made["transition"], made["state_cov"] = van_loan(a, system.q, 0.25)
     shift = (1 - ratio) * case.inputs["ambient_temperature"] + p["cabinet_temperature_bias"]
-    made["transition"], made["selection"], made["state_cov"] = (
-        power[:2, :2],
-        np.eye(2),
-        loan[2:, 2:].T @ loan[:2, 2:],
-    )
-    intercept = start @ (power[:2, 2:4] - power[:2, 4:]).T + end @ power[:2, 4:].T
     made.bind(case.readings["cabinet_temperature"][:, None].copy())
+    intercept = start @ at_start.T + end @ at_end.T
     made["state_intercept"] = np.column_stack([intercept.T, np.zeros(2)])
     made["obs_intercept"] = shift[None, :]
     made.initialize_known(system.first.mean, system.first.covariance)
@@ -402,11 +377,7 @@ def test_the_stationary_start_solves_the_lyapunov_equation(thermal: object) -> N
     )
     # steady at the first inputs: the ambient at the first instant, the power of the step that ends there
     u, p = {n: v[0] for n, v in thermal.inputs.items()}, thermal.values
-    warm = u["ambient_temperature"] - 283.15
-    on = u["operating"]
-    release = on * (p["heat_release_operation"] + p["heat_release_operation_ambient"] * warm)
-    release += (1 - on) * (p["heat_release_standstill"] + p["heat_release_standstill_ambient"] * warm)
-    release += p["heat_release_power_1"] * u["power_1"] + p["heat_release_power_2"] * u["power_2"]
+    release = heat_release(p, u["ambient_temperature"], u["operating"], u["power_1"])
     expected = [u["ambient_temperature"] + release / p["resistance_ratio"], 0.0]
     np.testing.assert_allclose(first.mean, expected, rtol=1e-12, atol=1e-12)
     check_score(replace(likelihood, timeline=thermal.first(60).timeline), thermal.values)
@@ -434,8 +405,6 @@ def test_a_model_without_stationary_state_says_so() -> None:
 
 
 # -- derivatives ---------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("name", ["thermal", "cascade", "joint", "averaged"])
 def test_score_is_the_central_difference_and_the_sensitivities_score(
     name: str, request: pytest.FixtureRequest

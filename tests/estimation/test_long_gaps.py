@@ -11,9 +11,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from builders.climate_case import known_fit, made_up_weather
+from builders.linear_oracles import van_loan
 from builders.scores import check_score
 from builders.switch_case import heated, weather
 from builders.tracker_case import LATENESS_S, arriving, planned, readings_of
+from scipy.linalg import expm, solve_continuous_lyapunov
 
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
@@ -22,7 +24,7 @@ from hygrokf.climate.region import driven
 from hygrokf.data.record import Record
 from hygrokf.engine import long_steps
 from hygrokf.engine.timeline import Timeline, timeline
-from hygrokf.estimation import likelihood as module
+from hygrokf.estimation import likelihood as likelihoods
 from hygrokf.estimation.batch_filter import SideBySide
 from hygrokf.estimation.likelihood import Gaussian, Likelihood, RatesFault, Trace
 from hygrokf.estimation.smoother import smooth, transition
@@ -58,7 +60,7 @@ def every_sub_step(monkeypatch: pytest.MonkeyPatch) -> Callable:
 
     def taken(function: Callable) -> object:
         with monkeypatch.context() as patch:
-            patch.setattr(module, "MOST", 10**9)
+            patch.setattr(likelihoods, "MOST", 10**9)
             return function()
 
     return taken
@@ -72,17 +74,11 @@ def before_and_after(case: object, values: Mapping[str, float]) -> tuple[Trace, 
 # -- the moments after a gap ---------------------------------------------------------------------------------
 def daily(
     a: np.ndarray, b: np.ndarray, slope: np.ndarray, noise: np.ndarray, days: int, hours: float
-) -> tuple[np.ndarray, np.ndarray, Callable]:
+) -> Callable:
     """dx = (A x + b + t slope) dt + noise, by Van Loan's matrices over each of `days` equal parts, one after
     the other."""
-    from scipy.linalg import expm
-
     n, h = len(a), hours / days
-    block = np.zeros((2 * n, 2 * n))
-    block[:n, :n], block[:n, n:], block[n:, n:] = -a * h, noise * h, a.T * h
-    made = expm(block)
-    f = made[n:, n:].T
-    gained = f @ made[:n, n:]
+    f, gained = van_loan(a, noise, h)
     wide = np.zeros((n + 2, n + 2))
     wide[:n, :n], wide[:n, n], wide[:n, n + 1], wide[n, n + 1] = a, slope, b, 1.0
     forced = expm(wide * h)
@@ -93,7 +89,7 @@ def daily(
             covariance = f @ covariance @ f.T + gained
         return mean, covariance
 
-    return f, gained, through
+    return through
 
 
 @pytest.mark.parametrize("years", [1.0, 10.0])
@@ -131,7 +127,7 @@ def test_a_linear_model_is_the_dense_one(thermal: object, years: float, correlat
     first, last = u["ambient_temperature"][[AT - 1, AT]]
     force = (first + (release + own * (first - 283.15)) / ratio) / tau
     rise = (1 + own / ratio) / tau * (last - first) / hours
-    _, _, through = daily(a, np.array([force, 0, 0]), np.array([rise, 0, 0]), noise, 3650, hours)
+    through = daily(a, np.array([force, 0, 0]), np.array([rise, 0, 0]), noise, 3650, hours)
     expected, spread = through(trace.mean[AT - 1], trace.covariance[AT - 1])
     np.testing.assert_allclose(mean, expected, rtol=1e-10, atol=1e-9)
     np.testing.assert_allclose(covariance, spread, rtol=1e-8, atol=1e-9)
@@ -426,8 +422,6 @@ def test_a_model_that_grows_without_limit_is_minus_infinity(thermal: object) -> 
 
 
 def test_the_short_step_s_polynomials_are_exact_to_rounding() -> None:
-    from scipy.linalg import expm, solve_continuous_lyapunov
-
     random = np.random.default_rng(3)
     a = random.normal(size=(5, 5)) - 4.0 * np.eye(5)
     noise = np.eye(5)

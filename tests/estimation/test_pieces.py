@@ -8,11 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from builders.constant_level import constant_level
 from builders.scores import check_score
 
 from hygrokf.engine.timeline import timeline
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
-from hygrokf.physics.mechanisms import linear_network
 from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Parameter
 
@@ -100,13 +100,8 @@ HYGRIC = {"hygric_exchange", "vapour_disturbance", "hygric_diffusion", "humidity
 def test_the_running_sum_of_logarithms_does_not_overflow() -> None:
     """50,000 readings with variances near 1e-6 and 1e6: a plain product would leave the range of doubles."""
     for size in (1e-3, 1e3):
-        level = linear_network(
-            "level", [Parameter("s", "1", 1.0, 0.0, 1e9)], ["x"], [], lambda p, x, u: {"x": -1.0 * x.x},
-            {"y": lambda p, x, u: (x.x, p.s)}, lambda p: {"x": 0.0}, lambda p, u: {"x": (0.0, 0.0)},
-        )  # fmt: skip
-        model = compose([level])
         y = size * np.random.default_rng(1).normal(size=50_000)
-        likelihood = Likelihood(model, timeline(model, np.arange(50_000.0), {}, {"y": y}))
+        likelihood = constant_level([Parameter("s", "1", 1.0, 0.0, 1e9)], y, lambda p: 0.0, lambda p: p.s)
         expected = -0.5 * np.sum(y**2 / size**2 + math.log(2 * math.pi * size**2))
         assert likelihood.value({"s": size**2}) == pytest.approx(expected, rel=1e-12)
 

@@ -100,7 +100,6 @@ def test_a_design_makes_the_model_that_it_names():
 
 
 def test_without_humidity_on_either_side_there_is_no_hygric_part():
-    said = ("no humidity readings of both inside and outside: the hygric model is left out",)
     empty = series("ambient_relative_humidity", np.nan, 1 / 6)
     poor = [record(without=(n,)) for n in ("cabinet_relative_humidity", "ambient_relative_humidity")]
     for one in (*poor, record(empty)):
@@ -108,7 +107,7 @@ def test_without_humidity_on_either_side_there_is_no_hygric_part():
             base = design(one, kind=kind)
             assert names(base) == THERMAL
             assert base.humidity is None
-            assert base.statements == said
+            assert len(base.statements) == 1 and "humidity" in base.statements[0]
     assert design(record(), kind="thermal").statements == ()
 
 
@@ -194,7 +193,7 @@ def test_mean_features_stand_for_an_unknown_power():
 def test_without_power_all_of_it_is_standstill():
     for poor in (record(without=("active_power",)), replace(record(power(0.0)), rated_power_W=None)):
         base = design(poor)
-        assert base.statements == ("no power in the record: all of it counts as standstill",)
+        assert len(base.statements) == 1 and "no power" in base.statements[0]
         assert base.power_scale_W is None
         assert not settings_of(base, "heat_release")["operation"]
         assert "operating" not in base.model.inputs
@@ -202,13 +201,13 @@ def test_without_power_all_of_it_is_standstill():
 
 def test_power_that_is_never_or_always_there_or_never_varies_is_said():
     never = design(record(power(-3e3)))
-    assert "hardly any operation in the record: its heat release cannot be identified" in never.statements
+    assert any("hardly any operation" in line for line in never.statements)
     assert not settings_of(never, "heat_release")["operation"]
     always = design(record(power(np.maximum(windy(), 0.01 * RATED_W))))
-    assert any(line.startswith("hardly any standstill") for line in always.statements)
+    assert any("hardly any standstill" in line for line in always.statements)
     assert not settings_of(always, "heat_release")["standstill"]
     constant = design(record(power(0.6 * RATED_W)))
-    assert "the power hardly varies: the heat release has no slope over it" in constant.statements
+    assert any("hardly varies" in line for line in constant.statements)
     assert constant.power_order == 0
 
 

@@ -138,11 +138,8 @@ def test_a_misspelt_sum_is_an_error_that_names_the_sums() -> None:
             source("sun", 1.0), source("fan", 1.0, of="heat_relese"), source("pump", 2.0, of="vapor_release")
         )
     said = str(caught.value)
-    assert (
-        'mechanism "fan" adds to the sum "heat_relese", which no mechanism reads; did you mean '
-        '"heat_release"?' in said
-    )
-    assert 'mechanism "pump" adds to the sum "vapor_release"' in said and '"vapour_release"' in said
+    for word in ('"fan"', '"heat_relese"', '"heat_release"', '"pump"', '"vapor_release"', '"vapour_release"'):
+        assert word in said
     assert '"sun"' not in said and all(name in said for name in SUMS)
 
 

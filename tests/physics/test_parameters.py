@@ -51,9 +51,11 @@ def test_fixed_parameters_leave_the_coordinates_but_not_the_values() -> None:
     np.testing.assert_array_equal(coordinates.place(), [0, 2, 3])
     values = coordinates.values(coordinates.start())
     assert list(values) == ["time", "slope", "noise", "bias"] and values["slope"] == 0.7
-    further = coordinates.holding({"time": 3.0})
-    assert further.names == ("noise", "bias") and further.fixed == {"slope": 0.7, "time": 3.0}
-    assert coordinates.fixed == {"slope": 0.7}
+    slopes = coordinates.slopes(coordinates.start())
+    expected = np.zeros((4, 3))
+    expected[[0, 2, 3], [0, 1, 2]] = slopes
+    np.testing.assert_array_equal(coordinates.directions(coordinates.start()), expected)
+    assert coordinates.parameter("slope") is SLOPE and coordinates.fixed == {"slope": 0.7}
 
 
 def test_an_unknown_fixed_parameter_is_named_beside_the_known_ones() -> None:

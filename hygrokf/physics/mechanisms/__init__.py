@@ -48,14 +48,16 @@ from hygrokf.physics.mechanisms.moisture import (
     wind_exchange,
 )
 from hygrokf.physics.mechanisms.network import linear_network
-from hygrokf.physics.mechanisms.readings import (
+from hygrokf.physics.mechanisms.sensors import (
+    absolute_humidity_sensor,
     humidity_ceiling,
     humidity_drift,
     humidity_scale,
+    humidity_sensor,
+    temperature_sensor,
     temperature_step,
     thermometer_offset,
 )
-from hygrokf.physics.mechanisms.sensors import absolute_humidity_sensor, humidity_sensor, temperature_sensor
 from hygrokf.physics.mechanisms.thermal import (
     heat_disturbance,
     heat_release,
@@ -79,78 +81,34 @@ from hygrokf.physics.model import Mechanism
 Factory = Callable[..., Mechanism]
 """A function (**settings) -> mechanism."""
 
+# fmt: off
 BASE = (
-    thermal_network,
-    measured_air,
-    heat_release,
-    natural_convection,
-    heat_disturbance,
-    second_heat_disturbance,
-    thermal_diffusion,
-    hygric_exchange,
-    vapour_disturbance,
-    second_vapour_disturbance,
-    hygric_diffusion,
-    temperature_sensor,
-    humidity_sensor,
+    thermal_network, measured_air, heat_release, natural_convection, heat_disturbance,
+    second_heat_disturbance, thermal_diffusion, hygric_exchange, vapour_disturbance,
+    second_vapour_disturbance, hygric_diffusion, temperature_sensor, humidity_sensor,
     absolute_humidity_sensor,
 )
 """Mechanisms of the base models."""
 LOGGED = (
-    logged_heater,
-    dehumidifier_heat,
-    fan_loss,
-    pump_loss,
-    open_loss,
-    fan_exchange,
-    open_exchange,
+    logged_heater, dehumidifier_heat, fan_loss, pump_loss, open_loss, fan_exchange, open_exchange,
     dehumidifier_drying,
 )
 """Effects of actuators that the record contains.  Each mechanism is nested: at its null value it has no
 effect."""
 FURTHER = (
-    wall_thermal_mass,
-    solar_gain,
-    unreported_heater,
-    drying_heat,
-    scheduled_heat,
-    release_drift,
-    wind_loss,
-    stepped_loss,
-    cooling_loss,
-    vent_loss,
-    lagged_ambient,
-    leading_ambient,
-    moisture_sorption,
-    condensation,
-    internal_moisture_source,
-    wet_surface,
-    rain_ingress,
-    dehumidifier,
-    switched_drying,
-    wind_exchange,
-    stepped_exchange,
-    cooled_exchange,
-    vent_exchange,
-    breathed_air,
-    breathed_lag,
-    breathed_lead,
-    humidity_drift,
-    humidity_scale,
-    humidity_ceiling,
-    temperature_step,
-    thermometer_offset,
+    wall_thermal_mass, solar_gain, unreported_heater, drying_heat, scheduled_heat, release_drift, wind_loss,
+    stepped_loss, cooling_loss, vent_loss, lagged_ambient, leading_ambient, moisture_sorption, condensation,
+    internal_moisture_source, wet_surface, rain_ingress, dehumidifier, switched_drying, wind_exchange,
+    stepped_exchange, cooled_exchange, vent_exchange, breathed_air, breathed_lag, breathed_lead,
+    humidity_drift, humidity_scale, humidity_ceiling, temperature_step, thermometer_offset,
 )
 """Further mechanisms that may act on a cabinet.  Each is nested: at its null values it has no effect."""
 WANDERING = (
-    wandering_time_constant,
-    wandering_exchange,
-    wandering_release,
-    wandering_temperature_reading,
-    wandering_humidity_reading,
-    wandering_humidity_scale,
+    wandering_time_constant, wandering_exchange, wandering_release, wandering_temperature_reading,
+    wandering_humidity_reading, wandering_humidity_scale,
 )
 """Properties of the cabinet as states, for tracking."""
+# fmt: on
 LIBRARY: dict[str, Factory] = {
     function.__name__: function for function in (*BASE, *LOGGED, *FURTHER, *WANDERING)
 }

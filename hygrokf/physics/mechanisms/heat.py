@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
-from dataclasses import replace
 from typing import Any
 
 from hygrokf.physics.expression import Given, Value
+from hygrokf.physics.mechanisms.effects import ABOVE_MINUS_ONE, NONNEGATIVE, effect, lagged_share
 from hygrokf.physics.model import Mechanism, Space, Values
 from hygrokf.physics.parameters import Parameter
 
@@ -23,32 +22,29 @@ def solar_gain(lagged: bool = False, flag: str = "sunshine") -> Mechanism:
     def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
         return {"heat_release": p.solar_heat * (x.stored_sun if lagged else getattr(u, flag))}
 
+    def drift(p: Space, x: Space, u: Space, q: Space, s: Space) -> Values:
+        return {"stored_sun": (getattr(u, flag) - x.stored_sun) / p.solar_time}
+
+    heat = Parameter(
+        "solar_heat", "K/(kW/m2)", 1.0, 1e-3, 100.0, positive=True, null=0.0,
+        meaning="heat release for each kW/m² of sun",
+    )  # fmt: skip
     lag = Parameter(
         "solar_time", "h", 2.0, 0.25, 24.0, positive=True, meaning="lag of the mass that it warms"
     )
     return Mechanism(
         name="solar_gain",
-        parameters=(
-            Parameter(
-                "solar_heat", "K/(kW/m2)", 1.0, 1e-3, 100.0, positive=True, null=0.0,
-                meaning="heat release for each kW/m² of sun",
-            ),
-            *((lag,) if lagged else ()),
-        ),
+        parameters=(heat, lag) if lagged else (heat,),
         states=("stored_sun",) if lagged else (),
         inputs=(flag,),
         contributions=contributions,
-        drift=(
-            (lambda p, x, u, q, s: {"stored_sun": (getattr(u, flag) - x.stored_sun) / p.solar_time})
-            if lagged
-            else None
-        ),
+        drift=drift if lagged else None,
         initial=(lambda p, u: {"stored_sun": (getattr(u, flag), 0.01)}) if lagged else None,
         settings={"lagged": lagged, "flag": flag},
         meaning="heat of the sun",
         leaves="a cabinet that is too warm on clear days, in the afternoon",
         source="sol-air temperature (ASHRAE Fundamentals) with a first-order wall",
-    )  # fmt: skip
+    )
 
 
 def _driven_heat(
@@ -61,21 +57,12 @@ def _driven_heat(
     settings: Mapping[str, Any] | None = None,
 ) -> Mechanism:
     """Heat release proportional to an input: f += a · flag/full, a ≥ 0 [K]."""
-    scale = Given(1.0 / full)
-    return Mechanism(
-        name=name,
-        parameters=(
-            Parameter(
-                parameter, "K", 0.0, 0.0, 80.0, null=0.0, physical=(0.0, math.inf),
-                meaning=f"heat release {text}"
-            ),
-        ),
-        inputs=(flag,),
-        contributions=lambda p, x, u, q: {"heat_release": getattr(p, parameter) * (scale * getattr(u, flag))},
-        settings=settings or {},
-        meaning=f"heat release {text}",
-        leaves=leaves,
-        source="balance of heat",
+    scale, meaning = Given(1.0 / full), f"heat release {text}"
+    return effect(
+        name, "heat_release",
+        Parameter(parameter, "K", 0.0, 0.0, 80.0, null=0.0, physical=NONNEGATIVE, meaning=meaning),
+        lambda x, u, q: scale * getattr(u, flag),
+        inputs=(flag,), settings=settings, meaning=meaning, leaves=leaves, source="balance of heat",
     )  # fmt: skip
 
 
@@ -149,7 +136,7 @@ def release_drift(order: int = 0, operation: bool = False, flag: str = "elapsed"
         name="release_drift",
         parameters=(
             Parameter(
-                "heat_drift", "1", 0.0, -0.95, 10.0, null=0.0, physical=(-1.0, math.inf),
+                "heat_drift", "1", 0.0, -0.95, 10.0, null=0.0, physical=ABOVE_MINUS_ONE,
                 meaning="relative change of the heat release in the end",
             ),
         ),
@@ -162,67 +149,71 @@ def release_drift(order: int = 0, operation: bool = False, flag: str = "elapsed"
     )  # fmt: skip
 
 
+def _conductance(parameter: str, text: str, lower: float = 0.0) -> Parameter:
+    """A conductance between cabinet air and ambient in parallel to 1/R_AT, in units of it."""
+    physical = NONNEGATIVE if lower == 0 else ABOVE_MINUS_ONE
+    meaning = f"conductance to the ambient beside 1/R_AT, {text}"
+    return Parameter(parameter, "1", 0.0, lower, 50.0, null=0.0, physical=physical, meaning=meaning)
+
+
+PARALLEL = "conductance parallel to R_AT"
+
+
 def _loss(
     name: str,
     parameter: str,
     flag: str,
-    lower: float,
     text: str,
     leaves: str,
+    lower: float = 0.0,
     settings: Mapping[str, Any] | None = None,
 ) -> Mechanism:
     """Conductance between cabinet air and ambient in parallel to 1/R_AT and in units of it: g · flag."""
     return Mechanism(
         name=name,
-        parameters=(
-            Parameter(
-                parameter, "1", 0.0, lower, 50.0, null=0.0, physical=(0.0 if lower == 0 else -1.0, math.inf),
-                meaning=f"conductance to the ambient beside 1/R_AT, {text}",
-            ),
-        ),
+        parameters=(_conductance(parameter, text, lower),),
         inputs=(flag,),
         conductance=lambda p, u: getattr(p, parameter) * getattr(u, flag),
         settings=settings or {},
         meaning=f"heat lost to the ambient, {text}",
         leaves=leaves,
-        source="conductance parallel to R_AT",
-    )  # fmt: skip
+        source=PARALLEL,
+    )
 
 
-def _taken(name: str, parameter: str, flag: str, text: str, leaves: str) -> Mechanism:
-    """Heat taken from the converter: f −= g · flag · (T_a − T_amb).
+def _converter_loss(name: str, parameter: str, flag: str, text: str, leaves: str) -> Mechanism:
+    """Heat removed from the converter itself: f −= g · flag · (T_a − T_amb).
 
     The converter's excess over the ambient temperature is that of the air divided by ρ.
     """
-
-    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
-        above = q.cabinet_air_temperature - u.ambient_temperature
-        return {"heat_release": -getattr(p, parameter) * getattr(u, flag) * above}
-
-    made = _loss(name, parameter, flag, 0.0, text, leaves)
-    return replace(made, inputs=("ambient_temperature", flag), conductance=None, contributions=contributions)
+    return effect(
+        name, "heat_release", _conductance(parameter, text),
+        flag, lambda x, u, q: q.cabinet_air_temperature - u.ambient_temperature,
+        negative=True, inputs=("ambient_temperature", flag),
+        meaning=f"heat lost to the ambient, {text}", leaves=leaves, source=PARALLEL,
+    )  # fmt: skip
 
 
 def wind_loss(flag: str = "wind_tenth") -> Mechanism:
     """Heat loss that grows with wind: g at 10 m/s (input `wind_tenth`, or its square `wind_square`)."""
     return _loss(
-        "wind_loss", "wind_conductance", flag, -0.6, "at 10 m/s of wind",
-        "a cabinet that is too warm in calm and too cold in wind", {"flag": flag},
+        "wind_loss", "wind_conductance", flag, "at 10 m/s of wind",
+        "a cabinet that is too warm in calm and too cold in wind", -0.6, {"flag": flag},
     )  # fmt: skip
 
 
 def stepped_loss() -> Mechanism:
     """Heat loss that changes at a date (input `after_step`)."""
     return _loss(
-        "stepped_loss", "conductance_change", "after_step", -0.9, "from the date on",
-        "a temperature error that begins at a date and grows with the heat release",
+        "stepped_loss", "conductance_change", "after_step", "from the date on",
+        "a temperature error that begins at a date and grows with the heat release", -0.9,
     )  # fmt: skip
 
 
 def fan_loss() -> Mechanism:
     """Heat loss through the air moved by a logged fan (input `fan_duty`), proportional to its duty."""
     return _loss(
-        "fan_loss", "fan_conductance", "fan_duty", 0.0, "at full duty of the logged fan",
+        "fan_loss", "fan_conductance", "fan_duty", "at full duty of the logged fan",
         "a cabinet that is too warm in the simulation while the fan runs",
     )  # fmt: skip
 
@@ -232,7 +223,7 @@ def pump_loss() -> Mechanism:
 
     The coolant is assumed to reach ambient temperature before it returns.
     """
-    return _taken(
+    return _converter_loss(
         "pump_loss", "pump_conductance", "pump_duty", "at full duty of the logged pump",
         "a cabinet that is too warm in the simulation while the pump runs",
     )  # fmt: skip
@@ -241,7 +232,7 @@ def pump_loss() -> Mechanism:
 def open_loss() -> Mechanism:
     """Heat loss while a door is open (input `door_open`)."""
     return _loss(
-        "open_loss", "door_conductance", "door_open", 0.0, "while the door is open",
+        "open_loss", "door_conductance", "door_open", "while the door is open",
         "stretches of hours in which the temperature falls toward the ambient's",
     )  # fmt: skip
 
@@ -254,7 +245,7 @@ def cooling_loss() -> Mechanism:
     unknown, and jumps at wrong times cost more likelihood than missing jumps: 2 ln L rose by 397 with this
     form and by 79 with the form of `fan_loss`, on a plant whose temperature does jump.
     """
-    return _taken(
+    return _converter_loss(
         "cooling_loss", "cooling_conductance", "cooling", "while the cooling stage runs",
         "a cabinet that is too warm in the simulation above a threshold",
     )  # fmt: skip
@@ -264,8 +255,8 @@ def vent_loss(flag: str = "venting") -> Mechanism:
     """Heat loss through a vent that opens in proportion to a reading (input `venting`) or on a schedule
     (`open_hours`)."""
     return _loss(
-        "vent_loss", "vent_conductance", flag, 0.0, "while the vent is open",
-        "a cabinet that is too warm in the simulation while the vent is open", {"flag": flag},
+        "vent_loss", "vent_conductance", flag, "while the vent is open",
+        "a cabinet that is too warm in the simulation while the vent is open", settings={"flag": flag},
     )  # fmt: skip
 
 
@@ -275,26 +266,14 @@ def lagged_ambient() -> Mechanism:
 
     dL/dt = (T_amb − L)/θ,    θ [h].
     """
-    return Mechanism(
-        name="lagged_ambient",
-        parameters=(
-            Parameter(
-                "ambient_lag_share", "1", 0.0, -0.2, 1.2, null=0.0,
-                meaning="share of the air around the cabinet that lags the ambient series",
-            ),
-            Parameter("ambient_lag_time", "h", 3.0, 0.25, 24.0, positive=True, meaning="its lag"),
-        ),
-        states=("ambient_lag",),
-        inputs=("ambient_temperature",),
-        contributions=lambda p, x, u, q: {
-            "heat_release": p.ambient_lag_share * (x.ambient_lag - u.ambient_temperature)
-        },
-        drift=lambda p, x, u, q,
-        s: {"ambient_lag": (u.ambient_temperature - x.ambient_lag) / p.ambient_lag_time},
-        initial=lambda p, u: {"ambient_lag": (u.ambient_temperature, 4.0)},
+    return lagged_share(
+        "lagged_ambient", "heat_release", "ambient_temperature", "ambient_lag",
+        Parameter("ambient_lag_share", "1", 0.0, -0.2, 1.2, null=0.0,
+                  meaning="share of the air around the cabinet that lags the ambient series"),
+        Parameter("ambient_lag_time", "h", 3.0, 0.25, 24.0, positive=True, meaning="its lag"),
+        4.0,
         meaning="air around the cabinet that lags the ambient series",
         leaves="a temperature error that follows the rate of the ambient temperature",
-        source="first-order mixing of the air in the tower",
     )  # fmt: skip
 
 
@@ -304,14 +283,11 @@ def leading_ambient() -> Mechanism:
 
     θ [h]; the rate is the input `ambient_temperature_rate` [K/h].
     """
-    return Mechanism(
-        name="leading_ambient",
-        parameters=(
-            Parameter("ambient_lead", "h", 0.0, -2.0, 24.0, null=0.0,
-                meaning="time by which the series is smoothed"),
-        ),
-        inputs=("ambient_temperature_rate",),
-        contributions=lambda p, x, u, q: {"heat_release": p.ambient_lead * u.ambient_temperature_rate},
+    return effect(
+        "leading_ambient", "heat_release",
+        Parameter("ambient_lead", "h", 0.0, -2.0, 24.0, null=0.0,
+                  meaning="time by which the series is smoothed"),
+        "ambient_temperature_rate",
         meaning="the ambient temperature is smoothed, the air around the cabinet is not",
         leaves="a temperature error that follows the rate of the ambient temperature",
         source="inverse of a first-order lag",

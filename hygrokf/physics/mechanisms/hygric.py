@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from hygrokf.physics.expression import Value
-from hygrokf.physics.mechanisms.thermal import PAPER, ornstein_uhlenbeck
+from hygrokf.physics.expression import Value, exp, log
+from hygrokf.physics.mechanisms.effects import PAPER, ornstein_uhlenbeck, white_noise
 from hygrokf.physics.model import Mechanism, Pair, Space, Values
 from hygrokf.physics.parameters import Parameter
+from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR, SATURATION_WATER
 
 REFERENCE_TEMPERATURE = 273.0
 """[K] reference temperature of the diffusion coefficient in equation (4) of the paper."""
@@ -23,7 +24,37 @@ def hygric_time_constant(k: Value, cabinet_temperature: Value, ambient_temperatu
     return k / (cabinet_temperature * exchange_factor(ambient_temperature))
 
 
+def saturation_pressure(temperature: Value) -> Value:
+    """Sonntag's saturation pressure over water [Pa]; also accepts traced temperatures [K]."""
+    a, b, c, d, e = SATURATION_WATER
+    return exp(a / temperature + b + (c + d * temperature) * temperature + e * log(temperature))
+
+
+def saturated_vapour(surface: Value, temperature: Value) -> Value:
+    """Vapour concentration [g/m³], at a temperature [K], of air saturated over a surface [K]."""
+    return saturation_pressure(surface) / (temperature * (1e-3 * GAS_CONSTANT_VAPOUR))
+
+
+def vapour_pressure(vapour: Value, temperature: Value) -> Value:
+    """Vapour pressure c R_v T [Pa] of a concentration [g/m³] at a temperature [K].
+
+    That of the cabinet air is c* R_v T_amb, by equation (5).
+    """
+    return vapour * temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
+
+
+def cabinet_humidity(x: Space, u: Space, q: Space) -> Value:
+    """Relative humidity of the cabinet air over water [1]."""
+    return vapour_pressure(x.vapour, u.ambient_temperature) / saturation_pressure(q.cabinet_air_temperature)
+
+
+def cabinet_vapour(x: Space, u: Space, q: Space) -> Value:
+    """Vapour concentration of the cabinet air, c* T_amb/T_conv,a [g/m³], equation (5)."""
+    return x.vapour * u.ambient_temperature / q.cabinet_air_temperature
+
+
 SHORTEST_H = 0.005
+"""[h] default lower bound of k."""
 
 
 def hygric_exchange(shortest_h: float = SHORTEST_H) -> Mechanism:
@@ -68,8 +99,7 @@ def vapour_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start
     `shortest_h` and `longest_h` limit its correlation time [h] to the range that the readings can resolve.
     """
     return ornstein_uhlenbeck(
-        "vapour_disturbance", "ambient_vapour", "g/m3", 0.3, start_h, (shortest_h, longest_h), (1e-4, 20.0),
-        {"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
+        "vapour_disturbance", "ambient_vapour", "g/m3", (0.3, 1e-4, 20.0), longest_h, shortest_h, start_h,
         "coloured disturbance of the vapour flow, as an error of the ambient air",
         "slowly wandering humidity residuals; a hygric time constant that is too long",
     )  # fmt: skip
@@ -81,9 +111,8 @@ def second_vapour_disturbance(
     """A second coloured disturbance of the vapour flow on another time scale, for records where one is not
     enough."""
     return ornstein_uhlenbeck(
-        "second_vapour_disturbance", "ambient_vapour", "g/m3", 0.1, start_h, (shortest_h, longest_h),
-        (1e-4, 20.0),
-        {"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
+        "second_vapour_disturbance", "ambient_vapour", "g/m3", (0.1, 1e-4, 20.0),
+        longest_h, shortest_h, start_h,
         "second coloured disturbance of the vapour flow, as an error of the ambient air",
         "innovations that are not white although one coloured disturbance is there",
     )  # fmt: skip
@@ -91,14 +120,8 @@ def second_vapour_disturbance(
 
 def hygric_diffusion() -> Mechanism:
     """White vapour-flow noise on the equivalent concentration [g/(m³ √h)]."""
-    return Mechanism(
-        name="hygric_diffusion",
-        parameters=(
-            Parameter(
-                "hygric_diffusion", "g/m3/h^0.5", 0.05, 1e-5, 10.0, positive=True, null=0.0, noise=True,
-                meaning="intensity of the white disturbance of the vapour concentration",
-            ),
-        ),
-        diffusion=lambda p: {"vapour": p.hygric_diffusion * p.hygric_diffusion},
-        meaning="white disturbance of the vapour flow",
+    intensity = Parameter(
+        "hygric_diffusion", "g/m3/h^0.5", 0.05, 1e-5, 10.0, positive=True, null=0.0, noise=True,
+        meaning="intensity of the white disturbance of the vapour concentration",
     )  # fmt: skip
+    return white_noise("hygric_diffusion", "vapour", intensity, "white disturbance of the vapour flow")

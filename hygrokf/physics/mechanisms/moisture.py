@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 from hygrokf.physics.expression import Value, exp, sqrt
-from hygrokf.physics.mechanisms.sensors import saturation_pressure
+from hygrokf.physics.mechanisms.effects import ABOVE_MINUS_ONE, NONNEGATIVE, effect, lagged_share
+from hygrokf.physics.mechanisms.hygric import (
+    cabinet_humidity,
+    cabinet_vapour,
+    saturated_vapour,
+    saturation_pressure,
+    vapour_pressure,
+)
 from hygrokf.physics.model import Mechanism, Pair, Space, Values
 from hygrokf.physics.parameters import Parameter
-from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR
 
 REFERENCE_K = 293.15
 """[K] reference temperature of the sorption time constant."""
@@ -27,6 +32,7 @@ GAB_ENDS = (6.0, 12.134375)
 """[1] slopes of this isotherm at 0 and 100 %; beyond both ends it continues as a straight line."""
 ROUNDED = 0.003
 """[1] relative humidity over which both ends are rounded."""
+VAPOUR_BALANCE = "balance of vapour mass"
 VAPOUR_DISTURBANCES = ("vapour_disturbance", "second_vapour_disturbance")
 PLATE = 4.85
 """[g/m³] vapour concentration over water at the freezing point: the limit of a cold-plate drier."""
@@ -43,10 +49,9 @@ EDGE = 0.05
 """[g/m³] vapour concentration over which the transition between condensing and drying is rounded."""
 
 
-def _humidity(x: Space, u: Space, temperature: Value) -> Value:
-    """Relative humidity [1] over water that the cabinet's vapour would have at a temperature [K]."""
-    pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
-    return pressure / saturation_pressure(temperature)
+def twice_positive(value: Value, width: float) -> Value:
+    """2 max(0, value), its edge rounded over `width`."""
+    return value + sqrt(value * value + width * width)
 
 
 def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
@@ -76,12 +81,13 @@ def moisture_sorption(activated: bool = True, slab: bool = False) -> Mechanism:
         time = p.sorption_time
         if activated:
             time = time * exp(ACTIVATION_K * (1.0 / air - 1.0 / REFERENCE_K))
-        content = p.sorption_capacity * share(_humidity(x, u, air))
+        content = p.sorption_capacity * share(cabinet_humidity(x, u, q))
         return {n: (part * content - getattr(x, n)) * (pace / time) for n, (part, pace) in places.items()}
 
     def initial(p: Space, u: Space) -> dict[str, Pair]:
-        wet = u.ambient_absolute_humidity * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
-        content = p.sorption_capacity * share(wet / saturation_pressure(u.ambient_temperature + 6.0))
+        kelvin = u.ambient_temperature
+        pressure = vapour_pressure(u.ambient_absolute_humidity, kelvin)
+        content = p.sorption_capacity * share(pressure / saturation_pressure(kelvin + 6.0))
         return {
             n: (part * content, 0.1 * (part * content) * (part * content)) for n, (part, _) in places.items()
         }
@@ -121,8 +127,7 @@ def _gab(h: Value) -> Value:
     The isotherm itself has poles at −19 and 133 % and the wrong sign beyond them, and nothing keeps the
     humidity of a free run between them.
     """
-    below = 0.5 * (sqrt(h * h + ROUNDED * ROUNDED) - h)
-    above = 0.5 * (h - 1.0 + sqrt((h - 1.0) * (h - 1.0) + ROUNDED * ROUNDED))
+    below, above = 0.5 * twice_positive(-h, ROUNDED), 0.5 * twice_positive(h - 1.0, ROUNDED)
     wet = GAB_K * (h + below - above)
     inner = GAB_C * wet / ((1.0 - wet) * (1.0 - wet + GAB_C * wet))
     return inner - GAB_ENDS[0] * below + GAB_ENDS[1] * above
@@ -134,18 +139,13 @@ def condensation(sky: bool = False) -> Mechanism:
         dT_s/dt = (T_amb − δ s + κ (T_a − T_amb) − T_s)/θ_s,    x = c* − e_s(T_s)/(R_v T_amb),
         dm/dt = β max(0, x) − β max(0, −x) · m/(|m| + 1 g/m³);    vapour release −dm/dt,
     m ≥ 0 [g/m³] is the film per volume of cabinet air, θ_s [h] the lag of the surface, δ [K] its cooling
-    below the air by
-    radiation: always (s = 1), or with `sky` in proportion to the input `night_sky`.  The last gram stands in
-    drops whose area shrinks with them.  The edges of max are rounded over 0.05 g/m³.
+    below the air by radiation: always (s = 1), or with `sky` in proportion to the input `night_sky`.  The
+    last gram stands in drops whose area shrinks with them.  The edges of max are rounded over 0.05 g/m³.
     """
 
     def rate(p: Space, x: Space, u: Space, q: Space) -> Value:
-        limit = saturation_pressure(x.surface_temperature) / (
-            u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
-        )
-        excess = x.vapour - limit
-        round_ = sqrt(excess * excess + EDGE * EDGE)
-        onto, dry = 0.5 * (excess + round_), 0.5 * (round_ - excess)
+        excess = x.vapour - saturated_vapour(x.surface_temperature, u.ambient_temperature)
+        onto, dry = 0.5 * twice_positive(excess, EDGE), 0.5 * twice_positive(-excess, EDGE)
         # the filter may estimate a slightly negative film; this term then pulls it back to zero
         wet = x.film / (1.0 + sqrt(x.film * x.film + DROP * DROP))
         return p.condensation_rate * (onto - dry * wet)
@@ -168,7 +168,7 @@ def condensation(sky: bool = False) -> Mechanism:
                 meaning="how far the cold surface follows the cabinet air instead of the ambient",
             ),
             Parameter(
-                "surface_undercooling", "K", 1.0, 0.0, 12.0, physical=(0.0, math.inf),
+                "surface_undercooling", "K", 1.0, 0.0, 12.0, physical=NONNEGATIVE,
                 meaning="how far the surface cools below its surroundings by radiation",
             ),
         ),
@@ -190,23 +190,17 @@ def internal_moisture_source(when: str = "always") -> Mechanism:
 
     `when` is "always", "standstill", "fading" (from a date on) or "scheduled" (by time of day).
     """
-    inputs = () if when == "always" else (when,)
-    return Mechanism(
-        name="internal_moisture_source",
-        parameters=(
-            Parameter(
-                "moisture_source", "g/m3/h", 0.1, 1e-4, 50.0, positive=True, null=0.0,
-                meaning="vapour released per volume of cabinet air",
-            ),
+    return effect(
+        "internal_moisture_source", "vapour_release",
+        Parameter(
+            "moisture_source", "g/m3/h", 0.1, 1e-4, 50.0, positive=True, null=0.0,
+            meaning="vapour released per volume of cabinet air",
         ),
-        inputs=inputs,
-        contributions=lambda p, x, u, q: {
-            "vapour_release": p.moisture_source * (getattr(u, when) if inputs else 1.0)
-        },
+        *(() if when == "always" else (when,)),
         settings={"when": when},
         meaning="water that evaporates inside",
         leaves="absolute humidity above the ambient's, the more the slower the exchange",
-        source="balance of vapour mass",
+        source=VAPOUR_BALANCE,
     )  # fmt: skip
 
 
@@ -218,22 +212,17 @@ def wet_surface() -> Mechanism:
     concentrations of saturated air and of the cabinet air.  Examples: open water, a wet wall, soil, plants.
     """
 
-    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
+    def lacking(x: Space, u: Space, q: Space) -> Value:
         air = q.cabinet_air_temperature
-        saturated = saturation_pressure(air) / (air * (1e-3 * GAS_CONSTANT_VAPOUR))
-        lacking = saturated - x.vapour * u.ambient_temperature / air
-        return {"vapour_release": p.evaporation_rate * lacking}
+        return saturated_vapour(air, air) - cabinet_vapour(x, u, q)
 
-    return Mechanism(
-        name="wet_surface",
-        parameters=(
-            Parameter(
-                "evaporation_rate", "1/h", 0.05, 1e-4, 100.0, positive=True, null=0.0,
-                meaning="air that a wet surface saturates each hour, per volume of cabinet air",
-            ),
+    return effect(
+        "wet_surface", "vapour_release",
+        Parameter(
+            "evaporation_rate", "1/h", 0.05, 1e-4, 100.0, positive=True, null=0.0,
+            meaning="air that a wet surface saturates each hour, per volume of cabinet air",
         ),
-        inputs=("ambient_temperature",),
-        contributions=contributions,
+        lacking, inputs=("ambient_temperature",),
         meaning="water that evaporates from a wet surface",
         leaves="absolute humidity above the ambient's, the more the warmer and drier the cabinet is",
         source="Dalton's law of evaporation",
@@ -270,12 +259,10 @@ def rain_ingress(flag: str = "rain") -> Mechanism:
     )  # fmt: skip
 
 
-def _above_plate(x: Space, u: Space, temperature: Value) -> Value:
+def _above_plate(x: Space, u: Space, q: Space) -> Value:
     """Vapour of the cabinet air in excess of that over a plate at the freezing point [g/m³], at least 0;
     rounded over 0.05."""
-    inside = x.vapour * u.ambient_temperature / temperature
-    above = inside - PLATE
-    return 0.5 * (above + sqrt(above * above + EDGE * EDGE))
+    return 0.5 * twice_positive(cabinet_vapour(x, u, q) - PLATE, EDGE)
 
 
 def dehumidifier() -> Mechanism:
@@ -288,9 +275,9 @@ def dehumidifier() -> Mechanism:
     """
 
     def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
-        above = _humidity(x, u, q.cabinet_air_temperature) - p.dehumidifier_setpoint
-        effort = 0.5 * p.dehumidifier_rate * (above + sqrt(above * above + 1e-4))
-        return {"vapour_release": -effort * _above_plate(x, u, q.cabinet_air_temperature)}
+        above = cabinet_humidity(x, u, q) - p.dehumidifier_setpoint
+        effort = 0.5 * p.dehumidifier_rate * twice_positive(above, 0.01)
+        return {"vapour_release": -effort * _above_plate(x, u, q)}
 
     return Mechanism(
         name="dehumidifier",
@@ -320,26 +307,37 @@ def switched_drying(plate: bool = True) -> Mechanism:
     c [g/m³] is the vapour of the cabinet air, all of which a desiccant takes; with `plate` only the excess
     over the 4.85 g/m³ above a plate at the freezing point.
     """
-
-    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
-        air = q.cabinet_air_temperature
-        vapour = _above_plate(x, u, air) if plate else x.vapour * u.ambient_temperature / air
-        return {"vapour_release": -p.drying_rate * u.drying * vapour}
-
-    return Mechanism(
-        name="switched_drying",
-        parameters=(
-            Parameter(
-                "drying_rate", "1/h", 0.1, 1e-5, 50.0, positive=True, null=0.0,
-                meaning="air dried each hour, per volume of cabinet air, while the drier runs",
-            ),
+    return effect(
+        "switched_drying", "vapour_release",
+        Parameter(
+            "drying_rate", "1/h", 0.1, 1e-5, 50.0, positive=True, null=0.0,
+            meaning="air dried each hour, per volume of cabinet air, while the drier runs",
         ),
-        inputs=("ambient_temperature", "drying"),
-        contributions=contributions,
-        settings={"plate": plate},
+        "drying", _above_plate if plate else cabinet_vapour,
+        negative=True, inputs=("ambient_temperature", "drying"), settings={"plate": plate},
         meaning="drying while the drier runs",
         leaves="simulated humidity too high above a set-point, with hysteresis",
-        source="balance of vapour mass",
+        source=VAPOUR_BALANCE,
+    )  # fmt: skip
+
+
+def dehumidifier_drying() -> Mechanism:
+    """Drying by a logged dehumidifier: vapour release −d · `dehumidifier_duty` · c.
+
+    d [1/h] is the volume of air dried per hour at full duty and per volume of cabinet air; c [g/m³] the
+    vapour of the cabinet air.
+    """
+    return effect(
+        "dehumidifier_drying", "vapour_release",
+        Parameter(
+            "logged_drying_rate", "1/h", 0.0, 0.0, 50.0, null=0.0, physical=NONNEGATIVE,
+            meaning="air dried each hour, per volume of cabinet air, at full duty of the logged dehumidifier",
+        ),
+        "dehumidifier_duty", cabinet_vapour,
+        negative=True, inputs=("ambient_temperature", "dehumidifier_duty"),
+        meaning="drying by the logged dehumidifier",
+        leaves="simulated humidity too high while the dehumidifier runs",
+        source=VAPOUR_BALANCE,
     )  # fmt: skip
 
 
@@ -354,19 +352,15 @@ def _exchange(
     lower: float = -0.95,
 ) -> Mechanism:
     """Vapour exchange multiplied by 1 + b · flag, b > −1; with `lower` = 0, b ≥ 0."""
-    return Mechanism(
-        name=name,
-        parameters=(
-            Parameter(
-                parameter, "1", 0.0, lower, upper, null=0.0, physical=(0.0 if lower == 0 else -1.0, math.inf),
-                meaning=f"relative change of the vapour exchange, {text}",
-            ),
+    return effect(
+        name, "exchange",
+        Parameter(
+            parameter, "1", 0.0, lower, upper, null=0.0,
+            physical=NONNEGATIVE if lower == 0 else ABOVE_MINUS_ONE,
+            meaning=f"relative change of the vapour exchange, {text}",
         ),
-        inputs=(flag,),
-        contributions=lambda p, x, u, q: {"exchange": getattr(p, parameter) * getattr(u, flag)},
-        settings=settings or {},
-        meaning=f"vapour exchange, {text}",
-        leaves=leaves,
+        flag,
+        settings=settings, meaning=f"vapour exchange, {text}", leaves=leaves,
         source="resistance R_D* of equation (4) divided by the factor",
     )  # fmt: skip
 
@@ -376,34 +370,6 @@ def fan_exchange() -> Mechanism:
     return _exchange(
         "fan_exchange", "fan_exchange", "fan_duty", 500.0, "at full duty of the logged fan",
         "humidity that follows the ambient's faster while the fan runs", lower=0.0,
-    )  # fmt: skip
-
-
-def dehumidifier_drying() -> Mechanism:
-    """Drying by a logged dehumidifier: vapour release −d · `dehumidifier_duty` · c.
-
-    d [1/h] is the volume of air dried per hour at full duty and per volume of cabinet air; c [g/m³] the
-    vapour of the cabinet air.
-    """
-
-    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
-        vapour = x.vapour * u.ambient_temperature / q.cabinet_air_temperature
-        return {"vapour_release": -p.logged_drying_rate * u.dehumidifier_duty * vapour}
-
-    return Mechanism(
-        name="dehumidifier_drying",
-        parameters=(
-            Parameter(
-                "logged_drying_rate", "1/h", 0.0, 0.0, 50.0, null=0.0, physical=(0.0, math.inf),
-                meaning="air dried each hour, per volume of cabinet air, at full duty of the logged "
-                        "dehumidifier",
-            ),
-        ),
-        inputs=("ambient_temperature", "dehumidifier_duty"),
-        contributions=contributions,
-        meaning="drying by the logged dehumidifier",
-        leaves="simulated humidity too high while the dehumidifier runs",
-        source="balance of vapour mass",
     )  # fmt: skip
 
 
@@ -471,32 +437,23 @@ def breathed_air(form: str = "vapour") -> Mechanism:
     g by `form`: "vapour" 1 g/m³; "temperature" c_amb (a thermometer error of 1 K amounts to 6 %); "humidity"
     the saturation concentration at ambient temperature.
     """
-    unit = "g/m3" if form == "vapour" else "1"
-    bound = 10.0 if form == "vapour" else 0.6
+    unit, bound = ("g/m3", 10.0) if form == "vapour" else ("1", 0.6)
+    meaning = {
+        "vapour": "what the breathed air holds more than the ambient series says",
+        "temperature": "share by which the ambient series understates the vapour of the breathed air",
+        "humidity": "what the relative humidity of the ambient series lacks",
+    }[form]
 
-    def scale(u: Space) -> Value:
-        if form == "vapour":
-            return 1.0
-        if form == "temperature":
-            return u.ambient_absolute_humidity
-        kelvin = u.ambient_temperature
-        return saturation_pressure(kelvin) / (kelvin * (1e-3 * GAS_CONSTANT_VAPOUR))
+    def scale(x: Space, u: Space, q: Space) -> Value:
+        if form == "humidity":
+            return saturated_vapour(u.ambient_temperature, u.ambient_temperature)
+        return 1.0 if form == "vapour" else u.ambient_absolute_humidity
 
-    return Mechanism(
-        name="breathed_air",
-        parameters=(
-            Parameter(
-                "breathed_offset", unit, 0.0, -bound, bound, null=0.0,
-                meaning={
-                    "vapour": "what the breathed air holds more than the ambient series says",
-                    "temperature": "share by which the ambient series understates the vapour of the "
-                                   "breathed air",
-                    "humidity": "what the relative humidity of the ambient series lacks",
-                }[form],
-            ),
-        ),
+    return effect(
+        "breathed_air", "ambient_vapour",
+        Parameter("breathed_offset", unit, 0.0, -bound, bound, null=0.0, meaning=meaning),
+        scale,
         inputs=("ambient_absolute_humidity", *(("ambient_temperature",) if form == "humidity" else ())),
-        contributions=lambda p, x, u, q: {"ambient_vapour": p.breathed_offset * scale(u)},
         settings={"form": form},
         meaning="the breathed air differs from the ambient series",
         leaves="an offset of the absolute humidity",
@@ -507,26 +464,13 @@ def breathed_air(form: str = "vapour") -> Mechanism:
 def breathed_lag() -> Mechanism:
     """A share w of the air drawn in lags the ambient series: ambient_vapour += w (L − c_amb), dL/dt = (c_amb
     − L)/θ."""
-    return Mechanism(
-        name="breathed_lag",
-        parameters=(
-            Parameter("breathed_lag_share", "1", 0.0, -0.2, 1.2, null=0.0,
-                meaning="share that lags the series"),
-            Parameter("breathed_lag_time", "h", 3.0, 0.25, 24.0, positive=True, meaning="its lag"),
-        ),
-        states=("breathed_vapour",),
-        amounts=("breathed_vapour",),
-        inputs=("ambient_absolute_humidity",),
-        contributions=lambda p, x, u, q: {
-            "ambient_vapour": p.breathed_lag_share * (x.breathed_vapour - u.ambient_absolute_humidity)
-        },
-        drift=lambda p, x, u, q, s: {
-            "breathed_vapour": (u.ambient_absolute_humidity - x.breathed_vapour) / p.breathed_lag_time
-        },
-        initial=lambda p, u: {"breathed_vapour": (u.ambient_absolute_humidity, 0.25)},
+    return lagged_share(
+        "breathed_lag", "ambient_vapour", "ambient_absolute_humidity", "breathed_vapour",
+        Parameter("breathed_lag_share", "1", 0.0, -0.2, 1.2, null=0.0, meaning="share that lags the series"),
+        Parameter("breathed_lag_time", "h", 3.0, 0.25, 24.0, positive=True, meaning="its lag"),
+        0.25, amount=True,
         meaning="the breathed air lags the ambient series",
         leaves="an error that follows the rate of the ambient humidity",
-        source="first-order mixing of the air in the tower",
     )  # fmt: skip
 
 
@@ -535,14 +479,11 @@ def breathed_lead() -> Mechanism:
 
     θ [h]; the rate is the input `ambient_vapour_rate` [g/(m³ h)].
     """
-    return Mechanism(
-        name="breathed_lead",
-        parameters=(
-            Parameter("breathed_lead", "h", 0.0, -2.0, 24.0, null=0.0,
-                meaning="time by which the series is smoothed"),
-        ),
-        inputs=("ambient_vapour_rate",),
-        contributions=lambda p, x, u, q: {"ambient_vapour": p.breathed_lead * u.ambient_vapour_rate},
+    return effect(
+        "breathed_lead", "ambient_vapour",
+        Parameter("breathed_lead", "h", 0.0, -2.0, 24.0, null=0.0,
+                  meaning="time by which the series is smoothed"),
+        "ambient_vapour_rate",
         meaning="the ambient humidity is smoothed, the breathed air is not",
         leaves="an error that follows the rate of the ambient humidity",
         source="inverse of a first-order lag",

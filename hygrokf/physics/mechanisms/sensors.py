@@ -1,62 +1,37 @@
-"""Sensors of the logger in the cabinet: bias within the stated accuracy, white noise, resolution."""
+"""Sensors of the logger in the cabinet: bias within the stated accuracy, white noise, resolution, response,
+and further errors of their readings."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from hygrokf.physics.expression import Given, Value, exp, log
+from hygrokf.physics.expression import Given, Value
+from hygrokf.physics.mechanisms.effects import effect
+from hygrokf.physics.mechanisms.hygric import (
+    cabinet_humidity,
+    cabinet_vapour,
+    saturation_pressure,
+    vapour_pressure,
+)
+from hygrokf.physics.mechanisms.moisture import twice_positive
 from hygrokf.physics.model import Mechanism, Pair, Space, Values
 from hygrokf.physics.parameters import Parameter, Prior
-from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR, SATURATION_WATER
-
-
-def saturation_pressure(temperature: Value) -> Value:
-    """Sonntag's saturation pressure over water [Pa]; also accepts traced temperatures [K]."""
-    a, b, c, d, e = SATURATION_WATER
-    return exp(a / temperature + b + (c + d * temperature) * temperature + e * log(temperature))
-
-
-def _bias(name: str, unit: str, accuracy: float) -> tuple[Parameter, ...]:
-    """A constant sensor error whose prior puts 95 % of sensors within the stated accuracy; none for accuracy
-    0."""
-    if accuracy <= 0:
-        return ()
-    sd = accuracy / 1.96
-    return (
-        Parameter(
-            f"{name}_bias", unit, 0.0, -4 * accuracy, 4 * accuracy, prior=Prior(0.0, sd), null=0.0,
-            meaning="constant error of the sensor, within its stated accuracy",
-        ),
-    )  # fmt: skip
-
-
-def _noise(name: str, unit: str, start: float, lower: float, upper: float) -> Parameter:
-    return Parameter(
-        f"{name}_noise",
-        unit,
-        start,
-        lower,
-        upper,
-        positive=True,
-        noise=True,
-        meaning="white noise of a single reading",
-    )
-
 
 SHORTEST_RESPONSE_H = 1.0 / 30.0
 """[h] lower bound of an estimated response time: readings minutes apart do not show a shorter one."""
+OWN_ERROR = "the sensor's own error"
+TEMPERATURE_READING = "cabinet_temperature_reading"
+HUMIDITY_READING = "cabinet_relative_humidity_reading"
 
 
 def _sensor(
     mechanism: str,
     name: str,
+    unit: str,
     quantity: Callable[[Space, Space, Space], Value],
-    noise: Parameter,
-    bias: tuple[Parameter, ...],
+    noise: tuple[float, float, float],
     spread: tuple[float, float],
-    response_h: float,
-    longest_response_h: float | None,
     settings: Mapping[str, Any],
     meaning: str,
     inputs: tuple[str, ...] = (),
@@ -64,47 +39,70 @@ def _sensor(
     """A sensor with the output `name`: `quantity(x, u, q)` plus reading errors of other mechanisms, bias and
     noise.
 
-    With a response time θ the sensor lags: dy/dt = (quantity − y)/θ.  θ is `response_h` [h], or a parameter
-    with the upper bound `longest_response_h` where that is given.  `spread` is the initial mean and variance
-    of y.
+    The prior of the bias puts 95 % of sensors within the stated `accuracy`; there is none for accuracy 0.
+    `noise`: start, lower and upper limit of the standard deviation of a single reading.  With a response time
+    θ the sensor lags: dy/dt = (quantity − y)/θ.  θ is `response_h` [h], or a parameter with the upper bound
+    `longest_response_h` where that is given.  `spread` is the initial mean and variance of y.
     """
+    accuracy, response_h, longest_h = (
+        settings[key] for key in ("accuracy", "response_h", "longest_response_h")
+    )
     resolution = Given(settings["resolution"] ** 2 / 12.0)
-    estimated = longest_response_h is not None
     state, response = f"{name}_sensor", f"{name}_response"
+    estimated, biased = longest_h is not None, accuracy > 0
     responds = estimated or response_h > 0
     stated = Given(1.0 / response_h) if response_h > 0 else 0.0
 
     def output(p: Space, x: Space, u: Space, q: Space, s: Space) -> Pair:
         value = getattr(x, state) if responds else quantity(x, u, q)
         value = value + getattr(s, f"{name}_reading")
-        if bias:
-            value = value + getattr(p, bias[0].name)
-        own = getattr(p, noise.name)
+        if biased:
+            value = value + getattr(p, f"{name}_bias")
+        own = getattr(p, f"{name}_noise")
         return value, own * own + resolution
 
     def drift(p: Space, x: Space, u: Space, q: Space, s: Space) -> Values:
         rate = 1.0 / getattr(p, response) if estimated else stated
         return {state: (quantity(x, u, q) - getattr(x, state)) * rate}
 
-    time: tuple[Parameter, ...] = ()
-    if longest_response_h is not None:
-        time = (
-            Parameter(
-                response, "h", 0.1, SHORTEST_RESPONSE_H, longest_response_h, positive=True,
-                meaning="time in which the sensor follows a step by all but 1/e",
-            ),
+    parameters = [
+        Parameter(
+            f"{name}_noise", unit, *noise, positive=True, noise=True,
+            meaning="white noise of a single reading",
+        )
+    ]  # fmt: skip
+    if biased:
+        bias = Parameter(
+            f"{name}_bias", unit, 0.0, -4 * accuracy, 4 * accuracy, prior=Prior(0.0, accuracy / 1.96),
+            null=0.0, meaning="constant error of the sensor, within its stated accuracy",
         )  # fmt: skip
+        parameters.insert(0, bias)
+    if estimated:
+        time = Parameter(
+            response, "h", 0.1, SHORTEST_RESPONSE_H, longest_h, positive=True,
+            meaning="time in which the sensor follows a step by all but 1/e",
+        )  # fmt: skip
+        parameters.append(time)
     return Mechanism(
         name=mechanism,
-        parameters=(*bias, noise, *time),
+        parameters=tuple(parameters),
         states=(state,) if responds else (),
         inputs=inputs,
         drift=drift if responds else None,
         initial=(lambda p, u: {state: spread}) if responds else None,
         outputs={name: output},
-        settings={**settings, "response_h": response_h, "longest_response_h": longest_response_h},
+        settings=settings,
         meaning=meaning,
     )
+
+
+def _settings(
+    accuracy: float, resolution: float, response_h: float, longest_response_h: float | None
+) -> dict[str, float | None]:
+    return {
+        "accuracy": accuracy, "resolution": resolution, "response_h": response_h,
+        "longest_response_h": longest_response_h,
+    }  # fmt: skip
 
 
 def temperature_sensor(
@@ -120,22 +118,12 @@ def temperature_sensor(
     estimated.  The reading follows T_conv,a with that time constant.
     """
     return _sensor(
-        "temperature_sensor",
-        "cabinet_temperature",
+        "temperature_sensor", "cabinet_temperature", "K",
         lambda x, u, q: q.cabinet_air_temperature,
-        _noise("cabinet_temperature", "K", 0.1, 2e-3, 10.0),
-        _bias("cabinet_temperature", "K", accuracy),
-        (288.15, 225.0),
-        response_h,
-        longest_response_h,
-        {"accuracy": accuracy, "resolution": resolution},
+        (0.1, 2e-3, 10.0), (288.15, 225.0),
+        _settings(accuracy, resolution, response_h, longest_response_h),
         "the logger's temperature sensor",
-    )
-
-
-def _relative_humidity(x: Space, u: Space, q: Space) -> Value:
-    pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
-    return pressure / saturation_pressure(q.cabinet_air_temperature)
+    )  # fmt: skip
 
 
 def humidity_sensor(
@@ -151,18 +139,11 @@ def humidity_sensor(
     `response_h` as for the temperature; polymer sensors behind a filter respond within 5 to 15 min.
     """
     return _sensor(
-        "humidity_sensor",
-        "cabinet_relative_humidity",
-        _relative_humidity,
-        _noise("cabinet_relative_humidity", "1", 0.005, 1e-4, 0.5),
-        _bias("cabinet_relative_humidity", "1", accuracy),
-        (0.5, 0.09),
-        response_h,
-        longest_response_h,
-        {"accuracy": accuracy, "resolution": resolution},
-        "the logger's relative-humidity sensor",
-        ("ambient_temperature",),
-    )
+        "humidity_sensor", "cabinet_relative_humidity", "1", cabinet_humidity,
+        (0.005, 1e-4, 0.5), (0.5, 0.09),
+        _settings(accuracy, resolution, response_h, longest_response_h),
+        "the logger's relative-humidity sensor", ("ambient_temperature",),
+    )  # fmt: skip
 
 
 def absolute_humidity_sensor(
@@ -174,15 +155,122 @@ def absolute_humidity_sensor(
     """The absolute-humidity reading [g/m³]: c_conv,a = c* T_amb/T_conv,a, equation (5); `response_h` as for
     the temperature."""
     return _sensor(
-        "absolute_humidity_sensor",
-        "cabinet_absolute_humidity",
-        lambda x, u, q: x.vapour * u.ambient_temperature / q.cabinet_air_temperature,
-        _noise("cabinet_absolute_humidity", "g/m3", 0.1, 1e-3, 10.0),
-        _bias("cabinet_absolute_humidity", "g/m3", accuracy),
-        (8.0, 50.0),
-        response_h,
-        longest_response_h,
-        {"accuracy": accuracy, "resolution": resolution},
-        "a sensor or converter that gives absolute humidity",
-        ("ambient_temperature",),
-    )
+        "absolute_humidity_sensor", "cabinet_absolute_humidity", "g/m3", cabinet_vapour,
+        (0.1, 1e-3, 10.0), (8.0, 50.0),
+        _settings(accuracy, resolution, response_h, longest_response_h),
+        "a sensor or converter that gives absolute humidity", ("ambient_temperature",),
+    )  # fmt: skip
+
+
+# -- further errors of readings ------------------------------------------------------------------------------
+def _calendar_error(parameter: Parameter, name: str, target: str, flag: str) -> Mechanism:
+    """A reading that is off by a · flag, with a flag that depends on the calendar alone."""
+    return effect(
+        name, target, parameter, flag, meaning=parameter.meaning, source=OWN_ERROR,
+        leaves="readings that depart from the simulation with the calendar, in every regime alike",
+    )  # fmt: skip
+
+
+def humidity_drift() -> Mechanism:
+    """Humidity reading with a linear drift, reaching a at the end of the record (input `elapsed`) [1]."""
+    drift = Parameter(
+        "humidity_drift_total", "1", 0.0, -0.4, 0.4, null=0.0,
+        meaning="drift of the humidity reading over the record",
+    )  # fmt: skip
+    return _calendar_error(drift, "humidity_drift", HUMIDITY_READING, "elapsed")
+
+
+def temperature_step() -> Mechanism:
+    """Temperature reading with a constant error from a date on (input `after_step`) [K]."""
+    offset = Parameter(
+        "temperature_offset", "K", 0.0, -30.0, 30.0, null=0.0,
+        meaning="offset of the temperature reading from the date on",
+    )  # fmt: skip
+    return _calendar_error(offset, "temperature_step", TEMPERATURE_READING, "after_step")
+
+
+def humidity_scale(flag: str | None = "elapsed") -> Mechanism:
+    """Humidity reading with a scale error: a · flag · h, h the relative humidity of the air [1].
+
+    `flag` "elapsed": growing linearly over the record; "since": from a date on; None: constant.
+    """
+
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
+        course = 1.0 if flag is None else getattr(u, flag)
+        return {HUMIDITY_READING: p.humidity_scale_error * course * cabinet_humidity(x, u, q)}
+
+    return Mechanism(
+        name="humidity_scale",
+        parameters=(
+            Parameter(
+                "humidity_scale_error", "1", 0.0, -0.9, 2.0, null=0.0,
+                meaning="error of the humidity sensor's scale in the end",
+            ),
+        ),
+        inputs=("ambient_temperature", *((flag,) if flag else ())),
+        contributions=contributions,
+        settings={"flag": flag},
+        meaning="scale of the humidity sensor that is off",
+        leaves="humidity readings that are too flat or too steep, perhaps with the calendar",
+        source=OWN_ERROR,
+    )  # fmt: skip
+
+
+def humidity_ceiling(lowest: float = 0.2) -> Mechanism:
+    """Humidity reading that saturates above a ceiling h₁: −s · max(0, h − h₁), its edge rounded over 0.5 %.
+
+    lowest: [1] smallest relative humidity at which the ceiling may lie.
+    """
+
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
+        above = cabinet_humidity(x, u, q) - p.humidity_ceiling
+        return {HUMIDITY_READING: -0.5 * p.humidity_lost * twice_positive(above, 0.01)}
+
+    return Mechanism(
+        name="humidity_ceiling",
+        parameters=(
+            Parameter(
+                "humidity_lost", "1", 0.5, 0.0, 1.0, null=0.0, physical=(0.0, 1.0),
+                meaning="share of what exceeds the ceiling that the reading does not show",
+            ),
+            Parameter(
+                "humidity_ceiling", "1", max(0.7, lowest), lowest, 1.0, physical=(0.0, 1.0),
+                meaning="relative humidity above which the sensor sticks",
+            ),
+        ),
+        inputs=("ambient_temperature",),
+        contributions=contributions,
+        settings={"lowest": lowest},
+        meaning="humidity sensor that sticks at a ceiling",
+        leaves="humidity readings that stop at one value whatever the simulation does",
+        source=OWN_ERROR,
+    )  # fmt: skip
+
+
+def thermometer_offset() -> Mechanism:
+    """Constant thermometer error d [K], seen through its effect on the humidity reading: + p_v (1/e_s(T − d)
+    − 1/e_s(T)).
+
+    T is the temperature as read, or as simulated by a thermal part identified on such readings, whose heat
+    release absorbs d. The humidity sensor is at the true air temperature T − d.
+    """
+
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
+        air, pressure = q.cabinet_air_temperature, vapour_pressure(x.vapour, u.ambient_temperature)
+        true = pressure / saturation_pressure(air - p.thermometer_offset)
+        return {HUMIDITY_READING: true - pressure / saturation_pressure(air)}
+
+    return Mechanism(
+        name="thermometer_offset",
+        parameters=(
+            Parameter(
+                "thermometer_offset", "K", 0.0, -10.0, 10.0, null=0.0,
+                meaning="constant offset of the cabinet's thermometer",
+            ),
+        ),
+        inputs=("ambient_temperature",),
+        contributions=contributions,
+        meaning="thermometer that is off by a constant",
+        leaves="humidity that is off by 6 to 7 % of itself for each kelvin",
+        source=OWN_ERROR,
+    )  # fmt: skip

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from typing import Any
 
 from hygrokf.physics.expression import Given, Value, exp, log
+from hygrokf.physics.mechanisms.effects import PAPER, ornstein_uhlenbeck, white_noise
 from hygrokf.physics.model import Mechanism, Space, Values
 from hygrokf.physics.parameters import Parameter, Prior
-
-PAPER = "Field-measurement based hygrothermal modelling of the converter-cabinet climate in wind turbines"
 
 
 def thermal_network() -> Mechanism:
@@ -204,72 +202,23 @@ def _release_parameters(
     given: Mapping[str, float],
 ) -> tuple[Parameter, ...]:
     """Parameters of `heat_release`; `given` holds start values by name."""
-    parameters: list[Parameter] = []
-
-    def parameter(name: str, unit: str, value: float, bound: float, meaning: str) -> None:
-        parameters.append(
-            Parameter(name, unit, given.get(name, value), -bound, bound, null=0.0, meaning=meaning)
-        )
-
-    if operation:
-        parameter("heat_release_operation", "K", 3.0, 60.0, "heat release at zero power in operation")
-        for k, name in enumerate(powers, start=1):
-            parameter(f"heat_release_{name}", "K", 0.0, 200.0, f"coefficient of (P/P_rated)^{k}")
-        if ambient:
-            parameter("heat_release_operation_ambient", "K/K", 0.0, 2.0, "slope over the ambient temperature")
-    if standstill:
-        parameter("heat_release_standstill", "K", 2.0, 60.0, "heat release at standstill")
-        if standstill_ambient:
-            parameter(
-                "heat_release_standstill_ambient", "K/K", 0.0, 2.0, "slope over the ambient temperature"
-            )
-    if preheating:
-        parameter("preheating_heat", "K", 5.0, 80.0, "heat release of the known pre-heating")
-    return tuple(parameters)
-
-
-def ornstein_uhlenbeck(
-    name: str,
-    target: str,
-    unit: str,
-    sd: float,
-    time_h: float,
-    bounds_h: tuple[float, float],
-    sd_range: tuple[float, float],
-    settings: Mapping[str, Any],
-    meaning: str,
-    leaves: str,
-) -> Mechanism:
-    """A coloured disturbance w of a named sum: dw = −w/θ dt + sd √(2/θ) dW, correlation time θ within
-    `bounds_h` [h]."""
-
-    def variance(p: Space) -> Value:
-        value = getattr(p, f"{name}_sd")
-        return value * value
-
-    shortest, longest = bounds_h
-    return Mechanism(
-        name=name,
-        parameters=(
-            Parameter(
-                f"{name}_sd", unit, sd, *sd_range, positive=True, null=0.0, noise=True,
-                meaning=f"standard deviation of the {meaning}",
-            ),
-            Parameter(
-                f"{name}_time", "h", min(max(time_h, shortest), longest), shortest, longest, positive=True,
-                noise=True,
-                meaning="its correlation time",
-            ),
+    slope = ("K/K", 0.0, 2.0, "slope over the ambient temperature")
+    stated: list[tuple[bool, str, str, float, float, str]] = [
+        (operation, "heat_release_operation", "K", 3.0, 60.0, "heat release at zero power in operation"),
+        *(
+            (operation, f"heat_release_{name}", "K", 0.0, 200.0, f"coefficient of (P/P_rated)^{k}")
+            for k, name in enumerate(powers, start=1)
         ),
-        states=(name,),
-        contributions=lambda p, x, u, q: {target: getattr(x, name)},
-        drift=lambda p, x, u, q, s: {name: -getattr(x, name) / getattr(p, f"{name}_time")},
-        diffusion=lambda p: {name: 2.0 * variance(p) / getattr(p, f"{name}_time")},
-        initial=lambda p, u: {name: (0.0, variance(p))},
-        settings=settings,
-        meaning=meaning,
-        leaves=leaves,
-    )  # fmt: skip
+        (operation and ambient, "heat_release_operation_ambient", *slope),
+        (standstill, "heat_release_standstill", "K", 2.0, 60.0, "heat release at standstill"),
+        (standstill and standstill_ambient, "heat_release_standstill_ambient", *slope),
+        (preheating, "preheating_heat", "K", 5.0, 80.0, "heat release of the known pre-heating"),
+    ]
+    return tuple(
+        Parameter(name, unit, given.get(name, start), -bound, bound, null=0.0, meaning=meaning)
+        for there, name, unit, start, bound, meaning in stated
+        if there
+    )
 
 
 def heat_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h: float = 6.0) -> Mechanism:
@@ -280,8 +229,7 @@ def heat_disturbance(longest_h: float = 100.0, shortest_h: float = 0.25, start_h
     limit the correlation time [h] to the range that the readings can resolve.
     """
     return ornstein_uhlenbeck(
-        "heat_disturbance", "heat_release", "K", 1.0, start_h, (shortest_h, longest_h), (1e-3, 50.0),
-        {"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
+        "heat_disturbance", "heat_release", "K", (1.0, 1e-3, 50.0), longest_h, shortest_h, start_h,
         "coloured disturbance of the heat flow, as Q R_AT",
         "slowly wandering residuals; a time constant that is too long",
     )  # fmt: skip
@@ -293,8 +241,7 @@ def second_heat_disturbance(
     """A second coloured disturbance of the heat release on another time scale, for records where one is not
     enough."""
     return ornstein_uhlenbeck(
-        "second_heat_disturbance", "heat_release", "K", 0.3, start_h, (shortest_h, longest_h), (1e-3, 50.0),
-        {"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
+        "second_heat_disturbance", "heat_release", "K", (0.3, 1e-3, 50.0), longest_h, shortest_h, start_h,
         "second coloured disturbance of the heat flow, as Q R_AT",
         "innovations that are not white although one coloured disturbance is there",
     )  # fmt: skip
@@ -302,17 +249,13 @@ def second_heat_disturbance(
 
 def thermal_diffusion() -> Mechanism:
     """White heat-flow noise on the converter temperature [K/√h]."""
-    return Mechanism(
-        name="thermal_diffusion",
-        parameters=(
-            Parameter(
-                "thermal_diffusion", "K/h^0.5", 0.1, 1e-4, 20.0, positive=True, null=0.0, noise=True,
-                meaning="intensity of the white disturbance of the converter temperature",
-            ),
-        ),
-        diffusion=lambda p: {"converter_temperature": p.thermal_diffusion * p.thermal_diffusion},
-        meaning="white disturbance of the heat flow",
+    intensity = Parameter(
+        "thermal_diffusion", "K/h^0.5", 0.1, 1e-4, 20.0, positive=True, null=0.0, noise=True,
+        meaning="intensity of the white disturbance of the converter temperature",
     )  # fmt: skip
+    return white_noise(
+        "thermal_diffusion", "converter_temperature", intensity, "white disturbance of the heat flow"
+    )
 
 
 def wall_thermal_mass() -> Mechanism:
@@ -320,10 +263,9 @@ def wall_thermal_mass() -> Mechanism:
 
         dT_w/dt = (T_w∞ − T_w)/θ_w,    T_w∞ = T_amb + λ (T_conv,a − T_amb),    f += g (T_w − T_w∞)  [K],
     g is the conductance between air and mass in units of 1/R_AT, θ_w [h] the time constant of the mass.  λ
-    [1] is its
-    position: 1 for fittings in the cabinet air, 0 for an outer wall warmed by the ambient alone.  The mass
-    stores heat without losing any, so steady states do not change; g = 0 gives exactly the network of the
-    paper.
+    [1] is its position: 1 for fittings in the cabinet air, 0 for an outer wall warmed by the ambient alone.
+    The mass stores heat without losing any, so steady states do not change; g = 0 gives exactly the network
+    of the paper.
     """
 
     def rest(p: Space, u: Space, q: Space) -> Value:

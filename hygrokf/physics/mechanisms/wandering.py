@@ -9,11 +9,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from hygrokf.physics.expression import exp
-from hygrokf.physics.mechanisms.sensors import saturation_pressure
-from hygrokf.physics.mechanisms.thermal import PAPER
+from hygrokf.physics.mechanisms.effects import PAPER
+from hygrokf.physics.mechanisms.hygric import cabinet_humidity
+from hygrokf.physics.mechanisms.sensors import HUMIDITY_READING, OWN_ERROR, TEMPERATURE_READING
 from hygrokf.physics.model import Mechanism, Space, Values
 from hygrokf.physics.parameters import Parameter
-from hygrokf.physics.psychrometrics import GAS_CONSTANT_VAPOUR
 
 
 def _random_walk(
@@ -28,6 +28,7 @@ def _random_walk(
     source: str,
     inputs: tuple[str, ...] = (),
 ) -> Mechanism:
+    """A state without a rate, driven by white noise, and its effect on named sums."""
     parameter = f"{state}_rate"
     return Mechanism(
         name=name,
@@ -88,11 +89,11 @@ def wandering_temperature_reading(rate: float = 1e-4) -> Mechanism:
     """An offset of the temperature reading as a state: T + x [K], x a random walk of `rate` [K/√d]."""
     return _random_walk(
         "wandering_temperature_reading", "temperature_reading_change", "K", rate, (1e-6, 5.0),
-        lambda p, x, u, q: {"cabinet_temperature_reading": x.temperature_reading_change},
+        lambda p, x, u, q: {TEMPERATURE_READING: x.temperature_reading_change},
         "change of the temperature sensor's offset since the fit",
         leaves="a temperature reading that is off by the same amount for days, and humidity that does not "
                "follow it",
-        source="the sensor's own error",
+        source=OWN_ERROR,
     )  # fmt: skip
 
 
@@ -100,25 +101,20 @@ def wandering_humidity_reading(rate: float = 0.005) -> Mechanism:
     """An offset of the humidity reading as a state: h + x [1], x a random walk of `rate` [1/√d]."""
     return _random_walk(
         "wandering_humidity_reading", "humidity_reading_change", "1", rate, (1e-6, 0.2),
-        lambda p, x, u, q: {"cabinet_relative_humidity_reading": x.humidity_reading_change},
+        lambda p, x, u, q: {HUMIDITY_READING: x.humidity_reading_change},
         "change of the humidity sensor's offset since the fit",
         leaves="a humidity reading that is off by the same amount for days",
-        source="the sensor's own error",
+        source=OWN_ERROR,
     )  # fmt: skip
 
 
 def wandering_humidity_scale(rate: float = 0.01) -> Mechanism:
     """The scale of the humidity reading as a state: h (1 + x), x a random walk of `rate` [1/√d]."""
-
-    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
-        pressure = x.vapour * u.ambient_temperature * (1e-3 * GAS_CONSTANT_VAPOUR)
-        humidity = pressure / saturation_pressure(q.cabinet_air_temperature)
-        return {"cabinet_relative_humidity_reading": x.humidity_scale_change * humidity}
-
     return _random_walk(
-        "wandering_humidity_scale", "humidity_scale_change", "1", rate, (1e-7, 0.5), contributions,
+        "wandering_humidity_scale", "humidity_scale_change", "1", rate, (1e-7, 0.5),
+        lambda p, x, u, q: {HUMIDITY_READING: x.humidity_scale_change * cabinet_humidity(x, u, q)},
         "change of the humidity sensor's scale since the fit",
         inputs=("ambient_temperature",),
         leaves="a humidity reading that is too flat or too steep for days",
-        source="the sensor's own error",
+        source=OWN_ERROR,
     )  # fmt: skip

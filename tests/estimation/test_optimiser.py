@@ -7,9 +7,10 @@ from collections.abc import Callable
 
 import numpy as np
 import pytest
+from builders.constant_level import constant_level
 
 from hygrokf.engine.timeline import timeline
-from hygrokf.estimation import optimiser as fitting
+from hygrokf.estimation import optimiser
 from hygrokf.estimation.confidence import uncertainty
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import (
@@ -28,30 +29,21 @@ from hygrokf.physics.model import compose
 from hygrokf.physics.parameters import Coordinates, Parameter, Prior
 
 COUNT = 50
+HILLS = 2.0 + 0.2 * np.random.default_rng(2).normal(size=30)
 READ = 3.0 + 0.7 * np.random.default_rng(1).normal(size=COUNT)
 
 
 def sample(
     read: np.ndarray = READ, centre: Callable = lambda p: p.mean, prior: Prior | None = None, **bounds: tuple
 ) -> Likelihood:
-    """Independent normal readings as a filter: a constant that starts at `centre` without any variance."""
+    """Independent normal readings about `centre`."""
     low, high = bounds.get("mean", (-50.0, 50.0))
     small, large = bounds.get("spread", (1e-3, 1e3))
-    constant = linear_network(
-        "constant",
-        [
-            Parameter("mean", "1", min(max(1.0, low), high), low, high, prior=prior),
-            Parameter("spread", "1", min(max(2.0, small), large), small, large, positive=True, noise=True),
-        ],
-        ["x"],
-        [],
-        lambda p, x, u: {"x": 0.0 * x.x},
-        {"y": lambda p, x, u: (x.x, p.spread * p.spread)},
-        lambda p: {"x": 0.0},
-        lambda p, u: {"x": (centre(p), 0.0)},
-    )
-    model = compose([constant])
-    return Likelihood(model, timeline(model, np.arange(float(len(read))), {}, {"y": read}))
+    parameters = [
+        Parameter("mean", "1", min(max(1.0, low), high), low, high, prior=prior),
+        Parameter("spread", "1", min(max(2.0, small), large), small, large, positive=True, noise=True),
+    ]
+    return constant_level(parameters, read, centre, lambda p: p.spread * p.spread)
 
 
 def normal(read: np.ndarray, mean: float, spread: float) -> float:
@@ -98,9 +90,8 @@ def test_bounds_hold_and_are_reported() -> None:
 
 
 def test_objective_gradient_and_information_in_coordinates() -> None:
-    objective = Objective(
-        sample(prior=Prior(1.0, 0.5)), Coordinates(sample(prior=Prior(1.0, 0.5)).model.parameters)
-    )
+    likelihood = sample(prior=Prior(1.0, 0.5))
+    objective = Objective(likelihood, Coordinates(likelihood.model.parameters))
     z = np.array([2.0, math.log(1.3)])
     value, gradient, information = objective.information(z)
     again, score = objective.score(z)
@@ -110,7 +101,7 @@ def test_objective_gradient_and_information_in_coordinates() -> None:
     np.testing.assert_allclose(gradient, expected, rtol=1e-10)
     np.testing.assert_allclose(score, expected, rtol=1e-10)
     np.testing.assert_allclose(information, np.diag([COUNT / 1.3**2 + 4.0, 2.0 * COUNT]), rtol=1e-10)
-    scores = objective.scores(z)
+    scores = objective.information_and_scores(z)[3]
     np.testing.assert_allclose(
         scores, np.column_stack([residual / 1.3, residual**2 - 1.0]), rtol=1e-9, atol=1e-9
     )
@@ -128,10 +119,9 @@ def two_hills(p: object) -> object:
 
 
 def test_other_optima_are_reported_and_are_optima() -> None:
-    read = 2.0 + 0.2 * np.random.default_rng(2).normal(size=30)
-    likelihood = sample(read, two_hills, prior=Prior(0.5, 1.0))
+    likelihood = sample(HILLS, two_hills, prior=Prior(0.5, 1.0))
     found = maximise(likelihood, {"mean": -1.0}, count=1, more_starts=[{"mean": 1.0}])
-    right, left = (-0.05 + s * math.sqrt(0.05**2 + 4 * read.mean()) for s in (1, -1))
+    right, left = (-0.05 + s * math.sqrt(0.05**2 + 4 * HILLS.mean()) for s in (1, -1))
     assert found.values["mean"] == pytest.approx(right / 2, abs=0.03)  # the prior prefers it
     assert len(found.others) == 1
     objective, values = found.others[0]
@@ -145,17 +135,16 @@ def test_other_optima_are_reported_and_are_optima() -> None:
 def test_where_a_climb_did_not_converge_is_not_reported_as_an_optimum(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    climbs = fitting.climb
+    climbs = optimiser.climb
 
     def tired(objective: Objective, start: np.ndarray, *rest: object, **more: object) -> Optimum:
         if start[0] < 0:
-            return Optimum(start, objective.value(start), False, "stopped after 60 passes", 60)
+            return Optimum(start, objective.value(start), False, "stopped after 60 passes")
         return climbs(objective, start, *rest, **more)
 
-    monkeypatch.setattr(fitting, "climb", tired)
-    read = 2.0 + 0.2 * np.random.default_rng(2).normal(size=30)
+    monkeypatch.setattr(optimiser, "climb", tired)
     found = maximise(
-        sample(read, two_hills), {"mean": 1.4}, count=1, more_starts=[{"mean": -1.3, "spread": 0.5}]
+        sample(HILLS, two_hills), {"mean": 1.4}, count=1, more_starts=[{"mean": -1.3, "spread": 0.5}]
     )
     assert found.converged and found.values["mean"] > 0
     assert found.others == ()
@@ -186,29 +175,17 @@ def test_starts_stay_where_a_prior_is() -> None:
     assert max(abs(mean - 3.0) for mean in means) <= 0.2 and np.ptp(means) > 0.2
 
 
-HILLS = 2.0 + 0.2 * np.random.default_rng(2).normal(size=30)
-
-
 def hills(lowest: float = -50.0, shift: bool = False) -> Likelihood:
     """Readings about mean² + mean/20, with a prior that prefers the hill at positive means; and a shift of
     it, if wanted."""
-    more = [Parameter("shift", "1", 0.005, -0.01, 0.01, null=0.0)] if shift else []
-    constant = linear_network(
-        "constant",
-        [
-            Parameter("mean", "1", -1.0, lowest, 50.0 if lowest == -50.0 else -0.1, prior=Prior(0.5, 1.0)),
-            Parameter("spread", "1", 2.0, 1e-3, 1e3, positive=True, noise=True),
-            *more,
-        ],
-        ["x"],
-        [],
-        lambda p, x, u: {"x": 0.0 * x.x},
-        {"y": lambda p, x, u: (x.x, p.spread * p.spread)},
-        lambda p: {"x": 0.0},
-        lambda p, u: {"x": (two_hills(p) + (p.shift if shift else 0.0), 0.0)},
+    parameters = [
+        Parameter("mean", "1", -1.0, lowest, 50.0 if lowest == -50.0 else -0.1, prior=Prior(0.5, 1.0)),
+        Parameter("spread", "1", 2.0, 1e-3, 1e3, positive=True, noise=True),
+        *([Parameter("shift", "1", 0.005, -0.01, 0.01, null=0.0)] if shift else []),
+    ]
+    return constant_level(
+        parameters, HILLS, lambda p: two_hills(p) + (p.shift if shift else 0.0), lambda p: p.spread * p.spread
     )
-    model = compose([constant])
-    return Likelihood(model, timeline(model, np.arange(30.0), {}, {"y": HILLS}))
 
 
 def test_a_model_starts_from_one_that_it_contains() -> None:
@@ -225,12 +202,11 @@ def test_a_model_starts_from_one_that_it_contains() -> None:
 
 def test_what_is_below_a_model_that_it_contains_has_not_converged() -> None:
     parent = maximise(hills(), {"mean": 1.0}, count=1)
-    held = maximise(
-        hills(lowest=-40.0, shift=True), count=1, parents=[parent]
-    )  # its bounds keep the hill out
+    # the larger model's bounds keep the parent's hill out
+    held = maximise(hills(lowest=-40.0, shift=True), count=1, parents=[parent])
     assert not held.converged
     short = parent.objective - held.objective
-    assert f"more likely, by {short:.2f} in ln L" in held.message and "start values" in held.message
+    assert f"{short:.2f} in ln L" in held.message and "start values" in held.message
     assert maximise(hills(lowest=-40.0, shift=True), count=1).converged
 
 
@@ -273,9 +249,7 @@ def test_a_stiff_corner_ends_with_its_budget() -> None:
     begun = Objective(likelihood, Coordinates(likelihood.model.parameters))
     start = begun.coordinates.start(first)
     ended = climb(begun, start, budget=2.5 * each)
-    assert (
-        not ended.converged and "budget" in ended.message and "interval between the readings" in ended.message
-    )
+    assert not ended.converged and "budget" in ended.message and "interval" in ended.message
     assert ended.objective >= begun.value(start)
     said = maximise(likelihood, count=1, budget=2.5 * each)
     assert not said.converged and "budget" in said.message
@@ -298,7 +272,7 @@ def test_a_climb_that_stops_early_says_so() -> None:
     objective = Objective(sample(), Coordinates(sample().model.parameters))
     far = np.array([40.0, math.log(0.01)])
     stopped = climb(objective, far, passes=2)
-    assert not stopped.converged and stopped.message == "stopped after 2 passes"
+    assert not stopped.converged and "2 passes" in stopped.message
     assert stopped.objective > objective.value(far)  # never worse than where it began
     assert climb(objective, far).converged
 
@@ -323,7 +297,7 @@ def test_a_simulated_cabinet_is_recovered_within_its_standard_errors(make_case: 
     assert found.converged
     known = uncertainty(Objective(case.likelihood, found.coordinates), found)
     for place, name in enumerate(known.names):
-        p = next(q for q in found.coordinates.free if q.name == name)
+        p = found.coordinates.parameter(name)
         away = p.to_coordinate(found.values[name]) - p.to_coordinate(case.values[name])
         assert abs(away) < 4 * math.sqrt(known.wald[place, place]), name
     assert found.values["thermal_time_constant"] == pytest.approx(1.5, rel=0.2)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from hygrokf.engine import jit as machine
+from hygrokf.engine import jit
 from hygrokf.engine.jit import Code, cache_directory, has_fused_multiply_add
 from hygrokf.engine.llvm_writer import LANES, SCALAR, VECTOR, Writer, declarations, literal
 from hygrokf.physics.expression import Expression, Graph, exp, forward, jacobian, log, maximum, sqrt, where
@@ -23,7 +23,7 @@ def fresh(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """An empty cache on disk and a process that has compiled nothing yet."""
     monkeypatch.setenv("HYGROKF_CACHE", str(tmp_path / "cache"))
     # the engines made here must outlive the code objects of the test
-    monkeypatch.setattr(machine, "_engines", {})
+    monkeypatch.setattr(jit, "_engines", {})
     return tmp_path / "cache"
 
 
@@ -149,14 +149,14 @@ def test_code_is_kept_on_disk_and_taken_from_there(fresh: Path, monkeypatch: pyt
     if sys.platform != "win32":
         assert files[0].parent.stat().st_mode & 0o077 == 0  # loading it means running it: for the user alone
     before = files[0].read_bytes()
-    kept = dict(machine._engines)
-    monkeypatch.setattr(machine, "_engines", {})
+    kept = dict(jit._engines)
+    monkeypatch.setattr(jit, "_engines", {})
 
     def refuse(*_: object) -> None:
         raise AssertionError("compiled although the object is on disk")
 
     with monkeypatch.context() as patch:
-        patch.setattr(machine.llvm, "create_pass_builder", refuse)
+        patch.setattr(jit.llvm, "create_pass_builder", refuse)
         np.testing.assert_array_equal(run_doubling(doubling()), 2.0 * np.arange(5))
     assert files[0].read_bytes() == before and kept
     run_doubling(doubling(3.0))
@@ -173,8 +173,8 @@ def test_a_damaged_object_is_compiled_anew(
     file = next(fresh.rglob("*.o"))
     whole = file.read_bytes()
     file.write_bytes(damage(whole))
-    kept = dict(machine._engines)
-    monkeypatch.setattr(machine, "_engines", {})
+    kept = dict(jit._engines)
+    monkeypatch.setattr(jit, "_engines", {})
     np.testing.assert_array_equal(run_doubling(doubling()), 2.0 * np.arange(5))
     assert file.read_bytes() == whole and kept
     assert not list(fresh.rglob("*.tmp"))

@@ -5,12 +5,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator
+from functools import cache
 
 import numpy as np
 import pytest
+from builders.linear_oracles import (
+    first_of,
+    linear_hold,
+    thermal_force,
+    thermal_matrices,
+    van_loan,
+)
+from builders.linear_oracles import (
+    heat_release as released,
+)
 from filterpy.kalman import ExtendedKalmanFilter
-from scipy.linalg import expm
 
+from hygrokf.engine.filter_loops import filter_loop
 from hygrokf.engine.packing import pack, trace_width, unpack
 from hygrokf.engine.timeline import timeline
 from hygrokf.engine.traced_filter import traced
@@ -107,57 +118,22 @@ def sensor(case: object) -> Callable:
     return shown
 
 
-def first_of(case: object) -> Gaussian:
-    """What the mechanisms say of the state before the first reading, written once more."""
-    p, u = case.values, {name: v[0] for name, v in case.inputs.items()}
-    table = {
-        "converter_temperature": lambda: (u["ambient_temperature"] + 5.0, 25.0),
-        "heat_disturbance": lambda: (0.0, p["heat_disturbance_sd"] ** 2),
-        "vapour": lambda: (u["ambient_absolute_humidity"], (0.3 * u["ambient_absolute_humidity"]) ** 2),
-        "vapour_disturbance": lambda: (0.0, p["vapour_disturbance_sd"] ** 2),
-    }
-    pairs = [table[name]() for name in case.model.states]
-    return Gaussian(np.array([a for a, _ in pairs]), np.diag([b for _, b in pairs]))
-
-
 def thermal_step(case: object) -> Step:
     """Exact steps of the thermal model by matrix exponentials, inputs running straight within a step."""
     p, u, time = case.values, case.inputs, case.timeline.time
     assert case.model.states == ("converter_temperature", "heat_disturbance")
-    ratio, tau, colour = p["resistance_ratio"], p["thermal_time_constant"], p["heat_disturbance_time"]
-    a = np.array([[-1 / tau, 1 / ratio / tau], [0, -1 / colour]])
-    q = np.diag([p["thermal_diffusion"] ** 2, 2 * p["heat_disturbance_sd"] ** 2 / colour])
+    a, q = thermal_matrices(p)
 
     def force(k: int, at: int) -> np.ndarray:
         """Affine part of the rates with the power of step k and the ambient of instant `at`."""
-        outside, on = u["ambient_temperature"][at], u["operating"][k]
-        release = on * (
-            p["heat_release_operation"] + p["heat_release_operation_ambient"] * (outside - 283.15)
-        )
-        release += (1 - on) * (
-            p["heat_release_standstill"] + p["heat_release_standstill_ambient"] * (outside - 283.15)
-        )
-        release += p["heat_release_power_1"] * u["power_1"][k] + p["heat_release_power_2"] * u["power_2"][k]
-        return np.array([(outside + release / ratio) / tau, 0.0])
+        return thermal_force(p, u["ambient_temperature"][at], u["operating"][k], u["power_1"][k])
 
-    made: dict[float, tuple] = {}
-
-    def pieces(h: float) -> tuple:
-        if h not in made:
-            block = np.zeros((6, 6))
-            block[:2, :2], block[:2, 2:4], block[2:4, 4:] = a * h, np.eye(2) * h, np.eye(2)
-            power = expm(block)
-            loan = expm(np.block([[-a, q], [np.zeros((2, 2)), a.T]]) * h)
-            made[h] = (
-                power[:2, :2],
-                power[:2, 2:4] - power[:2, 4:],
-                power[:2, 4:],
-                loan[2:, 2:].T @ loan[:2, 2:],
-            )
-        return made[h]
+    @cache
+    def pieces(h: float) -> tuple[np.ndarray, ...]:
+        return *van_loan(a, q, h), *linear_hold(a, np.eye(2), h)
 
     def step(k: int, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        f, start, end, noise = pieces(round(time[k] - time[k - 1], 12))
+        f, noise, start, end = pieces(round(time[k] - time[k - 1], 12))
         return f @ x + start @ force(k, k - 1) + end @ force(k, k), f, noise
 
     return step
@@ -327,10 +303,8 @@ def test_conditions_hold_whenever_their_operands_are_known(condition: Callable, 
     time = 0.25 * np.arange(24)
     inputs = {"r": (time > 2.1).astype(float), "c": time.copy()}
     y = np.sin(time) * 0.5
-    values = {
-        "a": 0.9,
-        "b": 0.6,
-    }  # far from where the number of sub-steps changes: a jump of a rate falls in other places
+    # far from where the number of sub-steps changes: a jump of a rate falls in other places
+    values = {"a": 0.9, "b": 0.6}
     likelihood = Likelihood(model, timeline(model, time, inputs, {"y": y}))
     value, score = likelihood.score(values)
     assert likelihood.value(values) == pytest.approx(value, rel=1e-12)
@@ -399,7 +373,6 @@ class Particles:
         p, u, z = self.p, self.u, self.x
         h = (self.time[k] - self.time[k - 1]) / parts
         on, ratio, tau = u["operating"][k], p["resistance_ratio"], p["thermal_time_constant"]
-        power = p["heat_release_power_1"] * u["power_1"][k] + p["heat_release_power_2"] * u["power_2"][k]
         keep = [math.exp(-h / p["heat_disturbance_time"]), math.exp(-h / p["vapour_disturbance_time"])]
         kick = [p["heat_disturbance_sd"], p["vapour_disturbance_sd"]]
         kick = [s * math.sqrt(1 - e * e) for s, e in zip(kick, keep, strict=True)]
@@ -411,9 +384,7 @@ class Particles:
                 (1 - share) * u[n][k - 1] + share * u[n][k]
                 for n in ("ambient_temperature", "ambient_absolute_humidity", "exchange_factor")
             )
-            warm = outside - 283.15
-            release = power + on * (p["heat_release_operation"] + p["heat_release_operation_ambient"] * warm)
-            release += (1 - on) * (p["heat_release_standstill"] + p["heat_release_standstill_ambient"] * warm)
+            release = released(p, outside, on, u["power_1"][k])
             normal = self.random.standard_normal((4, self.count))
             heat = keep[0] * z[:, 1] + kick[0] * normal[0]
             error = keep[1] * z[:, 3] + kick[1] * normal[1]
@@ -492,7 +463,7 @@ def test_models_that_differ_in_a_records_numbers_share_their_code() -> None:
     (one, values), (other, _) = found
     assert traced(one.model) is not traced(other.model)
     for kind in ("value", "adjoint", "tangent", "trace"):
-        assert traced(one.model).code(kind) is traced(other.model).code(kind)
+        assert filter_loop(traced(one.model), kind) is filter_loop(traced(other.model), kind)
     assert one.value(values) != other.value(values)
     same = values | {"cabinet_temperature_noise": math.sqrt(values["cabinet_temperature_noise"] ** 2 + 0.04)}
     # f + a (T − 280) is (f + 10 a) + a (T − 290), and the noises add in quadrature

@@ -122,12 +122,11 @@ def test_what_a_record_lacks_is_named(record: Record) -> None:
 def test_features_of_a_damaged_file_are_named() -> None:
     good = {"sunshine": {}, "after_step": {"date_s": 1.0}, "cooling": {"on_K": 300.0, "off_K": 298.0}}
     assert feature_faults(good) == []
-    (unknown, missing, more) = feature_faults(
-        {"moon": {}, "cooling": {"on_K": 300.0}, "wind_tenth": {"a": 1}}
-    )
-    assert unknown.startswith("moon: expected one of elapsed, sunshine")
-    assert missing == "cooling: expected the settings on_K, off_K, found {'on_K': 300.0}"
-    assert more == "wind_tenth: expected the settings none, found {'a': 1}"
+    faults = feature_faults({"moon": {}, "cooling": {"on_K": 300.0}, "wind_tenth": {"a": 1}})
+    for fault, words in zip(
+        faults, (["moon:", "elapsed"], ["cooling:", "off_K"], ["wind_tenth:", "none", "'a'"]), strict=True
+    ):
+        assert all(word in fault for word in words)
 
 
 def test_a_sunlit_wall_is_that_of_other_code() -> None:

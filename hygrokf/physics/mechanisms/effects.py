@@ -1,0 +1,146 @@
+"""Patterns that mechanisms share: an amplitude that scales an input, a lagged share, noise of a state."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from hygrokf.physics.expression import Value
+from hygrokf.physics.model import Mechanism, Space, Values
+from hygrokf.physics.parameters import Parameter
+
+PAPER = "Field-measurement based hygrothermal modelling of the converter-cabinet climate in wind turbines"
+NONNEGATIVE = (0.0, math.inf)
+"""Physical range of an amplitude that cannot be negative."""
+ABOVE_MINUS_ONE = (-1.0, math.inf)
+"""Physical range of a relative change."""
+Factor = str | Callable[[Space, Space, Space], Value]
+"""An input's name, or a function (x, u, q) -> value."""
+
+
+def effect(
+    name: str,
+    target: str,
+    amplitude: Parameter,
+    *factors: Factor,
+    negative: bool = False,
+    inputs: tuple[str, ...] | None = None,
+    settings: Mapping[str, Any] | None = None,
+    meaning: str,
+    leaves: str,
+    source: str,
+) -> Mechanism:
+    """One amplitude a, with the null value 0, that scales inputs: target += ± a · factor · factor …
+
+    `inputs` are those that the factors read; by default the factors that are names.
+    """
+
+    def contributions(p: Space, x: Space, u: Space, q: Space) -> Values:
+        values = [getattr(u, f) if isinstance(f, str) else f(x, u, q) for f in factors]
+        term = -getattr(p, amplitude.name) if negative else getattr(p, amplitude.name)
+        for value in values:
+            term = term * value
+        return {target: term}
+
+    named = tuple(factor for factor in factors if isinstance(factor, str))
+    return Mechanism(
+        name=name,
+        parameters=(amplitude,),
+        inputs=named if inputs is None else inputs,
+        contributions=contributions,
+        settings=settings or {},
+        meaning=meaning,
+        leaves=leaves,
+        source=source,
+    )
+
+
+def lagged_share(
+    name: str,
+    target: str,
+    signal: str,
+    state: str,
+    share: Parameter,
+    time: Parameter,
+    variance: float,
+    amount: bool = False,
+    *,
+    meaning: str,
+    leaves: str,
+) -> Mechanism:
+    """A share w of a signal follows it with a first-order lag θ: target += w (L − signal), dL/dt = (signal −
+    L)/θ.
+
+    `variance` is that of the state L at the first instant; `amount`: L cannot be negative.
+    """
+    return Mechanism(
+        name=name,
+        parameters=(share, time),
+        states=(state,),
+        amounts=(state,) if amount else (),
+        inputs=(signal,),
+        contributions=lambda p, x, u, q: {
+            target: getattr(p, share.name) * (getattr(x, state) - getattr(u, signal))
+        },
+        drift=lambda p, x, u, q, s: {state: (getattr(u, signal) - getattr(x, state)) / getattr(p, time.name)},
+        initial=lambda p, u: {state: (getattr(u, signal), variance)},
+        meaning=meaning,
+        leaves=leaves,
+        source="first-order mixing of the air in the tower",
+    )
+
+
+def white_noise(name: str, state: str, intensity: Parameter, meaning: str) -> Mechanism:
+    """White noise on a state of another mechanism; `intensity` [unit of the state/√h]."""
+
+    def diffusion(p: Space) -> Values:
+        value = getattr(p, intensity.name)
+        return {state: value * value}
+
+    return Mechanism(name=name, parameters=(intensity,), diffusion=diffusion, meaning=meaning)
+
+
+def ornstein_uhlenbeck(
+    name: str,
+    target: str,
+    unit: str,
+    sd: tuple[float, float, float],
+    longest_h: float,
+    shortest_h: float,
+    start_h: float,
+    meaning: str,
+    leaves: str,
+) -> Mechanism:
+    """A coloured disturbance w of a named sum: dw = −w/θ dt + sd √(2/θ) dW.
+
+    `sd`: start, lower and upper limit of the standard deviation [unit]; `shortest_h`, `longest_h`: limits of
+    the correlation time θ [h]; `start_h`: its start [h], moved within them.
+    """
+
+    def variance(p: Space) -> Value:
+        value = getattr(p, f"{name}_sd")
+        return value * value
+
+    time_h = min(max(start_h, shortest_h), longest_h)
+    return Mechanism(
+        name=name,
+        parameters=(
+            Parameter(
+                f"{name}_sd", unit, *sd, positive=True, null=0.0, noise=True,
+                meaning=f"standard deviation of the {meaning}",
+            ),
+            Parameter(
+                f"{name}_time", "h", time_h, shortest_h, longest_h, positive=True, noise=True,
+                meaning="its correlation time",
+            ),
+        ),
+        states=(name,),
+        contributions=lambda p, x, u, q: {target: getattr(x, name)},
+        drift=lambda p, x, u, q, s: {name: -getattr(x, name) / getattr(p, f"{name}_time")},
+        diffusion=lambda p: {name: 2.0 * variance(p) / getattr(p, f"{name}_time")},
+        initial=lambda p, u: {name: (0.0, variance(p))},
+        settings={"longest_h": longest_h, "shortest_h": shortest_h, "start_h": start_h},
+        meaning=meaning,
+        leaves=leaves,
+    )  # fmt: skip
