@@ -91,8 +91,8 @@ def doubts(record: Record) -> tuple[str, ...]:
 
 
 def _doubts_of_readings(record: Record) -> list[str]:
-    """Doubts about readings of a record made from series; `read_case` and `Record.from_frames` refuse or mask
-    such readings."""
+    """Doubts about readings of a record made from series; `read_case` and `read_frames` refuse or mask such
+    readings."""
     said: list[str] = []
     for series in (*record.series, *record.compared):
         row = signal_named(series.signal)
@@ -101,7 +101,7 @@ def _doubts_of_readings(record: Record) -> list[str]:
         if mistaken is not None:
             said.append(Doubt(mistaken, *_told_by(series.signal)))
         elif outside.any():
-            words = f"{range_sentence(series, outside)}; Record.from_frames and read_case mask such readings"
+            words = f"{range_sentence(series, outside)}; read_case and read_frames mask such readings"
             said.append(Doubt(words, *_told_by(series.signal)))
     if record.start_s < _OLDEST_S:
         said.append(

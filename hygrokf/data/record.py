@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import NoReturn
 
 import numpy as np
 
@@ -16,9 +16,6 @@ from hygrokf.data.signals import LARGEST_FRACTION, SIGNALS, Signal, better_units
 from hygrokf.data.toml_form import setting
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import LINEAR, ZERO_ORDER
-
-if TYPE_CHECKING:
-    import pandas
 
 HOLDS = (LINEAR, ZERO_ORDER)
 
@@ -172,8 +169,10 @@ def _numbers(name: str, given: object, expected: str, faults: list[str]) -> np.n
         )
         found = type(next(iter(others), given)).__name__
     remedy = _REMEDIES[name]
-    faults.append(f"{name}: expected {expected}, found {found}; convert, such as {remedy}, or pass a frame "
-                  "to Record.from_frames")  # fmt: skip
+    faults.append(
+        f"{name}: expected {expected}, found {found}; convert, such as {remedy}, or pass a frame to "
+        "hygrokf.read_frames"
+    )
     return None
 
 
@@ -216,7 +215,7 @@ def _other_unit(value: np.ndarray, row: Signal) -> str | None:
         f"value: expected {unit}, found readings of about {np.median(finite):.4g}, which would fit as "
         f'{" or ".join(better)}; convert them, such as hygrokf.data.signals.to_si(value, "{better[0]}", '
         f'"{row.name}"), or state '
-        "the unit to Record.from_frames"
+        "the unit to hygrokf.read_frames"
     )
 
 
@@ -305,57 +304,9 @@ class Record:
             )
 
     @classmethod
-    def from_frames(
-        cls,
-        frames: pandas.DataFrame | Mapping[str, pandas.DataFrame] | Sequence[pandas.DataFrame],
-        *,
-        signals: Mapping[str, str] | Mapping[str, Mapping[str, str]] | None = None,
-        units: Mapping[str, str] | Mapping[str, Mapping[str, str]] | None = None,
-        name: str = "record",
-        site: Site | Mapping[str, float] | None = None,
-        rated_power_kW: float | None = None,
-        identification: Mapping[str, Any] | None = None,
-        cabinet: bool = True,
-        ambient: bool = True,
-        **settings: Any,
-    ) -> Record:
-        """Record of pandas frames, read, checked and masked in the same way as `read_case` treats files.
-
-        frames: one DataFrame, or several by name or in a list.  Each is a source with its own clock: its
-            index holds the
-            times (a DatetimeIndex, text in ISO 8601, or a PeriodIndex, whose readings are means of the
-            periods).
-        signals: {column: signal} for columns that are not named after their signal.
-        units: {column: unit}, needed for every column that is a signal; docs/signals.md lists both.
-        name, rated_power_kW, site, identification: as in a case file, the last two as mappings, such as
-            identification={"until": "2020-12-01T00:00Z"}.
-        cabinet, ambient: whether a cabinet signal and an ambient temperature are required; as for
-            `read_case`.
-        settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0},
-            resolution, response_time. Those of a source are one value for all frames or a mapping from their
-            names: timezone, stamp, interval, hold, clock_uncertainty, clock_correction, decimal, missing,
-            time_format, ignore_offset, compare, and time, the column that holds the times where the index
-            does not.
-
-        Where several frames have columns of the same name, nest the mappings from columns in mappings from
-        frames: units={"cabinet": {"T": "degC"}, "mast": {"T": "K"}}.
-
-        The record's `warnings` list what was masked or repaired.  Raises CaseFault with all faults.
-        """
-        from hygrokf.cases.frames import record_from_frames
-
-        return record_from_frames(
-            frames,
-            name=name,
-            signals=signals,
-            units=units,
-            site=site,
-            rated_power_kW=rated_power_kW,
-            identification=identification,
-            cabinet=cabinet,
-            ambient=ambient,
-            settings=settings,
-        )
+    def from_frames(cls, *_: object, **__: object) -> NoReturn:
+        """The former place of `hygrokf.read_frames`.  Raises AttributeError that says so."""
+        raise AttributeError("Record.from_frames is called hygrokf.read_frames now")
 
     @cached_property
     def signals(self) -> tuple[str, ...]:

@@ -28,9 +28,8 @@ OUTSIDE = {"", "version", "errors", "__main__"}
 """Modules that stand in no folder: the face, and what everybody may import."""
 ONLY_IN = {"llvmlite": "engine.jit"}
 """Third parties that are imported with a module, and the module that may."""
-UPWARD = {("data.record", "cases.frames"), ("identification.fit", "report.fit_page")}
-"""Imports that point up, with their reason: `Record.from_frames` stands where one looks for it and leads to
-the whole way from tables to a record; `Fit._repr_html_` shows the fit's page in a notebook."""
+UPWARD = {("identification.fit", "report.fit_page")}
+"""Imports that point up, with their reason: `Fit._repr_html_` shows the fit's page in a notebook."""
 SHELVES = ("hygrokf", "scripts", "tests/plants", "tests/other_make")
 """Folders whose modules and functions have a readable length."""
 PLACE = {name: floor for floor, names in enumerate(FLOORS) for name in names.split()}

@@ -151,7 +151,7 @@ def test_a_good_record_raises_neither_warning_nor_doubt():
             changed(good(), "cabinet_temperature", np.where(np.arange(8640) % 90, 293.15, 20.0)),
             [
                 "cabinet_temperature: 96 readings outside of -60 degC … 120 degC, such as -253.1 degC",
-                "from_frames",
+                "read_frames",
             ],
         ),
         (

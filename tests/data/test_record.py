@@ -64,7 +64,7 @@ INDEX = pd.date_range("2020-09-13", periods=50, freq="10min")
     ("signal", "time", "value", "words"),
     [
         ("cabinet_temperature", INDEX, CELSIUS + 273.15,
-            ["expected seconds since 1970", "found datetime64", "Record.from_frames"]),
+            ["expected seconds since 1970", "found datetime64", "read_frames"]),
         ("cabinet_temperature", INDEX.tz_localize("UTC"), CELSIUS + 273.15,
             ["expected seconds", "found Timestamp"]),
         ("cabinet_temperature", INDEX.to_period("10min"), CELSIUS + 273.15,
