@@ -78,7 +78,7 @@ _MOVED = {
     "pool_types": "identification.turbine_type.pool_types",
     "pooled": "identification.turbine_type.pool_types",
     "read_type": "identification.turbine_type.read_type",
-    "read_weather": "weather.years.read_weather",
+    "read_weather": "weather.reading.read_weather",
     "reference_filter": "estimation.reference_filter.reference_filter",
     "write_comparison": "report.comparison_page.write_comparison",
     "write_transfer": "report.transfer_page.write_transfer",

@@ -68,7 +68,7 @@ def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
     apart = [one for one in apart if one.signal not in NOT_COMPARED]
     files: dict[str, list[str]] = {}
     for one in apart:
-        files.setdefault(one.source.split(", column")[0], []).append(one.signal)
+        files.setdefault(one.file, []).append(one.signal)
     return [
         f"{file} cannot be compared ({', '.join(signals)}): fewer than {FEWEST_D:g} days in common with the "
         "source that is used"
@@ -132,8 +132,7 @@ def no_overlap(series: Sequence[Series]) -> list[str]:
             continue
         start, end = spans[one.signal]
         if start > last or end < first:
-            source = one.source.split(", column")[0]
-            where = f" in {source}" * bool(source)
+            where = f" in {one.file}" * bool(one.source)
             apart.setdefault(f"{where} ({period_text(start, end)})", []).append(one.signal)
     return [
         f"no overlap: {', '.join(signals)}{where} and the cabinet's readings "
@@ -335,14 +334,12 @@ def _pair(
 
 def _doubts_of_clocks(record: Record) -> list[str]:
     said: list[str] = []
-    irregular: dict[str, list[str]] = {}
     for series in record.series:
         step, regular = modal_step(series.time)
         if len(series) > 2 and regular < 0.9:
-            source = series.source.split(", column")[0] or series.signal
             text = f"{100 * regular:.0f} % of the steps are {duration_text(step)}"
-            irregular.setdefault(f"irregular steps in {source}: only {text}", []).append(series.signal)
-    said += list(irregular)
+            said.append(f"irregular steps in {series.file}: only {text}")
+    said = list(dict.fromkeys(said))
     if record.site is not None and "global_horizontal_irradiance" in record:
         lag = _solar_lag(record["global_horizontal_irradiance"], record.site.longitude_deg)
         if lag is not None and abs(lag) > _SOLAR_LAG_MIN * 60.0:

@@ -224,7 +224,7 @@ class _Prepared:
     def table(self, source: StatedSource) -> Table:
         """Its readings; raises TableFault."""
         if not len(self.frame):
-            raise TableFault(["expected readings, found no row in the frame"])
+            raise TableFault("expected readings, found no row in the frame")
         return table_of(
             self.frame,
             [one.column for one in source.columns],

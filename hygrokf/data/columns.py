@@ -48,9 +48,9 @@ _SHOWN = 5
 class TableFault(HygrokfError):
     """A table that cannot be read; `faults` lists every reason."""
 
-    def __init__(self, faults: Sequence[str]) -> None:
-        self.faults = tuple(faults)
-        super().__init__("\n".join(self.faults))
+    def __init__(self, *faults: str) -> None:
+        super().__init__("\n".join(faults))
+        self.faults = faults
 
 
 @dataclass(frozen=True)
@@ -143,10 +143,10 @@ def table_of(
             counted = "1 row" if count == 1 else f"{count} rows"
             warnings.append(f"{counted} without a stamp left out: {where}")
     if faults:
-        raise TableFault(faults)
+        raise TableFault(*faults)
     keep = np.isfinite(time)
     if not keep.any():
-        raise TableFault(["expected readings, found no row with a stamp that can be used"])
+        raise TableFault("expected readings, found no row with a stamp that can be used")
     return Table(
         time[keep],
         {name: array[keep] for name, array in values.items()},

@@ -33,9 +33,9 @@ class Series:
     resolution: [SI unit] spacing of the readings' grid; 0 = none found.
     accuracy: [SI unit] stated 95 % accuracy of the sensor; None: the signal table's default.
     clock_uncertainty_s: [s] stated standard uncertainty of the source's clock; None: not stated.
-    source: file and column.
-    height_m: [m] above ground of what was read, for a wind whose file says so; None: not known.
-    response_time_s: [s] stated time in which the sensor follows a step by all but 1/e; None: not stated.
+    source: file and column, such as 'scada.csv, column "P"'.
+    height_m: [m] height above ground of a wind whose file states it; None: not known.
+    response_time_s: [s] stated time constant of the sensor; None: not stated.
 
     The arrays are copied and made read-only. Raises ValueError that lists everything wrong.
     """
@@ -96,6 +96,11 @@ class Series:
 
     # Python's own way to make a class unhashable, which type checkers do not know of a base with a hash
     __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def file(self) -> str:
+        """The file of `source`, or the signal where there is no source."""
+        return self.source.split(", column")[0] or self.signal
 
     @property
     def missing(self) -> np.ndarray:
@@ -220,11 +225,10 @@ def _other_unit(value: np.ndarray, row: Signal) -> str | None:
 
 
 def _increases(time: np.ndarray) -> bool:
-    """Whether times (T,) are finite and increase strictly; where the ends are finite and times increase, all
-    are finite."""
+    """Whether times (T,) are finite and increase strictly."""
     if not len(time):
         return True
-    ends = math.isfinite(time[0]) and math.isfinite(time[-1])
+    ends = math.isfinite(time[0]) and math.isfinite(time[-1])  # then all between increasing times are finite
     return ends and bool((time[1:] > time[:-1]).all())
 
 
@@ -260,15 +264,15 @@ class Site:
 class Record:
     """All series of one enclosure, never resampled onto a common grid.
 
-    name: of the enclosure.
-    series: one per signal.
+    name: name of the enclosure.
+    series: one for each signal.
     site: location, or None.
     rated_power_W: [W] rated power, or None.
-    until_s: [s] end of the identification period since 1970-01-01T00:00Z; None: whole record.
-    warnings: what was masked or repaired, one sentence each.
+    until_s: [s] end of the identification period since 1970-01-01T00:00Z; None: the whole record.
+    warnings: one sentence for each thing that was masked or repaired.
     provenance: (file name, SHA-256) of every file read.
-    compared: series of a second source, one per signal, used neither for fitting nor as an input: `check`
-        compares them with those of the record, which reveals wrong clocks.
+    compared: series of a second source, one for each signal, which no fit uses: `check` compares them with
+        those of the record, which reveals wrong clocks.
 
     Raises ValueError for a signal that occurs twice among the series, or twice among those compared.
     """
@@ -283,10 +287,8 @@ class Record:
     compared: tuple[Series, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "series", tuple(self.series))
-        object.__setattr__(self, "compared", tuple(self.compared))
-        object.__setattr__(self, "warnings", tuple(self.warnings))
-        object.__setattr__(self, "provenance", tuple(self.provenance))
+        for name in ("series", "compared", "warnings", "provenance"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         second = [one.signal for one in self.compared]
         twice = sorted({name for names in (self.signals, second) for name in names if names.count(name) > 1})
         if twice:
@@ -344,13 +346,13 @@ class Record:
         """
         if not start_s <= end_s:
             raise ValueError(f"window: start {start_s} must not be after end {end_s}")
-        kept, second = (
-            tuple(part for one in all_of_them if (part := one.window(start_s, end_s)) is not None)
-            for all_of_them in (self.series, self.compared)
+        series, compared = (
+            tuple(part for one in group if (part := one.window(start_s, end_s)) is not None)
+            for group in (self.series, self.compared)
         )
         inside = self.until_s is not None and start_s < self.until_s < end_s
         until_s = self.until_s if inside else None
-        return dataclasses.replace(self, series=kept, compared=second, until_s=until_s)
+        return dataclasses.replace(self, series=series, compared=compared, until_s=until_s)
 
     def identification(self) -> Record:
         """The identification period: readings up to and including `until_s`."""

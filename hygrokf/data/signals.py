@@ -194,11 +194,13 @@ _ROWS = (
 SIGNALS: dict[str, Signal] = {row.name: row for row in _ROWS}
 
 
-def signal_named(name: str) -> Signal:
+def signal_named(name: str | Signal) -> Signal:
     """Row of the signal table.
 
-    name: a signal. Raises KeyError, with near names, where the table has no such signal.
+    name: a signal, or already its row. Raises KeyError, with near names, where the table has no such signal.
     """
+    if isinstance(name, Signal):
+        return name
     if name not in SIGNALS:
         raise KeyError(f'unknown signal "{name}"{suggestion(name, SIGNALS)}')
     return SIGNALS[name]
@@ -206,7 +208,7 @@ def signal_named(name: str) -> Signal:
 
 def fitting_units(signal: str | Signal) -> tuple[str, ...]:
     """Names of the units that a case file may give for a signal."""
-    row = signal if isinstance(signal, Signal) else signal_named(signal)
+    row = signal_named(signal)
     own = tuple(unit.name for unit in UNITS.values() if unit.dimension == row.dimension)
     return own + row.also
 
@@ -216,7 +218,7 @@ def unit_fault(unit: str, signal: str | Signal) -> str | None:
 
     unit: as written in the case file. signal: a signal of the table, or its name.
     """
-    row = signal if isinstance(signal, Signal) else signal_named(signal)
+    row = signal_named(signal)
     fitting = fitting_units(row)
     if unit in fitting:
         return None
@@ -279,7 +281,7 @@ def share_in_range(values: np.ndarray, unit: str, signal: str | Signal) -> float
 
     values: [unit] (N,) finite, N > 0. unit, signal: as for `to_si`, and the same errors.
     """
-    row = signal if isinstance(signal, Signal) else signal_named(signal)
+    row = signal_named(signal)
     converted = to_si(values, unit, row)
     return float(np.mean((converted >= row.low) & (converted <= row.high)))
 
@@ -289,7 +291,7 @@ def better_units(values: np.ndarray, unit: str, signal: str | Signal) -> list[st
 
     values: [unit] (N,) finite, N > 0. unit, signal: as for `to_si`, and the same errors.
     """
-    row = signal if isinstance(signal, Signal) else signal_named(signal)
+    row = signal_named(signal)
     others = [other for other in fitting_units(row) if other != unit]
     return [other for other in others if share_in_range(values, other, row) > 0.5]
 
@@ -302,7 +304,7 @@ def unit_mistaken(values: np.ndarray, unit: str, signal: str | Signal) -> str | 
     Fractions labelled as per cent, and the reverse, are recognised by the largest readings; otherwise most
     readings must lie in the signal's physical range.
     """
-    row = signal if isinstance(signal, Signal) else signal_named(signal)
+    row = signal_named(signal)
     finite = values[np.isfinite(values)]
     if not len(finite):
         return None
@@ -344,7 +346,7 @@ def in_words(value: float, signal: str | Signal) -> str:
 
     value: [SI unit]. signal: a signal of the table, or its name.
     """
-    row = signal if isinstance(signal, Signal) else signal_named(signal)
+    row = signal_named(signal)
     shown = float(from_si(value, row.display, row))
     return f"{shown:.4g}" if row.display == "1" else f"{shown:.4g} {row.display}"
 

@@ -153,7 +153,7 @@ def align(one: Series, other: Series, *, america: bool = False, seed: int = 0) -
             lag, _ = _lag(sums, inside, random)
             months.append((float(month.astype("datetime64[s]").astype(int)), lag.weather, lag.mean_day))
     return Alignment(
-        one.signal, _file(one), _file(other), float(start), float(end), days, offset, size * wave,
+        one.signal, one.file, other.file, float(start), float(end), days, offset, size * wave,
         size * other_wave,
         ratio, whole, winter, summer, change, mean_day_change, tuple(months),
     )  # fmt: skip
@@ -350,7 +350,3 @@ def _difference(one: Bounded, other: Bounded, draws: np.ndarray, other_draws: np
     if not (one.known and other.known):
         return UNKNOWN
     return _bounded(one.value - other.value, draws - other_draws)
-
-
-def _file(series: Series) -> str:
-    return series.source.split(",")[0] or series.signal

@@ -78,23 +78,21 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     own = [one for one in found if one.kind == "epw"]
     if not own:
         remedy = '; state format = "era5"' if found[0].kind.startswith("netcdf") else ""
-        raise TableFault([f"expected an EPW file, whose first line begins with LOCATION{remedy}"])
+        raise TableFault(f"expected an EPW file, whose first line begins with LOCATION{remedy}")
     if len(own) > 1:
-        raise TableFault([f"holds {len(own)} EPW files; expected one: unpack the one of the site"])
+        raise TableFault(f"holds {len(own)} EPW files; expected one: unpack the one of the site")
     rows = list(csv.reader(io.StringIO(own[0].data.decode("utf-8-sig", "replace"))))
     faults: list[str] = []
     site, zone_h, place = _location(rows[0], faults)
     lines = _lines(rows, faults)
     if faults:
-        raise TableFault(faults)
+        raise TableFault(*faults)
     years = sorted({int(one) for one in lines.calendar[:, 0]})
     warnings = []
     if year is None and len(years) > 1:
         raise TableFault(
-            [
-                f"is a typical year put together from months of {years[0]} … {years[-1]}; state the calendar "
-                "year in which it is to stand, such as year = 2019"
-            ]
+            f"is a typical year put together from months of {years[0]} … {years[-1]}; state the calendar "
+            "year in which it is to stand, such as year = 2019"
         )
     if year is not None:
         lines, said = _placed(lines, year)
@@ -103,7 +101,7 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     if (np.diff(time) <= 0.0).any():
         repeated = int(np.argmax(np.diff(time) <= 0.0)) + 1
         raise TableFault(
-            [f"line {repeated + _HEADER + 1}: the hours must follow each other, this one does not"]
+            f"line {repeated + _HEADER + 1}: the hours must follow each other, this one does not"
         )
     value = dict(lines.value)
     warnings += _dew_point_completed(value, faults)
@@ -113,7 +111,7 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     if "ambient_temperature" not in {one.signal for one in series} and not faults:
         faults.append("no dry-bulb temperature: all values of column 7 are missing")
     if faults:
-        raise TableFault(faults)
+        raise TableFault(*faults)
     if "wind_speed" not in {one.signal for one in series}:
         warnings.remove("wind_speed is measured at 10 m, not at hub height")
     return Record(file.name, tuple(series), site, warnings=tuple(warnings), provenance=((file.name, digest),))
@@ -262,7 +260,7 @@ def _placed(lines: _Lines, year: int) -> tuple[_Lines, list[str]]:
     """The hours in one calendar year; 28 February comes twice in a leap year, 29 February is left out of
     others."""
     if not 1900 <= year <= 2200:
-        raise TableFault([f"year must lie within 1900 … 2200, found {year}"])
+        raise TableFault(f"year must lie within 1900 … 2200, found {year}")
     month, day = lines.calendar[:, 1], lines.calendar[:, 2]
     leap_day = (month == 2) & (day == 29)
     before = np.flatnonzero((month == 2) & (day == 28))

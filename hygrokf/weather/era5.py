@@ -53,7 +53,7 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
             "no 2 m temperature (t2m, 2m_temperature) in any of its files: ask for it in the request"
         )
     if faults:
-        raise TableFault(faults)
+        raise TableFault(*faults)
     record = joined(known, file.name)
     if len(found) > 1 and "ambient_dew_point_temperature" not in signals:
         record = dataclasses.replace(record, warnings=(*record.warnings, NO_HUMIDITY))
@@ -74,7 +74,7 @@ def era5_record(dataset: xarray.Dataset, site: Site | None = None, *, name: str 
 def _content_record(one: Content, file: str, site: Site | None, digest: str, alone: bool) -> Record | None:
     """The record of one member; None for one of several that holds nothing that is used, such as waves."""
     if one.kind == "epw":
-        raise TableFault(['is an EPW file; state format = "epw"'])
+        raise TableFault('is an EPW file; state format = "epw"')
     if one.kind == "csv":
         points = _csv_fields(one.data, file, site, alone)
     else:
@@ -94,7 +94,7 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
     try:
         frame = pd.read_csv(io.BytesIO(data), encoding="utf-8-sig", skipinitialspace=True, low_memory=False)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as broken:
-        raise TableFault([f"cannot be read as CSV: {' '.join(str(broken).split())}"]) from None
+        raise TableFault(f"cannot be read as CSV: {' '.join(str(broken).split())}") from None
     frame.columns = [str(name).strip() for name in frame.columns]
     time_name = next((name for name in ("valid_time", "time", "datetime") if name in frame), None)
     used = [name for name in frame.columns if short_name(name)]
@@ -103,13 +103,11 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
             return None
         listed = ", ".join(frame.columns[:12])
         raise TableFault(
-            [
-                "expected the point product's CSV with valid_time and fields such as t2m, d2m, sp; found the "
-                f"columns {listed}: name another table as a plain source, with its columns"
-            ]
+            "expected the point product's CSV with valid_time and fields such as t2m, d2m, sp; found the "
+            f"columns {listed}: name another table as a plain source, with its columns"
         )
     if not len(frame):
-        raise TableFault(["has a line of names and no hour below it; fetch it again"])
+        raise TableFault("has a line of names and no hour below it; fetch it again")
     time = _csv_time(frame[time_name], time_name)
     faults, fields = [], {}
     for name in used:
@@ -139,7 +137,7 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
             if site is not None and distance_km(*at, site) > FAR_KM:
                 warnings.append(f"its point lies at {place}: is it the weather of this site?")
     if faults:
-        raise TableFault(faults)
+        raise TableFault(*faults)
     north, east = at or (None, None)
     return PointFields(file, time, fields, north, east, None, place, tuple(warnings))
 
@@ -155,10 +153,8 @@ def _csv_time(column: pandas.Series, name: str) -> np.ndarray:
     if wrong.any():
         row = int(np.argmax(wrong))
         raise TableFault(
-            [
-                f'column "{name}": expected stamps such as 2024-01-01 00:00:00, found "{column.iloc[row]}" '
-                "in line "
-                f"{row + 2}: the file is damaged or cut short; fetch it again"
-            ]
+            f'column "{name}": expected stamps such as 2024-01-01 00:00:00, found "{column.iloc[row]}" '
+            "in line "
+            f"{row + 2}: the file is damaged or cut short; fetch it again"
         )
     return stamps.time

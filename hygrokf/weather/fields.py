@@ -142,13 +142,11 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
     given = {short: (name, one) for name, one in points.fields.items() if (short := short_name(name))}
     if temperature and "t2m" not in given:
         raise TableFault(
-            [
-                f"no 2 m temperature (t2m, 2m_temperature); found {', '.join(points.fields) or 'no field'}: "
-                "ask for it in the request"
-            ]
+            f"no 2 m temperature (t2m, 2m_temperature); found {', '.join(points.fields) or 'no field'}: "
+            "ask for it in the request"
         )
     if not len(points.time):
-        raise TableFault(["has no hour in it: fetch it again"])
+        raise TableFault("has no hour in it: fetch it again")
     order = np.argsort(points.time, kind="stable")
     time = points.time[order]
     fresh = np.append(True, np.diff(time) > 0.0)
@@ -158,7 +156,7 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
     value = _values(made, order[fresh])
     series = _instants(made, value) + _sums(made, value) + _wind(made, value)
     if made.faults:
-        raise TableFault(made.faults)
+        raise TableFault(*made.faults)
     if temperature and "d2m" not in value:
         made.warnings.append(NO_HUMIDITY)
     if {"t2m", "d2m"} <= set(value):
@@ -280,7 +278,7 @@ def _site(points: PointFields) -> Site | None:
     try:
         return Site(points.latitude_deg, east, points.altitude_m)
     except ValueError as outside:
-        raise TableFault([f"the file's point is impossible: {outside}"]) from None
+        raise TableFault(f"the file's point is impossible: {outside}") from None
 
 
 def _converted(short: str, name: str, raw: np.ndarray, unit: str | None, faults: list[str]) -> np.ndarray:

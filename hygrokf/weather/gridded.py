@@ -39,9 +39,7 @@ def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
     try:
         import xarray
     except ImportError:
-        raise TableFault(
-            ['reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"']
-        ) from None
+        raise TableFault('reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"') from None
     engine = {"netcdf4": "h5netcdf", "netcdf3": "scipy"}[kind]
     try:
         with python_warnings.catch_warnings():
@@ -51,24 +49,20 @@ def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
                 # a file of a few kB may hold an array of any size that was never written
                 if opened.nbytes > MOST_BYTES * 2:
                     raise TableFault(
-                        [
-                            f"holds {opened.nbytes / 2**30:.1f} GiB of fields, expected no more than "
-                            f"{MOST_BYTES * 2 / 2**30:g}: request a smaller area, or one file per year"
-                        ]
+                        f"holds {opened.nbytes / 2**30:.1f} GiB of fields, expected no more than "
+                        f"{MOST_BYTES * 2 / 2**30:g}: request a smaller area, or one file per year"
                     )
                 return opened.load()
     except TableFault:
         raise
     except ImportError:
-        raise TableFault(
-            ['reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"']
-        ) from None
+        raise TableFault('reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"') from None
     except MemoryError:
-        raise TableFault(["does not fit into memory: request a smaller area, or one file per year"]) from None
+        raise TableFault("does not fit into memory: request a smaller area, or one file per year") from None
     except Exception as broken:  # each layer of the library has errors of its own for a damaged file
         reason = " ".join(str(broken).split())[:160] or type(broken).__name__
         raise TableFault(
-            [f"cannot be read as NetCDF ({reason}): the file is damaged or cut short; fetch it again"]
+            f"cannot be read as NetCDF ({reason}): the file is damaged or cut short; fetch it again"
         ) from None
 
 
@@ -109,7 +103,7 @@ def point_fields(dataset: xarray.Dataset, file: str, site: Site | None = None) -
     used = {str(name): short for name in dataset.data_vars if (short := short_name(str(name)))}
     if not used:
         listed = ", ".join(str(name) for name in dataset.data_vars) or "no field"
-        raise TableFault([f"no field of weather that is known here; found {listed}"])
+        raise TableFault(f"no field of weather that is known here; found {listed}")
     dataset = dataset[list(used)]
     latitude, longitude = _axis_name(dataset, _LATITUDES), _axis_name(dataset, _LONGITUDES)
     if time_name not in dataset.dims and dataset[time_name].ndim == 0:
@@ -146,23 +140,18 @@ def _time_name(dataset: xarray.Dataset) -> str:
     there = [name for name in _TIMES if name in dataset.variables]
     if not there:
         listed = ", ".join(f"{name} ({size})" for name, size in dataset.sizes.items()) or "none"
-        raise TableFault([f"no time axis: expected valid_time or time, found the axes {listed}"])
+        raise TableFault(f"no time axis: expected valid_time or time, found the axes {listed}")
     for name in there:
         if dataset[name].dims in ((name,), ()):
             if np.issubdtype(dataset[name].dtype, np.datetime64):
                 return name
             found = dataset[name].attrs.get("units", "no unit")
             raise TableFault(
-                [
-                    f'{name}: expected times such as "hours since 1900-01-01", found {found} and no '
-                    "calendar time"
-                ]
+                f'{name}: expected times such as "hours since 1900-01-01", found {found} and no calendar time'
             )
     raise TableFault(
-        [
-            f"{there[0]} has the axes {', '.join(map(str, dataset[there[0]].dims))}; expected one axis of "
-            "time: ask for NetCDF, not for a converted forecast with steps"
-        ]
+        f"{there[0]} has the axes {', '.join(map(str, dataset[there[0]].dims))}; expected one axis of "
+        "time: ask for NetCDF, not for a converted forecast with steps"
     )
 
 
@@ -175,7 +164,7 @@ def _stamps(dataset: xarray.Dataset, time_name: str) -> np.ndarray:
     values = np.atleast_1d(at.values).astype("datetime64[us]")
     lost = int(np.isnat(values).sum())
     if lost:
-        raise TableFault([f"{at.name}: {lost} of {len(values)} stamps are missing; fetch the file again"])
+        raise TableFault(f"{at.name}: {lost} of {len(values)} stamps are missing; fetch the file again")
     return values.astype(np.int64) / 1e6
 
 
@@ -231,7 +220,7 @@ def _without_single_axes(dataset: xarray.Dataset, kept: set[str | None]) -> xarr
                 f"has an axis {name} with {size} entries; expected time, latitude and longitude only"
             )
     if faults:
-        raise TableFault(faults)
+        raise TableFault(*faults)
     return dataset
 
 
@@ -249,13 +238,11 @@ def _nearest(
     gridded = [name for name in (latitude, longitude) if name in dataset.dims]
     for name in (latitude, longitude):
         if dataset[name].dims not in ((), (name,)):
-            raise TableFault([f"{name} has the axes {', '.join(map(str, dataset[name].dims))}; expected one"])
+            raise TableFault(f"{name} has the axes {', '.join(map(str, dataset[name].dims))}; expected one")
     if len(rows) * len(columns) > 1 and site is None:
         raise TableFault(
-            [
-                f"holds a grid of {len(rows)} × {len(columns)} cells and no site is given: name a case "
-                "file with [site] latitude_deg and longitude_deg and this file as its source"
-            ]
+            f"holds a grid of {len(rows)} × {len(columns)} cells and no site is given: name a case "
+            "file with [site] latitude_deg and longitude_deg and this file as its source"
         )
     row, column = 0, 0
     if site is not None and gridded:
@@ -268,10 +255,8 @@ def _nearest(
                 outside.append(f"{name} {values.min():g} … {values.max():g}")
         if outside:
             raise TableFault(
-                [
-                    f"the site at {place_text(site.latitude_deg, site.longitude_deg, None)} lies outside of "
-                    f"the grid ({', '.join(outside)}): ask for an area around it, or correct [site]"
-                ]
+                f"the site at {place_text(site.latitude_deg, site.longitude_deg, None)} lies outside of "
+                f"the grid ({', '.join(outside)}): ask for an area around it, or correct [site]"
             )
         narrowing = math.cos(math.radians(site.latitude_deg))
         away = np.hypot(north[:, None], narrowing * east[None, :])

@@ -52,7 +52,7 @@ def joined(records: Sequence[Record], name: str) -> Record:
         series.append(made)
         warnings += said
     if faults:
-        raise TableFault(faults)
+        raise TableFault(*faults)
     provenance = tuple(dict.fromkeys(pair for one in records for pair in one.provenance))
     return Record(name, tuple(series), site, warnings=tuple(warnings), provenance=provenance)
 

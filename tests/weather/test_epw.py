@@ -13,8 +13,7 @@ from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Site
 from hygrokf.physics.psychrometrics import relative_humidity_from_dew_point
 from hygrokf.weather.epw import read_epw
-from hygrokf.weather.reading import form_of
-from hygrokf.weather.years import read_weather
+from hygrokf.weather.reading import form_of, read_weather
 
 DATA = Path(__file__).resolve().parents[2] / "../shared/data"
 measured = pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there")

@@ -11,8 +11,7 @@ import pytest
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.weather.joining import joined
-from hygrokf.weather.reading import read_weather_file
-from hygrokf.weather.years import gaps_text, read_weather, whole_years
+from hygrokf.weather.reading import gaps_text, read_weather, read_weather_file, whole_years
 
 SITE = Site(48.48, 5.57, 311.0)
 
