@@ -1,4 +1,4 @@
-"""Doubts about a record, one sentence each; none of them is a fault."""
+"""Doubts about a record, one sentence each; a doubt is no fault."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hygrokf.data.input_paths import centred
 from hygrokf.data.masks import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import signal_named, unit_mistaken
@@ -21,7 +22,7 @@ _SHORT_VALIDATION_D = 7.0
 _SOLAR_LAG_MIN = 20.0
 _FEWEST_IN_COMMON = 20
 _OLDEST_S = 10 * 365.25 * DAY_S
-"""[s] earliest plausible reading: no turbine was logged in the seventies."""
+"""[s] earliest plausible reading: no turbine of the seventies had a logger."""
 IDENTIFIABLE = (
     "cabinet_temperature",
     "cabinet_relative_humidity",
@@ -43,7 +44,7 @@ class Doubt(str):
 
 
 def doubted(said: Sequence[str]) -> dict[str, list[str]]:
-    """The doubts that concern each time constant."""
+    """The doubts about each time constant."""
     return {
         part: [str(one) for one in said if isinstance(one, Doubt) and part in one.touches] for part in PARTS
     }
@@ -52,7 +53,7 @@ def doubted(said: Sequence[str]) -> dict[str, list[str]]:
 def all_doubts(record: Record, clocks: Sequence[ClockError] | None = None) -> tuple[str, ...]:
     """Doubts about the compared sources, followed by the `doubts` about the record.
 
-    record: any. clocks: errors of clocks, if already known.
+    clocks: clock errors, if already known.
     """
     if clocks is None:
         clocks = clock_errors(alignments(record))
@@ -77,10 +78,7 @@ def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
 
 
 def doubts(record: Record) -> tuple[str, ...]:
-    """Doubts about a record, one sentence each; none of them is a fault.
-
-    record: any.
-    """
+    """Doubts about a record, one sentence each; a doubt is no fault."""
     return (
         *_doubts_of_readings(record),
         *_doubts_of_periods(record),
@@ -242,8 +240,8 @@ def _doubts_of_climate(record: Record) -> list[str]:
             )
         if "cabinet_temperature" in record:
             pair = _pair(
-                _present(record["cabinet_temperature"]),
-                _present(record["ambient_temperature"]),
+                centred(record["cabinet_temperature"]).known,
+                centred(record["ambient_temperature"]).known,
             )
             if pair is not None and np.mean(pair[0] - pair[1]) < -2.0:
                 colder = np.mean(pair[1] - pair[0])
@@ -292,25 +290,19 @@ def _same_readings(one: Series, other: Series) -> bool:
 _HUMIDITIES = ("relative_humidity", "absolute_humidity", "dew_point_temperature")
 
 
-def _present(series: Series) -> tuple[np.ndarray, np.ndarray]:
-    there = ~series.missing
-    # a mean belongs to the middle of its interval
-    return series.time[there] - 0.5 * series.interval_s, series.value[there]
-
-
 def _vapour_density(record: Record, place: str) -> tuple[np.ndarray, np.ndarray] | None:
     """Times [s] and absolute humidity [kg/m3] at a place, from any of its humidity signals."""
     if f"{place}_absolute_humidity" in record:
-        return _present(record[f"{place}_absolute_humidity"])
+        return centred(record[f"{place}_absolute_humidity"]).known
     if f"{place}_temperature" not in record:
         return None
-    time, temperature = _present(record[f"{place}_temperature"])
+    time, temperature = centred(record[f"{place}_temperature"]).known
     for kind, convert in (
         ("relative_humidity", absolute_humidity),
         ("dew_point_temperature", absolute_humidity_from_dew_point),
     ):
         if f"{place}_{kind}" in record:
-            when, value = _present(record[f"{place}_{kind}"])
+            when, value = centred(record[f"{place}_{kind}"]).known
             if not (len(time) and len(when)):
                 return None
             density = convert(value, np.interp(when, time, temperature))
@@ -359,7 +351,7 @@ def _solar_lag(irradiance: Series, longitude_deg: float) -> float | None:
 
     The equation of time is the usual three-term approximation, accurate to a minute.
     """
-    time, value = _present(irradiance)
+    time, value = centred(irradiance).known
     step, _ = modal_step(irradiance.time)
     if not (len(time) > 100 and step <= 3600.0):
         return None

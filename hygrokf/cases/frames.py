@@ -244,7 +244,7 @@ def _prepare(
     stated: Mapping[str, Any],
     faults: list[str],
 ) -> _Prepared | None:
-    """A frame as a source, or None where no column is usable; adds faults that cannot occur in a case file.
+    """A frame as a source, or None where no column is usable; adds the faults that only frames can have.
 
     mapped: column -> signal. by_column: option -> column -> value. stated: key of a source -> value.
     """
@@ -367,7 +367,7 @@ class _Arguments:
         return str(source["file"])
 
     def table(self, name: str) -> str:
-        """The argument."""
+        """The name of an argument."""
         return f"{name}={{…}}"
 
     def signal(self, name: str) -> str:

@@ -21,25 +21,9 @@ if TYPE_CHECKING:
     import pandas
 
 MISSING: tuple[str, ...] = (
-    "",
-    "NaN",
-    "nan",
-    "NAN",
-    "NA",
-    "na",
-    "N/A",
-    "n/a",
-    "#N/A",
-    "null",
-    "NULL",
-    "Null",
-    "None",
-    "none",
-    "<NA>",
-    "-",
-    "--",
-    "---",
-)
+    "", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "#N/A", "null", "NULL", "Null", "None", "none", "<NA>",
+    "-", "--", "---",
+)  # fmt: skip
 """Texts that count as a missing reading, besides those listed in the case file."""
 
 _SHOWN = 5

@@ -11,6 +11,7 @@ import re
 import warnings as python_warnings
 import zlib
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -64,7 +65,9 @@ def read_table(
     """
     file = Path(path)
     faults: list[str] = []
-    content = _content(file)
+    if not file.name.lower().endswith(SUFFIXES) and not file.is_dir():
+        raise TableFault(f"expected a file of the kind {', '.join(SUFFIXES)}, found {file.name}")
+    content = file_bytes(file)
     wanted = list(dict.fromkeys(columns))
     if file.name.lower().endswith(".parquet"):
         frame = _parquet_frame(content, wanted, time_column, faults)
@@ -91,20 +94,15 @@ def read_table(
     )
 
 
-def _content(file: Path) -> bytes:
-    """All bytes of a file. Raises TableFault where it cannot be read as a table."""
-    name = file.name.lower()
-    if not name.endswith(SUFFIXES):
-        if file.is_dir():
-            raise TableFault("is a directory, not a file")
-        raise TableFault(f"expected a file of the kind {', '.join(SUFFIXES)}, found {file.name}")
+def file_bytes(file: Path) -> bytes:
+    """All bytes of a file.  Raises TableFault for a file that is absent, empty, unreadable or a directory."""
+    if file.is_dir():
+        raise TableFault("is a directory, not a file")
     try:
         content = file.read_bytes()
     except FileNotFoundError:
         near = [one.name for one in file.parent.iterdir()] if file.parent.is_dir() else []
         raise TableFault(f"no such file: {file}{suggestion(file.name, near)}") from None
-    except IsADirectoryError:
-        raise TableFault("is a directory, not a file") from None
     except OSError as refused:
         raise TableFault(f"cannot be read: {refused.strerror or refused}") from None
     if not content:
@@ -306,19 +304,11 @@ def _decodable(content: bytes) -> tuple[bytes, str]:
     content = content.removeprefix(b"\xef\xbb\xbf")
     if b"\r" in content and b"\n" not in content:
         content = content.replace(b"\r", b"\n")
-    try:
-        content.decode("utf-8")
-    except UnicodeDecodeError:
-        return content, "cp1252" if _is_cp1252(content) else "latin-1"
-    return content, "utf-8"
-
-
-def _is_cp1252(content: bytes) -> bool:
-    try:
-        content.decode("cp1252")
-    except UnicodeDecodeError:
-        return False
-    return True
+    for encoding in ("utf-8", "cp1252"):
+        with suppress(UnicodeDecodeError):
+            content.decode(encoding)
+            return content, encoding
+    return content, "latin-1"
 
 
 def _parquet_frame(

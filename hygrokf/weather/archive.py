@@ -1,7 +1,7 @@
-"""The bytes of a weather file: what it is, and what a ZIP or gzip file holds, within limits.
+"""Contents of a weather file, unpacked from ZIP or gzip within limits, and their kind.
 
-An archive is read in memory, a piece at a time, up to a stated size and ratio; the sizes that it states about
-itself are not believed, and no path of it is ever written to.
+An archive is unpacked in memory, piece by piece, up to a limit of size and ratio; the sizes stated in the
+archive are not trusted, and none of its paths is ever written to.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from pathlib import Path
 from typing import BinaryIO
 
 from hygrokf.data.columns import TableFault
-from hygrokf.errors import suggestion
+from hygrokf.data.table_readers import file_bytes
 
 MOST_BYTES = 2**31
-"""Bytes that a file may hold, packed or unpacked: a decade of one country's grid of hourly fields is 1 GB."""
+"""Largest file, packed or unpacked [bytes]: a decade of hourly fields on one country's grid is 1 GB."""
 MOST_RATIO = 200.0
-"""Unpacked over packed size: weather as text packs to a tenth, packed fields hardly at all, a bomb to a
-thousandth."""
+"""Largest ratio of unpacked to packed size: text packs to a tenth, packed fields hardly at all, a ZIP bomb to
+a thousandth."""
 RATIO_FROM = 2**20
-"""Bytes from which the ratio counts: a small file may hold one value only, and does no harm."""
+"""Size from which the ratio is checked [bytes]: a small file may hold a single value, and does no harm."""
 MOST_MEMBERS = 100
 _PIECE = 2**20
 
@@ -45,10 +45,10 @@ class Content:
 
 
 def contents(path: Path) -> tuple[tuple[Content, ...], str]:
-    """What is in a weather file, and the SHA-256 of the file itself.
+    """Contents of a weather file, and the SHA-256 of the file itself.
 
-    path: NetCDF, text, gzip of either, or a ZIP archive of either; known by its first bytes, not by its name.
-    Raises TableFault with what is wrong, for an archive with every member that is.
+    path: NetCDF or text, plain, as gzip or in a ZIP archive; recognised by the first bytes, not by the name.
+    Raises TableFault with every fault and, for an archive, its member.
     """
     packed = _packed(path)
     digest = hashlib.sha256(packed).hexdigest()
@@ -61,7 +61,7 @@ def contents(path: Path) -> tuple[tuple[Content, ...], str]:
 def kind_of(data: bytes) -> str:
     """Kind of a file by its first bytes: "netcdf4", "netcdf3", "epw" or "csv".
 
-    Raises TableFault for what is none of them, with what it seems to be.
+    Raises TableFault for another kind, which it names.
     """
     if not data.strip(b"\x00 \r\n\t"):
         raise TableFault("the file is empty")
@@ -92,21 +92,9 @@ def _shown(head: bytes) -> str:
 
 
 def _packed(path: Path) -> bytes:
-    """All bytes of the file as it is."""
-    try:
-        if path.is_dir():
-            raise TableFault("is a directory, not a file")
-        if path.stat().st_size > MOST_BYTES:
-            raise TableFault(_too_large("the file holds"))
-        data = path.read_bytes()
-    except FileNotFoundError:
-        near = [one.name for one in path.parent.iterdir()] if path.parent.is_dir() else []
-        raise TableFault(f"no such file: {path}{suggestion(path.name, near)}") from None
-    except OSError as refused:
-        raise TableFault(f"cannot be read: {refused.strerror or refused}") from None
-    if not data:
-        raise TableFault("the file is empty")
-    return data
+    if path.is_file() and path.stat().st_size > MOST_BYTES:
+        raise TableFault(_too_large("the file holds"))
+    return file_bytes(path)
 
 
 def _too_large(what: str) -> str:
@@ -122,7 +110,7 @@ def _gunzipped(packed: bytes) -> bytes:
 
 
 def _bounded(stream: BinaryIO | gzip.GzipFile, packed: int, what: str, most: int) -> bytes:
-    """All bytes of a stream that unpacks `packed` bytes, no more than `most` of them."""
+    """All bytes unpacked from `packed` bytes.  Raises TableFault above `most` bytes or the ratio."""
     pieces, size = [], 0
     while piece := stream.read(_PIECE):
         size += len(piece)

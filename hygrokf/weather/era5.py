@@ -1,4 +1,4 @@
-"""Reads ERA5 as the Climate Data Store delivers it: NetCDF of either layout, ZIP, the point product's CSV."""
+"""Read ERA5 as the Climate Data Store delivers it: NetCDF in either layout, ZIP, CSV of the point product."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
     """Record of ambient signals from a file of ERA5 (or ERA5-Land), in SI units and UTC.
 
-    path: NetCDF in the layout of today (`valid_time`) or before September 2024 (`time`, perhaps `expver`), a
-        ZIP archive of such (instantaneous and accumulated fields come apart), the point product's CSV, or a
-        ZIP of it.
-    site: the nearest cell of a grid is taken; may be None for a file of one point.
+    path: NetCDF in the current layout (`valid_time`) or that before September 2024 (`time`, perhaps
+        `expver`), the CSV of the point product, or a ZIP archive of these (instantaneous and accumulated
+        fields come in separate files).
+    site: the nearest cell of a grid is used; may be None for a file of one point.
 
     The record's site is the point of the reanalysis, with the height of its ground where the file has the
-    geopotential; each series names the point and its distance from the site in its source.  Temperature, dew
+    geopotential; the source of each series names the point and its distance from the site.  Temperature, dew
     point, pressure, wind and cloud are instants; radiation and rain belong to the hour that ends at the
     stamp.
 
-    Raises TableFault with every fault, for an archive with the member that has it.
+    Raises TableFault with every fault and, for an archive, its member.
     """
     file = Path(path)
     found, digest = contents(file)
@@ -61,10 +61,10 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
 
 
 def era5_record(dataset: xarray.Dataset, site: Site | None = None, *, name: str = "data set") -> Record:
-    """Record of ambient signals from an xarray data set that is open already, such as one of a cloud store.
+    """Record of ambient signals from an open xarray data set, such as one of a cloud store.
 
     dataset: decoded; names short (t2m) or long (2m_temperature); see `hygrokf.weather.gridded.point_fields`.
-    site: the nearest cell of a grid is taken. name: for messages and sources.
+    site: the nearest cell of a grid is used. name: for messages and sources.
 
     Raises TableFault with every fault.
     """
@@ -72,7 +72,7 @@ def era5_record(dataset: xarray.Dataset, site: Site | None = None, *, name: str 
 
 
 def _content_record(one: Content, file: str, site: Site | None, digest: str, alone: bool) -> Record | None:
-    """The record of one member; None for one of several that holds nothing that is used, such as waves."""
+    """The record of one member; None for a further member without a known field, such as one of waves."""
     if one.kind == "epw":
         raise TableFault('is an EPW file; state format = "epw"')
     if one.kind == "csv":

@@ -40,11 +40,11 @@ def read_weather_file(
     """Record of ambient signals of a site from one weather file, in SI units and UTC.
 
     path: of ERA5 or EPW. form: "era5" or "epw"; None: see `form_of`.
-    site: of the cabinet; the nearest cell of a grid is taken, and a weather from afar is said.
-    year: calendar year of a typical year. altitude_m: [m] that the weather is of, where the file does not say
-        or is wrong.
+    site: of the cabinet; the nearest cell of a grid is used, with a warning if it is far away.
+    year: calendar year of a typical year. altitude_m: [m] height of the weather, where the file states none
+        or a wrong one.
     to_site_altitude: move temperature, dew point and pressure to the site's altitude, see `at_altitude`;
-        without it a difference above 100 m is said. lapse_rate: [K/m] for this.
+        otherwise a difference above 100 m gives a warning. lapse_rate: [K/m] for this.
 
     Raises TableFault with every fault.
     """
@@ -53,7 +53,7 @@ def read_weather_file(
     if kind not in FORMATS:
         raise ValueError(f'form must be one of {", ".join(FORMATS)}, found "{kind}"')
     if kind == "epw":
-        record = _said_from_afar(read_epw(file, year), site)
+        record = _warned_of_distance(read_epw(file, year), site)
     else:
         record = read_era5(file, site)
     record = _within_range(record)
@@ -89,8 +89,7 @@ def read_weather_file(
 
 
 def form_of(path: Path) -> str:
-    """ "epw" or "era5": by the name of a file, else by its first bytes or, in a ZIP archive, by the names of
-    its members."""
+    """The format, "epw" or "era5", by the name of a file, its first bytes, or the names in a ZIP archive."""
     if path.name.lower().endswith((".epw", ".epw.gz")):
         return "epw"
     try:
@@ -100,14 +99,13 @@ def form_of(path: Path) -> str:
             with zipfile.ZipFile(path) as archive:
                 names = archive.namelist()
             return "epw" if any(name.lower().endswith(".epw") for name in names) else "era5"
-    except (OSError, ValueError, zipfile.BadZipFile):  # what is wrong with it, the reader says
+    except (OSError, ValueError, zipfile.BadZipFile):  # the reader reports the fault
         return "era5"
     return "epw" if head.removeprefix(b"\xef\xbb\xbf").upper().startswith(b"LOCATION,") else "era5"
 
 
 def _within_range(record: Record) -> Record:
-    """The record without single readings that cannot be, such as codes for what is missing, and what was left
-    out."""
+    """The record without readings out of range, such as codes of missing values, with a warning for each."""
     series, warnings = [], list(record.warnings)
     for one in record.series:
         kept, said = mask_out_of_range(one)
@@ -116,7 +114,7 @@ def _within_range(record: Record) -> Record:
     return dataclasses.replace(record, series=tuple(series), warnings=tuple(warnings))
 
 
-def _said_from_afar(record: Record, site: Site | None) -> Record:
+def _warned_of_distance(record: Record, site: Site | None) -> Record:
     if site is None or record.site is None:
         return record
     away = distance_km(record.site.latitude_deg, record.site.longitude_deg, site)
@@ -138,16 +136,14 @@ def read_weather(
 ) -> Record:
     """Record of ambient signals over the years of one or several weather files, in SI units and UTC.
 
-    paths: ERA5 (NetCDF, ZIP, CSV) or EPW files, known by name and first bytes; several are put after each
-        other.
+    paths: ERA5 (NetCDF, ZIP, CSV) or EPW files, known by name and first bytes; several follow each other.
     site: of the cabinet; needed where a file holds a grid.
     year: first calendar year of a typical year (EPW); needed where its months are of different years.
-    years: calendar years from `year` on over which a typical year is repeated. Each has its own 29 February,
-        on which the 28 is repeated.
+    years: calendar years from `year` on over which a typical year is repeated; 29 February repeats the 28th.
     altitude_m, to_site_altitude, lapse_rate: as in `read_weather_file`.
 
-    The record's warnings name the gaps: hours that are missing although the files go on after them. Its site
-    is that of the weather, not the cabinet's, unless the weather was moved to the site's altitude.
+    The record's warnings name the gaps within the files.  Its site is that of the weather, not the cabinet's,
+    unless the weather was moved to the site's altitude.
 
     Raises TableFault with the faults of every file; ValueError for numbers out of range.
     """
@@ -194,11 +190,7 @@ def read_weather(
 
 
 def gaps_text(series: Series) -> list[str]:
-    """The gaps of a series in one sentence, or nothing: what is longer than three steps between known
-    readings.
-
-    series: any.
-    """
+    """One sentence on the gaps of a series, steps between known readings above three usual ones; or none."""
     time, _ = series.known
     step, _ = modal_step(series.time)
     if len(time) < 2 or not np.isfinite(step):
@@ -218,7 +210,7 @@ def gaps_text(series: Series) -> list[str]:
 
 
 def _without_repeats(warnings: Sequence[str]) -> list[str]:
-    """Sentences about single years of a repeated typical year become one."""
+    """One sentence in place of those about each year of a repeated typical year."""
     leap = [said for said in warnings if "28 February is repeated" in said]
     typical = [said for said in warnings if "a typical year, not the weather of" in said]
     kept = [said for said in warnings if said not in leap and said not in typical]
@@ -235,10 +227,7 @@ def _without_repeats(warnings: Sequence[str]) -> list[str]:
 
 
 def whole_years(record: Record, signal: str = "ambient_temperature") -> tuple[int, ...]:
-    """Calendar years (UTC) of which a signal has readings for at least 95 % of the hours.
-
-    record: of weather. signal: that is counted.
-    """
+    """Calendar years (UTC) in which a signal has readings in at least 95 % of the hours."""
     time, _ = record[signal].known
     hours = np.unique(np.floor((time - 1.0) / 3600.0))
     of_year = (hours * 3600.0).astype("datetime64[s]").astype("datetime64[Y]").astype(int) + 1970

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from hygrokf.cases.doubts import doubted, doubts
-from hygrokf.cases.summary import RecordSummary, describe, mask
+from hygrokf.cases.summary import RecordSummary, describe
+from hygrokf.data.masks import mask
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.structured import plain, structured
 from hygrokf.report.record_text import describe_text
