@@ -159,10 +159,7 @@ def _doubts_of_periods(record: Record) -> list[str]:
             f"({period_text(record.start_s, record.end_s)})"
         )
     else:
-        for name, part in (
-            ("identification", record.identification()),
-            ("validation", record.validation()),
-        ):
+        for name, part in (("identification", record.identification()), ("validation", record.validation())):
             length = (part.end_s - part.start_s) / DAY_S
             if not length >= _SHORT_VALIDATION_D:
                 said.append(f"short {name} period: {length:.1f} days")
@@ -240,8 +237,7 @@ def _doubts_of_climate(record: Record) -> list[str]:
             )
         if "cabinet_temperature" in record:
             pair = _pair(
-                centred(record["cabinet_temperature"]).known,
-                centred(record["ambient_temperature"]).known,
+                centred(record["cabinet_temperature"]).known, centred(record["ambient_temperature"]).known
             )
             if pair is not None and np.mean(pair[0] - pair[1]) < -2.0:
                 colder = np.mean(pair[1] - pair[0])
@@ -312,8 +308,7 @@ def _vapour_density(record: Record, place: str) -> tuple[np.ndarray, np.ndarray]
 
 
 def _pair(
-    one: tuple[np.ndarray, np.ndarray] | None,
-    other: tuple[np.ndarray, np.ndarray] | None,
+    one: tuple[np.ndarray, np.ndarray] | None, other: tuple[np.ndarray, np.ndarray] | None
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Values of one series and of the other at the same times, over their common span."""
     if one is None or other is None or not (len(one[0]) and len(other[0])):

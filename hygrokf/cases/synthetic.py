@@ -277,10 +277,7 @@ def _cabinet_temperature(
 
 
 def _cabinet_humidity(
-    seed: np.random.SeedSequence,
-    parameters: SyntheticParameters,
-    weather: _Weather,
-    cabinet_K: np.ndarray,
+    seed: np.random.SeedSequence, parameters: SyntheticParameters, weather: _Weather, cabinet_K: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """c* [kg/m3] by equation (4), and k [s] such that R_D* V* is as stated at the means."""
     coloured, white = (np.random.default_rng(child) for child in seed.spawn(2))
@@ -362,9 +359,7 @@ def _tables(
     percent = _blank(percent, time, 0.70, scale * 3.7)
     kept = _stops(failing, time, (scale * 31.0, 5.5, 1.6, 0.8))
     cabinet = SyntheticTable(
-        "cabinet.csv",
-        time[kept],
-        (("T_cab_degC", celsius[kept], 1), ("RH_cab_pct", percent[kept], 1)),
+        "cabinet.csv", time[kept], (("T_cab_degC", celsius[kept], 1), ("RH_cab_pct", percent[kept], 1))
     )
 
     # Ambient logger: instants every 10 minutes, 6 min 40 s past its own tens.
@@ -410,11 +405,7 @@ def _tables(
 
 
 def synthetic_turbine(
-    seed: int = 1,
-    *,
-    days: float = 201.0,
-    start: str = START,
-    parameters: SyntheticParameters | None = None,
+    seed: int = 1, *, days: float = 201.0, start: str = START, parameters: SyntheticParameters | None = None
 ) -> SyntheticTurbine:
     """Simulate a turbine whose time constants are known.
 

@@ -131,12 +131,7 @@ def table_of(
     keep = np.isfinite(time)
     if not keep.any():
         raise TableFault("expected readings, found no row with a stamp that can be used")
-    return Table(
-        time[keep],
-        {name: array[keep] for name, array in values.items()},
-        tuple(warnings),
-        sha256,
-    )
+    return Table(time[keep], {name: array[keep] for name, array in values.items()}, tuple(warnings), sha256)
 
 
 def _stamps_read(
@@ -222,13 +217,7 @@ def _cell(one: object) -> object:
     return None if pd.api.types.is_scalar(one) and pd.isna(one) else str(one)
 
 
-def _text_fault(
-    name: str,
-    column: pandas.Series,
-    texts: np.ndarray,
-    places: Places,
-    decimal: str,
-) -> str:
+def _text_fault(name: str, column: pandas.Series, texts: np.ndarray, places: Places, decimal: str) -> str:
     """Text in a column of numbers: its places, its content and the likely remedy."""
     rows = np.flatnonzero(texts)
     found = {"M": "dates", "m": "durations"}.get(column.dtype.kind, "text")

@@ -284,11 +284,7 @@ def _quiet_range(series: Series, value: np.ndarray) -> float:
 
 
 def _frozen_runs(
-    value: np.ndarray,
-    starts: np.ndarray,
-    lengths: np.ndarray,
-    idle: np.ndarray,
-    quiet: float,
+    value: np.ndarray, starts: np.ndarray, lengths: np.ndarray, idle: np.ndarray, quiet: float
 ) -> np.ndarray:
     """Indices of the runs that no quiet stretch elsewhere explains."""
     ordinary = np.quantile(lengths[~idle], 0.99) if (~idle).any() else 0.0

@@ -246,10 +246,7 @@ def _has_offset(text: str) -> bool:
 
 
 def _without_offset(text: pandas.Series) -> pandas.Series:
-    return text.map(
-        lambda one: _ENDS_IN_OFFSET.sub("", one) if _has_offset(one) else one,
-        na_action="ignore",
-    )
+    return text.map(lambda one: _ENDS_IN_OFFSET.sub("", one) if _has_offset(one) else one, na_action="ignore")
 
 
 def _as_utc(parsed: pandas.Series) -> pandas.Series:

@@ -175,56 +175,33 @@ def clock_sentences(errors: Sequence[ClockError], south: bool = False) -> list[s
 
 
 def _sentence(error: ClockError, south: bool) -> str:
-    winter, summer = error.corrections_s
+    first, second = error.corrections_s
     if error.kind == "constant":
         return (
-            f"the clock of {error.one} runs {_pace(winter)} against {error.other}: by their stamps the "
-            "weather comes "
-            f"{_late(error.winter)}; its stamps need {_signed(winter)}. If {error.other} is right, state "
-            f'clock_correction = "{_signed(winter).replace(" ", "")}" in that source'
+            f"the clock of {error.one} runs {_pace(first)} against {error.other}: by their stamps the "
+            f"weather comes {_late(error.winter)}; its stamps need {_signed(first)}. If {error.other} is "
+            f'right, state clock_correction = "{_signed(first).replace(" ", "")}" in that source'
         )
-    if south:
-        return _southern(error, winter, summer)
-    paces = f"{_pace(winter)} in winter and {_pace(summer)} in summer"
+    early, late = ("from November to March", "from April to October") if south else ("in winter", "in summer")
+    # the clock's summer time is the other season in the south
+    change = first - second if south else second - first
     remedy = ""
-    if abs((summer - winter) - 3600.0) < 1.0:
+    if abs(change - 3600.0) < 1.0:
+        zone = "" if south else f": timezone = {_zone(first)}"
         remedy = (
             ": it has no summer time although its stamps are read with it. Read them at the clock's own "
-            f"fixed offset: timezone = {_zone(winter)}, with ignore_offset = true where the stamps carry "
-            "offsets"
+            f"fixed offset{zone}, with ignore_offset = true where the stamps carry offsets"
         )
-    elif abs((summer - winter) + 3600.0) < 1.0:
+    elif abs(change + 3600.0) < 1.0:
+        example = "Australia/Sydney" if south else "Europe/Berlin"
         remedy = (
             ": it follows summer time although its stamps are read at a fixed offset. State its zone by "
-            "name, such as "
-            'timezone = "Europe/Berlin"'
+            f'name, such as timezone = "{example}"'
         )
     return (
-        f"the clock of {error.one} runs {paces} against {error.other}: by their stamps the weather comes "
-        f"{_late(error.winter)} in winter and {_late(error.summer)} in summer; its stamps need "
-        f"{_signed(winter)} in winter and {_signed(summer)} in summer{remedy}"
-    )
-
-
-def _southern(error: ClockError, first_s: float, second_s: float) -> str:
-    """A seasonal error in the southern hemisphere, where `winter` of the comparison is the warm season."""
-    remedy = ""
-    if abs((second_s - first_s) - 3600.0) < 1.0:
-        remedy = (
-            ": it seems to follow summer time although its stamps are read at a fixed offset. State its zone "
-            "by name, such as "
-            'timezone = "Australia/Sydney"'
-        )
-    elif abs((second_s - first_s) + 3600.0) < 1.0:
-        remedy = (
-            ": it seems to have no summer time although its stamps are read with it. Read them at the "
-            "clock's own fixed offset, with ignore_offset = true where the stamps carry offsets"
-        )
-    early, late = "from November to March", "from April to October"
-    return (
-        f"the clock of {error.one} runs {_pace(first_s)} {early} and {_pace(second_s)} {late} against "
+        f"the clock of {error.one} runs {_pace(first)} {early} and {_pace(second)} {late} against "
         f"{error.other}: by their stamps the weather comes {_late(error.winter)} {early} and "
-        f"{_late(error.summer)} {late}; its stamps need {_signed(first_s)} {early} and {_signed(second_s)} "
+        f"{_late(error.summer)} {late}; its stamps need {_signed(first)} {early} and {_signed(second)} "
         f"{late}{remedy}"
     )
 

@@ -9,6 +9,7 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pandas as pd
 import pytest
+from builders.faults import faults_of
 
 from hygrokf.cases.case_file import CaseFault, read_case
 from hygrokf.cases.doubts import all_doubts
@@ -58,11 +59,7 @@ def made(frames: object = None, **changed: object) -> Record:
 
 
 def faults(frames: object = None, **changed: object) -> tuple[str, ...]:
-    with pytest.raises(CaseFault) as caught:
-        made(frames, **changed)
-    said = caught.value.faults
-    assert str(caught.value).startswith(f"read_frames: {len(said)} fault")
-    return said
+    return faults_of(made, frames, **changed)
 
 
 # -- the same as from files ----------------------------------------------------------------------------------
@@ -399,7 +396,9 @@ def test_what_is_wrong_is_told_with_its_remedy(
     assert remedy in hits[0], hits[0]
 
 
-def test_all_faults_come_at_once() -> None:
+def test_all_faults_come_at_once_under_the_name_of_the_function() -> None:
+    with pytest.raises(CaseFault, match=r"^read_frames: 1 fault\n"):
+        made(rated_power_kW=-1.0)
     said = faults(
         at("cabinet", lambda f: f.assign(RH="lost")),
         units={"T": "C", "RH": "%", "ambient_temperature": "degC"},

@@ -159,8 +159,7 @@ def test_rated_power_is_above_zero(rated):
 
 
 @pytest.mark.parametrize(
-    ("site", "word"),
-    [((91.0, 0.0), "latitude"), ((0.0, 400.0), "longitude"), ((0.0, 0.0, 1e5), "altitude")],
+    ("site", "word"), [((91.0, 0.0), "latitude"), ((0.0, 400.0), "longitude"), ((0.0, 0.0, 1e5), "altitude")]
 )
 def test_a_site_is_on_earth(site, word):
     with pytest.raises(ValueError, match=word):

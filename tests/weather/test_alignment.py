@@ -9,6 +9,7 @@ from pathlib import Path
 import builders.weather_case as made
 import numpy as np
 import pytest
+from builders.measured import DATA, measured
 
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.timestamps import summer_time
@@ -22,8 +23,6 @@ from hygrokf.weather.clocks import (
     source_comparisons,
 )
 
-DATA = Path(__file__).resolve().parents[2] / "../shared/data"
-measured = pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there")
 SPRING = 1393632000.0  # 2014-03-01
 
 
