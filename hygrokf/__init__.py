@@ -13,6 +13,7 @@ from hygrokf.version import __version__
 
 _WHERE = {
     "read_case": "cases.case_file",
+    "read_frames": "cases.frames",
     "Record": "data.record",
     "synthetic_turbine": "cases.synthetic",
     "write_case": "cases.synthetic",
@@ -77,7 +78,7 @@ _MOVED = {
     "pool_types": "identification.turbine_type.pool_types",
     "pooled": "identification.turbine_type.pool_types",
     "read_type": "identification.turbine_type.read_type",
-    "read_weather": "weather.years.read_weather",
+    "read_weather": "weather.reading.read_weather",
     "reference_filter": "estimation.reference_filter.reference_filter",
     "write_comparison": "report.comparison_page.write_comparison",
     "write_transfer": "report.transfer_page.write_transfer",
@@ -87,6 +88,7 @@ _MOVED = {
 
 if TYPE_CHECKING:
     from hygrokf.cases.case_file import read_case as read_case
+    from hygrokf.cases.frames import read_frames as read_frames
     from hygrokf.cases.synthetic import synthetic_turbine as synthetic_turbine
     from hygrokf.cases.synthetic import write_case as write_case
     from hygrokf.climate.procedure import climate_profile as climate_profile

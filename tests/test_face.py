@@ -56,6 +56,11 @@ def test_a_renamed_name_is_told_its_new_one(former: str) -> None:
     assert hygrokf._RENAMED[former] in hygrokf.__all__
 
 
+def test_the_former_method_for_frames_names_the_function() -> None:
+    with pytest.raises(AttributeError, match=r"Record\.from_frames is called hygrokf\.read_frames"):
+        hygrokf.Record.from_frames({}, units={})
+
+
 @pytest.mark.parametrize("former", sorted(hygrokf._MOVED))
 def test_a_name_that_moved_is_told_the_import_that_finds_it(former: str) -> None:
     with pytest.raises(AttributeError) as told:

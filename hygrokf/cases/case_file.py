@@ -15,9 +15,8 @@ import numpy as np
 from hygrokf.cases.doubts import IDENTIFIABLE, no_overlap
 from hygrokf.cases.form import StatedCase, StatedColumn, StatedSource, StatedWeather, stated_case
 from hygrokf.cases.places import CaseLines
-from hygrokf.cases.summary import mask
 from hygrokf.data.columns import Table, TableFault
-from hygrokf.data.masks import detect_resolution, order_readings
+from hygrokf.data.masks import detect_resolution, mask, order_readings
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import difference_to_si, to_si, unit_mistaken
 from hygrokf.data.table_readers import read_table
@@ -66,8 +65,7 @@ def record_of(
     cabinet: bool,
     ambient: bool,
 ) -> Record:
-    """Record of a stated case, whatever holds its tables: units in SI, clocks in UTC, doubtful readings
-    masked.
+    """Record of a stated case, from files or frames: units in SI, clocks in UTC, doubtful readings masked.
 
     case: as stated. faults: of its form. table: reads a source; raises TableFault. head: first words of a
         CaseFault's message.
@@ -194,7 +192,7 @@ _TABLES = (".csv", ".tsv", ".txt", ".dat", ".parquet", ".nc", ".xlsx")
 
 
 def _other_than_case(file: Path) -> str:
-    """What a file that is not TOML seems to be, a result or a table; empty where it is unclear."""
+    """The likely kind of a file that is not TOML, a result or a table; empty where it is unclear."""
     try:
         held = json.loads(file.read_bytes())
     except (OSError, ValueError, RecursionError):

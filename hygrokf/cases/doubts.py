@@ -1,4 +1,4 @@
-"""Doubts about a record, one sentence each; none of them is a fault."""
+"""Doubts about a record, one sentence each; a doubt is no fault."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hygrokf.data.input_paths import centred
 from hygrokf.data.masks import out_of_range, range_sentence
 from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import signal_named, unit_mistaken
@@ -21,7 +22,7 @@ _SHORT_VALIDATION_D = 7.0
 _SOLAR_LAG_MIN = 20.0
 _FEWEST_IN_COMMON = 20
 _OLDEST_S = 10 * 365.25 * DAY_S
-"""[s] earliest plausible reading: no turbine was logged in the seventies."""
+"""[s] earliest plausible reading: no turbine of the seventies had a logger."""
 IDENTIFIABLE = (
     "cabinet_temperature",
     "cabinet_relative_humidity",
@@ -43,7 +44,7 @@ class Doubt(str):
 
 
 def doubted(said: Sequence[str]) -> dict[str, list[str]]:
-    """The doubts that concern each time constant."""
+    """The doubts about each time constant."""
     return {
         part: [str(one) for one in said if isinstance(one, Doubt) and part in one.touches] for part in PARTS
     }
@@ -52,7 +53,7 @@ def doubted(said: Sequence[str]) -> dict[str, list[str]]:
 def all_doubts(record: Record, clocks: Sequence[ClockError] | None = None) -> tuple[str, ...]:
     """Doubts about the compared sources, followed by the `doubts` about the record.
 
-    record: any. clocks: errors of clocks, if already known.
+    clocks: clock errors, if already known.
     """
     if clocks is None:
         clocks = clock_errors(alignments(record))
@@ -68,7 +69,7 @@ def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
     apart = [one for one in apart if one.signal not in NOT_COMPARED]
     files: dict[str, list[str]] = {}
     for one in apart:
-        files.setdefault(one.source.split(", column")[0], []).append(one.signal)
+        files.setdefault(one.file, []).append(one.signal)
     return [
         f"{file} cannot be compared ({', '.join(signals)}): fewer than {FEWEST_D:g} days in common with the "
         "source that is used"
@@ -77,10 +78,7 @@ def _uncompared(record: Record, clocks: Sequence[ClockError]) -> list[str]:
 
 
 def doubts(record: Record) -> tuple[str, ...]:
-    """Doubts about a record, one sentence each; none of them is a fault.
-
-    record: any.
-    """
+    """Doubts about a record, one sentence each; a doubt is no fault."""
     return (
         *_doubts_of_readings(record),
         *_doubts_of_periods(record),
@@ -91,8 +89,8 @@ def doubts(record: Record) -> tuple[str, ...]:
 
 
 def _doubts_of_readings(record: Record) -> list[str]:
-    """Doubts about readings of a record made from series; `read_case` and `Record.from_frames` refuse or mask
-    such readings."""
+    """Doubts about readings of a record made from series; `read_case` and `read_frames` refuse or mask such
+    readings."""
     said: list[str] = []
     for series in (*record.series, *record.compared):
         row = signal_named(series.signal)
@@ -101,7 +99,7 @@ def _doubts_of_readings(record: Record) -> list[str]:
         if mistaken is not None:
             said.append(Doubt(mistaken, *_told_by(series.signal)))
         elif outside.any():
-            words = f"{range_sentence(series, outside)}; Record.from_frames and read_case mask such readings"
+            words = f"{range_sentence(series, outside)}; read_case and read_frames mask such readings"
             said.append(Doubt(words, *_told_by(series.signal)))
     if record.start_s < _OLDEST_S:
         said.append(
@@ -132,8 +130,7 @@ def no_overlap(series: Sequence[Series]) -> list[str]:
             continue
         start, end = spans[one.signal]
         if start > last or end < first:
-            source = one.source.split(", column")[0]
-            where = f" in {source}" * bool(source)
+            where = f" in {one.file}" * bool(one.source)
             apart.setdefault(f"{where} ({period_text(start, end)})", []).append(one.signal)
     return [
         f"no overlap: {', '.join(signals)}{where} and the cabinet's readings "
@@ -162,10 +159,7 @@ def _doubts_of_periods(record: Record) -> list[str]:
             f"({period_text(record.start_s, record.end_s)})"
         )
     else:
-        for name, part in (
-            ("identification", record.identification()),
-            ("validation", record.validation()),
-        ):
+        for name, part in (("identification", record.identification()), ("validation", record.validation())):
             length = (part.end_s - part.start_s) / DAY_S
             if not length >= _SHORT_VALIDATION_D:
                 said.append(f"short {name} period: {length:.1f} days")
@@ -243,8 +237,7 @@ def _doubts_of_climate(record: Record) -> list[str]:
             )
         if "cabinet_temperature" in record:
             pair = _pair(
-                _present(record["cabinet_temperature"]),
-                _present(record["ambient_temperature"]),
+                centred(record["cabinet_temperature"]).known, centred(record["ambient_temperature"]).known
             )
             if pair is not None and np.mean(pair[0] - pair[1]) < -2.0:
                 colder = np.mean(pair[1] - pair[0])
@@ -293,25 +286,19 @@ def _same_readings(one: Series, other: Series) -> bool:
 _HUMIDITIES = ("relative_humidity", "absolute_humidity", "dew_point_temperature")
 
 
-def _present(series: Series) -> tuple[np.ndarray, np.ndarray]:
-    there = ~series.missing
-    # a mean belongs to the middle of its interval
-    return series.time[there] - 0.5 * series.interval_s, series.value[there]
-
-
 def _vapour_density(record: Record, place: str) -> tuple[np.ndarray, np.ndarray] | None:
     """Times [s] and absolute humidity [kg/m3] at a place, from any of its humidity signals."""
     if f"{place}_absolute_humidity" in record:
-        return _present(record[f"{place}_absolute_humidity"])
+        return centred(record[f"{place}_absolute_humidity"]).known
     if f"{place}_temperature" not in record:
         return None
-    time, temperature = _present(record[f"{place}_temperature"])
+    time, temperature = centred(record[f"{place}_temperature"]).known
     for kind, convert in (
         ("relative_humidity", absolute_humidity),
         ("dew_point_temperature", absolute_humidity_from_dew_point),
     ):
         if f"{place}_{kind}" in record:
-            when, value = _present(record[f"{place}_{kind}"])
+            when, value = centred(record[f"{place}_{kind}"]).known
             if not (len(time) and len(when)):
                 return None
             density = convert(value, np.interp(when, time, temperature))
@@ -321,8 +308,7 @@ def _vapour_density(record: Record, place: str) -> tuple[np.ndarray, np.ndarray]
 
 
 def _pair(
-    one: tuple[np.ndarray, np.ndarray] | None,
-    other: tuple[np.ndarray, np.ndarray] | None,
+    one: tuple[np.ndarray, np.ndarray] | None, other: tuple[np.ndarray, np.ndarray] | None
 ) -> tuple[np.ndarray, np.ndarray] | None:
     """Values of one series and of the other at the same times, over their common span."""
     if one is None or other is None or not (len(one[0]) and len(other[0])):
@@ -335,14 +321,12 @@ def _pair(
 
 def _doubts_of_clocks(record: Record) -> list[str]:
     said: list[str] = []
-    irregular: dict[str, list[str]] = {}
     for series in record.series:
         step, regular = modal_step(series.time)
         if len(series) > 2 and regular < 0.9:
-            source = series.source.split(", column")[0] or series.signal
             text = f"{100 * regular:.0f} % of the steps are {duration_text(step)}"
-            irregular.setdefault(f"irregular steps in {source}: only {text}", []).append(series.signal)
-    said += list(irregular)
+            said.append(f"irregular steps in {series.file}: only {text}")
+    said = list(dict.fromkeys(said))
     if record.site is not None and "global_horizontal_irradiance" in record:
         lag = _solar_lag(record["global_horizontal_irradiance"], record.site.longitude_deg)
         if lag is not None and abs(lag) > _SOLAR_LAG_MIN * 60.0:
@@ -362,7 +346,7 @@ def _solar_lag(irradiance: Series, longitude_deg: float) -> float | None:
 
     The equation of time is the usual three-term approximation, accurate to a minute.
     """
-    time, value = _present(irradiance)
+    time, value = centred(irradiance).known
     step, _ = modal_step(irradiance.time)
     if not (len(time) > 100 and step <= 3600.0):
         return None

@@ -1,5 +1,4 @@
-"""The form of a case, in a file or in the arguments of a call: its keys, their types, and the place of
-each."""
+"""The form of a case, in a file or in the arguments of a call: keys, types, and the place of each key."""
 
 from __future__ import annotations
 
@@ -40,7 +39,7 @@ _CHARACTER: dict[str, Any] = {"fits": lambda text: len(text) == 1, "expected": "
 
 @dataclass(frozen=True, kw_only=True)
 class StatedSensor:
-    """What may be stated of the readings of a signal, in a case and in a tracker's file."""
+    """Keys that describe the readings of a signal, in a case and in a tracker's file."""
 
     signal: Signal
     unit: str = setting(help="the unit of the readings")
@@ -56,7 +55,7 @@ class StatedSensor:
 
     @property
     def settings(self) -> dict[str, float]:
-        """Further arguments of a `Series` [SI], those that are stated; a new one takes a field here."""
+        """Stated further arguments of a `Series` [SI]; a new argument takes a field here."""
         found = {"response_time_s": self.response_time_s}
         for name in ("accuracy", "resolution"):
             size = getattr(self, name)
@@ -105,7 +104,7 @@ class CasePlace(Place):
 
 
 class SignalPlace(CasePlace):
-    """The entry of a signal: its line is that of the signal's name, because sources share the other keys."""
+    """The entry of a signal; its line is that of the signal's name, as other sources have the same keys."""
 
     def at(self, *keys: str) -> str:
         return super().at(*(one for one in keys if one not in keys_of(StatedColumn)))

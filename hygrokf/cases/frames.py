@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 
@@ -17,9 +17,13 @@ from hygrokf.data.toml_form import keys_of
 from hygrokf.errors import suggestion
 
 if TYPE_CHECKING:
+    from datetime import datetime
+
     import pandas
 
-HEAD = "Record.from_frames"
+    Setting: TypeAlias = str | float | bool | Sequence[str] | None
+    Settings: TypeAlias = Setting | Mapping[str, Setting] | Mapping[str, Mapping[str, Setting]]
+
 FRAME_KEYS = tuple(
     key for key in keys_of(StatedSource) if key not in ("file", "separator", "comment", "signals")
 )
@@ -28,25 +32,46 @@ COLUMN_OPTIONS = {"units": "unit"} | {
     key: key for key in keys_of(StatedColumn) if key not in ("column", "unit")
 }
 """Options that map columns, with the corresponding key of a signal in a case file."""
+_HEAD = "read_frames"
 _READING = ("timezone", "decimal", "missing", "time_format", "ignore_offset")
 _PLACES = Places("iloc", lambda rows: [int(row) for row in rows], "")
 
 
-def record_from_frames(
+def read_frames(
     frames: pandas.DataFrame | Mapping[str, pandas.DataFrame] | Sequence[pandas.DataFrame],
     *,
-    name: str,
-    signals: Mapping[str, Any] | None,
-    units: Mapping[str, Any] | None,
-    site: Site | Mapping[str, float] | None,
-    rated_power_kW: float | None,
-    identification: Mapping[str, Any] | None,
-    cabinet: bool,
-    ambient: bool,
-    settings: Mapping[str, Any],
+    signals: Mapping[str, str] | Mapping[str, Mapping[str, str]] | None = None,
+    units: Mapping[str, str] | Mapping[str, Mapping[str, str]] | None = None,
+    name: str = "record",
+    site: Site | Mapping[str, float] | None = None,
+    rated_power_kW: float | None = None,
+    identification: Mapping[str, str | datetime] | None = None,
+    cabinet: bool = True,
+    ambient: bool = True,
+    **settings: Settings,
 ) -> Record:
-    """The record of `Record.from_frames`, which describes the arguments.  Raises CaseFault with all
-    faults."""
+    """Read a record from pandas frames; they are checked and masked as `read_case` does with files.
+
+    frames: one DataFrame, or several by name or in a list.  Each is a source with its own clock: its index
+        holds the times (a DatetimeIndex, text in ISO 8601, or a PeriodIndex, whose readings are means of the
+        periods).
+    signals: {column: signal} for columns that are not named after their signal.
+    units: {column: unit}, needed for every column that is a signal; docs/signals.md lists both.
+    name, rated_power_kW, site, identification: as in a case file, the last two as mappings, such as
+        identification={"until": "2020-12-01T00:00Z"}.
+    cabinet, ambient: whether a cabinet signal and an ambient temperature are required; as for `read_case`.
+    settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0},
+        resolution, response_time. Those of a source are one value for all frames or a mapping from their
+        names: timezone, stamp, interval, hold, clock_uncertainty, clock_correction, decimal, missing,
+        time_format, ignore_offset, compare, and time, the column that holds the times where the index does
+        not.
+
+    Where several frames have columns of the same name, nest the mappings from columns in mappings from
+    frames: units={"cabinet": {"T": "degC"}, "mast": {"T": "K"}}.
+
+    Returns the record; its `warnings` list what was masked or repaired.
+    Raises CaseFault with all faults.
+    """
     faults = [
         f'unknown option "{key}"{_instead(key)}'
         for key in settings
@@ -54,13 +79,13 @@ def record_from_frames(
     ]
     named, refused = _named(frames)
     if refused:
-        raise CaseFault(HEAD, [*faults, *refused])
+        raise CaseFault(_HEAD, [*faults, *refused])
     by_frame = {key: settings[key] for key in FRAME_KEYS if settings.get(key) is not None}
-    by_column = {"units": units, **{key: settings.get(key) for key in COLUMN_OPTIONS if key != "units"}}
     for key, value in by_frame.items():
         if isinstance(value, Mapping):
             faults += _unknown_frames(key, value, named)
-    columns = {key: _per_frame(key, value, named, faults) for key, value in by_column.items()}
+    given = {**settings, "units": units}
+    by_column = {key: _per_frame(key, given.get(key), named, faults) for key in COLUMN_OPTIONS}
     mapped = _per_frame("signals", signals, named, faults)
     prepared: dict[str, _Prepared] = {}
     for frame_name, frame in named.items():
@@ -68,21 +93,19 @@ def record_from_frames(
             key: value.get(frame_name) if isinstance(value, Mapping) else value
             for key, value in by_frame.items()
         }
-        own = {key: one[frame_name] for key, one in columns.items()}
-        made = _prepare(frame_name, frame, mapped[frame_name], own, stated, faults)
-        if made is not None:
-            prepared[frame_name] = made
+        columns = {key: values[frame_name] for key, values in by_column.items()}
+        source = _prepare(frame_name, frame, mapped[frame_name], columns, stated, faults)
+        if source is not None:
+            prepared[frame_name] = source
     if not prepared:
-        raise CaseFault(HEAD, faults)
+        raise CaseFault(_HEAD, faults)
     content: dict[str, Any] = {"name": name, "source": [one.source for one in prepared.values()]}
     if rated_power_kW is not None:
         content["rated_power_kW"] = rated_power_kW
-    if site is not None:
-        content["site"] = (
-            {key: value for key, value in asdict(site).items() if value is not None}
-            if isinstance(site, Site)
-            else site
-        )
+    if isinstance(site, Site):
+        content["site"] = {key: value for key, value in asdict(site).items() if value is not None}
+    elif site is not None:
+        content["site"] = site
     if identification is not None:
         content["identification"] = identification
     case, wrong = stated_case(content, _Arguments(list(prepared.values())), "record")
@@ -90,7 +113,7 @@ def record_from_frames(
     def table(source: StatedSource) -> Table:
         return prepared[source.file].table(source)
 
-    return record_of(case, [*faults, *wrong], table, HEAD, cabinet=cabinet, ambient=ambient)
+    return record_of(case, [*faults, *wrong], table, _HEAD, cabinet=cabinet, ambient=ambient)
 
 
 def _instead(key: str) -> str:
@@ -201,7 +224,7 @@ class _Prepared:
     def table(self, source: StatedSource) -> Table:
         """Its readings; raises TableFault."""
         if not len(self.frame):
-            raise TableFault(["expected readings, found no row in the frame"])
+            raise TableFault("expected readings, found no row in the frame")
         return table_of(
             self.frame,
             [one.column for one in source.columns],
@@ -221,7 +244,7 @@ def _prepare(
     stated: Mapping[str, Any],
     faults: list[str],
 ) -> _Prepared | None:
-    """A frame as a source, or None where no column is usable; adds faults that cannot occur in a case file.
+    """A frame as a source, or None where no column is usable; adds the faults that only frames can have.
 
     mapped: column -> signal. by_column: option -> column -> value. stated: key of a source -> value.
     """
@@ -326,10 +349,9 @@ def _stamps(
 
 
 class _Arguments:
-    """Places of a case in the arguments of `Record.from_frames`; implements
-    `hygrokf.cases.places.Statement`."""
+    """Places of a case in the arguments of `read_frames`; implements `hygrokf.cases.places.Statement`."""
 
-    name = "from_frames"
+    name = _HEAD
 
     def __init__(self, prepared: Sequence[_Prepared]) -> None:
         self.sources = [one.source for one in prepared]
@@ -345,7 +367,7 @@ class _Arguments:
         return str(source["file"])
 
     def table(self, name: str) -> str:
-        """The argument."""
+        """The name of an argument."""
         return f"{name}={{…}}"
 
     def signal(self, name: str) -> str:

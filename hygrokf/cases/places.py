@@ -7,12 +7,10 @@ from typing import Protocol
 
 
 class Statement(Protocol):
-    """Places of a case in messages: a file with its lines, or the arguments of a call.
-
-    name: of the whole.
-    """
+    """Names the places of a case in messages: lines of a file, or arguments of a call."""
 
     name: str
+    """Of the file or function."""
 
     def at(self, block: int | None, *keys: str) -> str:
         """The place of a key in the source with this number, or outside the sources."""

@@ -1,16 +1,15 @@
-"""The summary of a record (readings, gaps, clocks, warnings, doubts), and the masking of bad readings."""
+"""The summary of a record: readings, gaps, clocks, warnings, doubts."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hygrokf.cases.doubts import all_doubts
 from hygrokf.data.actuators import actuators
-from hygrokf.data.masks import mask_frozen, mask_out_of_range, mask_saturated
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import difference_from_si, from_si, signal_named
 from hygrokf.data.timestamps import DAY_S, modal_step, stamp_text
@@ -20,30 +19,6 @@ if TYPE_CHECKING:
     import pandas
 
 _GAP_STEPS = 3.0
-
-
-def mask(record: Record) -> Record:
-    """Record in which everything is masked that can be masked safely, with warnings.
-
-    record: any, SI units. Readings out of the physical range, repeats of a frozen sensor and
-    saturated cabinet humidity become missing, in this order; see `hygrokf.data.masks` for each rule.
-    Series that are only compared are treated in the same way.
-    """
-    warnings: list[str] = []
-
-    def masked(all_of_them: tuple[Series, ...]) -> tuple[Series, ...]:
-        changed = []
-        for series in all_of_them:
-            for treat in (mask_out_of_range, mask_frozen, mask_saturated):
-                series, said = treat(series)
-                warnings.extend(said)
-            changed.append(series)
-        return tuple(changed)
-
-    series, compared = masked(record.series), masked(record.compared)
-    return replace(
-        record, series=series, compared=compared, warnings=record.warnings + tuple(dict.fromkeys(warnings))
-    )
 
 
 @dataclass(frozen=True)
@@ -108,7 +83,7 @@ class FileDigest:
 
 @dataclass(frozen=True)
 class RecordSummary:
-    """What `hygrokf check` tells of a record.
+    """The contents of a record, as `hygrokf check` shows them.
 
     `days` [d] from `start` to `end` (UTC); `rated_power_kW` NaN where it is not stated; `identification` and
     `validation` None where they are empty; `comparisons` of sources for the same signal.
@@ -169,7 +144,7 @@ def _period_of(record: Record) -> Span | None:
 
 
 def _number(value: float | None, digits: int = 6) -> float:
-    """A number with so many significant digits; NaN where it is not known."""
+    """A number rounded to significant digits; NaN where it is unknown."""
     if value is None or not math.isfinite(value):
         return math.nan
     return float(f"{value:.{digits}g}")

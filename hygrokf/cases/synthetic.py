@@ -30,12 +30,11 @@ LATITUDE_DEG = 52.4
 LONGITUDE_DEG = -0.95
 
 _REFERENCE_K = 283.15
-_COARSE_MIN = 1
 
 
 @dataclass(frozen=True)
 class SyntheticParameters:
-    """What the synthetic cabinet is made of; the defaults resemble the paper's UK turbine.
+    """Parameters of the synthetic cabinet; the defaults resemble the paper's UK turbine.
 
     thermal_time_constant_h: [h] (R_AT + R_IC) C_conv.
     resistance_ratio: [-] rho = R_AT / (R_AT + R_IC), 0...1.
@@ -69,7 +68,7 @@ class SyntheticParameters:
 
 @dataclass(frozen=True)
 class SyntheticTruth:
-    """Quantities that no logger shows: true signals each minute and the sensors' errors.
+    """Quantities that no logger records: true signals each minute and the errors of the sensors.
 
     time: [s] since the Unix epoch, (T,). The other arrays are (T,) at these instants;
     active_power and preheating hold over the minute that follows.
@@ -148,17 +147,15 @@ def _recursion(gain: float, drive: np.ndarray, start: float) -> np.ndarray:
     return np.array(list(accumulate(drive.tolist(), lambda state, push: gain * state + push, initial=start)))
 
 
-def _ornstein_uhlenbeck(
-    random: np.random.Generator, steps: int, step_h: float, correlation_h: float
-) -> np.ndarray:
-    """Stationary Ornstein-Uhlenbeck process of unit variance, exact at its instants, (steps,)."""
-    gain = math.exp(-step_h / correlation_h)
+def _ornstein_uhlenbeck(random: np.random.Generator, steps: int, correlation_h: float) -> np.ndarray:
+    """Stationary Ornstein-Uhlenbeck process of unit variance, exact at each minute, (steps,)."""
+    gain = math.exp(-MINUTE_H / correlation_h)
     kicks = math.sqrt(1.0 - gain * gain) * random.standard_normal(steps - 1)
     return _recursion(gain, kicks, float(random.standard_normal()))
 
 
-def _low_pass(drive: np.ndarray, step_h: float, lag_h: float) -> np.ndarray:
-    gain = math.exp(-step_h / lag_h)
+def _low_pass(drive: np.ndarray, lag_h: float) -> np.ndarray:
+    gain = math.exp(-MINUTE_H / lag_h)
     return _recursion(gain, (1.0 - gain) * drive[1:], float(drive[0]))
 
 
@@ -180,21 +177,19 @@ def _sun_height(time: np.ndarray) -> np.ndarray:
 def _weather(seed: np.random.SeedSequence, time: np.ndarray) -> _Weather:
     """Weather of an English site each minute: seasons, days, fronts, clouds, rain, wind."""
     random, gusts = (np.random.default_rng(child) for child in seed.spawn(2))
+
     # outdoor air varies within a minute: a logger's reading every ten minutes is a sample, not a mean
-    coarse = np.arange(time[0], time[-1] + 60.0 * _COARSE_MIN, 60.0 * _COARSE_MIN)
-    step_h = _COARSE_MIN / 60.0
-
     def wander(correlation_h: float) -> np.ndarray:
-        return _ornstein_uhlenbeck(random, coarse.size, step_h, correlation_h)
+        return _ornstein_uhlenbeck(random, time.size, correlation_h)
 
-    day = (coarse - np.datetime64("2020-01-01", "s").astype(float)) / DAY_S
+    day = (time - np.datetime64("2020-01-01", "s").astype(float)) / DAY_S
     winter = np.cos(2.0 * np.pi * (day - 20.0) / 365.25)
     front = wander(70.0)
     cloud = _logistic(1.8 * wander(18.0) + 0.9)
-    height = np.maximum(_sun_height(coarse), 0.0)
+    height = np.maximum(_sun_height(time), 0.0)
     irradiance = 1050.0 * height**1.15 * (1.0 - 0.75 * cloud**3) * (1.0 + 0.05 * wander(0.3))
-    sunshine = _low_pass(irradiance, step_h, 3.0)
-    clear_night = _low_pass((1.0 - cloud) * (height <= 0.0), step_h, 4.0)
+    sunshine = _low_pass(irradiance, 3.0)
+    clear_night = _low_pass((1.0 - cloud) * (height <= 0.0), 4.0)
     air_mass = 9.3 - 6.2 * winter + 3.0 * front + 0.9 * wander(9.0)
     celsius = air_mass + 0.014 * sunshine - 2.5 * clear_night + 0.15 * wander(0.7)
     spread = 1.2 + 0.9 * np.abs(wander(30.0)) + 0.5 * wander(5.0)
@@ -206,19 +201,14 @@ def _weather(seed: np.random.SeedSequence, time: np.ndarray) -> _Weather:
 
     strength = 0.88 * wander(22.0) + 0.42 * wander(2.5) + 0.15 * front
     speed = (8.2 + 0.7 * winter) * np.logaddexp(0.0, 1.702 * strength) ** (1.0 / 2.1)
-    gust = _ornstein_uhlenbeck(gusts, time.size, MINUTE_H, 4.0 / 60.0)
-
-    def each_minute(values: np.ndarray) -> np.ndarray:
-        return np.interp(time, coarse, values)
-
-    temperature = each_minute(celsius) + ZERO_CELSIUS_K
-    dew_point = each_minute(dew) + ZERO_CELSIUS_K
+    gust = _ornstein_uhlenbeck(gusts, time.size, 4.0 / 60.0)
+    temperature, dew_point = celsius + ZERO_CELSIUS_K, dew + ZERO_CELSIUS_K
     return _Weather(
         temperature=temperature,
         absolute_humidity=absolute_humidity_from_dew_point(dew_point, temperature),
-        irradiance=each_minute(irradiance),
-        rain=np.round(each_minute(rain)),
-        wind_speed=each_minute(speed) * np.maximum(1.0 + 0.09 * gust, 0.2),
+        irradiance=irradiance,
+        rain=rain,
+        wind_speed=speed * np.maximum(1.0 + 0.09 * gust, 0.2),
     )
 
 
@@ -272,7 +262,7 @@ def _cabinet_temperature(
     release = np.where(power > 0.0, b0 + (b1 + b2 * share) * share + b3 * warmer, s0 + s1 * warmer)
     release = release + parameters.preheating_release_K * preheating
     disturbance = parameters.heat_disturbance_K * _ornstein_uhlenbeck(
-        coloured, ambient.size, MINUTE_H, parameters.heat_correlation_h
+        coloured, ambient.size, parameters.heat_correlation_h
     )
     held = release[:-1] + 0.5 * (disturbance[:-1] + disturbance[1:])
     lift = held / parameters.resistance_ratio
@@ -287,10 +277,7 @@ def _cabinet_temperature(
 
 
 def _cabinet_humidity(
-    seed: np.random.SeedSequence,
-    parameters: SyntheticParameters,
-    weather: _Weather,
-    cabinet_K: np.ndarray,
+    seed: np.random.SeedSequence, parameters: SyntheticParameters, weather: _Weather, cabinet_K: np.ndarray
 ) -> tuple[np.ndarray, float]:
     """c* [kg/m3] by equation (4), and k [s] such that R_D* V* is as stated at the means."""
     coloured, white = (np.random.default_rng(child) for child in seed.spawn(2))
@@ -300,7 +287,7 @@ def _cabinet_humidity(
     rate = cabinet_K * ambient_K**0.8 / (constant_h * 273.0**1.8)
     rate = 0.5 * (rate[:-1] + rate[1:])
     disturbance = parameters.vapour_disturbance_kg_m3 * _ornstein_uhlenbeck(
-        coloured, ambient_K.size, MINUTE_H, parameters.vapour_correlation_h
+        coloured, ambient_K.size, parameters.vapour_correlation_h
     )
     # The disturbance is a vapour flow: per volume it does not grow with the exchange rate.
     flow = 0.5 * (disturbance[:-1] + disturbance[1:]) / parameters.hygric_time_constant_h
@@ -372,9 +359,7 @@ def _tables(
     percent = _blank(percent, time, 0.70, scale * 3.7)
     kept = _stops(failing, time, (scale * 31.0, 5.5, 1.6, 0.8))
     cabinet = SyntheticTable(
-        "cabinet.csv",
-        time[kept],
-        (("T_cab_degC", celsius[kept], 1), ("RH_cab_pct", percent[kept], 1)),
+        "cabinet.csv", time[kept], (("T_cab_degC", celsius[kept], 1), ("RH_cab_pct", percent[kept], 1))
     )
 
     # Ambient logger: instants every 10 minutes, 6 min 40 s past its own tens.
@@ -420,11 +405,7 @@ def _tables(
 
 
 def synthetic_turbine(
-    seed: int = 1,
-    *,
-    days: float = 201.0,
-    start: str = START,
-    parameters: SyntheticParameters | None = None,
+    seed: int = 1, *, days: float = 201.0, start: str = START, parameters: SyntheticParameters | None = None
 ) -> SyntheticTurbine:
     """Simulate a turbine whose time constants are known.
 

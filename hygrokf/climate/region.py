@@ -23,8 +23,7 @@ from hygrokf.data.input_paths import input_path
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.fit import Fit
-from hygrokf.weather.reading import form_of
-from hygrokf.weather.years import read_weather
+from hygrokf.weather.reading import form_of, read_weather
 
 DUTIES = ("preheating", *ACTUATORS)
 """Signals of what is switched in a cabinet; they go with the power."""

@@ -23,9 +23,9 @@ Chosen = tuple[str, Mapping[str, Any]]
 class Actuator:
     """A logged actuator.
 
-    `thermal` and `hygric` are the mechanisms (name, settings) by which it acts on each network, or None.
-    `half` is the middle of its span [SI unit], above which it counts as on.  `reason` says why a model does
-    not use it; empty where it does.
+    `thermal` and `hygric`: mechanisms (name, settings) by which it acts on each network, or None.  `half`:
+    middle of its span [SI unit], above which it counts as on.  `reason`: why a model does not use it, else
+    empty.
     """
 
     signal: str

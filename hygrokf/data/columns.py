@@ -21,25 +21,9 @@ if TYPE_CHECKING:
     import pandas
 
 MISSING: tuple[str, ...] = (
-    "",
-    "NaN",
-    "nan",
-    "NAN",
-    "NA",
-    "na",
-    "N/A",
-    "n/a",
-    "#N/A",
-    "null",
-    "NULL",
-    "Null",
-    "None",
-    "none",
-    "<NA>",
-    "-",
-    "--",
-    "---",
-)
+    "", "NaN", "nan", "NAN", "NA", "na", "N/A", "n/a", "#N/A", "null", "NULL", "Null", "None", "none", "<NA>",
+    "-", "--", "---",
+)  # fmt: skip
 """Texts that count as a missing reading, besides those listed in the case file."""
 
 _SHOWN = 5
@@ -48,9 +32,9 @@ _SHOWN = 5
 class TableFault(HygrokfError):
     """A table that cannot be read; `faults` lists every reason."""
 
-    def __init__(self, faults: Sequence[str]) -> None:
-        self.faults = tuple(faults)
-        super().__init__("\n".join(self.faults))
+    def __init__(self, *faults: str) -> None:
+        super().__init__("\n".join(faults))
+        self.faults = faults
 
 
 @dataclass(frozen=True)
@@ -143,16 +127,11 @@ def table_of(
             counted = "1 row" if count == 1 else f"{count} rows"
             warnings.append(f"{counted} without a stamp left out: {where}")
     if faults:
-        raise TableFault(faults)
+        raise TableFault(*faults)
     keep = np.isfinite(time)
     if not keep.any():
-        raise TableFault(["expected readings, found no row with a stamp that can be used"])
-    return Table(
-        time[keep],
-        {name: array[keep] for name, array in values.items()},
-        tuple(warnings),
-        sha256,
-    )
+        raise TableFault("expected readings, found no row with a stamp that can be used")
+    return Table(time[keep], {name: array[keep] for name, array in values.items()}, tuple(warnings), sha256)
 
 
 def _stamps_read(
@@ -238,13 +217,7 @@ def _cell(one: object) -> object:
     return None if pd.api.types.is_scalar(one) and pd.isna(one) else str(one)
 
 
-def _text_fault(
-    name: str,
-    column: pandas.Series,
-    texts: np.ndarray,
-    places: Places,
-    decimal: str,
-) -> str:
+def _text_fault(name: str, column: pandas.Series, texts: np.ndarray, places: Places, decimal: str) -> str:
     """Text in a column of numbers: its places, its content and the likely remedy."""
     rows = np.flatnonzero(texts)
     found = {"M": "dates", "m": "durations"}.get(column.dtype.kind, "text")

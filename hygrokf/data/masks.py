@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from hygrokf.data.record import Series
+from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import in_words, signal_named
 from hygrokf.data.timestamps import duration_text, modal_step, period_text, stamp_text
 
@@ -32,10 +32,32 @@ QUIET_SHARE = 0.005
 _FEWEST_READINGS = 50
 
 
+def mask(record: Record) -> Record:
+    """Record in which everything is masked that can be masked safely, with warnings.
+
+    record: any, SI units. Readings out of the physical range, repeats of a frozen sensor and saturated
+    cabinet humidity become missing, in this order.  Series that are only compared are treated alike.
+    """
+    warnings: list[str] = []
+
+    def masked(group: tuple[Series, ...]) -> tuple[Series, ...]:
+        result = []
+        for series in group:
+            for treat in (mask_out_of_range, mask_frozen, mask_saturated):
+                series, said = treat(series)
+                warnings.extend(said)
+            result.append(series)
+        return tuple(result)
+
+    series, compared = masked(record.series), masked(record.compared)
+    said = record.warnings + tuple(dict.fromkeys(warnings))
+    return dataclasses.replace(record, series=series, compared=compared, warnings=said)
+
+
 def order_readings(
     time: np.ndarray, values: dict[str, np.ndarray]
 ) -> tuple[np.ndarray, dict[str, np.ndarray], tuple[str, ...]]:
-    """Readings in order of time, one for each stamp; and warnings [s].
+    """Readings sorted by time, one for each stamp, and warnings.
 
     time: [s] (N,) finite, in any order, repeats allowed.
     values: column -> (N,).
@@ -125,7 +147,7 @@ def out_of_range(series: Series) -> np.ndarray:
 def mask_out_of_range(series: Series) -> tuple[Series, tuple[str, ...]]:
     """Series without readings outside of the signal's physical range, and a warning.
 
-    series: any. Catches -273 degC, -99, 9999, a relative humidity of 150 %.
+    Catches -273 degC, -99, 9999, a relative humidity of 150 %.
     """
     outside = out_of_range(series)
     if not outside.any():
@@ -134,8 +156,10 @@ def mask_out_of_range(series: Series) -> tuple[Series, tuple[str, ...]]:
 
 
 def range_sentence(series: Series, outside: np.ndarray, done: str = "") -> str:
-    """That readings lie outside of the physical range; outside: (T,) which, some. done: to them, as a
-    phrase."""
+    """A sentence on readings outside of the physical range.
+
+    outside: (T,) True for some of them. done: a phrase for what was done to them, such as " masked".
+    """
     row = signal_named(series.signal)
     found = np.unique(series.value[outside])
     shown = [found[0], found[-1]] if len(found) > 1 else [found[0]]
@@ -147,9 +171,7 @@ def range_sentence(series: Series, outside: np.ndarray, done: str = "") -> str:
 
 
 def mask_saturated(series: Series) -> tuple[Series, tuple[str, ...]]:
-    """Relative humidity with saturated readings treated, and a warning.
-
-    series: any; only relative humidities are changed.
+    """Series of a relative humidity with saturated readings treated, and a warning; others unchanged.
 
     A sensor at its ceiling is censored, which a Gaussian cannot represent. Cabinet humidity is an
     observation: readings of at least `SATURATED`, or at the sensor's own ceiling (the highest value
@@ -203,8 +225,6 @@ def _ceiling(humidity: np.ndarray) -> float:
 def mask_frozen(series: Series) -> tuple[Series, tuple[str, ...]]:
     """Series without the repeats of a frozen sensor, and a warning.
 
-    series: any.
-
     A run of identical readings counts as frozen if it has at least `FROZEN_MINIMUM` readings,
     is more than twice as long as the 99th percentile of the record's own runs, and is longer than
     the longest quiet stretch elsewhere in the record: readings that stay within a few steps of the
@@ -236,15 +256,15 @@ def mask_frozen(series: Series) -> tuple[Series, tuple[str, ...]]:
     longest = frozen_runs[np.argmax(lengths[frozen_runs])]
     first = series.time[present[starts[longest]]]
     last = series.time[present[starts[longest] + lengths[longest] - 1]]
-    what = (
+    runs = (
         f"{len(frozen_runs)} run{'s' if len(frozen_runs) > 1 else ''} of identical readings, the "
         f"longest {duration_text(last - first)} at {in_words(value[starts[longest]], row)} "
         f"({period_text(first, last)})"
     )
     if frozen.sum() > 0.5 * len(value):
-        doubt = f"perhaps a frozen sensor: {what}; not masked, since these are more than half"
+        doubt = f"perhaps a frozen sensor: {runs}; not masked, since these are more than half"
         return series, (f"{_label(series)}: {doubt} of the readings",)
-    return _masked(series, frozen), (f"{_label(series)}: frozen sensor, {what}; {_readings(frozen)} masked",)
+    return _masked(series, frozen), (f"{_label(series)}: frozen sensor, {runs}; {_readings(frozen)} masked",)
 
 
 def _is_idle(idle: tuple[float, float] | None, value: float) -> bool:
@@ -264,11 +284,7 @@ def _quiet_range(series: Series, value: np.ndarray) -> float:
 
 
 def _frozen_runs(
-    value: np.ndarray,
-    starts: np.ndarray,
-    lengths: np.ndarray,
-    idle: np.ndarray,
-    quiet: float,
+    value: np.ndarray, starts: np.ndarray, lengths: np.ndarray, idle: np.ndarray, quiet: float
 ) -> np.ndarray:
     """Indices of the runs that no quiet stretch elsewhere explains."""
     ordinary = np.quantile(lengths[~idle], 0.99) if (~idle).any() else 0.0

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from numbers import Real
-from typing import TYPE_CHECKING, Any
+from typing import NoReturn
 
 import numpy as np
 
@@ -16,9 +16,6 @@ from hygrokf.data.signals import LARGEST_FRACTION, SIGNALS, Signal, better_units
 from hygrokf.data.toml_form import setting
 from hygrokf.errors import suggestion
 from hygrokf.physics.holds import LINEAR, ZERO_ORDER
-
-if TYPE_CHECKING:
-    import pandas
 
 HOLDS = (LINEAR, ZERO_ORDER)
 
@@ -36,9 +33,9 @@ class Series:
     resolution: [SI unit] spacing of the readings' grid; 0 = none found.
     accuracy: [SI unit] stated 95 % accuracy of the sensor; None: the signal table's default.
     clock_uncertainty_s: [s] stated standard uncertainty of the source's clock; None: not stated.
-    source: file and column.
-    height_m: [m] above ground of what was read, for a wind whose file says so; None: not known.
-    response_time_s: [s] stated time in which the sensor follows a step by all but 1/e; None: not stated.
+    source: file and column, such as 'scada.csv, column "P"'.
+    height_m: [m] height above ground of a wind whose file states it; None: not known.
+    response_time_s: [s] stated time constant of the sensor; None: not stated.
 
     The arrays are copied and made read-only. Raises ValueError that lists everything wrong.
     """
@@ -99,6 +96,11 @@ class Series:
 
     # Python's own way to make a class unhashable, which type checkers do not know of a base with a hash
     __hash__ = None  # type: ignore[assignment]
+
+    @property
+    def file(self) -> str:
+        """The file of `source`, or the signal where there is no source."""
+        return self.source.split(", column")[0] or self.signal
 
     @property
     def missing(self) -> np.ndarray:
@@ -172,8 +174,10 @@ def _numbers(name: str, given: object, expected: str, faults: list[str]) -> np.n
         )
         found = type(next(iter(others), given)).__name__
     remedy = _REMEDIES[name]
-    faults.append(f"{name}: expected {expected}, found {found}; convert, such as {remedy}, or pass a frame "
-                  "to Record.from_frames")  # fmt: skip
+    faults.append(
+        f"{name}: expected {expected}, found {found}; convert, such as {remedy}, or pass a frame to "
+        "hygrokf.read_frames"
+    )
     return None
 
 
@@ -216,16 +220,15 @@ def _other_unit(value: np.ndarray, row: Signal) -> str | None:
         f"value: expected {unit}, found readings of about {np.median(finite):.4g}, which would fit as "
         f'{" or ".join(better)}; convert them, such as hygrokf.data.signals.to_si(value, "{better[0]}", '
         f'"{row.name}"), or state '
-        "the unit to Record.from_frames"
+        "the unit to hygrokf.read_frames"
     )
 
 
 def _increases(time: np.ndarray) -> bool:
-    """Whether times (T,) are finite and increase strictly; where the ends are finite and times increase, all
-    are finite."""
+    """Whether times (T,) are finite and increase strictly."""
     if not len(time):
         return True
-    ends = math.isfinite(time[0]) and math.isfinite(time[-1])
+    ends = math.isfinite(time[0]) and math.isfinite(time[-1])  # then all between increasing times are finite
     return ends and bool((time[1:] > time[:-1]).all())
 
 
@@ -261,15 +264,15 @@ class Site:
 class Record:
     """All series of one enclosure, never resampled onto a common grid.
 
-    name: of the enclosure.
-    series: one per signal.
+    name: name of the enclosure.
+    series: one for each signal.
     site: location, or None.
     rated_power_W: [W] rated power, or None.
-    until_s: [s] end of the identification period since 1970-01-01T00:00Z; None: whole record.
-    warnings: what was masked or repaired, one sentence each.
+    until_s: [s] end of the identification period since 1970-01-01T00:00Z; None: the whole record.
+    warnings: one sentence for each thing that was masked or repaired.
     provenance: (file name, SHA-256) of every file read.
-    compared: series of a second source, one per signal, used neither for fitting nor as an input: `check`
-        compares them with those of the record, which reveals wrong clocks.
+    compared: series of a second source, one for each signal, which no fit uses: `check` compares them with
+        those of the record, which reveals wrong clocks.
 
     Raises ValueError for a signal that occurs twice among the series, or twice among those compared.
     """
@@ -284,10 +287,8 @@ class Record:
     compared: tuple[Series, ...] = ()
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "series", tuple(self.series))
-        object.__setattr__(self, "compared", tuple(self.compared))
-        object.__setattr__(self, "warnings", tuple(self.warnings))
-        object.__setattr__(self, "provenance", tuple(self.provenance))
+        for name in ("series", "compared", "warnings", "provenance"):
+            object.__setattr__(self, name, tuple(getattr(self, name)))
         second = [one.signal for one in self.compared]
         twice = sorted({name for names in (self.signals, second) for name in names if names.count(name) > 1})
         if twice:
@@ -305,57 +306,9 @@ class Record:
             )
 
     @classmethod
-    def from_frames(
-        cls,
-        frames: pandas.DataFrame | Mapping[str, pandas.DataFrame] | Sequence[pandas.DataFrame],
-        *,
-        signals: Mapping[str, str] | Mapping[str, Mapping[str, str]] | None = None,
-        units: Mapping[str, str] | Mapping[str, Mapping[str, str]] | None = None,
-        name: str = "record",
-        site: Site | Mapping[str, float] | None = None,
-        rated_power_kW: float | None = None,
-        identification: Mapping[str, Any] | None = None,
-        cabinet: bool = True,
-        ambient: bool = True,
-        **settings: Any,
-    ) -> Record:
-        """Record of pandas frames, read, checked and masked in the same way as `read_case` treats files.
-
-        frames: one DataFrame, or several by name or in a list.  Each is a source with its own clock: its
-            index holds the
-            times (a DatetimeIndex, text in ISO 8601, or a PeriodIndex, whose readings are means of the
-            periods).
-        signals: {column: signal} for columns that are not named after their signal.
-        units: {column: unit}, needed for every column that is a signal; docs/signals.md lists both.
-        name, rated_power_kW, site, identification: as in a case file, the last two as mappings, such as
-            identification={"until": "2020-12-01T00:00Z"}.
-        cabinet, ambient: whether a cabinet signal and an ambient temperature are required; as for
-            `read_case`.
-        settings: the further keys of a case file.  Those of a signal map columns: accuracy={"RH": 2.0},
-            resolution, response_time. Those of a source are one value for all frames or a mapping from their
-            names: timezone, stamp, interval, hold, clock_uncertainty, clock_correction, decimal, missing,
-            time_format, ignore_offset, compare, and time, the column that holds the times where the index
-            does not.
-
-        Where several frames have columns of the same name, nest the mappings from columns in mappings from
-        frames: units={"cabinet": {"T": "degC"}, "mast": {"T": "K"}}.
-
-        The record's `warnings` list what was masked or repaired.  Raises CaseFault with all faults.
-        """
-        from hygrokf.cases.frames import record_from_frames
-
-        return record_from_frames(
-            frames,
-            name=name,
-            signals=signals,
-            units=units,
-            site=site,
-            rated_power_kW=rated_power_kW,
-            identification=identification,
-            cabinet=cabinet,
-            ambient=ambient,
-            settings=settings,
-        )
+    def from_frames(cls, *_: object, **__: object) -> NoReturn:
+        """The former place of `hygrokf.read_frames`.  Raises AttributeError that says so."""
+        raise AttributeError("Record.from_frames is called hygrokf.read_frames now")
 
     @cached_property
     def signals(self) -> tuple[str, ...]:
@@ -393,13 +346,13 @@ class Record:
         """
         if not start_s <= end_s:
             raise ValueError(f"window: start {start_s} must not be after end {end_s}")
-        kept, second = (
-            tuple(part for one in all_of_them if (part := one.window(start_s, end_s)) is not None)
-            for all_of_them in (self.series, self.compared)
+        series, compared = (
+            tuple(part for one in group if (part := one.window(start_s, end_s)) is not None)
+            for group in (self.series, self.compared)
         )
         inside = self.until_s is not None and start_s < self.until_s < end_s
         until_s = self.until_s if inside else None
-        return dataclasses.replace(self, series=kept, compared=second, until_s=until_s)
+        return dataclasses.replace(self, series=series, compared=compared, until_s=until_s)
 
     def identification(self) -> Record:
         """The identification period: readings up to and including `until_s`."""

@@ -1,15 +1,21 @@
-"""Results as JSON files: written whole, read with every fault, its place, and the version of the file."""
+"""Results on disk: JSON files, read with every fault and their version; the arrays of series.npz."""
 
 from __future__ import annotations
 
 import json
+import math
+from collections.abc import Mapping
 from pathlib import Path
 from typing import TypeVar
+
+import numpy as np
 
 from hygrokf.data.structured import StructureFault, plain, structured
 from hygrokf.errors import HygrokfError
 
 T = TypeVar("T")
+FIRST_S, LAST_S = -6.2e10, 2.5e11
+"""[s] since 1970: the years 5 and 9892, the range of a calendar."""
 
 
 class ResultFault(HygrokfError):
@@ -33,3 +39,27 @@ def read_result(kind: type[T], path: Path, command: str) -> T:
     except (OSError, ValueError, RecursionError) as fault:
         reason = getattr(fault, "strerror", None) or f"{type(fault).__name__} {fault}"
     raise ResultFault(f"{path}: expected the results of `{command}`, found: {reason}; run it again")
+
+
+def instants(series: Mapping[str, np.ndarray]) -> np.ndarray:
+    """The instants (T,) [s] of series.npz; empty where they are missing, not finite, not increasing or out of
+    range."""
+    time = np.atleast_1d(np.asarray(series.get("time_s", np.empty(0)), dtype=float))
+    good = time.ndim == 1 and bool(np.all((time > FIRST_S) & (time < LAST_S)) and np.all(np.diff(time) > 0))
+    return time if good else np.empty(0)
+
+
+def array(series: Mapping[str, np.ndarray], name: str) -> np.ndarray:
+    """A series (T,) as floats with NaN for infinities; NaN throughout where it is missing or has another
+    length."""
+    length = len(instants(series))
+    value = np.atleast_1d(np.asarray(series.get(name, np.empty(0)), dtype=float))
+    return (
+        np.where(np.isfinite(value), value, np.nan) if value.shape == (length,) else np.full(length, np.nan)
+    )
+
+
+def scalar(series: Mapping[str, np.ndarray], name: str) -> float:
+    """A single number of series.npz; NaN where it is missing."""
+    value = np.asarray(series.get(name, math.nan), dtype=float).ravel()
+    return float(value[0]) if len(value) == 1 else math.nan

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.errors import suggestion
+from hygrokf.physics.holds import LINEAR, ZERO_ORDER
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 
@@ -57,36 +58,18 @@ UNITS: dict[str, Unit] = {
     )
 }
 
-# Other spellings found in exports, used only to suggest the name that a case file takes.
 _OTHER_SPELLINGS = {
-    "°c": "degC",
-    "c": "degC",
-    "celsius": "degC",
-    "deg c": "degC",
-    "deg_c": "degC",
-    "°f": "degF",
-    "f": "degF",
-    "kelvin": "K",
-    "k": "K",
-    "percent": "%",
-    "pct": "%",
-    "%rh": "%",
-    "-": "1",
-    "": "1",
-    "mbar": "hPa",
-    "pa": "Pa",
-    "kw": "kW",
-    "mw": "MW",
-    "w": "W",
-    "g/m³": "g/m3",
-    "kg/m³": "kg/m3",
-    "g/m^3": "g/m3",
-    "kg/m^3": "kg/m3",
-    "w/m²": "W/m2",
-    "w/m^2": "W/m2",
-    "°": "deg",
-    "1/min": "rpm",
+    **dict.fromkeys(("°c", "c", "celsius", "deg c", "deg_c"), "degC"),
+    **dict.fromkeys(("°f", "f"), "degF"),
+    **dict.fromkeys(("kelvin", "k"), "K"),
+    **dict.fromkeys(("percent", "pct", "%rh"), "%"),
+    **dict.fromkeys(("-", ""), "1"),
+    **dict.fromkeys(("g/m³", "g/m^3"), "g/m3"),
+    **dict.fromkeys(("kg/m³", "kg/m^3"), "kg/m3"),
+    **dict.fromkeys(("w/m²", "w/m^2"), "W/m2"),
+    **{"mbar": "hPa", "pa": "Pa", "kw": "kW", "mw": "MW", "w": "W", "°": "deg", "1/min": "rpm"},
 }
+"""Other spellings found in exports -> the name that a case file takes; used only for suggestions."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +77,7 @@ class Signal:
     """One row of the table of signals.
 
     name: `place_quantity`.
-    unit: SI unit that a Record holds the signal in.
+    unit: SI unit in which a Record holds the signal.
     low, high: [SI unit] physical range; readings outside of it are masked.
     meaning: what the value stands for, whatever its hold.
     default_accuracy: [SI unit] 95 % accuracy assumed where the case file states none; None: none.
@@ -102,6 +85,9 @@ class Signal:
     idle: [SI unit] range in which unchanged readings are ordinary (calm, night, standstill,
         saturated air), so that the frozen-sensor check leaves them alone; None: nowhere.
     also: units of another dimension whose numbers are taken as they stand.
+    hold: how the quantity itself goes on between two instants, as an input of a model and in a live source:
+        "linear", or "zero-order" for what is switched (power, speeds of machines, duties, flags), for rain
+        and cloud cover, and for a direction, whose straight line may pass through all other directions.
     """
 
     name: str
@@ -113,6 +99,7 @@ class Signal:
     display: str = ""
     idle: tuple[float, float] | None = None
     also: tuple[str, ...] = ()
+    hold: str = LINEAR
 
     @property
     def dimension(self) -> str:
@@ -120,21 +107,19 @@ class Signal:
         return UNITS[self.unit].dimension
 
 
+_ALWAYS = (-math.inf, math.inf)
+_WATER = "over liquid water, also below 0 °C"
+
+
 def _temperature(name: str, low: float, high: float, meaning: str, accuracy: float | None = None) -> Signal:
     """Signal in kelvin from a range in degrees Celsius."""
-    return Signal(
-        name,
-        "K",
-        low + ZERO_CELSIUS_K,
-        high + ZERO_CELSIUS_K,
-        meaning,
-        accuracy,
-        display="degC",
-    )
+    low, high = low + ZERO_CELSIUS_K, high + ZERO_CELSIUS_K
+    return Signal(name, "K", low, high, meaning, accuracy, display="degC")
 
 
 def _relative_humidity(name: str, meaning: str, accuracy: float | None = None) -> Signal:
     """Relative humidity: exactly 0 is a dead sensor, up to 105 % is a saturated one."""
+    meaning = f"{meaning}, {_WATER}"
     return Signal(name, "1", 0.005, 1.05, meaning, accuracy, display="%", idle=(0.97, 1.05))
 
 
@@ -148,148 +133,74 @@ def _irradiance(name: str, meaning: str) -> Signal:
 
 
 def _duty(name: str, meaning: str) -> Signal:
-    return Signal(name, "1", 0.0, 1.0, meaning, display="1", idle=(-math.inf, math.inf))
+    return Signal(name, "1", 0.0, 1.0, meaning, display="1", idle=_ALWAYS, hold=ZERO_ORDER)
 
 
 def _power(name: str, low: float, high: float, idle_high: float, meaning: str) -> Signal:
-    return Signal(name, "W", low, high, meaning, display="kW", idle=(-math.inf, idle_high))
+    return Signal(name, "W", low, high, meaning, display="kW", idle=(-math.inf, idle_high), hold=ZERO_ORDER)
 
 
-_WATER = "over liquid water, also below 0 °C"
-
-SIGNALS: dict[str, Signal] = {
-    signal.name: signal
-    for signal in (
-        _temperature("cabinet_temperature", -60, 120, "air in the cabinet", 0.3),
-        _relative_humidity(
-            "cabinet_relative_humidity",
-            f"air in the cabinet at its own temperature, {_WATER}",
-            0.02,
-        ),
-        _vapour_density(
-            "cabinet_absolute_humidity",
-            "vapour mass per volume of the air in the cabinet",
-        ),
-        _temperature(
-            "cabinet_dew_point_temperature",
-            -80,
-            100,
-            f"dew point of the cabinet air, {_WATER}",
-        ),
-        _temperature("cabinet_wall_temperature", -60, 120, "inner face of the cabinet wall"),
-        _temperature("converter_temperature", -60, 200, "power semiconductors or their heat sink"),
-        _temperature("coolant_temperature", -60, 150, "liquid coolant entering the converter"),
-        _temperature("ambient_temperature", -80, 60, "outside air in the shade"),
-        _relative_humidity("ambient_relative_humidity", f"outside air at ambient_temperature, {_WATER}"),
-        _vapour_density("ambient_absolute_humidity", "vapour mass per volume of outside air"),
-        _temperature(
-            "ambient_dew_point_temperature",
-            -80,
-            50,
-            f"dew point of the outside air, {_WATER}",
-        ),
-        Signal(
-            "ambient_pressure",
-            "Pa",
-            3e4,
-            1.1e5,
-            "air pressure at the site",
-            display="hPa",
-        ),
-        _temperature("nacelle_temperature", -60, 100, "air in the nacelle around the cabinet"),
-        _relative_humidity("nacelle_relative_humidity", f"air in the nacelle, {_WATER}"),
-        _temperature("tower_temperature", -60, 100, "air in the tower base around the cabinet"),
-        _relative_humidity("tower_relative_humidity", f"air in the tower base, {_WATER}"),
-        _power(
-            "active_power",
-            -5e6,
-            3e7,
-            2e4,
-            "power fed into the grid; consumption is negative",
-        ),
-        _power("heater_power", 0.0, 1e5, 1.0, "electric power of the cabinet's heater"),
-        _power(
-            "auxiliary_power",
-            -1e6,
-            5e6,
-            1e3,
-            "own consumption of the turbine, positive",
-        ),
-        Signal(
-            "rotor_speed",
-            "rad/s",
-            -1.0,
-            15.0,
-            "rotor",
-            display="rpm",
-            idle=(-1.0, 0.05),
-        ),
-        Signal(
-            "generator_speed",
-            "rad/s",
-            -50.0,
-            500.0,
-            "generator",
-            display="rpm",
-            idle=(-50.0, 1.0),
-        ),
-        Signal(
-            "wind_speed",
-            "m/s",
-            0.0,
-            75.0,
-            "at hub height",
-            display="m/s",
-            idle=(0.0, 0.5),
-        ),
-        Signal(
-            "wind_direction",
-            "rad",
-            -2.0 * math.pi,
-            2.0 * math.pi,
-            "where the wind comes from, clockwise from north",
-            display="deg",
-            idle=(-math.inf, math.inf),
-        ),
-        _irradiance("global_horizontal_irradiance", "sun and sky on a horizontal plane"),
-        _irradiance("diffuse_horizontal_irradiance", "sky alone on a horizontal plane"),
-        _irradiance("direct_normal_irradiance", "sun alone on a plane that faces it"),
-        Signal(
-            "rain",
-            "1",
-            0.0,
-            500.0,
-            "0 = dry, above = wet: a flag, a share of the interval, or the depth in mm fallen in "
-            "the reading's interval (taken as a plain number)",
-            display="1",
-            idle=(-math.inf, math.inf),
-            also=("mm",),
-        ),
-        _duty("cloud_cover", "share of the sky that is covered"),
-        _duty("preheating", "1 while the cabinet is heated before start-up, 0 else"),
-        _duty("heater_duty", "share of the time that the cabinet's heater runs"),
-        _duty(
-            "fan_duty",
-            "share of the time (or of full speed) that the cabinet's fan runs",
-        ),
-        _duty(
-            "pump_duty",
-            "share of the time (or of full speed) that the coolant pump runs",
-        ),
-        _duty(
-            "dehumidifier_duty",
-            "share of the time that the cabinet's dehumidifier runs",
-        ),
-        _duty("door_open", "1 while the cabinet's door is open, 0 else"),
-    )
-}
+def _speed(name: str, low: float, high: float, idle_high: float) -> Signal:
+    """Speed of a machine; its name is its meaning."""
+    part = name.removesuffix("_speed")
+    return Signal(name, "rad/s", low, high, part, display="rpm", idle=(low, idle_high), hold=ZERO_ORDER)
 
 
-def signal_named(name: str) -> Signal:
+_TURN = 2.0 * math.pi
+_ROWS = (
+    _temperature("cabinet_temperature", -60, 120, "air in the cabinet", 0.3),
+    _relative_humidity("cabinet_relative_humidity", "air in the cabinet at its own temperature", 0.02),
+    _vapour_density("cabinet_absolute_humidity", "vapour mass per volume of the air in the cabinet"),
+    _temperature("cabinet_dew_point_temperature", -80, 100, f"dew point of the cabinet air, {_WATER}"),
+    _temperature("cabinet_wall_temperature", -60, 120, "inner face of the cabinet wall"),
+    _temperature("converter_temperature", -60, 200, "power semiconductors or their heat sink"),
+    _temperature("coolant_temperature", -60, 150, "liquid coolant entering the converter"),
+    _temperature("ambient_temperature", -80, 60, "outside air in the shade"),
+    _relative_humidity("ambient_relative_humidity", "outside air at ambient_temperature"),
+    _vapour_density("ambient_absolute_humidity", "vapour mass per volume of outside air"),
+    _temperature("ambient_dew_point_temperature", -80, 50, f"dew point of the outside air, {_WATER}"),
+    Signal("ambient_pressure", "Pa", 3e4, 1.1e5, "air pressure at the site", display="hPa"),
+    _temperature("nacelle_temperature", -60, 100, "air in the nacelle around the cabinet"),
+    _relative_humidity("nacelle_relative_humidity", "air in the nacelle"),
+    _temperature("tower_temperature", -60, 100, "air in the tower base around the cabinet"),
+    _relative_humidity("tower_relative_humidity", "air in the tower base"),
+    _power("active_power", -5e6, 3e7, 2e4, "power fed into the grid; consumption is negative"),
+    _power("heater_power", 0.0, 1e5, 1.0, "electric power of the cabinet's heater"),
+    _power("auxiliary_power", -1e6, 5e6, 1e3, "own consumption of the turbine, positive"),
+    _speed("rotor_speed", -1.0, 15.0, 0.05),
+    _speed("generator_speed", -50.0, 500.0, 1.0),
+    Signal("wind_speed", "m/s", 0.0, 75.0, "at hub height", display="m/s", idle=(0.0, 0.5)),
+    Signal(
+        "wind_direction", "rad", -_TURN, _TURN, "where the wind comes from, clockwise from north",
+        display="deg", idle=_ALWAYS, hold=ZERO_ORDER,
+    ),
+    _irradiance("global_horizontal_irradiance", "sun and sky on a horizontal plane"),
+    _irradiance("diffuse_horizontal_irradiance", "sky alone on a horizontal plane"),
+    _irradiance("direct_normal_irradiance", "sun alone on a plane that faces it"),
+    Signal(
+        "rain", "1", 0.0, 500.0,
+        "0 = dry, above = wet: a flag, a share of the interval, or the depth in mm fallen in the reading's "
+        "interval (taken as a plain number)",
+        display="1", idle=_ALWAYS, also=("mm",), hold=ZERO_ORDER,
+    ),
+    _duty("cloud_cover", "share of the sky that is covered"),
+    _duty("preheating", "1 while the cabinet is heated before start-up, 0 else"),
+    _duty("heater_duty", "share of the time that the cabinet's heater runs"),
+    _duty("fan_duty", "share of the time (or of full speed) that the cabinet's fan runs"),
+    _duty("pump_duty", "share of the time (or of full speed) that the coolant pump runs"),
+    _duty("dehumidifier_duty", "share of the time that the cabinet's dehumidifier runs"),
+    _duty("door_open", "1 while the cabinet's door is open, 0 else"),
+)  # fmt: skip
+SIGNALS: dict[str, Signal] = {row.name: row for row in _ROWS}
+
+
+def signal_named(name: str | Signal) -> Signal:
     """Row of the signal table.
 
-    name: a signal. Raises KeyError, with near names, where the table has no such signal.
+    name: a signal, or already its row. Raises KeyError, with near names, where the table has no such signal.
     """
+    if isinstance(name, Signal):
+        return name
     if name not in SIGNALS:
         raise KeyError(f'unknown signal "{name}"{suggestion(name, SIGNALS)}')
     return SIGNALS[name]
@@ -297,7 +208,7 @@ def signal_named(name: str) -> Signal:
 
 def fitting_units(signal: str | Signal) -> tuple[str, ...]:
     """Names of the units that a case file may give for a signal."""
-    row = signal if isinstance(signal, Signal) else signal_named(signal)
+    row = signal_named(signal)
     own = tuple(unit.name for unit in UNITS.values() if unit.dimension == row.dimension)
     return own + row.also
 
@@ -307,7 +218,7 @@ def unit_fault(unit: str, signal: str | Signal) -> str | None:
 
     unit: as written in the case file. signal: a signal of the table, or its name.
     """
-    row = signal if isinstance(signal, Signal) else signal_named(signal)
+    row = signal_named(signal)
     fitting = fitting_units(row)
     if unit in fitting:
         return None
@@ -370,7 +281,7 @@ def share_in_range(values: np.ndarray, unit: str, signal: str | Signal) -> float
 
     values: [unit] (N,) finite, N > 0. unit, signal: as for `to_si`, and the same errors.
     """
-    row = signal if isinstance(signal, Signal) else signal_named(signal)
+    row = signal_named(signal)
     converted = to_si(values, unit, row)
     return float(np.mean((converted >= row.low) & (converted <= row.high)))
 
@@ -380,7 +291,7 @@ def better_units(values: np.ndarray, unit: str, signal: str | Signal) -> list[st
 
     values: [unit] (N,) finite, N > 0. unit, signal: as for `to_si`, and the same errors.
     """
-    row = signal if isinstance(signal, Signal) else signal_named(signal)
+    row = signal_named(signal)
     others = [other for other in fitting_units(row) if other != unit]
     return [other for other in others if share_in_range(values, other, row) > 0.5]
 
@@ -393,7 +304,7 @@ def unit_mistaken(values: np.ndarray, unit: str, signal: str | Signal) -> str | 
     Fractions labelled as per cent, and the reverse, are recognised by the largest readings; otherwise most
     readings must lie in the signal's physical range.
     """
-    row = signal if isinstance(signal, Signal) else signal_named(signal)
+    row = signal_named(signal)
     finite = values[np.isfinite(values)]
     if not len(finite):
         return None
@@ -435,7 +346,7 @@ def in_words(value: float, signal: str | Signal) -> str:
 
     value: [SI unit]. signal: a signal of the table, or its name.
     """
-    row = signal if isinstance(signal, Signal) else signal_named(signal)
+    row = signal_named(signal)
     shown = float(from_si(value, row.display, row))
     return f"{shown:.4g}" if row.display == "1" else f"{shown:.4g} {row.display}"
 
@@ -446,7 +357,9 @@ def signal_table_markdown() -> str:
         "A case file names a signal, the column that holds it and the unit of that column. "
         "Inside the package every value is in the SI unit of this table. Readings outside of "
         "the physical range are masked, with a warning. The accuracy is the 95 % accuracy "
-        "assumed for the sensor where the case file states none."
+        "assumed for the sensor where the case file states none. The hold is how a model and a live source "
+        "continue the quantity between two instants; the hold of a table's readings follows from their "
+        "stamps ([case_file.md](case_file.md))."
     )
     lines = [
         "# Signals",
@@ -455,8 +368,8 @@ def signal_table_markdown() -> str:
         "",
         introduction,
         "",
-        "| signal | unit inside | units in a case file | range | accuracy | meaning |",
-        "| --- | --- | --- | --- | --- | --- |",
+        "| signal | unit inside | units in a case file | range | accuracy | hold | meaning |",
+        "| --- | --- | --- | --- | --- | --- | --- |",
     ]
     for row in SIGNALS.values():
         low, high = (float(from_si(bound, row.display, row)) for bound in (row.low, row.high))
@@ -467,7 +380,7 @@ def signal_table_markdown() -> str:
             accuracy = f"{shown:.4g} {'K' if row.display == 'degC' else row.display}"
         lines.append(
             f"| `{row.name}` | {row.unit} | {', '.join(fitting_units(row))} | {limits} "
-            f"| {accuracy} | {row.meaning} |"
+            f"| {accuracy} | {row.hold} | {row.meaning} |"
         )
     lines += [
         "",

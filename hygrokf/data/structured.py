@@ -1,8 +1,8 @@
 """Results as frozen dataclasses, written to and read from plain JSON data by one converter.
 
-A field states how it stands in a file: `optional()` leaves the key out where there is nothing to say, and
-`former=` names keys of earlier files that are still read.  Everywhere: null is NaN for a number, lists are
-tuples or arrays, and keys that a class does not know are ignored, because a newer version may add some.
+A field declares its form in the file: `optional()` leaves the key out where the value is the default, and
+`former=` names keys of earlier files that are still read.  In every file null is NaN for a number, lists
+become tuples or arrays, and unknown keys are ignored, because a newer version may add some.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ OPTIONAL, FORMER = "optional", "former"
 
 
 class StructureFault(HygrokfError):
-    """Data that do not make a result: `faults` holds every one of them, with its place in the data."""
+    """Data from which no result can be made; `faults` lists every fault with its place in the data."""
 
     def __init__(self, faults: list[str]) -> None:
         super().__init__("; ".join(faults))
@@ -86,7 +86,7 @@ def _faults(fault: BaseException, place: str) -> list[str]:
 
 
 def _words(fault: BaseException) -> str:
-    """What a fault says; those of cattrs itself are put into the package's form."""
+    """The message of a fault; those of cattrs are rewritten in the package's form."""
     if isinstance(fault, KeyError):
         return "expected, and missing"
     text = str(fault)

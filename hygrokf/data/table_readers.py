@@ -11,6 +11,7 @@ import re
 import warnings as python_warnings
 import zlib
 from collections.abc import Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -64,7 +65,9 @@ def read_table(
     """
     file = Path(path)
     faults: list[str] = []
-    content = _content(file)
+    if not file.name.lower().endswith(SUFFIXES) and not file.is_dir():
+        raise TableFault(f"expected a file of the kind {', '.join(SUFFIXES)}, found {file.name}")
+    content = file_bytes(file)
     wanted = list(dict.fromkeys(columns))
     if file.name.lower().endswith(".parquet"):
         frame = _parquet_frame(content, wanted, time_column, faults)
@@ -74,7 +77,7 @@ def read_table(
         frame = source.frame(wanted, time_column, faults)
         places = Places("line", source.line_numbers)
     if len(frame) == 0 and not faults:
-        raise TableFault(["expected readings, found no row below the header"])
+        raise TableFault("expected readings, found no row below the header")
     return table_of(
         frame,
         wanted,
@@ -91,24 +94,19 @@ def read_table(
     )
 
 
-def _content(file: Path) -> bytes:
-    """All bytes of a file. Raises TableFault where it cannot be read as a table."""
-    name = file.name.lower()
-    if not name.endswith(SUFFIXES):
-        if file.is_dir():
-            raise TableFault(["is a directory, not a file"])
-        raise TableFault([f"expected a file of the kind {', '.join(SUFFIXES)}, found {file.name}"])
+def file_bytes(file: Path) -> bytes:
+    """All bytes of a file.  Raises TableFault for a file that is absent, empty, unreadable or a directory."""
+    if file.is_dir():
+        raise TableFault("is a directory, not a file")
     try:
         content = file.read_bytes()
     except FileNotFoundError:
         near = [one.name for one in file.parent.iterdir()] if file.parent.is_dir() else []
-        raise TableFault([f"no such file: {file}{suggestion(file.name, near)}"]) from None
-    except IsADirectoryError:
-        raise TableFault(["is a directory, not a file"]) from None
+        raise TableFault(f"no such file: {file}{suggestion(file.name, near)}") from None
     except OSError as refused:
-        raise TableFault([f"cannot be read: {refused.strerror or refused}"]) from None
+        raise TableFault(f"cannot be read: {refused.strerror or refused}") from None
     if not content:
-        raise TableFault(["the file is empty"])
+        raise TableFault("the file is empty")
     return content
 
 
@@ -128,13 +126,13 @@ class _CsvSource:
             try:
                 content = gzip.decompress(content)
             except (OSError, EOFError, zlib.error) as broken:
-                raise TableFault([f"cannot be decompressed: {broken}"]) from None
+                raise TableFault(f"cannot be decompressed: {broken}") from None
             if not content.strip():
-                raise TableFault(["the file is empty"])
+                raise TableFault("the file is empty")
         if content[:4] in (b"PK\x03\x04", b"\xd0\xcf\x11\xe0"):
-            raise TableFault(["is an Excel file or a ZIP archive; export it as CSV text"])
+            raise TableFault("is an Excel file or a ZIP archive; export it as CSV text")
         if content[:4] == b"PAR1":
-            raise TableFault(["is a Parquet file; name it .parquet"])
+            raise TableFault("is a Parquet file; name it .parquet")
         self.content, self.encoding = _decodable(content)
         self.separator, self.decimal, self.comment = separator, decimal, comment
         self.missing = missing
@@ -152,7 +150,7 @@ class _CsvSource:
                     continue
                 yield reader.line_num, cells
         except csv.Error as broken:
-            raise TableFault([f"line {reader.line_num}: {broken}"]) from None
+            raise TableFault(f"line {reader.line_num}: {broken}") from None
 
     def _layout(self, time_column: str, faults: list[str]) -> _Layout | None:
         """The header: the first line that names the time column."""
@@ -299,26 +297,18 @@ def _decodable(content: bytes) -> tuple[bytes, str]:
         try:
             return content.decode("utf-16").encode(), "utf-8"
         except UnicodeDecodeError as broken:
-            raise TableFault([f"is not text: {broken}"]) from None
+            raise TableFault(f"is not text: {broken}") from None
     if b"\x00" in content:
         line = content[: content.index(b"\x00")].count(b"\n") + 1
-        raise TableFault([f"line {line}: is not text (a zero byte); the file may be damaged"])
+        raise TableFault(f"line {line}: is not text (a zero byte); the file may be damaged")
     content = content.removeprefix(b"\xef\xbb\xbf")
     if b"\r" in content and b"\n" not in content:
         content = content.replace(b"\r", b"\n")
-    try:
-        content.decode("utf-8")
-    except UnicodeDecodeError:
-        return content, "cp1252" if _is_cp1252(content) else "latin-1"
-    return content, "utf-8"
-
-
-def _is_cp1252(content: bytes) -> bool:
-    try:
-        content.decode("cp1252")
-    except UnicodeDecodeError:
-        return False
-    return True
+    for encoding in ("utf-8", "cp1252"):
+        with suppress(UnicodeDecodeError):
+            content.decode(encoding)
+            return content, encoding
+    return content, "latin-1"
 
 
 def _parquet_frame(
@@ -331,7 +321,7 @@ def _parquet_frame(
         from pyarrow import parquet
     except ImportError:
         raise TableFault(
-            ['reading .parquet needs the extra "parquet": pip install "hygrokf[parquet]"']
+            'reading .parquet needs the extra "parquet": pip install "hygrokf[parquet]"'
         ) from None
     try:
         file = parquet.ParquetFile(pyarrow.BufferReader(content))
@@ -345,4 +335,4 @@ def _parquet_frame(
         return file.read(columns=there).to_pandas(ignore_metadata=True)
     except pyarrow.ArrowException as broken:
         reason = str(broken).splitlines()[0]
-        raise TableFault([f"cannot be read as Parquet: {reason}"]) from None
+        raise TableFault(f"cannot be read as Parquet: {reason}") from None

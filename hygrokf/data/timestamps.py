@@ -246,10 +246,7 @@ def _has_offset(text: str) -> bool:
 
 
 def _without_offset(text: pandas.Series) -> pandas.Series:
-    return text.map(
-        lambda one: _ENDS_IN_OFFSET.sub("", one) if _has_offset(one) else one,
-        na_action="ignore",
-    )
+    return text.map(lambda one: _ENDS_IN_OFFSET.sub("", one) if _has_offset(one) else one, na_action="ignore")
 
 
 def _as_utc(parsed: pandas.Series) -> pandas.Series:
@@ -430,7 +427,7 @@ def _change_date(seconds: float) -> tuple[date, str]:
 
 
 def summer_time(time: np.ndarray, america: bool = False) -> np.ndarray:
-    """Whether summer time holds (T,) at instants [s] of UTC.
+    """Whether summer time is in force (T,) at instants [s] of UTC.
 
     Europe: from 01:00 UTC of March's last Sunday to that of October's.  North America: from 08:00 UTC of
     March's second Sunday to 07:00 UTC of November's first, the hours of its central zone.

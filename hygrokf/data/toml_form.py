@@ -4,11 +4,11 @@
     class Chamber:
         temperature_ramp_K_per_h: float = setting(60.0, "steepest ramp", least=0.1, most=6000.0)
 
-`read_form` makes the dataclass of a table and collects every fault.  The type of a field says what its value
-must be: text, a number, a whole number, true or false, a tuple (a list of these, or of tables [[key]]), a
+`read_form` makes the dataclass from a table and collects every fault.  The type of a field is that of its
+value: text, a number, a whole number, true or false, a tuple (a list of these, or of tables [[key]]), a
 dataclass (a table) or a mapping of dataclasses (a table of named tables).  Methods marked by `across` check
-what several keys say together, where none of them is at fault.  A form's `REFUSED` says why keys that a user
-may expect are none; its `OF` ends "unknown key …" in place of that of the table.
+several keys together, if none of them is at fault.  A form's `REFUSED` gives the message for keys that a user
+may expect but that do not exist; its `OF` ends "unknown key …" in place of the table's own phrase.
 """
 
 from __future__ import annotations
@@ -29,20 +29,23 @@ from hygrokf.errors import HygrokfError, suggestion
 
 T = TypeVar("T")
 BLANKS: Mapping[Any, Any] = {str: "", float: math.nan}
-"""What stands for a missing or faulty value that has no default; None for other types."""
+"""Placeholder for a missing or faulty value without a default; None for other types."""
 STATED, OF_ENTRY = "stated", "of entry"
 Check = Callable[[Any], str | Iterable[str] | None]
-"""A method of a form that gives what is wrong: one fault, several or none."""
+"""A method of a form that returns its faults: one, several or none."""
 
 
 class FormFault(HygrokfError):
     """A file that cannot be used; `faults` lists every reason, the message contains all of them."""
 
-    def __init__(self, file: object, faults: Iterable[str]) -> None:
+    def __init__(self, file: str | os.PathLike[str], faults: Iterable[str]) -> None:
         self.file, self.faults = str(file), tuple(faults)
         count = f"{len(self.faults)} fault{'s' if len(self.faults) != 1 else ''}"
         listed = (f"  {number}. {fault}" for number, fault in enumerate(self.faults, 1))
         super().__init__("\n".join([f"{file}: {count}", *listed]))
+
+    def __reduce__(self) -> tuple[type[FormFault], tuple[str, tuple[str, ...]]]:
+        return type(self), (self.file, self.faults)  # so that it can return from a worker process
 
 
 # --- the keys of a form ----------------------------------------------------------------------
@@ -50,13 +53,13 @@ class FormFault(HygrokfError):
 
 @dataclass(frozen=True)
 class Key:
-    """What a form states of a key besides its type.
+    """The declaration of a key besides its type.
 
-    help: its meaning. choices: all values that it may have. least, most, above: limits of a number; `above`
-        is not in the range itself.
-    empty: whether a text may be empty. expected: what the value must be, in place of words for the type.
-    read: makes the value, in place of the type's reader; raises ValueError. fits: what a value made must
-        hold, beside the limits; `expected` says it. remedy: what may help, said with a value at fault.
+    help: its meaning. choices: all permitted values. least, most, above: limits of a number; `above`
+        itself is excluded.
+    empty: whether a text may be empty. expected: description of a valid value, in place of that of the type.
+    read: converts the value, in place of the type's reader; raises ValueError. fits: a further condition on
+        the converted value, described by `expected`. remedy: a hint appended to the message of a fault.
     """
 
     help: str = ""
@@ -89,7 +92,7 @@ class Key:
 
 
 def setting(default: Any = MISSING, help: str = "", **stated: Any) -> Any:
-    """A field of a form: its default, without which the key is needed, its meaning, the rest of its `Key`."""
+    """A field of a form: default (without one the key is required), meaning, and the rest of its `Key`."""
     metadata = {STATED: Key(help, **{"empty": isinstance(default, str) and not default, **stated})}
     if isinstance(default, type):
         return dataclasses.field(default_factory=default, metadata=metadata)
@@ -116,9 +119,9 @@ def across(*keys: str) -> Callable[[Check], Check]:
 
 @cache
 def keys_of(form: Any) -> Mapping[str, tuple[dataclasses.Field[Any], Key, Any]]:
-    """The keys of a form by their names in the file: field, what is stated of it, its type without None.
+    """The keys of a form by their names in the file: field, declaration, type without None.
 
-    What has a reader of its own is written with its unit, so its key has no "_s" for seconds.
+    A value with its own reader is written with its unit, so its key has no "_s" for seconds.
     """
     found, hints = {}, get_type_hints(form)
     for one in dataclasses.fields(form):
@@ -143,9 +146,9 @@ def _checks(form: Any) -> list[tuple[tuple[str, ...], Check]]:
 
 @dataclass(frozen=True)
 class Place:
-    """A table in messages, such as "[test]" or "[[turbine]] 2", and what is wrong so far.
+    """A table in messages, such as "[test]" or "[[turbine]] 2", and the faults found so far.
 
-    name: of the table; the file itself has none. of: the table as the end of "unknown key …". faults: of the
+    name: of the table; empty for the file itself. of: the table as the end of "unknown key …". faults: of the
     whole file.
     """
 
@@ -172,7 +175,7 @@ class Place:
         return f"needs {key}, {said}" if said else f"needs {key}"
 
     def inside(self, key: str, number: int | None = None, entry: str | None = None) -> Place:
-        """The table under a key; of several [[key]] that with a number, from 0 on; or a named one in it."""
+        """The table under a key; `number` counts several [[key]] from 0; `entry` names a table inside it."""
         if number is not None:
             return dataclasses.replace(self, name=f"[[{key}]] {number + 1}")
         head = f"{self.name} {key}" if self.name else f"[{key}]"
@@ -187,9 +190,9 @@ def read_toml(
     fault_class: type[FormFault] = FormFault,
     missing: str = "cannot be read: No such file or directory; check the path",
 ) -> tuple[str, dict[str, Any]]:
-    """Text and content of a TOML file.  Raises a FormFault, which names the line of a mistake.
+    """Text and content of a TOML file.  Raises FormFault, which names the line of a mistake.
 
-    missing: what is said of a file that does not exist.
+    missing: message for a file that does not exist.
     """
     file = Path(path)
     try:
@@ -342,7 +345,7 @@ def _named(name: str, value: Any, form: Any, place: Place) -> Mapping[str, Any]:
 
 
 def _plain(value: Any, kind: Any, stated: Key) -> Any:
-    """A value of a plain type.  Raises TypeError where it is another thing."""
+    """A value of a plain type.  Raises TypeError for another type."""
     if kind is Any or get_origin(kind) is Mapping:
         good = kind is Any or isinstance(value, Mapping)
     elif stated.choices:
@@ -364,7 +367,7 @@ def _plain(value: Any, kind: Any, stated: Key) -> Any:
 
 
 def _words(kind: Any, stated: Key) -> str:
-    """What a value must be."""
+    """Description of a valid value."""
     if stated.expected or stated.choices:
         return stated.expected or f"one of {', '.join(stated.choices)}"
     inner = get_args(kind)

@@ -27,6 +27,7 @@ from hygrokf.live.sources.streams import Stream
 from hygrokf.live.storage.postgres import url_fault
 from hygrokf.live.turbines import STALE_S, Turbine
 from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings
+from hygrokf.physics.holds import ZERO_ORDER
 
 RETENTION_S = 400.0 * 86400.0
 LEAST_RETENTION_S = 7.0 * 86400.0
@@ -81,9 +82,7 @@ class SignalForm(StatedSensor):
 
     def made(self) -> Field:
         """The field of a payload."""
-        # power, duty and machine speed are constant between readings; all other signals change linearly
-        stepped = self.signal.unit in ("W", "rad/s") or self.signal.name == "preheating"
-        hold = "zero-order" if self.interval_s > 0 or stepped else "linear"
+        hold = ZERO_ORDER if self.interval_s > 0 else self.signal.hold
         return Field(self.signal.name, self.unit, Form(hold, self.interval_s, **self.settings), self.stamp)
 
 

@@ -59,11 +59,7 @@ PLAYED = (
 
 def default_mapping() -> PayloadMapping:
     """The mapping with all signals under their own names, in display units (°C, %, kW, g/m³)."""
-    fields = {}
-    for name, row in SIGNALS.items():
-        stepped = row.unit in ("W", "rad/s") or name == "preheating"
-        fields[name] = Field(name, row.display or row.unit, Form("zero-order" if stepped else "linear"))
-    return PayloadMapping(fields)
+    return PayloadMapping({name: Field(name, row.display, Form(row.hold)) for name, row in SIGNALS.items()})
 
 
 def page_at(address: str | None) -> PageSettings:

@@ -28,25 +28,15 @@ from hygrokf.physics.mechanisms.hygric import SHORTEST_H
 from hygrokf.physics.model import Mechanism, Model, compose
 from hygrokf.physics.parameters import Prior
 
-STEPPED = ("W", "1", "rad/s")
-"""Units of signals that hold over steps (power, duties, speeds of machines), except humidities."""
 HOLDS = {
-    **{
-        signal.name: ZERO_ORDER if signal.unit in STEPPED and "humidity" not in signal.name else LINEAR
-        for signal in SIGNALS.values()
-    },
-    "ambient_temperature": LINEAR,
-    "ambient_absolute_humidity": LINEAR,
+    **{one.name: one.hold for one in SIGNALS.values()},
     "exchange_factor": LINEAR,
-    "cabinet_temperature": LINEAR,
     "operating": ZERO_ORDER,
-    "preheating": ZERO_ORDER,
-    "rain": ZERO_ORDER,
     "power_unknown": REGIME,
     **{f"power_{k}": ZERO_ORDER for k in range(1, 6)},
     **{name: hold for name, (_, hold) in FEATURES.items()},
 }
-"""Holds of inputs between their own times: those of the base models, every other signal, and features."""
+"""Holds of inputs between their own times: every signal, the inputs of the base models, and features."""
 TEMPERATURE = "cabinet_temperature"
 HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
 BRIDGE_H = 1.0

@@ -8,10 +8,10 @@ from collections.abc import Iterator
 from hygrokf.cases.summary import RecordSummary, SignalSummary
 from hygrokf.data.record import Site
 from hygrokf.data.signals import difference_from_si, signal_named
-from hygrokf.data.timestamps import duration_text
+from hygrokf.data.timestamps import MINUTE_S, duration_text
 from hygrokf.report.blocks import Block, Facts, Heading, Items, Prose, Table
 from hygrokf.report.terminal import blocks_text
-from hygrokf.weather.clocks import MINUTE_S, LagFound, SourceComparison
+from hygrokf.weather.clocks import LagFound, SourceComparison
 
 NONE = "-"
 WIDTH = 1000

@@ -13,8 +13,7 @@ from zipfile import BadZipFile
 import numpy as np
 
 from hygrokf.data.files import write_bytes_whole
-from hygrokf.data.result_file import ResultFault
-from hygrokf.data.series_file import instants
+from hygrokf.data.result_file import ResultFault, instants
 from hygrokf.evaluation.scoring import SCORED
 from hygrokf.evaluation.simulation import Prediction, measured
 from hygrokf.modelling.inputs import Run

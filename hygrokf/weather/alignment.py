@@ -1,14 +1,13 @@
-"""How two weather series of the same signal lie to each other: lag, offset and daily course, with bounds.
+"""Compare two weather series of the same signal: lag, offset and daily wave, with bounds.
 
-A lag is found twice, by what two clocks that differ must both show:
+Clocks that differ shift the weather and the mean day alike, so the lag is estimated from each:
 
-- by the weather: both courses without their slow part (the running mean of a day) and without the mean day of
-  each month; the lag at which they correlate best.  Fronts, clouds and showers set it, the sun's warming of a
-  sensor does not.
-- by the mean day: the phase between the daily waves of both courses.  A sensor in the sun, or in a slow
-  housing, moves it by half an hour; a front that reaches the one place before the other does not.
+- weather: both series less the running mean of a day and the mean day of each month; the lag at which the
+  rest correlates best.  Fronts, clouds and showers determine it; a sensor in the sun does not change it.
+- mean day: the phase between the daily waves of the two series.  A sensor in the sun or in a slow housing
+  shifts it by half an hour; a front that reaches one place before the other does not.
 
-Bounds are quantiles of a bootstrap of blocks of five days, which keeps what is correlated within a weather
+Bounds are quantiles of a bootstrap over blocks of five days, which keeps the correlation within a weather
 situation.
 """
 
@@ -25,23 +24,23 @@ from hygrokf.data.record import Series
 from hygrokf.data.timestamps import DAY_S, summer_time
 
 GRID_S = 600.0
-"""[s] grid on which both are held against each other; lags are found between its points by a parabola."""
+"""[s] grid on which both series are compared; a parabola gives lags between its points."""
 REACH_H = 14.0
-"""[h] largest lag that is looked for: the widest difference of two time zones in use."""
+"""[h] largest lag searched: the widest difference between two time zones in use."""
 BRIDGE_H = 3.0
 BLOCK_D = 5.0
 FEWEST_D = 20.0
-"""[d] both known, below which nothing is said."""
+"""[d] fewest common days for a comparison."""
 DRAWS = 400
 LEAST_CORRELATION = 0.25
-"""Best correlation of two courses below which they are not of the same weather, and no lag is told."""
+"""Highest correlation below which the two series are not of the same weather and have no lag."""
 WIDEST_H = 3.0
-"""[h] width of a lag's bounds above which it is not told."""
+"""[h] width of a lag's bounds above which the lag counts as unknown."""
 
 
 @dataclass(frozen=True)
 class Bounded:
-    """An estimate with 95 % bounds; NaN where it cannot be told."""
+    """An estimate with 95 % bounds; NaN where it is unknown."""
 
     value: float
     low: float
@@ -57,10 +56,10 @@ UNKNOWN = Bounded(math.nan, math.nan, math.nan)
 
 @dataclass(frozen=True)
 class Lag:
-    """How much later one series is than the other, over some part of the time.
+    """How much later one series is than the other, over a part of the time.
 
-    weather, mean_day: [s] found by each; positive where the first series is late. days: [d] both known.
-    correlation: best correlation of the courses without their mean day.
+    weather, mean_day: [s] the two estimates; positive where the first series is late. days: [d] in common.
+    correlation: highest correlation of the series without their mean day.
     """
 
     weather: Bounded
@@ -71,15 +70,14 @@ class Lag:
 
 @dataclass(frozen=True)
 class Alignment:
-    """How one series lies to another of the same signal.
+    """Comparison of one series with another of the same signal.
 
-    signal: of both. one, other: their sources. start_s, end_s: [s] common span. days: [d] both known.
-    offset: [SI unit] mean of one less other, at their stamps.
+    signal: of both. one, other: their files. start_s, end_s: [s] common span. days: [d] in common.
+    offset: [SI unit] mean of one minus other, at their stamps.
     amplitude, other_amplitude: [SI unit] of the daily wave. amplitude_ratio: one over other.
-    whole: lag over all; winter, summer: outside and inside summer time, or None where either is too short.
-    change: [s] lag by the weather in summer less that in winter. mean_day_change: [s] the same by the mean
-        day.
-    months: (start [s], lag by the weather, lag by the mean day) of every month with enough days.
+    whole: lag over the common span; winter, summer: lag outside and inside summer time, None where too short.
+    change, mean_day_change: [s] lag in summer minus lag in winter, from the weather and from the mean day.
+    months: (start [s], lag from the weather, lag from the mean day) of every month with enough days.
     """
 
     signal: str
@@ -101,11 +99,10 @@ class Alignment:
 
 
 def align(one: Series, other: Series, *, america: bool = False, seed: int = 0) -> Alignment | None:
-    """Lag, offset and daily course of one series against another of the same signal; None below 20 common
-    days.
+    """Lag, offset and daily wave of one series against another of the same signal; None below 20 common days.
 
-    one, other: any holds and steps up to an hour or two; means stand in the middle of their interval.
-    america: whether summer time is North America's. seed: of the bootstrap.
+    one, other: of any hold, with steps of up to two hours; means are placed in the middle of their interval.
+    america: whether summer time follows North American dates. seed: of the bootstrap.
 
     Raises ValueError for different signals.
     """
@@ -153,7 +150,7 @@ def align(one: Series, other: Series, *, america: bool = False, seed: int = 0) -
             lag, _ = _lag(sums, inside, random)
             months.append((float(month.astype("datetime64[s]").astype(int)), lag.weather, lag.mean_day))
     return Alignment(
-        one.signal, _file(one), _file(other), float(start), float(end), days, offset, size * wave,
+        one.signal, one.file, other.file, float(start), float(end), days, offset, size * wave,
         size * other_wave,
         ratio, whole, winter, summer, change, mean_day_change, tuple(months),
     )  # fmt: skip
@@ -162,11 +159,11 @@ def align(one: Series, other: Series, *, america: bool = False, seed: int = 0) -
 def mean_days(
     one: Series, other: Series, shift: tuple[float, float] = (0.0, 0.0), *, america: bool = False
 ) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Mean daily courses of both by the hour of UTC, winter and summer apart, for a picture.
+    """Mean daily course of both series by the hour of UTC, separately for winter and summer, for a figure.
 
     one, other: as for `align`. shift: [s] added to the stamps of `one` in winter and in summer.
-    Returns "winter" and "summer" -> (hour [h] (24,), one (24,), other (24,)), deviations from the day's mean
-    [SI unit]; a season without 10 days is left out.
+    Returns "winter" and "summer" -> (hour [h] (24,), one (24,), other (24,)), deviations from the mean of the
+    day [SI unit]; a season with fewer than 10 days is left out.
     """
     first, second = centred(one), centred(other)
     start, end = (f(first.known[0][k], second.known[0][k]) for f, k in ((max, 0), (min, -1)))
@@ -189,10 +186,10 @@ def mean_days(
 
 @dataclass(frozen=True)
 class _Sums:
-    """What the bootstrap weighs, block by block (B blocks, L lags).
+    """Sums over each block, which the bootstrap weighs (B blocks, L lags).
 
-    lags: [s] (L,). xy, xx, yy: (B, L) of the courses without mean day. wave, other_wave: (B,) complex.
-    difference, count: (B,) of one less other. days: (B,). summer: (B,). month: (B,) datetime64[M].
+    lags: [s] (L,). xy, xx, yy: (B, L) of the series without mean day. wave, other_wave: (B,) complex.
+    difference, count: (B,) of one minus other. days: (B,). summer: (B,). month: (B,) datetime64[M].
     """
 
     lags: np.ndarray
@@ -228,7 +225,7 @@ def _sums(time: np.ndarray, x: np.ndarray, y: np.ndarray, america: bool) -> _Sum
     lags = np.arange(-reach, reach + 1)
     xy, xx, yy = (np.empty((len(starts), len(lags))) for _ in range(3))
     for place, lag in enumerate(lags):
-        # one is late by the lag: what it shows now the other showed before
+        # one is late by the lag: it shows now what the other showed earlier
         moved, square, there = (_moved(each, int(lag)) for each in (weather_y, square_y, there_y))
         xy[:, place] = np.add.reduceat(weather_x * moved, starts)
         xx[:, place] = np.add.reduceat(square_x * there, starts)
@@ -243,7 +240,7 @@ def _sums(time: np.ndarray, x: np.ndarray, y: np.ndarray, america: bool) -> _Sum
 
 
 def _moved(value: np.ndarray, steps: int) -> np.ndarray:
-    """Values later by so many steps; what comes from beyond the ends is zero."""
+    """Values delayed by a number of steps; zero where that reaches beyond an end."""
     result = np.zeros_like(value)
     if steps > 0:
         result[steps:] = value[:-steps]
@@ -255,8 +252,7 @@ def _moved(value: np.ndarray, steps: int) -> np.ndarray:
 
 
 def _without_slow(value: np.ndarray) -> np.ndarray:
-    """Values less their running mean over a day; NaN where less than 60 % of that day are known, and at
-    either end."""
+    """Values minus their running mean over a day; NaN at the ends and where under 60 % of a day is known."""
     half = round(0.5 * DAY_S / GRID_S)
     known = np.isfinite(value)
     total = np.concatenate([[0.0], np.cumsum(np.where(known, value, 0.0))])
@@ -269,19 +265,19 @@ def _without_slow(value: np.ndarray) -> np.ndarray:
 
 
 def _without_mean_day(value: np.ndarray, time: np.ndarray, group: np.ndarray) -> np.ndarray:
-    """Values less the mean day of their month, winter and summer time apart."""
+    """Values minus the mean day of their month, separately for winter and summer time."""
     per_day = round(DAY_S / GRID_S)
     key = group * per_day + np.round(np.mod(time, DAY_S) / GRID_S).astype(int) % per_day
     known = np.isfinite(value)
     number = np.bincount(key[known], minlength=key.max() + 1)
     total = np.bincount(key[known], weights=value[known], minlength=key.max() + 1)
     weather = value - (total / np.maximum(number, 1))[key]
-    # rounding errors of a course that is the same every day are no weather
+    # a series that repeats every day leaves only rounding errors, which are no weather
     return weather if np.nanstd(weather) > 1e-6 * np.nanstd(value) else np.where(known, 0.0, np.nan)
 
 
 def _weights(days: np.ndarray, inside: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """How often each block comes in each draw (draws, B); blocks outside never do."""
+    """How often each block occurs in each draw (draws, B); never, if it lies outside."""
     blocks = np.flatnonzero(inside & (days > 0.0))
     weights = np.zeros((DRAWS, len(days)))
     if len(blocks):
@@ -309,7 +305,7 @@ def _lag(
     peaks, highest = _peaks(sums.lags, np.nan_to_num(curves, nan=-1.0))
     turn = (weights @ sums.wave) / (weights @ sums.other_wave)
     phase = -np.angle(turn) * DAY_S / (2.0 * math.pi)
-    # draws on either side of half a day are one and the same lag
+    # a phase is known up to whole days: bring all draws to the side of the estimate
     phase = phase[0] + np.mod(phase - phase[0] + 0.5 * DAY_S, DAY_S) - 0.5 * DAY_S
     weather = _bounded(float(peaks[0]), peaks[1:])
     at_edge = abs(peaks[0]) >= sums.lags[-1] - GRID_S
@@ -323,8 +319,7 @@ def _lag(
 
 
 def _peaks(lags: np.ndarray, curves: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where curves (N, L) are highest [s] (N,), between their points by a parabola through seven, and how
-    high they are there."""
+    """Lags [s] (N,) at which curves (N, L) peak, by a parabola through seven points, and their heights."""
     top = np.argmax(curves, axis=1)
     reach = 3
     middle = np.clip(top, reach, curves.shape[1] - 1 - reach)
@@ -346,11 +341,7 @@ def _bounded(value: float, draws: np.ndarray) -> Bounded:
 
 
 def _difference(one: Bounded, other: Bounded, draws: np.ndarray, other_draws: np.ndarray) -> Bounded:
-    """Difference of two estimates over blocks of which none is in both."""
+    """Difference of two estimates from disjoint blocks."""
     if not (one.known and other.known):
         return UNKNOWN
     return _bounded(one.value - other.value, draws - other_draws)
-
-
-def _file(series: Series) -> str:
-    return series.source.split(",")[0] or series.signal

@@ -1,4 +1,4 @@
-"""From the height of a weather station, or of a grid cell, to that of the site."""
+"""Move weather from the height of a station or grid cell to that of the site."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from hygrokf.data.record import Record, Site
 from hygrokf.physics.psychrometrics import GAS_CONSTANT_DRY_AIR, dew_point, saturation_pressure_water
 
 GRAVITY = 9.80665
-"""[m/s²] standard acceleration of free fall."""
+"""[m/s²] standard acceleration of free fall; reanalyses use it for geopotential too."""
 LAPSE_RATE = 0.0065
-"""[K/m] by which temperature falls with height in the standard atmosphere (ICAO)."""
+"""[K/m] decrease of temperature with height in the standard atmosphere (ICAO)."""
 SAID_FROM_M = 100.0
-"""[m] difference of height from which a record that is not corrected says so: 0.65 K."""
+"""[m] difference of height from which an uncorrected record has a warning: 0.65 K."""
 
 
 def pressure_ratio(temperature: np.ndarray, rise_m: float, lapse_rate: float = LAPSE_RATE) -> np.ndarray:
     """Pressure of the air at a height over that at another, p(z + Δz)/p(z) [-].
 
     temperature: [K] any shape, at the lower of the two heights z. rise_m: [m] Δz, may be negative.
-    lapse_rate: [K/m] Γ, by which temperature falls with height.
+    lapse_rate: [K/m] Γ, decrease of temperature with height.
 
     Hydrostatic balance of dry air dp/dz = −g p/(R_d T) with T(z + Δz) = T − Γ Δz:
     (1 − Γ Δz/T)^(g/(R_d Γ)), and exp(−g Δz/(R_d T)) for Γ = 0.  Moisture changes it by less than 0.1 % over
@@ -36,17 +36,17 @@ def pressure_ratio(temperature: np.ndarray, rise_m: float, lapse_rate: float = L
 def at_altitude(
     record: Record, altitude_m: float, from_m: float | None = None, lapse_rate: float = LAPSE_RATE
 ) -> Record:
-    """A record of weather, moved to the height of the site.
+    """A weather record moved to the height of the site.
 
-    record: of ambient signals. altitude_m: [m] of the site. from_m: [m] that the record is of; None: that of
-        its site.
-    lapse_rate: [K/m] by which temperature falls with height, -0.02 … 0.02.
+    record: of ambient signals. altitude_m: [m] height of the site. from_m: [m] height of the record; None:
+        that of its site.
+    lapse_rate: [K/m] decrease of temperature with height, -0.02 … 0.02.
 
-    Temperature changes by the lapse rate, pressure by hydrostatic balance.  The mixing ratio ε e/(p − e) of
-    the air stays, so that vapour pressure and pressure change by the same factor; where the cooled air could
-    not hold it, the dew point is the temperature (the rest has condensed on the way up), and how often is
-    said.  Sun, wind, cloud and rain stay as they are.  The lapse rate of single hours differs, in winter
-    inversions even in sign; what is right on average is not right each hour.
+    Temperature changes by the lapse rate, pressure by hydrostatic balance.  The mixing ratio ε e/(p − e) is
+    kept, so that vapour pressure and pressure change by the same factor.  Where the cooled air would be
+    supersaturated, the dew point is set to the temperature (the rest condensed on the way up); a warning says
+    how often.  Sun, wind, cloud and rain do not change.  The lapse rate is a mean: that of single hours
+    differs, in winter inversions even in sign.
 
     Raises ValueError where the record's height is not known, or a number is out of its range.
     """
@@ -70,7 +70,7 @@ def at_altitude(
         elif one.signal == "ambient_dew_point_temperature":
             vapour = saturation_pressure_water(one.value) * _ratio_at(record, one.time, rise, lapse_rate)
             before = _temperature_at(record, one.time)
-            # what stood above saturation before, by rounding or packing, is no condensation on the way
+            # supersaturation in the source, by rounding or packing, is no condensation on the way
             limit = before - lapse_rate * rise + np.fmax(one.value - before, 0.0)
             condensed = dew_point(vapour) > limit
             value = np.where(condensed, limit, dew_point(vapour))

@@ -1,7 +1,7 @@
-"""The bytes of a weather file: what it is, and what a ZIP or gzip file holds, within limits.
+"""Contents of a weather file, unpacked from ZIP or gzip within limits, and their kind.
 
-An archive is read in memory, a piece at a time, up to a stated size and ratio; the sizes that it states about
-itself are not believed, and no path of it is ever written to.
+An archive is unpacked in memory, piece by piece, up to a limit of size and ratio; the sizes stated in the
+archive are not trusted, and none of its paths is ever written to.
 """
 
 from __future__ import annotations
@@ -18,15 +18,15 @@ from pathlib import Path
 from typing import BinaryIO
 
 from hygrokf.data.columns import TableFault
-from hygrokf.errors import suggestion
+from hygrokf.data.table_readers import file_bytes
 
 MOST_BYTES = 2**31
-"""Bytes that a file may hold, packed or unpacked: a decade of one country's grid of hourly fields is 1 GB."""
+"""Largest file, packed or unpacked [bytes]: a decade of hourly fields on one country's grid is 1 GB."""
 MOST_RATIO = 200.0
-"""Unpacked over packed size: weather as text packs to a tenth, packed fields hardly at all, a bomb to a
-thousandth."""
+"""Largest ratio of unpacked to packed size: text packs to a tenth, packed fields hardly at all, a ZIP bomb to
+a thousandth."""
 RATIO_FROM = 2**20
-"""Bytes from which the ratio counts: a small file may hold one value only, and does no harm."""
+"""Size from which the ratio is checked [bytes]: a small file may hold a single value, and does no harm."""
 MOST_MEMBERS = 100
 _PIECE = 2**20
 
@@ -45,10 +45,10 @@ class Content:
 
 
 def contents(path: Path) -> tuple[tuple[Content, ...], str]:
-    """What is in a weather file, and the SHA-256 of the file itself.
+    """Contents of a weather file, and the SHA-256 of the file itself.
 
-    path: NetCDF, text, gzip of either, or a ZIP archive of either; known by its first bytes, not by its name.
-    Raises TableFault with what is wrong, for an archive with every member that is.
+    path: NetCDF or text, plain, as gzip or in a ZIP archive; recognised by the first bytes, not by the name.
+    Raises TableFault with every fault and, for an archive, its member.
     """
     packed = _packed(path)
     digest = hashlib.sha256(packed).hexdigest()
@@ -61,29 +61,29 @@ def contents(path: Path) -> tuple[tuple[Content, ...], str]:
 def kind_of(data: bytes) -> str:
     """Kind of a file by its first bytes: "netcdf4", "netcdf3", "epw" or "csv".
 
-    Raises TableFault for what is none of them, with what it seems to be.
+    Raises TableFault for another kind, which it names.
     """
     if not data.strip(b"\x00 \r\n\t"):
-        raise TableFault(["the file is empty"])
+        raise TableFault("the file is empty")
     if data[:8] == b"\x89HDF\r\n\x1a\n":
         return "netcdf4"
     if data[:4] in (b"CDF\x01", b"CDF\x02"):
         return "netcdf3"
     if data[:4] == b"CDF\x05":
         raise TableFault(
-            ["is a NetCDF file of the 64-bit data kind; convert it with: nccopy -k nc4 IN.nc OUT.nc"]
+            "is a NetCDF file of the 64-bit data kind; convert it with: nccopy -k nc4 IN.nc OUT.nc"
         )
     if data[:4] == b"GRIB":
-        raise TableFault(['is a GRIB file; ask for data_format "netcdf", or convert it with: grib_to_netcdf'])
+        raise TableFault('is a GRIB file; ask for data_format "netcdf", or convert it with: grib_to_netcdf')
     if data[:4] == b"PK\x03\x04":
-        raise TableFault(["is a ZIP archive in a ZIP archive; unpack it"])
+        raise TableFault("is a ZIP archive in a ZIP archive; unpack it")
     head = data[:4096].removeprefix(b"\xef\xbb\xbf")
     if head.lstrip()[:1] in (b"<", b"{"):
         raise TableFault(
-            [f"expected weather data, found {_shown(head)}: an error page saved in place of the file?"]
+            f"expected weather data, found {_shown(head)}: an error page saved in place of the file?"
         )
     if b"\x00" in head:
-        raise TableFault(["expected NetCDF, CSV, EPW or a ZIP archive of these, found other bytes"])
+        raise TableFault("expected NetCDF, CSV, EPW or a ZIP archive of these, found other bytes")
     return "epw" if head.lstrip()[:9].upper() == b"LOCATION," else "csv"
 
 
@@ -92,21 +92,9 @@ def _shown(head: bytes) -> str:
 
 
 def _packed(path: Path) -> bytes:
-    """All bytes of the file as it is."""
-    try:
-        if path.is_dir():
-            raise TableFault(["is a directory, not a file"])
-        if path.stat().st_size > MOST_BYTES:
-            raise TableFault([_too_large("the file holds")])
-        data = path.read_bytes()
-    except FileNotFoundError:
-        near = [one.name for one in path.parent.iterdir()] if path.parent.is_dir() else []
-        raise TableFault([f"no such file: {path}{suggestion(path.name, near)}"]) from None
-    except OSError as refused:
-        raise TableFault([f"cannot be read: {refused.strerror or refused}"]) from None
-    if not data:
-        raise TableFault(["the file is empty"])
-    return data
+    if path.is_file() and path.stat().st_size > MOST_BYTES:
+        raise TableFault(_too_large("the file holds"))
+    return file_bytes(path)
 
 
 def _too_large(what: str) -> str:
@@ -118,19 +106,19 @@ def _gunzipped(packed: bytes) -> bytes:
         with gzip.GzipFile(fileobj=io.BytesIO(packed)) as stream:
             return _bounded(stream, len(packed), "it", MOST_BYTES)
     except (OSError, EOFError, zlib.error) as broken:
-        raise TableFault([f"cannot be unpacked: {broken}; fetch it again"]) from None
+        raise TableFault(f"cannot be unpacked: {broken}; fetch it again") from None
 
 
 def _bounded(stream: BinaryIO | gzip.GzipFile, packed: int, what: str, most: int) -> bytes:
-    """All bytes of a stream that unpacks `packed` bytes, no more than `most` of them."""
+    """All bytes unpacked from `packed` bytes.  Raises TableFault above `most` bytes or the ratio."""
     pieces, size = [], 0
     while piece := stream.read(_PIECE):
         size += len(piece)
         if size > most:
-            raise TableFault([_too_large(f"{what} unpacks to")])
+            raise TableFault(_too_large(f"{what} unpacks to"))
         if size > RATIO_FROM and size > MOST_RATIO * max(packed, 1):
             raise TableFault(
-                [f"{what} unpacks to more than {MOST_RATIO:g} times its size: this is not a weather file"]
+                f"{what} unpacks to more than {MOST_RATIO:g} times its size: this is not a weather file"
             )
         pieces.append(piece)
     return b"".join(pieces)
@@ -141,11 +129,11 @@ def _members(name: str, packed: bytes) -> tuple[Content, ...]:
     try:
         archive = zipfile.ZipFile(io.BytesIO(packed))
     except (zipfile.BadZipFile, struct.error, ValueError, OSError) as broken:
-        raise TableFault([f"is a damaged ZIP archive ({broken}); fetch it again"]) from None
+        raise TableFault(f"is a damaged ZIP archive ({broken}); fetch it again") from None
     with archive:
         inside = [one for one in archive.infolist() if not one.is_dir()]
         if len(inside) > MOST_MEMBERS:
-            raise TableFault([f"holds {len(inside)} files; expected no more than {MOST_MEMBERS}"])
+            raise TableFault(f"holds {len(inside)} files; expected no more than {MOST_MEMBERS}")
         found, faults, left = [], [], MOST_BYTES
         for one in inside:
             try:
@@ -157,20 +145,20 @@ def _members(name: str, packed: bytes) -> tuple[Content, ...]:
                 if len(faults) > 4:
                     break
     if faults:
-        raise TableFault(faults)
+        raise TableFault(*faults)
     if not found:
-        raise TableFault(["is a ZIP archive without a file in it; fetch it again"])
+        raise TableFault("is a ZIP archive without a file in it; fetch it again")
     return tuple(found)
 
 
 def _member(archive: zipfile.ZipFile, one: zipfile.ZipInfo, most: int) -> bytes:
     if one.flag_bits & 1:
-        raise TableFault(["is encrypted; unpack it first"])
+        raise TableFault("is encrypted; unpack it first")
     open_member: Callable[[zipfile.ZipInfo], BinaryIO] = archive.open  # type: ignore[assignment]
     try:
         with open_member(one) as stream:
             return _bounded(stream, one.compress_size, "it", most)
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError) as broken:
-        raise TableFault([f"is damaged ({broken}); fetch the archive again"]) from None
+        raise TableFault(f"is damaged ({broken}); fetch the archive again") from None
     except (NotImplementedError, RuntimeError) as unknown:
-        raise TableFault([f"cannot be unpacked here ({unknown}); unpack it first"]) from None
+        raise TableFault(f"cannot be unpacked here ({unknown}); unpack it first") from None

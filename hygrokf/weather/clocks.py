@@ -1,5 +1,4 @@
-"""What two weather sources say about each other's clocks: right, off by a constant, or off with summer
-time."""
+"""Check the clock of one weather source against another: right, off by a constant, or off in one season."""
 
 from __future__ import annotations
 
@@ -8,29 +7,28 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from hygrokf.data.record import Record
-from hygrokf.data.timestamps import DAY_S, modal_step
+from hygrokf.data.timestamps import DAY_S, MINUTE_S, modal_step
 from hygrokf.weather.alignment import UNKNOWN, Alignment, Bounded, Lag, align
 
-MINUTE_S = 60.0
 TOLERANCE_S = 20.0 * MINUTE_S
-"""[s] within which a lag is no clock error: slow housings, and fronts that meet a grid cell's middle before
-the site."""
+"""[s] largest lag that is not a clock error: slow housings, and fronts that reach the middle of a grid cell
+before the site."""
 APART_S = 60.0 * MINUTE_S
-"""[s] by which the lags by the weather and by the mean day may differ where both come from a clock."""
+"""[s] largest difference between the lags from weather and mean day if a clock causes both."""
 NOT_COMPARED = ("wind_direction", "rain")
-"""A direction has no mean, and flags of rain differ between places."""
+"""Signals that are not compared: a direction has no mean, and rain differs between places."""
 JUDGES = ("ambient_temperature", "global_horizontal_irradiance")
-"""Signals whose mean day the sun sets alike everywhere; that of wind differs between heights and places."""
+"""Signals whose mean day follows the sun everywhere; that of wind differs between heights and places."""
 
 
 @dataclass(frozen=True)
 class ClockError:
-    """How one source's clock goes against another's.
+    """Error of one source's clock against another's.
 
-    one, other: the sources. kind: "right", "constant", "seasonal", or "unclear": nothing can be told, or what
-        moves the weather does not move the mean day, as between distant places.
+    one, other: the sources. kind: "right", "constant", "seasonal", or "unclear": the lag is unknown, or
+        weather and mean day disagree, as between distant places.
     winter, summer: [s] how much later readings of `one` are stamped; equal unless seasonal.
-    mean_day_winter, mean_day_summer: [s] the same by the mean day. alignments: what it is judged by.
+    mean_day_winter, mean_day_summer: [s] the same from the mean day. alignments: the comparisons behind it.
     """
 
     one: str
@@ -44,8 +42,7 @@ class ClockError:
 
     @property
     def corrections_s(self) -> tuple[float, float]:
-        """What to add to the stamps of `one` in winter and in summer [s], rounded as zones are; (0, 0) if
-        nothing."""
+        """Corrections of the stamps of `one` in winter and in summer [s], rounded as by `rounded`."""
         if self.kind not in ("constant", "seasonal"):
             return 0.0, 0.0
         winter = rounded(-self.winter.value)
@@ -53,8 +50,8 @@ class ClockError:
 
 
 def rounded(seconds: float) -> float:
-    """A correction as clocks are set wrong [s]: 0 within 20 min, whole hours within 15, half hours within 10,
-    else 5 min."""
+    """A correction [s] rounded as clocks are set: 0 within 20 min, whole hours within 15 min, half hours
+    within 10 min, otherwise to 5 min."""
     hour, half = 3600.0 * round(seconds / 3600.0), 1800.0 * round(seconds / 1800.0)
     if abs(seconds) <= TOLERANCE_S:
         return 0.0
@@ -66,11 +63,11 @@ def rounded(seconds: float) -> float:
 
 
 def alignments(record: Record, seed: int = 0) -> tuple[Alignment, ...]:
-    """Every series of a record that is compared, against that of the same signal which is used.
+    """Comparison of every `compared` series of a record with the series of the same signal that is used.
 
-    record: with `compared` series. seed: of the bootstrap.
-    What is held against is the series with the longer step, as those of reanalyses are, else the one that is
-    only compared; it is the `other` of an alignment.
+    seed: of the bootstrap.
+    The reference, `other` of an alignment, is the series with the longer step, such as a reanalysis; with
+    equal steps it is the compared one.
     """
     america = record.site is not None and record.site.in_north_america
     found = []
@@ -87,20 +84,20 @@ def alignments(record: Record, seed: int = 0) -> tuple[Alignment, ...]:
 
 
 def clock_errors(found: Sequence[Alignment]) -> tuple[ClockError, ...]:
-    """What the comparisons say about clocks, one for each pair of sources.
+    """Errors of clocks, one for each pair of sources.
 
-    found: of `alignments`. A clock is off where the weather's lag lies beyond 20 min with its bounds, and the
-    mean day's lag to the same side, within an hour of it: what moves one alone is no clock.  It is off with
-    summer time where both change by more than 20 min (the mean day: 15 min) between winter and summer.  Where
-    no mean day can be judged, of wind alone for instance, 30 min are asked of the weather.
+    found: of `alignments`. A clock has a constant error where the bounds of the weather's lag lie beyond
+    20 min, and the mean day's lag has the same sign and differs by at most an hour.  The error is seasonal
+    where both lags change by more than 20 min (mean day: 15 min) between winter and summer.  Where the mean
+    day is unknown, for wind alone for instance, the weather's lag must exceed 30 min.
     """
     pairs: dict[tuple[str, str], list[Alignment]] = {}
     for one in found:
         pairs.setdefault((one.one, one.other), []).append(one)
-    return tuple(_judged(one, other, tuple(ones)) for (one, other), ones in pairs.items())
+    return tuple(_clock_error(one, other, tuple(ones)) for (one, other), ones in pairs.items())
 
 
-def _judged(one: str, other: str, found: tuple[Alignment, ...]) -> ClockError:
+def _clock_error(one: str, other: str, found: tuple[Alignment, ...]) -> ClockError:
     weather = {name: _weather(found, name) for name in ("whole", "winter", "summer")}
     day = {name: _mean_day(found, name) for name in ("whole", "winter", "summer")}
     change = _combined([each.change for each in found])
@@ -139,8 +136,7 @@ def _mean_day(found: Sequence[Alignment], name: str) -> Bounded:
 
 
 def _combined(estimates: Sequence[Bounded]) -> Bounded:
-    """Mean of estimates of the same lag, weighed by their variances; its bounds take in how far they lie
-    apart."""
+    """Mean of estimates of the same lag, weighted by inverse variance; its bounds include their spread."""
     known = [one for one in estimates if one.known]
     if len(known) < 2:
         return known[0] if known else UNKNOWN
@@ -160,7 +156,7 @@ def _beyond(lag: Bounded, limit_s: float = TOLERANCE_S) -> bool:
 
 
 def _off(weather: Bounded, day: Bounded) -> bool:
-    """Whether both witnesses say that the clock is off."""
+    """Whether the lags from weather and mean day both show a clock error."""
     if not day.known:
         return _beyond(weather, 1.5 * TOLERANCE_S)
     # a day later is the same phase: a clock that is off by half a day shows either sign
@@ -171,72 +167,47 @@ def _off(weather: Bounded, day: Bounded) -> bool:
 
 
 def clock_sentences(errors: Sequence[ClockError], south: bool = False) -> list[str]:
-    """What is wrong with clocks, one sentence a pair of sources, with what to do; nothing for those that are
-    right.
+    """Clock errors and their remedies, one sentence for each pair of sources; none for clocks that are right.
 
-    south: whether the site lies in the southern half of the Earth, where summer time is that of the other
-        season.
+    south: whether the site lies in the southern hemisphere, where the seasons are exchanged.
     """
     return [_sentence(one, south) for one in errors if one.kind in ("constant", "seasonal")]
 
 
 def _sentence(error: ClockError, south: bool) -> str:
-    winter, summer = error.corrections_s
+    first, second = error.corrections_s
     if error.kind == "constant":
         return (
-            f"the clock of {error.one} runs {_pace(winter)} against {error.other}: by their stamps the "
-            "weather comes "
-            f"{_late(error.winter)}; its stamps need {_signed(winter)}. If {error.other} is right, state "
-            f'clock_correction = "{_signed(winter).replace(" ", "")}" in that source'
+            f"the clock of {error.one} runs {_pace(first)} against {error.other}: by their stamps the "
+            f"weather comes {_late(error.winter)}; its stamps need {_signed(first)}. If {error.other} is "
+            f'right, state clock_correction = "{_signed(first).replace(" ", "")}" in that source'
         )
-    if south:
-        return _southern(error, winter, summer)
-    paces = f"{_pace(winter)} in winter and {_pace(summer)} in summer"
+    early, late = ("from November to March", "from April to October") if south else ("in winter", "in summer")
+    # the clock's summer time is the other season in the south
+    change = first - second if south else second - first
     remedy = ""
-    if abs((summer - winter) - 3600.0) < 1.0:
+    if abs(change - 3600.0) < 1.0:
+        zone = "" if south else f": timezone = {_zone(first)}"
         remedy = (
             ": it has no summer time although its stamps are read with it. Read them at the clock's own "
-            f"fixed offset: timezone = {_zone(winter)}, with ignore_offset = true where the stamps carry "
-            "offsets"
+            f"fixed offset{zone}, with ignore_offset = true where the stamps carry offsets"
         )
-    elif abs((summer - winter) + 3600.0) < 1.0:
+    elif abs(change + 3600.0) < 1.0:
+        example = "Australia/Sydney" if south else "Europe/Berlin"
         remedy = (
             ": it follows summer time although its stamps are read at a fixed offset. State its zone by "
-            "name, such as "
-            'timezone = "Europe/Berlin"'
+            f'name, such as timezone = "{example}"'
         )
     return (
-        f"the clock of {error.one} runs {paces} against {error.other}: by their stamps the weather comes "
-        f"{_late(error.winter)} in winter and {_late(error.summer)} in summer; its stamps need "
-        f"{_signed(winter)} in winter and {_signed(summer)} in summer{remedy}"
-    )
-
-
-def _southern(error: ClockError, first_s: float, second_s: float) -> str:
-    """A clock that is off with summer time, where `winter` of the comparison is the warm season."""
-    remedy = ""
-    if abs((second_s - first_s) - 3600.0) < 1.0:
-        remedy = (
-            ": it seems to follow summer time although its stamps are read at a fixed offset. State its zone "
-            "by name, such as "
-            'timezone = "Australia/Sydney"'
-        )
-    elif abs((second_s - first_s) + 3600.0) < 1.0:
-        remedy = (
-            ": it seems to have no summer time although its stamps are read with it. Read them at the "
-            "clock's own fixed offset, with ignore_offset = true where the stamps carry offsets"
-        )
-    early, late = "from November to March", "from April to October"
-    return (
-        f"the clock of {error.one} runs {_pace(first_s)} {early} and {_pace(second_s)} {late} against "
+        f"the clock of {error.one} runs {_pace(first)} {early} and {_pace(second)} {late} against "
         f"{error.other}: by their stamps the weather comes {_late(error.winter)} {early} and "
-        f"{_late(error.summer)} {late}; its stamps need {_signed(first_s)} {early} and {_signed(second_s)} "
+        f"{_late(error.summer)} {late}; its stamps need {_signed(first)} {early} and {_signed(second)} "
         f"{late}{remedy}"
     )
 
 
 def _zone(winter_s: float) -> str:
-    """The offset that the clock keeps, told from the one at which its stamps are read in winter."""
+    """The fixed offset of the clock in words, from the offset at which its stamps are read in winter."""
     if winter_s == 0.0:
         return "the offset of winter"
     sign, minutes = "+" if winter_s > 0 else "-", round(abs(winter_s) / MINUTE_S)
@@ -272,8 +243,8 @@ def _late(lag: Bounded) -> str:
 class LagFound:
     """How much later one source is stamped than another [s], with 95 % bounds (value, lower, upper).
 
-    `weather_s` by the weather's changes, `mean_day_s` by the mean day, None where nothing can be told;
-    `correlation` [1] of the changes; `days` [d] in common.
+    `weather_s` from the weather's changes, `mean_day_s` from the mean day, None where unknown; `correlation`
+    [1] of the changes; `days` [d] in common.
     """
 
     weather_s: tuple[float, float, float] | None

@@ -1,5 +1,4 @@
-"""Reads EPW, the weather of building simulation: 8760 hours of a typical or of a real year, in local standard
-time."""
+"""Read EPW, the weather of building simulation: hours of a typical or real year in local standard time."""
 
 from __future__ import annotations
 
@@ -17,11 +16,11 @@ import numpy as np
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Series, Site
-from hygrokf.data.signals import from_si, signal_named, to_si
+from hygrokf.data.signals import signal_named, to_si
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K, dew_point, vapour_pressure
 from hygrokf.weather.archive import contents
-from hygrokf.weather.fields import saturation_doubt
+from hygrokf.weather.fields import impossible_range, saturation_doubt
 
 _HEADER = 8
 _COLUMNS = {
@@ -40,13 +39,13 @@ _COLUMNS = {
 }
 _FEWEST_COLUMNS = 22
 _WIND_HEIGHT_M = 10.0
-"""[m] at which an EPW file's wind stands."""
+"""[m] height of the wind in an EPW file."""
 _NINES = (99.0, 99.9, 99.99, *(10.0**power - 1.0 for power in range(3, 10)), 999.9, 9999.9, 99999.9)
 
 
 @dataclass(frozen=True)
 class _Lines:
-    """What stands in the file, hour by hour.
+    """The hours of the file.
 
     calendar: (T, 4) year, month, day, hour 1…24 as written. value: signal -> (T,) in the unit of `_COLUMNS`,
         NaN = missing.
@@ -59,15 +58,14 @@ class _Lines:
 def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     """Record of ambient signals from an EPW file, in SI units and UTC.
 
-    path: .epw, gzip of it, or a ZIP archive with one in it. year: a typical year is put together from months
-        of different years; it needs the calendar year in which it is to stand, and every hour is moved there.
-        None: the file's own year.
+    path: .epw, as gzip, or in a ZIP archive. year: calendar year to which every hour is moved; needed for a
+        typical year, whose months are of different years.  None: the file's own year.
 
-    Hour h of a day ends at h o'clock of local standard time, with the header's time zone.  Temperature,
-    humidity, pressure, wind and cloud are instants at that end; radiation (Wh/m² within the hour, so W/m² as
-    its mean) and rain belong to the hour.  The codes for a missing value (99.9, 999, 9999, 99999, 999999) are
-    NaN.  Where the dew point is missing it is made from relative humidity over water.  In a leap year 28
-    February is repeated where the file has no 29 February.
+    Hour h of a day ends at h o'clock of local standard time, in the header's time zone.  Temperature,
+    humidity, pressure, wind and cloud are instants at that end; radiation (Wh/m², so W/m² as the mean)
+    and rain belong to the hour.  The codes of missing values (99.9, 999, 9999, 99999, 999999) become NaN.  A
+    missing dew point is computed from relative humidity over water.  In a leap year 28 February is repeated
+    where the file has no 29 February.
 
     Raises TableFault with every fault: not an EPW file, lines missing, text among numbers, a typical year
     without `year`.
@@ -78,23 +76,21 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     own = [one for one in found if one.kind == "epw"]
     if not own:
         remedy = '; state format = "era5"' if found[0].kind.startswith("netcdf") else ""
-        raise TableFault([f"expected an EPW file, whose first line begins with LOCATION{remedy}"])
+        raise TableFault(f"expected an EPW file, whose first line begins with LOCATION{remedy}")
     if len(own) > 1:
-        raise TableFault([f"holds {len(own)} EPW files; expected one: unpack the one of the site"])
+        raise TableFault(f"holds {len(own)} EPW files; expected one: unpack the one of the site")
     rows = list(csv.reader(io.StringIO(own[0].data.decode("utf-8-sig", "replace"))))
     faults: list[str] = []
     site, zone_h, place = _location(rows[0], faults)
     lines = _lines(rows, faults)
     if faults:
-        raise TableFault(faults)
+        raise TableFault(*faults)
     years = sorted({int(one) for one in lines.calendar[:, 0]})
     warnings = []
     if year is None and len(years) > 1:
         raise TableFault(
-            [
-                f"is a typical year put together from months of {years[0]} … {years[-1]}; state the calendar "
-                "year in which it is to stand, such as year = 2019"
-            ]
+            f"is a typical year put together from months of {years[0]} … {years[-1]}; state the calendar "
+            "year in which it is to stand, such as year = 2019"
         )
     if year is not None:
         lines, said = _placed(lines, year)
@@ -103,26 +99,25 @@ def read_epw(path: str | os.PathLike[str], year: int | None = None) -> Record:
     if (np.diff(time) <= 0.0).any():
         repeated = int(np.argmax(np.diff(time) <= 0.0)) + 1
         raise TableFault(
-            [f"line {repeated + _HEADER + 1}: the hours must follow each other, this one does not"]
+            f"line {repeated + _HEADER + 1}: the hours must follow each other, this one does not"
         )
     value = dict(lines.value)
     warnings += _dew_point_completed(value, faults)
     warnings += saturation_doubt(value["ambient_temperature"], value["ambient_dew_point_temperature"])
-    warnings.append("wind_speed is measured at 10 m, not at hub height")
     series = _series(value, time, file.name, place, faults)
     if "ambient_temperature" not in {one.signal for one in series} and not faults:
         faults.append("no dry-bulb temperature: all values of column 7 are missing")
     if faults:
-        raise TableFault(faults)
-    if "wind_speed" not in {one.signal for one in series}:
-        warnings.remove("wind_speed is measured at 10 m, not at hub height")
+        raise TableFault(*faults)
+    if "wind_speed" in {one.signal for one in series}:
+        warnings.append("wind_speed is measured at 10 m, not at hub height")
     return Record(file.name, tuple(series), site, warnings=tuple(warnings), provenance=((file.name, digest),))
 
 
 def _series(
     value: dict[str, np.ndarray], time: np.ndarray, file: str, place: str, faults: list[str]
 ) -> list[Series]:
-    """Series in SI units of the values (T,) in the file's units; what cannot be goes to `faults`.
+    """Series in SI units from values (T,) in the file's units; impossible values are added to `faults`.
 
     time: (T,) [s] ends of the hours.  file: its name.  place: in words, for the sources of the series.
     """
@@ -132,13 +127,8 @@ def _series(
             continue
         row = signal_named(signal)
         number = to_si(value[signal], unit, row)
-        low, high = np.nanquantile(number, [0.02, 0.98])
-        if low < row.low or high > row.high:
-            shown = [f"{float(from_si(end, row.display, row)):.4g}" for end in (low, high)]
-            faults.append(
-                f"column {column + 1}: {signal} would lie at {shown[0]} … {shown[1]} {row.display}, which "
-                "is impossible: the columns are shifted, or in other units"
-            )
+        if beyond := impossible_range(number[~np.isnan(number)], row):
+            faults.append(f"column {column + 1}: {beyond}: the columns are shifted, or in other units")
             continue
         held = kind != "instant"
         series.append(
@@ -180,7 +170,7 @@ def _location(row: Sequence[str], faults: list[str]) -> tuple[Site | None, float
 
 
 def _lines(rows: list[list[str]], faults: list[str]) -> _Lines:
-    """The hours of the file; what is wrong with them goes to `faults`."""
+    """The hours of the file; their faults are added to `faults`."""
     nothing = _Lines(np.zeros((0, 4), dtype=int), {})
     periods = next((row for row in rows[:_HEADER] if row and row[0].strip().upper() == "DATA PERIODS"), None)
     if periods is None:
@@ -223,7 +213,7 @@ def _lines(rows: list[list[str]], faults: list[str]) -> _Lines:
     for signal, (column, _, missing, _) in _COLUMNS.items():
         if column < table.shape[1]:
             raw = table[:, column]
-            # the same code is written with more or fewer nines; other values beyond it are faults of units
+            # codes vary in their number of nines; other large values point to a wrong unit
             codes = [one for one in _NINES if one >= missing - 1e-9]
             absent = np.isclose(raw[:, None], codes, rtol=0.0, atol=1e-6).any(axis=1)
             scale = 10.0 if signal == "cloud_cover" else 1.0
@@ -232,7 +222,7 @@ def _lines(rows: list[list[str]], faults: list[str]) -> _Lines:
 
 
 def _expect_hour(year: int, month: int, day: int, hour: int) -> None:
-    """Raises ValueError for a date and hour that are none."""
+    """Raise ValueError for an impossible date or hour."""
     if not 1 <= hour <= 24:
         raise ValueError(f"expected an hour 1 … 24, found {hour}")
     if not (1 <= month <= 12 and 1 <= day <= 31 and 1800 <= year <= 2300):
@@ -242,8 +232,7 @@ def _expect_hour(year: int, month: int, day: int, hour: int) -> None:
 
 
 def _expected_hours(periods: Sequence[str]) -> int | None:
-    """Hours from the first to the last day of the header's period, without 29 February; None where it names
-    none."""
+    """Hours of the header's period without 29 February; None where it states no period."""
     days = []
     for cell in periods[5:7]:
         parts = [part.strip() for part in cell.split("/")]
@@ -259,10 +248,9 @@ def _expected_hours(periods: Sequence[str]) -> int | None:
 
 
 def _placed(lines: _Lines, year: int) -> tuple[_Lines, list[str]]:
-    """The hours in one calendar year; 28 February comes twice in a leap year, 29 February is left out of
-    others."""
+    """The hours moved to one calendar year, with warnings; 29 February is added or left out as it needs."""
     if not 1900 <= year <= 2200:
-        raise TableFault([f"year must lie within 1900 … 2200, found {year}"])
+        raise TableFault(f"year must lie within 1900 … 2200, found {year}")
     month, day = lines.calendar[:, 1], lines.calendar[:, 2]
     leap_day = (month == 2) & (day == 29)
     before = np.flatnonzero((month == 2) & (day == 28))
@@ -294,7 +282,7 @@ def _local_seconds(stamps: np.ndarray) -> np.ndarray:
 
 
 def _dew_point_completed(value: dict[str, np.ndarray], faults: list[str]) -> list[str]:
-    """Put dew points made from relative humidity where the file has none."""
+    """Fill missing dew points from relative humidity; warnings."""
     own = value.get("ambient_dew_point_temperature", np.full(len(value["ambient_temperature"]), math.nan))
     kelvin = value["ambient_temperature"] + ZERO_CELSIUS_K
     # a relative humidity of 0 has no dew point, and one above 100 % is a rounding of it

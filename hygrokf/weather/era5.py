@@ -1,4 +1,4 @@
-"""Reads ERA5 as the Climate Data Store delivers it: NetCDF of either layout, ZIP, the point product's CSV."""
+"""Read ERA5 as the Climate Data Store delivers it: NetCDF in either layout, ZIP, CSV of the point product."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ if TYPE_CHECKING:
 def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
     """Record of ambient signals from a file of ERA5 (or ERA5-Land), in SI units and UTC.
 
-    path: NetCDF in the layout of today (`valid_time`) or before September 2024 (`time`, perhaps `expver`), a
-        ZIP archive of such (instantaneous and accumulated fields come apart), the point product's CSV, or a
-        ZIP of it.
-    site: the nearest cell of a grid is taken; may be None for a file of one point.
+    path: NetCDF in the current layout (`valid_time`) or that before September 2024 (`time`, perhaps
+        `expver`), the CSV of the point product, or a ZIP archive of these (instantaneous and accumulated
+        fields come in separate files).
+    site: the nearest cell of a grid is used; may be None for a file of one point.
 
     The record's site is the point of the reanalysis, with the height of its ground where the file has the
-    geopotential; each series names the point and its distance from the site in its source.  Temperature, dew
+    geopotential; the source of each series names the point and its distance from the site.  Temperature, dew
     point, pressure, wind and cloud are instants; radiation and rain belong to the hour that ends at the
     stamp.
 
-    Raises TableFault with every fault, for an archive with the member that has it.
+    Raises TableFault with every fault and, for an archive, its member.
     """
     file = Path(path)
     found, digest = contents(file)
@@ -53,7 +53,7 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
             "no 2 m temperature (t2m, 2m_temperature) in any of its files: ask for it in the request"
         )
     if faults:
-        raise TableFault(faults)
+        raise TableFault(*faults)
     record = joined(known, file.name)
     if len(found) > 1 and "ambient_dew_point_temperature" not in signals:
         record = dataclasses.replace(record, warnings=(*record.warnings, NO_HUMIDITY))
@@ -61,10 +61,10 @@ def read_era5(path: str | os.PathLike[str], site: Site | None = None) -> Record:
 
 
 def era5_record(dataset: xarray.Dataset, site: Site | None = None, *, name: str = "data set") -> Record:
-    """Record of ambient signals from an xarray data set that is open already, such as one of a cloud store.
+    """Record of ambient signals from an open xarray data set, such as one of a cloud store.
 
     dataset: decoded; names short (t2m) or long (2m_temperature); see `hygrokf.weather.gridded.point_fields`.
-    site: the nearest cell of a grid is taken. name: for messages and sources.
+    site: the nearest cell of a grid is used. name: for messages and sources.
 
     Raises TableFault with every fault.
     """
@@ -72,9 +72,9 @@ def era5_record(dataset: xarray.Dataset, site: Site | None = None, *, name: str 
 
 
 def _content_record(one: Content, file: str, site: Site | None, digest: str, alone: bool) -> Record | None:
-    """The record of one member; None for one of several that holds nothing that is used, such as waves."""
+    """The record of one member; None for a further member without a known field, such as one of waves."""
     if one.kind == "epw":
-        raise TableFault(['is an EPW file; state format = "epw"'])
+        raise TableFault('is an EPW file; state format = "epw"')
     if one.kind == "csv":
         points = _csv_fields(one.data, file, site, alone)
     else:
@@ -94,7 +94,7 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
     try:
         frame = pd.read_csv(io.BytesIO(data), encoding="utf-8-sig", skipinitialspace=True, low_memory=False)
     except (pd.errors.ParserError, pd.errors.EmptyDataError, UnicodeDecodeError) as broken:
-        raise TableFault([f"cannot be read as CSV: {' '.join(str(broken).split())}"]) from None
+        raise TableFault(f"cannot be read as CSV: {' '.join(str(broken).split())}") from None
     frame.columns = [str(name).strip() for name in frame.columns]
     time_name = next((name for name in ("valid_time", "time", "datetime") if name in frame), None)
     used = [name for name in frame.columns if short_name(name)]
@@ -103,13 +103,11 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
             return None
         listed = ", ".join(frame.columns[:12])
         raise TableFault(
-            [
-                "expected the point product's CSV with valid_time and fields such as t2m, d2m, sp; found the "
-                f"columns {listed}: name another table as a plain source, with its columns"
-            ]
+            "expected the point product's CSV with valid_time and fields such as t2m, d2m, sp; found the "
+            f"columns {listed}: name another table as a plain source, with its columns"
         )
     if not len(frame):
-        raise TableFault(["has a line of names and no hour below it; fetch it again"])
+        raise TableFault("has a line of names and no hour below it; fetch it again")
     time = _csv_time(frame[time_name], time_name)
     faults, fields = [], {}
     for name in used:
@@ -139,7 +137,7 @@ def _csv_fields(data: bytes, file: str, site: Site | None, alone: bool) -> Point
             if site is not None and distance_km(*at, site) > FAR_KM:
                 warnings.append(f"its point lies at {place}: is it the weather of this site?")
     if faults:
-        raise TableFault(faults)
+        raise TableFault(*faults)
     north, east = at or (None, None)
     return PointFields(file, time, fields, north, east, None, place, tuple(warnings))
 
@@ -155,10 +153,8 @@ def _csv_time(column: pandas.Series, name: str) -> np.ndarray:
     if wrong.any():
         row = int(np.argmax(wrong))
         raise TableFault(
-            [
-                f'column "{name}": expected stamps such as 2024-01-01 00:00:00, found "{column.iloc[row]}" '
-                "in line "
-                f"{row + 2}: the file is damaged or cut short; fetch it again"
-            ]
+            f'column "{name}": expected stamps such as 2024-01-01 00:00:00, found "{column.iloc[row]}" '
+            "in line "
+            f"{row + 2}: the file is damaged or cut short; fetch it again"
         )
     return stamps.time

@@ -1,4 +1,4 @@
-"""From the fields of a reanalysis at one point to series: names, units, means of accumulated fields, wind."""
+"""Convert the fields of a reanalysis at one point to series: names, units, means of sums, wind."""
 
 from __future__ import annotations
 
@@ -10,12 +10,11 @@ import numpy as np
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Series, Site
-from hygrokf.data.signals import from_si, signal_named
+from hygrokf.data.signals import Signal, from_si, signal_named
 from hygrokf.data.timestamps import DAY_S, HOUR_S, duration_text, modal_step
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
+from hygrokf.weather.altitude import GRAVITY
 
-GRAVITY = 9.80665
-"""[m/s²] by which geopotential becomes height; the value of the reanalysis itself."""
 NO_HUMIDITY = (
     "no dew point (d2m, 2m_dewpoint_temperature): this weather has no humidity; ask for it in the request"
 )
@@ -35,9 +34,8 @@ class PointFields:
 
     file: its name. time: [s] (T,) since 1970-01-01T00:00Z, in any order, repeats allowed. fields: name in the
         file -> field.
-    latitude_deg, longitude_deg: of the point, or None. altitude_m: [m] of the reanalysis' ground there, or
-        None.
-    place: of the point, in words. warnings: what was chosen or left out on the way.
+    latitude_deg, longitude_deg: of the point, or None. altitude_m: [m] height of its ground, or None.
+    place: the point in words. warnings: choices and omissions of the reader.
     """
 
     file: str
@@ -65,7 +63,7 @@ NAMES: dict[str, tuple[str, ...]] = {
     "tcc": ("tcc", "total_cloud_cover"),
     "z": ("z", "geopotential", "geopotential_at_surface"),
 }
-"""Short name of a field of ERA5 -> every name that it goes by."""
+"""Short name of a field of ERA5 -> all names in use."""
 
 _UNITS: dict[str, dict[str, tuple[float, float]]] = {
     "temperature": {
@@ -90,7 +88,7 @@ _UNITS: dict[str, dict[str, tuple[float, float]]] = {
     },
     "geopotential": {"m**2 s**-2": (1 / GRAVITY, 0.0), "m2 s-2": (1 / GRAVITY, 0.0), "m": (1.0, 0.0)},
 }  # fmt: skip
-"""What a field is of -> unit in the file -> (factor, offset) to K, Pa, m/s, W/m² over the hour, mm, 1, m."""
+"""Kind of field -> unit in the file -> (factor, offset) to K, Pa, m/s, W/m² over the hour, mm, 1, m."""
 
 _KINDS = {
     "t2m": "temperature", "d2m": "temperature", "sp": "pressure", "u10": "speed", "v10": "speed",
@@ -108,8 +106,7 @@ _ACCUMULATED = ("ssrd", "fdir", "tp")
 
 
 def short_name(name: str) -> str | None:
-    """Short name of a field of ERA5, such as "t2m" for "2m_temperature"; None for a field that is not
-    used."""
+    """Short name of a field of ERA5, such as "t2m" for "2m_temperature"; None for an unused field."""
     for short, names in NAMES.items():
         if name in names or name.lower() in names:
             return short
@@ -126,29 +123,26 @@ def altitude_of(value: np.ndarray, unit: str | None) -> float | None:
 
 
 def point_record(points: PointFields, sha256: str = "", *, temperature: bool = True) -> Record:
-    """Record of the fields at a point: SI units, each series with the hold of its own field.
+    """Record of the fields at a point: SI units, each series with the hold of its field.
 
-    points: the fields. sha256: of the file. temperature: whether there must be one; False for one of several
-        files.
+    points: the fields. sha256: of the file. temperature: whether the fields must include a temperature.
 
-    Instantaneous fields (temperature, dew point, pressure, wind, cloud) are instants.  Accumulated ones
-    (radiation, rain) are sums over the hour that ends at the stamp: radiation becomes the mean of that hour,
-    J/m² / 3600 s, and both hold over it.  Sums since midnight, as ERA5-Land has them, are told from hourly
-    ones and turned into them first. Diffuse radiation is the global less the direct one, both on a horizontal
-    plane.  Wind is that at 100 m where it is given, else that at 10 m, which is said.
+    Temperature, dew point, pressure, wind and cloud are instants.  Radiation and rain are sums over the hour
+    that ends at the stamp: radiation becomes the mean of that hour, J/m² / 3600 s, and both hold over it.
+    Sums since midnight, as in ERA5-Land, are recognised and made hourly sums first.  Diffuse radiation is
+    global minus direct radiation, both on a horizontal plane.  Wind at 100 m is preferred; wind at 10 m
+    gives a warning.
 
-    Raises TableFault with every fault: an unknown unit, values that cannot be in their unit, no temperature.
+    Raises TableFault with every fault: an unknown unit, values impossible in their unit, no temperature.
     """
     given = {short: (name, one) for name, one in points.fields.items() if (short := short_name(name))}
     if temperature and "t2m" not in given:
         raise TableFault(
-            [
-                f"no 2 m temperature (t2m, 2m_temperature); found {', '.join(points.fields) or 'no field'}: "
-                "ask for it in the request"
-            ]
+            f"no 2 m temperature (t2m, 2m_temperature); found {', '.join(points.fields) or 'no field'}: "
+            "ask for it in the request"
         )
     if not len(points.time):
-        raise TableFault(["has no hour in it: fetch it again"])
+        raise TableFault("has no hour in it: fetch it again")
     order = np.argsort(points.time, kind="stable")
     time = points.time[order]
     fresh = np.append(True, np.diff(time) > 0.0)
@@ -158,7 +152,7 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
     value = _values(made, order[fresh])
     series = _instants(made, value) + _sums(made, value) + _wind(made, value)
     if made.faults:
-        raise TableFault(made.faults)
+        raise TableFault(*made.faults)
     if temperature and "d2m" not in value:
         made.warnings.append(NO_HUMIDITY)
     if {"t2m", "d2m"} <= set(value):
@@ -170,9 +164,19 @@ def point_record(points: PointFields, sha256: str = "", *, temperature: bool = T
     )  # fmt: skip
 
 
+def impossible_range(value: np.ndarray, row: Signal) -> str:
+    """A fault in words where finite readings (T,) [SI unit] leave the range of their signal, else empty."""
+    low, high = np.quantile(value, [0.02, 0.98])
+    if row.low <= low and high <= row.high:
+        return ""
+    unit = "" if row.display == "1" else f" {row.display}"
+    low, high = from_si(np.array([low, high]), row.display, row)
+    return f"{row.name} would lie at {low:.4g} … {high:.4g}{unit}, which is impossible"
+
+
 @dataclass
 class _Making:
-    """A record on its way: the fields with their short names, the times (T,) [s], and what was found."""
+    """A record in the making: fields by short name, times (T,) [s], faults and warnings."""
 
     points: PointFields
     given: Mapping[str, tuple[str, Field]]
@@ -188,21 +192,16 @@ class _Making:
         interval_s: float = 0.0,
         height_m: float | None = None,
     ) -> Series | None:
-        """A series of the values (T,) from the fields `shorts`; None where there is none, or a fault."""
+        """The series of values (T,) from the fields `shorts`; None without a value or with a fault."""
         row = signal_named(signal)
         names = " and ".join(self.given[short][0] for short in shorts.split())
         finite = number[np.isfinite(number)]
         if not len(finite):
             self.warnings.append(f"{names}: no value at this point, {signal} is left out")
             return None
-        low, high = np.quantile(finite, [0.02, 0.98])
-        if low < row.low or high > row.high:
-            shown = [f"{float(from_si(end, row.display, row)):.4g}" for end in (low, high)]
-            unit = "" if row.display == "1" else f" {row.display}"
-            self.faults.append(
-                f"{names}: {signal} would lie at {shown[0]} … {shown[1]}{unit}, which is impossible: the "
-                f"file states {_stated(self.given, shorts)}; correct it or fetch the file again"
-            )
+        if beyond := impossible_range(finite, row):
+            remedy = f"the file states {_stated(self.given, shorts)}; correct it or fetch the file again"
+            self.faults.append(f"{names}: {beyond}: {remedy}")
             return None
         points = self.points
         source = f'{points.file}, column "{names}"' + (f" at {points.place}" if points.place else "")
@@ -217,7 +216,7 @@ class _Making:
 
 
 def _values(made: _Making, places: np.ndarray) -> dict[str, np.ndarray]:
-    """The values (T,) of each field at some of the file's times, in inner units; sums are of one hour."""
+    """Values (T,) of each field at some rows of the file, in units of `_UNITS`; sums are over one hour."""
     value: dict[str, np.ndarray] = {}
     for short, (name, one) in made.given.items():
         if short != "z":
@@ -280,11 +279,11 @@ def _site(points: PointFields) -> Site | None:
     try:
         return Site(points.latitude_deg, east, points.altitude_m)
     except ValueError as outside:
-        raise TableFault([f"the file's point is impossible: {outside}"]) from None
+        raise TableFault(f"the file's point is impossible: {outside}") from None
 
 
 def _converted(short: str, name: str, raw: np.ndarray, unit: str | None, faults: list[str]) -> np.ndarray:
-    """Values in the inner unit of their kind."""
+    """Values in the unit of their kind in `_UNITS`."""
     known = _UNITS[_KINDS[short]]
     own = "W m**-2" if short == "avg_sdswrf" else _OWN_UNIT[_KINDS[short]]
     stated = own if unit is None else unit.strip()
@@ -299,7 +298,7 @@ def _converted(short: str, name: str, raw: np.ndarray, unit: str | None, faults:
 def _power_for_energy(
     short: str, name: str, unit: str | None, time: np.ndarray, value: np.ndarray
 ) -> list[str]:
-    """A fault where radiation in W/m² is taken for J/m², and so comes out 3600 times too small."""
+    """The fault of radiation in W/m² that is taken for J/m² and becomes 3600 times too small."""
     factor, _ = _UNITS["radiation"].get((unit or _OWN_UNIT["radiation"]).strip(), (1.0, 0.0))
     if (
         short not in ("ssrd", "fdir", "avg_sdswrf")
@@ -328,7 +327,7 @@ def _stated(given: Mapping[str, tuple[str, Field]], shorts: str) -> str:
 
 
 def _wind(made: _Making, value: Mapping[str, np.ndarray]) -> list[Series | None]:
-    """Speed and direction of the wind, at 100 m before 10 m."""
+    """Series of wind speed and direction, at 100 m if the file has it, else at 10 m."""
     for height in ("100", "10"):
         east, north = f"u{height}", f"v{height}"
         if east in value and north in value:
@@ -350,9 +349,9 @@ def _wind(made: _Making, value: Mapping[str, np.ndarray]) -> list[Series | None]
 
 
 def _since_midnight(time: np.ndarray, value: np.ndarray) -> bool:
-    """Whether an accumulated field is summed since 00:00 UTC: it then never falls until the next day begins.
+    """Whether an accumulated field is summed since 00:00 UTC: then it never falls within a day.
 
-    Sums of single hours fall within 24 hours wherever the sun sets or rain ends.
+    Sums over single hours fall within 24 hours wherever the sun sets or rain ends.
     """
     # the sum at 00:00 is the last of the day before, that at 01:00 the first of the new one
     inside = np.diff(np.ceil(np.round(time) / DAY_S)) == 0.0
@@ -374,8 +373,7 @@ def _hourly_sums(time: np.ndarray, value: np.ndarray) -> np.ndarray:
 
 
 def saturation_doubt(temperature: np.ndarray, dew_point: np.ndarray) -> list[str]:
-    """A dew point (T,) above the temperature (T,), both [K] or [degC], by more than packing explains, in
-    words."""
+    """A warning where the dew point (T,) clearly exceeds the temperature (T,), both in K or in °C."""
     above = dew_point - temperature
     share = float(np.mean(above[np.isfinite(above)] > 0.5)) if np.isfinite(above).any() else 0.0
     if share <= 0.01:

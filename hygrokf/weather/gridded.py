@@ -1,4 +1,4 @@
-"""Fields at one point of an xarray data set, in whichever layout the reanalysis was delivered.
+"""Fields at one point of an xarray data set, in either layout of the reanalysis.
 
 New layout (since September 2024): time axis `valid_time`, `number` and `expver` as coordinates that need no
 dimension. Legacy layout: `time` in hours since 1900, and where a request reaches into the last months a
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 EARTH_RADIUS_KM = 6371.0
 FAR_KM = 50.0
-"""[km] distance from the site to the point of the weather above which it is said as a warning."""
+"""[km] distance between the site and the point of the weather above which there is a warning."""
 _TIMES = ("valid_time", "time", "datetime", "date")
 _LATITUDES = ("latitude", "lat")
 _LONGITUDES = ("longitude", "lon")
@@ -36,39 +36,31 @@ def open_dataset(data: bytes, kind: str) -> xarray.Dataset:
 
     data: all bytes. kind: "netcdf4" or "netcdf3". Raises TableFault where it cannot be read, with the remedy.
     """
-    try:
-        import xarray
-    except ImportError:
-        raise TableFault(
-            ['reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"']
-        ) from None
     engine = {"netcdf4": "h5netcdf", "netcdf3": "scipy"}[kind]
     try:
+        import xarray
+
         with python_warnings.catch_warnings():
-            # what a library will change one day concerns no user of a weather file
+            # deprecations inside the library do not concern the user of a weather file
             python_warnings.simplefilter("ignore")
             with xarray.open_dataset(io.BytesIO(data), engine=engine, decode_timedelta=False) as opened:
-                # a file of a few kB may hold an array of any size that was never written
+                # a file of a few kB may declare an array of any size
                 if opened.nbytes > MOST_BYTES * 2:
                     raise TableFault(
-                        [
-                            f"holds {opened.nbytes / 2**30:.1f} GiB of fields, expected no more than "
-                            f"{MOST_BYTES * 2 / 2**30:g}: request a smaller area, or one file per year"
-                        ]
+                        f"holds {opened.nbytes / 2**30:.1f} GiB of fields, expected no more than "
+                        f"{MOST_BYTES * 2 / 2**30:g}: request a smaller area, or one file per year"
                     )
                 return opened.load()
     except TableFault:
         raise
     except ImportError:
-        raise TableFault(
-            ['reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"']
-        ) from None
+        raise TableFault('reading NetCDF needs the extra "weather": pip install "hygrokf[weather]"') from None
     except MemoryError:
-        raise TableFault(["does not fit into memory: request a smaller area, or one file per year"]) from None
-    except Exception as broken:  # each layer of the library has errors of its own for a damaged file
+        raise TableFault("does not fit into memory: request a smaller area, or one file per year") from None
+    except Exception as broken:  # each layer of the library has its own errors for a damaged file
         reason = " ".join(str(broken).split())[:160] or type(broken).__name__
         raise TableFault(
-            [f"cannot be read as NetCDF ({reason}): the file is damaged or cut short; fetch it again"]
+            f"cannot be read as NetCDF ({reason}): the file is damaged or cut short; fetch it again"
         ) from None
 
 
@@ -81,8 +73,7 @@ def distance_km(latitude_deg: float, longitude_deg: float, site: Site) -> float:
 
 
 def place_text(latitude_deg: float, longitude_deg: float, site: Site | None) -> str:
-    """A point in words, with its distance from the site where there is one: "48.50° N 5.50° E, 11 km from the
-    site"."""
+    """A point in words with its distance from the site, if any: "48.50° N 5.50° E, 11 km from the site"."""
     east = (longitude_deg + 180.0) % 360.0 - 180.0
     text = (
         f"{abs(latitude_deg):.2f}° {'N' if latitude_deg >= 0 else 'S'} {abs(east):.2f}° "
@@ -99,8 +90,7 @@ def point_fields(dataset: xarray.Dataset, file: str, site: Site | None = None) -
     dataset: with a time axis (`valid_time` or `time`, decoded) and latitude and longitude as scalars or axes;
         other axes must have one entry, except `expver`, whose halves are merged. Names short (t2m) or long
         (2m_temperature).
-    file: name for messages. site: whose nearest grid cell with data is taken; may be None where there is one
-        cell.
+    file: name for messages. site: the nearest grid cell with data is used; may be None for a single cell.
 
     Raises TableFault: no time, a time that is not decoded, a grid without a site, a site outside of the grid,
     ensemble members, levels.
@@ -109,7 +99,7 @@ def point_fields(dataset: xarray.Dataset, file: str, site: Site | None = None) -
     used = {str(name): short for name in dataset.data_vars if (short := short_name(str(name)))}
     if not used:
         listed = ", ".join(str(name) for name in dataset.data_vars) or "no field"
-        raise TableFault([f"no field of weather that is known here; found {listed}"])
+        raise TableFault(f"no field of weather that is known here; found {listed}")
     dataset = dataset[list(used)]
     latitude, longitude = _axis_name(dataset, _LATITUDES), _axis_name(dataset, _LONGITUDES)
     if time_name not in dataset.dims and dataset[time_name].ndim == 0:
@@ -146,36 +136,30 @@ def _time_name(dataset: xarray.Dataset) -> str:
     there = [name for name in _TIMES if name in dataset.variables]
     if not there:
         listed = ", ".join(f"{name} ({size})" for name, size in dataset.sizes.items()) or "none"
-        raise TableFault([f"no time axis: expected valid_time or time, found the axes {listed}"])
+        raise TableFault(f"no time axis: expected valid_time or time, found the axes {listed}")
     for name in there:
         if dataset[name].dims in ((name,), ()):
             if np.issubdtype(dataset[name].dtype, np.datetime64):
                 return name
             found = dataset[name].attrs.get("units", "no unit")
             raise TableFault(
-                [
-                    f'{name}: expected times such as "hours since 1900-01-01", found {found} and no '
-                    "calendar time"
-                ]
+                f'{name}: expected times such as "hours since 1900-01-01", found {found} and no calendar time'
             )
     raise TableFault(
-        [
-            f"{there[0]} has the axes {', '.join(map(str, dataset[there[0]].dims))}; expected one axis of "
-            "time: ask for NetCDF, not for a converted forecast with steps"
-        ]
+        f"{there[0]} has the axes {', '.join(map(str, dataset[there[0]].dims))}; expected one axis of "
+        "time: ask for NetCDF, not for a converted forecast with steps"
     )
 
 
 def _stamps(dataset: xarray.Dataset, time_name: str) -> np.ndarray:
-    """Times [s] (T,) at which the fields hold: those of a forecast's hour (`valid_time` = `time` + `step`)
-    where given."""
+    """Times [s] (T,) of the fields; for a forecast `valid_time` = `time` + `step`."""
     at = dataset[time_name]
     if "valid_time" in dataset.variables and dataset["valid_time"].dims == at.dims:
         at = dataset["valid_time"]
     values = np.atleast_1d(at.values).astype("datetime64[us]")
     lost = int(np.isnat(values).sum())
     if lost:
-        raise TableFault([f"{at.name}: {lost} of {len(values)} stamps are missing; fetch the file again"])
+        raise TableFault(f"{at.name}: {lost} of {len(values)} stamps are missing; fetch the file again")
     return values.astype(np.int64) / 1e6
 
 
@@ -184,7 +168,7 @@ def _axis_name(dataset: xarray.Dataset, names: tuple[str, ...]) -> str | None:
 
 
 def _merged_versions(dataset: xarray.Dataset, time_name: str) -> tuple[xarray.Dataset, int]:
-    """The data set without an axis `expver`, and how many hours are preliminary."""
+    """The data set without the axis `expver`, and the number of preliminary hours."""
     if "expver" not in dataset.variables and "expver" not in dataset.dims:
         return dataset, 0
     if "expver" not in dataset.dims:
@@ -197,7 +181,7 @@ def _merged_versions(dataset: xarray.Dataset, time_name: str) -> tuple[xarray.Da
         if "expver" in dataset.variables
         else [str(number) for number in range(dataset.sizes["expver"])]
     )
-    # the final version first; what it does not have comes from the preliminary one
+    # the final version first; the preliminary one fills its gaps
     order = sorted(range(len(labels)), key=lambda place: (labels[place] in _PRELIMINARY, labels[place]))
     parts = [dataset.isel(expver=place, drop=True) for place in order]
     merged = parts[0]
@@ -231,7 +215,7 @@ def _without_single_axes(dataset: xarray.Dataset, kept: set[str | None]) -> xarr
                 f"has an axis {name} with {size} entries; expected time, latitude and longitude only"
             )
     if faults:
-        raise TableFault(faults)
+        raise TableFault(*faults)
     return dataset
 
 
@@ -243,19 +227,16 @@ def _nearest(
     site: Site | None,
     used: dict[str, str],
 ) -> tuple[xarray.Dataset, tuple[float, float]]:
-    """The data set at the cell next to the site that has a temperature, and the cell's latitude and longitude
-    [deg]."""
+    """The data set at the nearest cell with a temperature, and its latitude and longitude [deg]."""
     rows, columns = (np.atleast_1d(dataset[name].values.astype(float)) for name in (latitude, longitude))
     gridded = [name for name in (latitude, longitude) if name in dataset.dims]
     for name in (latitude, longitude):
         if dataset[name].dims not in ((), (name,)):
-            raise TableFault([f"{name} has the axes {', '.join(map(str, dataset[name].dims))}; expected one"])
+            raise TableFault(f"{name} has the axes {', '.join(map(str, dataset[name].dims))}; expected one")
     if len(rows) * len(columns) > 1 and site is None:
         raise TableFault(
-            [
-                f"holds a grid of {len(rows)} × {len(columns)} cells and no site is given: name a case "
-                "file with [site] latitude_deg and longitude_deg and this file as its source"
-            ]
+            f"holds a grid of {len(rows)} × {len(columns)} cells and no site is given: name a case "
+            "file with [site] latitude_deg and longitude_deg and this file as its source"
         )
     row, column = 0, 0
     if site is not None and gridded:
@@ -268,10 +249,8 @@ def _nearest(
                 outside.append(f"{name} {values.min():g} … {values.max():g}")
         if outside:
             raise TableFault(
-                [
-                    f"the site at {place_text(site.latitude_deg, site.longitude_deg, None)} lies outside of "
-                    f"the grid ({', '.join(outside)}): ask for an area around it, or correct [site]"
-                ]
+                f"the site at {place_text(site.latitude_deg, site.longitude_deg, None)} lies outside of "
+                f"the grid ({', '.join(outside)}): ask for an area around it, or correct [site]"
             )
         narrowing = math.cos(math.radians(site.latitude_deg))
         away = np.hypot(north[:, None], narrowing * east[None, :])
@@ -292,7 +271,7 @@ def _filled(
     used: dict[str, str],
     shape: tuple[int, int],
 ) -> np.ndarray:
-    """Cells (rows, columns) that have a temperature: reanalyses of the land alone have none over the sea."""
+    """Cells (rows, columns) that have a temperature: land reanalyses have none over the sea."""
     name = next((name for name, short in used.items() if short == "t2m"), None)
     if name is None or not {latitude, longitude} <= set(dataset[name].dims):
         return np.ones(shape, dtype=bool)

@@ -1,4 +1,4 @@
-"""Records of the same place put together: other signals beside each other, other times after each other."""
+"""Join records of the same place: different signals side by side, different times one after the other."""
 
 from __future__ import annotations
 
@@ -12,22 +12,21 @@ from hygrokf.data.masks import order_readings
 from hygrokf.data.record import Record, Series, Site
 
 SAME_PLACE_DEG = 0.02
-"""[deg] within which two files are of the same point: that of a reanalysis' cell is written with two
-digits."""
+"""[deg] largest distance between two files of the same point: reanalyses write a cell with two digits."""
 
 PACKED = 5e-5
-"""Share of a field's range by which two files may differ that are packed in two bytes each with a scale of
-its own: three times 1/65536, rounded up."""
+"""Share of a field's range by which equal values may differ between two files, each packed in two bytes with
+its own scale: three times 1/65536, rounded up."""
 
 
 def joined(records: Sequence[Record], name: str) -> Record:
-    """One record of several of the same place.
+    """Join records of the same place.
 
-    records: one at least; each with any signals over any time. name: of the result.
+    records: at least one; each with any signals over any time. name: of the result.
 
-    Readings of a signal are put in order of time; of equal ones (to the rounding of packed files) one is
-    kept, contradicting ones are masked and said. Raises TableFault where the records are of different places,
-    or have a signal with different holds.
+    Readings of a signal are sorted by time.  Of readings with the same stamp that agree to the rounding
+    of packed files one is kept; contradicting ones are masked, with a warning.  Raises TableFault where the
+    records are of different places, or a signal has different holds or heights.
     """
     if len(records) == 1:
         return dataclasses.replace(records[0], name=name)
@@ -52,17 +51,16 @@ def joined(records: Sequence[Record], name: str) -> Record:
         series.append(made)
         warnings += said
     if faults:
-        raise TableFault(faults)
+        raise TableFault(*faults)
     provenance = tuple(dict.fromkeys(pair for one in records for pair in one.provenance))
     return Record(name, tuple(series), site, warnings=tuple(warnings), provenance=provenance)
 
 
 def follows(one: Record, other: Record) -> bool:
-    """Whether a record goes on where another of the same place ends, or the other way round, as files of
-    single years do.
+    """Whether two weather records of the same place follow each other, as files of single years do.
 
-    one, other: of weather. True where they have a signal in common, and the common time of every such signal
-    is less than half of the shorter one; False for two opinions on the same time, and for other places.
+    True where they have a signal in common, and every such signal shares less than half of the shorter
+    series' readings; False for two sources over the same time, and for different places.
     """
     if one.site is not None and other.site is not None and _apart_deg(one.site, other.site) > SAME_PLACE_DEG:
         return False
@@ -120,8 +118,7 @@ def _one_series(parts: Sequence[Series]) -> tuple[Series, list[str]]:
 
 
 def _as_before(before: Sequence[Series], values: Sequence[np.ndarray], part: Series) -> np.ndarray:
-    """Values of a part (T,); at stamps that came before, those from before where packing alone explains the
-    difference."""
+    """Values of a part (T,), or earlier ones of the same stamps where only packing makes them differ."""
     value = part.value.copy()
     for earlier, known in zip(before, values, strict=True):
         _, i, j = np.intersect1d(earlier.time, part.time, return_indices=True)

@@ -1,22 +1,30 @@
-"""One weather file of any kind as the record of a site: read, its place compared with the site, moved to its
-height."""
+"""Weather files as the record of a site: one file of any kind, several years of files, or a typical year
+repeated."""
 
 from __future__ import annotations
 
+import calendar
 import dataclasses
 import os
 import zipfile
+from collections.abc import Sequence
 from pathlib import Path
+
+import numpy as np
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.masks import mask_out_of_range
-from hygrokf.data.record import Record, Site
+from hygrokf.data.record import Record, Series, Site
+from hygrokf.data.timestamps import duration_text, modal_step, stamp_text
 from hygrokf.weather.altitude import LAPSE_RATE, SAID_FROM_M, at_altitude
 from hygrokf.weather.epw import read_epw
 from hygrokf.weather.era5 import read_era5
 from hygrokf.weather.gridded import FAR_KM, distance_km
+from hygrokf.weather.joining import joined
 
 FORMATS = ("era5", "epw")
+NEEDED = ("ambient_temperature", "ambient_dew_point_temperature")
+SHOWN_GAPS = 3
 
 
 def read_weather_file(
@@ -32,11 +40,11 @@ def read_weather_file(
     """Record of ambient signals of a site from one weather file, in SI units and UTC.
 
     path: of ERA5 or EPW. form: "era5" or "epw"; None: see `form_of`.
-    site: of the cabinet; the nearest cell of a grid is taken, and a weather from afar is said.
-    year: calendar year of a typical year. altitude_m: [m] that the weather is of, where the file does not say
-        or is wrong.
+    site: of the cabinet; the nearest cell of a grid is used, with a warning if it is far away.
+    year: calendar year of a typical year. altitude_m: [m] height of the weather, where the file states none
+        or a wrong one.
     to_site_altitude: move temperature, dew point and pressure to the site's altitude, see `at_altitude`;
-        without it a difference above 100 m is said. lapse_rate: [K/m] for this.
+        otherwise a difference above 100 m gives a warning. lapse_rate: [K/m] for this.
 
     Raises TableFault with every fault.
     """
@@ -45,7 +53,7 @@ def read_weather_file(
     if kind not in FORMATS:
         raise ValueError(f'form must be one of {", ".join(FORMATS)}, found "{kind}"')
     if kind == "epw":
-        record = _said_from_afar(read_epw(file, year), site)
+        record = _warned_of_distance(read_epw(file, year), site)
     else:
         record = read_era5(file, site)
     record = _within_range(record)
@@ -67,7 +75,7 @@ def read_weather_file(
                 "(of a reanalysis: the height of its ground in that cell, geopotential / 9.80665)"
             )
         if faults or wanted_m is None:
-            raise TableFault(faults)
+            raise TableFault(*faults)
         return at_altitude(record, wanted_m, station_m, lapse_rate)
     if wanted_m is not None and station_m is not None and abs(wanted_m - station_m) > SAID_FROM_M:
         colder = 6.5e-3 * (wanted_m - station_m)
@@ -81,8 +89,7 @@ def read_weather_file(
 
 
 def form_of(path: Path) -> str:
-    """ "epw" or "era5": by the name of a file, else by its first bytes or, in a ZIP archive, by the names of
-    its members."""
+    """The format, "epw" or "era5", by the name of a file, its first bytes, or the names in a ZIP archive."""
     if path.name.lower().endswith((".epw", ".epw.gz")):
         return "epw"
     try:
@@ -92,14 +99,13 @@ def form_of(path: Path) -> str:
             with zipfile.ZipFile(path) as archive:
                 names = archive.namelist()
             return "epw" if any(name.lower().endswith(".epw") for name in names) else "era5"
-    except (OSError, ValueError, zipfile.BadZipFile):  # what is wrong with it, the reader says
+    except (OSError, ValueError, zipfile.BadZipFile):  # the reader reports the fault
         return "era5"
     return "epw" if head.removeprefix(b"\xef\xbb\xbf").upper().startswith(b"LOCATION,") else "era5"
 
 
 def _within_range(record: Record) -> Record:
-    """The record without single readings that cannot be, such as codes for what is missing, and what was left
-    out."""
+    """The record without readings out of range, such as codes of missing values, with a warning for each."""
     series, warnings = [], list(record.warnings)
     for one in record.series:
         kept, said = mask_out_of_range(one)
@@ -108,7 +114,7 @@ def _within_range(record: Record) -> Record:
     return dataclasses.replace(record, series=tuple(series), warnings=tuple(warnings))
 
 
-def _said_from_afar(record: Record, site: Site | None) -> Record:
+def _warned_of_distance(record: Record, site: Site | None) -> Record:
     if site is None or record.site is None:
         return record
     away = distance_km(record.site.latitude_deg, record.site.longitude_deg, site)
@@ -116,3 +122,118 @@ def _said_from_afar(record: Record, site: Site | None) -> Record:
         return record
     said = f"its station lies {away:.0f} km from the site: is it the weather of this site?"
     return dataclasses.replace(record, warnings=(*record.warnings, said))
+
+
+def read_weather(
+    paths: str | os.PathLike[str] | Sequence[str | os.PathLike[str]],
+    *,
+    site: Site | None = None,
+    year: int | None = None,
+    years: int = 1,
+    altitude_m: float | None = None,
+    to_site_altitude: bool = False,
+    lapse_rate: float = LAPSE_RATE,
+) -> Record:
+    """Record of ambient signals over the years of one or several weather files, in SI units and UTC.
+
+    paths: ERA5 (NetCDF, ZIP, CSV) or EPW files, known by name and first bytes; several follow each other.
+    site: of the cabinet; needed where a file holds a grid.
+    year: first calendar year of a typical year (EPW); needed where its months are of different years.
+    years: calendar years from `year` on over which a typical year is repeated; 29 February repeats the 28th.
+    altitude_m, to_site_altitude, lapse_rate: as in `read_weather_file`.
+
+    The record's warnings name the gaps within the files.  Its site is that of the weather, not the cabinet's,
+    unless the weather was moved to the site's altitude.
+
+    Raises TableFault with the faults of every file; ValueError for numbers out of range.
+    """
+    files = [Path(paths)] if isinstance(paths, str | os.PathLike) else [Path(one) for one in paths]
+    if not files:
+        raise ValueError("paths: expected one weather file at least, found none")
+    if years < 1:
+        raise ValueError(f"years must be 1 or more, found {years}")
+    if years > 1 and year is None:
+        raise ValueError("years needs year, the first calendar year of the repeated typical year")
+    if years > 1 and len(files) > 1:
+        raise ValueError("years repeats one typical year; give one file, or years = 1")
+    records, faults = [], []
+    for file in files:
+        typical = form_of(file) == "epw"
+        if years > 1 and not typical:
+            faults.append(f"{file.name}: only a typical year (.epw) is repeated; this file has its own years")
+            continue
+        for place in range(years):
+            try:
+                records.append(
+                    read_weather_file(
+                        file,
+                        site=site,
+                        year=year + place if typical and year is not None else None,
+                        altitude_m=altitude_m,
+                        to_site_altitude=to_site_altitude,
+                        lapse_rate=lapse_rate,
+                    )
+                )
+            except TableFault as broken:
+                faults += [f"{file.name}: {fault}" for fault in broken.faults]
+                break
+    if faults:
+        raise TableFault(*faults)
+    record = joined(
+        records, files[0].name if len(files) == 1 else f"{files[0].name} and {len(files) - 1} more"
+    )
+    warnings = _without_repeats(record.warnings) if years > 1 else list(record.warnings)
+    for signal in NEEDED:
+        if signal in record:
+            warnings += gaps_text(record[signal])
+    return dataclasses.replace(record, warnings=tuple(warnings))
+
+
+def gaps_text(series: Series) -> list[str]:
+    """One sentence on the gaps of a series, steps between known readings above three usual ones; or none."""
+    time, _ = series.known
+    step, _ = modal_step(series.time)
+    if len(time) < 2 or not np.isfinite(step):
+        return []
+    length = np.diff(time)
+    wide = np.flatnonzero(length > 3.01 * step)
+    if not len(wide):
+        return []
+    longest = wide[np.argsort(length[wide])[::-1][:SHOWN_GAPS]]
+    listed = ", ".join(f"{duration_text(length[one])} from {stamp_text(time[one])}" for one in longest)
+    missing = float(np.sum(length[wide] - step))
+    return [
+        f"{series.signal}: {len(wide)} gaps, {duration_text(missing)} in all; longest {listed}"
+        if len(wide) > 1
+        else f"{series.signal}: a gap of {listed}"
+    ]
+
+
+def _without_repeats(warnings: Sequence[str]) -> list[str]:
+    """One sentence in place of those about each year of a repeated typical year."""
+    leap = [said for said in warnings if "28 February is repeated" in said]
+    typical = [said for said in warnings if "a typical year, not the weather of" in said]
+    kept = [said for said in warnings if said not in leap and said not in typical]
+    if typical:
+        first, last = typical[0].split(" stand in ")[0], typical[-1].split(" stand in ")[1].split(":")[0]
+        begin = typical[0].split(" stand in ")[1].split(":")[0]
+        kept.append(
+            f"{first} are repeated in every year {begin} … {last}: a typical year, not the weather of these"
+        )
+    if leap:
+        named = ", ".join(said.split()[0] for said in leap)
+        kept.append(f"leap years {named}: 28 February is repeated as 29 February")
+    return kept
+
+
+def whole_years(record: Record, signal: str = "ambient_temperature") -> tuple[int, ...]:
+    """Calendar years (UTC) in which a signal has readings in at least 95 % of the hours."""
+    time, _ = record[signal].known
+    hours = np.unique(np.floor((time - 1.0) / 3600.0))
+    of_year = (hours * 3600.0).astype("datetime64[s]").astype("datetime64[Y]").astype(int) + 1970
+    found = []
+    for year in np.unique(of_year):
+        length = 8784 if calendar.isleap(int(year)) else 8760
+        if np.count_nonzero(of_year == year) >= 0.95 * length:
+            found.append(int(year))
+    return tuple(found)

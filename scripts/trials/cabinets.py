@@ -9,7 +9,7 @@ import numpy as np
 from plants.as_record import to_record
 from plants.plant import Plant
 
-from hygrokf.cases.summary import mask
+from hygrokf.data.masks import mask
 from hygrokf.data.record import Record
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from hygrokf.cases.frames import read_frames
 from hygrokf.data.record import Record
 
 EXCERPTS = Path(__file__).parent / "greenhouse_data"
@@ -79,7 +80,7 @@ def record(
         }
     )
     columns = {*cabinet.columns, *ambient.columns}
-    return Record.from_frames(
+    return read_frames(
         {"climate computer": cabinet, "weather": ambient},
         units={name: unit for name, unit in UNITS.items() if name in columns},
         timezone="+01:00",

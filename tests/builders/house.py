@@ -28,9 +28,6 @@ OUTSIDE = {"", "version", "errors", "__main__"}
 """Modules that stand in no folder: the face, and what everybody may import."""
 ONLY_IN = {"llvmlite": "engine.jit"}
 """Third parties that are imported with a module, and the module that may."""
-UPWARD = {("data.record", "cases.frames")}
-"""Imports that point up, with their reason: `Record.from_frames` stands where one looks for it and leads to
-the whole way from tables to a record."""
 SHELVES = ("hygrokf", "scripts", "tests/plants", "tests/other_make")
 """Folders whose modules and functions have a readable length."""
 PLACE = {name: floor for floor, names in enumerate(FLOORS) for name in names.split()}
@@ -123,7 +120,7 @@ def neighbours(name: str) -> list[str]:
         for module in MODULES
         if folder(module) == name
         for lower, _ in known(module)
-        if lower not in OUTSIDE and (module, lower) not in UPWARD
+        if lower not in OUTSIDE
     }
     return sorted(found - {name}, key=lambda one: (PLACE[one], list(PLACE).index(one)))
 

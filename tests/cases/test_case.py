@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import pickle
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
 import pytest
+from builders.faults import faults_of
+from builders.measured import DATA, measured
 
 from hygrokf.cases.case_file import CaseFault, read_case
 
-DATA = Path(__file__).resolve().parents[2] / "../shared/data"
-measured = pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there")
 START = datetime(2020, 6, 1, tzinfo=UTC)
 COUNT = 3000
 
@@ -84,11 +85,7 @@ def read(folder: Path, *changes: tuple[str, str], add: str = "", **more):
 
 
 def faults(folder: Path, *changes: tuple[str, str], add: str = "") -> tuple[str, ...]:
-    with pytest.raises(CaseFault) as caught:
-        read(folder, *changes, add=add)
-    for number, fault in enumerate(caught.value.faults, 1):
-        assert f"  {number}. {fault}" in str(caught.value)
-    return caught.value.faults
+    return faults_of(read, folder, *changes, add=add)
 
 
 def test_a_case_becomes_a_record(folder):
@@ -181,8 +178,7 @@ def test_a_clock_that_is_known_to_be_off_is_corrected(folder):
 
 def test_until_and_start(folder):
     record = read(
-        folder,
-        add='[identification]\nstart = "2020-06-03T00:00:00Z"\nuntil = "2020-06-10T00:00:00Z"\n',
+        folder, add='[identification]\nstart = "2020-06-03T00:00:00Z"\nuntil = "2020-06-10T00:00:00Z"\n'
     )
     assert record.start_s == seconds("2020-06-03T00:00+00:00") - 600.0
     assert record["cabinet_temperature"].time[0] == seconds("2020-06-03T00:00+00:00")
@@ -202,13 +198,19 @@ def test_faults_of_the_case_and_of_every_source_come_together(folder):
     change(folder, "cabinet", form="%Y-%m-%d %H:%M")
     text = (folder / "ambient.csv").read_text().replace("\n2020-06-01T00:20Z,", "\n2020-06-01T00:20Z,x")
     (folder / "ambient.csv").write_text(text)
-    found = faults(
-        folder,
+    changes = (
         ("rated_power_kW", "rated_power_kw"),
         ('column = "RH"', 'column = "rH"'),
         ('"scada.csv"', '"scda.csv"'),
         ('unit = "kW"', 'unit = "kWh"'),
     )
+    with pytest.raises(CaseFault) as caught:
+        read(folder, *changes)
+    found = caught.value.faults
+    for number, fault in enumerate(found, 1):
+        assert f"  {number}. {fault}" in str(caught.value)
+    again = pickle.loads(pickle.dumps(caught.value))  # as from a worker process
+    assert type(again) is CaseFault and again.faults == found and str(again) == str(caught.value)
     expected = (
         'case.toml, line 2: unknown key "rated_power_kw"',
         'case.toml, line 16: unknown unit "kWh"',
@@ -228,12 +230,7 @@ def test_faults_of_the_case_and_of_every_source_come_together(folder):
         ("cabinet", {"RH": columns(0)["RH"] / 100}, (), ["called %", 'unit = "1"']),
         ("cabinet", {}, (('unit = "%"', 'unit = "1"'),), ["called a fraction", 'unit = "%"']),
         ("cabinet", {"T": columns(0)["T"] + 273}, (), ["called degC", "fit as K"]),
-        (
-            "ambient",
-            {},
-            (('"T", unit = "degC" }\n[', '"T", unit = "K" }\n['),),
-            ["called K", "degC"],
-        ),
+        ("ambient", {}, (('"T", unit = "degC" }\n[', '"T", unit = "K" }\n['),), ["called K", "degC"]),
         ("ambient", {"T": columns(1)["T"] * 1.8 + 32}, (), ["degF"]),
         ("scada", {}, (('"kW"', '"MW"'),), ["called MW", "kW"]),
         ("scada", {"P": columns(2)["P"] * 20}, (), ["times the rated 2050 kW"]),
@@ -251,11 +248,7 @@ def test_readings_in_another_unit_than_stated(folder, file, new, changes, words)
 def test_a_percentage_duty_called_a_fraction(folder):
     change(folder, "scada", P=np.where(np.arange(COUNT) % 50 == 0, 80.0, 0.0))
     (fault,) = faults(
-        folder,
-        (
-            'active_power = { column = "P", unit = "kW" }',
-            'heater_duty = { column = "P", unit = "1" }',
-        ),
+        folder, ('active_power = { column = "P", unit = "kW" }', 'heater_duty = { column = "P", unit = "1" }')
     )
     assert "look like per cent" in fault
 

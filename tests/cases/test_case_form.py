@@ -121,11 +121,7 @@ def test_a_fault_names_line_finding_and_remedy(old, new, line, words):
 
 def test_all_faults_come_at_once():
     found = faults(
-        ("2050.0", "0"),
-        ("52.4", "152.4"),
-        ("degC", "C"),
-        ('"start"', '"begin"'),
-        ("until", "untill"),
+        ("2050.0", "0"), ("52.4", "152.4"), ("degC", "C"), ('"start"', '"begin"'), ("until", "untill")
     )
     assert len(found) >= 5
 

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from hygrokf.cases.doubts import doubted, doubts
-from hygrokf.cases.summary import RecordSummary, describe, mask
+from hygrokf.cases.summary import RecordSummary, describe
+from hygrokf.data.masks import mask
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.structured import plain, structured
 from hygrokf.report.record_text import describe_text
@@ -48,10 +49,7 @@ def good(days: float = 60.0) -> Record:
 def without(record: Record, *signals: str, **more) -> Record:
     kept = tuple(one for one in record.series if one.signal not in signals)
     return Record(
-        record.name,
-        kept,
-        record.site,
-        **{"rated_power_W": 2.05e6, "until_s": record.until_s} | more,
+        record.name, kept, record.site, **{"rated_power_W": 2.05e6, "until_s": record.until_s} | more
     )
 
 
@@ -100,10 +98,7 @@ def test_a_good_record_raises_neither_warning_nor_doubt():
         (without(good(), "cabinet_relative_humidity"), ["no cabinet humidity"]),
         (without(good(), "ambient_relative_humidity"), ["no ambient humidity"]),
         (without(good(), "cabinet_temperature"), ["no cabinet temperature"]),
-        (
-            without(good(), "cabinet_temperature", "cabinet_relative_humidity"),
-            ["no cabinet signal"],
-        ),
+        (without(good(), "cabinet_temperature", "cabinet_relative_humidity"), ["no cabinet signal"]),
         (changed(good(), "active_power", np.full(8640, 1e6)), ["no standstill: 0.0 %"]),
         (changed(good(), "active_power", np.full(8640, -5e3)), ["sign reversed"]),
         (changed(good(), "active_power", np.full(8640, np.nan)), ["power has no reading"]),
@@ -151,7 +146,7 @@ def test_a_good_record_raises_neither_warning_nor_doubt():
             changed(good(), "cabinet_temperature", np.where(np.arange(8640) % 90, 293.15, 20.0)),
             [
                 "cabinet_temperature: 96 readings outside of -60 degC … 120 degC, such as -253.1 degC",
-                "from_frames",
+                "read_frames",
             ],
         ),
         (
@@ -195,11 +190,7 @@ def test_the_factor_of_absolute_humidity_is_that_of_its_definition():
     even = np.full(count, 288.15)
     record = Record(
         "x",
-        (
-            *record.series,
-            series("cabinet_temperature", even),
-            series("ambient_temperature", even),
-        ),
+        (*record.series, series("cabinet_temperature", even), series("ambient_temperature", even)),
         None,
         2.05e6,
         record.until_s,
@@ -226,9 +217,7 @@ def sun(longitude_deg: float, shift_s: float, days: int = 60) -> Series:
     time = START + 100 * DAY + 600.0 * np.arange(days * 144)
     # Almanac values of the equation of time from 10 April to 9 June [min].
     equation = 60.0 * np.interp(
-        (time - START) / DAY,
-        [100, 110, 120, 130, 140, 150, 160],
-        [-1.2, 1.0, 2.8, 3.7, 3.5, 2.4, 0.7],
+        (time - START) / DAY, [100, 110, 120, 130, 140, 150, 160], [-1.2, 1.0, 2.8, 3.7, 3.5, 2.4, 0.7]
     )
     hour_angle = 2 * math.pi * ((time + 240.0 * longitude_deg + equation) / DAY - 0.5)
     return Series("global_horizontal_irradiance", time + shift_s, np.clip(800 * np.cos(hour_angle), 0, None))

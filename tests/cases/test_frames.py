@@ -9,9 +9,11 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pandas as pd
 import pytest
+from builders.faults import faults_of
 
 from hygrokf.cases.case_file import CaseFault, read_case
 from hygrokf.cases.doubts import all_doubts
+from hygrokf.cases.frames import read_frames
 from hygrokf.data.record import Record, Site
 
 COUNT = 6 * 24 * 30
@@ -53,15 +55,11 @@ def made(frames: object = None, **changed: object) -> Record:
         **changed,
     }
     given = {"cabinet": cabinet(), "scada": scada()} if frames is None else frames
-    return Record.from_frames(given, **{key: one for key, one in options.items() if one is not None})
+    return read_frames(given, **{key: one for key, one in options.items() if one is not None})
 
 
 def faults(frames: object = None, **changed: object) -> tuple[str, ...]:
-    with pytest.raises(CaseFault) as caught:
-        made(frames, **changed)
-    said = caught.value.faults
-    assert str(caught.value).startswith(f"Record.from_frames: {len(said)} fault")
-    return said
+    return faults_of(made, frames, **changed)
 
 
 # -- the same as from files ----------------------------------------------------------------------------------
@@ -140,7 +138,7 @@ def test_frames_give_the_record_that_files_give(tmp_path: Path) -> None:
     for name, frame in frames.items():
         frame.to_csv(tmp_path / name, index_label="time")
     (tmp_path / "case.toml").write_text(MESSY_CASE)
-    filed, held = read_case(tmp_path / "case.toml"), Record.from_frames(frames, **MESSY_OPTIONS)
+    filed, held = read_case(tmp_path / "case.toml"), read_frames(frames, **MESSY_OPTIONS)
     assert held.series == filed.series and held.compared == filed.compared
     assert held.warnings == filed.warnings and all_doubts(held) == all_doubts(filed)
     assert (held.name, held.site, held.rated_power_W, held.until_s) == (
@@ -160,10 +158,7 @@ def test_frames_give_the_record_that_files_give(tmp_path: Path) -> None:
     assert held.compared[0].signal == "ambient_temperature" and held["active_power"].interval_s == 600.0
 
 
-def test_the_face_has_the_record_and_a_site_may_be_one() -> None:
-    import hygrokf
-
-    assert hygrokf.Record.from_frames == Record.from_frames
+def test_a_site_may_be_a_site() -> None:
     assert made(site=Site(52.4, -0.95)).site == Site(52.4, -0.95)
 
 
@@ -377,7 +372,7 @@ WRONG = [
         "until = 2021-10-20T00:00Z is outside of the record", "2020-10-05"),
     (None, {"identification": {"untill": "2020-10-20T00:00Z"}}, 'unknown key "untill" in identification={…}',
         '"until"'),
-    (None, {"site": {"latitude_deg": 152.4}}, "from_frames: site={…} needs longitude_deg", ""),
+    (None, {"site": {"latitude_deg": 152.4}}, "read_frames: site={…} needs longitude_deg", ""),
     (None, {"site": {"latitude_deg": 152.4, "longitude_deg": 0.0}}, "latitude_deg must lie within -90 … 90",
         "152.4"),
     (None, {"rated_power_kW": 2.05},
@@ -401,7 +396,9 @@ def test_what_is_wrong_is_told_with_its_remedy(
     assert remedy in hits[0], hits[0]
 
 
-def test_all_faults_come_at_once() -> None:
+def test_all_faults_come_at_once_under_the_name_of_the_function() -> None:
+    with pytest.raises(CaseFault, match=r"^read_frames: 1 fault\n"):
+        made(rated_power_kW=-1.0)
     said = faults(
         at("cabinet", lambda f: f.assign(RH="lost")),
         units={"T": "C", "RH": "%", "ambient_temperature": "degC"},
@@ -425,7 +422,7 @@ def test_all_faults_come_at_once() -> None:
 
 def test_a_power_alone_is_a_record_when_asked_for() -> None:
     alone = {"units": {"P": "kW"}, "signals": {"P": "active_power"}, "timezone": "UTC", "stamp": "start"}
-    power = Record.from_frames({"scada": scada()}, **alone, cabinet=False, ambient=False)
+    power = read_frames({"scada": scada()}, **alone, cabinet=False, ambient=False)
     assert power.signals == ("active_power",) and power["active_power"] == made()["active_power"]
     with pytest.raises(CaseFault, match="nothing in the cabinet to identify"):
-        Record.from_frames({"scada": scada()}, **alone, ambient=False)
+        read_frames({"scada": scada()}, **alone, ambient=False)

@@ -185,9 +185,7 @@ def test_humidity_reading_follows_from_absolute_humidity(turbine: SyntheticTurbi
     assert np.nanmax(turbine.ambient["RH_amb_pct"]) <= 100.0
 
 
-def test_scada_values_are_means_over_the_interval_that_starts_at_the_stamp(
-    turbine: SyntheticTurbine,
-) -> None:
+def test_scada_values_are_means_over_the_interval_that_starts_at_the_stamp(turbine: SyntheticTurbine) -> None:
     truth, table = turbine.truth, turbine.scada
     for place in (100, 5000, table.time.size - 1):
         inside = (truth.time >= table.time[place]) & (truth.time < table.time[place] + 600.0)
@@ -205,9 +203,7 @@ def test_gaps_are_where_the_demo_promises_them(turbine: SyntheticTurbine) -> Non
     assert not np.isnan(turbine.cabinet["T_cab_degC"]).any()
 
 
-def test_the_record_runs_from_july_to_january_and_keeps_its_last_month(
-    turbine: SyntheticTurbine,
-) -> None:
+def test_the_record_runs_from_july_to_january_and_keeps_its_last_month(turbine: SyntheticTurbine) -> None:
     start, end = turbine.truth.time[[0, -1]].astype(np.int64).astype("datetime64[s]")
     assert (str(start), str(end)) == ("2020-07-15T00:00:00", "2021-02-01T00:00:00")
     assert turbine.until_s == float(np.datetime64("2021-01-01", "s").astype(int))

@@ -9,8 +9,9 @@ from pathlib import Path
 import builders.weather_case as made
 import numpy as np
 import pytest
+from builders.faults import faults_of
 
-from hygrokf.cases.case_file import CaseFault, read_case
+from hygrokf.cases.case_file import read_case
 from hygrokf.cases.summary import describe
 from hygrokf.commands.main import main
 from hygrokf.data.ambient import ambient_absolute_humidity
@@ -48,9 +49,7 @@ def case(folder: Path, *parts: str):
 
 
 def faults(folder: Path, *parts: str) -> str:
-    with pytest.raises(CaseFault) as caught:
-        case(folder, *parts)
-    return "\n".join(caught.value.faults)
+    return "\n".join(faults_of(case, folder, *parts))
 
 
 def test_a_weather_file_brings_its_signals(folder: Path) -> None:

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
+from builders.measured import DATA, measured
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -18,9 +17,6 @@ from hygrokf.data.masks import (
 )
 from hygrokf.data.record import Series
 from hygrokf.data.signals import SIGNALS, difference_to_si, to_si
-
-DATA = Path(__file__).resolve().parents[2] / "../shared/data"
-measured = pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there")
 
 
 def series(signal: str, value, step: float = 600.0, unit: str | None = None, **more) -> Series:
@@ -169,15 +165,11 @@ class TestSaturated:
         assert mask_saturated(one) == (one, ())
 
     def test_outside_air_may_be_saturated(self):
-        kept, (said,) = mask_saturated(series("ambient_relative_humidity", [90.0, 100.0, 104.0]))
-        np.testing.assert_allclose(kept.value, [0.9, 1.0, 1.0])
+        kept, (said,) = mask_saturated(series("ambient_relative_humidity", [90.0, np.nan, 100.0, 104.0]))
+        np.testing.assert_allclose(kept.value, [0.9, np.nan, 1.0, 1.0])
         assert "1 reading above 100 %" in said
         fog = series("ambient_relative_humidity", np.full(10, 100.0))
         assert mask_saturated(fog) == (fog, ())
-
-    def test_missing_readings_stay_missing(self):
-        kept, _ = mask_saturated(series("ambient_relative_humidity", [np.nan, 104.0]))
-        assert np.isnan(kept.value[0])
 
     def test_other_signals_are_left_alone(self):
         one = series("heater_duty", [0.0, 1.0])
@@ -230,12 +222,10 @@ class TestFrozen:
 
     def test_a_reading_that_never_changes_is_doubted_and_kept(self):
         one = series("cabinet_temperature", np.full(300, 21.4))
-        masked, said = mask_frozen(one)
+        masked, (said,) = mask_frozen(one)
         assert masked == one
-        assert said == (
-            "cabinet_temperature: all 300 readings are 21.4 degC: perhaps a frozen sensor; no other "
-            "signal confirms it",
-        )
+        for word in ("cabinet_temperature", "300", "21.4 degC", "perhaps a frozen sensor"):
+            assert word in said
         calm = series("wind_speed", np.zeros(300))
         assert mask_frozen(calm) == (calm, ())
 

@@ -64,7 +64,7 @@ INDEX = pd.date_range("2020-09-13", periods=50, freq="10min")
     ("signal", "time", "value", "words"),
     [
         ("cabinet_temperature", INDEX, CELSIUS + 273.15,
-            ["expected seconds since 1970", "found datetime64", "Record.from_frames"]),
+            ["expected seconds since 1970", "found datetime64", "read_frames"]),
         ("cabinet_temperature", INDEX.tz_localize("UTC"), CELSIUS + 273.15,
             ["expected seconds", "found Timestamp"]),
         ("cabinet_temperature", INDEX.to_period("10min"), CELSIUS + 273.15,
@@ -159,8 +159,7 @@ def test_rated_power_is_above_zero(rated):
 
 
 @pytest.mark.parametrize(
-    ("site", "word"),
-    [((91.0, 0.0), "latitude"), ((0.0, 400.0), "longitude"), ((0.0, 0.0, 1e5), "altitude")],
+    ("site", "word"), [((91.0, 0.0), "latitude"), ((0.0, 400.0), "longitude"), ((0.0, 0.0, 1e5), "altitude")]
 )
 def test_a_site_is_on_earth(site, word):
     with pytest.raises(ValueError, match=word):

@@ -55,14 +55,7 @@ def test_bad_durations_say_what_is_expected(text):
 
 @pytest.mark.parametrize(
     ("seconds", "text"),
-    [
-        (600, "10 min"),
-        (3600, "1 h"),
-        (86400, "1 d"),
-        (30, "30 s"),
-        (5400, "90 min"),
-        (302400, "3.5 d"),
-    ],
+    [(600, "10 min"), (3600, "1 h"), (86400, "1 d"), (30, "30 s"), (5400, "90 min"), (302400, "3.5 d")],
 )
 def test_durations_in_words(seconds, text):
     assert duration_text(seconds) == text
@@ -85,8 +78,7 @@ def test_zones(name, hours):
 
 
 @pytest.mark.parametrize(
-    ("name", "word"),
-    [("Europe/Berln", "Europe/Berlin"), ("+25:00", "14 hours"), ("", "Berlin"), (2, "text")],
+    ("name", "word"), [("Europe/Berln", "Europe/Berlin"), ("+25:00", "14 hours"), ("", "Berlin"), (2, "text")]
 )
 def test_bad_zones_are_explained(name, word):
     with pytest.raises(ValueError, match=word):
@@ -146,8 +138,7 @@ def test_one_naive_stamp_among_others_is_found():
 
 
 @pytest.mark.parametrize(
-    "text",
-    ["yesterday", "2020-13-01", "1577836800", "43831.5", "2020", "01.02.2020 00:00", "12:00"],
+    "text", ["yesterday", "2020-13-01", "1577836800", "43831.5", "2020", "01.02.2020 00:00", "12:00"]
 )
 def test_what_is_no_stamp(text):
     stamps = read_stamps(column("2020-01-01T00:00Z", text))

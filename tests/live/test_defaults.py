@@ -8,11 +8,14 @@ import pytest
 from builders.fit_case import bare_fit
 from builders.live_case import live_fit, live_record
 
+from hygrokf.data.actuators import ACTUATORS
+from hygrokf.data.signals import SIGNALS
 from hygrokf.identification.fit import write_fit
 from hygrokf.live.config import ConfigFault
 from hygrokf.live.defaults import default_config, default_mapping, page_at, table_of
 from hygrokf.live.sources.payload import taken
 from hygrokf.live.web.page_settings import PageSettings
+from hygrokf.modelling.design import HOLDS
 
 
 @pytest.fixture(scope="module")
@@ -72,8 +75,13 @@ def test_all_faults_at_once(models: list[Path], tmp_path: Path) -> None:
     assert page_at(None).host == "127.0.0.1"
 
 
-def test_every_signal_has_a_unit() -> None:
+def test_every_signal_has_a_unit_and_the_hold_of_the_table() -> None:
     mapping = default_mapping()
+    holds = {name: one.form.hold for name, one in mapping.fields.items()}
+    assert holds == {name: HOLDS[name] for name in SIGNALS} == {name: s.hold for name, s in SIGNALS.items()}
+    for name in (*ACTUATORS, "preheating", "rain", "cloud_cover", "active_power", "rotor_speed"):
+        assert holds[name] == "zero-order", name
+    assert holds["ambient_temperature"] == holds["cabinet_relative_humidity"] == "linear"
     assert (
         mapping.fields["ambient_temperature"].unit == "degC" and mapping.fields["active_power"].unit == "kW"
     )

@@ -8,16 +8,15 @@ from pathlib import Path
 import builders.weather_case as made
 import numpy as np
 import pytest
+from builders.faults import faults_of
+from builders.measured import DATA, measured
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Site
 from hygrokf.physics.psychrometrics import relative_humidity_from_dew_point
 from hygrokf.weather.epw import read_epw
-from hygrokf.weather.reading import form_of
-from hygrokf.weather.years import read_weather
+from hygrokf.weather.reading import form_of, read_weather
 
-DATA = Path(__file__).resolve().parents[2] / "../shared/data"
-measured = pytest.mark.skipif(not DATA.exists(), reason="../shared/data is not there")
 TYPICAL = (2006, 2011, 2018, 2006, 2009, 2015, 2007, 2012, 2016, 2010, 2013, 2008)
 
 
@@ -28,9 +27,7 @@ def written(tmp_path: Path, text: str, name: str = "site.epw") -> Path:
 
 
 def faults(path: Path, year: int | None = None) -> str:
-    with pytest.raises(TableFault) as caught:
-        read_epw(path, year)
-    return "\n".join(caught.value.faults)
+    return "\n".join(faults_of(read_epw, path, year))
 
 
 def moment(text: str) -> float:

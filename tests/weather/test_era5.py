@@ -9,6 +9,7 @@ from pathlib import Path
 import builders.weather_case as made
 import numpy as np
 import pytest
+from builders.faults import faults_of
 
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Site
@@ -19,10 +20,7 @@ SITE = Site(48.48, 5.57, 400.0)  # nearest to the middle cell, 48.5 N 5.5 E
 
 
 def faults(path: Path, site: Site | None = SITE) -> str:
-    with pytest.raises(TableFault) as caught:
-        read_era5(path, site)
-    assert "Traceback" not in str(caught.value)
-    return "\n".join(caught.value.faults)
+    return "\n".join(faults_of(read_era5, path, site))
 
 
 def assert_middle_cell(record, hours: int = made.HOURS, tolerance: float = 1e-4) -> None:
@@ -43,19 +41,16 @@ def test_the_layout_of_today(tmp_path: Path) -> None:
     assert_middle_cell(record)
     assert (record.site.latitude_deg, record.site.longitude_deg) == (48.5, 5.5)
     assert record.site.altitude_m == pytest.approx(311.0, abs=0.01)
-    assert (
-        record["ambient_temperature"].source
-        == 'era5.nc, column "t2m" at 48.50° N 5.50° E, 6 km from the site'
-    )
+    source = record["ambient_temperature"].source
+    assert source == 'era5.nc, column "t2m" at 48.50° N 5.50° E, 6 km from the site'
     assert record.warnings == () and len(record.provenance[0][1]) == 64
 
 
 def test_preliminary_hours_are_said(tmp_path: Path) -> None:
     record = read_era5(made.new_file(tmp_path / "era5.nc", preliminary=30), SITE)
     assert_middle_cell(record)
-    assert record.warnings == (
-        "30 hours are preliminary (ERA5T): ask again in three months for the final ones",
-    )
+    (said,) = record.warnings
+    assert said.startswith("30 hours are preliminary")
 
 
 @pytest.mark.parametrize("preliminary", [None, 24], ids=["final", "two halves"])
@@ -113,9 +108,8 @@ def test_the_point_products_csv(tmp_path: Path, packing: str) -> None:
     np.testing.assert_allclose(
         record["global_horizontal_irradiance"].value, made.truth("ssrd") / 3600.0, atol=1e-3
     )
-    assert record.warnings == (
-        "wind_speed is measured at 10 m, not at hub height: the file has no u100 and v100",
-    )
+    (said,) = record.warnings
+    assert "wind_speed" in said and "10 m" in said
     assert (record.site.latitude_deg, record.site.longitude_deg) == (48.5, 5.5)
 
 
@@ -160,7 +154,8 @@ def test_stamps_in_any_order_and_twice(tmp_path: Path) -> None:
     )
     record = era5_record(mixed, SITE)
     assert_middle_cell(record)
-    assert record.warnings == ("5 stamps occur more than once; the first of each kept",)
+    (said,) = record.warnings
+    assert said.startswith("5 stamps")
 
 
 # -- places --------------------------------------------------------------------------------------------------
@@ -268,9 +263,8 @@ def test_other_files(tmp_path: Path, data: bytes, words: str) -> None:
 
 def test_no_such_file_and_a_directory(tmp_path: Path) -> None:
     (tmp_path / "era5_2021.nc").touch()
-    assert "no such file" in faults(tmp_path / "era5_2020.nc") and "era5_2021" in faults(
-        tmp_path / "era5_2020.nc"
-    )
+    said = faults(tmp_path / "era5_2020.nc")
+    assert "no such file" in said and "era5_2021" in said
     assert "directory" in faults(tmp_path)
 
 
@@ -299,9 +293,8 @@ def test_missing_axes_and_fields(tmp_path: Path) -> None:
     dataset = made.new_dataset(("t2m", "d2m"))
     path = tmp_path / "era5.nc"
     path.write_bytes(made.netcdf4(dataset.isel(valid_time=0, drop=True)))
-    assert "no time axis: expected valid_time or time, found the axes latitude (3), longitude (3)" in faults(
-        path
-    )
+    said = faults(path)
+    assert "no time axis" in said and "latitude (3), longitude (3)" in said
     path.write_bytes(made.netcdf4(made.new_dataset(("d2m",))))
     assert "no 2 m temperature" in faults(path)
     path.write_bytes(made.netcdf4(dataset.expand_dims(number=[0, 1]).assign_coords(number=[0, 1])))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import builders.weather_case as made
@@ -11,8 +12,7 @@ import pytest
 from hygrokf.data.columns import TableFault
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.weather.joining import joined
-from hygrokf.weather.reading import read_weather_file
-from hygrokf.weather.years import gaps_text, read_weather, whole_years
+from hygrokf.weather.reading import gaps_text, read_weather, read_weather_file, whole_years
 
 SITE = Site(48.48, 5.57, 311.0)
 
@@ -23,10 +23,7 @@ def moment(text: str) -> float:
 
 def test_files_put_after_each_other(tmp_path: Path) -> None:
     later = made.START + 3600 * made.HOURS
-    paths = [
-        made.new_file(tmp_path / "b.nc", start=later, preliminary=5),
-        made.new_file(tmp_path / "a.nc"),
-    ]
+    paths = [made.new_file(tmp_path / "b.nc", start=later, preliminary=5), made.new_file(tmp_path / "a.nc")]
     record = read_weather(paths, site=SITE)
     assert len(record["ambient_temperature"]) == 2 * made.HOURS
     assert np.all(np.diff(record["ambient_temperature"].time) == 3600.0)
@@ -52,10 +49,11 @@ def test_the_gap_of_a_series() -> None:
     value[40:50] = np.nan
     value[60:80] = np.nan
     (said,) = gaps_text(Series("ambient_temperature", time, value))
-    assert said == (
-        "ambient_temperature: 2 gaps, 30 h in all; longest 21 h from 1970-01-03T11:00Z, 11 h from "
-        "1970-01-02T15:00Z"
-    )
+    assert said.startswith("ambient_temperature: 2 gaps, 30 h")
+    assert re.findall(r"(\d+) h from (\S+Z)", said) == [
+        ("21", "1970-01-03T11:00Z"),
+        ("11", "1970-01-02T15:00Z"),
+    ]
 
 
 def test_a_typical_year_repeated(tmp_path: Path) -> None:
@@ -137,9 +135,7 @@ def test_heights(tmp_path: Path) -> None:
     path.write_text(made.epw_text())
     high = Site(48.5, 5.5, 850.0)
     said = read_weather_file(path, site=high).warnings
-    assert any(
-        "its height is 250 m, the site's 850 m: the site will be about 3.9 K colder" in one for one in said
-    )
+    assert any(all(word in one for word in ("250 m", "850 m", "3.9 K colder")) for one in said)
     moved = read_weather(path, site=high, to_site_altitude=True)
     plain = read_weather(path)
     difference = moved["ambient_temperature"].value - plain["ambient_temperature"].value

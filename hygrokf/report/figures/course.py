@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.data.series_file import array, instants, scalar
+from hygrokf.data.result_file import array, instants, scalar
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.figures.drawing import (

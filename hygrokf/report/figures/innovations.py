@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.data.series_file import array, instants, scalar
+from hygrokf.data.result_file import array, instants, scalar
 from hygrokf.evaluation.diagnosis import (
     Autocorrelation,
     CrossCorrelation,

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from hygrokf.data.series_file import array, instants, scalar
+from hygrokf.data.result_file import array, instants, scalar
 
 
 def test_series() -> None:
