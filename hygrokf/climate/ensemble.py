@@ -28,6 +28,7 @@ from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.cold_surface import Surface, condenses
 from hygrokf.physics.expression import Value
 from hygrokf.physics.model import Model
+from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
     absolute_humidity_from_vapour_pressure,
@@ -47,6 +48,8 @@ SINGULAR = 1e-9
 factor."""
 DRAWN = 256
 """Steps whose random numbers are drawn at once."""
+LOG_MOST = 0.5
+"""Standard error of a logarithm [1] up to which the logarithm is drawn from a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,57 @@ def part_text(known: float, covered: float | None = None) -> str:
         return ""
     hours = covered if covered is not None and covered < WHOLE * YEAR_H else known
     return f"{hours / 24.0:.0f} days" if hours >= 48.0 else f"{hours:.0f} hours"
+
+
+# --- members ---------------------------------------------------------------------------------
+
+
+def draw_members(fit: Fit, count: int, seed: int) -> list[dict[str, float]]:
+    """`count` sets of parameter values of a fit's model; a seed gives the same sets for every count.
+
+    Parameters without covariance (on a bound, or fixed) keep the fit's value.  The biases of the loggers are
+    drawn with the others, because their uncertainty also makes the heat release uncertain.
+    """
+    names, matrix = fit.covariance
+    by_name = {p.name: p for p in fit.design.model.parameters}
+    chosen = [by_name[name] for name in names]
+    values = np.array([fit.values[p.name] for p in chosen])
+    slopes = np.array([p.slope(v) for p, v in zip(chosen, values, strict=True)])
+    centre = np.array([p.to_coordinate(v) for p, v in zip(chosen, values, strict=True)])
+    factor = _factor(matrix / np.outer(slopes, slopes)) if len(chosen) else np.zeros((0, 0))
+    spread = np.sqrt((factor**2).sum(axis=1))
+    rows = np.random.default_rng([seed, 1]).standard_normal((count, len(chosen)))
+    members = []
+    for row in rows:
+        moves = factor @ row
+        own = {
+            p.name: _moved(p, float(z), float(move), float(s))
+            for p, z, move, s in zip(chosen, centre, moves, spread, strict=True)
+        }
+        members.append({**fit.values, **own})
+    return members
+
+
+def _moved(p: Parameter, z: float, move: float, sd: float) -> float:
+    """The parameter's value moved from z along its coordinate, or in its own units; within its bounds."""
+    if p.positive and sd > LOG_MOST:
+        value = p.from_coordinate(z) * (1.0 + move)
+    else:
+        # within the bounds before the exponential: a wild one has no number
+        value = p.from_coordinate(min(max(z + move, p.to_coordinate(p.lower)), p.to_coordinate(p.upper)))
+    return min(max(value, p.lower), p.upper)
+
+
+def _factor(covariance: np.ndarray) -> np.ndarray:
+    """A matrix B with B B' the covariance, which may be singular."""
+    symmetric = 0.5 * (covariance + covariance.T)
+    scale = np.sqrt(np.maximum(np.diag(symmetric), 0.0))
+    scale[scale == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(symmetric / np.outer(scale, scale))
+    return scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+# --- instants and years ----------------------------------------------------------------------
 
 
 def course(fit: Fit, record: Record) -> Run:

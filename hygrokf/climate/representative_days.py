@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.climate.acceleration import Acceleration
+from hygrokf.climate.chamber import Acceleration
 from hygrokf.climate.ensemble import Year
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 

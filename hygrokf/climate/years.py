@@ -1,4 +1,7 @@
-"""The years of one ensemble, reduced one after the other to what a result is made from."""
+"""The years of one ensemble, reduced one after the other to numbers, curves, days and hours beyond limits.
+
+Shapes: N members, T instants, I temperature bins, J humidity bins.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +11,64 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hygrokf.climate.acceleration import Acceleration
 from hygrokf.climate.bounds import Bounded, bounded, bounded_array, rounded
-from hygrokf.climate.chamber import ProfilePlan
-from hygrokf.climate.distributions import HUMIDITY_EDGES, SHARES, TEMPERATURE_EDGES, Curves, curves
+from hygrokf.climate.chamber import Acceleration, ProfilePlan
+from hygrokf.climate.chamber_profile import ChamberProfile, build_profile
 from hygrokf.climate.ensemble import WHOLE, YEAR_H, Year, part_text
 from hygrokf.climate.limits import Limit, exceeded
 from hygrokf.climate.representative_days import Days, days_of, joined, thinned
-from hygrokf.climate.statistics import CYCLE_RANGES_K, SCOPES, outside, scalars
+from hygrokf.climate.statistics import CYCLE_RANGES_K, SCOPES, courses, outside, rates, scalars
 from hygrokf.climate.study import DurationCurve, JointDistribution
-from hygrokf.climate.test_profile import ChamberProfile, chamber_profile
 
 DAYS_OF = 8
 """Members of each year whose days a test profile may choose from."""
+SHARES = (0.0, 0.001, 0.01, 0.02, 0.05, *np.arange(0.1, 0.91, 0.05).round(2), 0.95, 0.98, 0.99, 0.999, 1.0)
+"""Shares of the time [1] at which a duration curve is given."""
+RATES = {"temperature_degC": "temperature", "relative_humidity_percent": "relative_humidity"}
+"""Quantities whose rates of change have a duration curve, with their keys in climate.json."""
+TEMPERATURE_EDGES = np.arange(-60.0, 120.1, 2.5)
+HUMIDITY_EDGES = np.arange(0.0, 100.1, 5.0)
+"""Edges of the joint distribution [°C], [%]; the last bin also counts what is above saturation."""
+
+
+@dataclass(frozen=True)
+class Curves:
+    """The curves of one year for every member (N).
+
+    `duration`: by quantity, the values (N, len(SHARES)) that are exceeded for these shares of the time;
+    `rates`: the same of absolute rates of change; `joint`: hours a year (N, temperature bins, humidity bins),
+    or None without humidity.
+    """
+
+    duration: Mapping[str, np.ndarray]
+    rates: Mapping[str, np.ndarray]
+    joint: np.ndarray | None
+
+
+def curves(year: Year) -> Curves:
+    """Duration curves, rates and the joint distribution of a year."""
+    rows = courses(year)
+    shares = 1.0 - np.array(SHARES)
+    duration = {name: np.quantile(value[:, year.known], shares, axis=1).T for name, value in rows.items()}
+    steep = {
+        short: np.quantile(rates(rows[name], year), shares, axis=1).T
+        for name, short in RATES.items()
+        if name in rows
+    }
+    percent = rows.get("relative_humidity_percent")
+    celsius = rows["temperature_degC"][:, year.known]
+    return Curves(duration, steep, None if percent is None else _joint_hours(celsius, percent[:, year.known]))
+
+
+def _joint_hours(celsius: np.ndarray, percent: np.ndarray) -> np.ndarray:
+    """Hours a year (N, I, J) of every member in the bins of `TEMPERATURE_EDGES` and `HUMIDITY_EDGES`."""
+    rows, columns = len(TEMPERATURE_EDGES) - 1, len(HUMIDITY_EDGES) - 1
+    i = np.clip(np.searchsorted(TEMPERATURE_EDGES, celsius, side="right") - 1, 0, rows - 1)
+    j = np.clip(np.searchsorted(HUMIDITY_EDGES, percent, side="right") - 1, 0, columns - 1)
+    member = np.arange(len(celsius))[:, None]
+    flat = ((member * rows + i) * columns + j).ravel()
+    counted = np.bincount(flat, minlength=len(celsius) * rows * columns)
+    return counted.reshape(-1, rows, columns) * (YEAR_H / celsius.shape[1])
 
 
 class Span(NamedTuple):
@@ -114,7 +162,7 @@ class Gathered:
         years = self.scalars["all"]
         names = [f"temperature_cycles_from_{least:g}_K_number" for least in CYCLE_RANGES_K]
         cycles = np.array([np.mean([rows[name].mean() for rows in years]) for name in names])
-        return chamber_profile(days, plan, bounded(np.array([rows["ageing_h"] for rows in years])), cycles)
+        return build_profile(days, plan, bounded(np.array([rows["ageing_h"] for rows in years])), cycles)
 
 
 def is_whole(year: Year) -> bool:

@@ -8,10 +8,9 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from hygrokf.climate.acceleration import Acceleration
-from hygrokf.climate.results import read_climate, write_climate
-from hygrokf.climate.study import RegionClimate, Study
-from hygrokf.climate.test_profile import ChamberProfile
+from hygrokf.climate.chamber import Acceleration
+from hygrokf.climate.chamber_profile import ChamberProfile
+from hygrokf.climate.study import RegionClimate, Study, read_climate, write_climate
 from hygrokf.data.files import REPORT, write_bytes_whole, write_text_whole
 from hygrokf.identification.verdict import REJECT, rests_on
 from hygrokf.identification.wording import moment, percent, plain_number, sentence

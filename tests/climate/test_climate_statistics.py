@@ -7,13 +7,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hygrokf.climate.acceleration import Acceleration
 from hygrokf.climate.bounds import bounded, bounded_array, held
-from hygrokf.climate.cycles import rainflow, turning_points
-from hygrokf.climate.distributions import TEMPERATURE_EDGES, curves
+from hygrokf.climate.chamber import Acceleration
 from hygrokf.climate.ensemble import Year
-from hygrokf.climate.limits import Limit, exceeded, judged
-from hygrokf.climate.statistics import STATISTICS, excursions, outside, scalars, wetness_class
+from hygrokf.climate.limits import Limit, exceeded, judge_limit
+from hygrokf.climate.statistics import (
+    STATISTICS,
+    excursions,
+    outside,
+    rainflow,
+    scalars,
+    turning_points,
+    wetness_class,
+)
+from hygrokf.climate.years import TEMPERATURE_EDGES, curves
 
 LAW = Acceleration()
 
@@ -213,7 +220,7 @@ def test_limits_are_judged_by_their_bounds() -> None:
     year = year_of(celsius, np.full((100, 8766), 40.0))
     for allowed, verdict in ((5.0, "fail"), (40.0, "undecided"), (70.0, "pass")):
         limit = Limit("hot", "temperature_degC", "above", 45.0, allowed)
-        found = judged(limit, [exceeded(year, limit)])
+        found = judge_limit(limit, [exceeded(year, limit)])
         assert found.verdict == verdict and found.hours.value == pytest.approx(hours.mean(), rel=1e-6)
     steep = Limit("steep", "temperature_rate_K_per_h", "above", 10.0)
     assert exceeded(year, steep)[:, 0] == pytest.approx(1.0)  # one fall of 30 K

@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.climate.statistics import STATISTIC
 from hygrokf.climate.study import DurationCurve, RegionClimate
-from hygrokf.report.climate_tables import SIDE_BY_SIDE, share_held
+from hygrokf.report.climate_tables import compared_statistics, share_held
 from hygrokf.report.figures.drawing import (
     AMBIENT,
     INK,
@@ -161,20 +160,19 @@ def figure_regions(regions: Sequence[RegionClimate]) -> Figure:
     """Regions side by side: value, bounds for a year, bounds for the mean."""
     if len(regions) < 2:
         raise NothingToShow("There is only one region.")
-    chosen = [name for name in SIDE_BY_SIDE if all(name in one.year for one in regions)]
+    chosen = compared_statistics(regions)
     with styled():
         made = new_figure(0.95 + 0.3 * len(regions))
         axes = np.atleast_1d(made.subplots(1, len(chosen), sharey=True))
-        for axis, name in zip(axes, chosen, strict=True):
-            words, unit = STATISTIC[name].words, STATISTIC[name].unit
+        for axis, statistic in zip(axes, chosen, strict=True):
             for row, one in enumerate(regions):
-                found = one.year[name]
+                found = one.year[statistic.name]
                 axis.plot([found.lower, found.upper], [row, row], color=MEASURED, linewidth=1.2)
                 means = [found.mean_lower, found.mean_upper]
                 axis.plot(means, [row, row], color=MEASURED, linewidth=3.6, alpha=0.45)
                 axis.plot(found.value, row, "o", color=INK, markersize=3.2)
-            short = words.split(" (")[0].split(" on ")[0].split(",")[0].replace("relative ", "")
-            axis.set_title(f"{short}\n[{unit}]", fontsize=7.0)
+            short = statistic.words.split(" (")[0].split(" on ")[0].split(",")[0].replace("relative ", "")
+            axis.set_title(f"{short}\n[{statistic.unit}]", fontsize=7.0)
             axis.grid(axis="y", visible=False)
             axis.margins(x=0.12)
         axes[0].set_yticks(range(len(regions)), [one.name for one in regions])
