@@ -10,8 +10,7 @@ import numpy as np
 from hygrokf.climate.bounds import LEVEL, Bounded, held
 from hygrokf.climate.chamber import ProfilePlan
 from hygrokf.climate.ensemble import Year, draw_members, shots_of, simulate_years
-from hygrokf.climate.jump_noise import Shots
-from hygrokf.climate.jump_noise import words as shot_words
+from hygrokf.climate.jump_noise import Shots, shot_words
 from hygrokf.climate.limits import Limit, expect_names, judge_limit
 from hygrokf.climate.power import PowerCurve
 from hygrokf.climate.region import Region, driven

@@ -1,4 +1,4 @@
-"""Statements on a climate: doubts about its weather, power, members and limits.
+"""Statements on a climate: doubts about its weather, power, members, limits and extrapolation.
 
 They are part of the result (`statements` of a region in climate.json).
 """
@@ -22,14 +22,14 @@ from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 FEWEST_MEMBERS = 39
 """Members whose extremes are 95 % bounds."""
 DRIPPING_H = 24.0
-"""[h/a] above saturation from which the model lacks something that would hold the air below it."""
+"""[h/a] above saturation from which the model evidently lacks condensation or storage of moisture."""
 LEAST_OPERATION = 0.3
 """Share of the time in operation below which power or wind are doubted."""
 BEYOND_K = 2.0
 BEYOND_SHARE = 0.1
 """How far beyond the ends a temperature [K], or a share of the range of another input, counts as outside."""
 SAID_FROM = 0.01
-"""Share of the time from which it is said."""
+"""Share of the time outside the identified range from which a statement says so."""
 
 
 def interval_words(weather: Record) -> list[str]:
@@ -72,7 +72,7 @@ def member_words(members: int, years: int) -> list[str]:
 
 
 def limit_words(limits: Sequence[Limit], gathered: Gathered) -> list[str]:
-    """Limits without a meaning: the model lacks the quantity, or the limit's hours never occur."""
+    """Statements on limits that cannot be judged: the model lacks the quantity, or the hours never occur."""
     said = []
     for one in limits:
         if one.name not in gathered.limits:
@@ -163,7 +163,7 @@ def extrapolation_words(fit: Fit, record: Record) -> list[str]:
 
 
 def _units(fit: Fit) -> dict[str, tuple[str, float, float, int]]:
-    """How each input is told: unit and meaning, factor, offset, decimals."""
+    """By input: unit with meaning, factor and offset from the model's unit, decimals."""
     return {
         "ambient_temperature": ("°C of ambient air", 1.0, -ZERO_CELSIUS_K, 1),
         "ambient_absolute_humidity": ("g/m³ of ambient air", 1.0, 0.0, 1),

@@ -14,7 +14,7 @@ import numpy as np
 from hygrokf.climate.bounds import Bounded, bounded, bounded_array, rounded
 from hygrokf.climate.chamber import Acceleration, ProfilePlan
 from hygrokf.climate.chamber_profile import ChamberProfile, build_profile
-from hygrokf.climate.ensemble import WHOLE, YEAR_H, Year, part_text
+from hygrokf.climate.ensemble import WHOLE, YEAR_H, Year
 from hygrokf.climate.limits import Limit, exceeded
 from hygrokf.climate.representative_days import Days, days_of, joined, thinned
 from hygrokf.climate.statistics import CYCLE_RANGES_K, SCOPES, courses, outside, rates, scalars
@@ -82,7 +82,7 @@ class Span(NamedTuple):
 
 @dataclass
 class Gathered:
-    """What is kept of the years of one ensemble: an entry for each year."""
+    """The years of one ensemble, reduced: each list has an entry for each year."""
 
     scalars: dict[str, list[dict[str, np.ndarray]]] = field(
         default_factory=lambda: {scope: [] for scope in SCOPES}
@@ -96,16 +96,20 @@ class Gathered:
 
     @property
     def part(self) -> str:
-        """The known part of the fullest year in words where it is too little to stand for a year; else ""."""
+        """The known part of the fullest year, such as "80 days"; "" where it can stand for a year."""
         fullest = max(self.spans, key=lambda span: span.hours)
-        return part_text(fullest.hours, (fullest.end_s - fullest.begin_s) / 3600.0 + 1.0)
+        if fullest.hours >= WHOLE * YEAR_H:
+            return ""
+        covered = (fullest.end_s - fullest.begin_s) / 3600.0 + 1.0  # gaps included
+        hours = covered if covered < WHOLE * YEAR_H else fullest.hours
+        return f"{hours / 24.0:.0f} days" if hours >= 48.0 else f"{hours:.0f} hours"
 
     def has(self, scope: str) -> bool:
         """Whether any hour of any year belongs to a scope."""
         return any(year["hours"].max() > 0.0 for year in self.scalars[scope])
 
     def add(self, year: Year, limits: Sequence[Limit], law: Acceleration, members: int) -> None:
-        """Reduce one more year of an ensemble with so many members."""
+        """Reduce one more year of an ensemble of so many members."""
         for scope in SCOPES:  # a year without operation has 0 h of it, and counts among the others
             self.scalars[scope].append(scalars(year, law, scope))
         self.curves.append(curves(year))
@@ -117,7 +121,7 @@ class Gathered:
             if found is not None:
                 self.limits.setdefault(one.name, []).append(found)
         if year.relative_humidity is not None and abs(year.step_h - 1.0) < 1e-6:
-            # other members in other years, so that their differences are among the days too
+            # each year contributes other members, so that the days show the differences between members
             first = len(self.days) * DAYS_OF
             chosen = sorted({(first + i) % members for i in range(min(DAYS_OF, members))})
             self.days.append(thinned(days_of(year, chosen)))
