@@ -79,7 +79,7 @@ def year_table(region: RegionClimate) -> Table:
 
 
 def regimes_table(region: RegionClimate) -> Table | None:
-    """Operation beside standstill; None where there is only one of them."""
+    """Operation beside standstill; None where the year has only one of them."""
     if not {"operation", "standstill"} <= set(region.scopes):
         return None
     return _scopes(
@@ -87,7 +87,7 @@ def regimes_table(region: RegionClimate) -> Table | None:
         "Operation and standstill",
         ("operation", "standstill"),
         False,
-        "Means are taken over the hours of the column; hours are those of the year that belong to it.",
+        "Means are taken over the hours of each column; hours are the column's share of the year.",
     )
 
 
@@ -141,8 +141,8 @@ def rates_table(region: RegionClimate) -> Table:
     )
 
 
-def limits_table(region: RegionClimate) -> Table | None:
-    """Limits and verdicts; None without limits."""
+def limits_table(region: RegionClimate) -> Table:
+    """Limits and verdicts."""
     rows = []
     for one in region.limits:
         when = "" if one.during == "all" else f", {SCOPE_WORDS[one.during]}"
@@ -157,8 +157,6 @@ def limits_table(region: RegionClimate) -> Table | None:
                 verdict_text(one),
             )
         )
-    if not rows:
-        return None
     return Table(
         "Limits and verdicts",
         ("limit", "exceeded", "allowed, h/a", "found, h/a", "number/a", "longest, h", "verdict"),
@@ -187,12 +185,12 @@ def profile_table(region: RegionClimate) -> Table | None:
             f"{plain_number(aged.years_upper)})",
         ),
         (
-            "joint distribution of temperature before warming and humidity",
+            "joint distribution of humidity and temperature before warming",
             "",
             "",
             f"distance {fixed(close.joint_distance)}",
         ),
-        ("distribution of the ageing over it", "", "", f"distance {fixed(close.ageing_distance)}"),
+        ("distribution of the ageing over these", "", "", f"distance {fixed(close.ageing_distance)}"),
         _shares("share of hours above 80 %", close.wet_share),
         _shares("share of the ageing above 80 %", close.wet_ageing_share),
         ("mean relative humidity, %", fixed(humidity.site, 1), fixed(humidity.test, 1), ""),

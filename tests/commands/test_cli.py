@@ -24,7 +24,7 @@ from hygrokf.data.structured import plain
 from hygrokf.identification.procedure import DEFAULT_KIND
 from hygrokf.identification.results import read_fit
 from hygrokf.identification.tables import evaluate, simulated, simulation_summary
-from hygrokf.report.evaluation_text import evaluation_text
+from hygrokf.report.fit_tables import evaluation_text
 from hygrokf.version import __version__
 
 COMMANDS = ("demo", "check", "fit", "simulate", "evaluate", "export", "track", "doctor", "report")

@@ -18,7 +18,7 @@ from hygrokf.identification.verdict import with_verdicts
 from hygrokf.identification.wording import decimals_for, percent, plain_number
 from hygrokf.report.blocks import Figure
 from hygrokf.report.figures.drawing import NothingToShow
-from hygrokf.report.figures.overview import Picture
+from hygrokf.report.figures.fit import Picture
 from hygrokf.report.fit_page import ReportFault, read_results, report_page, report_text, write_report
 from hygrokf.report.fit_tables import rmse_table
 from hygrokf.report.fit_text import judgements, time_constant
@@ -214,7 +214,8 @@ def test_a_piece_that_is_wrong_leaves_a_page_or_is_a_fault_with_its_place(quick,
 @pytest.mark.parametrize("piece", ["heat_release", "time_constants", "innovations", "parameters", "design"])
 def test_figures_take_a_fit_with_holes(piece: str, value: object) -> None:
     from hygrokf.report.figures.drawing import NothingToShow
-    from hygrokf.report.figures.overview import figure_heat_release, figure_innovations, figure_profiles
+    from hygrokf.report.figures.identification import figure_heat_release, figure_profiles
+    from hygrokf.report.figures.innovations import figure_innovations
 
     fit, series = report_case()
     fit = _trimmed(fit, 9)

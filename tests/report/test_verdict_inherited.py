@@ -42,7 +42,7 @@ from hygrokf.report.climate_page import climate_blocks, climate_page
 from hygrokf.report.comparison_page import comparison_page, comparison_text
 from hygrokf.report.discovery_page import discovery_page, discovery_text
 from hygrokf.report.discovery_text import error_sentences, gain_sentence
-from hygrokf.report.evaluation_text import evaluation_text
+from hygrokf.report.fit_tables import evaluation_text
 from hygrokf.report.transfer_page import transfer_page, transfer_text
 from hygrokf.transfer.comparison import compare, comparison_column
 from hygrokf.transfer.procedure import transfer_fit

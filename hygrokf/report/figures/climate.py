@@ -16,7 +16,9 @@ from hygrokf.report.figures.drawing import (
     QUIET,
     SIMULATED,
     NothingToShow,
+    area_handle,
     key,
+    line_handle,
     new_figure,
     styled,
 )
@@ -42,11 +44,8 @@ def figure_joint(region: RegionClimate) -> Figure:
         raise NothingToShow("The model has no humidity.")
     from matplotlib.colors import LinearSegmentedColormap, LogNorm
 
-    warm, damp, shown = (
-        joint.temperature_edges_degC,
-        joint.humidity_edges_percent,
-        (joint.hours, joint.outside),
-    )
+    warm, damp = joint.temperature_edges_degC, joint.humidity_edges_percent
+    shown = (joint.hours, joint.outside)
     top = max(float(one.max()) for one in shown)
     shades = LinearSegmentedColormap.from_list("hours", SHADES)
     with styled():
@@ -112,17 +111,12 @@ def _duration(axis: Axes, curve: DurationCurve, label: str, rate: bool) -> None:
 
 
 def _duration_key(axis: Axes, share: str) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    axis.legend(
-        handles=[
-            Line2D([], [], color=MEASURED, label="cabinet, simulated"),
-            Patch(color=MEASURED, alpha=0.25, label=f"{share} of single years"),
-            Line2D([], [], color=AMBIENT, linestyle=(0, (4, 2)), label="outside"),
-        ],
-        loc="center",
-    )
+    handles = [
+        line_handle(MEASURED, "cabinet, simulated", 0.9),
+        area_handle(MEASURED, f"{share} of single years", 0.25, edgecolor=MEASURED),
+        line_handle(AMBIENT, "outside", 0.9, linestyle=(0, (4, 2))),
+    ]
+    axis.legend(handles=handles, loc="center")
 
 
 def figure_profile(region: RegionClimate) -> Figure:
@@ -130,8 +124,6 @@ def figure_profile(region: RegionClimate) -> Figure:
     profile = region.test_profile
     if profile is None:
         raise NothingToShow("There is no test profile of this climate.")
-    from matplotlib.lines import Line2D
-
     hour = profile.hour
     with styled():
         made = new_figure(3.7)
@@ -139,13 +131,8 @@ def figure_profile(region: RegionClimate) -> Figure:
         upper.plot(hour, profile.temperature_degC, color=SIMULATED, linewidth=0.7)
         upper.plot(hour, profile.site_temperature_degC, color=QUIET, linewidth=0.6)
         upper.set_ylabel("temperature [°C]")
-        key(
-            upper,
-            [
-                Line2D([], [], color=SIMULATED, label="test"),
-                Line2D([], [], color=QUIET, label="the same hours at the site"),
-            ],
-        )
+        same = "the same hours at the site"
+        key(upper, [line_handle(SIMULATED, "test", 0.9), line_handle(QUIET, same, 0.9)])
         lower.plot(hour, profile.relative_humidity_percent, color=MEASURED, linewidth=0.7)
         lower.set_ylabel("relative humidity [%]")
         lower.set_xlabel("hours of the test")
