@@ -262,7 +262,7 @@ def summary(found: ComparisonResults, quantity: str, best: str) -> list[str]:
 def _sentence(pair: PairDifference, quantity: str, period: str, row: ErrorDifference) -> str:
     less, more = (pair.of, pair.less) if row.value < 0 else (pair.less, pair.of)
     if math.isnan(row.lower):
-        sure = "; the period is too short for bounds"
+        sure = "; not enough data for bounds"
     elif row.sure:
         low, high = sorted((abs(row.lower), abs(row.upper)))
         sure = f" (95 % {fixed(low)} … {fixed(high)})"

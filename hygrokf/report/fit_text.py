@@ -255,13 +255,14 @@ def _errors(fit: FitResults, part: str) -> list[Judgement]:
 
 def _bands(fit: FitResults) -> list[Judgement]:
     """The free run's bands that fail, then all bands by how many readings they hold."""
-    found: dict[str, list[str]] = {"right": [], "narrow": [], "wide": []}
+    found: dict[str, list[str]] = {"bands that hold": [], "narrow bands": [], "wide bands": []}
     for lead in fit.bands:
         for quantity in SCORED:
             band = fit.band(lead, quantity)
             share = band.coverage
             if math.isfinite(share) and band.n >= FEWEST_IN_BAND:
-                kind = "narrow" if share < COVERAGE[0] else "wide" if share > COVERAGE[1] else "right"
+                low, high = COVERAGE
+                kind = "narrow bands" if share < low else "wide bands" if share > high else "bands that hold"
                 found[kind].append(f"{lead_words(lead)} {QUANTITIES[quantity][0]} {percent(share)}")
     made = []
     for quantity in SCORED:
@@ -274,12 +275,12 @@ def _bands(fit: FitResults) -> list[Judgement]:
             )
             made.append(Judgement(REJECT, said, f"band of {quantity}"))
     words = {
-        "right": (BELIEVE, "hold about 95 % of the readings"),
-        "narrow": (CAUTION, "are too narrow"),
-        "wide": (CAUTION, "are wider than needed"),
+        "bands that hold": (BELIEVE, "hold about 95 % of the readings"),
+        "narrow bands": (CAUTION, "are too narrow"),
+        "wide bands": (CAUTION, "are wider than needed"),
     }
     return made + [
-        Judgement(verdict, f"95 % bands that {said}: {', '.join(found[kind])}.", f"{kind} bands")
+        Judgement(verdict, f"95 % bands that {said}: {', '.join(found[kind])}.", kind)
         for kind, (verdict, said) in words.items()
         if found[kind]
     ]
