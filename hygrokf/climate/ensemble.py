@@ -1,10 +1,9 @@
 """Free runs of an ensemble through years of weather: parameters drawn, disturbances simulated.
 
-From one instant to the next every member takes one step of the model's moments from a known state.  The mean
-and covariance of the step are the distribution of the next state (exactly where the model is linear over a
-step), from which the next state is drawn: Gaussian, or with the shots that the fit's innovations show
-(`climate.jump_noise`).  All members step side by side in compiled code.  In a model with switches every
-member operates its own.
+From a known state the model's moments over one step are the mean and covariance of the next state (exact
+where the model is linear over a step).  Every member draws its next state from that distribution: Gaussian,
+or with the rare shots that the fit's innovations show (`climate.jump_noise`).  Compiled code steps all
+members side by side.  In a model with switches every member operates its own.
 
 Shapes: N members, T instants that are kept, n states.
 """
@@ -16,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.climate.jump_noise import Shots, shots
+from hygrokf.climate.jump_noise import Shots, shots_from_innovations
 from hygrokf.data.record import Record
 from hygrokf.engine.long_steps import inputs_between
 from hygrokf.estimation.batch_filter import SideBySide
@@ -28,6 +27,7 @@ from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.physics.cold_surface import Surface, condenses
 from hygrokf.physics.expression import Value
 from hygrokf.physics.model import Model
+from hygrokf.physics.parameters import Parameter
 from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
     absolute_humidity_from_vapour_pressure,
@@ -41,12 +41,14 @@ YEAR_H = 8766.0
 WHOLE = 0.9
 """Share of a year above which a stretch counts as a year."""
 SPIN_UP_H = 720.0
-"""[h] length of the first run, after which the state has forgotten its start; the run then begins again."""
+"""[h] length of a first run, after which the state has forgotten its start; then the run starts over."""
 SINGULAR = 1e-9
 """Share of a state's variance [1] that is added as noise of its own, so that singular covariances have a
 factor."""
 DRAWN = 256
 """Steps whose random numbers are drawn at once."""
+LOG_MOST = 0.5
+"""Standard error of a logarithm [1] up to which the logarithm is drawn from a normal distribution."""
 
 
 @dataclass(frozen=True)
@@ -76,16 +78,60 @@ class Year:
         return float(self.known.sum()) * self.step_h
 
 
-def part_text(known: float, covered: float | None = None) -> str:
-    """The known part of a year [h] in words, such as "80 days"; "" where it is enough to stand for a year.
+# --- members ---------------------------------------------------------------------------------
 
-    `covered`: the time [h] that the weather covers, gaps included, which is stated where it is less than a
-    year too.
+
+def draw_members(fit: Fit, count: int, seed: int) -> list[dict[str, float]]:
+    """`count` sets of parameter values, each as plausible as the fit given its data.
+
+    The values are drawn from the normal distribution of the estimates in the coordinates of the estimation
+    (logarithms of positive parameters) and cut at the parameters' bounds.  A positive parameter whose
+    logarithm is uncertain by more than `LOG_MOST`, usually a noise, cannot be distinguished from zero: a
+    normal distribution of its logarithm would reach values a hundred times as large, which the data exclude.
+    It is drawn in its own unit.  Parameters without covariance (at a bound, or fixed) keep the fit's value.
+    The biases of the loggers are drawn with the others, because their uncertainty also makes the heat release
+    uncertain.  A seed gives the same sets for every count.
     """
-    if known >= WHOLE * YEAR_H:
-        return ""
-    hours = covered if covered is not None and covered < WHOLE * YEAR_H else known
-    return f"{hours / 24.0:.0f} days" if hours >= 48.0 else f"{hours:.0f} hours"
+    names, matrix = fit.covariance
+    by_name = {p.name: p for p in fit.design.model.parameters}
+    chosen = [by_name[name] for name in names]
+    values = np.array([fit.values[p.name] for p in chosen])
+    slopes = np.array([p.slope(v) for p, v in zip(chosen, values, strict=True)])
+    centre = np.array([p.to_coordinate(v) for p, v in zip(chosen, values, strict=True)])
+    factor = _factor(matrix / np.outer(slopes, slopes)) if len(chosen) else np.zeros((0, 0))
+    spread = np.sqrt((factor**2).sum(axis=1))
+    rows = np.random.default_rng([seed, 1]).standard_normal((count, len(chosen)))
+    members = []
+    for row in rows:
+        moves = factor @ row
+        own = {
+            p.name: _moved(p, float(z), float(move), float(s))
+            for p, z, move, s in zip(chosen, centre, moves, spread, strict=True)
+        }
+        members.append({**fit.values, **own})
+    return members
+
+
+def _moved(p: Parameter, z: float, move: float, sd: float) -> float:
+    """The parameter's value moved from z along its coordinate, or in its own units; within its bounds."""
+    if p.positive and sd > LOG_MOST:
+        value = p.from_coordinate(z) * (1.0 + move)
+    else:
+        # cut before the exponential, which could overflow
+        value = p.from_coordinate(min(max(z + move, p.to_coordinate(p.lower)), p.to_coordinate(p.upper)))
+    return min(max(value, p.lower), p.upper)
+
+
+def _factor(covariance: np.ndarray) -> np.ndarray:
+    """A matrix B with B B' the covariance, which may be singular."""
+    symmetric = 0.5 * (covariance + covariance.T)
+    scale = np.sqrt(np.maximum(np.diag(symmetric), 0.0))
+    scale[scale == 0.0] = 1.0
+    values, vectors = np.linalg.eigh(symmetric / np.outer(scale, scale))
+    return scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+# --- instants and years ----------------------------------------------------------------------
 
 
 def course(fit: Fit, record: Record) -> Run:
@@ -107,7 +153,7 @@ def shots_of(fit: Fit, record: Record) -> tuple[Shots, ...]:
     walk.through(range(1))
     for _ in range(int(SPIN_UP_H / STEP_H)):
         walk.through(range(1, 2), jump=False)
-    return shots(fit, model, inputs, walk.state[0])
+    return shots_from_innovations(fit, model, inputs, walk.state[0])
 
 
 def _typical(values: np.ndarray, regime: bool) -> float:
@@ -129,9 +175,12 @@ def simulate_years(
 ) -> Iterator[Year]:
     """Years of weather and power (a record), one after the other, through every member's model.
 
-    `rare`: noise that comes as shots (`shots_of`); what is not named there is Gaussian.  Without `process`
-    the disturbances stay at what is expected of them: parameters alone.  Raises ValueError where the record
-    lacks what the model reads, and where a member's model runs away.
+    members: parameter values of each, as `draw_members` gives them.
+    process: without it the disturbances stay at their means, and only the parameters differ.
+    rare: noise that comes as shots (`shots_of`); all other noise is Gaussian.
+    say: is told the number of each year.
+
+    Raises ValueError where the record lacks an input of the model, and where a member's state diverges.
     """
     made = course(fit, record)
     design = read_as(fit.design, record)
@@ -185,7 +234,7 @@ def kept_instants(time_h: np.ndarray) -> np.ndarray:
 
 
 def years_of(time_h: np.ndarray) -> list[np.ndarray]:
-    """Places of the instants [h] of each year; a last stretch much shorter than a year is left out.
+    """Places of the instants [h] of each year, without a last stretch that is much shorter than a year.
 
     Years without any instant, between weather files that are years apart, are not counted.
     """
@@ -280,7 +329,7 @@ def _drawn(covariance: np.ndarray, kick: np.ndarray) -> np.ndarray:
     try:
         factor = np.linalg.cholesky(correlation)
     except np.linalg.LinAlgError:
-        # a curved model's moments may miss by a little what makes them those of a distribution
+        # the moments of a nonlinear model may have an eigenvalue a little below 0
         least = np.linalg.eigvalsh(correlation)[:, 0]
         correlation[:, np.arange(n), np.arange(n)] += np.maximum(2.0 * SINGULAR - least, 0.0)[:, None]
         factor = np.linalg.cholesky(correlation)

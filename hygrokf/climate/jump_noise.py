@@ -1,9 +1,9 @@
-"""Disturbances that come as rare strong ones: how rare, from a fit's innovations, and how they are drawn.
+"""Disturbances that are rare and strong: how rare, from a fit's innovations, and how they are drawn.
 
-Heat and vapour that the model does not explain are noise to the filter, and Gaussian.  A door, a drain or a
-fan is not: it is strong and rare, with the same variance.  What lives of single events (rates of change,
-hours above a limit) is then other than a Gaussian noise makes it.  The fit's innovations tell: their excess
-kurtosis is 0 for Gaussian noise.
+To the filter, heat and vapour that the model does not explain are Gaussian noise.  A door, a drain or a fan
+is strong and rare instead, with the same variance, and changes everything that depends on single events:
+rates of change, hours above a limit.  The excess kurtosis of the fit's innovations, 0 for Gaussian noise,
+shows how rare.
 
 Noise with shots is a compound Poisson process: normal shots at random times, every h hours on average.  Over
 a step d the variance is the Gaussian one times G h/d, G ~ Poisson(d/h), with mean 1; the excess kurtosis of
@@ -27,10 +27,10 @@ from hygrokf.physics.expression import Value
 from hygrokf.physics.model import Model
 
 FEWEST_JUMPS = 30
-"""Shots that the fit's period must have seen: a fourth moment of fewer is none, so shots are not taken as
-rarer."""
+"""Shots that the fit's period must have seen, which limits their distance: a fourth moment of fewer events is
+worthless."""
 SETTLED = 2000
-"""Readings after which the filter's covariance, and what is left of a shot, are taken as settled."""
+"""Readings after which the filter's covariance has converged and a shot has decayed."""
 OUTPUTS = {
     "temperature": ("cabinet_temperature",),
     "humidity": ("cabinet_relative_humidity", "cabinet_absolute_humidity"),
@@ -40,8 +40,8 @@ OUTPUTS = {
 
 @dataclass(frozen=True)
 class Shots:
-    """Noise of some of the states that comes as shots: `states` (n,) which, `every_h` [h] apart on average
-    (0: Gaussian)."""
+    """Noise that comes as shots: in which `states` (n,), and how far apart on average, `every_h` [h] (0:
+    Gaussian)."""
 
     name: str
     states: np.ndarray
@@ -54,15 +54,17 @@ class Shots:
         return np.sqrt(random.poisson(step_h / self.every_h, count) * (self.every_h / step_h))
 
 
-def shots(fit: Fit, model: Model, inputs: Mapping[str, float], state: np.ndarray) -> tuple[Shots, ...]:
+def shots_from_innovations(
+    fit: Fit, model: Model, inputs: Mapping[str, float], state: np.ndarray
+) -> tuple[Shots, ...]:
     """How often the disturbances of heat and of vapour come, from the excess kurtosis of a fit's innovations.
 
     `model` is the fit's; it is linearised at typical `inputs` and a typical `state` (n,).  The filter of the
-    readings carries a shot on: an innovation is the sum of h'M^s exp(A v) w over all that came s readings and
-    v hours before one, with M = F (I − K H), so that fourth cumulants add up to κ S² = 3 h Σ_s Σ_i ∫ (h'M^s
-    exp(A v) e_i)⁴ q_i² dv over the readings' step, with S the innovation's variance and q_i the noise
-    intensity of state i. Shots of heat are found from the temperature's innovations; what these owe to the
-    humidity's is taken off before shots of vapour are.
+    readings remembers a shot: an innovation is the sum of h'M^s exp(A v) w over all shots w that came s
+    readings and v hours before a reading, with M = F (I − K H), so that fourth cumulants add up to
+    κ S² = 3 h Σ_s Σ_i ∫ (h'M^s exp(A v) e_i)⁴ q_i² dv over the readings' step, with S the innovation's
+    variance and q_i the noise intensity of state i.  The temperature's innovations give the shots of heat;
+    their share in the humidity's innovations is subtracted before the shots of vapour are found.
     """
     seen = _seen(fit, model)
     if not seen:
@@ -86,7 +88,7 @@ def shots(fit: Fit, model: Model, inputs: Mapping[str, float], state: np.ndarray
     return tuple(found)
 
 
-def words(found: tuple[Shots, ...]) -> list[str]:
+def shot_words(found: tuple[Shots, ...]) -> list[str]:
     """A statement on shots that are on average more than an hour apart."""
     rare = [f"{one.name} every {one.every_h:.0f} h" for one in found if one.every_h >= 1.0]
     if not rare:

@@ -12,7 +12,7 @@ import numpy as np
 
 from hygrokf.climate.bounds import Bounded, bounded
 from hygrokf.climate.ensemble import YEAR_H, Year
-from hygrokf.climate.statistics import SCOPES, courses, excursions, scope_of
+from hygrokf.climate.statistics import SCOPES, courses, excursions, scope_of, steepness
 from hygrokf.data.toml_form import across, read_toml_form, setting
 
 QUANTITIES = {
@@ -42,11 +42,13 @@ class Limit:
     during: str = "all"
 
     def words(self) -> str:
+        """The limit in words: "temperature above 45 °C in operation"."""
         when = "" if self.during == "all" else f" in {self.during}"
         return f"{self.quantity_words} {self.side} {self.level:g} {QUANTITIES[self.quantity]}{when}"
 
     @property
     def quantity_words(self) -> str:
+        """The quantity in words, without its unit."""
         for tail in ("_degC", "_percent_per_h", "_percent", "_g_m3", "_K_per_h"):
             if self.quantity.endswith(tail):
                 return self.quantity.removesuffix(tail).replace("_", " ")
@@ -151,11 +153,9 @@ def beyond(year: Year, limit: Limit) -> np.ndarray | None:
         return None
     chosen = scope_of(year, limit.during)
     if limit.quantity in _RATE_OF:
-        seconds = np.diff(year.time_s)
-        near = (seconds < 1.5 * 3600.0 * year.step_h) & chosen[1:] & chosen[:-1]
-        steep = np.abs(np.diff(values, axis=1)) * (3600.0 / seconds)
+        steep, near = steepness(values, year)
         found = np.zeros(values.shape, dtype=bool)
-        found[:, 1:] = (steep > limit.level) & near
+        found[:, 1:] = (steep > limit.level) & near & chosen[1:] & chosen[:-1]
         return found
     outside = values > limit.level if limit.side == "above" else values < limit.level
     return outside & chosen
@@ -171,7 +171,7 @@ def exceeded(year: Year, limit: Limit) -> np.ndarray | None:
     return np.column_stack([found.sum(axis=1) * per_year, number * per_year / year.step_h, longest])
 
 
-def judged(limit: Limit, years: Sequence[np.ndarray], part: str = "") -> Exceedance:
+def judge_limit(limit: Limit, years: Sequence[np.ndarray], part: str = "") -> Exceedance:
     """The verdict on a limit from the members' numbers (N, 3) in every year.
 
     "pass" where the upper bound of the hours in a year is within what is allowed, "fail" where the lower

@@ -30,7 +30,7 @@ LAWS = {"power": "exponent", "log": "roughness_m"}
 
 
 class PowerFault(HygrokfError):
-    """Power that cannot be used, with every reason."""
+    """A record of power, or weather for a power curve, that cannot be used; with every reason."""
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,7 @@ class PowerCurve:
         return np.where(np.isnan(hub), np.nan, found)
 
     def words(self) -> str:
+        """How the curve turns the weather's wind into power."""
         how = (
             f"power law, exponent {self.number:g}"
             if self.law == "power"

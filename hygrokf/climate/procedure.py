@@ -9,15 +9,13 @@ import numpy as np
 
 from hygrokf.climate.bounds import LEVEL, Bounded, held
 from hygrokf.climate.chamber import ProfilePlan
-from hygrokf.climate.ensemble import Year, shots_of, simulate_years
-from hygrokf.climate.jump_noise import Shots
-from hygrokf.climate.jump_noise import words as shot_words
-from hygrokf.climate.limits import Limit, expect_names, judged
-from hygrokf.climate.parameter_samples import draw_members
+from hygrokf.climate.ensemble import Year, draw_members, shots_of, simulate_years
+from hygrokf.climate.jump_noise import Shots, shot_words
+from hygrokf.climate.limits import Limit, expect_names, judge_limit
 from hygrokf.climate.power import PowerCurve
-from hygrokf.climate.range import extrapolation_words
 from hygrokf.climate.region import Region, driven
 from hygrokf.climate.statements import (
+    extrapolation_words,
     interval_words,
     limit_words,
     member_words,
@@ -180,7 +178,7 @@ def _region(
         rates=gathered.duration_curves("rates"),
         joint=gathered.joint(),
         limits=tuple(
-            judged(one, gathered.limits[one.name], gathered.part)
+            judge_limit(one, gathered.limits[one.name], gathered.part)
             for one in limits
             if one.name in gathered.limits
         ),

@@ -8,12 +8,13 @@ reference years, ISO 15927-4, with days in place of months and ageing in place o
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.climate.acceleration import Acceleration
+from hygrokf.climate.chamber import Acceleration
 from hygrokf.climate.ensemble import Year
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
@@ -41,6 +42,7 @@ class Days:
         return len(self.start_s)
 
     def take(self, places: Sequence[int] | np.ndarray) -> Days:
+        """The days at these places."""
         return Days(
             self.temperature_degC[places], self.relative_humidity_percent[places], self.start_s[places]
         )
@@ -67,6 +69,7 @@ def days_of(year: Year, members: Sequence[int]) -> Days:
 
 
 def joined(parts: Sequence[Days]) -> Days:
+    """The days of several parts, one after the other."""
     return Days(*(np.concatenate([getattr(p, name) for p in parts]) for name in Days.__dataclass_fields__))
 
 
@@ -167,16 +170,19 @@ def ordered(days: Days) -> np.ndarray:
         order.append(nearest)
         left.remove(nearest)
 
-    # a day is moved to where it fits better: joins have a direction, so that pieces are not turned round
+    # then move single days to where they fit better; a piece of several days cannot be turned round
     for _ in range(4):
         moved = False
         for day in list(order):
             at = order.index(day)
+            around = order[max(at - 1, 0) : at + 2]
+            gain = _length(jump, around) - _length(jump, [d for d in around if d != day])
             rest = order[:at] + order[at + 1 :]
-            gain = (
-                _join(jump, order, at - 1, day) + _join(jump, order, at, None, day) - _bridge(jump, order, at)
-            )
-            costs = [_insertion(jump, rest, place, day) for place in range(1, len(rest) + 1)]
+            costs = [
+                _length(jump, [rest[place - 1], day, *rest[place : place + 1]])
+                - _length(jump, rest[place - 1 : place + 1])
+                for place in range(1, len(rest) + 1)
+            ]
             place = int(np.argmin(costs)) + 1 if costs else 0
             if costs and at > 0 and costs[place - 1] < gain - 1e-9:
                 order = [*rest[:place], day, *rest[place:]]
@@ -186,22 +192,6 @@ def ordered(days: Days) -> np.ndarray:
     return np.array(order)
 
 
-def _join(jump: np.ndarray, order: list[int], at: int, to: int | None, of: int | None = None) -> float:
-    """Jump from the day at a place to another, or from a day to the one after that place."""
-    if of is None:
-        return float(jump[order[at], to]) if at >= 0 else 0.0
-    return float(jump[of, order[at + 1]]) if at + 1 < len(order) else 0.0
-
-
-def _bridge(jump: np.ndarray, order: list[int], at: int) -> float:
-    """Jump that remains where a day is taken out."""
-    inside = 0 < at < len(order) - 1
-    return float(jump[order[at - 1], order[at + 1]]) if inside else 0.0
-
-
-def _insertion(jump: np.ndarray, rest: list[int], place: int, day: int) -> float:
-    """What it costs to put a day before the one at a place (or at the end)."""
-    before = float(jump[rest[place - 1], day])
-    if place == len(rest):
-        return before
-    return before + float(jump[day, rest[place]]) - float(jump[rest[place - 1], rest[place]])
+def _length(jump: np.ndarray, days: Sequence[int]) -> float:
+    """Sum of the jumps from each of some days to the next."""
+    return float(sum(jump[a, b] for a, b in itertools.pairwise(days)))

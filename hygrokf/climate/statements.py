@@ -1,4 +1,4 @@
-"""Statements on a climate: doubts about its weather, power, members and limits.
+"""Statements on a climate: doubts about its weather, power, members, limits and extrapolation.
 
 They are part of the result (`statements` of a region in climate.json).
 """
@@ -10,18 +10,26 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from hygrokf.climate.bounds import LEVEL, Bounded, held
-from hygrokf.climate.ensemble import WHOLE, YEAR_H
+from hygrokf.climate.ensemble import WHOLE, YEAR_H, course
 from hygrokf.climate.limits import Limit
 from hygrokf.climate.years import Gathered
 from hygrokf.data.ambient import middle
 from hygrokf.data.record import Record
+from hygrokf.identification.fit import Fit
+from hygrokf.modelling.inputs import IDENTIFIED_ON
+from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 FEWEST_MEMBERS = 39
 """Members whose extremes are 95 % bounds."""
 DRIPPING_H = 24.0
-"""[h/a] above saturation from which the model lacks something that would hold the air below it."""
+"""[h/a] above saturation from which the model evidently lacks condensation or storage of moisture."""
 LEAST_OPERATION = 0.3
 """Share of the time in operation below which power or wind are doubted."""
+BEYOND_K = 2.0
+BEYOND_SHARE = 0.1
+"""How far beyond the ends a temperature [K], or a share of the range of another input, counts as outside."""
+SAID_FROM = 0.01
+"""Share of the time outside the identified range from which a statement says so."""
 
 
 def interval_words(weather: Record) -> list[str]:
@@ -64,7 +72,7 @@ def member_words(members: int, years: int) -> list[str]:
 
 
 def limit_words(limits: Sequence[Limit], gathered: Gathered) -> list[str]:
-    """Limits without a meaning: the model lacks the quantity, or the limit's hours never occur."""
+    """Statements on limits that cannot be judged: the model lacks the quantity, or the hours never occur."""
     said = []
     for one in limits:
         if one.name not in gathered.limits:
@@ -125,3 +133,39 @@ def saturation_words(found: Mapping[str, Bounded]) -> list[str]:
         "limits the humidity (condensation, moisture storage), and the bounds do not include this error; "
         "hours of wetness and condensation are unreliable"
     ]
+
+
+def extrapolation_words(fit: Fit, record: Record) -> list[str]:
+    """Statements on the hours of weather and power outside the range on which a fit was identified; none for
+    a fit without a stated range."""
+    ranges = fit.results.identified_on
+    if not ranges:
+        return []
+    made = course(fit, record)
+    said = []
+    for name, key in IDENTIFIED_ON.items():
+        if key not in ranges or name not in fit.design.model.inputs:
+            continue
+        low, high = ranges[key]
+        beyond = BEYOND_K if name == "ambient_temperature" else BEYOND_SHARE * (high - low)
+        value = made.timeline.input(name)[made.scored]
+        outside = (value < low - beyond) | (value > high + beyond)
+        share = float(outside.mean()) if len(value) else 0.0
+        if share > SAID_FROM:
+            words, factor, offset, digits = _units(fit)[name]
+            ends = (factor * one + offset for one in (low, high, float(np.min(value)), float(np.max(value))))
+            a, b, least, most = (f"{one:.{digits}f}" for one in ends)
+            said.append(
+                f"{share * YEAR_H:.0f} h/a are outside the {a} … {b} {words} on which the model was "
+                f"identified (here {least} … {most}): the model is extrapolated"
+            )
+    return said
+
+
+def _units(fit: Fit) -> dict[str, tuple[str, float, float, int]]:
+    """By input: unit with meaning, factor and offset from the model's unit, decimals."""
+    return {
+        "ambient_temperature": ("°C of ambient air", 1.0, -ZERO_CELSIUS_K, 1),
+        "ambient_absolute_humidity": ("g/m³ of ambient air", 1.0, 0.0, 1),
+        "power_1": ("kW of power", (fit.design.power_scale_W or 0.0) / 1e3, 0.0, 0),
+    }

@@ -6,6 +6,7 @@ Shapes: N members, T instants.
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,8 +14,7 @@ from typing import Literal
 
 import numpy as np
 
-from hygrokf.climate.acceleration import Acceleration
-from hygrokf.climate.cycles import cycles_from
+from hygrokf.climate.chamber import Acceleration
 from hygrokf.climate.ensemble import YEAR_H, Year
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
@@ -54,13 +54,17 @@ def scope_of(year: Year, scope: str) -> np.ndarray:
     return year.known & (year.operating if scope == "operation" else ~year.operating)
 
 
-def rates(values: np.ndarray, year: Year) -> np.ndarray:
-    """Absolute rates (N, ·) [unit/h] between neighbouring instants of which both are known."""
+def steepness(values: np.ndarray, year: Year) -> tuple[np.ndarray, np.ndarray]:
+    """Absolute rates (N, T−1) [unit/h] from each instant to the next, and which (T−1,) bridge no gap."""
     seconds = np.diff(year.time_s)
-    both = year.known[1:] & year.known[:-1] & (seconds < 1.5 * 3600.0 * year.step_h)
-    if not both.any():
-        return np.zeros((len(values), 1))
-    return np.abs(np.diff(values, axis=1)[:, both]) * (3600.0 / seconds[both])
+    return np.abs(np.diff(values, axis=1)) * (3600.0 / seconds), seconds < 1.5 * 3600.0 * year.step_h
+
+
+def rates(values: np.ndarray, year: Year) -> np.ndarray:
+    """Absolute rates (N, ·) [unit/h] between neighbouring instants that are both known; 0 where none are."""
+    steep, near = steepness(values, year)
+    both = near & year.known[1:] & year.known[:-1]
+    return steep[:, both] if both.any() else np.zeros((len(values), 1))
 
 
 def excursions(beyond: np.ndarray, step_h: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -77,6 +81,49 @@ def excursions(beyond: np.ndarray, step_h: float) -> tuple[np.ndarray, np.ndarra
     total = beyond.sum(axis=1) * step_h
     mean = np.where(number > 0, total / np.maximum(number, 1), np.nan)
     return number.astype(float), mean, longest.astype(float)
+
+
+def turning_points(values: np.ndarray) -> np.ndarray:
+    """Values (T,) at which a course turns, with its two ends."""
+    values = np.asarray(values, dtype=float)
+    values = values[np.append(True, values[1:] != values[:-1])] if len(values) else values
+    if len(values) < 3:
+        return values
+    rise = np.sign(np.diff(values))
+    return values[np.concatenate([[True], rise[1:] != rise[:-1], [True]])]
+
+
+def rainflow(values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Ranges (c,) of the cycles in a course (T,), in its unit, and their counts (c,): 1, or 0.5 for half
+    cycles.
+
+    Source: rainflow counting, ASTM E1049-85 (2017), section 5.4.4.
+    """
+    ranges: list[float] = []
+    counts: list[float] = []
+    stack: list[float] = []
+    for value in turning_points(values).tolist():
+        stack.append(value)
+        while len(stack) >= 3:
+            last, before = abs(stack[-1] - stack[-2]), abs(stack[-2] - stack[-3])
+            if last < before:
+                break
+            ranges.append(before)
+            if len(stack) == 3:  # the range holds the start of the course: half a cycle
+                counts.append(0.5)
+                del stack[0]
+            else:
+                counts.append(1.0)
+                del stack[-3:-1]
+    ranges += [abs(b - a) for a, b in itertools.pairwise(stack)]
+    counts += [0.5] * max(len(stack) - 1, 0)
+    return np.array(ranges), np.array(counts)
+
+
+def cycles_from(values: np.ndarray, least: np.ndarray) -> np.ndarray:
+    """Number (k,) of cycles in a course (T,) with a range of at least each of `least` (k,)."""
+    ranges, counts = rainflow(values)
+    return np.array([counts[ranges >= one].sum() for one in least])
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,6 +177,8 @@ class Statistic:
 
     `of` computes it for every member (N,); None where the model lacks the quantity.  `table`: "scope" for a
     number that operation and standstill have too, "excursion" and "rate" for numbers of the whole year.
+    `weather`: whether the weather has this number too, so that it stands beside the cabinet's.  `compared`:
+    whether several regions are compared by it.
     """
 
     name: str
@@ -137,14 +186,20 @@ class Statistic:
     unit: str
     of: Callable[[Hours], np.ndarray | None]
     table: Literal["scope", "excursion", "rate"] = "scope"
+    weather: bool = True
+    compared: bool = False
+
+
+def _hours(hours: Hours) -> np.ndarray:
+    return np.full(len(hours.year.temperature_K), hours.chosen.sum() * hours.per_year)
 
 
 def _mean_of(quantity: str) -> Callable[[Hours], np.ndarray | None]:
     def mean(hours: Hours) -> np.ndarray | None:
         value = hours.courses.get(quantity)
-        if value is None or hours.chosen.any():
-            return None if value is None else value[:, hours.chosen].mean(axis=1)
-        return np.full(len(value), np.nan)
+        if value is None:
+            return None
+        return value[:, hours.chosen].mean(axis=1) if hours.chosen.any() else np.full(len(value), np.nan)
 
     return mean
 
@@ -220,9 +275,9 @@ def _of_excursion(name: str, part: str) -> Callable[[Hours], np.ndarray | None]:
 def _rate_of(quantity: str, share: float) -> Callable[[Hours], np.ndarray | None]:
     def rate(hours: Hours) -> np.ndarray | None:
         steep = hours.steep.get(quantity)
-        return (
-            None if steep is None else np.quantile(steep, share, axis=1) if share < 1.0 else steep.max(axis=1)
-        )
+        if steep is None:
+            return None
+        return np.quantile(steep, share, axis=1) if share < 1.0 else steep.max(axis=1)
 
     return rate
 
@@ -232,17 +287,18 @@ def _cycles_from(place: int) -> Callable[[Hours], np.ndarray]:
 
 
 STATISTICS: tuple[Statistic, ...] = (
-    Statistic("hours", "hours", "h/a", lambda hours: np.full(
-        len(hours.year.temperature_K), hours.chosen.sum() * hours.per_year)),
-    Statistic("mean_temperature_degC", "mean temperature", "°C", _mean_of("temperature_degC")),
+    Statistic("hours", "hours", "h/a", _hours, weather=False),
+    Statistic("mean_temperature_degC", "mean temperature", "°C", _mean_of("temperature_degC"),
+        compared=True),
     Statistic("mean_relative_humidity_percent", "mean relative humidity", "%",
-        _mean_of("relative_humidity_percent")),
+        _mean_of("relative_humidity_percent"), compared=True),
     Statistic("mean_absolute_humidity_g_m3", "mean absolute humidity", "g/m³",
         _mean_of("absolute_humidity_g_m3")),
-    Statistic("wetness_h", "time of wetness (above 80 %, above 0 °C)", "h/a", _wetness),
+    Statistic("wetness_h", "time of wetness (above 80 %, above 0 °C)", "h/a", _wetness, compared=True),
     Statistic("saturation_h", "relative humidity above 100 %", "h/a", _saturation),
-    Statistic("condensation_h", "condensation on the cold surface", "h/a", _condensation),
-    Statistic("ageing_h", "ageing, in hours at the reference condition", "h/a", _ageing),
+    Statistic("condensation_h", "condensation on the cold surface", "h/a", _condensation, compared=True),
+    Statistic("ageing_h", "ageing, in hours at the reference condition", "h/a", _ageing, weather=False,
+        compared=True),
     *(
         Statistic(f"{name}_{part}", words, unit, _of_excursion(name, part), "excursion")
         for name, (words, _) in EXCURSIONS.items()
@@ -263,8 +319,8 @@ STATISTICS: tuple[Statistic, ...] = (
         for place, least in enumerate(CYCLE_RANGES_K)
     ),
 )  # fmt: skip
-"""All numbers of a climate, in the order of climate.json; a new row is a new row of every table."""
-STATISTIC = {one.name: one for one in STATISTICS}
+"""All numbers of a climate, in the order of climate.json.  A new row here is all that a new number needs: it
+appears in climate.json, climate.csv and the tables."""
 
 
 def scalars(year: Year, law: Acceleration, scope: str = "all") -> dict[str, np.ndarray]:

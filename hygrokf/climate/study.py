@@ -1,24 +1,33 @@
-"""The climate in a fitted cabinet, as `climate.json` holds it: one `Study` of one or several regions."""
+"""The climate in a fitted cabinet: one `Study` of one or several regions, and the files that hold it."""
 
 from __future__ import annotations
 
+import csv
+import io
 import math
+import os
+import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from hygrokf.climate.bounds import Bounded, BoundedArray
 from hygrokf.climate.chamber import ProfilePlan
+from hygrokf.climate.chamber_profile import ChamberProfile
 from hygrokf.climate.limits import Exceedance
-from hygrokf.climate.test_profile import ChamberProfile
+from hygrokf.data.files import CLIMATE, write_text_whole
+from hygrokf.data.result_file import read_result, result_text
 from hygrokf.data.structured import renamed
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.physics.cold_surface import Surface
 
 if TYPE_CHECKING:
     from pandas import DataFrame
+
+TABLE = "climate.csv"
 
 
 @dataclass(frozen=True)
@@ -179,3 +188,55 @@ def _row(region: str, scope: str, statistic: str, one: Bounded, outside: float =
 def _expect_shape(shape: tuple[int, ...], arrays: Mapping[str, np.ndarray]) -> None:
     if wrong := [f"{name} {one.shape}" for name, one in arrays.items() if one.shape != shape]:
         raise ValueError(f"expected arrays of shape {shape}, found {', '.join(wrong)}")
+
+
+# --- files -----------------------------------------------------------------------------------
+
+
+def write_climate(study: Study, directory: str | os.PathLike[str]) -> Path:
+    """Write climate.json, climate.csv and test_profile*.csv; returns the path of climate.json.
+
+    Raises OSError from the system.
+    """
+    folder = Path(directory)
+    folder.mkdir(parents=True, exist_ok=True)
+    for old in folder.glob("test_profile*.csv"):  # of regions that are no longer there
+        old.unlink()
+    write_text_whole(folder / TABLE, climate_csv(study))
+    for name, text in profile_files(study).items():
+        write_text_whole(folder / name, text)
+    return write_text_whole(folder / CLIMATE, result_text(study))
+
+
+def read_climate(directory: str | os.PathLike[str]) -> Study:
+    """A climate from its directory; raises ResultFault with everything that is wrong, and where."""
+    return read_result(Study, Path(directory) / CLIMATE, "hygrokf climate")
+
+
+def climate_csv(study: Study) -> str:
+    """All single numbers, one row for each region, scope and statistic; limits with scope "limit"."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(StudyRow._fields)
+    for row in study.rows():
+        numbers = ["" if one != one else f"{one:.6g}" for one in row[3:9]]
+        writer.writerow([*row[:3], *numbers, "" if row.outside != row.outside else row.outside])
+    return text.getvalue()
+
+
+def profile_files(study: Study) -> dict[str, str]:
+    """Test profiles by file name: test_profile.csv, or test_profile_REGION.csv for several regions."""
+    found: dict[str, str] = {}
+    several = len(study.regions) > 1
+    for number, region in enumerate(study.regions, 1):
+        profile = region.test_profile
+        if profile is None:
+            continue
+        short = re.sub(r"[^A-Za-z0-9]+", "_", region.name).strip("_") or str(number)
+        name = f"test_profile_{short}.csv" if several else "test_profile.csv"
+        if name in found:
+            name = f"test_profile_{short}_{number}.csv"
+        columns = ("hour", "temperature_degC", "relative_humidity_percent", "site_temperature_degC")
+        rows = zip(*(getattr(profile, column) for column in columns), strict=True)
+        found[name] = "\n".join([",".join(columns), *(",".join(f"{v:g}" for v in row) for row in rows), ""])
+    return found

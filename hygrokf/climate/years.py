@@ -1,4 +1,7 @@
-"""The years of one ensemble, reduced one after the other to what a result is made from."""
+"""The years of one ensemble, reduced one after the other to numbers, curves, days and hours beyond limits.
+
+Shapes: N members, T instants, I temperature bins, J humidity bins.
+"""
 
 from __future__ import annotations
 
@@ -8,19 +11,64 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from hygrokf.climate.acceleration import Acceleration
 from hygrokf.climate.bounds import Bounded, bounded, bounded_array, rounded
-from hygrokf.climate.chamber import ProfilePlan
-from hygrokf.climate.distributions import HUMIDITY_EDGES, SHARES, TEMPERATURE_EDGES, Curves, curves
-from hygrokf.climate.ensemble import WHOLE, YEAR_H, Year, part_text
+from hygrokf.climate.chamber import Acceleration, ProfilePlan
+from hygrokf.climate.chamber_profile import ChamberProfile, build_profile
+from hygrokf.climate.ensemble import WHOLE, YEAR_H, Year
 from hygrokf.climate.limits import Limit, exceeded
 from hygrokf.climate.representative_days import Days, days_of, joined, thinned
-from hygrokf.climate.statistics import CYCLE_RANGES_K, SCOPES, outside, scalars
+from hygrokf.climate.statistics import CYCLE_RANGES_K, SCOPES, courses, outside, rates, scalars
 from hygrokf.climate.study import DurationCurve, JointDistribution
-from hygrokf.climate.test_profile import ChamberProfile, chamber_profile
 
 DAYS_OF = 8
 """Members of each year whose days a test profile may choose from."""
+SHARES = (0.0, 0.001, 0.01, 0.02, 0.05, *np.arange(0.1, 0.91, 0.05).round(2), 0.95, 0.98, 0.99, 0.999, 1.0)
+"""Shares of the time [1] at which a duration curve is given."""
+RATES = {"temperature_degC": "temperature", "relative_humidity_percent": "relative_humidity"}
+"""Quantities whose rates of change have a duration curve, with their keys in climate.json."""
+TEMPERATURE_EDGES = np.arange(-60.0, 120.1, 2.5)
+HUMIDITY_EDGES = np.arange(0.0, 100.1, 5.0)
+"""Edges of the joint distribution [°C], [%]; the last bin also counts what is above saturation."""
+
+
+@dataclass(frozen=True)
+class Curves:
+    """The curves of one year for every member (N).
+
+    `duration`: by quantity, the values (N, len(SHARES)) that are exceeded for these shares of the time;
+    `rates`: the same of absolute rates of change; `joint`: hours a year (N, temperature bins, humidity bins),
+    or None without humidity.
+    """
+
+    duration: Mapping[str, np.ndarray]
+    rates: Mapping[str, np.ndarray]
+    joint: np.ndarray | None
+
+
+def curves(year: Year) -> Curves:
+    """Duration curves, rates and the joint distribution of a year."""
+    rows = courses(year)
+    shares = 1.0 - np.array(SHARES)
+    duration = {name: np.quantile(value[:, year.known], shares, axis=1).T for name, value in rows.items()}
+    steep = {
+        short: np.quantile(rates(rows[name], year), shares, axis=1).T
+        for name, short in RATES.items()
+        if name in rows
+    }
+    percent = rows.get("relative_humidity_percent")
+    celsius = rows["temperature_degC"][:, year.known]
+    return Curves(duration, steep, None if percent is None else _joint_hours(celsius, percent[:, year.known]))
+
+
+def _joint_hours(celsius: np.ndarray, percent: np.ndarray) -> np.ndarray:
+    """Hours a year (N, I, J) of every member in the bins of `TEMPERATURE_EDGES` and `HUMIDITY_EDGES`."""
+    rows, columns = len(TEMPERATURE_EDGES) - 1, len(HUMIDITY_EDGES) - 1
+    i = np.clip(np.searchsorted(TEMPERATURE_EDGES, celsius, side="right") - 1, 0, rows - 1)
+    j = np.clip(np.searchsorted(HUMIDITY_EDGES, percent, side="right") - 1, 0, columns - 1)
+    member = np.arange(len(celsius))[:, None]
+    flat = ((member * rows + i) * columns + j).ravel()
+    counted = np.bincount(flat, minlength=len(celsius) * rows * columns)
+    return counted.reshape(-1, rows, columns) * (YEAR_H / celsius.shape[1])
 
 
 class Span(NamedTuple):
@@ -34,7 +82,7 @@ class Span(NamedTuple):
 
 @dataclass
 class Gathered:
-    """What is kept of the years of one ensemble: an entry for each year."""
+    """The years of one ensemble, reduced: each list has an entry for each year."""
 
     scalars: dict[str, list[dict[str, np.ndarray]]] = field(
         default_factory=lambda: {scope: [] for scope in SCOPES}
@@ -48,16 +96,20 @@ class Gathered:
 
     @property
     def part(self) -> str:
-        """The known part of the fullest year in words where it is too little to stand for a year; else ""."""
+        """The known part of the fullest year, such as "80 days"; "" where it can stand for a year."""
         fullest = max(self.spans, key=lambda span: span.hours)
-        return part_text(fullest.hours, (fullest.end_s - fullest.begin_s) / 3600.0 + 1.0)
+        if fullest.hours >= WHOLE * YEAR_H:
+            return ""
+        covered = (fullest.end_s - fullest.begin_s) / 3600.0 + 1.0  # gaps included
+        hours = covered if covered < WHOLE * YEAR_H else fullest.hours
+        return f"{hours / 24.0:.0f} days" if hours >= 48.0 else f"{hours:.0f} hours"
 
     def has(self, scope: str) -> bool:
         """Whether any hour of any year belongs to a scope."""
         return any(year["hours"].max() > 0.0 for year in self.scalars[scope])
 
     def add(self, year: Year, limits: Sequence[Limit], law: Acceleration, members: int) -> None:
-        """Reduce one more year of an ensemble with so many members."""
+        """Reduce one more year of an ensemble of so many members."""
         for scope in SCOPES:  # a year without operation has 0 h of it, and counts among the others
             self.scalars[scope].append(scalars(year, law, scope))
         self.curves.append(curves(year))
@@ -69,7 +121,7 @@ class Gathered:
             if found is not None:
                 self.limits.setdefault(one.name, []).append(found)
         if year.relative_humidity is not None and abs(year.step_h - 1.0) < 1e-6:
-            # other members in other years, so that their differences are among the days too
+            # each year contributes other members, so that the days show the differences between members
             first = len(self.days) * DAYS_OF
             chosen = sorted({(first + i) % members for i in range(min(DAYS_OF, members))})
             self.days.append(thinned(days_of(year, chosen)))
@@ -114,7 +166,7 @@ class Gathered:
         years = self.scalars["all"]
         names = [f"temperature_cycles_from_{least:g}_K_number" for least in CYCLE_RANGES_K]
         cycles = np.array([np.mean([rows[name].mean() for rows in years]) for name in names])
-        return chamber_profile(days, plan, bounded(np.array([rows["ageing_h"] for rows in years])), cycles)
+        return build_profile(days, plan, bounded(np.array([rows["ageing_h"] for rows in years])), cycles)
 
 
 def is_whole(year: Year) -> bool:

@@ -17,7 +17,7 @@ def _arguments(parser: ArgumentParser) -> None:
 
 def _run(options: Namespace) -> int:
     from hygrokf.identification.fit_on_record import evaluate
-    from hygrokf.report.evaluation_text import evaluation_text
+    from hygrokf.report.fit_tables import evaluation_text
 
     fit = stored_fit(options.fit, options.library)
     record = record_of(options.case)

@@ -111,9 +111,7 @@ def select_form(
     run = prepare_run(chosen.design, early)
     estimate = maximise(Likelihood(chosen.design.model, run.timeline), chosen.estimate.values, count=1)
     least = least_objective(estimate.coordinates, (found.estimate,))
-    last, further = select_form(
-        early, DesignEstimate(chosen.design, run, reject_below(least, estimate)), say
-    )
+    last, further = select_form(early, DesignEstimate(chosen.design, run, reject_below(least, estimate)), say)
     if ended_at_limits(last.estimate, found.estimate):
         return found, forms
     return last, (*(form for form in forms if form is not chosen), *(form.within(chosen) for form in further))

@@ -5,14 +5,23 @@ A block holds plain text and numbers already printed; it knows neither HTML nor 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, TypeAlias
 
-from hygrokf.identification.verdict_terms import CAUTION, VERDICTS, WORDS
+from hygrokf.identification.verdict_terms import REJECT, WORDS, Inherited, verdict_line
+from hygrokf.identification.wording import interval
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
+
+FREE_RUN = (
+    "Free run: a simulation from weather, power and other inputs alone, which sees no reading of the cabinet."
+)
+INNOVATIONS = "Innovations: readings less their one-step predictions."
+"""Terms of the reports, explained where a page or a text begins to use them."""
+SYNTHETIC_PAGE = "A computer made this record. Nothing on this page was measured."
+SYNTHETIC_RECORD = "A computer made at least one of these records: its numbers were not measured."
 
 Kind: TypeAlias = Literal["believe", "caution", "reject"]
 
@@ -27,10 +36,10 @@ class Heading:
 
 @dataclass(frozen=True)
 class Prose:
-    """A paragraph; `style` "note" is smaller, "missing" says what is not there and why."""
+    """A paragraph; `style` "note" is smaller, "missing" says what is absent and why."""
 
     text: str
-    style: Literal["", "note", "missing", "key"] = ""
+    style: Literal["", "note", "missing"] = ""
 
 
 @dataclass(frozen=True)
@@ -50,7 +59,7 @@ class Items:
 
 @dataclass(frozen=True)
 class Facts:
-    """Terms with what they mean here."""
+    """Terms, each with its text."""
 
     rows: tuple[tuple[str, str], ...]
 
@@ -66,7 +75,7 @@ class Banner:
 
 @dataclass(frozen=True)
 class Line:
-    """A sentence with its verdict; `within` marks a reason for the line above it, `head` the main ones."""
+    """A sentence with its verdict; `within` marks a reason for the line above it, `head` a main line."""
 
     kind: str
     text: str
@@ -89,9 +98,9 @@ class Verdicts:
 class Card:
     """One number of the answer: label, value, bounds, verdict and its reason; `sentence` says it in one line.
 
-    `symbol`: the formula beside the label, with an underscore before what stands below the line ("R_D*·V*").
-    `kind`: the verdict; "" for an answer that has none, whose edge then shows its `tone`: "open" a warning,
-    "plain" none, "reject" a refusal.  `words`: the value is a sentence, not a number.
+    `symbol`: the formula beside the label, with an underscore before an index ("R_D*·V*").  `kind`: the
+    verdict; "" for an answer without one, whose edge then shows its `tone`: "open" a warning, "plain" none,
+    "reject" a refusal.  `words`: the value is a sentence, not a number.
     """
 
     label: str
@@ -124,7 +133,7 @@ class Table:
     """Columns and rows of text; `left` columns are words, the others numbers; `marked` rows are set off.
 
     `groups` spans columns under a common heading: (heading, number of columns).  `brief` lists the columns
-    that a terminal shows; empty for all.
+    that a terminal shows; empty for all.  A table without rows is false, and drawn nowhere.
     """
 
     heading: str
@@ -135,6 +144,9 @@ class Table:
     groups: tuple[tuple[str, int], ...] = ()
     note: str = ""
     brief: tuple[int, ...] = ()
+
+    def __bool__(self) -> bool:
+        return bool(self.rows)
 
     def __post_init__(self) -> None:
         wrong = [row for row in self.rows if len(row) != len(self.columns)]
@@ -188,17 +200,43 @@ class Page:
     brief: tuple[Block, ...] = ()
 
 
+def present(*blocks: Block | None) -> tuple[Block, ...]:
+    """The blocks that there are: neither None nor an empty table."""
+    return tuple(block for block in blocks if block)
+
+
 def table_or(table: Table | None, why: str) -> Block:
     """A table, or the sentence that says why there is none."""
-    return table if table is not None else Prose(why, "missing")
+    return table or Prose(why, "missing")
 
 
 def section(heading: str, *blocks: Block | None) -> tuple[Block, ...]:
-    """A heading with blocks below it; nothing where all of them are absent."""
-    present = tuple(block for block in blocks if block is not None)
-    return (Heading(heading), *present) if present else ()
+    """A heading with blocks below it; nothing where there are none."""
+    found = present(*blocks)
+    return (Heading(heading), *found) if found else ()
 
 
-def ordered(lines: list[Line]) -> list[Line]:
-    """Lines with the most serious verdict first; lines of one verdict keep their order."""
-    return sorted(lines, key=lambda one: -VERDICTS.index(one.kind if one.kind in VERDICTS else CAUTION))
+def method(heading: str, *lines: str) -> tuple[Block, ...]:
+    """How a result was computed, a paragraph a line."""
+    return (Heading(heading), *map(Prose, lines))
+
+
+def synthetic(found: bool, text: str) -> tuple[Banner, ...]:
+    """The warning about a result that a computer made up; nothing about a measured one."""
+    return (Banner("SYNTHETIC", text),) if found else ()
+
+
+def inherited_verdicts(found: Mapping[str, Inherited], heading: str) -> Verdicts | None:
+    """The time constants that a result took over from a fit, each with the verdict that it came with.
+
+    A value that is not to be believed is struck through.  None without any.
+    """
+    lines = []
+    for part, one in found.items():
+        value, bounds, _ = interval(one.value_h, one.lower_h, one.upper_h)
+        span = f"{value} ({bounds})" if bounds else value
+        if one.verdict == REJECT:
+            lines.append(Line(REJECT, f"{part} time constant, {one.sentence}", struck=span))
+        else:
+            lines.append(Line(one.verdict, verdict_line(f"{part} time constant", span, one)))
+    return Verdicts(tuple(lines), heading, key=False) if lines else None

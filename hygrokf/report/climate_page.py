@@ -8,15 +8,13 @@ from functools import partial
 from pathlib import Path
 from typing import Literal
 
-from hygrokf.climate.acceleration import Acceleration
-from hygrokf.climate.results import read_climate, write_climate
-from hygrokf.climate.study import RegionClimate, Study
-from hygrokf.climate.test_profile import ChamberProfile
+from hygrokf.climate.chamber import Acceleration
+from hygrokf.climate.chamber_profile import ChamberProfile
+from hygrokf.climate.study import RegionClimate, Study, read_climate, write_climate
 from hygrokf.data.files import REPORT, write_bytes_whole, write_text_whole
 from hygrokf.identification.verdict_terms import REJECT, rests_on
 from hygrokf.identification.wording import moment, percent, plain_number, sentence
 from hygrokf.report.blocks import (
-    Banner,
     Block,
     Card,
     Cards,
@@ -26,7 +24,11 @@ from hygrokf.report.blocks import (
     Items,
     Page,
     Prose,
+    inherited_verdicts,
+    method,
+    present,
     section,
+    synthetic,
     table_or,
 )
 from hygrokf.report.climate_tables import (
@@ -45,7 +47,6 @@ from hygrokf.report.climate_tables import (
 )
 from hygrokf.report.figures.climate import figure_duration, figure_joint, figure_profile, figure_regions
 from hygrokf.report.figures.drawing import png
-from hygrokf.report.inherited import inherited_verdicts
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 
@@ -57,12 +58,12 @@ TONES: dict[str, Literal["open", "plain", "reject"]] = {
 MOST_CARDS = 4
 """Regions that have a card each on the first screen."""
 JOINT_CAPTION = (
-    "Hours a year in bins of 2.5 K and 5 %. Above the red line (80 %) a surface counts as wet. At the same "
-    "content of vapour a warmer cabinet has a lower relative humidity than the outside air."
+    "Hours a year in bins of 2.5 K and 5 %. Above the red line (80 %) a surface counts as wet. With the same "
+    "water vapour content a warmer cabinet has a lower relative humidity than the outside air."
 )
 DURATION_CAPTION = (
     "The share of the time for which a value is exceeded. The band holds {share} of single years; it "
-    "contains the uncertainty of the parameters, the disturbances, and the differences between the years of "
+    "includes the uncertainty of the parameters, the disturbances, and the differences between the years of "
     "weather."
 )
 PROFILE_CAPTION = (
@@ -114,21 +115,27 @@ def climate_blocks(study: Study) -> Page:
     answer: tuple[Block, ...] = (cards,) if cards.cards else ()
     side_by_side = regions_table(regions)
     parts = [_region(region, place, several) for place, region in enumerate(regions, 1)]
-    brief: list[Block] = [*answer, *([inherited] if inherited else [])]
-    for region in regions:
-        brief += _brief(region, several)
+    made_up = study.synthetic or any(one.synthetic for one in regions)
     return Page(
         "Climate report",
         study.name.strip() or "unnamed model",
         _about(study),
-        (*_banners(study), *answer, _regions_figure(regions) if several else _year_figure(regions[0], 1)),
+        (
+            *synthetic(
+                made_up, "A computer made the model or the weather. Nothing on this page was measured."
+            ),
+            *answer,
+            _regions_figure(regions) if several else _year_figure(regions[0], 1),
+        ),
         (
             *section("Regions side by side", side_by_side),
             *section("The model", inherited),
             *(block for part in parts for block in part),
         ),
         _method(study),
-        (*brief, *([side_by_side] if side_by_side else [])),
+        present(
+            *answer, inherited, *(block for one in regions for block in _brief(one, several)), side_by_side
+        ),
     )
 
 
@@ -136,13 +143,6 @@ def _about(study: Study) -> tuple[str, ...]:
     where = ", ".join(region.name for region in study.regions)
     held = f"bounds hold {share_held(study.regions)} of single years"
     return (f"Simulated for {where}: {study.members} members, seed {study.seed}; {held}",)
-
-
-def _banners(study: Study) -> tuple[Banner, ...]:
-    if not study.synthetic and not any(one.synthetic for one in study.regions):
-        return ()
-    said = "A computer made the model or the weather. Nothing on this page was measured."
-    return (Banner("SYNTHETIC", said),)
 
 
 def _doubt(study: Study) -> str:
@@ -287,7 +287,7 @@ def _weather(region: RegionClimate) -> str:
 def _profile(region: RegionClimate, place: int) -> tuple[Block, ...]:
     profile = region.test_profile
     if profile is None:
-        return (Prose("There is no test profile; the statements above say why.", "missing"),)
+        return (Prose("There is no test profile; the statements above give the reason.", "missing"),)
     table = profile_table(region)
     return (
         Prose(_profile_text(profile)),
@@ -302,60 +302,53 @@ def _profile_text(profile: ChamberProfile) -> str:
     aged = profile.closeness.ageing
     said = (
         f"{len(profile.hour)} hours in the chamber age as much as {plain_number(aged.years)} years at the "
-        f"site ({plain_number(aged.years_lower)} … {plain_number(aged.years_upper)}). The acceleration is "
-        f"{plain_number(profile.acceleration)} before the chamber's limits; "
+        f"site ({plain_number(aged.years_lower)} … {plain_number(aged.years_upper)}). The acceleration "
+        f"factor is {plain_number(profile.acceleration)} before the chamber's limits apply; "
         f"{percent(profile.share_at_chamber_limit)} of the hours are at a limit of the chamber's temperature."
     )
     if profile.reached:
         return said
-    too_little = aged.test_h < aged.service_h
     remedy = (
         "a longer test, fewer years, or a hotter chamber"
-        if too_little
+        if aged.test_h < aged.service_h
         else "a shorter test, more years, or a colder chamber"
     )
     return (
-        f"{said} The stated years of service cannot be reached within these limits and this length: state "
-        f"{remedy}."
+        f"{said} The chamber cannot reach the ageing of the stated years of service within these limits and "
+        f"this length: state {remedy}."
     )
 
 
-def _brief(region: RegionClimate, several: bool) -> list[Block]:
+def _brief(region: RegionClimate, several: bool) -> tuple[Block | None, ...]:
     """What a terminal prints of a region."""
     tables = (limits_table(region), year_table(region), regimes_table(region), excursions_table(region))
-    title = [Heading(region.name)] if several else []
-    return [*title, _statements(region), *(table for table in tables if table is not None)]
+    return (Heading(region.name) if several else None, _statements(region), *tables)
 
 
 def _method(study: Study) -> tuple[Block, ...]:
-    return (
-        Heading("How this was computed"),
-        Prose(
-            "Each member of the ensemble is the fitted model with parameters drawn from their estimated "
-            "distribution. Weather and power alone drive it, and disturbances are simulated with the "
-            "strength and memory that the fit found. Nothing was measured in these years."
-        ),
-        Prose(
-            "The bounds contain the uncertainty of the parameters, the effect of the disturbances and, with "
-            "several years, the differences between them. They do not contain what the model lacks: "
-            "heaters and doors that no signal reports, moisture stored in materials and condensed water "
-            "unless the model has them, another cabinet, a future climate."
-        ),
-        Prose(
-            "In a model without condensation the air may exceed saturation; such hours count as wet. The "
-            f"cold surface on which vapour condenses follows the cabinet air by {study.surface.follows:g}, "
-            f"offset {study.surface.offset_K:g} K."
-        ),
-        Prose(_law(study.plan.law)),
-        Prose(f"Simulated by hygrokf {study.version}."),
-    )  # fmt: skip
+    surface = study.surface
+    return method(
+        "How this was computed",
+        "Each member of the ensemble is the fitted model with parameters drawn from their estimated "
+        "distribution. Weather and power alone drive it, and disturbances are simulated with the strength "
+        "and memory that the fit found. Nothing was measured in these years.",
+        "The bounds include the uncertainty of the parameters, the effect of the disturbances and, with "
+        "several years, the differences between them. They do not include what the model lacks: heaters and "
+        "doors that no signal reports, moisture stored in materials and condensed water unless the model has "
+        "them, another cabinet, a future climate.",
+        "In a model without condensation the air may exceed saturation; such hours count as wet. The "
+        f"temperature of the cold surface where vapour condenses is the ambient's plus {surface.follows:g} "
+        f"times the difference between cabinet air and ambient, plus {surface.offset_K:g} K.",
+        _law(study.plan.law),
+        f"Simulated by hygrokf {study.version}.",
+    )
 
 
 def _law(law: Acceleration) -> str:
     kind = "Peck's law" if law.humid else "Arrhenius' law"
     return (
-        f"Ageing follows {kind}, rate ∝ RH^{law.humidity_exponent:g} "
-        f"exp(−{law.activation_energy_eV:g} eV/kT), "
-        f"in hours at {law.reference_degC:g} °C and {law.reference_percent:g} %. Its parameters describe a "
-        "single failure mechanism (Peck 1986: aluminium corrosion in plastic packages); state those of yours."
+        f"Ageing follows {kind}, rate ∝ RH^{law.humidity_exponent:g} exp(−{law.activation_energy_eV:g} "
+        f"eV/kT), in hours at {law.reference_degC:g} °C and {law.reference_percent:g} %. Its parameters "
+        "describe a single failure mechanism (Peck 1986: aluminium corrosion in plastic packages); state the "
+        "parameters of your own mechanism."
     )

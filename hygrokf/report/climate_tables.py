@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 from hygrokf.climate.bounds import Bounded
+from hygrokf.climate.chamber_profile import SiteAndTest
 from hygrokf.climate.limits import QUANTITIES, Exceedance
-from hygrokf.climate.statistics import EXCURSION_PARTS, EXCURSIONS, STATISTIC, STATISTICS
+from hygrokf.climate.statistics import EXCURSION_PARTS, EXCURSIONS, STATISTICS, Statistic
 from hygrokf.climate.study import RegionClimate
-from hygrokf.climate.test_profile import SiteAndTest
 from hygrokf.identification.wording import NONE, fixed, percent, plain_number
 from hygrokf.report.blocks import Table
 
@@ -18,12 +18,6 @@ SCOPE_WORDS = {
     "standstill": "at standstill",
     "standstill_all_year": "at standstill all year",
 }
-SIDE_BY_SIDE = (
-    "mean_temperature_degC", "mean_relative_humidity_percent", "wetness_h", "condensation_h", "ageing_h",
-)  # fmt: skip
-"""Numbers that stand side by side for several regions."""
-NOT_OUTSIDE = ("hours", "ageing_h")
-"""Numbers that say nothing about the weather: ageing concerns the equipment in the cabinet."""
 
 
 def hours_text(value: float) -> str:
@@ -48,6 +42,11 @@ def value_and_bounds(one: Bounded | None, text: Callable[[float], str] = plain_n
         return NONE, ""
     value, low, high = (text(end) for end in (one.value, one.lower, one.upper))
     return value, "" if low == high == value else f"{low} … {high}"
+
+
+def compared_statistics(regions: Sequence[RegionClimate]) -> list[Statistic]:
+    """The statistics by which regions are compared, as far as all of them have these."""
+    return [one for one in STATISTICS if one.compared and all(one.name in region.year for region in regions)]
 
 
 def share_held(regions: Sequence[RegionClimate]) -> str:
@@ -80,7 +79,7 @@ def year_table(region: RegionClimate) -> Table:
 
 
 def regimes_table(region: RegionClimate) -> Table | None:
-    """Operation beside standstill; None where there is only one of them."""
+    """Operation beside standstill; None where the year has only one of them."""
     if not {"operation", "standstill"} <= set(region.scopes):
         return None
     return _scopes(
@@ -88,7 +87,7 @@ def regimes_table(region: RegionClimate) -> Table | None:
         "Operation and standstill",
         ("operation", "standstill"),
         False,
-        "Means are taken over the hours of the column; hours are those of the year that belong to it.",
+        "Means are taken over the hours of each column; hours are the column's share of the year.",
     )
 
 
@@ -100,7 +99,7 @@ def _scopes(region: RegionClimate, heading: str, wanted: Sequence[str], weather:
             text = number_text(one.name)
             cells = [span_text(region.scopes[scope].get(one.name), text) for scope in scopes]
             if weather:
-                shown = one.name in region.outside and one.name not in NOT_OUTSIDE
+                shown = one.weather and one.name in region.outside
                 cells.append(text(region.outside[one.name]) if shown else "")
             rows.append((one.words, one.unit, *cells))
     columns = ("", "unit", *(SCOPE_WORDS[scope] for scope in scopes), *(("outside",) if weather else ()))
@@ -142,8 +141,8 @@ def rates_table(region: RegionClimate) -> Table:
     )
 
 
-def limits_table(region: RegionClimate) -> Table | None:
-    """Limits and verdicts; None without limits."""
+def limits_table(region: RegionClimate) -> Table:
+    """Limits and verdicts."""
     rows = []
     for one in region.limits:
         when = "" if one.during == "all" else f", {SCOPE_WORDS[one.during]}"
@@ -158,8 +157,6 @@ def limits_table(region: RegionClimate) -> Table | None:
                 verdict_text(one),
             )
         )
-    if not rows:
-        return None
     return Table(
         "Limits and verdicts",
         ("limit", "exceeded", "allowed, h/a", "found, h/a", "number/a", "longest, h", "verdict"),
@@ -188,12 +185,12 @@ def profile_table(region: RegionClimate) -> Table | None:
             f"{plain_number(aged.years_upper)})",
         ),
         (
-            "joint distribution of temperature before warming and humidity",
+            "joint distribution of humidity and temperature before warming",
             "",
             "",
             f"distance {fixed(close.joint_distance)}",
         ),
-        ("distribution of the ageing over it", "", "", f"distance {fixed(close.ageing_distance)}"),
+        ("distribution of the ageing over these", "", "", f"distance {fixed(close.ageing_distance)}"),
         _shares("share of hours above 80 %", close.wet_share),
         _shares("share of the ageing above 80 %", close.wet_ageing_share),
         ("mean relative humidity, %", fixed(humidity.site, 1), fixed(humidity.test, 1), ""),
@@ -226,11 +223,9 @@ def regions_table(regions: Sequence[RegionClimate]) -> Table | None:
     if len(regions) < 2:
         return None
     rows = []
-    for name in SIDE_BY_SIDE:
-        if all(name in one.year for one in regions):
-            row = STATISTIC[name]
-            cells = (span_text(one.year[name], number_text(name)) for one in regions)
-            rows.append((row.words, row.unit, *cells))
+    for row in compared_statistics(regions):
+        cells = (span_text(one.year[row.name], number_text(row.name)) for one in regions)
+        rows.append((row.words, row.unit, *cells))
     rows.append(("class of wetness, ISO 9223:1992", "", *map(class_text, regions)))
     for i, limit in enumerate(regions[0].limits):
         cells = (verdict_text(one.limits[i]) if i < len(one.limits) else NONE for one in regions)

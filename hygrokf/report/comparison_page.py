@@ -1,4 +1,4 @@
-"""The blocks of a comparison: which column errs less, Table III with bounds, differences, rules, pictures."""
+"""The blocks, page and text of a comparison: errors side by side, differences with bounds, simple rules."""
 
 from __future__ import annotations
 
@@ -13,19 +13,23 @@ from pathlib import Path
 from hygrokf.data.files import COMPARISON, COMPARISON_SERIES, COMPARISON_TABLE, REPORT, write_text_whole
 from hygrokf.data.result_file import read_result, result_text
 from hygrokf.evaluation.scoring import REGIMES, SCORED
-from hygrokf.identification.wording import NONE, QUANTITIES, RULES, fixed, percent, sentence, signed
+from hygrokf.identification.wording import NONE, QUANTITIES, RULES, fixed, sentence, signed
 from hygrokf.report.blocks import (
-    Banner,
+    FREE_RUN,
+    SYNTHETIC_RECORD,
     Block,
     Card,
     Cards,
     Details,
     Figure,
-    Heading,
     Page,
     Prose,
     Table,
+    inherited_verdicts,
+    method,
+    present,
     section,
+    synthetic,
     table_or,
 )
 from hygrokf.report.figures.comparison import (
@@ -34,7 +38,7 @@ from hygrokf.report.figures.comparison import (
     figure_weeks,
     short_labels,
 )
-from hygrokf.report.inherited import inherited_verdicts
+from hygrokf.report.fit_text import share_text
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 from hygrokf.transfer.comparison import (
@@ -51,6 +55,14 @@ PERIODS = ("whole", "validation", "identification")
 COMMAND = "hygrokf compare"
 MOST_PAIRS = 3
 """Pairs whose differences are not folded."""
+METHOD = (
+    "Instants at which an input is unknown are not scored.",
+    "Bounds come from a bootstrap of circular blocks of hours. A block is four times as long as the errors "
+    "are correlated, and at least a day. Student's t widens the bounds for the small number of blocks. They "
+    "show how much an error varies within this record, not in another season. Standstills that fill fewer "
+    "than four blocks have no bounds.",
+    "Differences are taken at the instants that both columns score, with the same blocks drawn for both.",
+)
 
 
 # --- files -----------------------------------------------------------------------------------
@@ -115,14 +127,10 @@ def comparison_text(found: ComparisonResults) -> str:
 def comparison_blocks(found: ComparisonResults, courses: Sequence[Course] = ()) -> Page:
     """What a comparison says: which column errs less, and the courses, first."""
     cards = _cards(found)
-    scores = [table for quantity in SCORED if (table := scores_table(found, quantity)) is not None]
-    differences = [table for pair in found.differences if (table := differences_table(pair)) is not None]
+    scores = [scores_table(found, quantity) for quantity in SCORED]
+    differences = [table for pair in found.differences if (table := differences_table(pair))]
     skill = skill_table(found)
-    verdicts = [
-        one
-        for column in found.columns
-        if (one := inherited_verdicts(column.verdicts, f"{column.label}: the fit {column.fit}")) is not None
-    ]
+    verdicts = [inherited_verdicts(one.verdicts, f"{one.label}: the fit {one.fit}") for one in found.columns]
     notes = tuple(
         Prose(f"{one.label}: {sentence(line)}", "note") for one in found.columns for line in one.statements
     )
@@ -136,14 +144,7 @@ def comparison_blocks(found: ComparisonResults, courses: Sequence[Course] = ()) 
         *section("Skill against rules without a model", table_or(skill, "No rule could be tried.")),
         Details(
             "Errors over time",
-            (
-                Figure(
-                    "weeks",
-                    "Errors by week",
-                    "Look at the weeks in which only one column errs.",
-                    partial(figure_weeks, found),
-                ),
-            ),
+            (Figure("weeks", "Errors by week", _CAPTION_WEEKS, partial(figure_weeks, found)),),
         ),
         *section("What the columns rest on", *verdicts, *notes),
     )
@@ -152,38 +153,39 @@ def comparison_blocks(found: ComparisonResults, courses: Sequence[Course] = ()) 
         _name([one.label for one in found.columns]),
         (_about(found),),
         (
-            *_banners(found),
+            *synthetic(found.synthetic, SYNTHETIC_RECORD),
             cards,
             Figure(
                 "courses",
                 "Readings and simulations",
-                "The days after the identification period, twelve at most. The model saw the weather and the "
-                "power of these days, and no reading of the cabinet.",
+                "The days after the identification period, twelve at most. The simulations are free runs: "
+                "they should stay with the readings.",
                 partial(figure_column_courses, found, courses),
             ),
         ),
         body,
-        _method(found),
-        (*verdicts, *notes, cards, *scores, *differences, *([skill] if skill else [])),
+        method("Method", *METHOD, f"Compared by hygrokf {found.version}; page by hygrokf {__version__}."),
+        present(*verdicts, *notes, cards, _PERIODS, *scores, *differences, skill),
     )
 
 
 _CAPTIONS = {
-    "whole": "Points with 95 % bounds of a block bootstrap. Upright strokes: the best rule without a model, "
-    "in total.",
+    "whole": "Errors with 95 % bounds of a block bootstrap. Vertical strokes: total error of the best rule "
+    "without a model.",
     "validation": "The same after the end of each record's identification period.",
 }
-
+_CAPTION_WEEKS = "Look for weeks in which only one column errs."
 
 _PERIODS = Prose(
-    "Whole: as in the paper's Table III. Validation: after the end of each record's identification period.",
+    f"Errors are those of the free run. {FREE_RUN} Whole: the whole record, as in the paper's Table III. "
+    "Validation: after the end of each record's identification period.",
     "note",
 )
 _BOLD = Prose(
-    "Bold: the bounds exclude zero. The errors of both columns are drawn in the same blocks of time, which "
-    "cancels what the weather did to both: bounds of a difference may exclude zero where those of the two "
-    "errors overlap. Other readings: the columns stand for different cabinets or loggers, which may cause "
-    "the difference.",
+    "Bold: the bounds exclude zero. The bootstrap draws the same blocks of time for both columns, so that "
+    "weather that affects both cancels: the bounds of a difference may exclude zero although the bounds of "
+    "the two errors overlap. Other readings: the columns stand for different cabinets or loggers, which may "
+    "cause the difference.",
     "note",
 )
 
@@ -207,11 +209,6 @@ def _about(found: ComparisonResults) -> str:
         f"{one.label}: fit {one.fit} on {one.case}{there}"
         for one, there in zip(found.columns, here, strict=True)
     )
-
-
-def _banners(found: ComparisonResults) -> tuple[Banner, ...]:
-    said = "At least one of these records was made by a computer: its numbers were not measured."
-    return (Banner("SYNTHETIC", said),) if found.synthetic else ()
 
 
 # --- the answer ------------------------------------------------------------------------------
@@ -250,19 +247,19 @@ def summary(found: ComparisonResults, quantity: str, best: str) -> list[str]:
         last = next((i for i, (_, row) in enumerate(rows) if math.isfinite(row.lower)), 0)
         said += [_sentence(pair, quantity, period, row) for period, row in rows[: last + 1]]
     if not said and len(found.columns) > 1:
-        return ["The columns have no common instants: compare their errors by their own bounds."]
+        return ["The columns have no common instants: compare the bounds of their errors."]
     return said
 
 
 def _sentence(pair: PairDifference, quantity: str, period: str, row: ErrorDifference) -> str:
     less, more = (pair.of, pair.less) if row.value < 0 else (pair.less, pair.of)
     if math.isnan(row.lower):
-        sure = "; too few blocks for bounds"
+        sure = "; not enough data for bounds"
     elif row.sure:
         low, high = sorted((abs(row.lower), abs(row.upper)))
         sure = f" (95 % {fixed(low)} … {fixed(high)})"
     else:
-        sure = "; the bounds include no difference"
+        sure = "; the bounds include zero"
     unit = QUANTITIES[quantity][1]
     if abs(row.value) < 0.005:
         return f"{pair.of} and {pair.less} differ by less than 0.01 {unit} {_WHERE[period]}{sure}."
@@ -273,7 +270,7 @@ def _sentence(pair: PairDifference, quantity: str, period: str, row: ErrorDiffer
 # --- tables ----------------------------------------------------------------------------------
 
 
-def scores_table(found: ComparisonResults, quantity: str) -> Table | None:
+def scores_table(found: ComparisonResults, quantity: str) -> Table:
     """Table III of one quantity: operation, standstill and total by column and period."""
     rows = []
     for period in PERIODS:
@@ -283,8 +280,6 @@ def scores_table(found: ComparisonResults, quantity: str) -> Table | None:
                 by_regime = one.scores[period][quantity]
                 cells = (fixed(by_regime[regime].rmse) for regime in REGIMES)
                 rows.append((label, period, *cells, _span(total.lower, total.upper), str(total.n)))
-    if not rows:
-        return None
     name, unit = QUANTITIES[quantity]
     return Table(
         f"RMSE of the {name} [{unit}]",
@@ -294,7 +289,7 @@ def scores_table(found: ComparisonResults, quantity: str) -> Table | None:
     )
 
 
-def differences_table(pair: PairDifference) -> Table | None:
+def differences_table(pair: PairDifference) -> Table:
     """RMSE of one column less that of another; rows whose bounds exclude zero are bold."""
     rows: list[tuple[str, ...]] = []
     marked: list[int] = []
@@ -310,8 +305,6 @@ def differences_table(pair: PairDifference) -> Table | None:
             cells = (signed(pair.scores[period][quantity][regime].value) for regime in REGIMES)
             span = _span(total.lower, total.upper)
             rows.append((f"{name} [{unit}]{others}", period, *cells, span, str(total.n)))
-    if not rows:
-        return None
     return Table(
         f"RMSE of {pair.of} less that of {pair.less}",
         ("", "period", *REGIMES, "total, 95 %", "n"),
@@ -321,7 +314,7 @@ def differences_table(pair: PairDifference) -> Table | None:
     )
 
 
-def skill_table(found: ComparisonResults) -> Table | None:
+def skill_table(found: ComparisonResults) -> Table:
     """Skill against each rule, in total, in validation (over the whole record where there is none)."""
     rows = []
     for one, label in zip(found.columns, _labels(found), strict=True):
@@ -333,19 +326,18 @@ def skill_table(found: ComparisonResults) -> Table | None:
             for rule, said in total.rules.items():
                 bounds = NONE
                 if math.isfinite(said.lower):
-                    bounds = f"{_percent(said.lower)} … {_percent(said.upper)}"
-                cells = (fixed(said.rmse), fixed(total.rmse), _percent(said.skill), bounds)
+                    bounds = f"{share_text(said.lower)} … {share_text(said.upper)}"
+                cells = (fixed(said.rmse), fixed(total.rmse), share_text(said.skill), bounds)
                 rows.append((label, QUANTITIES[quantity][0], RULES.get(rule, rule), period, *cells))
-    if not rows:
-        return None
     return Table(
         "Skill",
         ("", "quantity", "rule", "period", "rule", "model", "skill", "95 %"),
         tuple(rows),
         left=(0, 1, 2, 3),
         groups=(("", 4), ("RMSE", 2), ("", 2)),
-        note="Skill: 1 − MSE of the model / MSE of the rule. 100 % is no error, 0 % no gain; below zero the "
-        "rule is better. The rule of the temperature was fitted to the record's own identification period.",
+        note="Skill: 1 − mean squared error of the model / that of the rule. 100 %: no error; 0 %: no gain; "
+        "below zero the rule is better. The rule of the temperature was fitted to the record's "
+        "identification period.",
         brief=(0, 2, 3, 6, 7),
     )
 
@@ -356,21 +348,3 @@ def _labels(found: ComparisonResults) -> list[str]:
 
 def _span(lower: float, upper: float) -> str:
     return NONE if math.isnan(lower) else f"{fixed(lower)} … {fixed(upper)}"
-
-
-def _percent(share: float) -> str:
-    return percent(share).replace("-", "−")
-
-
-def _method(found: ComparisonResults) -> tuple[Block, ...]:
-    lines = (
-        "Errors are those of the free run: the model sees its inputs and no reading of the cabinet. Instants "
-        "at which an input is unknown are not scored.",
-        "Bounds come from a bootstrap of circular blocks of hours. Each block is four times as long as the "
-        "errors remember, and at least a day. Student's t widens the bounds for the small number of blocks. "
-        "They state how much an error varies within this record, not in another season. Where standstills "
-        "fill fewer than four blocks no bounds are given.",
-        "Differences are taken on the instants that both columns score, with the same blocks drawn for both.",
-        f"Compared by hygrokf {found.version}; page written by hygrokf {__version__}.",
-    )
-    return (Heading("Method"), *(Prose(line) for line in lines))

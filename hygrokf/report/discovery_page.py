@@ -1,5 +1,4 @@
-"""The blocks of a discovery: the verdict, what the simulation gets wrong, the cause, what to check, and what
-that gained."""
+"""The blocks, page and text of a discovery: verdict, errors of the simulation, causes, checks and gains."""
 
 from __future__ import annotations
 
@@ -18,7 +17,9 @@ from hygrokf.discovery.results import read_discovery, write_discovery
 from hygrokf.identification.verdict import inherited
 from hygrokf.identification.wording import fixed, one_line, sentence
 from hygrokf.report.blocks import (
-    Banner,
+    FREE_RUN,
+    INNOVATIONS,
+    SYNTHETIC_PAGE,
     Block,
     Card,
     Cards,
@@ -30,7 +31,11 @@ from hygrokf.report.blocks import (
     Link,
     Page,
     Prose,
+    inherited_verdicts,
+    method,
+    present,
     section,
+    synthetic,
     table_or,
 )
 from hygrokf.report.discovery_tables import (
@@ -49,7 +54,6 @@ from hygrokf.report.discovery_text import (
     error_sentences,
     evidence_sentence,
     gain_sentence,
-    gains_by_quantity,
     headline,
     remainder,
     remainder_driver,
@@ -69,12 +73,12 @@ from hygrokf.report.figures.residual_structure import (
     telling_drivers,
 )
 from hygrokf.report.fit_page import write_report
-from hygrokf.report.inherited import inherited_verdicts
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 from hygrokf.version import __version__
 
 EPISODE_FIGURES = 3
+BY = "By driver, by day and hour, and by period"
 TITLES = {"temperature": "temperature", "humidity": "absolute humidity"}
 
 
@@ -130,18 +134,18 @@ def discovery_blocks(
     body = (
         *section(
             "What the simulation gets wrong",
+            Prose(f"{FREE_RUN} {INNOVATIONS}", "note"),
             *(Prose(line) for line in _on_the_whole(before)),
             table_or(
                 findings_table(found),
-                "Nothing that is significant, material and more than the sensors’ accuracy explains.",
+                "No significant and material error that the accuracy of the sensors does not explain.",
             ),
             *rest,
         ),
         *_causes(found),
         *_errors(found),
         *_constants(found),
-        *section("Where the errors are", Details("By driver, by day and hour, and by period", tuple(courses)))
-        * bool(courses),
+        *section("Where the errors are", Details(BY, tuple(courses)) if courses else None),
         *section("What is left unexplained", *(Prose(line) for line in _left(found))),
         *section("What was tried and left out", *_rejected(found)),
     )
@@ -149,16 +153,11 @@ def discovery_blocks(
         "Discovery report",
         one_line(found.name).strip() or "unnamed record",
         _spans(before),
-        (*_banners(found), Cards((verdict,)), *lead),
+        (*synthetic(found.synthetic, SYNTHETIC_PAGE), Cards((verdict,)), *lead),
         body,
         _method(found, fit_page),
         _brief(found, verdict),
     )
-
-
-def _banners(found: DiscoveryResults) -> tuple[Banner, ...]:
-    said = "This record was made by a computer. Nothing on this page was measured."
-    return (Banner("SYNTHETIC", said),) if found.synthetic else ()
 
 
 def _spans(before: Residuals | None) -> tuple[str, ...]:
@@ -180,10 +179,10 @@ def _verdict_card(found: DiscoveryResults) -> Card:
     if found.verdict == "named" and len(found.causes) == 1:
         sure = f"confidence {confidence_of(found.causes[0])}"
     said = f"{heading}{f' ({sure})' if sure else ''}. {' '.join(lines)}"
-    tone = "open" if found.verdict == "unexplained" or heading == NOT_RIGHT else "plain"
+    warned = found.verdict == "unexplained" or heading == NOT_RIGHT
     return Card(
         "Verdict", heading, said, bounds=sure, lines=lines, wide=True, words=True,
-        tone="open" if tone == "open" else "plain",
+        tone="open" if warned else "plain",
     )  # fmt: skip
 
 
@@ -192,8 +191,9 @@ def _brief(found: DiscoveryResults, verdict: Card) -> tuple[Block, ...]:
     findings = Items(tuple(one.statement for one in found.findings))
     blocks: list[Block | None] = [
         Cards((verdict,)),
+        Prose(f"{FREE_RUN} {INNOVATIONS}"),
         Heading("What the simulation gets wrong"),
-        findings if found.findings else Prose("Nothing significant and material."),
+        findings if found.findings else Prose("No significant and material error."),
     ]
     for cause in found.causes:
         blocks += _cause(cause)
@@ -206,22 +206,18 @@ def _brief(found: DiscoveryResults, verdict: Card) -> tuple[Block, ...]:
     left = _left(found)
     blocks += [Heading("What is left unexplained"), Items(left)] if remainder(found) else []
     out = len(found.rejected)
-    blocks.append(
-        Prose(
-            f"Tried and left out: {out} {'cause' if out == 1 else 'causes'} (discovery.json has the "
-            f"evidence)."
-        )
-    )
+    causes = "cause" if out == 1 else "causes"
+    blocks.append(Prose(f"Tried and left out: {out} {causes} (discovery.json has the evidence)."))
     blocks += [Prose(sentence(untried(found)))] if untried(found) else []
-    return tuple(block for block in blocks if block is not None)
+    return present(*blocks)
 
 
 # --- sections --------------------------------------------------------------------------------
 
 
 def _on_the_whole(before: Residuals | None) -> list[str]:
-    """Mean and root mean square of the free run's errors in the identification period: no condition shows a
-    constant."""
+    """Mean and root mean square of the free run's errors in the identification period, which no condition
+    shows."""
     if before is None:
         return []
     said = []
@@ -231,11 +227,8 @@ def _on_the_whole(before: Residuals | None) -> list[str]:
         if len(error):
             mean, unit = float(error.mean()), UNITS[quantity]
             side = "too high" if mean > 0 else "too low"
-            said.append(
-                f"{TITLES[quantity]} by {fixed(before.rmse(quantity))} {unit} (RMSE), {fixed(abs(mean))} "
-                f"{unit} "
-                f"{side} on average"
-            )
+            rmse = f"{fixed(before.rmse(quantity))} {unit} (RMSE)"
+            said.append(f"{TITLES[quantity]} by {rmse}, {fixed(abs(mean))} {unit} {side} on average")
     where = "In the identification period the free run of the base model misses the "
     return [sentence(where + "; the ".join(said))] if said else []
 
@@ -245,9 +238,8 @@ def _causes(found: DiscoveryResults) -> tuple[Block, ...]:
         return ()
     several = len(found.causes) > 1
     together = Prose(
-        "In the order in which they were accepted, each beside those before it. The gain of the extended "
-        "model "
-        "was measured with all of them together."
+        "In the order of their acceptance, each in addition to those before it. The gain of the extended "
+        "model was measured with all of them together."
     )
     return section(
         "The causes" if several else "The cause",
@@ -257,7 +249,7 @@ def _causes(found: DiscoveryResults) -> tuple[Block, ...]:
 
 
 def _cause(cause: CauseFound) -> list[Block]:
-    """A cause: what it is, how sure, what it gained, what else it could be, what to check."""
+    """A cause: meaning, confidence, evidence, gain, rivals and what to check."""
     rivals, settings = rivals_sentence(cause), settings_words(cause.settings)
     rows = [
         ("What it is", cause.statement or spoken(cause.cause)),
@@ -278,10 +270,9 @@ def _cause(cause: CauseFound) -> list[Block]:
 
 def _errors(found: DiscoveryResults) -> tuple[Block, ...]:
     note = Prose(
-        "The tables show both models as identified by their innovations, as the fit’s own page does. The "
-        "gain of a cause compares the better simulators that both can be: as identified, or moved toward "
-        "the least free-run error, whichever simulates the identification period better. It may therefore "
-        "be smaller.",
+        "The tables show both models as identified by their innovations, as the fit’s own page does. For the "
+        "gain of a cause each model may also have its parameters moved toward the least free-run error, if "
+        "that simulates the identification period better. The gain may therefore be smaller.",
         "note",
     )
     said = tuple(error_sentences(found))
@@ -293,7 +284,7 @@ def _errors(found: DiscoveryResults) -> tuple[Block, ...]:
             "There is no held-out period with readings (`until` is not stated).",
         ),
         table_or(scores_table(found, "identification"), "Nothing was scored in the identification period."),
-        note if gains_by_quantity(found) else None,
+        note if any(one.gain is not None and one.gain.known for one in found.causes) else None,
     )
 
 
@@ -318,20 +309,18 @@ def _left(found: DiscoveryResults) -> tuple[str, ...]:
     if not left:
         which = "base model" if found.extended is None else "extended model"
         return (
-            f"Nothing: the errors of the {which} show no structure under any condition that was tested, no "
-            "readings that repeat those of the day before, and no excursions to one side.",
+            f"Nothing: the errors of the {which} show no structure under any tested condition, no repeated "
+            "readings of the day before, and no excursions to one side.",
         )
     return (sentence(left), *([sentence(driver)] if driver else []))
 
 
 def _rejected(found: DiscoveryResults) -> tuple[Block, ...]:
     said, table = untried(found), rejected_table(found)
-    left_out = Prose("No other cause was tried.", "missing")
+    folded = Details(f"{len(table.rows)} causes, and why each was left out", (table,))
     return (
         *([Prose(sentence(said))] if said else []),
-        left_out
-        if table is None
-        else Details(f"{len(table.rows)} causes, and why each was left out", (table,)),
+        folded if table else Prose("No other cause was tried.", "missing"),
     )
 
 
@@ -339,31 +328,28 @@ def _method(found: DiscoveryResults, fit_page: str) -> tuple[Block, ...]:
     count = tried(found)
     which = "base" if found.extended is None else "extended"
     lines = (
-        "The base model was identified on the identification period by its innovations (one-step prediction "
-        "errors), and again by its free run. The errors of the free run were tested under every condition "
-        "(episodes, regimes, hour, season, level, rate and lag of every driver, steps and drifts) by a block "
-        "bootstrap that keeps the errors’ own memory; the rate of false discoveries is held over all "
-        "conditions together.",
+        "The base model was identified on the identification period by its innovations, and again by its "
+        "free run. A block bootstrap, which keeps the autocorrelation of the errors, tested the errors of "
+        "the free run under every condition: episodes, regimes, hour, season, level, rate and lag of every "
+        "driver, steps and drifts. The rate of false discoveries is controlled over all conditions together.",
         f"{count} {'cause was' if count == 1 else 'causes were'} tried, each in several forms and settings, "
-        "with all parameters estimated again every time. A cause is accepted where its gain in likelihood "
-        "pays for its parameters and for the settings searched, where the squared error of the free run "
-        "falls materially, also without the days that gained most, and where no free run gets worse; the "
-        "others are then tried again beside it. p-values are corrected for the number of causes and "
-        "settings.",
+        "with all parameters estimated again every time. A cause is accepted if its gain in likelihood "
+        "exceeds the penalty for its parameters and for the settings searched, if the squared error of the "
+        "free run falls materially, also without the days that gained most, and if no free run gets worse. "
+        "The other causes are then tried again in addition to it. p-values are corrected for the number of "
+        "causes and settings.",
         "The held-out period took no part in any choice. The bounds of a gain come from a bootstrap of "
         "blocks of days: they show how much the gain varies within this period, not in another season.",
-        "Confidence is the estimated probability that the name, or one of those that this record cannot "
-        "tell from it, is right. It rests on the distance to its rivals and on the gain that lasts, and was "
-        "calibrated on simulated plants alone. A cause that is not in the library cannot be named, and a "
-        "cause that acts alike may be named instead: check in the turbine before acting on it.",
+        "Confidence is the estimated probability that the named cause, or a cause that this record cannot "
+        "distinguish from it, is right. It depends on the distance to the rivals and on the lasting gain, "
+        "and was calibrated on simulated plants alone. A cause that is not in the library cannot be named, "
+        "and a cause with a similar effect may be named instead: check in the turbine before acting on it.",
     )
     version = found.version or "(version not stated)"
-    beside = Link(f"The {which} model itself, with all its parameters:", fit_page)
     return (
-        Heading("Data and method"),
-        *(Prose(line) for line in lines),
-        *([beside] if fit_page else []),
-        Prose(f"Found by hygrokf {version}; page written by hygrokf {__version__}."),
+        *method("Data and method", *lines),
+        *([Link(f"The {which} model with all its parameters:", fit_page)] if fit_page else []),
+        Prose(f"Found by hygrokf {version}; page by hygrokf {__version__}."),
     )
 
 
@@ -393,7 +379,7 @@ def _drawable(found: DiscoveryResults) -> list[Finding]:
 def _events(found: DiscoveryResults, before: Residuals, after: Residuals | None) -> list[Figure]:
     """Accepted causes that were found in stretches of time, in the quantity that gained most there."""
     result: list[Figure] = []
-    said = "Shaded is where it was found. The simulation should stay with the blue readings there."
+    said = "Shaded: where the cause was found. The simulation should stay with the blue readings there."
     for cause in found.causes:
         spans = tuple((float(a), float(b)) for a, b in cause.settings.get("spans", ()) if a < b)
         shares = {
@@ -417,9 +403,8 @@ def _courses(found: DiscoveryResults, before: Residuals, after: Residuals | None
     """The errors over drivers, over days and hours, and the innovations."""
     drivers = [one.driver for one in _drawable(found) if one.driver]
     bend = (
-        "; where the red ones bend and the green ones lie flat, the cause explains the bend. Where only "
-        "green "
-        "shows, both are alike."
+        "; where the red medians bend and the green ones stay flat, the cause explains the bend. Where only "
+        "green shows, both are alike."
         if after is not None
         else "; a bend shows what the model lacks."
     )
@@ -439,8 +424,7 @@ def _courses(found: DiscoveryResults, before: Residuals, after: Residuals | None
                 f"days-{quantity}",
                 f"Error of the {TITLES[quantity]} by day and hour",
                 "Horizontal stripes: errors tied to the time of day. Vertical stripes: errors tied to "
-                "weather or "
-                f"operation. A change of colour from a date on: something changed then.{same}",
+                f"weather or operation. A lasting change of colour: something changed on that date.{same}",
                 partial(figure_day_hour, before, quantity, changed),
             )
         )
@@ -449,8 +433,7 @@ def _courses(found: DiscoveryResults, before: Residuals, after: Residuals | None
             "innovations",
             "Innovations: periods, and correlation with the drivers",
             "Curves should stay within the grey bands. A peak shows a period; a correlation at lags above "
-            "zero "
-            "shows a response to that driver that the one-step prediction lacks.",
+            "zero shows a response to that driver that the one-step prediction lacks.",
             lambda: figure_innovations(before, after),
         )
     )

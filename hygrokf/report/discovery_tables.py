@@ -14,48 +14,44 @@ from hygrokf.report.blocks import Table
 from hygrokf.report.discovery_text import (
     PARTS,
     capital,
-    chance,
     parameter_cells,
-    share_words,
     signed_percent,
     spoken,
     title,
 )
 from hygrokf.report.fit_tables import rmse_table
-from hygrokf.report.fit_text import simulated, time_constant
+from hygrokf.report.fit_text import p_value, share_text, simulated, time_constant
 
 
-def findings_table(found: DiscoveryResults) -> Table | None:
-    """What the simulation gets wrong, worst first; None where nothing is both significant and material."""
+def findings_table(found: DiscoveryResults) -> Table:
+    """Significant and material errors of the simulation, worst first."""
     rows = tuple(
         (
             capital(one.statement.split(" (", 1)[0]),
             f"{plain_number(one.size, 2)} {one.unit}".strip(),
             f"{one.n_episodes} of {one.n_possible}",
             percent(one.sensor_share),
-            chance(one.p_adjusted),
+            p_value(one.p_adjusted),
         )
         for one in found.findings
     )
-    if not rows:
-        return None
     return Table(
         "Worst first",
         ("in the identification period", "size", "episodes", "sensors", "p"),
         rows,
         note=(
-            "Size: error under this condition less that at all other times. Episodes: in how many of all the "
-            "error shows. Sensors: share of the squared error that the sensors' accuracy explains. p: "
-            "probability of such an error without a cause, corrected for everything that was tested."
+            "Size: error under this condition less the error at all other times. Episodes: how many of all "
+            "episodes show the error. Sensors: share of the squared error that the accuracy of the sensors "
+            "explains. p: probability of such an error by chance, corrected for everything that was tested."
         ),
     )
 
 
-def parameters_table(cause: CauseFound) -> Table | None:
-    """The parameters of a cause with bounds; None where it has none."""
+def parameters_table(cause: CauseFound) -> Table:
+    """The parameters of a cause with bounds."""
     rows = tuple((name, *parameter_cells(row), row.meaning) for name, row in cause.parameters.items())
     columns = ("parameter", "value", "95 % bounds", "unit", "meaning")
-    return Table("Parameters", columns, rows, left=(0, 3, 4), brief=(0, 1, 2, 3)) if rows else None
+    return Table("Parameters", columns, rows, left=(0, 3, 4), brief=(0, 1, 2, 3))
 
 
 def models(found: DiscoveryResults) -> tuple[FitResults, FitResults]:
@@ -81,13 +77,11 @@ def constants_table(found: DiscoveryResults) -> Table | None:
                 one.verdict.words if known else NONE,
             ]
         a, b = (one.found.value_h if one.found and one.closed else math.nan for one in pair)
-        rows.append((name, *cells, signed_percent(b / a - 1.0) if a > 0 and math.isfinite(b) else NONE))
-        value, _, span = simulated(pair[0].found).partition(" (")
+        rows.append((name, *cells, _change(a, b)))
+        value, span = simulated(pair[0].found)
         if value:
             # the extended model has no such estimate: its free run is not fitted
-            rows.append(("  by its free run", value, span.rstrip(")") or NONE, "", NONE, NONE, "", NONE))
-    if not rows:
-        return None
+            rows.append(("  by its free run", value, span or NONE, "", NONE, NONE, "", NONE))
     return Table(
         "Time constants",
         ("", "value", "bounds [h]", "verdict", "value", "bounds [h]", "verdict", "change"),
@@ -99,7 +93,7 @@ def constants_table(found: DiscoveryResults) -> Table | None:
 
 
 def constants_sentences(found: DiscoveryResults) -> list[str]:
-    """By how much the base model was wrong about each time constant, and whether its bounds hid that."""
+    """How far off the base model's time constants were, and whether their bounds held the better value."""
     said = []
     base, extended = models(found)
     for name in PARTS:
@@ -113,24 +107,21 @@ def constants_sentences(found: DiscoveryResults) -> list[str]:
         if verdict.verdict == REJECT:
             said.append(
                 f"The {name} time constant of the extended model is {verdict.words} either, so it does not "
-                f"tell how wrong the base model's is: {verdict.why}."
+                f"show how wrong the base model's is: {verdict.why}."
             )
             continue
         off = value / after - 1.0
         if abs(off) < 0.005:
-            said.append(f"The {name} time constant stays as it was.")
+            said.append(f"The {name} time constant stays the same.")
             continue
         bounds = ""
         if math.isfinite(low) and math.isfinite(high):
-            bounds = (
-                ", within its own bounds"
-                if low <= after <= high
-                else ", and its bounds did not hold the value of the extended model"
-            )
+            inside = low <= after <= high
+            held = "held" if inside else "did not hold"
+            bounds = f", {'but' if inside else 'and'} its bounds {held} the value of the extended model"
         direction = "too long" if off > 0 else "too short"
         said.append(
-            f"Without the cause the {name} time constant was "
-            f"{percent(abs(off), 1 if abs(off) < 0.095 else 0)} {direction}{bounds}."
+            f"Without the cause the {name} time constant was {signed_percent(off)[1:]} {direction}{bounds}."
         )
     return said
 
@@ -146,17 +137,12 @@ def scores_table(found: DiscoveryResults, period: str) -> Table | None:
     rows = [("base model, free run", *first[1:])]
     if wider is not None:
         rows.append(("extended model, free run", *wider.rows[0][1:]))
-        changes = (
+        pairs = (
             (getattr(model.errors(period, quantity), regime) for model in (before, after))
             for quantity in SCORED
             for regime in REGIMES
         )
-        rows.append(
-            (
-                "  change",
-                *(signed_percent(b / a - 1.0) if a > 0 and math.isfinite(b) else NONE for a, b in changes),
-            )
-        )
+        rows.append(("  change", *(_change(a, b) for a, b in pairs)))
     return Table(
         base.heading,
         base.columns,
@@ -166,32 +152,34 @@ def scores_table(found: DiscoveryResults, period: str) -> Table | None:
     )
 
 
+def _change(before: float, after: float) -> str:
+    """The relative change of a number."""
+    return signed_percent(after / before - 1.0) if before > 0 and math.isfinite(after) else NONE
+
+
 def _form(one: Rejected) -> str:
     """The best form of a cause, in brackets, where it has another name than the cause."""
     form = spoken(one.form) if one.form else ""
     return f" ({form})" if form and form != spoken(one.cause) else ""
 
 
-def rejected_table(found: DiscoveryResults) -> Table | None:
-    """Every cause that was tried and left out, the one with most evidence first; None without any."""
+def rejected_table(found: DiscoveryResults) -> Table:
+    """Every cause that was tried and left out, in order of its evidence."""
 
     def worth(evidence: float) -> float:
         return evidence if math.isfinite(evidence) else -math.inf
 
     rows = tuple(
         (
-            title(one.cause)
-            + (f" ({spoken(one.form)})" if one.form and spoken(one.form) != spoken(one.cause) else ""),
+            title(one.cause) + _form(one),
             fixed(one.evidence.lr, 1),
             f"{one.evidence.df:.0f}" if math.isfinite(one.evidence.df) else NONE,
             fixed(one.evidence.bic_gain, 1),
-            *(share_words(one.evidence.free_run_gain.get(part, math.nan)) for part in PARTS),
+            *(share_text(one.evidence.free_run_gain.get(part, math.nan)) for part in PARTS),
             one.reason or NONE,
         )
         for one in sorted(found.rejected, key=lambda one: -worth(one.evidence.bic_gain))
     )
-    if not rows:
-        return None
     return Table(
         "In order of their evidence",
         ("cause (best form)", "gain", "df", "net", "temp.", "hum.", "why it was left out"),
@@ -200,7 +188,7 @@ def rejected_table(found: DiscoveryResults) -> Table | None:
         groups=(("", 1), ("2 ln L", 3), ("free run", 2), ("", 1)),
         note=(
             "2 ln L: gain in twice the log-likelihood, all parameters estimated again; df: new parameters; "
-            "net: gain less the price (BIC) of parameters and of the settings searched. Free run: share of "
-            "the squared error of temperature and humidity that is gone; below zero it gets worse."
+            "net: gain less the penalty (BIC) for parameters and for the settings searched. Free run: "
+            "relative reduction of the squared error; below zero the error grows."
         ),
     )

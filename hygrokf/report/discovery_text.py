@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from datetime import UTC, datetime
 
 from hygrokf.discovery.discovery_results import (
@@ -20,7 +20,6 @@ from hygrokf.identification.verdict import inherited
 from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.identification.wording import (
     BASELINES,
-    NONE,
     QUANTITIES,
     decimals_for,
     fixed,
@@ -31,6 +30,7 @@ from hygrokf.identification.wording import (
 )
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.fit_tables import unit
+from hygrokf.report.fit_text import p_value, share_text
 
 VERDICTS = {
     "none": "Nothing is missing that this record shows",
@@ -38,15 +38,15 @@ VERDICTS = {
 }
 """The verdict where no cause is named."""
 NOT_RIGHT = "No cause is found, and the model is not right"
-REPETITION = "The logger writes readings again that are a day old"
+REPETITION = "The logger repeats readings of the day before"
 PERIOD = {"validation": "the held-out period", "identification": "the identification period"}
 PARTS = {"thermal": "temperature", "hygric": "humidity"}
 NO_GAIN = (
-    "no gain is stated: an event, or what was seen in one episode only, cannot be shown again by held-out "
-    "data; for a single episode the confidence is capped"
+    "no gain is stated: held-out data cannot confirm an event, or a cause that was seen in one episode only; "
+    "for a single episode the confidence is capped"
 )
 MOST_SENTENCES = 5
-"""Sentences below the verdict; the sections say the rest."""
+"""Sentences below the verdict; the sections contain the rest."""
 NO_CHECK = "nothing is stated"
 
 
@@ -74,16 +74,6 @@ def listed(words: Iterable[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 
-def chance(p: float) -> str:
-    """A p-value."""
-    return NONE if math.isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}"
-
-
-def share_words(share: float) -> str:
-    """A share [1] that may be negative, in whole per cent."""
-    return percent(0.0) if abs(share) < 0.005 else minus(percent(share))
-
-
 def signed_percent(share: float) -> str:
     """A change [1] in per cent with its sign."""
     sign = "+" if share >= 0.0005 else "−" if share <= -0.0005 else "±"
@@ -104,7 +94,7 @@ def tried(found: DiscoveryResults) -> int:
 
 
 def repeats_itself(found: DiscoveryResults) -> bool:
-    """Whether what remains are readings that a logger wrote again."""
+    """Whether the remaining structure is a logger's repetition of readings."""
     return found.unexplained is not None and found.unexplained.kind == REPEATED
 
 
@@ -129,14 +119,14 @@ def _doubts(found: DiscoveryResults) -> list[str]:
 
 
 def verdict_sentences(found: DiscoveryResults) -> list[str]:
-    """The verdict in at most five sentences: the cause, its gain, its rivals, what to check, what is left."""
+    """The verdict in at most five sentences: cause, gain, rivals, check in the turbine, remaining errors."""
     if found.verdict == "named" and len(found.causes) == 1:
         (one,) = found.causes
         rivals = rivals_sentence(one)
         said = [
             one.statement,
             short_gain(one.gain),
-            f"this record does not tell it from {rivals}" if rivals else "",
+            f"this record cannot distinguish it from {rivals}" if rivals else "",
             f"check in the turbine: {one.remedy or NO_CHECK}",
             *_consequences(found),
         ]
@@ -154,32 +144,36 @@ def verdict_sentences(found: DiscoveryResults) -> list[str]:
 
 
 def _consequences(found: DiscoveryResults) -> list[str]:
-    """What the verdict means for whoever uses the simulation, beside what is said of each cause."""
+    """What the verdict means for a user of the simulation."""
     left = remainder(found)
     none_of = f"none of {tried(found)} causes of the library"
     if found.verdict == "named":
         return [f"the extended model still errs: {left}"] if left else []
     if found.verdict == "none" and (doubts := _doubts(found)):
-        return [f"{none_of} is both significant and worth having, yet the base model is not right", *doubts]
+        return [
+            f"{none_of} improves the simulation significantly and by enough to matter, yet the base model is "
+            "wrong",
+            *doubts,
+        ]
     if found.verdict == "none":
         return [
-            f"{none_of} is both significant and worth having; the simulation's errors look like the ordinary "
-            "disturbances of a cabinet",
-            "keep the base model; something may be missing that this record does not show",
+            f"{none_of} improves the simulation significantly and by enough to matter; its errors look like "
+            "the ordinary disturbances of a cabinet",
+            "keep the base model; a cause may be missing that this record does not show",
         ]
     if repeats_itself(found):
-        check = "find out why the logger repeats readings, and mend that first"
+        check = "find out why the logger repeats readings, and correct that first"
         return [
             left,
             f"{check}; the causes named here were found in the other readings" if found.causes else check,
         ]
-    said = [left or "structure remains that nothing in the library explains"]
+    said = [left or "the remaining errors have a structure that no cause of the library explains"]
     if found.causes:
         names = listed(spoken(one.cause) for one in found.causes)
-        said.append(f"{names} explains only a part; take the name with caution")
+        said.append(f"{names} explains only a part of the errors; take the name with caution")
     else:
-        said.append(f"{none_of} explains it, so none is named")
-    said.append("do not rely on the simulation where this shows; look there for what is not logged")
+        said.append(f"{none_of} explains it, so no cause is named")
+    said.append("do not rely on the simulation under these conditions; look there for influences not logged")
     return said
 
 
@@ -189,7 +183,7 @@ def remainder(found: DiscoveryResults) -> str:
 
 
 def remainder_driver(found: DiscoveryResults) -> str:
-    """What the remaining error goes with; empty where it goes with nothing that is logged."""
+    """The logged signal that the remaining error correlates with most; empty without one."""
     left = found.unexplained
     if left is None or not left.driver or not math.isfinite(left.correlation):
         return ""
@@ -201,11 +195,11 @@ def remainder_driver(found: DiscoveryResults) -> str:
 
 
 def untried(found: DiscoveryResults) -> str:
-    """What the time did not last for; empty where all was tried."""
+    """The trials for which the time budget was too short; empty where there are none."""
     names = [spoken(name) for name in found.not_tried.causes]
     parts = [f"{listed(names)} {'was' if len(names) == 1 else 'were'} not tried"] if names else []
     if found.not_tried.beside:
-        parts.append("nothing was tried beside the accepted cause")
+        parts.append("no further cause was tried beside the accepted one")
     seconds = found.not_tried.budget_s
     return f"within {seconds:.0f} s {' and '.join(parts)}: allow more time with --budget" if parts else ""
 
@@ -223,7 +217,7 @@ def confidence_of(cause: CauseFound) -> str:
 def short_gain(gain: Gain | None) -> str:
     """What a cause gained, in one clause; why none is stated."""
     if gain is None or not gain.known:
-        return "no gain is stated, because it was seen once or is an event"
+        return "no gain is stated, because the cause was seen once or is an event"
     name, symbol = quantity_of(gain.quantity)
     verb = "falls" if gain.rmse_after < gain.rmse_before else "rises"
     return (
@@ -253,13 +247,11 @@ def gain_sentence(gain: Gain | None) -> str:
     own = [gain.identified_before, gain.identified_after]
     if all(map(math.isfinite, own)) and [fixed(v) for v in own] != [fixed(before), fixed(after)]:
         said += (
-            ". Both models are compared here as the better simulators that they can be; as identified, they "
-            f"err by {fixed(own[0])} and {fixed(own[1])} {symbol}, the numbers of the tables and of the "
-            f"fit's "
-            "page"
+            ". Both models are compared here with the parameters that simulate better; as identified, their "
+            f"errors are {fixed(own[0])} and {fixed(own[1])} {symbol}, as in the tables and on the fit's page"
         )
     if gain.period == "identification":
-        said += "; there is no held-out period, so the same data choose the cause and score it"
+        said += "; there is no held-out period, so the cause is scored on the data that it was chosen on"
     return said
 
 
@@ -272,19 +264,19 @@ def evidence_sentence(found: Evidence) -> str:
             said += f" for {found.df:.0f} {'parameter' if found.df == 1 else 'parameters'}"
         if math.isfinite(found.bic_gain):
             said += (
-                f"; evidence {minus(f'{found.bic_gain:.0f}')} after the base model's misfit and the price of "
-                "what was searched"
+                f"; evidence {minus(f'{found.bic_gain:.0f}')} after corrections for the base model's misfit "
+                "and for the search"
             )
         parts.append(said)
     if math.isfinite(found.score_statistic):
         parts.append(f"score statistic {plain_number(found.score_statistic)}")
     p = found.p_adjusted
     if math.isfinite(p):
-        parts.append(f"p {chance(p) if p < 1e-3 else f'= {chance(p)}'}, corrected for all that was tried")
+        parts.append(f"p {p_value(p) if p < 1e-3 else f'= {p_value(p)}'}, corrected for all that was tried")
     for part, share in found.free_run_gain.items():
         if math.isfinite(share):
             lasting = found.lasting_gain.get(part, math.nan)
-            without = f" ({share_words(lasting)} without the best days)" if math.isfinite(lasting) else ""
+            without = f" ({share_text(lasting)} without the best days)" if math.isfinite(lasting) else ""
             name = PARTS.get(part, spoken(part))
             parts.append(f"the squared {name} error {_fell(share)}{without}")
     return "; ".join(parts) or "no evidence is stated"
@@ -298,15 +290,15 @@ def _fell(share: float) -> str:
 
 
 def rivals_sentence(cause: CauseFound) -> str:
-    """The causes that this record cannot tell apart, and what would; empty where there are none."""
+    """The causes that this record cannot distinguish, and what could; empty where there are none."""
     if not cause.ambiguous_with:
         return ""
-    measure = f"; to tell them apart: {cause.separate_by}" if cause.separate_by else ""
+    measure = f"; to distinguish them: {cause.separate_by}" if cause.separate_by else ""
     return f"{listed(spoken(one) for one in cause.ambiguous_with)}{measure}"
 
 
 def parameter_cells(row: CauseParameter) -> tuple[str, str, str]:
-    """(value, bounds, unit) of a parameter, with the digits that it is known to; an open side is said."""
+    """(value, bounds, unit) of a parameter with the digits that its bounds justify."""
     value, low, high = row.value, row.lower, row.upper
     if math.isfinite(low) and math.isfinite(high) and high > low:
         decimals = decimals_for(0.25 * (high - low))
@@ -320,7 +312,7 @@ _UNITS = {"_K": "K", "_h": "h", "_deg": "°", "_min": "min", "_mm": "mm"}
 
 
 def settings_words(settings: Settings) -> list[str]:
-    """What was found on a grid: dates, thresholds, clock errors, each in its own words."""
+    """Settings that were found on a grid: dates, thresholds, clock errors, each in its own words."""
     found = []
     for key, value in settings.items():
         if key in ("start_s", "end_s", "reads"):
@@ -385,7 +377,7 @@ def error_sentences(found: DiscoveryResults) -> list[str]:
         before, after, period = scored_error(found, quantity)
         if not math.isfinite(before):
             continue
-        name, symbol = quantity_of(quantity)
+        name, symbol = QUANTITIES[quantity]
         where = f"on {PERIOD[period]}"
         last = after if math.isfinite(after) else before
         if math.isfinite(after) and before > 0:
@@ -407,12 +399,3 @@ def error_sentences(found: DiscoveryResults) -> list[str]:
             text += f", {percent(abs(against))} {side} the rule “{best}” ({fixed(rules[best])} {symbol})"
         said.append(f"{text}.")
     return said
-
-
-def gains_by_quantity(found: DiscoveryResults) -> Mapping[str, Gain]:
-    """Scored quantity -> the first accepted cause's gain in it."""
-    result: dict[str, Gain] = {}
-    for cause in found.causes:
-        if cause.gain is not None and cause.gain.known:
-            result.setdefault(cause.gain.quantity, cause.gain)
-    return result

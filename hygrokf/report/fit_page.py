@@ -1,4 +1,4 @@
-"""`report.html` from `fit.json` and `series.npz`: the blocks of a fit, its page and its text."""
+"""The blocks, page and text of a fit: `report.html` from `fit.json` and `series.npz`."""
 
 from __future__ import annotations
 
@@ -20,22 +20,27 @@ from hygrokf.identification.verdict_terms import BELIEVE, CAUTION, REJECT
 from hygrokf.identification.wording import UNBOUNDED, fixed, moment, one_line, plain_number, sentence
 from hygrokf.modelling.design import PARTS
 from hygrokf.report.blocks import (
+    FREE_RUN,
+    INNOVATIONS,
+    SYNTHETIC_PAGE,
     Banner,
     Block,
     Card,
     Cards,
     Details,
-    Heading,
     Items,
     Line,
     Page,
     Prose,
     Table,
     Verdicts,
+    method,
+    present,
     section,
+    synthetic,
     table_or,
 )
-from hygrokf.report.figures.overview import FIGURES
+from hygrokf.report.figures.fit import FIGURES
 from hygrokf.report.fit_tables import (
     PRODUCT,
     actuators_table,
@@ -46,7 +51,7 @@ from hygrokf.report.fit_tables import (
     rmse_table,
     time_constants_table,
 )
-from hygrokf.report.fit_text import Judgement, doubted, judgements, range_of, simulated, time_constant
+from hygrokf.report.fit_text import Judgement, doubted, free_run_text, judgements, range_of, time_constant
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 from hygrokf.version import __version__
@@ -142,10 +147,10 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
     actuators = actuators_table(fit)
     rmse = [rmse_table(fit, period) for period in ("validation", "identification")]
     bands, parameters, innovations = bands_table(fit), parameters_table(fit), innovations_table(fit)
-    believe = _judgements(fit)
+    believe, terms = _judgements(fit), Prose(TERMS, "note")
     cards = Cards(tuple(_card(fit, name) for name in PARTS))
     body = (
-        *section("What to believe, and what not", believe),
+        *section("What to believe, and what not", terms, believe),
         *section(
             "Accuracy",
             table_or(rmse[0], "No validation period: `until` is not stated, or nothing was scored after it."),
@@ -192,7 +197,7 @@ def fit_blocks(fit: FitResults, series: Mapping[str, np.ndarray]) -> Page:
         (*_banners(fit), cards, pictures["validation"]),
         body,
         _method(fit),
-        (cards, *(table for table in tables if table is not None), believe),
+        present(cards, terms, *tables, believe),
     )
 
 
@@ -212,15 +217,12 @@ def _about(fit: FitResults) -> tuple[str, ...]:
 
 
 def _banners(fit: FitResults) -> tuple[Banner, ...]:
-    found = []
-    if fit.synthetic:
-        said = "This record was made by a computer. Nothing on this page was measured."
-        found.append(Banner("SYNTHETIC", said))
-    if not fit.converged:
-        word = "CONVERGENCE UNKNOWN" if fit.converged is None else "NOT CONVERGED"
-        said = f"{fit.message} None of the numbers below is final.".strip()
-        found.append(Banner(word, said, severe=True))
-    return tuple(found)
+    found = synthetic(fit.synthetic, SYNTHETIC_PAGE)
+    if fit.converged:
+        return found
+    word = "CONVERGENCE UNKNOWN" if fit.converged is None else "NOT CONVERGED"
+    said = f"{fit.message} None of the numbers below is final.".strip()
+    return (*found, Banner(word, said, severe=True))
 
 
 def _card(fit: FitResults, name: str) -> Card:
@@ -233,13 +235,14 @@ def _card(fit: FitResults, name: str) -> Card:
     lines = []
     if constant.found.statement and not constant.closed:
         lines.append(constant.found.statement)
-    other = simulated(constant.found)
-    if other:
-        lines.append(f"The free run alone gives {other}.")
+    last = []
+    if other := free_run_text(constant.found):
+        last.append(f"The free run alone gives {other}.")
     low, high = range_of(constant.found)
     if math.isfinite(low):
-        over = f"{plain_number(low)} … {plain_number(high)} h over the record's temperatures."
-        lines = [*lines[:-1], f"{lines[-1]} {over}"] if other else [*lines, over]
+        last.append(f"{plain_number(low)} … {plain_number(high)} h over the record's temperatures.")
+    if last:
+        lines.append(" ".join(last))
     reason = sentence(verdict.why) if verdict.verdict == REJECT and verdict.why else verdict.why
     return Card(
         label, constant.value, constant.sentence, verdict.verdict, constant.bounds, reason, symbol,
@@ -279,14 +282,13 @@ def _untold(fit: FitResults, found: Sequence[Judgement]) -> list[str]:
 def _innovations(fit: FitResults) -> tuple[Block, ...]:
     table = innovations_table(fit)
     said = tuple(sentence(line) for line in fit.innovations.statements)
-    if table is None and not said:
+    if not (table or said):
         return (Prose("The fit holds no tests of its innovations.", "missing"),)
     note = fit.innovations.note
     return (
         Prose(
-            "An innovation is a reading less its one-step prediction, here in units of the prediction's own "
-            "standard deviation. White innovations mean that the model has used everything that earlier "
-            "readings and the inputs can tell."
+            "Innovations are shown in units of the prediction's own standard deviation. White innovations "
+            "mean that the model uses everything that earlier readings and the inputs can tell."
         ),
         table_or(table, "The tests hold no numbers."),
         *([Items(said)] if said else []),
@@ -311,8 +313,8 @@ def _method(fit: FitResults) -> tuple[Block, ...]:
         else "least squares on the free run (output error), as in the paper"
     )
     kind = f" ({fit.kind} model)" if fit.kind else ""
-    lines = [*METHOD[:1], f"The parameters were estimated by {how}{kind}, on the identification period "
-             "alone. " + METHOD[1], *METHOD[2:]]  # fmt: skip
+    estimated = f"The parameters were estimated by {how}{kind}, on the identification period alone. "
+    lines = [METHOD[0], estimated + METHOD[1], *METHOD[2:]]
     lines += [sentence(line) for line in (() if fit.design is None else fit.design.statements)]
     values = [
         f"{label} {fixed(value)}"
@@ -328,9 +330,14 @@ def _method(fit: FitResults) -> tuple[Block, ...]:
         f"Fitted by hygrokf {fit.version or '(version not stated)'}{f' on {when} UTC' if when else ''}; page "
         f"written by hygrokf {__version__}."
     )
-    return (Heading("How this was computed"), *(Prose(line) for line in lines))
+    return method("How this was computed", *lines)
 
 
+TERMS = (
+    f"{FREE_RUN} {INNOVATIONS} All sources: bounds of the profile likelihood, widened by every other source "
+    "of uncertainty. Sandwich: bounds from the observed scatter of the scores, which hold even where the "
+    "model's noise is not quite right."
+)
 METHOD = (
     "Heat balance: dT_conv/dt = (T_amb − T_conv + f_ΔT/ρ)/τ and T_conv,a = ρ T_conv + (1−ρ) T_amb, with "
     "τ = (R_AT+R_IC)·C and ρ = R_AT/(R_AT+R_IC). The heat release f_ΔT [K] is a polynomial of the power in "
@@ -338,12 +345,11 @@ METHOD = (
     "T_amb^0.8 (c_amb − c*)/(k (273 K)^1.8) and c = c* T_amb/T_conv,a. Coloured and white disturbances of "
     "both flows are estimated together with the other parameters. The stated accuracy of a sensor is the "
     "prior of its constant error.",
-    "Each reading is used at its own time. Inputs given as instants are joined by straight lines, ambient "
-    "interval means by the path that keeps the means, and means of the power hold over their interval.",
+    "Each reading is used at its own time. Inputs read at instants are interpolated linearly, interval means "
+    "of the ambient by the curve that keeps the means, and mean powers hold over their interval.",
     "The interval of a time constant starts from the bounds of the profile likelihood and is widened where "
     "the scores vary more than the model predicts. Parts of the record, other forms of the model, the free "
     "run, clock errors and the sampling of the ambient widen it further, as shown above. Other bounds are "
-    "the wider of Wald's and the sandwich's. Errors are those of the free run: the model sees the inputs and "
-    "no reading of the cabinet. Stretches with unknown power or weather, and the hours after them, are not "
-    "scored.",
+    "the wider of Wald's and the sandwich's. Errors are those of the free run. Stretches with unknown power "
+    "or weather, and the hours after them, are not scored.",
 )

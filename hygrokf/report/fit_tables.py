@@ -1,4 +1,4 @@
-"""The tables of a fit."""
+"""The tables of a fit, and of its evaluation on another record."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 from hygrokf.evaluation.actuator_effects import Change
 from hygrokf.evaluation.diagnosis import CumulativePeriodogram
 from hygrokf.evaluation.scoring import REGIMES, SCORED, Errors, Scored
+from hygrokf.identification.fit_on_record import Evaluation
 from hygrokf.identification.fit_results import FitResults, PriorTerms, TimeConstant
 from hygrokf.identification.wording import (
     NONE,
@@ -21,14 +22,20 @@ from hygrokf.identification.wording import (
     signed,
 )
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
-from hygrokf.report.blocks import Table
-from hygrokf.report.fit_text import lead_words, method, range_of, simulated, time_constant
+from hygrokf.report.blocks import FREE_RUN, Block, Heading, Items, Prose, Table, inherited_verdicts, present
+from hygrokf.report.fit_text import lead_words, method, p_value, range_of, simulated, time_constant
+from hygrokf.report.terminal import blocks_text
 
-PERIODS = ("identification", "validation")
+PRODUCT = {"thermal": "(R_AT+R_IC)·C", "hygric": "R_D*·V*"}
+"""Symbols of the time constants."""
+ACTUATORS = (
+    "Mean difference between the simulations with and without the actuator while it is above half of its "
+    "span, with 95 % bounds."
+)
 
 
-def time_constants_table(fit: FitResults) -> Table | None:
-    """Both time constants by both criteria; None where neither was identified."""
+def time_constants_table(fit: FitResults) -> Table:
+    """Both time constants by both criteria."""
     rows: list[tuple[str, ...]] = []
     notes: list[str] = []
     for name in ("thermal", "hygric"):
@@ -40,42 +47,15 @@ def time_constants_table(fit: FitResults) -> Table | None:
         how = f"{method(found)}, {percent(found.level)}" if math.isfinite(found.level) else method(found)
         rows.append((f"{name} {PRODUCT[name]}", constant.value, bounds, how, constant.verdict.words))
         rows += _beside(found)
-        other = simulated(found)
-        if other:
-            value, _, span = other.partition(" (")
-            rows.append(
-                ("  by simulation (output error)", value, span.rstrip(")") or NONE, "sandwich, 95 %", "")
-            )
-        differences = found.difference_K or ()
-        if len(differences) == 3:
-            note = (
-                f"The difference between cabinet and ambient is {differences[0]:.1f}, {differences[1]:.1f} "
-                f"and {differences[2]:.1f} K in 10, 50 and 90 % of the readings"
-            )
-            courses = found.range_h or ()
-            if len(courses) == 3:
-                note += (
-                    f"; small changes decay with {', '.join(plain_number(v) for v in courses[:2])} and "
-                    f"{plain_number(courses[2])} h there"
-                )
-            notes.append(f"{note}.")
+        value, span = simulated(found)
+        if value:
+            rows.append(("  by the free run alone", value, span or NONE, "sandwich, 95 %", ""))
         low, high = range_of(found)
         if math.isfinite(low):
             decimals = decimals_for(0.2 * abs(high - low))
             shown = f"{low:.{decimals}f} … {high:.{decimals}f} h"
-            rows.append(("  over the record's temperatures", shown, NONE, "", ""))
-        inside = found.reference.cabinet_temperature_K - ZERO_CELSIUS_K
-        outside = found.reference.ambient_temperature_K - ZERO_CELSIUS_K
-        if math.isfinite(inside) and math.isfinite(outside):
-            notes.append(
-                f"The {name} time constant holds at {fixed(inside, 1)} °C inside and {fixed(outside, 1)} °C "
-                "outside."
-            )
-        if len(found.modes) > 1:
-            poles = ", ".join(f"{plain_number(v)} h" for v in found.modes)
-            notes.append(f"Poles of the {name} model: {poles}.")
-    if not rows:
-        return None
+            rows.append(("  over all temperatures", shown, NONE, "", ""))
+        notes += _notes(name, found)
     return Table(
         "Time constants",
         ("", "value", "bounds [h]", "method", "verdict"),
@@ -85,36 +65,60 @@ def time_constants_table(fit: FitResults) -> Table | None:
     )
 
 
+def _notes(name: str, found: TimeConstant) -> list[str]:
+    """Sentences on the conditions under which a time constant holds."""
+    notes = []
+    differences, decays = found.difference_K or (), found.range_h or ()
+    if len(differences) == 3:
+        low, middle, high = (f"{value:.1f}" for value in differences)
+        note = (
+            f"The temperature difference between cabinet and ambient is {low}, {middle} and {high} K at the "
+            "10th, 50th and 90th percentile of the readings"
+        )
+        if len(decays) == 3:
+            first, second, third = map(plain_number, decays)
+            note += f"; small changes there decay with {first}, {second} and {third} h"
+        notes.append(f"{note}.")
+    inside = found.reference.cabinet_temperature_K - ZERO_CELSIUS_K
+    outside = found.reference.ambient_temperature_K - ZERO_CELSIUS_K
+    if math.isfinite(inside) and math.isfinite(outside):
+        notes.append(
+            f"The {name} time constant holds at {fixed(inside, 1)} °C inside and {fixed(outside, 1)} °C "
+            "outside."
+        )
+    if len(found.modes) > 1:
+        poles = ", ".join(f"{plain_number(v)} h" for v in found.modes)
+        notes.append(f"Time constants of all modes of the {name} model: {poles}.")
+    return notes
+
+
 def _beside(found: TimeConstant) -> list[tuple[str, ...]]:
     """Rows below a time constant: the likelihood's own bounds, R·C under convection, the sensor's
     response."""
     rows: list[tuple[str, ...]] = []
     for words, one, how in (
         ("  by the likelihood alone", found.profile, "profile likelihood, 95 %"),
-        ("  R·C at the same difference", found.resistance_capacity, "all sources, 95 %"),
+        ("  R·C at the median ΔT", found.resistance_capacity, "all sources, 95 %"),
     ):
         if one is not None and math.isfinite(one.value_h) and one.lower_h > 0 and math.isfinite(one.upper_h):
             shown, span = ends(one.value_h, one.lower_h, one.upper_h)
             rows.append((words, f"{shown} h", span, how, ""))
-    response, label = found.response, "  humidity sensor's response"
+    response, label = found.response, "  humidity sensor"
     if response is None:
         return rows
     minutes = f"{response.minutes:.1f} min"
     if response.kind == "estimated":
         span = f"{response.lower_minutes:.1f} … {response.upper_minutes:.1f} min"
-        rows.append((label, minutes, span, "estimated, 95 %", ""))
+        rows.append((label, minutes, span, "response, estimated, 95 %", ""))
     elif response.kind == "included":
-        rows.append((label, "included", NONE, "not stated, none seen", ""))
+        rows.append((label, "included", NONE, "response not stated, none seen", ""))
     elif response.minutes > 0:
-        rows.append((label, minutes, NONE, "stated", ""))
+        rows.append((label, minutes, NONE, "response, stated", ""))
     return rows
 
 
-PRODUCT = {"thermal": "(R_AT+R_IC)·C", "hygric": "R_D*·V*"}
-
-
 def rmse_table(fit: Scored, period: str) -> Table | None:
-    """The paper's Table III for one period with the baselines; None where nothing was scored."""
+    """The paper's Table III for one period, with rules that need no model; None where nothing was scored."""
     errors = [fit.errors(period, quantity) for quantity in SCORED]
     if not any(math.isfinite(one.total) for one in errors):
         return None
@@ -126,17 +130,8 @@ def rmse_table(fit: Scored, period: str) -> Table | None:
     rows.append(("readings", *(str(getattr(one.n, regime)) for one in errors for regime in REGIMES)))
     share = [fit.sensor_share.get(period, {}).get(q, math.nan) for q in SCORED]
     if any(math.isfinite(one) for one in share):
-        rows.append(
-            (
-                "share explained by sensor accuracy",
-                NONE,
-                NONE,
-                percent(share[0]),
-                NONE,
-                NONE,
-                percent(share[1]),
-            )
-        )
+        cells = [cell for one in share for cell in (NONE, NONE, percent(one))]
+        rows.append(("share explained by sensor accuracy", *cells))
     return Table(
         f"Root mean squared error, {period}",
         ("", *REGIMES, *REGIMES),
@@ -150,8 +145,8 @@ def _cells(errors: list[Errors]) -> list[str]:
     return [fixed(getattr(one, regime)) for one in errors for regime in REGIMES]
 
 
-def bands_table(fit: Scored) -> Table | None:
-    """Coverage of the bands by lead; None without any."""
+def bands_table(fit: Scored) -> Table:
+    """Coverage of the 95 % bands by lead."""
     rows = []
     for lead in fit.bands:
         cells = []
@@ -160,20 +155,18 @@ def bands_table(fit: Scored) -> Table | None:
             cells += [percent(band.coverage, 1), fixed(band.scale), str(band.n) if band.n > 0 else NONE]
         if any(cell != NONE for cell in cells):
             rows.append((lead_words(lead), *cells))
-    if not rows:
-        return None
     return Table(
         "Readings inside the 95 % bands",
         ("", *("inside", "scale", "n") * 3),
         tuple(rows),
         groups=(("", 1), *((words, 3) for words, _ in QUANTITIES.values())),
-        note="Scale: the factor by which the band would have to be widened (above 1) or narrowed to hold "
-        "95 %.",
+        note="Scale: the factor by which the band would have to be widened (above 1) or narrowed (below 1) "
+        "to hold 95 %.",
     )
 
 
-def parameters_table(fit: FitResults) -> Table | None:
-    """Every parameter with standard error, bounds, unit, meaning and remarks; None without any."""
+def parameters_table(fit: FitResults) -> Table:
+    """Every parameter with standard error, bounds, unit, meaning and remarks."""
     rows: list[tuple[str, ...]] = []
     marked: list[int] = []
     for name, row in fit.parameters.items():
@@ -195,27 +188,17 @@ def parameters_table(fit: FitResults) -> Table | None:
         bounds = NONE if shown[1:] == [NONE, NONE] else f"{shown[1]} … {shown[2]}"
         if {"at its bound", "not determined"} & set(remarks):
             marked.append(len(rows))
-        rows.append(
-            (
-                name,
-                shown[0],
-                plain_number(se, 2),
-                bounds,
-                unit(row.unit),
-                row.meaning,
-                "; ".join(remarks),
-            )
-        )
-    if not rows:
-        return None
+        rows.append((
+            name, shown[0], plain_number(se, 2), bounds, unit(row.unit), row.meaning, "; ".join(remarks)
+        ))  # fmt: skip
     columns = ("parameter", "value", "se", "95 % bounds", "unit", "meaning", "remarks")
     return Table(
         "Parameters", columns, tuple(rows), left=(0, 4, 5, 6), marked=tuple(marked), brief=(0, 1, 2, 3, 4, 6)
     )
 
 
-def actuators_table(fit: FitResults) -> Table | None:
-    """What logged actuators change while they are on; None where none is logged."""
+def actuators_table(fit: FitResults) -> Table:
+    """What the logged actuators change while they are on."""
     rows, left_out = [], []
     for one in fit.actuators:
         if not one.used:
@@ -223,34 +206,21 @@ def actuators_table(fit: FitResults) -> Table | None:
             rows.append((one.signal, *[NONE] * 4))
             continue
         cells = []
-        for quantity, factor in (
-            ("temperature_K", 1.0),
-            ("relative_humidity", 100.0),
-            ("absolute_humidity_g_m3", 1.0),
-        ):
+        factors = {"temperature_K": 1.0, "relative_humidity": 100.0, "absolute_humidity_g_m3": 1.0}
+        for quantity, factor in factors.items():
             change = (one.changes or {}).get(quantity, Change())
             value, low, high = (factor * v for v in (change.value, change.lower, change.upper))
-            decimals = (
-                decimals_for(max(0.25 * (high - low), 0.01 * abs(value))) if math.isfinite(high - low) else 2
-            )
-            bounds = (
-                f" ({signed(low, decimals)} … {signed(high, decimals)})" if math.isfinite(high - low) else ""
-            )
+            decimals, bounds = 2, ""
+            if math.isfinite(high - low):
+                decimals = decimals_for(max(0.25 * (high - low), 0.01 * abs(value)))
+                bounds = f" ({signed(low, decimals)} … {signed(high, decimals)})"
             cells.append(f"{signed(value, decimals)}{bounds}" if math.isfinite(value) else NONE)
         rows.append((one.signal, percent(one.on_share, 1), *cells))
-    if not rows:
-        return None
     return Table(
         "What the logged actuators change while they are on",
         ("actuator", "on", "temperature [K]", "relative humidity [%]", "absolute humidity [g/m³]"),
         tuple(rows),
-        note=" ".join(
-            [
-                "Mean of the simulation with the actuator less the one without it, over the time that it is "
-                "above half of its span, with 95 % bounds.",
-                *left_out,
-            ]
-        ),
+        note=" ".join([ACTUATORS, *left_out]),
     )
 
 
@@ -261,15 +231,13 @@ def unit(text: str) -> str:
     return text
 
 
-def optima_table(fit: FitResults) -> Table | None:
-    """Other local optima that were met; None where there were none."""
+def optima_table(fit: FitResults) -> Table:
+    """Other local optima that the search met."""
     rows = []
     for one in fit.other_optima:
         constants = {"thermal time constant": one.thermal_time_constant, "hygric k": one.hygric_k}
         there = [f"{name} {plain_number(value)}" for name, value in constants.items() if math.isfinite(value)]
         rows.append((fixed(one.objective), fixed(one.objective - fit.loglik), ", ".join(there)))
-    if not rows:
-        return None
     return Table(
         "Other optima met on the way",
         ("objective", "against the log-likelihood", "there"),
@@ -278,8 +246,8 @@ def optima_table(fit: FitResults) -> Table | None:
     )
 
 
-def innovations_table(fit: FitResults) -> Table | None:
-    """Moments and whiteness of the innovations; None without any."""
+def innovations_table(fit: FitResults) -> Table:
+    """Moments and whiteness of the innovations."""
     rows = []
     for name, one in fit.innovations.outputs.items():
         spectrum = one.cumulative_periodogram or CumulativePeriodogram()
@@ -291,19 +259,42 @@ def innovations_table(fit: FitResults) -> Table | None:
                 fixed(one.variance),
                 fixed(one.excess_kurtosis),
                 percent(one.beyond_3, 2),
-                _p(one.ljung_box[-1].p if one.ljung_box else math.nan),
-                _p(spectrum.p),
+                p_value(one.ljung_box[-1].p if one.ljung_box else math.nan),
+                p_value(spectrum.p),
             )
         )
-    if not rows:
-        return None
     columns = ("output", "n", "mean", "variance", "kurtosis", "beyond ±3", "Ljung–Box p", "spectrum p")
     note = (
-        "White, normal innovations: mean 0, variance 1, excess kurtosis 0, 0.27 % beyond ±3; Ljung–Box "
-        "over a day."
+        "Innovations over their standard deviation. White and normal ones have mean 0, variance 1, excess "
+        "kurtosis 0 and 0.27 % beyond ±3. Ljung–Box: test for correlation over a day."
     )
     return Table("Standardised innovations", columns, tuple(rows), note=note)
 
 
-def _p(p: float) -> str:
-    return NONE if math.isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}"
+# --- evaluation ------------------------------------------------------------------------------
+
+
+def evaluation_text(found: Evaluation) -> str:
+    """The scores of a fit on another record as text of at most 100 columns."""
+    return "\n\n".join(blocks_text(evaluation_blocks(found)))
+
+
+def evaluation_blocks(found: Evaluation) -> tuple[Block, ...]:
+    """Table III of the paper for both periods, with the rules that need no model, and the bands."""
+    tables = [rmse_table(found, period) for period in ("identification", "validation")]
+    scored = any(tables)
+    return present(
+        Heading(f"{found.fit} on {found.record}: errors of the free run"),
+        Prose(FREE_RUN),
+        inherited_verdicts(found.verdicts, ""),
+        Items(tuple(f"note: {line}" for line in found.statements)) if found.statements else None,
+        *(tables if scored else [Prose(NOTHING, "missing")]),
+        bands_table(found) if scored else None,
+    )
+
+
+NOTHING = (
+    "Nothing to score: there is no temperature or absolute humidity of the cabinet at a time when all inputs "
+    "are known. Relative humidity needs the temperature beside it; a fit that knows the power needs the "
+    "power; after a gap in the inputs the score waits 12 h. See the gaps in `hygrokf check`."
+)

@@ -1,7 +1,7 @@
-"""Numbers and judgements in words: what the report says about a fit before it shows a figure.
+"""Numbers and judgements of a fit in words.
 
-Any part of the results may be missing.  Whether a time constant can be believed is not decided here: that is
-its `verdict`.
+Any part of the results may be missing.  Whether a time constant can be believed is decided by its verdict
+(`identification.verdict`), not here.
 """
 
 from __future__ import annotations
@@ -36,7 +36,17 @@ from hygrokf.identification.verdict_terms import (
     Verdict,
     verdict_line,
 )
-from hygrokf.identification.wording import QUANTITIES, ends, fixed, interval, percent, plain_number, sentence
+from hygrokf.identification.wording import (
+    NONE,
+    QUANTITIES,
+    ends,
+    fixed,
+    interval,
+    minus,
+    percent,
+    plain_number,
+    sentence,
+)
 from hygrokf.modelling.design import PARTS
 
 METHODS = {
@@ -53,10 +63,9 @@ METHODS = {
 
 @dataclass(frozen=True)
 class TimeConstant:
-    """A time constant in words: `value` ("1.49 h", "≤ 0.4 h", "not identifiable"), `bounds`, `closed` on both
-    sides.
+    """A time constant as printed: `value` ("1.49 h", "≤ 0.4 h", "not identifiable") and `bounds`.
 
-    `verdict`: whether it can be believed.
+    `closed`: whether the interval has both ends.  `verdict`: whether the number can be believed.
     """
 
     name: str
@@ -73,7 +82,7 @@ class TimeConstant:
 
     @property
     def sentence(self) -> str:
-        """The number with its verdict; one that is not to be believed stands behind it."""
+        """The number with its verdict; the verdict first where the number is not to be believed."""
         return (
             f"{self.name} {self.span}"
             if self.found is None
@@ -98,16 +107,32 @@ def method(found: fit_results.TimeConstant) -> str:
     return f"{METHODS.get(first, first)} {rest}".strip()
 
 
-def simulated(found: fit_results.TimeConstant | None) -> str:
-    """The estimate by the simulation criterion with its bounds [h]; empty where there is none."""
+def simulated(found: fit_results.TimeConstant | None) -> tuple[str, str]:
+    """The estimate by the free run alone and its bounds [h], as printed; empty where there are none."""
     free = (None if found is None else found.simulation) or Interval()
     value, low, high = free.value_h, free.lower_h, free.upper_h
     if not math.isfinite(value):
-        return ""
+        return "", ""
     if not (math.isfinite(low) and math.isfinite(high) and high > low):
-        return f"{plain_number(value)} h"
+        return f"{plain_number(value)} h", ""
     shown, span = ends(value, low, high)
-    return f"{shown} h ({span})"
+    return f"{shown} h", span
+
+
+def free_run_text(found: fit_results.TimeConstant | None) -> str:
+    """The estimate by the free run alone with its bounds: "1.52 h (1.29 … 1.75)"; empty without one."""
+    value, span = simulated(found)
+    return f"{value} ({span})" if span else value
+
+
+def share_text(share: float) -> str:
+    """A share [1] that may be negative, in whole per cent."""
+    return percent(0.0) if abs(share) < 0.005 else minus(percent(share))
+
+
+def p_value(p: float) -> str:
+    """A probability as printed."""
+    return NONE if math.isnan(p) else "< 0.001" if p < 0.001 else f"{p:.3f}"
 
 
 def range_of(found: fit_results.TimeConstant | None) -> tuple[float, float]:
@@ -122,11 +147,10 @@ def range_of(found: fit_results.TimeConstant | None) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Judgement:
-    """One sentence, what to make of it ("believe", "caution", "reject"), and what it is about.
+    """One sentence with its verdict ("believe", "caution", "reject") and its subject.
 
-    `about`: a time constant ("thermal", "hygric"), a scored quantity, "bands", "innovations" or "record".  Of
-    one subject nothing is believed and rejected at once.  `reason`: whether it belongs to the judgement
-    before it.
+    `about`: a time constant ("thermal", "hygric"), a scored quantity, a kind of bands, "innovations" or
+    "record".  `reason`: whether it is a reason for the judgement before it.
     """
 
     kind: str
@@ -136,15 +160,14 @@ class Judgement:
 
 
 def judgements(fit: FitResults) -> list[Judgement]:
-    """What to believe and what not: the time constants with the reasons of their verdicts, then what the
-    model does."""
+    """The verdicts on the time constants with their reasons, then those on errors, bands and innovations."""
     found = [one for name in PARTS for one in _time_constant(fit, name)]
     found += [one for name in PARTS for one in _errors(fit, name)]
     return [*found, *_bands(fit), *_innovations(fit)]
 
 
 def doubted(fit: FitResults) -> list[Judgement]:
-    """What a sceptic would ask about the record itself; to be shown before everything else."""
+    """Doubts about the record itself, to be shown before everything else."""
     return [
         Judgement(CAUTION, f"Doubt about the record: {line}{'' if line[-1] in '.?!' else '.'}", "record")
         for line in fit.doubts
@@ -173,16 +196,16 @@ def _time_constant(fit: FitResults, name: str) -> list[Judgement]:
         for one in verdict.reasons
         if one.code != "record_doubted" or one.text.partition(": ")[2] not in fit.doubts
     ]
-    other = simulated(constant.found)
+    other = free_run_text(constant.found)
     if verdict.verdict == BELIEVE and other and free_run_informs(constant.found):
-        said = f"The free run alone gives {other} for it: the criteria agree."
+        said = f"The free run alone gives {other}: both criteria agree."
         made.append(Judgement(BELIEVE, said, name, reason=True))
     return made
 
 
 def _errors(fit: FitResults, part: str) -> list[Judgement]:
-    """The free run's error in the validation period (else the identification period), beside the best rule,
-    in one."""
+    """The free run's error in validation (else in identification) and against the best rule, as one
+    judgement."""
     quantity = QUANTITY_OF[part]
     name, unit = QUANTITIES[quantity]
     early, late = (fit.errors(period, quantity).total for period in ("identification", "validation"))
@@ -195,14 +218,14 @@ def _errors(fit: FitResults, part: str) -> list[Judgement]:
         if beyond is not None:
             said = (
                 f"The free run's {name} error is {fixed(beyond[0])} {unit} in {one}, more than the standard "
-                f"deviation of the readings ({fixed(beyond[1])} {unit}): their mean alone would do better."
+                f"deviation of the readings ({fixed(beyond[1])} {unit}): their mean would predict better."
             )
             return [Judgement(REJECT, said, quantity)]
     kind, ends = BELIEVE, ""
     if not validated:
         kind = CAUTION
         begins = (
-            f"The free run's {name} error is {fixed(early)} {unit}, on data which the fit has seen: "
+            f"The free run's {name} error is {fixed(early)} {unit} on the data that the model was fitted to: "
             "nothing validates it"
         )
     else:
@@ -210,40 +233,43 @@ def _errors(fit: FitResults, part: str) -> list[Judgement]:
         if math.isfinite(early) and early > 0:
             begins += f" after {fixed(early)} {unit} in identification"
             if late > CARRIES_OVER * early:
-                kind, ends = CAUTION, "the model does not carry over well"
+                kind, ends = CAUTION, "the model does worse on new data"
             else:
-                ends = "the model carries over"
+                ends = "the model does as well on new data"
     rule = best_rule(fit, quantity, period)
     if rule is not None:
         against = f"the rule “{rule.words}” ({fixed(rule.rule)} {unit} in {period})"
         if rule.gain >= MATERIAL:
-            ends += f"{', and ' if ends else ''}it is {percent(rule.gain)} below that of {against}"
+            joint = "" if not ends else ", but " if kind == CAUTION else ", and "
+            ends += f"{joint}it errs {percent(rule.gain)} less than {against}"
         else:
             worse = rule.gain < -MATERIAL
             beside = "worse" if worse else "hardly better" if rule.gain >= 0.0 else "no better"
-            # an error as large as before is no success where a rule without a model errs as little
+            # that the error stays the same is no success where a rule without a model errs as little
             lost = ends if kind == CAUTION else ""
             kind = REJECT if worse else CAUTION
             ends = f"{f'{lost}, and ' if lost else ''}it is {beside} than {against}"
             verdict = verdicts(fit).get(part)
             if verdict is not None and verdict.verdict != REJECT:
-                ends += "; the time constant says something about the cabinet, not about accuracy"
+                ends += "; the time constant describes the cabinet but makes the prediction no better"
     share = fit.sensor_share.get(period, {}).get(quantity, math.nan)
-    tail = f" The sensors' accuracy alone explains {percent(share)} of it." if share >= 0.5 else ""
-    return [Judgement(kind, f"{begins}{': ' if ends else ''}{ends}.{tail}", quantity)]
+    said = f"{begins}{': ' if ends else ''}{ends}."
+    if share >= 0.5:
+        said += f" The accuracy of the sensors explains {percent(share)} of the squared error."
+    return [Judgement(kind, said, quantity)]
 
 
 def _bands(fit: FitResults) -> list[Judgement]:
-    narrow: list[str] = []
-    wide: list[str] = []
-    right: list[str] = []
+    """The free run's bands that fail, then all bands by how many readings they hold."""
+    found: dict[str, list[str]] = {"bands that hold": [], "narrow bands": [], "wide bands": []}
     for lead in fit.bands:
         for quantity in SCORED:
             band = fit.band(lead, quantity)
             share = band.coverage
             if math.isfinite(share) and band.n >= FEWEST_IN_BAND:
-                words = f"{lead_words(lead)} {QUANTITIES[quantity][0]} {percent(share)}"
-                (narrow if share < COVERAGE[0] else wide if share > COVERAGE[1] else right).append(words)
+                low, high = COVERAGE
+                kind = "narrow bands" if share < low else "wide bands" if share > high else "bands that hold"
+                found[kind].append(f"{lead_words(lead)} {QUANTITIES[quantity][0]} {percent(share)}")
     made = []
     for quantity in SCORED:
         if band_failed(fit, quantity):
@@ -254,18 +280,16 @@ def _bands(fit: FitResults) -> list[Judgement]:
                 f"{'validation' if late else 'identification'}: do not rely on the free run."
             )
             made.append(Judgement(REJECT, said, f"band of {quantity}"))
-    if right:
-        said = f"95 % bands that hold about what they promise: {', '.join(right)}."
-        made.append(Judgement(BELIEVE, said, "bands that hold"))
-    if narrow:
-        made.append(
-            Judgement(CAUTION, f"95 % bands that are too narrow: {', '.join(narrow)}.", "narrow bands")
-        )
-    if wide:
-        made.append(
-            Judgement(CAUTION, f"95 % bands that are wider than needed: {', '.join(wide)}.", "wide bands")
-        )
-    return made
+    words = {
+        "bands that hold": (BELIEVE, "hold about 95 % of the readings"),
+        "narrow bands": (CAUTION, "are too narrow"),
+        "wide bands": (CAUTION, "are wider than needed"),
+    }
+    return made + [
+        Judgement(verdict, f"95 % bands that {said}: {', '.join(found[kind])}.", kind)
+        for kind, (verdict, said) in words.items()
+        if found[kind]
+    ]
 
 
 def lead_words(lead: str) -> str:
@@ -286,20 +310,18 @@ def _innovations(fit: FitResults) -> list[Judgement]:
         said = f"None of {len(rows)} tests speaks against white innovations."
         return [Judgement(BELIEVE, said, "innovations")]
     if kinds and set(kinds) <= set(NO_CORRELATION):
-        said = f"{count} against white innovations{named}, none of them by a correlation (below)."
+        said = f"{count} against white innovations{named}, none of them by a correlation (see the tests)."
         return [Judgement(CAUTION, said, "innovations")]
     largest = max((largest_correlation(fit, name)[0] for name in fit.innovations.outputs), default=0.0)
     small = largest < SMALL
     size = f", by correlations of at most {fixed(largest)}" if largest > 0 else ""
-    words = (
-        f"{count} against white innovations{named}{size}: "
-        f"{'measurable, but small' if small else 'the one-step predictions are still correlated'} (below)."
-    )
+    what = "measurable, but small" if small else "the one-step predictions are still correlated"
+    words = f"{count} against white innovations{named}{size}: {what} (see the tests)."
     return [Judgement(BELIEVE if small else CAUTION, words, "innovations")]
 
 
 NO_CORRELATION = ("mean", "variance", "normality")
-"""Kinds of tests that ask for the size and the shape of innovations, not for what they follow."""
+"""Kinds of tests of the size and the distribution of innovations, not of their correlation."""
 
 
 def _test_in_words(row: InnovationTest) -> str:

@@ -1,4 +1,4 @@
-"""The blocks of a transfer: the verdict, what travels, what differs, what re-estimating gains."""
+"""The blocks, page and text of a transfer: verdict, groups that differ, what re-estimating gains."""
 
 from __future__ import annotations
 
@@ -17,7 +17,9 @@ from hygrokf.identification.fit import write_fit
 from hygrokf.identification.turbine_type import TurbineType, write_type
 from hygrokf.identification.wording import NONE, QUANTITIES, fixed, percent, plain_number, sentence
 from hygrokf.report.blocks import (
-    Banner,
+    FREE_RUN,
+    INNOVATIONS,
+    SYNTHETIC_RECORD,
     Block,
     Card,
     Cards,
@@ -28,12 +30,15 @@ from hygrokf.report.blocks import (
     Page,
     Prose,
     Table,
+    inherited_verdicts,
+    method,
+    present,
     section,
+    synthetic,
     table_or,
 )
 from hygrokf.report.figures.transfer import SETS, figure_course, figure_parameters, figure_sets, figure_type
 from hygrokf.report.fit_page import write_report
-from hygrokf.report.inherited import inherited_verdicts
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
 from hygrokf.transfer.course import Course, read_courses, write_courses
@@ -51,6 +56,23 @@ from hygrokf.transfer.results import (
 from hygrokf.version import __version__
 
 COMMAND = "hygrokf transfer"
+SETS_NOTE = (
+    f"{FREE_RUN} As it is: every parameter of the fit. Own loggers: sensor offsets and disturbances "
+    "estimated on this record. Re-estimated: also the groups that differ. All its own: every parameter "
+    "estimated on this record. All rows score the same instants; the fit's own page scores more where it "
+    "can. The rule of the temperature was fitted to this record's identification period."
+)
+METHOD = (
+    f"{INNOVATIONS} All parameters were estimated from them on the record's identification period, with the "
+    "fit's own model. A group of parameters differs if the estimates are further apart than both covariances "
+    "explain (forward selection, corrected for the number of groups) and if the difference matters: 10 % of "
+    "a time constant, 0.05 of R_AT/(R_AT+R_IC), 0.3 K or 0.26 g/m³ in the simulation.",
+    "Sensor offsets and disturbances belong to a logger, a site and a season: they are always estimated on "
+    "the record.",
+    "A model does not transfer if every group of the cabinet differs, if a re-estimated parameter ends at a "
+    "bound, if the record's own estimate errs by far more than the fit did on its own record, or if the "
+    "re-estimated model is worse than a rule without a model, or than the fit as it is.",
+)
 TONES: dict[Decision, Literal["plain", "open", "reject"]] = {
     TRANSFERS: "plain",
     PARTLY: "open",
@@ -133,41 +155,35 @@ def transfer_blocks(found: TransferResults, courses: Sequence[Course]) -> Page:
         Figure(
             f"course-{i}",
             "The first held-out days" if len(names) == 1 else f"The first held-out days of {names[i]}",
-            "Twelve days at most. Each simulation sees the weather and the power, and no reading of the "
-            "cabinet: it should stay with the blue readings.",
+            "Twelve days at most. The simulations are free runs: they should stay with the blue readings.",
             partial(figure_course, course, bool(one.re_estimate)),
         )
         for i, (one, course) in enumerate(zip(found.records, courses, strict=False))
     ]
     body: list[Block] = []
-    brief: list[Block] = [cards]
+    brief: list[Block | None] = [cards]
     for i, one in enumerate(found.records):
         body += _record(found, i, pictures[i] if 0 < i < len(pictures) else None)
         heading = Heading(names[i]) if names[1:] else None
-        parts = (heading, _groups_in_brief(one), *errors_tables(one), _notes(one))
-        brief += [block for block in parts if block is not None]
+        brief += [heading, _groups_in_brief(one), *errors_tables(one), _notes(one)]
     kind = "type of turbine" if found.source.kind == "type" else "fit"
     handed = inherited_verdicts(found.source.verdicts, f"The time constants of {source}")
     body += section("What the transfer rests on", handed)
     body += type_section(found.type)
+    made_up = any(one.synthetic for one in found.records)
     return Page(
         "Transfer",
         f"{source} on {', '.join(names) if len(names) < 3 else f'{len(names)} records'}",
         (f"The {kind} of {source}, tried on the record{'s' if names[1:] else ''} of {', '.join(names)}.",),
-        (*_banners(found), cards, *pictures[:1]),
-        tuple(body),
-        _method(found),
         (
-            *([handed] if handed else []),
-            *brief,
-            *([type_table(found.type)] if found.type else []),
+            *synthetic(made_up, SYNTHETIC_RECORD),
+            cards,
+            *pictures[:1],
         ),
+        tuple(body),
+        method("Method", *METHOD, f"Judged by hygrokf {found.version}; page by hygrokf {__version__}."),
+        present(handed, *brief, Prose(SETS_NOTE), type_table(found.type) if found.type else None),
     )
-
-
-def _banners(found: TransferResults) -> tuple[Banner, ...]:
-    said = "At least one of these records was made by a computer: its numbers were not measured."
-    return (Banner("SYNTHETIC", said),) if any(one.synthetic for one in found.records) else ()
 
 
 def _card(found: TransferResults, one: TransferResult) -> Card:
@@ -192,24 +208,19 @@ def _record(found: TransferResults, place: int, course: Figure | None) -> tuple[
     reasons = [Prose(sentence(line)) for line in one.reasons] if several else []
     own = inherited_verdicts(one.verdicts, "The time constants of the model to use here")
     return section(
-        f"{one.name}: what travels" if several else "What travels",
+        f"{one.name}: what transfers" if several else "What transfers",
         *reasons,
         table_or(groups_table(one), "No group of parameters could be judged."),
         _notes(one),
         Figure(
             f"parameters-{place}",
             "Parameters, own against the fit's",
-            "The 95 % bounds count the uncertainty of both. Shaded: differences too small to matter. Red: "
+            "The 95 % bounds include the uncertainty of both. Shaded: differences too small to matter. Red: "
             "groups that differ.",
             partial(figure_parameters, one),
         ),
         *(errors_tables(one) or (Prose("Nothing was scored.", "missing"),)),
-        Prose(
-            "The errors are those at the instants that every set and rule scores; the fit's own page scores "
-            "each by itself. The rule of the temperature was fitted to this record's own identification "
-            "period.",
-            "note",
-        ),
+        Prose(SETS_NOTE, "note"),
         Figure(
             f"sets-{place}",
             "Held-out errors" if one.period == "validation" else "Errors of the identification period",
@@ -235,7 +246,7 @@ def _notes(one: TransferResult) -> Block | None:
 # --- tables ----------------------------------------------------------------------------------
 
 
-def groups_table(one: TransferResult) -> Table | None:
+def groups_table(one: TransferResult) -> Table:
     """Group by group: the statistic, p, the effect of the difference on the simulation, and the outcome."""
     rows: list[tuple[str, ...]] = []
     marked: list[int] = []
@@ -248,8 +259,6 @@ def groups_table(one: TransferResult) -> Table | None:
         if row.outcome == "differs":
             marked.append(len(rows))
         rows.append((row.group, *cells, row.statement))
-    if not rows:
-        return None
     return Table(
         "Groups of parameters",
         ("", "χ²", "df", "p", "[K]", "[g/m³]", "outcome"),
@@ -257,9 +266,9 @@ def groups_table(one: TransferResult) -> Table | None:
         left=(0, 6),
         marked=tuple(marked),
         groups=(("", 4), ("changes the simulation by", 2), ("", 1)),
-        note="χ²: how much of the difference is explained when this group may differ too, beside the groups "
-        "that were found to differ before it. p: corrected for the number of groups. Changes: root mean "
-        "square over the record.",
+        note="χ²: how much of the difference is explained if this group differs too, in addition to the "
+        "groups already found to differ. p: corrected for the number of groups. Changes: root mean square "
+        "over the record.",
     )
 
 
@@ -294,7 +303,7 @@ def errors_tables(one: TransferResult) -> tuple[Table, ...]:
     return tuple(tables)
 
 
-def parameters_table(one: TransferResult) -> Table | None:
+def parameters_table(one: TransferResult) -> Table:
     """Every parameter of the cabinet: original, own, difference."""
     rows = []
     for name, row in one.parameters.items():
@@ -305,32 +314,27 @@ def parameters_table(one: TransferResult) -> Table | None:
             cells = (f"{times}{plain_number(row.difference.value)}", f"{low} … {high}")
         both = (_with_se(row.original, row.original_se), _with_se(row.own, row.own_se))
         rows.append((f"{name} [{row.unit}]", *both, *cells))
-    if not rows:
-        return None
     return Table(
         "Parameters",
         ("parameter", "original", "own", "difference", "95 %"),
         tuple(rows),
-        note="± standard error. ×: ratio of own to original value. The values to go on with are in the "
-        "record's own folder.",
+        note="± standard error. ×: ratio of own to original value. The values to use are in the record's "
+        "own folder.",
     )
 
 
-def ratios_table(one: TransferResult) -> Table | None:
+def ratios_table(one: TransferResult) -> Table:
     """Exact likelihood ratios on this record."""
-    rows = tuple(
-        (r.of, fixed(r.likelihood_ratio, 1), str(r.df), fixed(r.factor), _chance(r.p))
-        for r in one.likelihood_ratios
-    )
-    if not rows:
-        return None
     return Table(
         "Likelihood ratios on this record alone",
         ("", "2 ln L", "df", "factor", "p"),
-        rows,
+        tuple(
+            (r.of, fixed(r.likelihood_ratio, 1), str(r.df), fixed(r.factor), _chance(r.p))
+            for r in one.likelihood_ratios
+        ),
         note="The original values count as exact here, so a small p of the rest need not mean that it "
-        "differs: the table of groups counts both uncertainties. Factor: how much coloured noise widens the "
-        "bounds; 2 ln L is divided by it.",
+        "differs: the table of groups includes both uncertainties. Factor: how much coloured noise widens "
+        "the bounds; 2 ln L is divided by it.",
     )
 
 
@@ -391,21 +395,3 @@ def _with_se(value: float, se: float) -> str:
 
 def _chance(p: float) -> str:
     return "< 0.0001" if p < 1e-4 else plain_number(p, 2)
-
-
-def _method(found: TransferResults) -> tuple[Block, ...]:
-    lines = (
-        "All parameters were estimated on the record's identification period from the innovations (readings "
-        "less their one-step predictions) of the fit's own model. A group of parameters differs where the "
-        "estimates are further apart than both covariances explain (forward selection, corrected for the "
-        "number of groups) and where the difference matters: 10 % of a time constant, 0.05 of "
-        "R_AT/(R_AT+R_IC), 0.3 K or 0.26 g/m³ in the simulation.",
-        "Sensor offsets and disturbances belong to a logger, a site and a season: they are always estimated "
-        "on the record.",
-        "A model does not transfer where every group of the cabinet differs, where a re-estimated parameter "
-        "ends at a bound, where the record's own estimate errs by far more than the fit did on its own "
-        "record, or where the re-estimated model is worse than a rule without a model, or than the fit as it "
-        "is.",
-        f"Judged by hygrokf {found.version}; page written by hygrokf {__version__}.",
-    )
-    return (Heading("Method"), *(Prose(line) for line in lines))

@@ -130,11 +130,11 @@ def attic(directory: Path, data: Path) -> None:
     write_table("real_input.md", "attic time constants", constants)
     write_table("real_input.md", "attic bands", bands)
 
-    from hygrokf.report.figures.overview import figure_excerpts, figure_residuals
+    from hygrokf.report.figures.course import figure_excerpts, figure_residuals
 
     shown = fits["from the weather station"]
-    save(figure_excerpts(shown.to_json(), shown.series), "attic")
-    save(figure_residuals(shown.to_json(), shown.series), "attic_residuals")
+    save(figure_excerpts(shown.results, shown.series), "attic")
+    save(figure_residuals(shown.results, shown.series), "attic_residuals")
 
 
 def truth_and_estimate(fits: Sequence, truths: Sequence):
@@ -208,7 +208,7 @@ def uk(directory: Path, data: Path) -> None:
         )
     write_table("real_input.md", "uk", rows)
 
-    from hygrokf.report.figures.overview import figure_excerpts
+    from hygrokf.report.figures.course import figure_excerpts
 
     label = "simulated cabinet"
     save(figure_excerpts(fits[0].to_json(), fits[0].series), "uk", label)

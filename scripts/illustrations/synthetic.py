@@ -10,12 +10,13 @@ from illustrations.pages import DOCS, QUANTITIES, identified, save, synthetic_re
 
 def demo(directory: Path) -> None:
     """README's picture, and the profiles beside it."""
-    from hygrokf.report.figures.overview import figure_excerpts, figure_profiles
+    from hygrokf.report.figures.course import figure_excerpts
+    from hygrokf.report.figures.identification import figure_profiles
 
     record, _ = synthetic_record(1, directory)
     fit = identified(record)
-    save(figure_excerpts(fit.to_json(), fit.series), "demo", "synthetic turbine")
-    save(figure_profiles(fit.to_json(), fit.series), "profiles", "synthetic turbine")
+    save(figure_excerpts(fit.results, fit.series), "demo", "synthetic turbine")
+    save(figure_profiles(fit.results, fit.series), "profiles", "synthetic turbine")
 
 
 def fleet(directory: Path) -> None:

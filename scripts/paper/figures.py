@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from hygrokf.evaluation.scoring import SCORED
+from hygrokf.report.figures.course import figure_excerpts, figure_humidity, figure_temperature
 from hygrokf.report.figures.drawing import INK, MEASURED, QUIET, RULE, SIMULATED, new_figure, styled
-from hygrokf.report.figures.overview import figure_excerpts, figure_humidity, figure_temperature
 from paper.experiments import Outcome
 from paper.models import CRITERIA, FREE_RUN, LIKELIHOOD
 from paper.tables import SPREAD, UNITS, WORDS, published_total, totals

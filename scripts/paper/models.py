@@ -86,7 +86,7 @@ def simulate(
 
 
 def _series(made: Run, predicted: Prediction, record: Record) -> dict[str, np.ndarray]:
-    """The arrays that the figures of hygrokf.report.figures.overview read, as in series.npz."""
+    """The arrays that the figures of hygrokf.report.figures.course read, as in series.npz."""
     t, known = made.timeline, measured(made)
     nothing = np.full(len(t), np.nan)
     arrays = {

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from builders.climate_case import FREE, HOUR_S, known_fit, made_up_weather
 
-from hygrokf.climate.ensemble import _drawn, course, kept_instants, simulate_years, years_of
-from hygrokf.climate.parameter_samples import draw_members
+from hygrokf.climate.ensemble import _drawn, course, draw_members, kept_instants, simulate_years, years_of
 from hygrokf.climate.region import driven
 from hygrokf.data.record import Record
 from hygrokf.estimation.likelihood import Likelihood

@@ -10,11 +10,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hygrokf.climate.acceleration import BOLTZMANN_EV, Acceleration
 from hygrokf.climate.bounds import bounded
-from hygrokf.climate.chamber import Chamber, ProfilePlan, read_test_plan
+from hygrokf.climate.chamber import BOLTZMANN_EV, Acceleration, Chamber, ProfilePlan, read_test_plan
+from hygrokf.climate.chamber_profile import chamber_sequence, closeness, set_points
 from hygrokf.climate.representative_days import Days, choose_days, ordered, shares
-from hygrokf.climate.test_profile import chamber_sequence, closeness, set_points
 from hygrokf.data.toml_form import FormFault
 
 

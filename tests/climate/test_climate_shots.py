@@ -11,7 +11,7 @@ from builders.climate_case import BEGIN_S, known_fit
 from scipy.signal import lfilter
 
 from hygrokf.climate.ensemble import shots_of, simulate_years
-from hygrokf.climate.jump_noise import FEWEST_JUMPS, Shots, words
+from hygrokf.climate.jump_noise import FEWEST_JUMPS, Shots, shot_words
 from hygrokf.climate.region import driven
 from hygrokf.data.record import Record, Series
 from hygrokf.estimation.likelihood import Likelihood
@@ -96,7 +96,7 @@ def test_the_distance_of_shots_is_found_in_the_innovations(
             assert found.every_h < 1.0
         else:
             assert found.every_h == pytest.approx(truth, rel=0.3)
-    said = words((heat, vapour))
+    said = shot_words((heat, vapour))
     assert len(said) == 1 and ("heat every" in said[0]) == (heat_h is not None)
 
 
@@ -115,7 +115,7 @@ def test_shots_are_not_rarer_than_the_fit_can_know() -> None:
 
 def test_without_a_diagnosis_disturbances_are_gaussian() -> None:
     record = flat_record(5, None, None, 6)
-    assert shots_of(known_fit(), record) == () and words(()) == []
+    assert shots_of(known_fit(), record) == () and shot_words(()) == []
     short = judged(record)
     few = Diagnosis(outputs={"temperature": OutputDiagnosis(n=3)})
     assert shots_of(replace(short, results=FitResults(innovations=few)), record) == ()

@@ -14,7 +14,7 @@ from hygrokf.climate.chamber import Chamber, ProfilePlan
 from hygrokf.climate.ensemble import years_of
 from hygrokf.climate.limits import Limit
 from hygrokf.climate.region import read_region
-from hygrokf.climate.results import profile_files
+from hygrokf.climate.study import profile_files
 from hygrokf.data.record import Record, Series
 
 

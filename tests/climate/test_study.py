@@ -17,8 +17,7 @@ import pytest
 from builders.climate_case import study_of
 
 from hygrokf.climate.limits import Limit
-from hygrokf.climate.results import climate_csv, profile_files, read_climate, write_climate
-from hygrokf.climate.study import Study
+from hygrokf.climate.study import Study, climate_csv, profile_files, read_climate, write_climate
 from hygrokf.data.result_file import ResultFault, result_text
 from hygrokf.data.structured import StructureFault, plain, structured
 

@@ -24,7 +24,7 @@ from hygrokf.data.structured import plain
 from hygrokf.identification.fit import read_fit
 from hygrokf.identification.fit_on_record import evaluate, simulate_fit, simulation_summary
 from hygrokf.identification.procedure import DEFAULT_KIND
-from hygrokf.report.evaluation_text import evaluation_text
+from hygrokf.report.fit_tables import evaluation_text
 from hygrokf.version import __version__
 
 COMMANDS = ("demo", "check", "fit", "simulate", "evaluate", "export", "track", "doctor", "report")

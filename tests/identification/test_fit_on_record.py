@@ -37,7 +37,7 @@ from hygrokf.identification.wording import NONE, QUANTITIES, RULES
 from hygrokf.modelling.design import design
 from hygrokf.modelling.inputs import Run, prepare_run
 from hygrokf.report.blocks import Table
-from hygrokf.report.evaluation_text import evaluation_blocks, evaluation_text
+from hygrokf.report.fit_tables import evaluation_blocks, evaluation_text
 
 HOUR = 3600.0
 DAY = 86400.0

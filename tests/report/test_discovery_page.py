@@ -6,12 +6,12 @@ import copy
 import math
 import pickle
 import re
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from builders.damage import EVIL, at, expect_alone, expect_escaped, expect_narrow, nodes, put
 from builders.discovery_case import (
     BIAS_K,
     ORIGIN_S,
@@ -56,7 +56,6 @@ from hygrokf.report.discovery_text import (
     signed_percent,
 )
 from hygrokf.report.figures.residual_structure import telling_drivers
-from hygrokf.report.terminal import cells
 
 
 @pytest.fixture(scope="module")
@@ -86,15 +85,7 @@ def fit_of(found: dict) -> Fit:
 
 
 def test_the_page_needs_nothing_else(whole: str) -> None:
-    page = Page(whole)
-    plain_text = re.sub(
-        r"data:image/png;base64,[^\"]*", "", re.sub(r"<style>.*?</style>", "", whole, flags=re.S)
-    )
-    assert "http" not in plain_text and "<script" not in whole and "@import" not in whole
-    names = [attributes["id"] for _, attributes in page.tags if "id" in attributes]
-    assert len(names) == len(set(names)) > 100
-    used = {a or b for a, b in re.findall(r'href="#([^"]*)"|url\(#([^)]*)\)', whole)}
-    assert used and used <= set(names)
+    page = expect_alone(whole)
     assert [attributes["href"] for tag, attributes in page.tags if tag == "a"] == ["fit_report.html"]
     drawn = [attributes for tag, attributes in page.tags if tag == "svg"]
     assert len(drawn) == 5 and all(one["role"] == "img" and one["aria-label"] for one in drawn)
@@ -220,9 +211,9 @@ def test_a_logger_that_repeats_itself_comes_first() -> None:
     left = {"statement": "readings repeat those of the day before", "kind": REPEATED, "quantity": "readings"}
     found = discovery_case() | {"verdict": "unexplained", "unexplained": left}
     card = verdict(found)
-    assert "logger writes readings again" in card.value and card.lines[1].startswith("Solar gain")
+    assert "logger" in card.value and "repeats" in card.value and card.lines[1].startswith("Solar gain")
     alone = verdict(found | {"causes": []})
-    assert "mend that first." in alone.lines[-1]
+    assert "logger" in alone.lines[-1]
 
 
 def test_two_causes_have_a_check_each() -> None:
@@ -243,7 +234,7 @@ def test_a_cause_without_a_gain_says_why(gain: dict | None) -> None:
     found = discovery_case()
     found["causes"][0]["gain"] = gain
     text = words(found)
-    assert text.count("No gain is stated: an event, or what was seen in one episode") == 1
+    assert text.count("No gain is stated: ") == 1
     assert "no gain is stated" in verdict(found).lines[1].lower()
     assert "1.85 → 1.57 K" in text and "None" not in text.replace("None of", "")
 
@@ -283,15 +274,15 @@ def test_settings_are_told_in_their_own_words() -> None:
 @pytest.mark.parametrize(
     ("after", "said"),
     [
-        (1.19, "14 % too long, and its bounds did not hold the value of the extended model."),
-        (1.70, "20 % too short, and its bounds did not hold the value of the extended model."),
-        (1.40, "2.9 % too short, within its own bounds."),
+        (1.19, ("14 % too long", "did not hold")),
+        (1.70, ("20 % too short", "did not hold")),
+        (1.40, ("2.9 % too short", "but its bounds held")),
     ],
 )
-def test_the_time_constants_tell_by_how_much_the_base_was_wrong(after: float, said: str) -> None:
+def test_the_time_constants_tell_by_how_much_the_base_was_wrong(after: float, said: tuple[str, ...]) -> None:
     found = discovery_case()
     found["extended"]["time_constants"]["thermal"]["value_h"] = after
-    assert constants_sentences(typed(found))[0].endswith(said)
+    assert all(part in constants_sentences(typed(found))[0] for part in said)
 
 
 def test_open_bounds_have_no_change() -> None:
@@ -332,7 +323,7 @@ def test_results_come_back_from_their_data_under_the_key_of_now() -> None:
 def test_the_text_is_narrow_and_says_what_the_page_says() -> None:
     found = typed(discovery_case() | {"name": "東京のタービン " * 20})
     text = discovery_text(found)
-    assert max(cells(line) for line in text.splitlines()) <= 100
+    expect_narrow(text)
     joined = " ".join(text.split())
     for part in (
         gain_sentence(found.causes[0].gain)[2:],
@@ -348,48 +339,17 @@ def test_the_text_is_narrow_and_says_what_the_page_says() -> None:
 
 # --- what is missing or hostile ----------------------------------------------------------------
 
-EVIL = "<img src=x onerror=alert(1)>\"'&amp;</style></svg><script>$x_{$\u202e\x00\n"
-
-
-def nodes(data: object, path: tuple = ()) -> Iterator[tuple]:
-    """Paths to all nodes."""
-    if path:
-        yield path
-    children = data.items() if isinstance(data, dict) else enumerate(data) if isinstance(data, list) else ()
-    for key, value in children:
-        yield from nodes(value, (*path, key))
-
-
-def put(data: object, path: tuple, value: object) -> None:
-    for part in path[:-1]:
-        data = data[part]  # type: ignore[index]
-    data[path[-1]] = value  # type: ignore[index]
-
-
-def take(data: object, path: tuple) -> object:
-    for part in path:
-        data = data[part]  # type: ignore[index]
-    return data
-
 
 def test_every_text_is_escaped() -> None:
     found = discovery_case() | {"unexplained": unexplained_case()["unexplained"]}
     for path in list(nodes(found)):
-        if isinstance(take(found, path), str) and path[-1] not in ("verdict", "quantity", "kind"):
+        if isinstance(at(found, path), str) and path[-1] not in ("verdict", "quantity", "kind"):
             put(found, path, EVIL)
     cause = found["causes"][0]
     cause["parameters"] = {f"{EVIL}{i}": row for i, row in enumerate(cause["parameters"].values())}
     cause["settings"] = {EVIL: EVIL, f"{EVIL}_K": 3.0}
     cause["evidence"]["free_run_gain"] = {EVIL: 0.2}
-    text = discovery_page(typed(found), residuals_case())
-    page = Page(text)
-    assert "<img" not in text and "<script" not in text and "\x00" not in text and "\u202e" not in text
-    assert {tag for tag, _ in page.tags} & {"img", "script", "iframe", "object"} == set()
-    assert all(not name.startswith("on") for _, attributes in page.tags for name in attributes)
-    assert text.count("</style>") == 1
-    said = discovery_text(typed(found))
-    assert "\x00" not in said and "\u202e" not in said
-    assert max(cells(line) for line in said.splitlines()) <= 100
+    expect_escaped(discovery_page(typed(found), residuals_case()), discovery_text(typed(found)))
 
 
 @pytest.mark.parametrize("value", [None, {}, [], -1, "x", True, math.nan])
@@ -407,7 +367,7 @@ def test_any_piece_that_is_wrong_is_a_fault_or_a_page(value: object) -> None:
             continue
         try:
             Page(discovery_page(found))
-            assert max(cells(line) for line in discovery_text(found).splitlines()) <= 100
+            expect_narrow(discovery_text(found))
         except Exception as fault:
             raise AssertionError(f"{path}: {fault!r}") from fault
     assert refused > 10

@@ -12,18 +12,16 @@ import numpy as np
 import pytest
 from builders.report_case import REFERENCE_K, RELEASE, TAU_H, report_case, results
 
-from hygrokf.report.figures.drawing import NothingToShow, inline_svg, svg
-from hygrokf.report.figures.identification import released
-from hygrokf.report.figures.overview import (
-    FIGURES,
+from hygrokf.report.figures.course import (
     figure_excerpts,
-    figure_heat_release,
     figure_humidity,
-    figure_innovations,
-    figure_profiles,
     figure_residuals,
     figure_temperature,
 )
+from hygrokf.report.figures.drawing import NothingToShow, inline_svg, svg
+from hygrokf.report.figures.fit import FIGURES
+from hygrokf.report.figures.identification import figure_heat_release, figure_profiles, released
+from hygrokf.report.figures.innovations import figure_innovations
 
 LIMIT = 300_000
 

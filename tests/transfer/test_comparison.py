@@ -228,20 +228,19 @@ def test_compare_and_transfer_from_the_command_line(
 @pytest.mark.parametrize(
     ("validation", "whole", "expected"),
     [
-        ((-0.5, 0.2), (-0.4, 0.1), ["one errs by 0.50 K less than other in validation (95 % 0.30 … 0.70)."]),
+        ((-0.5, 0.2), (-0.4, 0.1), [("one errs by 0.50 K less than other in validation", "0.30 … 0.70")]),
         ((0.3, None), (-0.4, 0.5), [
-            "other errs by 0.30 K less than one in validation; too few blocks for bounds.",
-            "one errs by 0.40 K less than other over the whole record; the bounds include no difference.",
+            ("other errs by 0.30 K less than one in validation", "not enough data"),
+            ("one errs by 0.40 K less than other over the whole record", "include zero"),
         ]),
-        (None, (0.1, None), ["other errs by 0.10 K less than one over the whole record; too few blocks for "
-                             "bounds."]),
-        (None, (0.001, None), [
-            "one and other differ by less than 0.01 K over the whole record; too few blocks for bounds."
-        ]),
-        (None, None, ["The columns have no common instants: compare their errors by their own bounds."]),
+        (None, (0.1, None), [("other errs by 0.10 K less than one", "not enough data")]),
+        (None, (0.001, None), [("one and other differ by less than 0.01 K", "not enough data")]),
+        (None, None, [("no common instants",)]),
     ],
 )  # fmt: skip
-def test_the_summary_tells_sure_differences_from_others(validation, whole, expected: list[str]) -> None:
+def test_the_summary_tells_sure_differences_from_others(
+    validation, whole, expected: list[tuple[str, ...]]
+) -> None:
     """Validation alone where it has bounds; where it is too short for them, the whole record beside it."""
     scores = {}
     for period, row in (("validation", validation), ("whole", whole)):
@@ -251,4 +250,6 @@ def test_the_summary_tells_sure_differences_from_others(validation, whole, expec
             scores[period] = {"temperature_K": {"total": ErrorDifference(100, value, *ends)}}
     columns = compare([made_column("one", 1), made_column("other", 2)]).results.columns
     pair = PairDifference("one", "other", {"temperature_K": True}, scores)
-    assert summary(ComparisonResults("", "", False, columns, (pair,)), "temperature_K", "one") == expected
+    said = summary(ComparisonResults("", "", False, columns, (pair,)), "temperature_K", "one")
+    assert len(said) == len(expected)
+    assert all(part in line for line, parts in zip(said, expected, strict=True) for part in parts)

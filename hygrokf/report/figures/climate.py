@@ -7,9 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.climate.statistics import STATISTIC
 from hygrokf.climate.study import DurationCurve, RegionClimate
-from hygrokf.report.climate_tables import SIDE_BY_SIDE, share_held
+from hygrokf.report.climate_tables import compared_statistics, share_held
 from hygrokf.report.figures.drawing import (
     AMBIENT,
     INK,
@@ -17,7 +16,9 @@ from hygrokf.report.figures.drawing import (
     QUIET,
     SIMULATED,
     NothingToShow,
+    area_handle,
     key,
+    line_handle,
     new_figure,
     styled,
 )
@@ -43,11 +44,8 @@ def figure_joint(region: RegionClimate) -> Figure:
         raise NothingToShow("The model has no humidity.")
     from matplotlib.colors import LinearSegmentedColormap, LogNorm
 
-    warm, damp, shown = (
-        joint.temperature_edges_degC,
-        joint.humidity_edges_percent,
-        (joint.hours, joint.outside),
-    )
+    warm, damp = joint.temperature_edges_degC, joint.humidity_edges_percent
+    shown = (joint.hours, joint.outside)
     top = max(float(one.max()) for one in shown)
     shades = LinearSegmentedColormap.from_list("hours", SHADES)
     with styled():
@@ -113,17 +111,12 @@ def _duration(axis: Axes, curve: DurationCurve, label: str, rate: bool) -> None:
 
 
 def _duration_key(axis: Axes, share: str) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    axis.legend(
-        handles=[
-            Line2D([], [], color=MEASURED, label="cabinet, simulated"),
-            Patch(color=MEASURED, alpha=0.25, label=f"{share} of single years"),
-            Line2D([], [], color=AMBIENT, linestyle=(0, (4, 2)), label="outside"),
-        ],
-        loc="center",
-    )
+    handles = [
+        line_handle(MEASURED, "cabinet, simulated", 0.9),
+        area_handle(MEASURED, f"{share} of single years", 0.25, edgecolor=MEASURED),
+        line_handle(AMBIENT, "outside", 0.9, linestyle=(0, (4, 2))),
+    ]
+    axis.legend(handles=handles, loc="center")
 
 
 def figure_profile(region: RegionClimate) -> Figure:
@@ -131,8 +124,6 @@ def figure_profile(region: RegionClimate) -> Figure:
     profile = region.test_profile
     if profile is None:
         raise NothingToShow("There is no test profile of this climate.")
-    from matplotlib.lines import Line2D
-
     hour = profile.hour
     with styled():
         made = new_figure(3.7)
@@ -140,13 +131,8 @@ def figure_profile(region: RegionClimate) -> Figure:
         upper.plot(hour, profile.temperature_degC, color=SIMULATED, linewidth=0.7)
         upper.plot(hour, profile.site_temperature_degC, color=QUIET, linewidth=0.6)
         upper.set_ylabel("temperature [°C]")
-        key(
-            upper,
-            [
-                Line2D([], [], color=SIMULATED, label="test"),
-                Line2D([], [], color=QUIET, label="the same hours at the site"),
-            ],
-        )
+        same = "the same hours at the site"
+        key(upper, [line_handle(SIMULATED, "test", 0.9), line_handle(QUIET, same, 0.9)])
         lower.plot(hour, profile.relative_humidity_percent, color=MEASURED, linewidth=0.7)
         lower.set_ylabel("relative humidity [%]")
         lower.set_xlabel("hours of the test")
@@ -161,20 +147,19 @@ def figure_regions(regions: Sequence[RegionClimate]) -> Figure:
     """Regions side by side: value, bounds for a year, bounds for the mean."""
     if len(regions) < 2:
         raise NothingToShow("There is only one region.")
-    chosen = [name for name in SIDE_BY_SIDE if all(name in one.year for one in regions)]
+    chosen = compared_statistics(regions)
     with styled():
         made = new_figure(0.95 + 0.3 * len(regions))
         axes = np.atleast_1d(made.subplots(1, len(chosen), sharey=True))
-        for axis, name in zip(axes, chosen, strict=True):
-            words, unit = STATISTIC[name].words, STATISTIC[name].unit
+        for axis, statistic in zip(axes, chosen, strict=True):
             for row, one in enumerate(regions):
-                found = one.year[name]
+                found = one.year[statistic.name]
                 axis.plot([found.lower, found.upper], [row, row], color=MEASURED, linewidth=1.2)
                 means = [found.mean_lower, found.mean_upper]
                 axis.plot(means, [row, row], color=MEASURED, linewidth=3.6, alpha=0.45)
                 axis.plot(found.value, row, "o", color=INK, markersize=3.2)
-            short = words.split(" (")[0].split(" on ")[0].split(",")[0].replace("relative ", "")
-            axis.set_title(f"{short}\n[{unit}]", fontsize=7.0)
+            short = statistic.words.split(" (")[0].split(" on ")[0].split(",")[0].replace("relative ", "")
+            axis.set_title(f"{short}\n[{statistic.unit}]", fontsize=7.0)
             axis.grid(axis="y", visible=False)
             axis.margins(x=0.12)
         axes[0].set_yticks(range(len(regions)), [one.name for one in regions])

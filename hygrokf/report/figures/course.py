@@ -17,17 +17,23 @@ from hygrokf.report.figures.drawing import (
     AMBIENT,
     BINS,
     INK,
+    LEVEL_SD,
     MEASURED,
     QUIET,
     SHADE,
     SIMULATED,
     NothingToShow,
+    area_handle,
     band,
     calendar,
     days,
     envelope,
+    figure_key,
     key,
+    line_handle,
     new_figure,
+    segments,
+    shade,
     stretches,
     styled,
     upright,
@@ -39,12 +45,12 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LEVEL_SD = 1.959964
 TEMPERATURE = "temperature"
 HUMIDITY = "absolute_humidity"
 AXIS_LABEL = {TEMPERATURE: "temperature [°C]", HUMIDITY: "absolute humidity [g/m³]"}
 ERROR_LABEL = {TEMPERATURE: "error [K]", HUMIDITY: "error [g/m³]"}
 FORTNIGHT_S = 14.0 * 86400.0
+HATCH = "#9aa4b1"
 NARROW = 170
 """Stretches of time over the width of an excerpt."""
 AMBIENT_SERIES = {TEMPERATURE: "ambient_temperature", HUMIDITY: "ambient_absolute_humidity"}
@@ -151,14 +157,9 @@ def figure_validation(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figu
     span = (max(begin, record.span[0]), record.span[1])
     with styled():
         figure = new_figure(0.45 + 1.25 * len(names))
+        bottom = 0.115 if names[1:] else 0.19
         grid = figure.add_gridspec(
-            len(names),
-            1,
-            hspace=0.12,
-            left=0.075,
-            right=0.995,
-            top=0.91,
-            bottom=0.115 if names[1:] else 0.19,
+            len(names), 1, hspace=0.12, left=0.075, right=0.995, top=0.91, bottom=bottom
         )
         every = [figure.add_subplot(grid[row]) for row in range(len(names))]
         for axes, name in zip(every, names, strict=True):
@@ -203,14 +204,8 @@ def _robust_limits(axes: Axes, values: list[np.ndarray], record: _Record, span: 
 
 def _line(axes: Axes, record: _Record, value: np.ndarray, colour: str, width: float) -> None:
     t, v = envelope(record.time, value, record.span)
-    axes.plot(
-        days(t),
-        v,
-        color=colour,
-        linewidth=width,
-        marker="o" if np.isfinite(v).sum() == 1 else None,
-        markersize=3,
-    )
+    marker = "o" if np.isfinite(v).sum() == 1 else None
+    axes.plot(days(t), v, color=colour, linewidth=width, marker=marker, markersize=3)
 
 
 def _power(axes: Axes, record: _Record, span: tuple[float, float], bins: int = BINS) -> None:
@@ -248,9 +243,7 @@ def _power(axes: Axes, record: _Record, span: tuple[float, float], bins: int = B
 
 def _shade(axes: Axes, record: _Record, span: tuple[float, float]) -> None:
     if record.validation:
-        axes.axvspan(
-            float(days(max(record.until, span[0]))), float(days(span[1])), color=SHADE, zorder=0, linewidth=0
-        )
+        shade(axes, max(record.until, span[0]), span[1], color=SHADE, zorder=0, linewidth=0)
     _hatch_unscored(axes, record, span)
 
 
@@ -258,32 +251,25 @@ def _hatch_unscored(axes: Axes, record: _Record, span: tuple[float, float]) -> N
     least = (span[1] - span[0]) / 300.0
     for start, end in stretches(record.time, ~record.scored, least):
         if end >= span[0] and start <= span[1]:
-            axes.axvspan(
-                float(days(max(start, span[0]))), float(days(min(end, span[1]))), facecolor="none",
-                edgecolor="#9aa4b1",
-                hatch="////", linewidth=0.0, zorder=0.5,
+            shade(
+                axes, max(start, span[0]), min(end, span[1]), facecolor="none", edgecolor=HATCH, hatch="////",
+                linewidth=0.0, zorder=0.5,
             )  # fmt: skip
 
 
 def _handles(record: _Record, name: str) -> list[Artist]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     measured, simulated, sd, ambient = record.quantity(name)
-    handles: list[Artist] = []
-    for value, colour, label in (
+    lines = (
         (measured, MEASURED, "readings"),
         (simulated, SIMULATED, "simulated"),
         (ambient, AMBIENT, "ambient"),
-    ):
-        if np.isfinite(value).any():
-            handles.append(Line2D([], [], color=colour, linewidth=1.6, label=label))
+    )
+    handles = [line_handle(colour, label) for value, colour, label in lines if np.isfinite(value).any()]
     if np.isfinite(sd).any():
-        handles.insert(-1, Patch(facecolor=SIMULATED, alpha=0.17, label="95 % band"))
+        handles.insert(-1, area_handle(SIMULATED, "95 % band", 0.17))
     if not record.scored.all():
-        handles.append(
-            Patch(facecolor="white", edgecolor="#9aa4b1", hatch="//////", label="inputs unknown, not scored")
-        )
+        words = "inputs unknown, not scored"
+        handles.append(area_handle("white", words, edgecolor=HATCH, hatch="//////"))
     return handles
 
 
@@ -350,8 +336,7 @@ _EXCERPT_SERIES = (
 
 
 def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
-    """Error of the free run over power, ambient temperature and hour of the day: what the model still
-    owes."""
+    """Error of the free run over power, ambient temperature and hour of the day."""
     record = _Record(series)
     errors = {}
     for name in (TEMPERATURE, HUMIDITY):
@@ -409,12 +394,7 @@ def figure_residuals(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figur
                     axes.set_xticks(np.arange(0, 25, 6))
                 elif label.startswith("power"):
                     axes.set_xticks([0.0, 0.25, 0.5, 0.75, 1.0], ["stop", "0.25", "0.5", "0.75", "1"])
-        figure.legend(
-            handles=_residual_handles(bool(late.any())),
-            loc="upper right",
-            ncols=4,
-            bbox_to_anchor=(0.997, 1.0),
-        )
+        figure_key(figure, _residual_handles(bool(late.any())), (0.997, 1.0))
     return figure
 
 
@@ -434,39 +414,19 @@ def _boxes(axes: Axes, middles: np.ndarray, halves: np.ndarray, groups: list[np.
     x, half, least, low, middle, high, most = np.array(rows).T
     gap = np.full(len(x), np.nan)
 
-    def strokes(x1: np.ndarray, y1: np.ndarray, x2: np.ndarray, y2: np.ndarray, width: float) -> None:
-        axes.plot(
-            np.column_stack([x1, x2, gap]).ravel(),
-            np.column_stack([y1, y2, gap]).ravel(),
-            color=MEASURED,
-            linewidth=width,
-        )
-
-    strokes(x, least, x, most, 0.7)
-    strokes(x - half, middle, x + half, middle, 1.6)
+    segments(axes, x, least, x, most, MEASURED, 0.7)
+    segments(axes, x - half, middle, x + half, middle, MEASURED, 1.6)
     sides = np.column_stack([x - half, x + half, x + half]).ravel()
-    axes.fill_between(
-        sides,
-        np.column_stack([low, low, gap]).ravel(),
-        np.column_stack([high, high, gap]).ravel(),
-        color=MEASURED,
-        alpha=0.25,
-    )
+    below, above = (np.column_stack([edge, edge, gap]).ravel() for edge in (low, high))
+    axes.fill_between(sides, below, above, color=MEASURED, alpha=0.25)
 
 
 def _residual_handles(validation: bool) -> list[Artist]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     handles = [
-        Line2D([], [], color=MEASURED, linewidth=1.6, label="median"),
-        Patch(facecolor=MEASURED, alpha=0.25, label="middle half"),
-        Line2D([], [], color=MEASURED, linewidth=0.7, label="middle 90 %"),
+        line_handle(MEASURED, "median"),
+        area_handle(MEASURED, "middle half", 0.25),
+        line_handle(MEASURED, "middle 90 %", 0.7),
     ]
     if validation:
-        handles.append(
-            Line2D(
-                [], [], color=SIMULATED, marker="D", markersize=3.2, linewidth=0, label="median in validation"
-            )
-        )
+        handles.append(line_handle(SIMULATED, "median in validation", 0, marker="D", markersize=3.2))
     return handles

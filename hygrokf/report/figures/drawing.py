@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from hygrokf.data.timestamps import DAY_S as DAY_S
+from hygrokf.data.timestamps import DAY_S
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -33,6 +33,8 @@ WARM_TO_COLD = ("#16365c", "#2b6ca3", "#6aa5c9", "#c9a227", "#c8641e", "#8f1d14"
 """Cold to warm in six steps that differ in lightness as well as in hue."""
 WIDTH_IN = 7.3
 """[in] width of every figure: the text width of an A4 page."""
+LEVEL_SD = 1.959964
+"""Standard deviations from the mean to the ends of a normal distribution's 95 % interval."""
 BINS = 520
 """Stretches of time over the width of a page; each keeps its least and its largest value."""
 
@@ -125,12 +127,8 @@ def svg(figure: Figure, name: str) -> str:
 
         matplotlib.rcParams["svg.hashsalt"] = name
         buffer = io.StringIO()
-        _save(
-            figure,
-            buffer,
-            format="svg",
-            metadata={"Date": None, "Creator": None, "Format": None, "Type": None},
-        )
+        nothing = dict.fromkeys(("Date", "Creator", "Format", "Type"))
+        _save(figure, buffer, format="svg", metadata=nothing)
     text = buffer.getvalue()
     text = re.sub(
         r"<\?xml.*?\?>\s*|<!DOCTYPE.*?>\s*|<metadata>.*?</metadata>\s*|<!--.*?-->\s*", "", text, flags=re.S
@@ -342,6 +340,20 @@ def upright(axes: Axes, text: str, place: float = 0.012) -> None:
     )
 
 
+def line_handle(colour: str, label: str, linewidth: float = 1.6, **style: Any) -> Artist:
+    """The line of a key."""
+    from matplotlib.lines import Line2D
+
+    return Line2D([], [], color=colour, label=label, linewidth=linewidth, **style)
+
+
+def area_handle(colour: str, label: str, alpha: float = 1.0, **style: Any) -> Artist:
+    """The filled rectangle of a key."""
+    from matplotlib.patches import Patch
+
+    return Patch(facecolor=colour, label=label, alpha=alpha, **style)
+
+
 def key(
     axes: Axes,
     handles: Sequence[Artist],
@@ -352,17 +364,39 @@ def key(
     axes.legend(handles=handles, loc="lower left", bbox_to_anchor=anchor, ncols=columns or len(handles))
 
 
+def figure_key(
+    figure: Figure,
+    handles: Sequence[Artist],
+    anchor: tuple[float, float] = (0.995, 0.995),
+    left: bool = False,
+) -> None:
+    """A key at the top of a figure, in one line; flush right, or left."""
+    figure.legend(
+        handles=handles,
+        loc="upper left" if left else "upper right",
+        ncols=len(handles),
+        bbox_to_anchor=anchor,
+    )
+
+
+def segments(
+    axes: Axes, x1: np.ndarray, y1: np.ndarray, x2: np.ndarray, y2: np.ndarray, colour: str, width: float
+) -> None:
+    """Strokes from points (x1, y1) to points (x2, y2), drawn as one line."""
+    gap = np.full(len(x1), np.nan)
+    x, y = (np.column_stack([a, b, gap]).ravel() for a, b in ((x1, x2), (y1, y2)))
+    axes.plot(x, y, color=colour, linewidth=width)
+
+
+def shade(axes: Axes, start_s: float, end_s: float, **style: Any) -> None:
+    """Shade a stretch of time [s] over the whole height of calendar axes."""
+    axes.axvspan(float(days(start_s)), float(days(end_s)), **style)
+
+
 def empty(axes: Axes, sentence: str) -> None:
     """Axes that say in one sentence why they are empty."""
     import textwrap
 
     axes.set_axis_off()
-    axes.text(
-        0.5,
-        0.5,
-        "\n".join(textwrap.wrap(sentence, 34)),
-        ha="center",
-        va="center",
-        color=QUIET,
-        transform=axes.transAxes,
-    )
+    text = "\n".join(textwrap.wrap(sentence, 34))
+    axes.text(0.5, 0.5, text, ha="center", va="center", color=QUIET, transform=axes.transAxes)

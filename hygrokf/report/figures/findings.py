@@ -9,23 +9,28 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.discovery_results import Finding
 from hygrokf.discovery.residuals import HUMIDITY, TEMPERATURE, UNITS, Residuals, hourly
 from hygrokf.identification.wording import one_line
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.figures.drawing import (
     AMBIENT,
-    DAY_S,
     INK,
+    LEVEL_SD,
     MEASURED,
     QUIET,
     SIMULATED,
     NothingToShow,
+    area_handle,
     band,
     calendar,
     days,
     envelope,
+    figure_key,
+    line_handle,
     new_figure,
+    shade,
     styled,
     upright,
 )
@@ -36,7 +41,6 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-LEVEL_SD = 1.959964
 CONDITION = "#f3e3c0"
 COURSE_LABEL = {TEMPERATURE: "temperature [°C]", HUMIDITY: "absolute humidity [g/m³]"}
 AMBIENT_NAME = {TEMPERATURE: "ambient_temperature", HUMIDITY: "ambient_absolute_humidity"}
@@ -84,10 +88,8 @@ def figure_episodes(residuals: Residuals, finding: Finding, after: Residuals | N
                 reach = max(reach, _error_line(error, one, quantity, (start, end), colour))
             for axes in (main, error):
                 for first, last in spans:
-                    axes.axvspan(
-                        float(days(max(first, start))), float(days(min(last, end))), color=CONDITION,
-                        alpha=0.75, zorder=0, linewidth=0
-                    )  # fmt: skip
+                    inside = (max(first, start), min(last, end))
+                    shade(axes, *inside, color=CONDITION, alpha=0.75, zorder=0, linewidth=0)
                 _midnights(axes, (start, end), labels=axes is error)
             if column == len(windows) - 1:
                 year = np.datetime64(int(end // DAY_S), "D").item().year
@@ -165,18 +167,15 @@ def _error_line(
 
 
 def _course_handles(overlaid: bool, shaded: str) -> list[Artist]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     handles = [
-        Line2D([], [], color=MEASURED, linewidth=1.6, label="readings"),
-        Line2D([], [], color=SIMULATED, linewidth=1.6, label="simulated" + (", before" if overlaid else "")),
-        Patch(facecolor=SIMULATED, alpha=0.15, label="95 % band"),
-        Line2D([], [], color=AMBIENT, linewidth=1.6, label="ambient"),
-        Patch(facecolor=CONDITION, label=shaded),
+        line_handle(MEASURED, "readings"),
+        line_handle(SIMULATED, "simulated" + (", before" if overlaid else "")),
+        area_handle(SIMULATED, "95 % band", 0.15),
+        line_handle(AMBIENT, "ambient"),
+        area_handle(CONDITION, shaded),
     ]
     if overlaid:
-        handles.insert(2, Line2D([], [], color=AFTER, linewidth=1.6, label="after"))
+        handles.insert(2, line_handle(AFTER, "after"))
     return handles
 
 
@@ -188,18 +187,9 @@ def _heading(figure: Figure, finding: Finding, handles: list[Artist]) -> float:
     lines = textwrap.wrap(statement[:1].upper() + statement[1:], LINE)
     height = figure.get_size_inches()[1]
     used = 0.09 + 0.145 * len(lines)
-    figure.text(
-        0.012,
-        1.0 - 0.06 / height,
-        "\n".join(lines),
-        va="top",
-        fontsize=8.0,
-        fontweight="bold",
-        linespacing=1.2,
-    )
-    figure.legend(
-        handles=handles, loc="upper left", ncols=len(handles), bbox_to_anchor=(0.012, 1.0 - used / height)
-    )
+    top = 1.0 - 0.06 / height
+    figure.text(0.012, top, "\n".join(lines), va="top", fontsize=8.0, fontweight="bold", linespacing=1.2)
+    figure_key(figure, handles, (0.012, 1.0 - used / height), left=True)
     return used + 0.24
 
 
@@ -219,21 +209,18 @@ def _midnights(axes: Axes, span: tuple[float, float], labels: bool) -> None:
 
 def _lasting(residuals: Residuals, finding: Finding, after: Residuals | None) -> Figure:
     """Daily means of the error over the whole record, and its means before and after, or by month."""
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     quantity = finding.quantity
     hours = hourly(residuals)
     with styled():
         overlaid = after is not None
         handles = [
-            Line2D([], [], color=SIMULATED, linewidth=1.6, label=f"daily mean{', before' * overlaid}"),
-            Patch(facecolor=SIMULATED, alpha=0.13, label="middle 80 % of the day"),
-            Line2D([], [], color=INK, linewidth=1.1, dashes=(5, 2), label="mean of either part"),
-            Patch(facecolor=CONDITION, label="where the finding is"),
+            line_handle(SIMULATED, f"daily mean{', before' * overlaid}"),
+            area_handle(SIMULATED, "middle 80 % of the day", 0.13),
+            line_handle(INK, "mean of either part", 1.1, dashes=(5, 2)),
+            area_handle(CONDITION, "where the finding is"),
         ]
         if overlaid:
-            handles.insert(1, Line2D([], [], color=AFTER, linewidth=1.6, label="after"))
+            handles.insert(1, line_handle(AFTER, "after"))
         height = 2.5
         figure = new_figure(height)
         used = _heading(figure, finding, handles)
@@ -246,9 +233,7 @@ def _lasting(residuals: Residuals, finding: Finding, after: Residuals | None) ->
             axes.plot(days(day), mean, color=colour, linewidth=1.0)
         inside = np.zeros(len(hours), dtype=bool)
         for first, last in finding.spans:
-            axes.axvspan(
-                float(days(first)), float(days(last)), color=CONDITION, alpha=0.6, zorder=0, linewidth=0
-            )
+            shade(axes, first, last, color=CONDITION, alpha=0.6, zorder=0, linewidth=0)
             inside |= (hours.time_s >= first) & (hours.time_s <= last)
         error = -hours.error[quantity]
         for flag in (inside, ~inside):

@@ -1,5 +1,5 @@
-"""Figures of what was identified: heat release by operating point, profile likelihood of the time
-constants."""
+"""Figures of what was identified: heat release by operating point, profile likelihood of the time constants,
+and how their intervals grow source by source."""
 
 from __future__ import annotations
 
@@ -9,15 +9,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from hygrokf.identification.composition import Step
 from hygrokf.identification.fit_results import FitResults, Interval, TimeConstant
 from hygrokf.identification.steady_state import Regression
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 from hygrokf.report.figures.drawing import (
     INK,
     MEASURED,
+    QUIET,
     SIMULATED,
     WARM_TO_COLD,
     NothingToShow,
+    line_handle,
     logarithmic,
     new_figure,
     styled,
@@ -32,6 +35,18 @@ THRESHOLD = 3.8415
 """95 % quantile of χ² with one degree of freedom."""
 POINTS = 500
 """Points of one cloud; more of them only hide each other."""
+LABELS = {
+    "profile": "profile likelihood",
+    "parts": "+ parts of the record",
+    "forms": "+ other forms",
+    "free run": "+ free run",
+    "clocks": "+ clocks",
+    "sampling": "+ ambient sampling",
+}
+SHOWN_SD = 1e-3
+"""[1] standard deviation of the logarithm from which a source has a bar of its own."""
+SHOWN_WEIGHT = 0.01
+"""[1] share of the evidence above which another form is drawn."""
 
 
 # --- heat release ----------------------------------------------------------------------------
@@ -167,13 +182,9 @@ def _standstill(axes: Axes, one: _Points, edges: np.ndarray, fit: FitResults) ->
 
 
 def _line_key(axes: Axes, estimated: bool) -> None:
-    from matplotlib.lines import Line2D
-
-    handles = [Line2D([], [], color=INK, linewidth=1.6, label="regression over the points")]
+    handles = [line_handle(INK, "regression over the points")]
     if estimated:
-        handles.append(
-            Line2D([], [], color=INK, linewidth=1.0, dashes=(4, 2), label="final estimate, all data")
-        )
+        handles.append(line_handle(INK, "final estimate, all data", 1.0, dashes=(4, 2)))
     axes.legend(handles=handles, loc="best", handlelength=2.2)
 
 
@@ -283,3 +294,62 @@ def _smooth_profile(points: np.ndarray, value: float) -> tuple[np.ndarray, np.nd
     root = side * np.sqrt(np.maximum(points[:, 1], 0.0))
     x = np.geomspace(points[0, 0], points[-1, 0], 120)
     return x, np.interp(np.log(x), np.log(points[:, 0]), root) ** 2
+
+
+# --- composition of intervals ----------------------------------------------------------------
+
+
+def figure_composition(fit: FitResults, series: Mapping[str, np.ndarray]) -> Figure:
+    """One panel a time constant: a bar for each step of the interval, the last one the headline."""
+    shown = [
+        (name, fit.time_constants[name])
+        for name in ("thermal", "hygric")
+        if name in fit.time_constants and len(_steps(fit.time_constants[name])) > 1
+    ]
+    if not shown:
+        raise NothingToShow("No interval is composed of several sources, so there is nothing to take apart.")
+    with styled():
+        figure = new_figure(0.75 + 0.2 * max(len(_steps(found)) for _, found in shown))
+        grid = figure.add_gridspec(1, 2, wspace=0.5, left=0.155, right=0.985, top=0.84, bottom=0.24)
+        for column, (name, found) in enumerate(shown):
+            axes = figure.add_subplot(grid[column])
+            _composed(axes, found)
+            axes.set_title(f"{name} time constant")
+            axes.set_xlabel("[h]")
+    return figure
+
+
+def _steps(found: TimeConstant) -> list[Step]:
+    """Steps of an interval that is closed throughout, without those that add nothing."""
+    rows = [row for row in found.composition if row.source in LABELS]
+    if not all(0 < row.lower_h < row.upper_h < math.inf for row in rows):
+        return []
+    return [row for i, row in enumerate(rows) if i == 0 or row.sd_ln > SHOWN_SD]
+
+
+def _composed(axes: Axes, found: TimeConstant) -> None:
+    rows = _steps(found)
+    last = len(rows) - 1
+    for place, row in enumerate(rows):
+        bold = place == last
+        axes.plot(
+            [row.lower_h, row.upper_h], [place, place], color=MEASURED, linewidth=5.0 if bold else 2.6,
+            alpha=1.0 if bold else 0.55, solid_capstyle="butt",
+        )  # fmt: skip
+    axes.axvline(found.value_h, color=INK, linewidth=0.8)
+    for one in found.forms:
+        if one.form != "base" and one.weight >= SHOWN_WEIGHT:
+            _mark(axes, rows, "forms", one.value_h, QUIET, 2.5 + 4.0 * one.weight)
+    if found.simulation is not None:
+        _mark(axes, rows, "free run", found.simulation.value_h, SIMULATED, 4.5)
+    axes.set_yticks(range(len(rows)), [LABELS[row.source] for row in rows])
+    axes.set_ylim(last + 0.6, -0.6)
+    axes.locator_params(axis="x", nbins=5)
+    axes.grid(False, axis="y")
+
+
+def _mark(axes: Axes, rows: list[Step], source: str, value: float, colour: str, size: float) -> None:
+    """Another estimate, on the row of the source that it stands for; none where that adds nothing."""
+    places = [i for i, row in enumerate(rows) if row.source == source]
+    if places and math.isfinite(value):
+        axes.plot([value], places, "D", color=colour, markersize=size, markeredgecolor="white", clip_on=True)

@@ -1,5 +1,4 @@
-"""The page of innovations: whiteness in time and in frequency, what they owe to the inputs, their
-distribution."""
+"""The figure of innovations: whiteness in time and frequency, correlation with the inputs, distribution."""
 
 from __future__ import annotations
 
@@ -32,6 +31,7 @@ from hygrokf.report.figures.drawing import (
     envelope,
     logarithmic,
     new_figure,
+    segments,
     styled,
 )
 
@@ -59,7 +59,7 @@ def figure_innovations(
     known = np.isfinite(value) & (time <= until if math.isfinite(until) else True)
     if found is None or not known.any():
         raise NothingToShow(
-            f"There are no innovations of the {output}: nothing of it was observed by the filter."
+            f"There are no innovations of the {output}: the filter observed none of its readings."
         )
     if found.autocorrelation is None:
         why = found.statements[0] if found.statements else "too few readings"
@@ -109,14 +109,8 @@ def _stems(axes: Axes, lag: np.ndarray, value: np.ndarray, limit: float) -> None
     beyond = np.abs(value) > limit
     axes.axhline(0.0, color=QUIET, linewidth=0.6)
     for chosen, colour, width in ((~beyond, MEASURED, 0.7), (beyond, SIMULATED, 1.3)):
-        x, y = lag[chosen], value[chosen]
-        gap = np.full(len(x), np.nan)
-        axes.plot(
-            np.column_stack([x, x, gap]).ravel(),
-            np.column_stack([np.zeros(len(x)), y, gap]).ravel(),
-            color=colour,
-            linewidth=width,
-        )
+        x = lag[chosen]
+        segments(axes, x, np.zeros(len(x)), x, value[chosen], colour, width)
 
 
 def _reach(limit: float, *values: np.ndarray) -> float:

@@ -1,5 +1,4 @@
-"""Figures of all residuals: against drivers, by day and hour, and the innovations' spectrum and
-cross-correlations.
+"""Figures of residuals over drivers and by day and hour, and of the innovations' spectrum and correlations.
 
 Functions take `Residuals`, and those of an extended model as `after` for an overlay, and return a figure.
 They raise `drawing.NothingToShow` with one sentence where their data are missing.
@@ -10,11 +9,11 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hygrokf.data.structured import plain
+from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.discovery.residuals import (
     HUMIDITY,
     QUANTITIES,
@@ -26,15 +25,19 @@ from hygrokf.discovery.residuals import (
     shown,
     words,
 )
+from hygrokf.evaluation.diagnosis import CrossCorrelation, OutputDiagnosis, Periodogram
 from hygrokf.evaluation.innovation_tests import diagnose
 from hygrokf.report.figures.drawing import (
     INK,
     QUIET,
     SIMULATED,
     NothingToShow,
+    area_handle,
     calendar_ticks,
     days,
     empty,
+    figure_key,
+    line_handle,
     logarithmic,
     new_figure,
     styled,
@@ -190,27 +193,15 @@ def _bands(axes: Axes, value: np.ndarray, error: np.ndarray, edges: np.ndarray) 
 
 
 def _band_key(figure: Figure, overlaid: bool) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
+    before = "median" + (", before" if overlaid else "")
     handles = [
-        Line2D(
-            [],
-            [],
-            color=SIMULATED,
-            linewidth=1.4,
-            marker="o",
-            markersize=2.4,
-            label="median" + (", before" if overlaid else ""),
-        ),
-        Patch(facecolor=SIMULATED, alpha=0.30, label="middle half"),
-        Patch(facecolor=SIMULATED, alpha=0.10, label="middle 80 %"),
+        line_handle(SIMULATED, before, 1.4, marker="o", markersize=2.4),
+        area_handle(SIMULATED, "middle half", 0.30),
+        area_handle(SIMULATED, "middle 80 %", 0.10),
     ]
     if overlaid:
-        handles.insert(
-            1, Line2D([], [], color=AFTER, linewidth=1.4, marker="o", markersize=2.4, label="after")
-        )
-    figure.legend(handles=handles, loc="upper right", ncols=len(handles), bbox_to_anchor=(0.995, 0.995))
+        handles.insert(1, line_handle(AFTER, "after", 1.4, marker="o", markersize=2.4))
+    figure_key(figure, handles)
 
 
 # --- day and hour ----------------------------------------------------------------------------
@@ -224,10 +215,8 @@ def figure_day_hour(
 
     if quantity not in _known(residuals):
         raise NothingToShow(f"There are no errors of the {TITLE[quantity].lower()} to show.")
-    shown_ones = [("before" if after is not None else "", residuals)]
-    if after is not None:
-        shown_ones.append(("after", after))
-    maps = [_by_day(one, quantity) for _, one in shown_ones]
+    models = [("", residuals)] if after is None else [("before", residuals), ("after", after)]
+    maps = [_by_day(one, quantity) for _, one in models]
     reach = float(np.nanquantile(np.abs(maps[0][1]), 0.97)) or 1.0
     with styled():
         height = 0.5 + 1.55 * len(maps)
@@ -236,7 +225,7 @@ def figure_day_hour(
             len(maps), 1, hspace=0.16, left=0.072, right=0.915, top=1.0 - 0.22 / height, bottom=0.31 / height
         )
         colours = LinearSegmentedColormap.from_list("error", DIVERGING).with_extremes(bad="#e3e6ea")
-        for row, ((label, one), (first, table)) in enumerate(zip(shown_ones, maps, strict=True)):
+        for row, ((label, one), (first, table)) in enumerate(zip(models, maps, strict=True)):
             axes = figure.add_subplot(grid[row])
             axes.grid(False)
             image = axes.imshow(
@@ -246,7 +235,7 @@ def figure_day_hour(
             )  # fmt: skip
             axes.set_yticks(np.arange(0, 25, 6))
             upright(axes, "hour [UTC]")
-            at, names = calendar_ticks(86400.0 * first, 86400.0 * (first + len(table)), 12)
+            at, names = calendar_ticks(DAY_S * first, DAY_S * (first + len(table)), 12)
             last = row == len(maps) - 1
             axes.set_xticks(days(at), names if last else None)
             axes.tick_params(labelbottom=last)
@@ -283,9 +272,9 @@ def _by_day(residuals: Residuals, quantity: str) -> tuple[int, np.ndarray]:
     """Number of the first day since 1970 and mean errors (days, 24), NaN without a reading."""
     error = -residuals.error(quantity)
     there = np.isfinite(error)
-    hour = np.floor(residuals.time_s[there] / 3600.0).astype(int)
-    first = int(np.floor(residuals.time_s[0] / 86400.0))
-    count = int(np.floor(residuals.time_s[-1] / 86400.0)) - first + 1
+    hour = np.floor(residuals.time_s[there] / HOUR_S).astype(int)
+    first = int(np.floor(residuals.time_s[0] / DAY_S))
+    count = int(np.floor(residuals.time_s[-1] / DAY_S)) - first + 1
     number = np.bincount(hour - 24 * first, minlength=24 * count).astype(float)
     total = np.bincount(hour - 24 * first, weights=error[there], minlength=24 * count)
     mean = np.divide(total, number, out=np.full(24 * count, np.nan), where=number > 0)
@@ -313,23 +302,20 @@ def figure_innovations(
             bottom=0.36 / height, width_ratios=(1.25, 0.12, 1.0, 1.0, 1.0),
         )  # fmt: skip
         for row, quantity in enumerate(quantities):
-            both = [(found.get(quantity, {}), SIMULATED), (later.get(quantity, {}), AFTER)]
+            base, wider = (one.get(quantity, OutputDiagnosis()) for one in (found, later))
             last = row == len(quantities) - 1
             axes = figure.add_subplot(grid[row, 0])
-            _periodogram(axes, both)
+            _periodogram(axes, base.periodogram, wider.periodogram)
             axes.set_title(TITLE[quantity])
             if last:
                 axes.set_xlabel("power (white = 1) by period [h]")
-            cross = both[0][0].get("cross_correlation", {})
-            rows = {name: one for name, one in cross.items() if "lag_h" in one}
-            best = [name for name in drivers if name in rows] or sorted(
-                rows, key=lambda name: rows[name]["p"]
-            )
+            rows = {name: one for name, one in base.cross_correlation.items() if one.lag_h}
+            ranked = sorted(rows, key=lambda name: rows[name].p)
+            best = [name for name in drivers if name in rows] or ranked
             reach = max((_size(rows[name]) for name in best[:3]), default=0.1)
             for column, name in enumerate(best[:3]):
                 axes = figure.add_subplot(grid[row, column + 2])
-                other = both[1][0].get("cross_correlation", {}).get(name, {})
-                _correlation(axes, rows[name], other, reach)
+                _correlation(axes, rows[name], wider.cross_correlation.get(name), reach)
                 axes.set_title(_two_lines(f"with {words(name)}", 26), fontweight="normal", fontsize=7.0)
                 if last:
                     axes.set_xlabel("lag [h]; > 0: after the driver" if column == 0 else "lag [h]")
@@ -339,38 +325,30 @@ def figure_innovations(
     return figure
 
 
-def _diagnosed(residuals: Residuals) -> Mapping[str, Mapping[str, Any]]:
+def _diagnosed(residuals: Residuals) -> Mapping[str, OutputDiagnosis]:
     """`diagnose` of the identification period's innovations, by quantity."""
     early = ~residuals.validation
-    standard = {
-        q: residuals.innovation(q)[early]
-        for q in QUANTITIES
-        if np.isfinite(residuals.innovation(q)[early]).any()
-    }
-    inputs = {
-        name: value[early] for name, value in residuals.drivers.items() if np.isfinite(value[early]).any()
-    }
-    found = diagnose(residuals.time_h[early], standard, inputs, longest_h=LONGEST_LAG_H)
-    return {name: plain(one) for name, one in found.outputs.items()}
-
-
-def _periodogram(axes: Axes, both: Sequence[tuple[Mapping[str, Any], str]]) -> None:
-    first = both[0][0].get("periodogram")
-    if not first:
-        return empty(axes, "too few innovations for a periodogram")
-    period = 1.0 / np.array(first["frequency_per_h"])
-    axes.fill_between(
-        period, np.maximum(first["lower"], 1e-3), first["upper"], color=QUIET, alpha=0.16, linewidth=0
+    innovations = {q: residuals.innovation(q)[early] for q in QUANTITIES}
+    inputs = {name: value[early] for name, value in residuals.drivers.items()}
+    known, varying = (
+        {name: value for name, value in one.items() if np.isfinite(value).any()}
+        for one in (innovations, inputs)
     )
+    return diagnose(residuals.time_h[early], known, varying, longest_h=LONGEST_LAG_H).outputs
+
+
+def _periodogram(axes: Axes, base: Periodogram | None, wider: Periodogram | None) -> None:
+    if base is None:
+        return empty(axes, "too few innovations for a periodogram")
+    period = 1.0 / np.array(base.frequency_per_h)
+    axes.fill_between(period, np.maximum(base.lower, 1e-3), base.upper, color=QUIET, alpha=0.16, linewidth=0)
     axes.axhline(1.0, color=QUIET, linewidth=0.6)
     top, least = 4.0, 1.0
-    for one, colour in both:
-        if "periodogram" in one:
-            power = np.array(one["periodogram"]["power"])
+    for one, colour in ((base, SIMULATED), (wider, AFTER)):
+        if one is not None:
+            power = np.array(one.power)
             top, least = max(top, float(power.max())), min(least, float(power.min()))
-            axes.plot(
-                1.0 / np.array(one["periodogram"]["frequency_per_h"]), power, color=colour, linewidth=1.0
-            )
+            axes.plot(1.0 / np.array(one.frequency_per_h), power, color=colour, linewidth=1.0)
     axes.set_xlim(min(float(period[0]), 2000.0), float(period[-1]))
     axes.set_ylim(max(0.02, min(0.5, 0.7 * least)), 1.5 * top)
     logarithmic(axes, "y")
@@ -381,22 +359,21 @@ def _periodogram(axes: Axes, both: Sequence[tuple[Mapping[str, Any], str]]) -> N
     axes.set_xticks([], minor=True)
 
 
-def _size(one: Mapping[str, Any]) -> float:
-    largest = float(np.max(np.abs(one["value"])))
-    return max(1.2 * largest, 1.8 * float(one["limit_all"]))
+def _size(one: CrossCorrelation) -> float:
+    return max(1.2 * float(np.max(np.abs(one.value))), 1.8 * one.limit_all)
 
 
-def _correlation(axes: Axes, one: Mapping[str, Any], other: Mapping[str, Any], reach: float) -> None:
-    axes.axhspan(-one["limit"], one["limit"], color=QUIET, alpha=0.16, linewidth=0)
+def _correlation(axes: Axes, one: CrossCorrelation, other: CrossCorrelation | None, reach: float) -> None:
+    axes.axhspan(-one.limit, one.limit, color=QUIET, alpha=0.16, linewidth=0)
     for sign in (-1.0, 1.0):
-        axes.axhline(sign * one["limit_all"], color=INK, linewidth=0.6, dashes=(4, 2))
+        axes.axhline(sign * one.limit_all, color=INK, linewidth=0.6, dashes=(4, 2))
     axes.axhline(0.0, color=QUIET, linewidth=0.6)
     axes.axvline(0.0, color=QUIET, linewidth=0.6)
-    axes.plot(one["lag_h"], one["value"], color=SIMULATED, linewidth=0.9)
-    if "lag_h" in other:
-        axes.plot(other["lag_h"], other["value"], color=AFTER, linewidth=0.9)
+    axes.plot(one.lag_h, one.value, color=SIMULATED, linewidth=0.9)
+    if other is not None and other.lag_h:
+        axes.plot(other.lag_h, other.value, color=AFTER, linewidth=0.9)
     axes.set_ylim(-reach, reach)
-    end = math.ceil(one["lag_h"][-1])
+    end = math.ceil(one.lag_h[-1])
     axes.set_xlim(-end, end)
     ticks = [tick for tick in (-24, -12, 0, 12, 24) if abs(tick) <= end]
     # the labels of two neighbours' ends would touch
@@ -405,16 +382,11 @@ def _correlation(axes: Axes, one: Mapping[str, Any], other: Mapping[str, Any], r
 
 
 def _line_key(figure: Figure, overlaid: bool) -> None:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
     handles = [
-        Line2D(
-            [], [], color=SIMULATED, linewidth=1.4, label="innovations" + (", before" if overlaid else "")
-        ),
-        Patch(facecolor=QUIET, alpha=0.16, label="95 % if white"),
-        Line2D([], [], color=INK, linewidth=0.7, dashes=(4, 2), label="95 %, all lags together"),
+        line_handle(SIMULATED, "innovations" + (", before" if overlaid else ""), 1.4),
+        area_handle(QUIET, "95 % if white", 0.16),
+        line_handle(INK, "95 %, all lags together", 0.7, dashes=(4, 2)),
     ]
     if overlaid:
-        handles.insert(1, Line2D([], [], color=AFTER, linewidth=1.4, label="after"))
-    figure.legend(handles=handles, loc="upper right", ncols=len(handles), bbox_to_anchor=(0.995, 0.995))
+        handles.insert(1, line_handle(AFTER, "after", 1.4))
+    figure_key(figure, handles)

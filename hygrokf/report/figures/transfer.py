@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from hygrokf.identification.turbine_type import TurbineType
 from hygrokf.identification.wording import QUANTITIES
-from hygrokf.report.figures.courses import Panel, figure_courses
+from hygrokf.report.figures.comparison import Panel, figure_courses
 from hygrokf.report.figures.drawing import (
     AMBIENT,
     INK,

@@ -9,10 +9,9 @@ import numpy as np
 
 from hygrokf.data.record import Series
 from hygrokf.data.signals import signal_named
-from hygrokf.data.timestamps import summer_time
+from hygrokf.data.timestamps import DAY_S, summer_time
 from hygrokf.report.figures.drawing import (
     AMBIENT,
-    DAY_S,
     MEASURED,
     QUIET,
     RULE,
@@ -21,6 +20,8 @@ from hygrokf.report.figures.drawing import (
     NothingToShow,
     calendar,
     days,
+    figure_key,
+    line_handle,
     new_figure,
     styled,
 )
@@ -76,8 +77,7 @@ def figure_clocks(
                 if row == len(seasons) - 1:
                     axes.set_xlabel("hour of the day [UTC]", labelpad=1.0)
         _lags(figure.add_subplot(grid[-1, :]), found, corrections_s, america)
-        handles = [*_handles(names)]
-        figure.legend(handles=handles, loc="upper left", ncols=len(handles), bbox_to_anchor=(0.07, 0.99))
+        figure_key(figure, _handles(names), (0.07, 0.99), left=True)
     return figure
 
 
@@ -133,12 +133,10 @@ def _middle(start_s: float, span: tuple[float, float]) -> float:
 
 
 def _handles(names: tuple[str, str]) -> list[Artist]:
-    from matplotlib.lines import Line2D
-
     return [
-        Line2D([], [], color=MEASURED, linewidth=1.2, label=names[0]),
-        Line2D([], [], color=AMBIENT, linewidth=1.6, label=names[1]),
-        Line2D([], [], color=MEASURED, marker="o", markersize=3.4, linewidth=1.0, label="lag by the weather"),
-        Line2D([], [], color=QUIET, marker="s", markersize=2.6, linewidth=1.0, label="lag by the mean day"),
-        Line2D([], [], color=SIMULATED, linewidth=1.0, label="lag that is corrected"),
+        line_handle(MEASURED, names[0], 1.2),
+        line_handle(AMBIENT, names[1]),
+        line_handle(MEASURED, "lag by the weather", 1.0, marker="o", markersize=3.4),
+        line_handle(QUIET, "lag by the mean day", 1.0, marker="s", markersize=2.6),
+        line_handle(SIMULATED, "lag that is corrected", 1.0),
     ]

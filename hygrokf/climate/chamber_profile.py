@@ -1,7 +1,7 @@
-"""The test profile: days of the climate, warmed until the chamber ages as much as the years of service do.
+"""The test profile of a chamber: days of the climate, warmed until they age as much as the years of service.
 
 With T* from 1/T* = 1/T − δ the law's rate grows by the same factor exp(E_a δ/k_B) in every hour, and the
-humidity stays: the test is as much faster as it must be, and every condition keeps its share of the ageing.
+humidity stays: every condition keeps its share of the ageing.
 (A temperature raised by a fixed number of kelvin would give the cold hours more than their share.)  The
 chamber's limits cut this off; δ is found for the sequence after them.
 """
@@ -12,13 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hygrokf.climate.acceleration import BOLTZMANN_EV, Acceleration
 from hygrokf.climate.bounds import Bounded
-from hygrokf.climate.chamber import Chamber, ProfilePlan
-from hygrokf.climate.cycles import cycles_from
+from hygrokf.climate.chamber import BOLTZMANN_EV, Acceleration, Chamber, ProfilePlan
 from hygrokf.climate.ensemble import YEAR_H
 from hygrokf.climate.representative_days import DAY_H, Days, choose_days, ordered, shares
-from hygrokf.climate.statistics import CYCLE_RANGES_K, WET_PERCENT
+from hygrokf.climate.statistics import CYCLE_RANGES_K, WET_PERCENT, cycles_from
 from hygrokf.data.timestamps import stamp_text
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
@@ -138,7 +136,7 @@ class ChamberProfile:
             raise ValueError(f"expected a value for each of {len(self.hour)} hours, found {found[0]}")
 
 
-def chamber_profile(
+def build_profile(
     days: Days, plan: ProfilePlan, ageing: Bounded, service_cycles: np.ndarray
 ) -> ChamberProfile:
     """The test profile from all days of a climate; arguments as for `chamber_sequence` and `closeness`."""

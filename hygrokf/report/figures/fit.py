@@ -1,8 +1,7 @@
-"""All figures of a fit in the order of the report: pure functions from its results and series to a figure.
+"""All figures of a fit in the order of the report.
 
-Each takes (fit, series), what `fit.json` and `series.npz` hold, and raises `drawing.NothingToShow` with one
-sentence where its data are missing.  `drawing.svg`, `drawing.inline_svg` and `drawing.png` turn a figure into
-text or bytes.
+Each function takes (fit, series), the content of `fit.json` and `series.npz`, and raises
+`drawing.NothingToShow` with one sentence where its data are missing.
 """
 
 from __future__ import annotations
@@ -15,7 +14,6 @@ import numpy as np
 
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.report.blocks import Figure
-from hygrokf.report.figures.composition import figure_composition
 from hygrokf.report.figures.course import (
     figure_excerpts,
     figure_humidity,
@@ -23,30 +21,16 @@ from hygrokf.report.figures.course import (
     figure_temperature,
     figure_validation,
 )
-from hygrokf.report.figures.identification import figure_heat_release, figure_profiles
+from hygrokf.report.figures.identification import figure_composition, figure_heat_release, figure_profiles
 from hygrokf.report.figures.innovations import figure_innovations
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure as Drawing
 
-__all__ = [
-    "FIGURES",
-    "Picture",
-    "figure_composition",
-    "figure_excerpts",
-    "figure_heat_release",
-    "figure_humidity",
-    "figure_innovations",
-    "figure_profiles",
-    "figure_residuals",
-    "figure_temperature",
-    "figure_validation",
-]
-
 
 @dataclass(frozen=True)
 class Picture:
-    """A figure of the report: `name` for identifiers, heading, one sentence that says what to look for."""
+    """A figure of the report: `name` for identifiers, heading, and a caption that says what to look for."""
 
     name: str
     heading: str
@@ -67,14 +51,14 @@ FIGURES: tuple[Picture, ...] = (
         "validation",
         "Readings and free run after the identification period",
         "The model saw the weather and the power of these days, and no reading of the cabinet. Red should "
-        "follow blue, and blue should leave the 95 % band about one time in twenty.",
+        "follow blue, and about one blue reading in twenty should lie outside the 95 % band.",
         figure_validation,
     ),
     Picture(
         "temperature",
         "Cabinet temperature, whole record",
-        "Red should follow blue through seasons, days and standstills, with an error around zero, in the "
-        "shaded validation period as well as before it.",
+        "Red should follow blue through seasons, days and standstills, with an error around zero, before and "
+        "in the shaded validation period.",
         figure_temperature,
     ),
     Picture(
@@ -87,8 +71,8 @@ FIGURES: tuple[Picture, ...] = (
     Picture(
         "excerpts",
         "Three excerpts",
-        "Check the lag after a change of load and at sunrise, and the level at standstill. Blue should leave "
-        "the band about one time in twenty.",
+        "Check the lag after a change of load and at sunrise, and the level at standstill. About one blue "
+        "reading in twenty should lie outside the band.",
         figure_excerpts,
     ),
     Picture(
@@ -110,15 +94,15 @@ FIGURES: tuple[Picture, ...] = (
         "composition",
         "Sources of uncertainty in the intervals",
         "Each bar adds one source of uncertainty to the bar above it; the last bar is the reported interval. "
-        "Diamonds are other estimates: grey by another form of the model (sized by its weight), red by the "
-        "free run.",
+        "Diamonds are other estimates: grey from other forms of the model (sized by their weights), red from "
+        "the free run.",
         figure_composition,
     ),
     Picture(
         "residuals",
         "Error of the free run by operating point",
-        "The medians should lie on zero everywhere. A slope shows at which power, temperature or time of day "
-        "the model is wrong.",
+        "The medians should lie on zero everywhere. Others show at which power, temperature or hour the "
+        "model is wrong.",
         figure_residuals,
     ),
     Picture(
@@ -131,8 +115,8 @@ FIGURES: tuple[Picture, ...] = (
     Picture(
         "innovations-humidity",
         "Innovations of the humidity",
-        "As above, for the humidity. Bars beyond the dashed limits at positive lags of an input show a "
-        "response to that input that the model lacks.",
+        "As above. Bars beyond the dashed limits at positive lags of an input show a response to that input "
+        "that the model lacks.",
         _humidity_innovations,
     ),
 )
