@@ -7,7 +7,7 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from hygrokf.commands.console import Progress, expect_own_directory, faults_of, show_reported
-from hygrokf.commands.inputs import record_of
+from hygrokf.commands.inputs import own_causes, record_of
 from hygrokf.commands.verb import Verb, add_json, add_library, add_starts, seconds
 from hygrokf.data.files import DISCOVERY
 
@@ -35,16 +35,20 @@ def _arguments(parser: ArgumentParser) -> None:
 
 def _run(options: Namespace) -> int:
     from hygrokf.discovery.library import LIBRARY
-    from hygrokf.discovery.own_causes import load_library
     from hygrokf.discovery.procedure import discover
     from hygrokf.report.discovery_page import discovery_text, write_discovery_report
 
     expect_own_directory(options.out, DISCOVERY)
-    own = load_library(*options.library, installed=True)
+    own = own_causes(options.library)
     record = record_of(options.case)
-    wider = {"library": (*LIBRARY, *own)} if own else {}
     with faults_of(options.case), Progress(45) as progress:
-        found = discover(record, starts=options.starts, progress=progress, budget_s=options.budget, **wider)
+        found = discover(
+            record,
+            library=(*LIBRARY, *own),
+            starts=options.starts,
+            progress=progress,
+            budget_s=options.budget,
+        )
     tried = {one.cause for one in found.results.causes} | {one.cause for one in found.results.rejected}
     for cause in own:
         if cause.name not in tried:

@@ -30,9 +30,9 @@ def _arguments(parser: ArgumentParser) -> None:
 
 def _run(options: Namespace) -> int:
     """The exit status is 1 where any turbine has no result."""
-    from hygrokf.fleet.page import fleet_text, outcome_text
+    from hygrokf.commands.fleet_tasks import run_fleet
     from hygrokf.fleet.plan import read_plan
-    from hygrokf.fleet.running import run_fleet
+    from hygrokf.report.fleet_page import fleet_text, outcome_text
 
     expect_own_directory(options.out, FLEET)
     if options.dask and options.workers:

@@ -28,7 +28,7 @@ def _written(directory: Path) -> Path:
 
         return write_discovery_report(None, folder)
     if (folder / FLEET).is_file():
-        from hygrokf.fleet.running import write_fleet_report
+        from hygrokf.report.fleet_page import write_fleet_report
 
         return write_fleet_report(folder)
     if (folder / CLIMATE).is_file():

@@ -4,7 +4,6 @@ work."""
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 
 import pytest
@@ -12,7 +11,6 @@ import pytest
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.commands.main import main
 from hygrokf.discovery.library import named
-from hygrokf.discovery.procedure import discover
 from hygrokf.identification.results import read_fit
 
 
@@ -25,7 +23,7 @@ def test_a_case_becomes_a_discovery(
     case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     few = [named(name) for name in ("solar_gain", "humidity_sensor_drift", "clock_shift")]
-    monkeypatch.setattr("hygrokf.discovery.procedure.discover", partial(discover, library=few))
+    monkeypatch.setattr("hygrokf.discovery.library.LIBRARY", few)
     assert main(["discover", str(case), "--out", str(tmp_path / "made"), "--starts", "1", "--json"]) == 0
     data = json.loads((tmp_path / "made" / "discovery.json").read_text())
     assert json.loads(capsys.readouterr().out) == data

@@ -12,28 +12,26 @@ import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from hygrokf import identify, read_case, synthetic_turbine, write_case
+from hygrokf.commands.fleet_tasks import WORK, do_task, run_fleet
 from hygrokf.commands.main import main
 from hygrokf.data.toml_form import keys_of
 from hygrokf.fleet import job as job_module
 from hygrokf.fleet import running
 from hygrokf.fleet.cluster import batches, on_cluster
-from hygrokf.fleet.fleet_results import FleetResults
-from hygrokf.fleet.job import FleetFault, Job, content_key, finished
+from hygrokf.fleet.job import FleetFault, Job, content_key, finished, perform
 from hygrokf.fleet.outliers import FEWEST_JUDGED, REACH, spread, spreads
-from hygrokf.fleet.page import fleet_page, fleet_text
 from hygrokf.fleet.plan import read_plan
 from hygrokf.fleet.processes import in_processes
-from hygrokf.fleet.running import run_fleet, write_fleet_report
-from hygrokf.fleet.table import columns_of, table_csv, table_parquet
-from hygrokf.fleet.tasks import TASKS, Compared, perform
+from hygrokf.fleet.results import FleetResults, columns_of, table_csv, table_parquet
+from hygrokf.fleet.tasks import TASKS, Compared
 from hygrokf.identification.results import dump, read_fit
 from hygrokf.identification.turbine_type import pool_types, read_type
+from hygrokf.report.fleet_page import fleet_page, fleet_text, write_fleet_report
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 DAYS, TURBINES = 5.0, 5
@@ -59,7 +57,7 @@ def serial(park: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     """Folder and table of the fleet, each turbine done here, one after the other."""
     out = tmp_path_factory.mktemp("serial")
     jobs = read_plan(park / "fleet.toml").jobs(out)
-    return out, table_csv("fit", [perform(job).row for job in jobs])
+    return out, table_csv("fit", [perform(job, do_task).row for job in jobs])
 
 
 def rows_of(text: str) -> dict[str, dict[str, str]]:
@@ -200,7 +198,7 @@ def children() -> list[int]:
 
 def working() -> list[int]:
     """Those of them that do jobs: processes of ours, and workers of a cluster under their nannies."""
-    marks = ("hygrokf.fleet.worker", "spawn_main", "--multiprocessing-fork", "dask_worker")
+    marks = ("hygrokf.fleet.processes", "spawn_main", "--multiprocessing-fork", "dask_worker")
     found = []
     for one in children():
         try:
@@ -284,7 +282,7 @@ def test_a_process_that_dies_before_it_begins_stops_nothing(
 
 
 def test_whoever_stops_early_leaves_no_process(park: Path, tmp_path: Path) -> None:
-    coming = in_processes(read_plan(park / "fleet.toml").jobs(tmp_path), 2)
+    coming = in_processes(read_plan(park / "fleet.toml").jobs(tmp_path), do_task, 2)
     next(coming)
     coming.close()
     if Path("/proc/self/task").exists():
@@ -299,25 +297,21 @@ def test_changed_data_are_done_again_and_nothing_of_before_is_left(
         (tmp_path / "T2" / name).write_bytes((park / "T2" / name).read_bytes())
     (tmp_path / "fleet.toml").write_text(FLEET)
     (job,) = read_plan(tmp_path / "fleet.toml").jobs(tmp_path / "out")
-    first = perform(job)
-    assert finished(job) == first and perform(job) == first
+    first = perform(job, do_task)
+    assert finished(job) == first and perform(job, do_task) == first
     assert first.row["key"] == rows_of(serial[1])["T2"]["key"]
     (tmp_path / "T2" / "cabinet.csv").write_text("time,other\n")
     (job,) = read_plan(tmp_path / "fleet.toml").jobs(tmp_path / "out")
     assert finished(job) is None
-    assert perform(job).status == "failed"
+    assert perform(job, do_task).status == "failed"
     assert {one.name for one in job.folder.iterdir()} == {"row.json"}
 
 
-def test_a_fault_that_no_one_foresaw_is_a_row_too(
-    park: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fault_that_no_one_foresaw_is_a_row_too(park: Path, tmp_path: Path) -> None:
     def broken(job: Job) -> dict:
         return {"thermal_value_h": 1 / (len(job.turbine) - 2)}
 
-    monkeypatch.setitem(TASKS, "fit", replace(TASKS["fit"], perform=broken))
-    job = read_plan(park / "fleet.toml").jobs(tmp_path)[0]
-    found = perform(job)
+    found = perform(read_plan(park / "fleet.toml").jobs(tmp_path)[0], broken)
     assert found.status == "failed"
     assert found.row["reason"].startswith("ZeroDivisionError: division by zero (test_fleets.py, line ")
 
@@ -397,7 +391,7 @@ def in_one_batch(jobs: list[Job], address: str) -> list:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cluster, "BATCHES", 0.01)
-        return list(on_cluster(jobs, address))
+        return list(on_cluster(jobs, do_task, address))
 
 
 def test_batches_hold_every_job_once_in_order() -> None:
@@ -407,7 +401,7 @@ def test_batches_hold_every_job_once_in_order() -> None:
         assert max(map(len, made)) <= 25 and (count > 4000 or len(made) >= min(count, 4))
 
 
-def sleeping(jobs: list) -> list:
+def sleeping(jobs: list, work: object) -> list:
     """In place of a batch: what is not done when the scheduler ends."""
     time.sleep(4.0)
     return []
@@ -447,7 +441,7 @@ def test_models_go_elsewhere_on_a_cluster_as_here(
     fit = serial[0] / "turbines" / "T1" / "fit.json"
     file.write_text(f'task = "{task}"\ncases = ["T[23]/case.toml"]\nfit = "{fit}"\n{MODELS_GO[task]}')
     here, there = tmp_path / "here", tmp_path / "there"
-    table = table_csv(task, [perform(job).row for job in read_plan(file).jobs(here)])
+    table = table_csv(task, [perform(job, do_task).row for job in read_plan(file).jobs(here)])
     result = run_fleet(read_plan(file), there, cluster=cluster.scheduler_address)
     assert [row["status"] for row in result.results.rows] == ["done", "failed"]
     assert (there / "fleet.csv").read_text() == table
@@ -469,7 +463,7 @@ def test_where_there_is_no_cluster_it_is_said(park: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(cluster, "WAIT_S", 0.3)
     with pytest.raises(FleetFault, match="expected the scheduler of a Dask cluster"):
-        list(on_cluster(read_plan(park / "fleet.toml").jobs(park), "tcp://127.0.0.1:1"))
+        list(on_cluster(read_plan(park / "fleet.toml").jobs(park), do_task, "tcp://127.0.0.1:1"))
 
 
 # -- table and page ------------------------------------------------------------------------------------------
@@ -498,6 +492,10 @@ def test_both_tables_say_the_same(serial: tuple[Path, str], tmp_path: Path) -> N
         str(empty.field("thermal_upper_h").type) == "double"
         and str(empty.field("at_bounds").type) == "string"
     )
+
+
+def test_every_task_has_its_function() -> None:
+    assert list(WORK) == list(TASKS)
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -577,7 +575,7 @@ def test_a_limits_file_that_is_wrong_is_named_in_the_row(
         options = f"[options]\nmembers = 2\nlimits = [{files}]\n"
         file.write_text(f'task = "climate"\ncases = ["T2/case.toml"]\nfit = "{fit}"\n{options}')
         (job,) = read_plan(file).jobs(tmp_path)
-        found = perform(job)
+        found = perform(job, do_task)
         assert found.status == "failed"
         reasons.append(str(found.row["reason"]))
     assert "wrong.toml: line" in reasons[0]
@@ -744,8 +742,8 @@ def test_a_turbine_that_departs_is_no_part_of_the_type(
     class Park:
         task, name = "fit", "park"
 
-        def jobs(self, out: Path) -> list:
-            return [SimpleNamespace(turbine=row["turbine"], folder=out / row["turbine"]) for row in rows]
+        def folder(self, out: Path, turbine: str) -> Path:
+            return out / turbine
 
     found = running._type_of(Park(), tmp_path, rows)
     assert found[1] == ["W4"] and taken == [f"W{i}" for i in range(9) if i != 4]

@@ -21,10 +21,8 @@ from hygrokf import identify, read_case, synthetic_turbine, write_case, write_fi
 from hygrokf.commands.main import main
 from hygrokf.data.record import Record
 from hygrokf.data.structured import plain
-from hygrokf.fleet.fleet_results import FleetResults
 from hygrokf.fleet.outliers import spreads
-from hygrokf.fleet.page import fleet_page, fleet_text
-from hygrokf.fleet.table import columns_of
+from hygrokf.fleet.results import FleetResults, columns_of
 from hygrokf.fleet.tasks import TASKS
 from hygrokf.identification.fit import Fit
 from hygrokf.identification.results import dump
@@ -43,6 +41,7 @@ from hygrokf.report.comparison_page import comparison_page, comparison_text
 from hygrokf.report.discovery_page import discovery_page, discovery_text
 from hygrokf.report.discovery_text import error_sentences, gain_sentence
 from hygrokf.report.evaluation_text import evaluation_text
+from hygrokf.report.fleet_page import fleet_page, fleet_text
 from hygrokf.report.transfer_page import transfer_page, transfer_text
 from hygrokf.transfer.comparison import compare, comparison_column
 from hygrokf.transfer.procedure import transfer_fit

@@ -6,12 +6,13 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 
-from hygrokf.fleet.fleet_results import FleetResults
-from hygrokf.fleet.job import DONE, Outcome, Row, number, word
+from hygrokf.data.files import FLEET, REPORT, write_text_whole
+from hygrokf.data.result_file import ResultFault, read_result
+from hygrokf.fleet.job import DONE, FleetFault, Outcome, Row, number, text_of
 from hygrokf.fleet.outliers import DRAWS, FEWEST_JUDGED, LEVEL, Spread, spreads
-from hygrokf.fleet.plots import figure_spreads
-from hygrokf.fleet.table import CSV
+from hygrokf.fleet.results import CSV, FleetResults
 from hygrokf.fleet.tasks import BETWEEN, TASKS, Compared
 from hygrokf.identification.verdict import CAUTION, PARTS, REJECT, VERDICTS, WORDS
 from hygrokf.identification.wording import (
@@ -39,6 +40,7 @@ from hygrokf.report.blocks import (
     section,
     table_or,
 )
+from hygrokf.report.figures.fleet import figure_spreads
 from hygrokf.report.figures.transfer import figure_type
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
@@ -51,6 +53,22 @@ REMARKS = 12
 """Remarks on weather and power on the page, those of most turbines first."""
 SHOWN = 60
 """Turbines in the table at the terminal; fleet.csv has all."""
+
+
+def write_fleet_report(out: Path) -> Path:
+    """Write `report.html` of a directory with `fleet.json`; returns its path.
+
+    Raises FleetFault where fleet.json is missing or damaged.
+    """
+    file = out / FLEET
+    try:
+        fleet = read_result(FleetResults, file, "hygrokf fleet")
+    except ResultFault as fault:
+        raise FleetFault(str(file), [str(fault)]) from None
+    named = [row.get("turbine") for row in fleet.rows]
+    if fleet.task not in TASKS or None in named or len(named) != len(set(named)):
+        raise FleetFault(str(file), ["expected rows of a task of this version; run `hygrokf fleet` again"])
+    return write_text_whole(out / REPORT, fleet_page(fleet))
 
 
 def fleet_page(fleet: FleetResults) -> str:
@@ -66,10 +84,10 @@ def fleet_text(fleet: FleetResults) -> str:
 def outcome_text(found: Outcome, known: bool) -> str:
     """One line of one turbine."""
     if found.status != DONE:
-        return f"{found.turbine}: {found.status}: {word(found.row, 'reason')}"
+        return f"{found.turbine}: {found.status}: {text_of(found.row, 'reason')}"
     values = (
         f"{one.title} {WORDS[REJECT]}" if one.rejected(found.row) else f"{one.title} {value:.3g} {one.unit}"
-        for one in TASKS[word(found.row, "task")].compared[:2]
+        for one in TASKS[text_of(found.row, "task")].compared[:2]
         if math.isfinite(value := number(found.row, one.column))
     )
     took = "done before" if known else f"{found.seconds:.1f} s of CPU"
@@ -97,7 +115,7 @@ def fleet_blocks(fleet: FleetResults) -> Page:
     )
     departing = Items(tuple(_departing(found))) if isinstance(outliers, Table) else outliers
     failed = [
-        f"{word(row, 'turbine')}: {word(row, 'status')}: {word(row, 'reason')}"
+        f"{text_of(row, 'turbine')}: {text_of(row, 'status')}: {text_of(row, 'reason')}"
         for row in fleet.rows
         if row.get("status") != DONE
     ]
@@ -201,7 +219,7 @@ def _brief_table(fleet: FleetResults) -> Table | None:
         if any(math.isfinite(number(row, one.column)) for row in done)
     ]
     head = ("turbine", *(_HEADS.get(one.column, one.title) for one in compared))
-    rows = tuple((word(row, "turbine"), *(_value(row, one) for one in compared)) for row in done[:SHOWN])
+    rows = tuple((text_of(row, "turbine"), *(_value(row, one) for one in compared)) for row in done[:SHOWN])
     more = len(done) - SHOWN
     return Table("", head, rows, note=f"{more} more in {CSV}." if more > 0 else "") if rows else None
 
@@ -230,7 +248,7 @@ def _failures(fleet: FleetResults) -> tuple[Block, ...]:
     failed = [row for row in fleet.rows if row.get("status") != DONE]
     if not failed:
         return ()
-    cells = tuple((word(row, "turbine"), word(row, "status"), word(row, "reason")) for row in failed)
+    cells = tuple((text_of(row, "turbine"), text_of(row, "status"), text_of(row, "reason")) for row in failed)
     return section(
         "Without a result",
         Table("Turbines and reasons", ("turbine", "status", "reason"), cells, left=(0, 1, 2)),
@@ -272,7 +290,7 @@ def _believed(done: Sequence[Row]) -> tuple[Block, ...]:
     ranked = sorted(judged, key=lambda r: min(order.get(_verdict(r, part), len(order)) for part in PARTS))
     doubtful = [r for r in ranked if any(_verdict(r, part) in (CAUTION, REJECT) for part in PARTS)]
     rows = tuple(
-        (word(r, "turbine"), *(WORDS.get(_verdict(r, part), NONE) for part in PARTS))
+        (text_of(r, "turbine"), *(WORDS.get(_verdict(r, part), NONE) for part in PARTS))
         for r in doubtful[:RANKED]
     )
     marked = tuple(
@@ -296,7 +314,7 @@ def _believed(done: Sequence[Row]) -> tuple[Block, ...]:
 
 
 def _verdict(row: Row, part: str) -> str:
-    found = word(row, f"{part}_verdict")
+    found = text_of(row, f"{part}_verdict")
     return found if found in VERDICTS else ""
 
 
@@ -308,13 +326,13 @@ def _verdicts(done: Sequence[Row]) -> tuple[Block, ...]:
     """How often each cause was accepted, of a fleet's discoveries."""
     if not any("verdict" in row for row in done):
         return ()
-    verdicts = Counter(word(row, "verdict") for row in done)
-    causes = Counter(one for row in done for one in word(row, "causes").split())
+    verdicts = Counter(text_of(row, "verdict") for row in done)
+    causes = Counter(one for row in done for one in text_of(row, "causes").split())
     rows = tuple(
         (
             one.replace("_", " "),
             str(count),
-            ", ".join(word(r, "turbine") for r in done if one in word(r, "causes").split()),
+            ", ".join(text_of(r, "turbine") for r in done if one in text_of(r, "causes").split()),
         )
         for one, count in causes.most_common()
     )
@@ -327,13 +345,14 @@ def _verdicts(done: Sequence[Row]) -> tuple[Block, ...]:
 
 def _transfers(done: Sequence[Row]) -> tuple[Block, ...]:
     """On which turbines a model transfers, and what is to be re-estimated."""
-    judged = [row for row in done if word(row, "transfer")]
+    judged = [row for row in done if text_of(row, "transfer")]
     if not judged:
         return ()
     rows = tuple(
-        (word(r, "turbine"), word(r, "re_estimate").replace("_", " "), word(r, "sentence")) for r in judged
+        (text_of(row, "turbine"), text_of(row, "re_estimate").replace("_", " "), text_of(row, "sentence"))
+        for row in judged
     )
-    counts = Counter(word(row, "transfer") for row in judged)
+    counts = Counter(text_of(row, "transfer") for row in judged)
     return section(
         "What travels",
         Prose(sentence("; ".join(f"{n} {verdict}" for verdict, n in counts.most_common()))),
@@ -348,14 +367,14 @@ def _climates(done: Sequence[Row]) -> tuple[Block, ...]:
         return ()
     rows = tuple(
         (
-            word(r, "turbine"),
-            word(r, "limits") or NONE,
-            word(r, "wetness_class") or NONE,
+            text_of(r, "turbine"),
+            text_of(r, "limits") or NONE,
+            text_of(r, "wetness_class") or NONE,
             _span(*(number(r, f"condensation_h{end}") for end in ("", "_lower", "_upper"))),
         )
         for r in judged
     )
-    counts = Counter(word(row, "limits") for row in judged)
+    counts = Counter(text_of(row, "limits") for row in judged)
     verdicts = ", ".join(f"{counts[v]} {v}" for v in ("fail", "undecided", "pass") if counts[v])
     head = ("turbine", "limits", "wetness", "condensation, h/a")
     marked = tuple(i for i, row in enumerate(judged) if row.get("limits") == "fail")
@@ -365,7 +384,7 @@ def _climates(done: Sequence[Row]) -> tuple[Block, ...]:
         "Limits: the worst of a turbine's verdicts. Wetness: class of ISO 9223:1992. In brackets "
         f"bounds{held}."
     )
-    remarks = Counter(one for row in judged for one in word(row, "statements").split(BETWEEN) if one)
+    remarks = Counter(one for row in judged for one in text_of(row, "statements").split(BETWEEN) if one)
     told = [Prose(f"{count} of {len(judged)}: {one}", "note") for one, count in remarks.most_common(REMARKS)]
     if len(remarks) > REMARKS:
         told.append(Prose(f"{len(remarks) - REMARKS} more in the column statements of {CSV}.", "note"))
@@ -410,7 +429,7 @@ def _ranking(
     order = sorted(range(len(done)), key=lambda i: (key[i], str(done[i]["turbine"])))
     odd = {one.turbines[i] for one in found for i in one.outliers}
     rows = tuple(
-        (str(place), word(done[i], "turbine"), *(_value(done[i], one) for one in there))
+        (str(place), text_of(done[i], "turbine"), *(_value(done[i], one) for one in there))
         for place, i in enumerate(order[:RANKED], 1)
     )
     marked = tuple(k for k, i in enumerate(order[:RANKED]) if str(done[i]["turbine"]) in odd)
@@ -434,7 +453,7 @@ def _value(row: Row, one: Compared) -> str:
     if not (0 < low < high) and not one.column.endswith("value_h"):
         return _span(value, low, high)
     if not (0 < low < high):
-        return word(row, one.column.replace("value_h", "statement")) or "open"
+        return text_of(row, one.column.replace("value_h", "statement")) or "open"
     decimals = decimals_for(high - low)
     return f"{value:.{decimals}f} ({low:.{decimals}f} … {high:.{decimals}f})"
 
