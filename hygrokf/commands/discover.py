@@ -1,4 +1,4 @@
-"""`hygrokf discover`: what the simulation gets wrong, and the cause."""
+"""`hygrokf discover`: the errors of the simulation, and their cause."""
 
 from __future__ import annotations
 
@@ -8,18 +8,13 @@ from pathlib import Path
 
 from hygrokf.commands.console import Progress, expect_own_directory, faults_of, show_reported
 from hygrokf.commands.inputs import own_causes, record_of
-from hygrokf.commands.verb import Verb, add_json, add_library, add_starts, seconds
+from hygrokf.commands.verb import Verb, add_json, add_library, add_out, add_starts, seconds
 from hygrokf.data.files import DISCOVERY
 
 
 def _arguments(parser: ArgumentParser) -> None:
     parser.add_argument("case", type=Path, metavar="CASE.toml")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        required=True,
-        help="directory for discovery.json, report.html and the extended model",
-    )
+    add_out(parser, "directory for discovery.json, report.html and the extended model")
     add_starts(parser)
     parser.add_argument(
         "--budget",
@@ -59,8 +54,5 @@ def _run(options: Namespace) -> int:
 
 
 VERB = Verb(
-    "discover",
-    "show what the simulation gets wrong, name the cause, extend the model",
-    _arguments,
-    _run,
+    "discover", "show what the simulation gets wrong, name the cause, extend the model", _arguments, _run
 )

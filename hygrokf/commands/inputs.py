@@ -27,11 +27,7 @@ def record_of(case: Path, cabinet: bool = True) -> Record:
 
 
 def identified(
-    record: Record,
-    case: Path,
-    criterion: str = "likelihood",
-    starts: int = 4,
-    kind: str | None = None,
+    record: Record, case: Path, criterion: str = "likelihood", starts: int = 4, kind: str | None = None
 ) -> Fit:
     """The fit of a record.  Raises UserFault that names the case."""
     from hygrokf.identification.procedure import DEFAULT_KIND, identify

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from hygrokf.commands.console import Progress, expect_own_directory, faults_of, show_reported
 from hygrokf.commands.inputs import record_of, source_model
-from hygrokf.commands.verb import Verb, add_json, add_library
+from hygrokf.commands.verb import Verb, add_json, add_library, add_out
 from hygrokf.data.files import TRANSFER
 from hygrokf.errors import HygrokfError
 
@@ -18,9 +18,7 @@ STEPS = 8
 def _arguments(parser: ArgumentParser) -> None:
     parser.add_argument("fit", type=Path, metavar="FIT.json|TYPE.json")
     parser.add_argument("cases", type=Path, nargs="+", metavar="CASE.toml")
-    parser.add_argument(
-        "--out", type=Path, required=True, help="directory for transfer.json, report.html and the models"
-    )
+    add_out(parser, "directory for transfer.json, report.html and the models")
     add_library(parser)
     add_json(parser)
 

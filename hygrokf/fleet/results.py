@@ -44,6 +44,11 @@ class FleetResults:
         """Rows of the turbines with a result."""
         return [row for row in self.rows if row.get("status") == DONE]
 
+    @property
+    def missing(self) -> list[Row]:
+        """Rows of the turbines without a result."""
+        return [row for row in self.rows if row.get("status") != DONE]
+
     def to_frame(self) -> pandas.DataFrame:
         """The table, by turbine."""
         import pandas

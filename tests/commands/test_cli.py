@@ -179,12 +179,7 @@ def test_options_of_fit_reach_the_identification(folder, told, monkeypatch):
     usual = {"criterion": "likelihood", "starts": 5, "kind": DEFAULT_KIND}
     assert seen == {"name": "synthetic-turbine-3", **usual}
     told("fit case.toml --out made --kind joint --criterion simulation --starts 7")
-    assert seen == {
-        "name": "synthetic-turbine-3",
-        "criterion": "simulation",
-        "starts": 7,
-        "kind": "joint",
-    }
+    assert seen == {"name": "synthetic-turbine-3", "criterion": "simulation", "starts": 7, "kind": "joint"}
 
 
 def test_simulate_writes_the_free_run(folder, told):
@@ -286,10 +281,7 @@ MASKED = [
     ),
     pytest.param(rows("cabinet.csv", swapped), ("unsorted stamps: 1 of 1847", "sorted"), 0, id="unsorted"),
     pytest.param(
-        rows("cabinet.csv", lambda lines: lines[::-1]),
-        ("newest first; reversed",),
-        0,
-        id="reversed",
+        rows("cabinet.csv", lambda lines: lines[::-1]), ("newest first; reversed",), 0, id="reversed"
     ),
     pytest.param(
         column("T_cab_degC", lambda row, cell: "-273.0" if row in (7, 70) else cell),

@@ -425,10 +425,7 @@ def test_a_scheduler_that_ends_is_told(park: Path, tmp_path: Path, monkeypatch: 
     assert not (tmp_path / "out" / "turbines").exists()
 
 
-MODELS_GO = {
-    "transfer": "",
-    "climate": '[options]\nmembers = 4\nlimits = ["limits.toml"]\n',
-}
+MODELS_GO = {"transfer": "", "climate": '[options]\nmembers = 4\nlimits = ["limits.toml"]\n'}
 
 
 @pytest.mark.parametrize("task", MODELS_GO)
