@@ -47,7 +47,7 @@ _WHERE = {
     "comparison_column": "transfer.comparison",
     "transfer_fit": "transfer.procedure",
     "climate_profile": "climate.procedure",
-    "run_fleet": "fleet.running",
+    "run_fleet": "commands.fleet_tasks",
     "Tracker": "live.tracker",
     "HygrokfError": "errors",
 }
@@ -92,6 +92,7 @@ if TYPE_CHECKING:
     from hygrokf.cases.synthetic import synthetic_turbine as synthetic_turbine
     from hygrokf.cases.synthetic import write_case as write_case
     from hygrokf.climate.procedure import climate_profile as climate_profile
+    from hygrokf.commands.fleet_tasks import run_fleet as run_fleet
     from hygrokf.data.record import Record as Record
     from hygrokf.discovery.cause import Cause as Cause
     from hygrokf.discovery.own_causes import cause_of as cause_of
@@ -106,7 +107,6 @@ if TYPE_CHECKING:
     from hygrokf.estimation.smoother import smooth as smooth
     from hygrokf.evaluation.simulation import forecast as forecast
     from hygrokf.evaluation.simulation import simulate as simulate
-    from hygrokf.fleet.running import run_fleet as run_fleet
     from hygrokf.identification.fit import Fit as Fit
     from hygrokf.identification.fit import read_fit as read_fit
     from hygrokf.identification.fit import write_fit as write_fit

@@ -1,4 +1,4 @@
-"""`hygrokf check`: what was read from a case."""
+"""`hygrokf check`: the contents of a case, and doubts about them."""
 
 from __future__ import annotations
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 from hygrokf.commands.console import Progress, UserFault, expect_own_directory, faults_of, show_reported
 from hygrokf.commands.inputs import stored_fit
-from hygrokf.commands.verb import Verb, add_json, add_library, whole
+from hygrokf.commands.verb import Verb, add_json, add_library, add_out, whole
 from hygrokf.data.files import CLIMATE
 
 if TYPE_CHECKING:
@@ -56,9 +56,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FOLLOWS[,OFFSET_K]",
         help="the coldest surface: 0 as cold as outside, 1 as warm as the cabinet air (default 0.3)",
     )
-    parser.add_argument(
-        "--out", type=Path, required=True, help="directory for climate.json, climate.csv and report.html"
-    )
+    add_out(parser, "directory for climate.json, climate.csv and report.html")
     add_library(parser)
     add_json(parser)
 
@@ -134,8 +132,5 @@ def _regions(options: argparse.Namespace) -> list[tuple[str, list[Path]]]:
 
 
 VERB = Verb(
-    "climate",
-    "simulate a site's climate in a fitted cabinet; limits, and a test profile",
-    _arguments,
-    _run,
+    "climate", "simulate a site's climate in a fitted cabinet; limits, and a test profile", _arguments, _run
 )

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from hygrokf.commands.console import UserFault, expect_own_directory, show_reported
 from hygrokf.commands.inputs import identified, record_of, stored_fit
-from hygrokf.commands.verb import Verb, add_json, add_library
+from hygrokf.commands.verb import Verb, add_json, add_library, add_out
 from hygrokf.data.files import COMPARISON
 
 
@@ -29,9 +29,7 @@ def _arguments(parser: ArgumentParser) -> None:
         metavar="NAME",
         help="names of the columns (default: of cases or fits)",
     )
-    parser.add_argument(
-        "--out", type=Path, required=True, help="directory for compare.json, compare.csv and report.html"
-    )
+    add_out(parser, "directory for compare.json, compare.csv and report.html")
     add_library(parser)
     add_json(parser)
 

@@ -87,11 +87,11 @@ def system_words(fault: OSError) -> str:
 
 def expect_directory(path: Path) -> None:
     """Raise UserFault where the output directory could not be written; nothing is created yet."""
-    there = next(one for one in (path, *path.absolute().parents) if os.path.lexists(one))
-    if not there.is_dir():
-        found = f"{there} is a file" if there.exists() else f"{there} is a link to nothing"
-    elif not os.access(there, os.W_OK | os.X_OK):
-        found = f"{there} is write-protected"
+    nearest = next(one for one in (path, *path.absolute().parents) if os.path.lexists(one))
+    if not nearest.is_dir():
+        found = f"{nearest} is a file" if nearest.exists() else f"{nearest} is a link to nothing"
+    elif not os.access(nearest, os.W_OK | os.X_OK):
+        found = f"{nearest} is write-protected"
     else:
         return
     raise UserFault(
@@ -128,9 +128,8 @@ def expect_file(path: Path) -> None:
     if path.is_dir():
         raise UserFault(f"--out {path}: expected a file to write, found a directory; name a file in it")
     if not path.parent.is_dir():
-        found = f"no {path.parent}; make it first"
-        if path.parent.exists():
-            found = f"that {path.parent} is a file"
+        is_file = path.parent.exists()
+        found = f"that {path.parent} is a file" if is_file else f"no {path.parent}; make it first"
         raise UserFault(f"--out {path}: expected a file in an existing directory, found {found}")
     if not os.access(path.parent, os.W_OK | os.X_OK):
         raise UserFault(f"--out {path}: {path.parent} is write-protected; name another directory")

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import sys
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
 
 from hygrokf.commands.console import UserFault, expect_own_directory, show_reported
 from hygrokf.commands.inputs import identified, record_of, written
-from hygrokf.commands.verb import Verb, add_json, whole
+from hygrokf.commands.verb import Verb, add_json, add_out, whole
 from hygrokf.data.files import FIT
 
 
 def _arguments(parser: ArgumentParser) -> None:
-    parser.add_argument("--out", type=Path, required=True, help="directory for the case and the results")
+    add_out(parser, "directory for the case and the results")
     parser.add_argument("--seed", type=whole(0), default=1, help="seed of the synthetic turbine (default 1)")
     add_json(parser)
 
@@ -23,8 +22,8 @@ def _run(options: Namespace) -> int:
     from hygrokf.report.fit_page import report_text
 
     expect_own_directory(options.out, FIT)
-    there = options.out / "case.toml"
-    if there.is_file() and b"synthetic" not in there.read_bytes():
+    former = options.out / "case.toml"
+    if former.is_file() and b"synthetic" not in former.read_bytes():
         raise UserFault(
             f"--out {options.out}: it holds a case.toml of another turbine; name another directory"
         )

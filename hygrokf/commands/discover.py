@@ -1,4 +1,4 @@
-"""`hygrokf discover`: what the simulation gets wrong, and the cause."""
+"""`hygrokf discover`: the errors of the simulation, and their cause."""
 
 from __future__ import annotations
 
@@ -7,19 +7,14 @@ from argparse import ArgumentParser, Namespace
 from pathlib import Path
 
 from hygrokf.commands.console import Progress, expect_own_directory, faults_of, show_reported
-from hygrokf.commands.inputs import record_of
-from hygrokf.commands.verb import Verb, add_json, add_library, add_starts, seconds
+from hygrokf.commands.inputs import own_causes, record_of
+from hygrokf.commands.verb import Verb, add_json, add_library, add_out, add_starts, seconds
 from hygrokf.data.files import DISCOVERY
 
 
 def _arguments(parser: ArgumentParser) -> None:
     parser.add_argument("case", type=Path, metavar="CASE.toml")
-    parser.add_argument(
-        "--out",
-        type=Path,
-        required=True,
-        help="directory for discovery.json, report.html and the extended model",
-    )
+    add_out(parser, "directory for discovery.json, report.html and the extended model")
     add_starts(parser)
     parser.add_argument(
         "--budget",
@@ -35,16 +30,20 @@ def _arguments(parser: ArgumentParser) -> None:
 
 def _run(options: Namespace) -> int:
     from hygrokf.discovery.library import LIBRARY
-    from hygrokf.discovery.own_causes import load_library
     from hygrokf.discovery.procedure import discover
     from hygrokf.report.discovery_page import discovery_text, write_discovery_report
 
     expect_own_directory(options.out, DISCOVERY)
-    own = load_library(*options.library, installed=True)
+    own = own_causes(options.library)
     record = record_of(options.case)
-    wider = {"library": (*LIBRARY, *own)} if own else {}
     with faults_of(options.case), Progress(45) as progress:
-        found = discover(record, starts=options.starts, progress=progress, budget_s=options.budget, **wider)
+        found = discover(
+            record,
+            library=(*LIBRARY, *own),
+            starts=options.starts,
+            progress=progress,
+            budget_s=options.budget,
+        )
     tried = {one.cause for one in found.results.causes} | {one.cause for one in found.results.rejected}
     for cause in own:
         if cause.name not in tried:
@@ -55,8 +54,5 @@ def _run(options: Namespace) -> int:
 
 
 VERB = Verb(
-    "discover",
-    "show what the simulation gets wrong, name the cause, extend the model",
-    _arguments,
-    _run,
+    "discover", "show what the simulation gets wrong, name the cause, extend the model", _arguments, _run
 )

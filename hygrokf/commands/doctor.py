@@ -1,4 +1,4 @@
-"""`hygrokf doctor`: what a tracker needs and lacks."""
+"""`hygrokf doctor`: checks everything that a tracker needs."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import argparse
 
 from hygrokf.commands.console import show
 from hygrokf.commands.inputs import load_causes
-from hygrokf.commands.tracked import add_tracked, tracked_config
+from hygrokf.commands.track import add_tracked, tracked_config
 from hygrokf.commands.verb import Verb, add_json, add_library
 
 
@@ -20,7 +20,7 @@ def _arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def _duration(text: str) -> float:
-    """A duration such as 10s [s]."""
+    """The seconds of a duration such as 10s."""
     from hygrokf.data.timestamps import duration
 
     try:
@@ -30,7 +30,7 @@ def _duration(text: str) -> float:
 
 
 def _run(options: argparse.Namespace) -> int:
-    """The exit status is 1 where there is a fault."""
+    """Check; the exit status is 1 where there is a fault."""
     from hygrokf.live.doctor.examination import as_data, as_text, examine
 
     load_causes(options.library)

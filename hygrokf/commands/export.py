@@ -1,19 +1,18 @@
-"""`hygrokf export`: what a live tracker has stored, as files."""
+"""`hygrokf export`: the store of a live tracker as files."""
 
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 
 from hygrokf.commands.console import expect_directory, show
-from hygrokf.commands.verb import Verb, add_json
+from hygrokf.commands.verb import Verb, add_json, add_out
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--store", required=True, metavar="URL", help="sqlite:PATH or postgresql://USER@HOST/NAME"
     )
-    parser.add_argument("--out", type=Path, required=True, help="directory for the files, one a table")
+    add_out(parser, "directory for the files, one a table")
     parser.add_argument(
         "--format", choices=("csv", "parquet"), default="csv", help="of the files (default csv)"
     )
@@ -53,8 +52,8 @@ def _run(options: argparse.Namespace) -> int:
         counts = export(store, options.out, options.format, options.turbine, **times)
     finally:
         store.close()
-    said = "\n".join(f"{n} rows written: {options.out / name}.{options.format}" for name, n in counts.items())
-    show({"rows": counts}, said, options.json)
+    text = "\n".join(f"{n} rows written: {options.out / name}.{options.format}" for name, n in counts.items())
+    show({"rows": counts}, text, options.json)
     return 0
 
 

@@ -9,15 +9,13 @@ from pathlib import Path
 
 from hygrokf.commands.console import UserFault, expect_own_directory, printable, show_reported
 from hygrokf.commands.inputs import identified, record_of, written
-from hygrokf.commands.verb import Verb, add_json, add_starts
+from hygrokf.commands.verb import Verb, add_json, add_out, add_starts
 from hygrokf.data.files import FIT
 
 
 def _arguments(parser: ArgumentParser) -> None:
     parser.add_argument("case", type=Path, metavar="CASE.toml")
-    parser.add_argument(
-        "--out", type=Path, required=True, help="directory for fit.json, series.npz and report.html"
-    )
+    add_out(parser, "directory for fit.json, series.npz and report.html")
     parser.add_argument(
         "--criterion",
         choices=("likelihood", "simulation"),
@@ -38,18 +36,18 @@ def _run(options: Namespace) -> int:
     from hygrokf.report.fit_page import report_text
 
     expect_own_directory(options.out, FIT)
-    there = _fit_there(options.out)
+    former = _record_of_the_fit_in(options.out)
     record = record_of(options.case)
     fit = identified(record, options.case, options.criterion, options.starts, options.kind)
-    if there and there != record.name:
-        print(f"note: --out {options.out}: replaces the fit of {printable(there)}", file=sys.stderr)
+    if former and former != record.name:
+        print(f"note: --out {options.out}: replaces the fit of {printable(former)}", file=sys.stderr)
     page = written(fit, options.out)
     return show_reported(page, fit.results, report_text(fit.results), options.json)
 
 
-def _fit_there(out: Path) -> str:
-    """The name of the record whose fit a directory already holds; raises UserFault for a fit.json of another
-    program."""
+def _record_of_the_fit_in(out: Path) -> str:
+    """The name of the record whose fit a directory holds, or nothing; raises UserFault for a fit.json of
+    another program."""
     file = out / FIT
     if not file.exists():
         return ""

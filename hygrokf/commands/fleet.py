@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hygrokf.commands.console import Progress, UserFault, expect_own_directory, show_reported
-from hygrokf.commands.verb import Verb, add_json, whole
+from hygrokf.commands.verb import Verb, add_json, add_out, whole
 from hygrokf.data.files import FLEET
 
 if TYPE_CHECKING:
@@ -16,9 +16,7 @@ if TYPE_CHECKING:
 
 def _arguments(parser: ArgumentParser) -> None:
     parser.add_argument("fleet", type=Path, metavar="FLEET.toml")
-    parser.add_argument(
-        "--out", type=Path, required=True, help="directory for fleet.csv, report.html, each turbine's results"
-    )
+    add_out(parser, "directory for fleet.csv, report.html, each turbine's results")
     parser.add_argument(
         "--workers", type=whole(1), default=None, help="processes on this machine (default one a core)"
     )
@@ -29,10 +27,10 @@ def _arguments(parser: ArgumentParser) -> None:
 
 
 def _run(options: Namespace) -> int:
-    """The exit status is 1 where any turbine has no result."""
-    from hygrokf.fleet.page import fleet_text, outcome_text
+    """Run the fleet; the exit status is 1 where any turbine has no result."""
+    from hygrokf.commands.fleet_tasks import run_fleet
     from hygrokf.fleet.plan import read_plan
-    from hygrokf.fleet.running import run_fleet
+    from hygrokf.report.fleet_page import fleet_text, outcome_text
 
     expect_own_directory(options.out, FLEET)
     if options.dask and options.workers:

@@ -1,17 +1,19 @@
-"""Records and fits that commands read or make."""
+"""Records, causes and models that commands read or make."""
 
 from __future__ import annotations
 
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 from hygrokf.commands.console import Progress, faults_of
 
 if TYPE_CHECKING:
     from hygrokf.data.record import Record
+    from hygrokf.discovery.cause import Cause
     from hygrokf.identification.fit import Fit
+    from hygrokf.identification.turbine_type import TurbineType
 
 
 def record_of(case: Path, cabinet: bool = True) -> Record:
@@ -25,11 +27,7 @@ def record_of(case: Path, cabinet: bool = True) -> Record:
 
 
 def identified(
-    record: Record,
-    case: Path,
-    criterion: Literal["likelihood", "simulation"] = "likelihood",
-    starts: int = 4,
-    kind: Literal["joint", "cascade"] | None = None,
+    record: Record, case: Path, criterion: str = "likelihood", starts: int = 4, kind: str | None = None
 ) -> Fit:
     """The fit of a record.  Raises UserFault that names the case."""
     from hygrokf.identification.procedure import DEFAULT_KIND, identify
@@ -40,8 +38,15 @@ def identified(
         )
 
 
+def own_causes(libraries: Sequence[str | Path]) -> tuple[Cause, ...]:
+    """The user's own causes, of files and of installed packages."""
+    from hygrokf.discovery.own_causes import load_library
+
+    return load_library(*libraries, installed=True)
+
+
 def load_causes(libraries: Sequence[Path]) -> None:
-    """Load the users' own causes, of which models may be made."""
+    """Load the user's own causes of files, so that models with their mechanisms can be read."""
     if libraries:
         from hygrokf.discovery.own_causes import load_library
 
@@ -49,17 +54,22 @@ def load_causes(libraries: Sequence[Path]) -> None:
 
 
 def stored_fit(path: Path, libraries: Sequence[Path]) -> Fit:
-    """A fit with its users' mechanisms loaded; installed packages are searched only where it needs them."""
+    """A fit, with the user's own mechanisms; installed packages are searched only where it needs them."""
     from hygrokf.identification.fit import LibraryAbsent, read_fit
 
     load_causes(libraries)
     try:
         return read_fit(path)
     except LibraryAbsent:
-        from hygrokf.discovery.own_causes import load_library
-
-        load_library(*libraries, installed=True)
+        own_causes(libraries)
         return read_fit(path)
+
+
+def source_model(path: Path, libraries: Sequence[Path]) -> Fit | TurbineType:
+    """The fitted model or the type of turbine of a file."""
+    from hygrokf.identification.turbine_type import is_type, read_type
+
+    return read_type(path) if is_type(path) else stored_fit(path, libraries)
 
 
 def written(fit: Fit, out: Path) -> Path:

@@ -77,9 +77,9 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"hygrokf {__version__}")
     commands = parser.add_subparsers(title="commands", metavar="COMMAND")
     for verb in VERBS:
-        made = commands.add_parser(verb.name, help=verb.help, description=verb.help)
-        made.set_defaults(run=verb.run)
-        verb.arguments(made)
+        command = commands.add_parser(verb.name, help=verb.help, description=verb.help)
+        command.set_defaults(run=verb.run)
+        verb.arguments(command)
     return parser
 
 

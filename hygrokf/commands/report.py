@@ -1,4 +1,4 @@
-"""`hygrokf report`: the page of a directory of results, written again."""
+"""`hygrokf report`: writes the page of a directory of results again."""
 
 from __future__ import annotations
 
@@ -22,13 +22,14 @@ def _run(options: Namespace) -> int:
 
 
 def _written(directory: Path) -> Path:
+    """Write the page of the kind of results in a directory; returns its path."""
     folder = directory.parent if directory.is_file() else directory
     if (folder / DISCOVERY).is_file():
         from hygrokf.report.discovery_page import write_discovery_report
 
         return write_discovery_report(None, folder)
     if (folder / FLEET).is_file():
-        from hygrokf.fleet.running import write_fleet_report
+        from hygrokf.report.fleet_page import write_fleet_report
 
         return write_fleet_report(folder)
     if (folder / CLIMATE).is_file():

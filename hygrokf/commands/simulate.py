@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import sys
 from argparse import ArgumentParser, Namespace
-from pathlib import Path
 
 from hygrokf.commands.console import expect_file, expect_other, faults_of, show
 from hygrokf.commands.inputs import record_of, stored_fit
-from hygrokf.commands.verb import Verb, add_fit_and_case, add_json, add_library
+from hygrokf.commands.verb import Verb, add_fit_and_case, add_json, add_library, add_out
 from hygrokf.data.files import FIT
+from hygrokf.identification.verdict_terms import verdict_lines
 
 
 def _arguments(parser: ArgumentParser) -> None:
     add_fit_and_case(parser)
-    parser.add_argument("--out", type=Path, required=True, help="CSV file to write")
+    add_out(parser, "CSV file to write")
     add_library(parser)
     add_json(parser)
 
@@ -22,7 +22,6 @@ def _arguments(parser: ArgumentParser) -> None:
 def _run(options: Namespace) -> int:
     from hygrokf.data.files import write_text_whole
     from hygrokf.identification.fit_on_record import simulation_csv, simulation_summary
-    from hygrokf.identification.verdict_terms import verdict_lines
 
     expect_file(options.out)
     fit = stored_fit(options.fit, options.library)
@@ -34,8 +33,8 @@ def _run(options: Namespace) -> int:
     write_text_whole(options.out, text)
     for sentence in summary.statements:
         print(f"note: {sentence}", file=sys.stderr)
-    said = [f"{summary.n} instants written: {options.out}", *verdict_lines(summary.verdicts)]
-    show(summary, "\n".join(said), options.json)
+    lines = [f"{summary.n} instants written: {options.out}", *verdict_lines(summary.verdicts)]
+    show(summary, "\n".join(lines), options.json)
     return 0
 
 

@@ -1,21 +1,63 @@
-"""`hygrokf track`: cabinets followed live."""
+"""`hygrokf track`: cabinets followed live; the turbines, sources, store and page that it shares with
+`hygrokf doctor`."""
 
 from __future__ import annotations
 
 import argparse
 import logging
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from hygrokf.commands.console import Progress, UserFault, expect_directory
 from hygrokf.commands.inputs import load_causes
-from hygrokf.commands.tracked import add_tracked, tracked_config
 from hygrokf.commands.verb import Verb, add_library
 
 if TYPE_CHECKING:
     from hygrokf.live.config import Config
     from hygrokf.live.service import Service
+
+
+def add_tracked(parser: argparse.ArgumentParser) -> None:
+    """Add the arguments for turbines, sources, store and page."""
+    parser.add_argument(
+        "what",
+        nargs="*",
+        type=Path,
+        metavar="TRACK.toml|FIT.json",
+        help="the tracker's file, or fitted models",
+    )
+    parser.add_argument(
+        "--source",
+        action="append",
+        default=[],
+        metavar="URL",
+        help="file:PATH or stdin, where no file says so",
+    )
+    parser.add_argument(
+        "--store", metavar="URL", help="sqlite:PATH (default sqlite:live.db) or postgresql://…"
+    )
+    parser.add_argument("--page", metavar="HOST:PORT", help="address of the page (default 127.0.0.1:8080)")
+    parser.add_argument("--no-page", action="store_true", help="no page: the store and alarms alone")
+
+
+def tracked_config(options: argparse.Namespace) -> Config:
+    """The configuration of TRACK.toml, or of fitted models and sources; --store and --page override it."""
+    from hygrokf.live.config import read_config
+    from hygrokf.live.defaults import default_config, page_at, store_at
+
+    files = [path for path in options.what if path.suffix == ".toml"]
+    if not options.what:
+        raise UserFault("expected a TRACK.toml or FIT.json files (or track --demo); found none of them")
+    if files and (len(options.what) > 1 or options.source):
+        raise UserFault("a TRACK.toml names turbines and sources itself; give it alone")
+    store = store_at(options.store or "sqlite:live.db")
+    if not files:
+        return default_config(options.what, options.source, store, page_at(options.page))
+    config = read_config(files[0])
+    config = config if options.store is None else replace(config, store=store)
+    return config if options.page is None else replace(config, page=page_at(options.page))
 
 
 def _arguments(parser: argparse.ArgumentParser) -> None:

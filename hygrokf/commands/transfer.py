@@ -4,17 +4,12 @@ from __future__ import annotations
 
 from argparse import ArgumentParser, Namespace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hygrokf.commands.console import Progress, expect_own_directory, faults_of, show_reported
-from hygrokf.commands.inputs import record_of, stored_fit
-from hygrokf.commands.verb import Verb, add_json, add_library
+from hygrokf.commands.inputs import record_of, source_model
+from hygrokf.commands.verb import Verb, add_json, add_library, add_out
 from hygrokf.data.files import TRANSFER
 from hygrokf.errors import HygrokfError
-
-if TYPE_CHECKING:
-    from hygrokf.identification.fit import Fit
-    from hygrokf.identification.turbine_type import TurbineType
 
 STEPS = 8
 """Progress messages of one transfer."""
@@ -23,22 +18,19 @@ STEPS = 8
 def _arguments(parser: ArgumentParser) -> None:
     parser.add_argument("fit", type=Path, metavar="FIT.json|TYPE.json")
     parser.add_argument("cases", type=Path, nargs="+", metavar="CASE.toml")
-    parser.add_argument(
-        "--out", type=Path, required=True, help="directory for transfer.json, report.html and the models"
-    )
+    add_out(parser, "directory for transfer.json, report.html and the models")
     add_library(parser)
     add_json(parser)
 
 
 def _run(options: Namespace) -> int:
-    from hygrokf.identification.turbine_type import TurbineType, is_type, pool_types, read_type
+    from hygrokf.identification.turbine_type import TurbineType, pool_types
     from hygrokf.report.transfer_page import transfer_text, write_transfer
     from hygrokf.transfer.procedure import transfer_fit
     from hygrokf.transfer.results import transfer_results
 
     expect_own_directory(options.out, TRANSFER)
-    source: Fit | TurbineType
-    source = read_type(options.fit) if is_type(options.fit) else stored_fit(options.fit, options.library)
+    source = source_model(options.fit, options.library)
     records = [record_of(case) for case in options.cases]
     found = []
     with Progress(STEPS * len(records)) as progress:

@@ -48,6 +48,10 @@ def seconds(text: str) -> float:
     return found
 
 
+def add_out(parser: ArgumentParser, help: str) -> None:
+    parser.add_argument("--out", type=Path, required=True, help=help)
+
+
 def add_json(parser: ArgumentParser) -> None:
     parser.add_argument("--json", action="store_true", help="print the result as JSON")
 

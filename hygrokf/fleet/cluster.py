@@ -11,23 +11,22 @@ from contextlib import contextmanager
 from typing import Any
 
 from hygrokf.data.structured import JsonObject
-from hygrokf.fleet.job import LOST, FleetFault, Job, Outcome, outcome
-from hygrokf.fleet.tasks import perform
+from hygrokf.fleet.job import LOST, FleetFault, Job, Outcome, Work, outcome, perform
 from hygrokf.version import __version__
 
 BATCHES = 8
-"""Batches for each worker: enough that none waits long for the others at the end."""
+"""Batches for each worker: so many that no worker waits long for the others at the end."""
 LARGEST = 25
-"""Jobs in one batch at the most: what a worker's death costs is done again."""
+"""Most jobs in a batch: all of them are done again where its worker dies."""
 WAIT_S = 30.0
-"""[s] how long a scheduler and its first worker are waited for."""
+"""[s] time limit for the connection to the scheduler, and for its first worker."""
 _one_at_a_time = threading.Lock()
 
 
-def perform_batch(jobs: Sequence[JsonObject]) -> list[JsonObject]:
-    """Outcomes of some jobs, one after the other, as plain data: what a worker of the cluster runs."""
-    with _one_at_a_time:  # a worker with several threads is given several batches
-        return [perform(Job.from_json(job)).to_json() for job in jobs]
+def perform_batch(jobs: Sequence[JsonObject], work: Work) -> list[JsonObject]:
+    """What a worker of the cluster runs: some jobs, one after the other, as plain data."""
+    with _one_at_a_time:  # a worker with several threads receives several batches
+        return [perform(Job.from_json(job), work).to_json() for job in jobs]
 
 
 def batches(jobs: Sequence[Job], workers: int) -> list[Sequence[Job]]:
@@ -36,11 +35,11 @@ def batches(jobs: Sequence[Job], workers: int) -> list[Sequence[Job]]:
     return [jobs[i : i + size] for i in range(0, len(jobs), size)]
 
 
-def on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
+def on_cluster(jobs: Sequence[Job], work: Work, address: str) -> Iterator[Outcome]:
     """Outcomes of jobs as they come, in no order: exactly one for each.
 
-    A batch whose worker dies is done again by another one.  Where that happens more often than the scheduler
-    allows, its jobs are sent one by one, and the one that goes on killing workers is `lost`.  Raises
+    Another worker repeats a batch whose worker has died.  Where that happens more often than the scheduler
+    allows, its jobs are sent one by one, and a job that goes on killing workers is `lost`.  Raises
     FleetFault where there is no cluster at the address, no worker, or another version of hygrokf on it, and
     where the scheduler ends before the work.
     """
@@ -53,7 +52,7 @@ def on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
         sent = {}
 
         def send(batch: Sequence[Job]) -> object:
-            future = client.submit(perform_batch, [job.to_json() for job in batch], pure=False)
+            future = client.submit(perform_batch, [job.to_json() for job in batch], work, pure=False)
             sent[future.key] = batch
             return future
 
@@ -80,8 +79,7 @@ def on_cluster(jobs: Sequence[Job], address: str) -> Iterator[Outcome]:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without the tracebacks that the client logs where a scheduler ends: what became of the work is told by
-    us."""
+    """Suppress the tracebacks that the client logs where a scheduler ends; `on_cluster` reports it."""
     log = logging.getLogger("distributed.client")
     before = log.level
     log.setLevel(logging.CRITICAL)
@@ -103,7 +101,7 @@ def _client(kind: type, address: str) -> Any:
 
 
 def _checked(client: Any, address: str) -> int:
-    """The number of workers, all of which can do the work."""
+    """The number of workers; raises FleetFault where one of them cannot do the work."""
     try:
         client.wait_for_workers(1, timeout=WAIT_S)
     except TimeoutError:
@@ -132,5 +130,5 @@ def _checked(client: Any, address: str) -> int:
 
 
 def _described() -> JsonObject:
-    """What matters of a worker: the version of hygrokf there, and its threads for linear algebra."""
+    """The version of hygrokf on a worker, and its threads for linear algebra."""
     return {"version": __version__, "threads": os.environ.get("OMP_NUM_THREADS", "")}

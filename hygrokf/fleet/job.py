@@ -1,15 +1,18 @@
-"""One task for one turbine: what it reads, what makes it the same work as before, and its row on disk."""
+"""One task for one turbine: the files that it reads, the key of its content, its outcome on disk."""
 
 from __future__ import annotations
 
 import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
+import time
+import traceback
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
+from hygrokf.cases.case_file import CaseFault
 from hygrokf.data.files import (
     BESIDE_DISCOVERY,
     CLIMATE,
@@ -24,6 +27,8 @@ from hygrokf.data.files import (
 from hygrokf.data.result_file import result_text
 from hygrokf.data.structured import Cell, JsonObject
 from hygrokf.data.toml_form import FormFault, read_toml
+from hygrokf.errors import HygrokfError
+from hygrokf.estimation.likelihood import RatesFault
 from hygrokf.identification.wording import one_line
 from hygrokf.version import __version__
 
@@ -32,7 +37,7 @@ Row: TypeAlias = Mapping[str, Cell]
 ROW = "row.json"
 """The last file that a job writes: it is done where this is there."""
 DONE, FAILED, LOST = "done", "failed", "lost"
-"""How a job ended: with results; with a reason that its data give; because its process died."""
+"""How a job ended: with results; with a fault of its data; because its process died."""
 WRITES = (
     ROW, FIT, "series.npz", "evaluation.json", REPORT, BESIDE_DISCOVERY, DISCOVERY, DISCOVERY_SERIES,
     TRANSFER,
@@ -50,7 +55,7 @@ def number(row: Row, column: str) -> float:
     return float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
 
 
-def word(row: Row, column: str) -> str:
+def text_of(row: Row, column: str) -> str:
     """The text in a column; empty where there is none."""
     value = row.get(column)
     return "" if value is None else one_line(str(value))
@@ -60,9 +65,9 @@ def word(row: Row, column: str) -> str:
 class Job:
     """One turbine's share of a fleet's work.
 
-    turbine: its name, unique in the fleet. task: a name of `tasks.TASKS`. case: its case file. folder: where
-    its results go. fit: the fitted model that the task uses, or None. options: of the task, complete, as
-    plain data. key: of what it reads (`content_key`).
+    turbine: its name, unique in the fleet. task: a name of `tasks.TASKS`. case: its case file. folder: the
+    directory of its results. fit: the fitted model that the task uses, or None. options: all options of the
+    task, as plain data. key: the hash of everything that it reads (`content_key`).
     """
 
     turbine: str
@@ -74,28 +79,28 @@ class Job:
     key: str = ""
 
     def to_json(self) -> JsonObject:
-        """Plain data that any process can make the job from again."""
+        """The job as plain data, for another process (`from_json`)."""
         paths = {name: None if (p := getattr(self, name)) is None else str(p) for name in _PATHS}
-        said: JsonObject = {
-            "turbine": self.turbine,
-            "task": self.task,
-            "options": dict(self.options),
-            "key": self.key,
-        }
-        return said | paths
+        return {**vars(self), "options": dict(self.options), **paths}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Job:
-        """A job from the data of `to_json`."""
+        """The job of `to_json`."""
         return cls(**{**data, **{n: None if data[n] is None else Path(data[n]) for n in _PATHS}})
 
 
 _PATHS = ("case", "folder", "fit")
 
 
+Work: TypeAlias = Callable[[Job], Row]
+"""The function that does a job: it writes results into the job's folder and returns the columns of its task;
+an exception is the turbine's failure.  Processes and Dask workers import it by its name, so it is a function
+of a module."""
+
+
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a job: its row of the fleet's table, and the CPU time that it took [s]."""
+    """The result of a job: its row of the fleet's table, and its CPU time [s]."""
 
     row: Row
     seconds: float = 0.0
@@ -109,30 +114,30 @@ class Outcome:
         return str(self.row["status"])
 
     def to_json(self) -> JsonObject:
-        """Plain data that any process can make the outcome from again."""
+        """The outcome as plain data, for another process (`from_json`)."""
         return {"row": dict(self.row), "seconds": self.seconds}
 
     @classmethod
     def from_json(cls, data: Mapping[str, Any]) -> Outcome:
-        """An outcome from the data of `to_json`."""
+        """The outcome of `to_json`."""
         return cls(data["row"], float(data["seconds"]))
 
 
 def outcome(
     job: Job, status: str, columns: Row | None = None, reason: str = "", seconds: float = 0.0
 ) -> Outcome:
-    """The outcome of a job: the columns that every row has, those of its task behind them; numbers that are
+    """The outcome of a job: the columns that every row has, followed by those of its task; numbers that are
     not finite become None."""
     shared = {"turbine": job.turbine, "status": status, "reason": reason, "task": job.task, "key": job.key}
     return Outcome(json.loads(result_text({**shared, **(columns or {})})), seconds)
 
 
 def content_key(job: Job, files: Sequence[Path] = ()) -> str:
-    """SHA-256 of all that the results of a job follow from: version, task, options, and the bytes of its
-    files.
+    """SHA-256 of everything that determines the results of a job: version, task, options, and the bytes of
+    its files.
 
-    Files are the case, those that its sources name, the fit, and `files`.  One that cannot be read counts as
-    absent: the job itself then says why.
+    The files are the case, those that its sources name, the fit, and `files`.  A file that cannot be read
+    counts as absent: the job itself reports the fault.
     """
     digest = hashlib.sha256()
 
@@ -159,21 +164,20 @@ def _digest(path: Path) -> bytes:
 
 
 def _source_files(case: Path) -> list[str]:
-    """Files that the sources of a case name, as far as it can be read."""
+    """Files that the sources of a case name; none where the case cannot be read."""
     try:
         tables = read_toml(case)[1].get("source", [])
     except FormFault:
         return []
     tables = tables if isinstance(tables, list) else [tables]
-    named = [one.get("file") for one in tables if isinstance(one, dict)]
+    named = [table.get("file") for table in tables if isinstance(table, dict)]
     return [name for name in named if isinstance(name, str)]
 
 
 def finished(job: Job) -> Outcome | None:
-    """The outcome on disk of the very same work, if it was done; failures are tried again."""
+    """The outcome on disk where the same work has been done; None where it failed or differs."""
     try:
-        data = json.loads((job.folder / ROW).read_text(encoding="utf-8"))
-        found = Outcome.from_json(data)
+        found = Outcome.from_json(json.loads((job.folder / ROW).read_text(encoding="utf-8")))
         same = found.row["key"] == job.key and found.turbine == job.turbine and found.status == DONE
     except (OSError, ValueError, KeyError, TypeError, RecursionError):
         return None
@@ -181,14 +185,46 @@ def finished(job: Job) -> Outcome | None:
 
 
 def begin(job: Job) -> None:
-    """Remove what an earlier run has left in the folder: it belongs to other data."""
+    """Remove the results of an earlier run from the folder: they belong to other data."""
     job.folder.mkdir(parents=True, exist_ok=True)
     for name in WRITES:
         (job.folder / name).unlink(missing_ok=True)
 
 
 def keep(job: Job, found: Outcome) -> None:
-    """Write the row, whole; from then on the job is done.  Its folder may be missing: a process can die
-    before it makes it."""
+    """Write the row; from then on the job is done.  Make the folder where a process died before it did."""
     job.folder.mkdir(parents=True, exist_ok=True)
     write_text_whole(job.folder / ROW, result_text(found.to_json()))
+
+
+def perform(job: Job, work: Work) -> Outcome:
+    """Do a job, unless its outcome is on disk already; every exception becomes the reason in its row."""
+    if (known := finished(job)) is not None:
+        return known
+    started = time.process_time()
+    try:
+        begin(job)
+        columns = work(job)
+        found = outcome(job, DONE, columns, seconds=time.process_time() - started)
+    except Exception as fault:
+        found = outcome(job, FAILED, None, reason_of(fault), time.process_time() - started)
+    try:
+        keep(job, found)
+    except OSError as fault:
+        reason = f"{job.folder}: cannot be written: {fault.strerror or fault}"
+        return outcome(job, FAILED, None, reason, found.seconds)
+    return found
+
+
+def reason_of(fault: Exception) -> str:
+    """The reason for a failure on one line; for an unexpected exception also the place where it was
+    raised."""
+    listed = getattr(fault, "faults", ())
+    text = " ".join(("; ".join(map(str, listed)) if listed else str(fault)).split())
+    if isinstance(fault, FormFault) and not isinstance(fault, CaseFault):  # the row itself names the turbine
+        text = f"{fault.file}: {text}"
+    if isinstance(fault, HygrokfError | RatesFault) or type(fault) in (ValueError, OSError):
+        return text or type(fault).__name__
+    where = traceback.extract_tb(fault.__traceback__)
+    place = f" ({Path(where[-1].filename).name}, line {where[-1].lineno})" if where else ""
+    return f"{type(fault).__name__}: {text or 'no message'}{place}"

@@ -1,4 +1,4 @@
-"""Which turbines depart from their fleet: a robust rule with the number of turbines and of quantities in it.
+"""Outliers of a fleet: a robust rule that allows for the number of turbines and of quantities.
 
 On the logarithm x of a positive quantity, with standard errors e from its bounds,
 
@@ -6,9 +6,8 @@ On the logarithm x of a positive quantity, with standard errors e from its bound
     0),
 
 so a turbine with wide bounds must depart further.  z is compared with the largest |z| of as many normal
-numbers, found by
-simulation (seed stated): the chance that any turbine of a fleet alike is called an outlier is `LEVEL`, shared
-by the quantities that are compared (Bonferroni).
+numbers, found by simulation (`SEED`): the chance of any outlier in a fleet of turbines that are alike is
+`LEVEL`, shared by the quantities that are compared (Bonferroni).
 """
 
 from __future__ import annotations
@@ -25,22 +24,24 @@ from hygrokf.fleet.tasks import Compared
 LEVEL = 0.05
 """Chance of any outlier, in all quantities together, in a fleet of turbines that are alike."""
 FEWEST_JUDGED = 6
-"""Turbines below which no one can be told from the others."""
+"""Fewest turbines among which outliers are sought."""
 DRAWS, SEED = 4000, 20
 TO_SD = 1.4826
 """Standard deviation of a normal distribution over its median absolute deviation."""
 REACH = 1.959963984540054
+"""Half-width of a 95 % interval, in standard deviations."""
 NUMBERS_AT_ONCE = 2_000_000
 
 
 @dataclass(frozen=True)
 class Spread:
-    """A quantity over the fleet: turbines with a value, x = ln value (N,), standard errors (N,), NaN without
-    bounds.
+    """A quantity over the N turbines of a fleet that have a value.
 
-    `z` (N,) robust distances, `p` (N,) their chances after correction for turbines and quantities; both NaN
-    where there are fewer than `FEWEST_JUDGED` turbines.  `center`, `between` median of x and the turbines'
-    own spread (log).
+    x: logarithms of the values (N,). error: their standard errors (N,), NaN without bounds. open: turbines
+    without a value and bounds above zero. center: median of x. between: standard deviation of x between the
+    turbines beyond their bounds. z: robust distances (N,); p: their chances (N,) corrected for the number of
+    turbines and quantities; both NaN below `FEWEST_JUDGED` turbines. rejected: turbines whose value is not to
+    be believed.
     """
 
     compared: Compared
@@ -56,15 +57,15 @@ class Spread:
 
     @property
     def outliers(self) -> list[int]:
-        """Places of the outliers, the farthest first."""
+        """Indices of the outliers, the farthest first."""
         return [int(i) for i in np.argsort(-np.abs(self.z)) if self.p[i] < LEVEL]
 
     @property
     def explained(self) -> bool:
-        """Whether the bounds explain how the turbines scatter, outliers left out (Cochran's Q).
+        """Whether the bounds explain the scatter of the turbines without outliers (Cochran's Q).
 
-        `between` alone cannot say so: the median deviation does not see a few turbines that depart, and below
-        `FEWEST_JUDGED` none is called an outlier.
+        `between` does not suffice: the median deviation misses a few turbines that depart, and below
+        `FEWEST_JUDGED` turbines there are no outliers.
         """
         from scipy.special import chdtrc
 
@@ -77,16 +78,13 @@ class Spread:
 
 
 def spreads(rows: Sequence[Row], compared: Sequence[Compared]) -> list[Spread]:
-    """The spread of every quantity that any turbine has; turbines without a value and bounds above zero on
-    both sides are set aside by name (`open`), and so are those whose value is not to be believed
-    (`rejected`).
-    """
+    """The spread of every quantity that any turbine has."""
     there = [one for one in compared if any(number(row, one.column) > 0 for row in rows)]
     return [spread(rows, one, len(there)) for one in there]
 
 
 def spread(rows: Sequence[Row], compared: Compared, quantities: int = 1) -> Spread:
-    """One quantity over the fleet, judged as one of several."""
+    """The spread of one quantity, of `quantities` that share the chance of an outlier."""
     named, x, error, open_, rejected = [], [], [], [], []
     for row in rows:
         value = number(row, compared.column)

@@ -1,4 +1,4 @@
-"""FLEET.toml: which turbines, which task, with which options."""
+"""FLEET.toml: the turbines, the task and its options."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ FOLDER = "turbines"
 
 def _patterns(value: object) -> tuple[str, ...]:
     patterns = [value] if isinstance(value, str) else value
-    if not isinstance(patterns, list) or not all(isinstance(one, str) for one in patterns):
+    if not isinstance(patterns, list) or not all(isinstance(pattern, str) for pattern in patterns):
         raise ValueError(f'expected patterns such as ["*/case.toml"], found {value!r}')
     return tuple(patterns)
 
 
 @dataclass(frozen=True)
 class TurbineForm:
-    """A [[turbine]] of a fleet's file."""
+    """A `[[turbine]]` of FLEET.toml."""
 
     case: str = setting(help="its case file")
     name: str = setting("", "of the folder of its results; by default that of its case")
@@ -36,7 +36,7 @@ class TurbineForm:
 
 @dataclass(frozen=True)
 class FleetForm:
-    """A fleet's file."""
+    """FLEET.toml."""
 
     task: str = setting(help="what is done for every turbine", choices=tuple(TASKS))
     name: str = setting("", "of the fleet; by default the file's name")
@@ -48,7 +48,7 @@ class FleetForm:
 
 @dataclass(frozen=True)
 class Turbine:
-    """One turbine of the fleet: its name, its case file, and the fitted model that the task uses."""
+    """A turbine of the fleet: its name, its case file, and the fitted model that the task uses."""
 
     name: str
     case: Path
@@ -57,7 +57,7 @@ class Turbine:
 
 @dataclass(frozen=True)
 class Plan:
-    """What a fleet's file states: its name, the task with all of its options, the turbines in their order."""
+    """The content of FLEET.toml: name, task with all options, turbines in their order."""
 
     name: str
     task: str
@@ -66,19 +66,28 @@ class Plan:
 
     def jobs(self, out: Path) -> list[Job]:
         """One job for each turbine, with results in a folder of `out`, and with the key of what it reads."""
-        beside = [Path(str(p)) for name in TASKS[self.task].files for p in self.options[name] or ()]
-        made = []
-        for one in self.turbines:
-            folder = out.absolute() / FOLDER / one.name
+        beside = [Path(file) for name in TASKS[self.task].files for file in self.options[name]]
+        jobs = []
+        for turbine in self.turbines:
             job = Job(
-                one.name, self.task, one.case.absolute(), folder, one.fit and one.fit.absolute(), self.options
+                turbine.name,
+                self.task,
+                turbine.case.absolute(),
+                self.folder(out, turbine.name),
+                turbine.fit and turbine.fit.absolute(),
+                self.options,
             )
-            made.append(replace(job, key=content_key(job, beside)))
-        return made
+            jobs.append(replace(job, key=content_key(job, beside)))
+        return jobs
+
+    def folder(self, out: Path, turbine: str) -> Path:
+        """The folder of a turbine's results."""
+        return out.absolute() / FOLDER / turbine
 
 
 def read_plan(path: str | os.PathLike[str]) -> Plan:
-    """The plan of a fleet's file; paths in it are relative to it.  Raises FleetFault with every fault."""
+    """The plan of FLEET.toml, in which paths are relative to the file.  Raises FleetFault with every
+    fault."""
     file, top = Path(path), Place()
     form = read_form(FleetForm, read_toml(file, FleetFault)[1], top)
     if form.task not in TASKS:
@@ -98,7 +107,7 @@ def read_plan(path: str | os.PathLike[str]) -> Plan:
 
 
 def _turbines(form: FleetForm, task: Task, folder: Path, faults: list[str]) -> list[Turbine]:
-    """Turbines of the patterns and of the tables, in this order."""
+    """The turbines of `cases`, then those of the `[[turbine]]` tables."""
     if form.fit and not task.uses_fit:
         faults.append(f'fit: the task "{form.task}" uses no fitted model; leave it out')
     found = [(f"cases, {case}", TurbineForm(case)) for case in _matched(form.cases, folder, faults)]
@@ -127,7 +136,7 @@ def _turbines(form: FleetForm, task: Task, folder: Path, faults: list[str]) -> l
 
 
 def _matched(patterns: Sequence[str], folder: Path, faults: list[str]) -> list[str]:
-    """Case files of the patterns, sorted within each, every file once."""
+    """Case files that match the patterns, sorted within each, every file once."""
     found: dict[str, None] = {}
     for pattern in patterns:
         there = sorted(glob.glob(pattern, root_dir=folder, recursive=True))
@@ -138,7 +147,6 @@ def _matched(patterns: Sequence[str], folder: Path, faults: list[str]) -> list[s
 
 
 def _name_of(case: str) -> str:
-    """A turbine's name where none is stated: the folder of case.toml, else the file's name without its
-    ending."""
+    """The default name of a turbine: the folder of case.toml, else the file's name without its ending."""
     path = Path(case)
     return path.parent.name if path.stem == "case" and path.parent.name else path.stem

@@ -1,4 +1,8 @@
-"""Jobs on the cores of one machine: a process for each, of which one may die without the others."""
+"""Jobs on the cores of one machine: a process for each, of which one may die without the others.
+
+A process reads jobs from its standard input and writes outcomes to its standard output, one line of JSON
+each; it ends with its input.
+"""
 
 from __future__ import annotations
 
@@ -12,13 +16,14 @@ import tempfile
 import threading
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
-from typing import Any
 
-from hygrokf.fleet.job import LOST, Job, Outcome, outcome
-from hygrokf.fleet.worker import ENVIRONMENT
+from hygrokf.engine.parallel import THREADS
+from hygrokf.fleet.job import LOST, Job, Outcome, Work, outcome, perform
 
 ATTEMPTS = 2
-"""A job whose process died is done again in a new one, so often in all."""
+"""Attempts at a job, each in a new process, before it is lost."""
+ENVIRONMENT = {name: "1" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", THREADS)}
+"""One thread for linear algebra: the matrices are tiny, and every core has a process of its own."""
 
 
 def cores() -> int:
@@ -26,18 +31,30 @@ def cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def in_processes(jobs: Sequence[Job], workers: int) -> Iterator[Outcome]:
+def answer_jobs(work: Work) -> int:
+    """What the process runs: do the jobs of the standard input until it ends; returns the exit status 0."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the interrupted parent ends this process
+    answers = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())  # other prints must not stand among the answers
+    for line in sys.stdin:
+        found = perform(Job.from_json(json.loads(line)), work)
+        answers.write(json.dumps(found.to_json()) + "\n")
+        answers.flush()
+    return 0
+
+
+def in_processes(jobs: Sequence[Job], work: Work, workers: int) -> Iterator[Outcome]:
     """Outcomes of jobs as they come, in no order: exactly one for each.
 
     A process that dies (killed by the system for its memory, a crash of compiled code) takes its one job with
-    it; that is tried once more, and is `lost` if that process dies too.  When the caller stops early all
+    it; the job is tried once more, and is `lost` if that process dies too.  When the caller stops early all
     processes end.
     """
     todo: queue.SimpleQueue[Job] = queue.SimpleQueue()
     for job in jobs:
         todo.put(job)
     done: queue.SimpleQueue[Outcome | BaseException] = queue.SimpleQueue()
-    crew = [_Worker() for _ in range(min(workers, len(jobs)))]
+    crew = [_Worker(work) for _ in range(min(workers, len(jobs)))]
     threads = [threading.Thread(target=_serve, args=(one, todo, done), daemon=True) for one in crew]
     for thread in threads:
         thread.start()
@@ -54,7 +71,9 @@ def in_processes(jobs: Sequence[Job], workers: int) -> Iterator[Outcome]:
             thread.join()
 
 
-def _serve(worker: _Worker, todo: queue.SimpleQueue[Any], done: queue.SimpleQueue[Any]) -> None:
+def _serve(
+    worker: _Worker, todo: queue.SimpleQueue[Job], done: queue.SimpleQueue[Outcome | BaseException]
+) -> None:
     """Give a worker one job after the other."""
     try:
         while not worker.dismissed:
@@ -73,9 +92,10 @@ def _serve(worker: _Worker, todo: queue.SimpleQueue[Any], done: queue.SimpleQueu
 
 
 class _Worker:
-    """A process that answers; a new one is started where the last has died."""
+    """A process that does jobs; a new one is started where the last has died."""
 
-    def __init__(self) -> None:
+    def __init__(self, work: Work) -> None:
+        self._work = work
         self.dismissed = False
         self.epitaph = ""
         self._process: subprocess.Popen[str] | None = None
@@ -83,26 +103,26 @@ class _Worker:
         self._lock = threading.Lock()
 
     def ask(self, job: Job) -> Outcome | None:
-        """The outcome of a job; None where the process died over it (`epitaph` says of what)."""
+        """The outcome of a job; None where the process died over it (`epitaph` says why)."""
         process = self._started()
         if process is None:
             return None
         line = ""
         assert process.stdin is not None and process.stdout is not None
-        with suppress(OSError, ValueError):  # it may die while it is written to
+        with suppress(OSError, ValueError):  # it may die while the job is written to it
             process.stdin.write(json.dumps(job.to_json()) + "\n")
             process.stdin.flush()
             line = process.stdout.readline()
         if line.endswith("\n"):
             return Outcome.from_json(json.loads(line))
-        self.epitaph = _epitaph(self._buried(process), self._last_words())
+        self.epitaph = _epitaph(self._reap(process), self._last_words())
         return None
 
-    def _buried(self, process: subprocess.Popen[str]) -> int:
-        """Exit status of a process that has ended or is about to; a new one can be started after it."""
+    def _reap(self, process: subprocess.Popen[str]) -> int:
+        """Wait for a process to end; returns its exit status."""
         status = process.wait()
         for pipe in (process.stdin, process.stdout):
-            with suppress(OSError):  # what was not written can not be written any more
+            with suppress(OSError):  # unwritten text is lost
                 if pipe is not None:
                     pipe.close()
         with self._lock:
@@ -110,14 +130,14 @@ class _Worker:
         return status
 
     def _started(self) -> subprocess.Popen[str] | None:
-        with self._lock:  # a worker that is dismissed starts no process any more
+        with self._lock:  # a dismissed worker starts no process
             if self._process is None and not self.dismissed:
                 self._said.seek(0)
                 self._said.truncate()
-                # the same places of modules as here, in the same order
+                work = self._work
                 begin = (
-                    f"import sys; sys.path[:] = {sys.path!r}; from hygrokf.fleet.worker import main; "
-                    "sys.exit(main())"
+                    f"import sys; sys.path[:] = {sys.path!r}; from {__name__} import answer_jobs; "
+                    f"from {work.__module__} import {work.__qualname__} as work; sys.exit(answer_jobs(work))"
                 )
                 self._process = subprocess.Popen(
                     [sys.executable, "-c", begin],
@@ -137,31 +157,25 @@ class _Worker:
         return next((line.strip() for line in reversed(lines) if line.strip()), "")
 
     def dismiss(self) -> None:
-        """End the process, whatever it does."""
+        """Kill the process."""
         with self._lock:
             self.dismissed = True
             if self._process is not None:
                 self._process.kill()
 
     def close(self) -> None:
-        """The same, and nothing of it is left."""
+        """Kill the process and remove everything that belongs to it."""
         self.dismiss()
         if self._process is not None:
-            self._buried(self._process)
+            self._reap(self._process)
         self._said.close()
 
 
 def _epitaph(status: int, last_words: str) -> str:
-    """What a process died of, and what to do."""
-    killer = ""
-    if status >= 0:
-        said = f"its process ended with status {status}"
-    else:
-        killer = str(status)
-        with suppress(ValueError):
-            killer = signal.Signals(-status).name
-        said = f"its process was killed by {killer}"
-    said += f", {ATTEMPTS} times in a row"
-    if killer == "SIGKILL":
-        said += "; the system does so where memory is short: run it again with fewer --workers"
-    return f"{said}; it last said: {last_words}" if last_words else said
+    """Why a process died, and what to do."""
+    names = {-one.value: one.name for one in signal.Signals}
+    end = f"ended with status {status}" if status >= 0 else f"was killed by {names.get(status, status)}"
+    reason = f"its process {end}, {ATTEMPTS} times in a row"
+    if names.get(status) == "SIGKILL":
+        reason += "; the system does so where memory is short: run it again with fewer --workers"
+    return f"{reason}; its last output: {last_words}" if last_words else reason

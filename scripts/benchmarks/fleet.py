@@ -13,13 +13,13 @@ import numpy as np
 from benchmarks import cases
 from benchmarks.measure import Figure, Times, repeated, timed
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
+from hygrokf.commands.fleet_tasks import do_task
 from hygrokf.estimation.confidence import uncertainty, wald_bounds
 from hygrokf.estimation.optimiser import Objective, maximise
 from hygrokf.fleet.cluster import batches, on_cluster
-from hygrokf.fleet.job import DONE, Job
+from hygrokf.fleet.job import DONE, Job, perform
 from hygrokf.fleet.plan import read_plan
 from hygrokf.fleet.processes import cores, in_processes
-from hygrokf.fleet.tasks import perform
 
 INSTANTS = 8_000
 DAYS = 25.2
@@ -57,9 +57,9 @@ def fits(quick: bool) -> Iterator[Figure]:
     with tempfile.TemporaryDirectory() as folder:
         for kind, starts in (("cascade", 4), ("cascade", 1), ("joint", 4), ("joint", 1)):
             jobs = turbines(Path(folder), 2 if quick else 6, 5.0 if quick else DAYS, kind, starts)
-            if perform(jobs[0]).status != DONE:  # compiles
+            if perform(jobs[0], do_task).status != DONE:  # compiles
                 raise RuntimeError("the turbine that is timed has no result")
-            seconds = np.array([perform(job).seconds for job in jobs[1:]])
+            seconds = np.array([perform(job, do_task).seconds for job in jobs[1:]])
             yield timed(
                 "from files to row",
                 f"{kind}, {starts} starts, records of {5.0 if quick else DAYS:g} d",
@@ -101,13 +101,13 @@ def scaling(quick: bool) -> Iterator[Figure]:
     count, days = (4, 5.0) if quick else (48, DAYS)
     with tempfile.TemporaryDirectory() as folder:
         jobs = turbines(Path(folder), count, days)
-        perform(jobs[0])  # compiles
+        perform(jobs[0], do_task)  # compiles
         many = [n for n in (2, 4, 8, 16, 32, 64) if n <= cores()] or [1]
         shares: dict[int, list[float]] = {n: [] for n in many}
         for turn in range(1 if quick else 3):
-            alone = wall(in_processes(again(jobs, Path(folder) / f"alone{turn}"), 1))
+            alone = wall(in_processes(again(jobs, Path(folder) / f"alone{turn}"), do_task, 1))
             for n in many:
-                together = wall(in_processes(again(jobs, Path(folder) / f"{n}-{turn}"), n))
+                together = wall(in_processes(again(jobs, Path(folder) / f"{n}-{turn}"), do_task, n))
                 shares[n].append(alone / together / n)
         for n in many:
             yield timed(
@@ -129,13 +129,13 @@ def dask(quick: bool) -> Iterator[Figure]:
     count = 20 if quick else 200
     with tempfile.TemporaryDirectory() as folder:
         (first,) = turbines(Path(folder), 1, 5.0)
-        perform(first)
+        perform(first, do_task)
         jobs = []
         for place in range(count):  # rows that are on disk already: reading one is all the work
             job = replace(
                 first, turbine=f"{first.turbine}-{place}", folder=Path(folder) / "many" / str(place)
             )
-            found = perform(first)
+            found = perform(first, do_task)
             job.folder.mkdir(parents=True)
             text = (first.folder / "row.json").read_text(encoding="utf-8")
             old, new = f'"turbine": "{first.turbine}"', f'"turbine": "{job.turbine}"'
@@ -143,19 +143,19 @@ def dask(quick: bool) -> Iterator[Figure]:
                 raise RuntimeError("the row that is copied is not there")
             (job.folder / "row.json").write_text(text.replace(old, new), encoding="utf-8")
             jobs.append(job)
-        here = wall(map(perform, jobs))
+        here = wall(perform(job, do_task) for job in jobs)
         with LocalCluster(
             n_workers=1, threads_per_worker=1, processes=True, dashboard_address="127.0.0.1:0"
         ) as made:
-            wall(on_cluster(jobs[:2], made.scheduler_address))  # imports
+            wall(on_cluster(jobs[:2], do_task, made.scheduler_address))  # imports
             begin = wall(
-                on_cluster(jobs[:1], made.scheduler_address)
+                on_cluster(jobs[:1], do_task, made.scheduler_address)
             )  # connecting is paid once, not for each
             for name, largest in (("in batches", module.LARGEST), ("one by one", 1)):
                 usual, module.LARGEST = module.LARGEST, largest
                 try:
                     spent = [
-                        (wall(on_cluster(jobs, made.scheduler_address)) - begin - here) / count
+                        (wall(on_cluster(jobs, do_task, made.scheduler_address)) - begin - here) / count
                         for _ in range(2 if quick else 9)
                     ]
                     sent = len(batches(jobs, 1))

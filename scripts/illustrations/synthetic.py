@@ -27,8 +27,8 @@ def fleet(directory: Path) -> None:
 
     from hygrokf.commands.main import main as hygrokf
     from hygrokf.fleet.outliers import spreads
-    from hygrokf.fleet.plots import figure_spreads
     from hygrokf.fleet.tasks import TASKS
+    from hygrokf.report.figures.fleet import figure_spreads
 
     text = (DOCS / "fleet.md").read_text(encoding="utf-8").partition("## Who departs")[0]
     here = {}

@@ -27,10 +27,13 @@ class Said:
 
 
 def run(line: str) -> Said:
-    """A command line without quotes, in this process."""
+    """A command line without quotes, in this process; also one that the parser refuses."""
     out, err = io.StringIO(), io.StringIO()
     with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-        status = main(line.split())
+        try:
+            status = main(line.split())
+        except SystemExit as stop:
+            status = stop.code
     return Said(status, out.getvalue(), err.getvalue())
 
 

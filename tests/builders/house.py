@@ -17,9 +17,8 @@ FLOORS = (
     "weather estimation modelling",
     "cases evaluation",
     "identification",
-    "discovery transfer climate live",
+    "discovery transfer climate live fleet",
     "report",
-    "fleet",
     "commands",
 )
 """Every folder of the package, from the lowest floor to the highest; folders of one floor do not know each

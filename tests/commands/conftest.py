@@ -1,16 +1,14 @@
-"""A case that has been fitted, and commands run in this process."""
+"""A case that has been fitted."""
 
 from __future__ import annotations
 
 import shutil
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 from builders.command_line import Said, run
 
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
-from hygrokf.commands.main import main
 
 
 @pytest.fixture(scope="session")
@@ -30,18 +28,3 @@ def folder(fitted, tmp_path, monkeypatch) -> Path:
     shutil.copytree(fitted[0], copy)
     monkeypatch.chdir(copy)
     return copy
-
-
-@pytest.fixture
-def told(capsys) -> Callable[[str], Said]:
-    """A command in this process, also one that the parser refuses."""
-
-    def command(line: str) -> Said:
-        capsys.readouterr()
-        try:
-            status = main(line.split())
-        except SystemExit as stop:
-            status = stop.code
-        return Said(status, *capsys.readouterr())
-
-    return command

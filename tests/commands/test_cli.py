@@ -14,11 +14,10 @@ from zoneinfo import ZoneInfo
 import numpy as np
 import pytest
 from builders.case_edits import NO_CABINET, case, column, content, leave_out, rows
-from builders.command_line import EVALUATE, SIMULATE, Said, environment, interrupted
+from builders.command_line import EVALUATE, SIMULATE, Said, environment, interrupted, run
 
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
-from hygrokf.commands.main import main
 from hygrokf.data.files import RESULTS
 from hygrokf.data.structured import plain
 from hygrokf.identification.fit import read_fit
@@ -41,16 +40,16 @@ def test_help_names_every_command_and_starts_without_a_traceback():
         assert re.search(rf"^    {name} +\w", done.stdout, re.MULTILINE)
 
 
-def test_version_and_no_command_at_all(told):
-    assert told("--version") == Said(0, f"hygrokf {__version__}\n", "")
-    said = told("")
+def test_version_and_no_command_at_all():
+    assert run("--version") == Said(0, f"hygrokf {__version__}\n", "")
+    said = run("")
     assert (said.status, said.err) == (0, "")
     assert said.out.startswith("usage: hygrokf")
 
 
-def test_demo_makes_fits_and_reports(tmp_path, told):
+def test_demo_makes_fits_and_reports(tmp_path):
     """The whole demo, as in the README; its truth is a time constant of 1.5 h and one of 0.30 h."""
-    said = told(f"demo --out {tmp_path}/demo --json")
+    said = run(f"demo --out {tmp_path}/demo --json")
     assert said.status == 0
     written = {
         "cabinet.csv",
@@ -73,29 +72,29 @@ def test_demo_makes_fits_and_reports(tmp_path, told):
         assert entry["lower_h"] / 1.05 < truth < entry["upper_h"] * 1.05
 
 
-def test_demo_of_another_seed_is_another_turbine(tmp_path, told, monkeypatch):
+def test_demo_of_another_seed_is_another_turbine(tmp_path, monkeypatch):
     """The seed reaches the turbine; what follows is broken off."""
     monkeypatch.setattr("hygrokf.identification.procedure.identify", interrupted)
-    assert told(f"demo --out {tmp_path}/demo --seed 7").status == 130
+    assert run(f"demo --out {tmp_path}/demo --seed 7").status == 130
     assert 'name = "synthetic-turbine-7"' in (tmp_path / "demo" / "case.toml").read_text()
     assert len(content(tmp_path / "demo")) == 4
 
 
-def test_check_says_what_was_read(folder, told):
-    said = told("check case.toml")
+def test_check_says_what_was_read(folder):
+    said = run("check case.toml")
     assert (said.status, said.err) == (0, "")
     assert said.out.startswith("synthetic-turbine-3: 2020-07-15T00:00Z to 2020-08-04T00:00Z, 20.0 d")
     for words in ("cabinet_relative_humidity", 'scada.csv, column "P_kW"', "warnings: none", "doubts: 1"):
         assert words in said.out
-    found = json.loads(told("check case.toml --json").out)
+    found = json.loads(run("check case.toml --json").out)
     assert found["rated_power_kW"] == 2050.0
     assert found["validation"]["days"] == 3.0
     assert [one["file"] for one in found["files"]] == ["cabinet.csv", "ambient.csv", "scada.csv"]
 
 
-def test_check_takes_a_case_without_cabinet(folder, told):
+def test_check_takes_a_case_without_cabinet(folder):
     NO_CABINET(folder)
-    said = told("check case.toml")
+    said = run("check case.toml")
     assert said.status == 0
     assert "no cabinet signal: nothing can be identified or scored" in said.out
 
@@ -156,9 +155,9 @@ def test_fit_json_has_the_keys_that_others_rely_on(fitted):
     assert found["version"] == __version__
 
 
-def test_fit_as_json_is_what_it_writes(folder, told):
+def test_fit_as_json_is_what_it_writes(folder):
     """Options reach the fit: the free run's criterion gives other numbers than the innovations'."""
-    said = told("fit case.toml --out made/here --criterion simulation --starts 1 --json")
+    said = run("fit case.toml --out made/here --criterion simulation --starts 1 --json")
     assert said.status == 0
     assert said.out == (folder / "made/here/fit.json").read_text()
     found = json.loads(said.out)
@@ -167,7 +166,7 @@ def test_fit_as_json_is_what_it_writes(folder, told):
     assert set(content(folder / "made/here")) == {"fit.json", "series.npz", "report.html"}
 
 
-def test_options_of_fit_reach_the_identification(folder, told, monkeypatch):
+def test_options_of_fit_reach_the_identification(folder, monkeypatch):
     seen = {}
 
     def identify(record, *, progress, **options):
@@ -175,20 +174,15 @@ def test_options_of_fit_reach_the_identification(folder, told, monkeypatch):
         raise KeyboardInterrupt
 
     monkeypatch.setattr("hygrokf.identification.procedure.identify", identify)
-    told("fit case.toml --out made")
+    run("fit case.toml --out made")
     usual = {"criterion": "likelihood", "starts": 5, "kind": DEFAULT_KIND}
     assert seen == {"name": "synthetic-turbine-3", **usual}
-    told("fit case.toml --out made --kind joint --criterion simulation --starts 7")
-    assert seen == {
-        "name": "synthetic-turbine-3",
-        "criterion": "simulation",
-        "starts": 7,
-        "kind": "joint",
-    }
+    run("fit case.toml --out made --kind joint --criterion simulation --starts 7")
+    assert seen == {"name": "synthetic-turbine-3", "criterion": "simulation", "starts": 7, "kind": "joint"}
 
 
-def test_simulate_writes_the_free_run(folder, told):
-    said = told(SIMULATE)
+def test_simulate_writes_the_free_run(folder):
+    said = run(SIMULATE)
     head, *lines = (folder / "simulated.csv").read_text().splitlines()
     assert (said.status, said.err) == (0, "")
     assert said.out.startswith(f"{len(lines)} instants written: simulated.csv\n")
@@ -205,19 +199,19 @@ def test_simulate_writes_the_free_run(folder, told):
     np.testing.assert_allclose(cells[:, 2], 100 * predicted.relative_humidity[0], atol=6e-5)
     np.testing.assert_allclose(cells[:, 4], predicted.absolute_humidity[0], atol=6e-5)
     np.testing.assert_array_equal(cells[:, 6], made.scored)
-    again = told(f"{SIMULATE} --json")
+    again = run(f"{SIMULATE} --json")
     assert json.loads(again.out) == plain(simulation_summary(fit, record))
 
 
-def test_simulate_needs_no_cabinet(folder, told):
+def test_simulate_needs_no_cabinet(folder):
     case(("cabinet_temperature", "nacelle_temperature"), ("cabinet_relative", "nacelle_relative"))(folder)
-    assert told(SIMULATE).status == 0
+    assert run(SIMULATE).status == 0
     assert (folder / "simulated.csv").read_text().count("\n") > 2000
 
 
-def test_simulate_without_power_says_that_no_row_counts(folder, told):
+def test_simulate_without_power_says_that_no_row_counts(folder):
     leave_out("active_power")(folder)
-    said = told(SIMULATE)
+    said = run(SIMULATE)
     assert said.status == 0
     assert (
         "note: no row has all inputs known (inputs_known is 0 throughout): the fit knows the power, "
@@ -227,44 +221,44 @@ def test_simulate_without_power_says_that_no_row_counts(folder, told):
     assert {line[-1] for line in lines} == {"0"}
 
 
-def test_evaluate_notes_another_rated_power(folder, told):
-    assert "rated power" not in told(EVALUATE).out
+def test_evaluate_notes_another_rated_power(folder):
+    assert "rated power" not in run(EVALUATE).out
     case(("rated_power_kW = 2050", "rated_power_kW = 3075"))(folder)
     assert (
-        "note: this turbine's rated power is 1.50 times that of the fit: another type?" in told(EVALUATE).out
+        "note: this turbine's rated power is 1.50 times that of the fit: another type?" in run(EVALUATE).out
     )
 
 
-def test_fit_says_whose_fit_it_replaces(folder, told, monkeypatch):
+def test_fit_says_whose_fit_it_replaces(folder, monkeypatch):
     monkeypatch.setattr("hygrokf.commands.fit.identified", lambda *_: read_fit(folder / "result"))
     monkeypatch.setattr("hygrokf.commands.fit.written", lambda fit, out: out / "report.html")
-    assert "replaces" not in told("fit case.toml --out result").err
+    assert "replaces" not in run("fit case.toml --out result").err
     case(("synthetic-turbine-3", "uk-01"))(folder)
     assert (
         "note: --out result: replaces the fit of synthetic-turbine-3\n"
-        in told("fit case.toml --out result").err
+        in run("fit case.toml --out result").err
     )
 
 
-def test_evaluate_prints_the_scores(folder, told):
+def test_evaluate_prints_the_scores(folder):
     fit, record = read_fit(folder / "result"), read_case(folder / "case.toml")
     found = evaluate(fit, record)
-    assert told(EVALUATE) == Said(0, evaluation_text(found) + "\n", "")
-    shown = json.loads(told(f"{EVALUATE} --json").out)
+    assert run(EVALUATE) == Said(0, evaluation_text(found) + "\n", "")
+    shown = json.loads(run(f"{EVALUATE} --json").out)
     assert shown == plain(found)
     assert shown["rmse"] == json.loads((folder / "result/fit.json").read_text())["rmse"]
 
 
-def test_report_is_written_again_from_the_two_files(folder, told):
+def test_report_is_written_again_from_the_two_files(folder):
     page = (folder / "result/report.html").read_bytes()
     (folder / "result/report.html").unlink()
-    assert told("report result") == Said(0, "result/report.html\n", "")
+    assert run("report result") == Said(0, "result/report.html\n", "")
     assert (folder / "result/report.html").read_bytes() == page
 
 
-def test_report_as_json_names_the_page(folder, told, monkeypatch):
+def test_report_as_json_names_the_page(folder, monkeypatch):
     monkeypatch.setattr("hygrokf.report.fit_page.report_page", lambda fit, series: fit.name)
-    assert json.loads(told("report result --json").out) == {"report": "result/report.html"}
+    assert json.loads(run("report result --json").out) == {"report": "result/report.html"}
     assert (folder / "result/report.html").read_text() == "synthetic-turbine-3"
 
 
@@ -286,10 +280,7 @@ MASKED = [
     ),
     pytest.param(rows("cabinet.csv", swapped), ("unsorted stamps: 1 of 1847", "sorted"), 0, id="unsorted"),
     pytest.param(
-        rows("cabinet.csv", lambda lines: lines[::-1]),
-        ("newest first; reversed",),
-        0,
-        id="reversed",
+        rows("cabinet.csv", lambda lines: lines[::-1]), ("newest first; reversed",), 0, id="reversed"
     ),
     pytest.param(
         column("T_cab_degC", lambda row, cell: "-273.0" if row in (7, 70) else cell),
@@ -313,11 +304,11 @@ MASKED = [
 
 
 @pytest.mark.parametrize(("edit", "words", "lost"), MASKED)
-def test_what_can_be_masked_is_masked_and_said(folder, told, edit, words, lost):
+def test_what_can_be_masked_is_masked_and_said(folder, edit, words, lost):
     """Warnings of `check`, and the number of readings that the cabinet has less."""
 
     def counted() -> tuple[int, list[str]]:
-        said = told("check case.toml --json")
+        said = run("check case.toml --json")
         assert (said.status, said.err) == (0, "")
         found = json.loads(said.out)
         return sum(one["readings"] for one in found["signals"][:2]), found["warnings"]
@@ -331,7 +322,7 @@ def test_what_can_be_masked_is_masked_and_said(folder, told, edit, words, lost):
     for part in words:
         assert part in sentence
     assert left == count - lost
-    text = told("check case.toml").out
+    text = run("check case.toml").out
     assert f"warnings: 1\n\n- {sentence}\n" in text
 
 
@@ -343,7 +334,7 @@ def test_what_can_be_masked_is_masked_and_said(folder, told, edit, words, lost):
     ],
     ids=["autumn", "spring"],
 )
-def test_summer_time_holes_are_said(tmp_path, told, start, clock, words):
+def test_summer_time_holes_are_said(tmp_path, start, clock, words):
     """A logger that follows the doubled hour, and one that does not skip the missing one."""
     write_case(synthetic_turbine(seed=3, days=15, start=start), tmp_path)
     case(('time = "time"', 'time = "time"\ntimezone = "Europe/Berlin"'))(tmp_path)
@@ -354,17 +345,17 @@ def test_summer_time_holes_are_said(tmp_path, told, start, clock, words):
         return [stamp + line.split("Z,")[1] for stamp, line in zip(shown, lines, strict=True)]
 
     rows("cabinet.csv", local)(tmp_path)
-    said = told(f"check {tmp_path}/case.toml --json")
+    said = run(f"check {tmp_path}/case.toml --json")
     assert said.status == 0
     (sentence,) = json.loads(said.out)["warnings"]
     assert sentence.startswith("cabinet.csv: summer-time hole")
     assert words in sentence
 
 
-def test_warnings_do_not_stop_the_other_commands(folder, told):
+def test_warnings_do_not_stop_the_other_commands(folder):
     column("T_cab_degC", lambda row, cell: "-273.0" if row == 7 else cell)(folder)
     for line in (EVALUATE, SIMULATE):
-        said = told(line)
+        said = run(line)
         assert said.status == 0
         (warning,) = said.err.splitlines()
         assert warning.startswith(
@@ -376,27 +367,24 @@ def test_warnings_do_not_stop_the_other_commands(folder, told):
 @pytest.mark.parametrize(
     ("command", "own"),
     [
-        (["fit", "case.toml"], "fit.json"),
-        (["discover", "case.toml"], "discovery.json"),
-        (["compare", "case.toml", "case.toml"], "compare.json"),
-        (["transfer", "fit", "case.toml"], "transfer.json"),
-        (["climate", "fit.json", "--weather", "w.epw", "--standstill"], "climate.json"),
-        (["fleet", "fleet.toml"], "fleet.json"),
+        ("fit case.toml", "fit.json"),
+        ("discover case.toml", "discovery.json"),
+        ("compare case.toml case.toml", "compare.json"),
+        ("transfer fit case.toml", "transfer.json"),
+        ("climate fit.json --weather w.epw --standstill", "climate.json"),
+        ("fleet fleet.toml", "fleet.json"),
     ],
 )
-def test_results_are_not_written_over_results_of_another_kind(
-    command: list[str], own: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """Told before anything is read; a directory with results of the same kind is taken, a discovery's with
-    its fit too."""
+def test_results_are_not_written_over_results_of_another_kind(command: str, own: str, tmp_path: Path) -> None:
+    """Refused before anything is read; a directory with results of the same kind is accepted, a discovery's
+    with its fit too."""
     for name in RESULTS:
         out = tmp_path / name.partition(".")[0]
         out.mkdir()
         (out / name).write_text("{}")
-        assert main([*command, "--out", str(out)]) == 2
-        said = capsys.readouterr().err
-        assert ("a directory of its own" in said) == (name != own), said
+        said = run(f"{command} --out {out}")
+        assert said.status == 2
+        assert ("a directory of its own" in said.err) == (name != own), said.err
     if own == "discovery.json":
         (tmp_path / "discovery" / "fit.json").write_text("{}")
-        assert main([*command, "--out", str(tmp_path / "discovery")]) == 2
-        assert "a directory of its own" not in capsys.readouterr().err
+        assert "a directory of its own" not in run(f"{command} --out {tmp_path}/discovery").err

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
 import pytest
 from builders.climate_case import known_fit, made_up_weather
+from builders.command_line import Said, run
 from builders.html_page import Page
 from builders.weather_case import epw_text
 
-from hygrokf.commands.main import main
 from hygrokf.data.result_file import result_text
 from hygrokf.version import __version__
 
@@ -68,14 +69,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return made
 
 
-def arguments(folder: Path, out: str, *more: str) -> list[str]:
-    return ["climate", str(folder / "fit.json"), "--out", str(folder / out), "--members", "12", *more]
+def climate(folder: Path, out: str, *more: str | Path) -> Said:
+    """`hygrokf climate` on the known fit, with results in `out`."""
+    return run(f"climate {folder}/fit.json --out {folder}/{out} --members 12 {' '.join(map(str, more))}")
 
 
-def test_a_climate_is_written_whole(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    stated = {"--weather": "weather.toml", "--power-curve": "curve.toml", "--limits": "limits.toml"}
-    words = [word for option, name in stated.items() for word in (option, str(folder / name))]
-    assert main(arguments(folder, "one", *words)) == 0
+def test_a_climate_is_written_whole(folder: Path) -> None:
+    weather, curve, limits = (folder / f"{name}.toml" for name in ("weather", "curve", "limits"))
+    said = climate(folder, "one", "--weather", weather, "--power-curve", curve, "--limits", limits)
+    assert said.status == 0
     out = folder / "one"
     assert sorted(p.name for p in out.iterdir()) == [
         "climate.csv", "climate.json", "report.html", "test_profile.csv", "test_profile.png",
@@ -89,8 +91,7 @@ def test_a_climate_is_written_whole(folder: Path, capsys: pytest.CaptureFixture[
     assert np.sum(region["joint"]["hours"]) == pytest.approx(8766, rel=1e-3)
     rows = list(csv.DictReader((out / "climate.csv").read_text(encoding="utf-8").splitlines()))
     assert {row["scope"] for row in rows} == {*region["scopes"], "limit"}
-    printed = capsys.readouterr().out
-    assert "pass" in printed and "in operation" in printed
+    assert "pass" in said.out and "in operation" in said.out
     profile = np.genfromtxt(out / "test_profile.csv", delimiter=",", names=True)
     assert len(profile) == 1000 and profile["temperature_degC"].max() <= 85.0
     page = (out / "report.html").read_text(encoding="utf-8")
@@ -99,14 +100,13 @@ def test_a_climate_is_written_whole(folder: Path, capsys: pytest.CaptureFixture[
     # the page is a function of climate.json alone
     before = page
     (out / "report.html").unlink()
-    assert main(["report", str(out)]) == 0
+    assert run(f"report {out}").status == 0
     assert (out / "report.html").read_text(encoding="utf-8") == before
 
 
 def test_regions_stand_side_by_side(folder: Path) -> None:
-    regions = (f"north={folder / 'weather.toml'}", f"so/uth={folder / 'warm.toml'}")
-    words = [word for region in regions for word in ("--region", region)]
-    assert main(arguments(folder, "two", *words, "--standstill", "--json")) == 0
+    regions = f"--region north={folder}/weather.toml --region so/uth={folder}/warm.toml"
+    assert climate(folder, "two", regions, "--standstill", "--json").status == 0
     out = folder / "two"
     assert {p.name for p in out.iterdir()} >= {"test_profile_north.csv", "test_profile_so_uth.csv"}
     data = json.loads((out / "climate.json").read_text())
@@ -120,8 +120,8 @@ def test_a_typical_year_of_an_epw_file(folder: Path) -> None:
     """Months of twelve years in the published layout are one year, of which nothing is left out."""
     file = folder / "site.epw"
     file.write_text(epw_text(years=tuple(range(2007, 2019))), encoding="latin-1")
-    curve = ("--power-curve", str(folder / "curve.toml"))
-    assert main(arguments(folder, "typical", "--weather", str(file), *curve)) == 0
+    curve = folder / "curve.toml"
+    assert climate(folder, "typical", "--weather", file, "--power-curve", curve).status == 0
     (region,) = json.loads((folder / "typical" / "climate.json").read_text())["regions"]
     assert region["files"] == ["site.epw"]
     (year,) = region["years"]
@@ -139,9 +139,9 @@ def test_a_typical_year_of_an_epw_file(folder: Path) -> None:
 
 
 def test_the_same_seed_gives_the_same_files(folder: Path) -> None:
-    words = ("--weather", str(folder / "weather.toml"), "--standstill", "--seed", "7")
     for out in ("first", "again"):
-        assert main(arguments(folder, out, *words)) == 0
+        weather = folder / "weather.toml"
+        assert climate(folder, out, "--weather", weather, "--standstill", "--seed 7").status == 0
     for name in ("climate.json", "climate.csv", "report.html", "test_profile.csv"):
         assert (folder / "first" / name).read_bytes() == (folder / "again" / name).read_bytes()
 
@@ -149,38 +149,22 @@ def test_the_same_seed_gives_the_same_files(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("more", "told"),
     [
-        ([], "expected --weather FILE"),
-        (["--weather", "W"], "expected --power, --power-curve or --standstill"),
-        (["--region", "no-file", "--standstill"], "expected NAME=FILE"),
-        (["--region", "a=W", "--region", "a=W", "--standstill"], "found twice: a"),
-        (["--weather", "W", "--power", "W"], "active_power"),
-        (["--weather", "none.toml", "--standstill"], "no such case file"),
-        (["--weather", "year.csv", "--standstill"], "no such file: year.csv"),
-        (["--weather", "W", "year.epw", "--standstill"], "one case file (.toml) alone"),
-        (["--weather", "W", "--standstill", "--limits", "none.toml"], "check the path"),
+        ("", "expected --weather FILE"),
+        ("--weather W", "expected --power, --power-curve or --standstill"),
+        ("--region no-file --standstill", "expected NAME=FILE"),
+        ("--region a=W --region a=W --standstill", "found twice: a"),
+        ("--weather W --power W", "active_power"),
+        ("--weather none.toml --standstill", "no such case file"),
+        ("--weather year.csv --standstill", "no such file: year.csv"),
+        ("--weather W year.epw --standstill", "one case file (.toml) alone"),
+        ("--weather W --standstill --limits none.toml", "check the path"),
     ],
 )
-def test_mistakes_are_told_and_nothing_is_written(
-    folder: Path, more: list[str], told: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    weather = str(folder / "weather.toml")
-    words = [one.replace("=W", f"={weather}") if one != "W" else weather for one in more]
-    assert main(arguments(folder, "refused", *words)) == 2
-    error = capsys.readouterr().err
-    assert told in error and "Traceback" not in error
+def test_mistakes_are_told_and_nothing_is_written(folder: Path, more: str, told: str) -> None:
+    said = climate(folder, "refused", re.sub(r"\bW\b", str(folder / "weather.toml"), more))
+    assert said.status == 2
+    assert told in said.err and "Traceback" not in said.err
     assert not (folder / "refused").exists()
-
-
-@pytest.mark.parametrize(
-    "other", ["fit.json", "discovery.json", "fleet.json", "compare.json", "transfer.json"]
-)
-def test_other_results_are_not_written_over(
-    folder: Path, other: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    (tmp_path / other).write_text("{}")
-    words = ["climate", str(folder / "fit.json"), "--out", str(tmp_path), "--weather", "x", "--standstill"]
-    assert main(words) == 2
-    assert f"a directory of its own, found {other}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -191,21 +175,20 @@ def test_other_results_are_not_written_over(
         '"members": 3}',
     ],
 )  # fmt: skip
-def test_a_damaged_result_is_told(text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_damaged_result_is_told(text: str, tmp_path: Path) -> None:
     (tmp_path / "climate.json").write_text(text)
     (tmp_path / "test_profile.png").write_text("of before")
-    assert main(["report", str(tmp_path)]) == 2
-    told = capsys.readouterr().err
-    assert "again" in told and "climate.json" in told and "Traceback" not in told
+    said = run(f"report {tmp_path}")
+    assert said.status == 2
+    assert "again" in said.err and "climate.json" in said.err and "Traceback" not in said.err
     assert (tmp_path / "test_profile.png").exists() and not (tmp_path / "report.html").exists()
 
 
-def test_weather_that_does_not_suffice_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_weather_that_does_not_suffice_is_named(folder: Path) -> None:
     text = (folder / "weather.csv").read_text().splitlines()
     (folder / "single.csv").write_text("\n".join(text[:2]) + "\n")
     case = (folder / "weather.toml").read_text().replace("weather.csv", "single.csv")
     (folder / "single.toml").write_text(case)
-    words = arguments(folder, "refused", "--weather", str(folder / "single.toml"), "--standstill")
-    assert main(words) == 2
-    assert "site (single.toml): the ambient series have no stretch" in capsys.readouterr().err
+    said = climate(folder, "refused", "--weather", folder / "single.toml", "--standstill")
+    assert said.status == 2 and "site (single.toml)" in said.err
     assert not (folder / "refused").exists()

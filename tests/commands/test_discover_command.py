@@ -4,15 +4,13 @@ work."""
 from __future__ import annotations
 
 import json
-from functools import partial
 from pathlib import Path
 
 import pytest
+from builders.command_line import run
 
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
-from hygrokf.commands.main import main
 from hygrokf.discovery.library import named
-from hygrokf.discovery.procedure import discover
 from hygrokf.identification.fit import read_fit
 
 
@@ -21,14 +19,13 @@ def case(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_case(synthetic_turbine(seed=4, days=24), tmp_path_factory.mktemp("turbine"))
 
 
-def test_a_case_becomes_a_discovery(
-    case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
-) -> None:
+def test_a_case_becomes_a_discovery(case: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     few = [named(name) for name in ("solar_gain", "humidity_sensor_drift", "clock_shift")]
-    monkeypatch.setattr("hygrokf.discovery.procedure.discover", partial(discover, library=few))
-    assert main(["discover", str(case), "--out", str(tmp_path / "made"), "--starts", "1", "--json"]) == 0
+    monkeypatch.setattr("hygrokf.discovery.library.LIBRARY", few)
+    said = run(f"discover {case} --out {tmp_path}/made --starts 1 --json")
+    assert said.status == 0
     data = json.loads((tmp_path / "made" / "discovery.json").read_text())
-    assert json.loads(capsys.readouterr().out) == data
+    assert json.loads(said.out) == data
     assert data["synthetic"] is True
     assert data["verdict"] in ("none", "unexplained") and data["causes"] == []
     assert {row["cause"] for row in data["rejected"]} == {cause.name for cause in few}
@@ -39,9 +36,9 @@ def test_a_case_becomes_a_discovery(
     assert read_fit(tmp_path / "made").name == data["name"]
     # the model goes on from there, and its report leaves the discovery's page alone
     out = tmp_path / "simulated.csv"
-    assert main(["simulate", str(tmp_path / "made" / "fit.json"), str(case), "--out", str(out)]) == 0
+    assert run(f"simulate {tmp_path}/made/fit.json {case} --out {out}").status == 0
     assert out.is_file()
-    assert main(["report", str(tmp_path / "made")]) == 0
+    assert run(f"report {tmp_path}/made").status == 0
     assert (tmp_path / "made" / "report.html").read_text(encoding="utf-8") == page
 
 
@@ -54,23 +51,13 @@ def test_a_case_becomes_a_discovery(
         ("discover {case} --out {out} --starts 0", "expected a whole number from 1 on, found '0'"),
     ],
 )
-def test_mistakes_are_told_before_the_work(
-    case: Path, tmp_path: Path, capsys: pytest.CaptureFixture, line: str, words: str
-) -> None:
-    out = tmp_path / "made"
-    arguments = line.format(case=case, out=out).split()
-    try:
-        status = main(arguments)
-    except SystemExit as left:
-        status = left.code
-    said = capsys.readouterr().err
-    assert status == 2 and words in said and "Traceback" not in said
-    assert not out.exists()
+def test_mistakes_are_told_before_the_work(case: Path, tmp_path: Path, line: str, words: str) -> None:
+    said = run(line.format(case=case, out=tmp_path / "made"))
+    assert said.status == 2 and words in said.err and "Traceback" not in said.err
+    assert not (tmp_path / "made").exists()
 
 
 @pytest.mark.parametrize("text", ["0", "-3", "nan", "soon"])
-def test_a_budget_that_is_no_time_is_told(text: str, tmp_path: Path, capsys: pytest.CaptureFixture) -> None:
-    with pytest.raises(SystemExit) as left:
-        main(["discover", str(tmp_path / "case.toml"), "--out", str(tmp_path / "out"), "--budget", text])
-    assert left.value.code == 2
-    assert f"--budget: expected seconds above 0 or inf, found '{text}'" in capsys.readouterr().err
+def test_a_budget_that_is_no_time_is_told(text: str, tmp_path: Path) -> None:
+    said = run(f"discover {tmp_path}/case.toml --out {tmp_path}/out --budget {text}")
+    assert said.status == 2 and "--budget" in said.err and f"'{text}'" in said.err

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import signal
 import socket
 import subprocess
@@ -19,19 +18,18 @@ from pathlib import Path
 
 import pytest
 from builders.case_edits import exchange, nothing
+from builders.command_line import environment, run
 from builders.fit_case import bare_fit
 from builders.live_case import live_fit
 from builders.page_case import recent_record
 from builders.track_case import MODEL
 
-from hygrokf.commands.main import main
 from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.live import defaults
 from hygrokf.live.service import Service
 from hygrokf.live.storage.database import StoreUnready
 from hygrokf.live.storage.store import Store, open_store
 
-ROOT = Path(__file__).resolve().parents[2]
 PATIENCE_S = 90.0
 TRACK = """\
 store = "sqlite:live.db"
@@ -91,11 +89,12 @@ class Started:
 
 
 def command(folder: Path, *arguments: str, **more: object) -> subprocess.Popen:
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "error", "OMP_NUM_THREADS": "1"}
     return subprocess.Popen(
-        [sys.executable, "-m", "hygrokf", *arguments], cwd=folder, env=environment,
-        **{"stdin": subprocess.DEVNULL, **more}
-    )  # fmt: skip
+        [sys.executable, "-m", "hygrokf", *arguments],
+        cwd=folder,
+        env=environment(PYTHONWARNINGS="error"),
+        **{"stdin": subprocess.DEVNULL, **more},
+    )
 
 
 @contextmanager
@@ -188,15 +187,11 @@ def test_a_model_and_a_source_without_a_file(folder: Path) -> None:
         two.process.stdin.write(text.encode())
         two.process.stdin.close()
         assert two.ended() == 0, two.said()
-    both = [
-        read(
-            folder,
-            lambda store: store.rows("SELECT signal, time, value FROM observation ORDER BY signal, time"),
-            name,
-        )
-        for name in ("own.db", "piped.db")
-    ]
-    assert both[0] == both[1]
+    every = "SELECT signal, time, value FROM observation ORDER BY signal, time"
+    followed, piped = (
+        read(folder, lambda store: store.rows(every), f"{name}.db") for name in ("own", "piped")
+    )
+    assert followed == piped
 
 
 def test_logs_as_json_are_one_object_a_line(folder: Path) -> None:
@@ -345,19 +340,15 @@ def expect_told(name: str, status: int, said: str) -> None:
 
 @pytest.mark.parametrize("name", [name for name in MISTAKES if name not in WHILE_IT_STARTS])
 def test_a_mistake_is_told_before_anything_is_begun(
-    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    name: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     line, spoil, _ = MISTAKES[name]
     spoil(folder)
     before = contents(folder)
     monkeypatch.chdir(folder)
-    try:
-        status = main(["track", *line.split()])
-    except SystemExit as stop:  # the parser's
-        status = stop.code
-    out, err = capsys.readouterr()
-    expect_told(name, status, err)
-    assert out == "" and contents(folder) == before
+    said = run(f"track {line}")
+    expect_told(name, said.status, said.err)
+    assert said.out == "" and contents(folder) == before
 
 
 @pytest.mark.parametrize("name", WHILE_IT_STARTS)

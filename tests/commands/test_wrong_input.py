@@ -23,7 +23,7 @@ from builders.case_edits import (
     result,
     rows,
 )
-from builders.command_line import EVALUATE, FIT, SIMULATE, Said, environment, interrupted
+from builders.command_line import EVALUATE, FIT, SIMULATE, Said, environment, interrupted, run
 
 from hygrokf.version import __version__
 
@@ -208,15 +208,15 @@ def refused(said: Said, words: Sequence[str]) -> None:
 
 
 @pytest.mark.parametrize("name", WRONG)
-def test_a_mistake_is_told_in_one_message_and_nothing_is_written(folder, told, name):
+def test_a_mistake_is_told_in_one_message_and_nothing_is_written(folder, name):
     line, edit, *words = WRONG[name]
     edit(folder)
     before = content(folder)
-    refused(told(line), words)
+    refused(run(line), words)
     assert content(folder) == before
 
 
-def test_every_fault_of_a_case_is_listed_at_once(folder, told):
+def test_every_fault_of_a_case_is_listed_at_once(folder):
     for edit in (
         case(
             ("rated_power_kW = 2050.0", "rated_power_kW = -3"),
@@ -233,7 +233,7 @@ def test_every_fault_of_a_case_is_listed_at_once(folder, told):
     ):
         edit(folder)
     before = content(folder)
-    said = told(FIT)
+    said = run(FIT)
     expected = [
         "case.toml, line 3: rated_power_kW must be a number above 0, found -3",
         "case.toml, line 6: site: latitude_deg must lie within -90 … 90, found 152.4",
@@ -255,38 +255,38 @@ def test_every_fault_of_a_case_is_listed_at_once(folder, told):
 @pytest.mark.parametrize(
     "line", ["fit case.toml --out locked/made", "simulate result case.toml --out locked/a"]
 )
-def test_a_write_protected_directory_is_told_before_the_work(folder, told, monkeypatch, line):
+def test_a_write_protected_directory_is_told_before_the_work(folder, monkeypatch, line):
     (folder / "locked").mkdir()
     (folder / "locked").chmod(0o555)
     allowed = os.access  # root may write everywhere: the answer of an ordinary user is given to it
     monkeypatch.setattr(os, "access", lambda path, mode: Path(path).name != "locked" and allowed(path, mode))
     monkeypatch.setattr("hygrokf.cases.case_file.read_case", interrupted)
-    refused(told(line), ("locked is write-protected", "name another"))
+    refused(run(line), ("locked is write-protected", "name another"))
     assert content(folder / "locked") == {}
 
 
-def test_what_the_system_refuses_is_told_without_a_traceback(folder, told, monkeypatch):
+def test_what_the_system_refuses_is_told_without_a_traceback(folder, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device", "made/fit.json")
 
     monkeypatch.setattr("hygrokf.data.files.write_text_whole", full)
-    refused(told(SIMULATE), ("made/fit.json: cannot be read or written: No space left on device",))
+    refused(run(SIMULATE), ("made/fit.json: cannot be read or written: No space left on device",))
 
 
-def test_an_interrupted_fit_leaves_nothing(folder, told, monkeypatch):
+def test_an_interrupted_fit_leaves_nothing(folder, monkeypatch):
     before = content(folder)
     monkeypatch.setattr("hygrokf.identification.procedure.identify", interrupted)
-    assert told(FIT) == Said(130, "", "interrupted; nothing half-written is left\n")
+    assert run(FIT) == Said(130, "", "interrupted; nothing half-written is left\n")
     assert content(folder) == before
 
 
-def test_faults_of_the_package_itself_are_not_hidden(folder, told, monkeypatch):
+def test_faults_of_the_package_itself_are_not_hidden(folder, monkeypatch):
     def broken(*_, **__):
         raise RuntimeError("a defect")
 
     monkeypatch.setattr("hygrokf.identification.procedure.identify", broken)
     with pytest.raises(RuntimeError, match="a defect"):
-        told(FIT)
+        run(FIT)
 
 
 def test_odd_terminals_change_neither_status_nor_words(folder):

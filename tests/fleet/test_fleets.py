@@ -10,31 +10,27 @@ import signal
 import threading
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from builders.command_line import run
 
 from hygrokf import identify, read_case, synthetic_turbine, write_case
-from hygrokf.commands.main import main
+from hygrokf.commands.fleet_tasks import WORK, do_task, run_fleet
 from hygrokf.data.result_file import result_text
 from hygrokf.data.toml_form import keys_of
 from hygrokf.fleet import job as job_module
-from hygrokf.fleet import running
 from hygrokf.fleet.cluster import batches, on_cluster
-from hygrokf.fleet.fleet_results import FleetResults
-from hygrokf.fleet.job import FleetFault, Job, content_key, finished
-from hygrokf.fleet.outliers import FEWEST_JUDGED, REACH, spread, spreads
-from hygrokf.fleet.page import fleet_page, fleet_text
+from hygrokf.fleet.job import FleetFault, Job, content_key, finished, perform
 from hygrokf.fleet.plan import read_plan
 from hygrokf.fleet.processes import in_processes
-from hygrokf.fleet.running import run_fleet, write_fleet_report
-from hygrokf.fleet.table import columns_of, table_csv, table_parquet
-from hygrokf.fleet.tasks import TASKS, Compared, perform
+from hygrokf.fleet.results import columns_of, table_csv, table_parquet
+from hygrokf.fleet.tasks import TASKS
 from hygrokf.identification.fit import read_fit
 from hygrokf.identification.turbine_type import pool_types, read_type
+from hygrokf.report.fleet_page import write_fleet_report
 
 DOCS = Path(__file__).resolve().parents[2] / "docs"
 DAYS, TURBINES = 5.0, 5
@@ -60,7 +56,7 @@ def serial(park: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, 
     """Folder and table of the fleet, each turbine done here, one after the other."""
     out = tmp_path_factory.mktemp("serial")
     jobs = read_plan(park / "fleet.toml").jobs(out)
-    return out, table_csv("fit", [perform(job).row for job in jobs])
+    return out, table_csv("fit", [perform(job, do_task).row for job in jobs])
 
 
 def rows_of(text: str) -> dict[str, dict[str, str]]:
@@ -201,7 +197,7 @@ def children() -> list[int]:
 
 def working() -> list[int]:
     """Those of them that do jobs: processes of ours, and workers of a cluster under their nannies."""
-    marks = ("hygrokf.fleet.worker", "spawn_main", "--multiprocessing-fork", "dask_worker")
+    marks = ("hygrokf.fleet.processes", "spawn_main", "--multiprocessing-fork", "dask_worker")
     found = []
     for one in children():
         try:
@@ -249,17 +245,11 @@ def test_processes_that_are_killed_cost_nothing(park: Path, serial: tuple[Path, 
     assert (tmp_path / "fleet.csv").read_text() == serial[1]
 
 
-def deadly(park: Path) -> Path:
-    """A library that kills the process that loads it."""
-    file = park / "deadly.py"
-    file.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n")
-    return file
-
-
 def lethal_plan(park: Path) -> Path:
+    """A plan with a library that kills the process that loads it."""
+    (park / "deadly.py").write_text("import os, signal\nos.kill(os.getpid(), signal.SIGKILL)\n")
     file = park / "lethal.toml"
-    library = deadly(park).name
-    file.write_text(f'task = "discover"\ncases = ["T[12]/case.toml"]\noptions.library = ["{library}"]\n')
+    file.write_text('task = "discover"\ncases = ["T[12]/case.toml"]\noptions.library = ["deadly.py"]\n')
     return file
 
 
@@ -285,7 +275,7 @@ def test_a_process_that_dies_before_it_begins_stops_nothing(
 
 
 def test_whoever_stops_early_leaves_no_process(park: Path, tmp_path: Path) -> None:
-    coming = in_processes(read_plan(park / "fleet.toml").jobs(tmp_path), 2)
+    coming = in_processes(read_plan(park / "fleet.toml").jobs(tmp_path), do_task, 2)
     next(coming)
     coming.close()
     if Path("/proc/self/task").exists():
@@ -300,46 +290,41 @@ def test_changed_data_are_done_again_and_nothing_of_before_is_left(
         (tmp_path / "T2" / name).write_bytes((park / "T2" / name).read_bytes())
     (tmp_path / "fleet.toml").write_text(FLEET)
     (job,) = read_plan(tmp_path / "fleet.toml").jobs(tmp_path / "out")
-    first = perform(job)
-    assert finished(job) == first and perform(job) == first
+    first = perform(job, do_task)
+    assert finished(job) == first and perform(job, do_task) == first
     assert first.row["key"] == rows_of(serial[1])["T2"]["key"]
     (tmp_path / "T2" / "cabinet.csv").write_text("time,other\n")
     (job,) = read_plan(tmp_path / "fleet.toml").jobs(tmp_path / "out")
     assert finished(job) is None
-    assert perform(job).status == "failed"
+    assert perform(job, do_task).status == "failed"
     assert {one.name for one in job.folder.iterdir()} == {"row.json"}
 
 
-def test_a_fault_that_no_one_foresaw_is_a_row_too(
-    park: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_fault_that_no_one_foresaw_is_a_row_too(park: Path, tmp_path: Path) -> None:
     def broken(job: Job) -> dict:
         return {"thermal_value_h": 1 / (len(job.turbine) - 2)}
 
-    monkeypatch.setitem(TASKS, "fit", replace(TASKS["fit"], perform=broken))
-    job = read_plan(park / "fleet.toml").jobs(tmp_path)[0]
-    found = perform(job)
+    found = perform(read_plan(park / "fleet.toml").jobs(tmp_path)[0], broken)
     assert found.status == "failed"
     assert found.row["reason"].startswith("ZeroDivisionError: division by zero (test_fleets.py, line ")
 
 
 def test_a_models_scores_are_those_of_the_command(
-    park: Path, serial: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture
+    park: Path, serial: tuple[Path, str], tmp_path: Path
 ) -> None:
     file = park / "scores.toml"
     fits = serial[0] / "turbines"
     file.write_text(f'task = "evaluate"\ncases = ["T[14]/case.toml"]\nfit = "{(fits / "T2").as_posix()}"\n')
-    assert main(["fleet", str(file), "--out", str(tmp_path), "--workers", "1", "--json"]) == 0
-    rows = {row["turbine"]: row for row in json.loads(capsys.readouterr().out)["rows"]}
-    assert main(["evaluate", str(fits / "T2" / "fit.json"), str(park / "T4" / "case.toml"), "--json"]) == 0
-    one = json.loads(capsys.readouterr().out)
-    assert rows["T4"]["temperature_rmse_K"] == one["rmse"]["validation"]["temperature_K"]["total"]
-    assert (
-        rows["T4"]["humidity_rmse_operation_g_m3"]
-        == one["rmse"]["validation"]["absolute_humidity_g_m3"]["operation"]
-    )
-    assert rows["T4"]["humidity_coverage"] == one["bands"]["free_run"]["absolute_humidity_g_m3"]["coverage"]
-    assert rows["T4"]["model"] == "synthetic-turbine-2"
+    of_all = run(f"fleet {file} --out {tmp_path} --workers 1 --json")
+    of_one = run(f"evaluate {fits}/T2/fit.json {park}/T4/case.toml --json")
+    assert (of_all.status, of_one.status) == (0, 0)
+    (row,) = (row for row in json.loads(of_all.out)["rows"] if row["turbine"] == "T4")
+    one = json.loads(of_one.out)
+    rmse = one["rmse"]["validation"]
+    assert row["temperature_rmse_K"] == rmse["temperature_K"]["total"]
+    assert row["humidity_rmse_operation_g_m3"] == rmse["absolute_humidity_g_m3"]["operation"]
+    assert row["humidity_coverage"] == one["bands"]["free_run"]["absolute_humidity_g_m3"]["coverage"]
+    assert row["model"] == "synthetic-turbine-2"
 
 
 # -- a cluster -----------------------------------------------------------------------------------------------
@@ -398,7 +383,7 @@ def in_one_batch(jobs: list[Job], address: str) -> list:
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(cluster, "BATCHES", 0.01)
-        return list(on_cluster(jobs, address))
+        return list(on_cluster(jobs, do_task, address))
 
 
 def test_batches_hold_every_job_once_in_order() -> None:
@@ -408,7 +393,7 @@ def test_batches_hold_every_job_once_in_order() -> None:
         assert max(map(len, made)) <= 25 and (count > 4000 or len(made) >= min(count, 4))
 
 
-def sleeping(jobs: list) -> list:
+def sleeping(jobs: list, work: object) -> list:
     """In place of a batch: what is not done when the scheduler ends."""
     time.sleep(4.0)
     return []
@@ -432,32 +417,49 @@ def test_a_scheduler_that_ends_is_told(park: Path, tmp_path: Path, monkeypatch: 
     assert not (tmp_path / "out" / "turbines").exists()
 
 
-MODELS_GO = {
-    "transfer": "",
-    "climate": '[options]\nmembers = 4\nlimits = ["limits.toml"]\n',
-}
-
-
-@pytest.mark.parametrize("task", MODELS_GO)
+@pytest.mark.parametrize(
+    ("task", "options"),
+    [("transfer", ""), ("climate", '[options]\nmembers = 4\nlimits = ["limits.toml"]\n')],
+)
 def test_models_go_elsewhere_on_a_cluster_as_here(
-    task: str, park: Path, serial: tuple[Path, str], tmp_path: Path, cluster: object
+    task: str, options: str, park: Path, serial: tuple[Path, str], tmp_path: Path, cluster: object
 ) -> None:
     """The table, and the numbers in every turbine's own files, are those of a serial run."""
     limits_file(park)
-    file = park / f"{task}_there.toml"
+    file = park / f"{task}.toml"
     fit = serial[0] / "turbines" / "T1" / "fit.json"
-    file.write_text(f'task = "{task}"\ncases = ["T[23]/case.toml"]\nfit = "{fit}"\n{MODELS_GO[task]}')
+    file.write_text(f'task = "{task}"\ncases = ["T[23]/case.toml"]\nfit = "{fit}"\n{options}')
     here, there = tmp_path / "here", tmp_path / "there"
-    table = table_csv(task, [perform(job).row for job in read_plan(file).jobs(here)])
+    table = table_csv(task, [perform(job, do_task).row for job in read_plan(file).jobs(here)])
     result = run_fleet(read_plan(file), there, cluster=cluster.scheduler_address)
-    assert [row["status"] for row in result.results.rows] == ["done", "failed"]
+    done, failed = result.results.rows
+    assert (done["status"], failed["status"]) == ("done", "failed"), done["reason"]
+    assert set(TASKS[task].columns) <= set(done) and done["model"] == "synthetic-turbine-1"
     assert (there / "fleet.csv").read_text() == table
-    made = sorted(one.name for one in (here / "turbines" / "T2").iterdir())
-    assert made == sorted(one.name for one in (there / "turbines" / "T2").iterdir())
-    for one in made:
-        if one.endswith((".csv", ".json")) and one != "row.json":  # which has the time that it took
-            same = [untimed((out / "turbines" / "T2" / one).read_text()) for out in (here, there)]
-            assert same[0] == same[1], one
+    mine, theirs = (out / "turbines" / "T2" for out in (here, there))
+    names = {one.name for one in mine.iterdir()}
+    assert names == {one.name for one in theirs.iterdir()}
+    assert names >= {f"{task}.json", "report.html"}
+    for name in names - {"row.json"}:  # which holds the CPU time
+        if name.endswith((".csv", ".json")):
+            assert untimed((mine / name).read_text()) == untimed((theirs / name).read_text()), name
+    data = json.loads((theirs / f"{task}.json").read_text())
+    page = result.page.read_text(encoding="utf-8")
+    if task == "transfer":
+        (record,) = data["records"]
+        assert (done["transfer"], done["sentence"]) == (record["verdict"], record["sentence"])
+        assert done["temperature_rmse_K"] == record["rmse"]["temperature_K"]["re_estimated"]["total"]
+        # five days are too few for bounds of the gain
+        assert done["temperature_gain_K"] == pytest.approx(
+            done["as_is_temperature_rmse_K"] - done["temperature_rmse_K"]
+        )
+        assert "What travels" in page
+    else:
+        (region,) = data["regions"]
+        assert done["wetness_h"] == region["scopes"]["all"]["wetness_h"]["value"]
+        assert done["ageing_h_lower"] <= done["ageing_h"] <= done["ageing_h_upper"]
+        assert done["limits"] == "undecided"  # a few days are no year
+        assert "Climate of a year" in page and "Limits: 1 undecided." in page
 
 
 def untimed(text: str) -> list[str]:
@@ -470,7 +472,7 @@ def test_where_there_is_no_cluster_it_is_said(park: Path, monkeypatch: pytest.Mo
 
     monkeypatch.setattr(cluster, "WAIT_S", 0.3)
     with pytest.raises(FleetFault, match="expected the scheduler of a Dask cluster"):
-        list(on_cluster(read_plan(park / "fleet.toml").jobs(park), "tcp://127.0.0.1:1"))
+        list(on_cluster(read_plan(park / "fleet.toml").jobs(park), do_task, "tcp://127.0.0.1:1"))
 
 
 # -- table and page ------------------------------------------------------------------------------------------
@@ -501,6 +503,10 @@ def test_both_tables_say_the_same(serial: tuple[Path, str], tmp_path: Path) -> N
     )
 
 
+def test_every_task_has_its_function() -> None:
+    assert list(WORK) == list(TASKS)
+
+
 @pytest.mark.parametrize("task", TASKS)
 def test_every_column_and_option_is_documented(task: str) -> None:
     text = (DOCS / "fleet.md").read_text(encoding="utf-8")
@@ -512,44 +518,6 @@ def test_every_column_and_option_is_documented(task: str) -> None:
 
 def limits_file(park: Path) -> None:
     (park / "limits.toml").write_text('[[limit]]\nquantity = "temperature_degC"\nabove = 90\n')
-
-
-@pytest.mark.parametrize(
-    ("task", "options", "files"),
-    [
-        ("transfer", "", ["transfer.json", "transfer.npz", "report.html"]),
-        ("climate", '[options]\nmembers = 4\nlimits = ["limits.toml"]\n',
-            ["climate.json", "climate.csv", "report.html"]),
-    ],
-)  # fmt: skip
-def test_models_go_elsewhere(
-    task: str, options: str, files: list[str], park: Path, serial: tuple[Path, str], tmp_path: Path
-) -> None:
-    limits_file(park)
-    fit = serial[0] / "turbines" / "T1" / "fit.json"
-    file = park / f"{task}.toml"
-    file.write_text(f'task = "{task}"\ncases = ["T[23]/case.toml"]\nfit = "{fit}"\n{options}')
-    found = run_fleet(read_plan(file), tmp_path / "out", workers=1)
-    done, failed = (one.row for one in found.outcomes)
-    assert (done["status"], failed["status"]) == ("done", "failed"), done["reason"]
-    assert set(TASKS[task].columns) <= set(done) and done["model"] == "synthetic-turbine-1"
-    assert all((tmp_path / "out" / "turbines" / "T2" / name).is_file() for name in files)
-    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
-    if task == "transfer":
-        data = json.loads((tmp_path / "out" / "turbines" / "T2" / "transfer.json").read_text())["records"][0]
-        assert (done["transfer"], done["sentence"]) == (data["verdict"], data["sentence"])
-        assert done["temperature_rmse_K"] == data["rmse"]["temperature_K"]["re_estimated"]["total"]
-        # five days are too few for bounds of the gain
-        assert done["temperature_gain_K"] == pytest.approx(
-            done["as_is_temperature_rmse_K"] - done["temperature_rmse_K"]
-        )
-        assert "What travels" in page
-    else:
-        (region,) = json.loads((tmp_path / "out" / "turbines" / "T2" / "climate.json").read_text())["regions"]
-        assert done["wetness_h"] == region["scopes"]["all"]["wetness_h"]["value"]
-        assert done["ageing_h_lower"] <= done["ageing_h"] <= done["ageing_h_upper"]
-        assert done["limits"] == "undecided"  # a few days are no year
-        assert "Climate of a year" in page and "Limits: 1 undecided." in page
 
 
 def test_fits_of_a_fleet_give_the_type_of_its_turbines(
@@ -578,199 +546,25 @@ def test_a_limits_file_that_is_wrong_is_named_in_the_row(
         options = f"[options]\nmembers = 2\nlimits = [{files}]\n"
         file.write_text(f'task = "climate"\ncases = ["T2/case.toml"]\nfit = "{fit}"\n{options}')
         (job,) = read_plan(file).jobs(tmp_path)
-        found = perform(job)
+        found = perform(job, do_task)
         assert found.status == "failed"
         reasons.append(str(found.row["reason"]))
     assert "wrong.toml: line" in reasons[0]
     assert 'two limits are called "temperature above 90 °C"' in reasons[1]
 
 
-def test_the_page_of_climates_shows_limits_and_numbers_that_are_zero() -> None:
-    rows = []
-    for place in range(7):
-        row: dict = {"turbine": f"W{place}", "status": "done", "limits": "fail" if place == 2 else "pass"}
-        row |= {"wetness_class": "τ2", "statements": "one; more | the other" if place else "one; more"}
-        row |= {"ageing_h": 12.0 + place, "ageing_h_lower": 11.0 + place, "ageing_h_upper": 13.0 + place}
-        row |= {f"wetness_h{end}": v for end, v in (("", 43.5397), ("_lower", 0.0), ("_upper", 116.1))}
-        rows.append(row)
-    rows[6] |= {"wetness_h": 0.0, "wetness_h_upper": 0.0}
-    text = fleet_page(table("climate", rows))
-    assert "Limits: 1 fail, 6 pass." in text and "7 of 7: one; more<" in text and "6 of 7: the other<" in text
-    ranking = text.split("<h2>Ranking</h2>")[1]
-    assert ranking.count("43.5 (0 … 116)") == 6 and "43.5397" not in text
-    assert "above zero on both sides, so not compared: time of wetness of W0, W1" in text
-    assert "W6.</p>" in text  # also the one without any wet hour
-
-
-def table(task: str, rows: list[dict], name: str = "park") -> FleetResults:
-    return FleetResults(task, tuple(rows), name, created="2024-05-01T12:00:00")
-
-
-def made_rows(random: np.random.Generator, count: int, between: float, error: np.ndarray) -> list[dict]:
-    x = np.log(1.5) + between * random.normal(size=count) + error * random.normal(size=count)
-    return [
-        {
-            "turbine": f"W{i}", "status": "done", "v": float(np.exp(a)),
-            "l": float(np.exp(a - REACH * e)), "u": float(np.exp(a + REACH * e)),
-        }
-        for i, (a, e) in enumerate(zip(x, error, strict=True))
-    ]  # fmt: skip
-
-
-BOUNDED, BARE = Compared("v", "time constant", "h", "l", "u"), Compared("v", "error", "K")
-
-
-@pytest.mark.parametrize(
-    ("count", "between", "unequal", "compared", "least_power"),
-    [
-        (8, 0.06, 0.0, BARE, 0.6),
-        (12, 0.06, 0.0, BOUNDED, 0.8),
-        (40, 0.06, 0.5, BOUNDED, 0.9),
-        (40, 0.0, 0.3, BOUNDED, 0.9),
-        (150, 0.06, 0.0, BARE, 0.9),
-    ],
-)
-def test_false_outliers_are_as_rare_as_stated(
-    count: int, between: float, unequal: float, compared: Compared, least_power: float
-) -> None:
-    """200 fleets alike: any outlier in at most 5 % (its 99.9 % bound with 200 draws: 10 %); one that is e^0.6
-    off is found."""
-    random = np.random.default_rng(4711 + count)
-    false = found = 0
-    for _ in range(200):
-        rows = made_rows(random, count, between, 0.05 * np.exp(unequal * random.normal(size=count)))
-        false += bool(spread(rows, compared).outliers)
-        moved = dict(rows[0])
-        moved |= {name: moved[name] * np.exp(0.6) for name in ("v", "l", "u")}
-        found += 0 in spread([moved, *rows[1:]], compared).outliers
-    assert false <= 20
-    assert found >= 200 * least_power
-
-
-def test_open_bounds_and_few_turbines_are_not_judged() -> None:
-    rows = made_rows(np.random.default_rng(1), FEWEST_JUDGED - 1, 0.05, np.full(FEWEST_JUDGED - 1, 0.05))
-    rows[1] |= {"u": None}
-    (one,) = spreads(rows, [BOUNDED, Compared("none", "nothing", "")])
-    assert (
-        one.open == ("W1",)
-        and len(one.turbines) == FEWEST_JUDGED - 2
-        and np.isnan(one.z).all()
-        and not one.outliers
-    )
-    alike = [{"turbine": f"W{i}", "v": 1.5, "l": 1.4, "u": 1.6} for i in range(9)]
-    assert not spread(alike, BOUNDED).outliers
-
-
-def test_what_bounds_explain_is_not_said_where_one_of_few_departs() -> None:
-    """Four turbines, one at twice the value: the median deviation does not see it, and so few name no
-    outlier."""
-    four = [
-        {"turbine": f"W{i}", "v": v, "l": 0.8 * v, "u": 1.25 * v} for i, v in enumerate((1.4, 1.5, 1.5, 3.8))
-    ]
-    one = spread(four, BOUNDED)
-    assert one.between == 0.0 and not one.outliers and not one.explained
-    assert spread(four[:3], BOUNDED).explained and spread(four[:1], BOUNDED).explained
-    random = np.random.default_rng(8)
-    alike = sum(spread(made_rows(random, 8, 0.0, np.full(8, 0.05)), BOUNDED).explained for _ in range(400))
-    assert (
-        400 * 0.95 - 4 * 4.4 < alike
-    )  # 5 % of 400 with its standard deviation; outliers are left out beforehand
-
-
-def test_several_quantities_share_the_chance() -> None:
-    rows = made_rows(np.random.default_rng(3), 12, 0.05, np.full(12, 0.05))
-    alone, shared = spread(rows, BOUNDED, 1), spread(rows, BOUNDED, 4)
-    assert np.allclose(shared.p, np.minimum(1.0, 4.0 * alone.p)) and np.array_equal(shared.z, alone.z)
-
-
-def test_the_page_shows_failures_outliers_and_ranking() -> None:
-    random = np.random.default_rng(5)
-    rows = []
-    for place in range(9):
-        row: dict = {"turbine": f"W<{place}>", "status": "done", "task": "fit", "synthetic": True}
-        for name, middle in (("thermal", 1.5), ("hygric", 0.3)):
-            value = middle * float(
-                np.exp(0.05 * random.normal() + (1.0 if place == 4 and name == "thermal" else 0.0))
-            )
-            row |= {f"{name}_{k}_h": value * f for k, f in (("lower", 0.9), ("value", 1.0), ("upper", 1.1))}
-        rows.append(row | {"temperature_rmse_K": 1.0 + 0.01 * place, "humidity_rmse_g_m3": 0.4})
-    rows[7] |= {"thermal_upper_h": None, "thermal_statement": "at least 1.2 h"}
-    rows.append({"turbine": "W9", "status": "failed", "reason": "no <file>", "task": "fit"})
-    text = fleet_page(table("fit", rows, "P & Q"))
-    assert "<script" not in text and "W<4>" not in text and "P &amp; Q" in text and "no &lt;file&gt;" in text
-    outliers = text.split("<h2>Turbines that depart from the others</h2>")[1].split("<h2>")[0]
-    assert "W&lt;4&gt;" in outliers and outliers.count("<tr") == 2
-    ranking = text.split("<h2>Ranking</h2>")[1]
-    assert ranking.index("W&lt;8&gt;") < ranking.index("W&lt;1&gt;") and "at least 1.2 h" in ranking
-    assert "9 of 10" in text and text.count("<svg") == 2 and "SYNTHETIC" in text
-    assert "depart from the others" not in fleet_page(table("fit", rows[-1:]))
-
-
-def departing_rows() -> list[dict]:
-    """Nine turbines of which the fifth has a time constant e times as long."""
-    random = np.random.default_rng(5)
-    rows = []
-    for place in range(9):
-        value = 1.5 * float(np.exp(0.05 * random.normal() + (1.0 if place == 4 else 0.0)))
-        bounds = {f"thermal_{k}_h": value * f for k, f in (("lower", 0.9), ("value", 1.0), ("upper", 1.1))}
-        rows.append({"turbine": f"W{place}", "status": "done", "task": "fit", **bounds})
-    return rows
-
-
-def test_the_terminal_says_who_departs() -> None:
-    rows = departing_rows()
-    text = fleet_text(table("fit", rows))
-    assert "W4 departs: thermal time constant 4.3" in text and text.count("departs:") == 1
-    assert "No turbine departs from the others" in fleet_text(table("fit", rows[:4] + rows[5:]))
-    assert "depart" not in fleet_text(table("fit", rows[:3]))
-
-
-def test_a_turbine_that_departs_is_no_part_of_the_type(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """The type is made of the others, and the page says of whom it is not."""
-    taken: list[str] = []
-
-    class Kind:
-        def to_json(self) -> dict:
-            return {"turbines": list(taken), "type_parameters": {}}
-
-    monkeypatch.setattr(running, "read_fit", lambda folder: SimpleFit(folder.name))
-    monkeypatch.setattr(
-        running, "pool_types", lambda fits, name: taken.extend(f.name for f in fits) or Kind()
-    )
-    monkeypatch.setattr(running, "write_type", lambda kind, file: file)
-    rows = departing_rows()
-
-    class Park:
-        task, name = "fit", "park"
-
-        def jobs(self, out: Path) -> list:
-            return [SimpleNamespace(turbine=row["turbine"], folder=out / row["turbine"]) for row in rows]
-
-    found = running._type_of(Park(), tmp_path, rows)
-    assert found[1] == ["W4"] and taken == [f"W{i}" for i in range(9) if i != 4]
-
-
-@dataclass(frozen=True)
-class SimpleFit:
-    name: str
-
-
 # -- the command ---------------------------------------------------------------------------------------------
-def test_the_command_tells_writes_and_reports_again(
-    park: Path, serial: tuple[Path, str], capsys: pytest.CaptureFixture
-) -> None:
+def test_the_command_tells_writes_and_reports_again(park: Path, serial: tuple[Path, str]) -> None:
     """On the folder of the serial run only the failures are tried again."""
     out = serial[0]
-    assert main(["fleet", str(park / "fleet.toml"), "--out", str(out), "--workers", "1"]) == 1
-    told = capsys.readouterr()
-    assert "3 of 5 turbines with a result" in told.out and "T3" in told.out and "no such file" in told.out
-    assert told.err.count("done before") == len(WHOLE) and "report: " in told.err
+    said = run(f"fleet {park}/fleet.toml --out {out} --workers 1")
+    assert said.status == 1
+    assert "3 of 5 turbines with a result" in said.out and "T3" in said.out and "no such file" in said.out
+    assert said.err.count("done before") == len(WHOLE) and "report: " in said.err
     assert (out / "fleet.csv").read_text() == serial[1]
     page = (out / "report.html").read_text(encoding="utf-8")
     (out / "report.html").unlink()
-    assert main(["report", str(out)]) == 0
+    assert run(f"report {out}").status == 0
     assert (out / "report.html").read_text(encoding="utf-8") == page and "Park &lt;A&amp;B&gt;" in page
     kept = (out / "fleet.json").read_text(encoding="utf-8")
     for damaged in ("{", '{"task": "none", "rows": []}', "[]"):
@@ -783,26 +577,18 @@ def test_the_command_tells_writes_and_reports_again(
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        (["--workers", "2", "--dask", "tcp://x:1"], "leave it out beside --dask"),
-        (["--dask", "nowhere"], "--dask nowhere: 1 fault"),
-        (["--out", "climate"], "expected a directory of its own, found climate.json"),
+        ("--workers 2 --dask tcp://x:1", "leave it out beside --dask"),
+        ("--dask nowhere", "--dask nowhere: 1 fault"),
     ],
 )
 def test_what_cannot_be_run_is_said(
-    park: Path,
-    tmp_path: Path,
-    capsys: pytest.CaptureFixture,
-    monkeypatch: pytest.MonkeyPatch,
-    more: list,
-    words: str,
+    park: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, more: str, words: str
 ) -> None:
     from hygrokf.fleet import cluster
 
     monkeypatch.setattr(cluster, "WAIT_S", 0.3)
-    (tmp_path / "climate.json").write_text("{}")
-    more = [str(tmp_path) if one == "climate" else one for one in more]
-    assert main(["fleet", str(park / "fleet.toml"), "--out", str(tmp_path / "out"), *more]) == 2
-    assert words in capsys.readouterr().err
+    said = run(f"fleet {park}/fleet.toml --out {tmp_path}/out {more}")
+    assert said.status == 2 and words in said.err
 
 
 def test_results_are_plain_data() -> None:
@@ -817,16 +603,13 @@ def test_results_are_plain_data() -> None:
 
 
 @pytest.mark.slow
-def test_discoveries_of_a_fleet_are_those_of_the_command(
-    park: Path, tmp_path: Path, capsys: pytest.CaptureFixture
-) -> None:
+def test_discoveries_of_a_fleet_are_those_of_the_command(park: Path, tmp_path: Path) -> None:
     file = park / "discoveries.toml"
     file.write_text('task = "discover"\ncases = ["T[12]/case.toml"]\noptions.starts = 1\n')
-    assert main(["fleet", str(file), "--out", str(tmp_path), "--workers", "1", "--json"]) == 0
-    row = json.loads(capsys.readouterr().out)["rows"][1]
-    alone = ["discover", str(park / "T2" / "case.toml"), "--out", str(tmp_path / "alone"), "--starts", "1"]
-    assert main([*alone, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
+    of_all = run(f"fleet {file} --out {tmp_path} --workers 1 --json")
+    of_one = run(f"discover {park}/T2/case.toml --out {tmp_path}/alone --starts 1 --json")
+    assert (of_all.status, of_one.status) == (0, 0)
+    row, found = json.loads(of_all.out)["rows"][1], json.loads(of_one.out)
     assert row["verdict"] == found["verdict"]
     assert row["causes"].split() == [one["cause"] for one in found["causes"]]
     assert row["base_temperature_rmse_K"] == found["baseline"]["rmse"]["validation"]["temperature_K"]["total"]

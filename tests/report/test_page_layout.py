@@ -19,12 +19,12 @@ from playwright.sync_api import Browser, Page, sync_playwright
 
 from hygrokf.climate.limits import Limit
 from hygrokf.data.structured import structured
-from hygrokf.fleet.fleet_results import FleetResults
-from hygrokf.fleet.page import fleet_page
+from hygrokf.fleet.results import FleetResults
 from hygrokf.report.climate_page import climate_page
 from hygrokf.report.comparison_page import comparison_page
 from hygrokf.report.discovery_page import discovery_page
 from hygrokf.report.fit_page import report_page
+from hygrokf.report.fleet_page import fleet_page
 from hygrokf.report.transfer_page import transfer_page
 from hygrokf.transfer.comparison import compare
 from hygrokf.transfer.results import TransferResults

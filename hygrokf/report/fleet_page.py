@@ -1,4 +1,4 @@
-"""The blocks of a fleet: what failed, which turbines depart from the others, the spread, a ranking."""
+"""The page of a fleet: failures, turbines that depart from the others, the spread, a ranking."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from functools import partial
+from pathlib import Path
 
-from hygrokf.fleet.fleet_results import FleetResults
-from hygrokf.fleet.job import DONE, Outcome, Row, number, word
+from hygrokf.data.files import FLEET, REPORT, write_text_whole
+from hygrokf.data.result_file import ResultFault, read_result
+from hygrokf.fleet.job import DONE, FleetFault, Outcome, Row, number, text_of
 from hygrokf.fleet.outliers import DRAWS, FEWEST_JUDGED, LEVEL, Spread, spreads
-from hygrokf.fleet.plots import figure_spreads
-from hygrokf.fleet.table import CSV
+from hygrokf.fleet.results import CSV, FleetResults
 from hygrokf.fleet.tasks import BETWEEN, TASKS, Compared
 from hygrokf.identification.verdict_terms import CAUTION, REJECT, VERDICTS, WORDS
 from hygrokf.identification.wording import (
@@ -40,6 +41,7 @@ from hygrokf.report.blocks import (
     section,
     table_or,
 )
+from hygrokf.report.figures.fleet import figure_spreads
 from hygrokf.report.figures.transfer import figure_type
 from hygrokf.report.page import page_html
 from hygrokf.report.terminal import page_text
@@ -52,6 +54,24 @@ REMARKS = 12
 """Remarks on weather and power on the page, those of most turbines first."""
 SHOWN = 60
 """Turbines in the table at the terminal; fleet.csv has all."""
+FAILURE = ("turbine", "status", "reason")
+"""Columns that report a turbine without a result."""
+
+
+def write_fleet_report(out: Path) -> Path:
+    """Write `report.html` of a directory with `fleet.json`; returns its path.
+
+    Raises FleetFault where fleet.json is missing or damaged.
+    """
+    file = out / FLEET
+    try:
+        fleet = read_result(FleetResults, file, "hygrokf fleet")
+    except ResultFault as fault:
+        raise FleetFault(str(file), [str(fault)]) from None
+    named = [row.get("turbine") for row in fleet.rows]
+    if fleet.task not in TASKS or None in named or len(named) != len(set(named)):
+        raise FleetFault(str(file), ["expected rows of a task of this version; run `hygrokf fleet` again"])
+    return write_text_whole(out / REPORT, fleet_page(fleet))
 
 
 def fleet_page(fleet: FleetResults) -> str:
@@ -60,25 +80,25 @@ def fleet_page(fleet: FleetResults) -> str:
 
 
 def fleet_text(fleet: FleetResults) -> str:
-    """The turbines with what they are compared by, and the outliers, for the command line."""
+    """The turbines with the compared quantities, and the outliers, for the command line."""
     return page_text(fleet_blocks(fleet))
 
 
 def outcome_text(found: Outcome, known: bool) -> str:
-    """One line of one turbine."""
+    """A line on the outcome of one turbine; known: whether it was on disk already."""
     if found.status != DONE:
-        return f"{found.turbine}: {found.status}: {word(found.row, 'reason')}"
+        return f"{found.turbine}: {found.status}: {text_of(found.row, 'reason')}"
     values = (
         f"{one.title} {WORDS[REJECT]}" if one.rejected(found.row) else f"{one.title} {value:.3g} {one.unit}"
-        for one in TASKS[word(found.row, "task")].compared[:2]
+        for one in TASKS[text_of(found.row, "task")].compared[:2]
         if math.isfinite(value := number(found.row, one.column))
     )
-    took = "done before" if known else f"{found.seconds:.1f} s of CPU"
-    return f"{found.turbine}: {', '.join([*values, took])}"
+    effort = "done before" if known else f"{found.seconds:.1f} s of CPU"
+    return f"{found.turbine}: {', '.join([*values, effort])}"
 
 
 def fleet_blocks(fleet: FleetResults) -> Page:
-    """What a fleet says: who has no result, who departs, and the spread over the turbines, first."""
+    """The page of a fleet."""
     task, done = TASKS[fleet.task], fleet.done
     found = spreads(done, task.compared)
     pictures = _pictures(found)
@@ -97,11 +117,7 @@ def fleet_blocks(fleet: FleetResults) -> Page:
         *section("Ranking", Details("Every turbine", (ranking,)) if ranking else None),
     )
     departing = Items(tuple(_departing(found))) if isinstance(outliers, Table) else outliers
-    failed = [
-        f"{word(row, 'turbine')}: {word(row, 'status')}: {word(row, 'reason')}"
-        for row in fleet.rows
-        if row.get("status") != DONE
-    ]
+    failed = [": ".join(text_of(row, name) for name in FAILURE) for row in fleet.missing]
     brief = (
         Prose(f"{len(done)} of {len(fleet.rows)} turbines with a result"),
         _brief_table(fleet),
@@ -120,10 +136,10 @@ def fleet_blocks(fleet: FleetResults) -> Page:
 
 
 def _banners(done: Sequence[Row]) -> tuple[Banner, ...]:
-    made = sum(row.get("synthetic") is True for row in done)
-    if not made:
+    count = sum(row.get("synthetic") is True for row in done)
+    if not count:
         return ()
-    which = "All records" if made == len(done) else f"{made} of {len(done)} records"
+    which = "All records" if count == len(done) else f"{count} of {len(done)} records"
     return (Banner("SYNTHETIC", f"{which} were made by a computer. Nothing of them was measured."),)
 
 
@@ -131,10 +147,10 @@ def _banners(done: Sequence[Row]) -> tuple[Banner, ...]:
 
 
 def _cards(fleet: FleetResults, found: Sequence[Spread]) -> list[Card]:
-    count, total = len(fleet.done), len(fleet.rows)
-    failed = total - count
-    said = f"{failed} without: the reasons are below" if failed else "every turbine has a result"
-    cards = [_card("Turbines with a result", f"{count} of {total}", sentence(said), failed > 0)]
+    failed = len(fleet.missing)
+    text = f"{failed} without: the reasons are below" if failed else "every turbine has a result"
+    value = f"{len(fleet.done)} of {len(fleet.rows)}"
+    cards = [_card("Turbines with a result", value, sentence(text), failed > 0)]
     odd = sorted({one.turbines[i] for one in found for i in one.outliers})
     if any(len(one.turbines) >= FEWEST_JUDGED for one in found):
         names = ", ".join(odd) if len(odd) <= 4 else f"{len(odd)} turbines, listed below"
@@ -162,47 +178,40 @@ def _spread_card(one: Spread) -> Card:
     return _card(f"{one.compared.title.capitalize()}, median", f"{middle:.{decimals}f} {unit}", text)
 
 
-def _card(label: str, value: str, said: str, warning: bool = False) -> Card:
-    return Card(label, value, f"{label}: {value}. {said}", lines=(said,), tone="open" if warning else "plain")
+def _card(label: str, value: str, text: str, warning: bool = False) -> Card:
+    return Card(label, value, f"{label}: {value}. {text}", lines=(text,), tone="open" if warning else "plain")
 
 
 def _pictures(found: Sequence[Spread]) -> list[Figure]:
     """The spread of the bounded quantities, and that of the errors."""
     constants = [one for one in found if one.compared.lower]
     errors = [one for one in found if not one.compared.lower]
-    hours = all(one.compared.unit == "h" for one in constants)
-    named = (
-        (
-            "constants",
-            "Time constants" if hours else "Climate of a year",
-            constants,
+    pictures = []
+    if constants:
+        hours = all(one.compared.unit == "h" for one in constants)
+        heading = "Time constants" if hours else "Climate of a year"
+        caption = (
             "The bounds of turbines of one type should reach into the shade, or to the median where there is "
-            "no shade.",
-        ),
-        (
-            "errors",
-            "Free-run errors",
-            errors,
-            "A turbine far to the right is simulated worse than the others.",
-        ),
-    )
-    return [
-        Figure(name, heading, caption, partial(figure_spreads, chosen))
-        for name, heading, chosen, caption in named
-        if chosen
-    ]
+            "no shade."
+        )
+        pictures.append(Figure("constants", heading, caption, partial(figure_spreads, constants)))
+    if errors:
+        caption = "A turbine far to the right is simulated worse than the others."
+        pictures.append(Figure("errors", "Free-run errors", caption, partial(figure_spreads, errors)))
+    return pictures
+
+
+def _present(compared: Sequence[Compared], done: Sequence[Row]) -> list[Compared]:
+    """The quantities that any turbine has a value of."""
+    return [one for one in compared if any(math.isfinite(number(row, one.column)) for row in done)]
 
 
 def _brief_table(fleet: FleetResults) -> Table | None:
-    """The turbines with what they are compared by; None where none has a result."""
+    """The turbines with the compared quantities; None where none has a result."""
     done = fleet.done
-    compared = [
-        one
-        for one in TASKS[fleet.task].compared
-        if any(math.isfinite(number(row, one.column)) for row in done)
-    ]
+    compared = _present(TASKS[fleet.task].compared, done)
     head = ("turbine", *(_HEADS.get(one.column, one.title) for one in compared))
-    rows = tuple((word(row, "turbine"), *(_value(row, one) for one in compared)) for row in done[:SHOWN])
+    rows = tuple((text_of(row, "turbine"), *(_value(row, one) for one in compared)) for row in done[:SHOWN])
     more = len(done) - SHOWN
     return Table("", head, rows, note=f"{more} more in {CSV}." if more > 0 else "") if rows else None
 
@@ -228,13 +237,12 @@ def _departing(found: Sequence[Spread]) -> list[str]:
 
 
 def _failures(fleet: FleetResults) -> tuple[Block, ...]:
-    failed = [row for row in fleet.rows if row.get("status") != DONE]
-    if not failed:
+    if not fleet.missing:
         return ()
-    cells = tuple((word(row, "turbine"), word(row, "status"), word(row, "reason")) for row in failed)
+    cells = tuple(tuple(text_of(row, name) for name in FAILURE) for row in fleet.missing)
     return section(
         "Without a result",
-        Table("Turbines and reasons", ("turbine", "status", "reason"), cells, left=(0, 1, 2)),
+        Table("Turbines and reasons", FAILURE, cells, left=(0, 1, 2)),
         Prose("Run the fleet again when they are mended: finished turbines are not done again."),
     )
 
@@ -265,76 +273,69 @@ def _outliers(found: Sequence[Spread]) -> Block | None:
 
 
 def _believed(done: Sequence[Row]) -> tuple[Block, ...]:
-    """The verdict on the time constants of each turbine's model, the rejected ones first."""
-    judged = [row for row in done if any(_verdict(row, part) for part in PARTS)]
-    if not judged:
+    """The verdicts on the time constants, and the turbines in doubt, the rejected ones first."""
+    found = {text_of(row, "turbine"): [_verdict(row, part) for part in PARTS] for row in done}
+    found = {turbine: verdicts for turbine, verdicts in found.items() if any(verdicts)}
+    if not found:
         return ()
-    order: dict[str, int] = {kind: place for place, kind in enumerate(reversed(VERDICTS))}
-    ranked = sorted(judged, key=lambda r: min(order.get(_verdict(r, part), len(order)) for part in PARTS))
-    doubtful = [r for r in ranked if any(_verdict(r, part) in (CAUTION, REJECT) for part in PARTS)]
-    rows = tuple(
-        (word(r, "turbine"), *(WORDS.get(_verdict(r, part), NONE) for part in PARTS))
-        for r in doubtful[:RANKED]
+    counts = {part: Counter(verdicts[i] for verdicts in found.values()) for i, part in enumerate(PARTS)}
+    text = "; ".join(
+        f"{part} time constant: " + ", ".join(f"{count[v]} {WORDS[v]}" for v in VERDICTS if count[v])
+        for part, count in counts.items()
+        if any(count[v] for v in VERDICTS)
     )
-    marked = tuple(
-        i for i, r in enumerate(doubtful[:RANKED]) if REJECT in [_verdict(r, part) for part in PARTS]
-    )
-    said = "; ".join(
-        f"{part} time constant: "
-        + ", ".join(f"{count} {WORDS[kind]}" for kind in VERDICTS if (count := _count(judged, part, kind)))
-        for part in PARTS
-        if any(_verdict(row, part) for row in judged)
-    )
+    doubtful = [turbine for turbine, verdicts in found.items() if CAUTION in verdicts or REJECT in verdicts]
+    doubtful.sort(key=lambda turbine: REJECT not in found[turbine])
+    listed = doubtful[:RANKED]
+    rows = tuple((turbine, *(WORDS.get(v, NONE) for v in found[turbine])) for turbine in listed)
+    marked = tuple(i for i, turbine in enumerate(listed) if REJECT in found[turbine])
     head = ("turbine", *(f"{part} time constant" for part in PARTS))
     more = f" The first {RANKED} of {len(doubtful)}; {CSV} has all." if len(doubtful) > RANKED else ""
     note = f"The results of each turbine give the reasons.{more}"
     table = Table("Turbines whose numbers are in doubt", head, rows, left=(0, 1, 2), marked=marked, note=note)
     return section(
         "Which numbers to believe",
-        Prose(sentence(said)),
+        Prose(sentence(text)),
         table_or(table if rows else None, "All of them are to be believed."),
     )
 
 
 def _verdict(row: Row, part: str) -> str:
-    found = word(row, f"{part}_verdict")
+    found = text_of(row, f"{part}_verdict")
     return found if found in VERDICTS else ""
 
 
-def _count(rows: Sequence[Row], part: str, kind: str) -> int:
-    return sum(_verdict(row, part) == kind for row in rows)
-
-
 def _verdicts(done: Sequence[Row]) -> tuple[Block, ...]:
-    """How often each cause was accepted, of a fleet's discoveries."""
+    """The verdicts of a fleet's discoveries, and the turbines of each accepted cause."""
     if not any("verdict" in row for row in done):
         return ()
-    verdicts = Counter(word(row, "verdict") for row in done)
-    causes = Counter(one for row in done for one in word(row, "causes").split())
+    verdicts = Counter(text_of(row, "verdict") for row in done)
+    causes = Counter(one for row in done for one in text_of(row, "causes").split())
     rows = tuple(
         (
             one.replace("_", " "),
             str(count),
-            ", ".join(word(r, "turbine") for r in done if one in word(r, "causes").split()),
+            ", ".join(text_of(r, "turbine") for r in done if one in text_of(r, "causes").split()),
         )
         for one, count in causes.most_common()
     )
     table = Table("Accepted causes", ("cause", "turbines", "which"), rows, left=(0, 2)) if rows else None
-    said = ", ".join(f"{verdicts[v]} {v}" for v in ("none", "named", "unexplained") if verdicts[v])
+    counts = ", ".join(f"{verdicts[v]} {v}" for v in ("none", "named", "unexplained") if verdicts[v])
     return section(
-        "What the simulations lack", Prose(f"Verdicts: {said}."), table_or(table, "No cause was accepted.")
+        "What the simulations lack", Prose(f"Verdicts: {counts}."), table_or(table, "No cause was accepted.")
     )
 
 
 def _transfers(done: Sequence[Row]) -> tuple[Block, ...]:
-    """On which turbines a model transfers, and what is to be re-estimated."""
-    judged = [row for row in done if word(row, "transfer")]
+    """The turbines to which a model transfers, and the parameters that must be re-estimated."""
+    judged = [row for row in done if text_of(row, "transfer")]
     if not judged:
         return ()
     rows = tuple(
-        (word(r, "turbine"), word(r, "re_estimate").replace("_", " "), word(r, "sentence")) for r in judged
+        (text_of(row, "turbine"), text_of(row, "re_estimate").replace("_", " "), text_of(row, "sentence"))
+        for row in judged
     )
-    counts = Counter(word(row, "transfer") for row in judged)
+    counts = Counter(text_of(row, "transfer") for row in judged)
     return section(
         "What travels",
         Prose(sentence("; ".join(f"{n} {verdict}" for verdict, n in counts.most_common()))),
@@ -343,20 +344,20 @@ def _transfers(done: Sequence[Row]) -> tuple[Block, ...]:
 
 
 def _climates(done: Sequence[Row]) -> tuple[Block, ...]:
-    """Of a fleet's climates: limits, class of wetness, condensation, and remarks."""
+    """The climates of a fleet: limits, class of wetness, condensation, and remarks."""
     judged = [row for row in done if "wetness_class" in row]
     if not judged:
         return ()
     rows = tuple(
         (
-            word(r, "turbine"),
-            word(r, "limits") or NONE,
-            word(r, "wetness_class") or NONE,
+            text_of(r, "turbine"),
+            text_of(r, "limits") or NONE,
+            text_of(r, "wetness_class") or NONE,
             _span(*(number(r, f"condensation_h{end}") for end in ("", "_lower", "_upper"))),
         )
         for r in judged
     )
-    counts = Counter(word(row, "limits") for row in judged)
+    counts = Counter(text_of(row, "limits") for row in judged)
     verdicts = ", ".join(f"{counts[v]} {v}" for v in ("fail", "undecided", "pass") if counts[v])
     head = ("turbine", "limits", "wetness", "condensation, h/a")
     marked = tuple(i for i, row in enumerate(judged) if row.get("limits") == "fail")
@@ -366,21 +367,21 @@ def _climates(done: Sequence[Row]) -> tuple[Block, ...]:
         "Limits: the worst of a turbine's verdicts. Wetness: class of ISO 9223:1992. In brackets "
         f"bounds{held}."
     )
-    remarks = Counter(one for row in judged for one in word(row, "statements").split(BETWEEN) if one)
-    told = [Prose(f"{count} of {len(judged)}: {one}", "note") for one, count in remarks.most_common(REMARKS)]
+    remarks = Counter(one for row in judged for one in text_of(row, "statements").split(BETWEEN) if one)
+    notes = [Prose(f"{count} of {len(judged)}: {one}", "note") for one, count in remarks.most_common(REMARKS)]
     if len(remarks) > REMARKS:
-        told.append(Prose(f"{len(remarks) - REMARKS} more in the column statements of {CSV}.", "note"))
+        notes.append(Prose(f"{len(remarks) - REMARKS} more in the column statements of {CSV}.", "note"))
     return section(
         "Climates",
         Prose(f"Limits: {verdicts}." if verdicts else "No limits were given."),
         Table("Each turbine", head, rows, left=(0, 1, 2), marked=marked, note=note),
-        *told,
+        *notes,
     )
 
 
 def _set_aside(found: Sequence[Spread]) -> list[Prose]:
-    """Turbines that are not compared, and why."""
-    said = []
+    """The turbines that are not compared, and why."""
+    notes = []
     for one in found:
         for names, why in (
             (one.open, "Without a value and bounds above zero on both sides"),
@@ -388,12 +389,12 @@ def _set_aside(found: Sequence[Spread]) -> list[Prose]:
         ):
             if names:
                 listed = f"{', '.join(names[:20])}{' …' if len(names) > 20 else ''}"
-                said.append(Prose(f"{why}, so not compared: {one.compared.title} of {listed}.", "note"))
-    return said
+                notes.append(Prose(f"{why}, so not compared: {one.compared.title} of {listed}.", "note"))
+    return notes
 
 
 def _type(fleet: FleetResults) -> tuple[Block, ...]:
-    """The type of turbine; nothing where there is none."""
+    """The type of turbine, where the fits make one."""
     if fleet.type is None:
         return ()
     without = Prose(type_without(list(fleet.type_without)), "note") if fleet.type_without else None
@@ -404,18 +405,18 @@ def _type(fleet: FleetResults) -> tuple[Block, ...]:
 def _ranking(
     column: str, compared: Sequence[Compared], done: Sequence[Row], found: Sequence[Spread]
 ) -> Table | None:
-    there = [one for one in compared if any(math.isfinite(number(row, one.column)) for row in done)]
-    if not there:
+    present = _present(compared, done)
+    if not present:
         return None
     key = [(-v if math.isfinite(v := number(row, column)) else math.inf) for row in done]
     order = sorted(range(len(done)), key=lambda i: (key[i], str(done[i]["turbine"])))
     odd = {one.turbines[i] for one in found for i in one.outliers}
     rows = tuple(
-        (str(place), word(done[i], "turbine"), *(_value(done[i], one) for one in there))
+        (str(place), text_of(done[i], "turbine"), *(_value(done[i], one) for one in present))
         for place, i in enumerate(order[:RANKED], 1)
     )
     marked = tuple(k for k, i in enumerate(order[:RANKED]) if str(done[i]["turbine"]) in odd)
-    head = ("", "turbine", *(f"{one.title} [{one.unit}]" for one in there))
+    head = ("", "turbine", *(f"{one.title} [{one.unit}]" for one in present))
     by = next((one.title for one in compared if one.column == column), column)
     more = f" The first {RANKED} of {len(done)}; {CSV} has all." if len(done) > RANKED else ""
     note = f"In brackets 95 % bounds. Bold: outliers.{more}"
@@ -435,7 +436,7 @@ def _value(row: Row, one: Compared) -> str:
     if not (0 < low < high) and not one.column.endswith("value_h"):
         return _span(value, low, high)
     if not (0 < low < high):
-        return word(row, one.column.replace("value_h", "statement")) or "open"
+        return text_of(row, one.column.replace("value_h", "statement")) or "open"
     decimals = decimals_for(high - low)
     return f"{value:.{decimals}f} ({low:.{decimals}f} … {high:.{decimals}f})"
 

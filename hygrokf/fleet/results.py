@@ -1,16 +1,67 @@
-"""The table of a fleet: a row for each turbine, as CSV, and as Parquet where pyarrow is installed."""
+"""The table of a fleet: in `fleet.json` with the type of turbine, as CSV, and as Parquet where pyarrow is
+installed."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
 
-from hygrokf.data.structured import Cell
-from hygrokf.fleet.job import Row
+from hygrokf.data.structured import Cell, optional
+from hygrokf.fleet.job import DONE, Row
 from hygrokf.fleet.tasks import SHARED, TASKS
+from hygrokf.identification.turbine_type import TurbineType
+
+if TYPE_CHECKING:
+    import pandas
 
 CSV, PARQUET = "fleet.csv", "fleet.parquet"
+
+
+@dataclass(frozen=True)
+class FleetResults:
+    """A fleet's table: one row per turbine, in the order of the fleet's file.
+
+    `task`: name of the task, with its `options`; `type`: the type of turbine pooled from the fits, without
+    the turbines of `type_without`; `cpu_s`: CPU time [s] by turbine.  Columns and their units are those of
+    `tasks.TASKS[task]`.
+    """
+
+    task: str
+    rows: tuple[Row, ...]
+    name: str = ""
+    version: str = ""
+    created: str = ""
+    options: Mapping[str, Any] = field(default_factory=dict)
+    type: TurbineType | None = None
+    type_without: tuple[str, ...] = optional(())
+    cpu_s: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def done(self) -> list[Row]:
+        """Rows of the turbines with a result."""
+        return [row for row in self.rows if row.get("status") == DONE]
+
+    @property
+    def missing(self) -> list[Row]:
+        """Rows of the turbines without a result."""
+        return [row for row in self.rows if row.get("status") != DONE]
+
+    def to_frame(self) -> pandas.DataFrame:
+        """The table, by turbine."""
+        import pandas
+
+        return pandas.DataFrame(list(self.rows)).set_index("turbine")
+
+    def __str__(self) -> str:
+        return f"{self.name}: {self.task}, {len(self.done)} of {len(self.rows)} turbines with a result"
+
+    __repr__ = __str__
+
+    def _repr_html_(self) -> str:
+        return str(self.to_frame().to_html())
 
 
 def columns_of(task: str) -> dict[str, str]:
@@ -19,8 +70,7 @@ def columns_of(task: str) -> dict[str, str]:
 
 
 def table_csv(task: str, rows: Sequence[Row]) -> str:
-    """Rows as CSV text; what is not known, infinite or does not apply is empty; numbers as they are,
-    unrounded."""
+    """Rows as CSV text: numbers unrounded; cells without a value empty."""
     buffer = io.StringIO()
     writer = csv.writer(buffer, lineterminator="\n")
     names = list(columns_of(task))
@@ -58,8 +108,7 @@ def table_parquet(task: str, rows: Sequence[Row]) -> bytes | None:
 
 
 def _kind(name: str, values: Sequence[Cell]) -> type:
-    """The type of a column; one without any value is of numbers, or of words where its meaning has no
-    unit."""
+    """The type of a column; where it has no value at all, `float` or `str` by its name."""
     there = {type(value) for value in values if value is not None}
     if there == {int, float}:
         return float

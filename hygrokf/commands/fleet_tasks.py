@@ -1,0 +1,267 @@
+"""What each task of a fleet does for one turbine, the same as the command of its name does for one case; and
+`run_fleet`, which does it for all of them.
+
+Processes and Dask workers import `do_task` by its name.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from hygrokf.commands.inputs import own_causes, source_model, stored_fit
+from hygrokf.data.files import write_text_whole
+from hygrokf.data.result_file import result_text
+from hygrokf.data.structured import Cell
+from hygrokf.data.timestamps import stamp_text
+from hygrokf.fleet.job import Job, Outcome, Row, Work
+from hygrokf.fleet.plan import Plan
+from hygrokf.fleet.running import FleetRun, run_jobs
+from hygrokf.fleet.tasks import BETWEEN, CLIMATE_COLUMNS, ClimateOptions, DiscoverOptions, FitOptions
+from hygrokf.modelling.design import PARTS
+from hygrokf.report.fleet_page import write_fleet_report
+
+if TYPE_CHECKING:
+    from hygrokf.data.record import Record
+    from hygrokf.evaluation.scoring import Scored
+    from hygrokf.identification.fit_results import TimeConstant
+    from hygrokf.identification.verdict_terms import Inherited
+
+ERRORS = {"temperature_K": "temperature_rmse_K", "absolute_humidity_g_m3": "humidity_rmse_g_m3"}
+"""Scored quantity → the column of its free-run error."""
+
+
+def run_fleet(
+    plan: Plan,
+    out: Path,
+    *,
+    workers: int | None = None,
+    cluster: str | None = None,
+    say: Callable[[Outcome, bool], None] = lambda found, known: None,
+) -> FleetRun:
+    """Do what a plan states for every turbine.
+
+    plan: of a fleet's file (`fleet.plan.read_plan`).
+    out: directory of fleet.csv, fleet.parquet, fleet.json and report.html; results of each turbine are in
+        `turbines/NAME`.
+    workers: processes on this machine, by default one per core.
+    cluster: address of a Dask scheduler, whose workers see the same files under the same paths.
+    say: is called with each outcome as it comes, and whether it was on disk already.
+
+    Work with the same files, options and version is not repeated; failures are tried again.
+
+    Returns the table (`results`, the same on processes and on a cluster), the outcomes, and the path of the
+    page.  Raises FleetFault where there is no cluster.
+    """
+    found = run_jobs(plan, out, do_task, workers=workers, cluster=cluster, say=say)
+    write_fleet_report(out)
+    return found
+
+
+def do_task(job: Job) -> Row:
+    """Do the task of a job; returns the columns of its row.  Raises what the task raises."""
+    return WORK[job.task](job)
+
+
+def _fit(job: Job) -> Row:
+    """Identify the models of a case, as `hygrokf fit` does."""
+    from hygrokf.cases.case_file import read_case
+    from hygrokf.identification.fit import write_fit
+    from hygrokf.identification.procedure import identify
+
+    record, options = read_case(job.case), FitOptions(**job.options)
+    fit = identify(
+        record,
+        criterion=options.criterion,
+        kind=options.kind,
+        starts=options.starts,
+        profiles=options.profiles,
+    )
+    write_fit(fit, job.folder)
+    if options.report:
+        from hygrokf.report.fit_page import write_report
+
+        write_report(job.folder)
+    found = fit.results
+    return {
+        **_of_record(record),
+        "converged": found.converged,
+        "n_readings": found.period.n_readings,
+        **_of_time_constants(found.time_constants),
+        **_of_scores(found),
+        "loglik": found.loglik,
+        "at_bounds": " ".join(found.at_bounds),
+    }
+
+
+def _of_record(record: Record) -> dict[str, Cell]:
+    return {
+        "record": record.name,
+        "start": stamp_text(record.start_s),
+        "end": stamp_text(record.end_s),
+        "synthetic": "synthetic" in record.name.lower(),
+        "warnings": len(record.warnings),
+    }
+
+
+def _of_time_constants(constants: Mapping[str, TimeConstant]) -> dict[str, Cell]:
+    """Values, bounds, statements and verdicts; empty where a constant was not identified."""
+    found: dict[str, Cell] = {}
+    for name in PARTS:
+        constant = constants.get(name)
+        for end in ("value_h", "lower_h", "upper_h"):
+            found[f"{name}_{end}"] = math.nan if constant is None else getattr(constant, end)
+        found[f"{name}_statement"] = "" if constant is None else constant.statement
+    return found | _of_verdicts(constants)
+
+
+def _of_verdicts(known: Mapping[str, TimeConstant | Inherited]) -> dict[str, Cell]:
+    """The verdict on each time constant of a fit, or of a result that uses a fit; empty without a verdict."""
+    return {f"{part}_verdict": (known[part].verdict or "") if part in known else "" for part in PARTS}
+
+
+def _of_scores(found: Scored) -> dict[str, Cell]:
+    """Free-run errors in total, of the validation period where it was scored and else of the identification
+    period."""
+    scored = math.isfinite(found.errors("validation", "temperature_K").total)
+    period = "validation" if scored else "identification"
+    errors = {column: found.errors(period, quantity).total for quantity, column in ERRORS.items()}
+    return {"scored_period": period, **errors}
+
+
+def _discover(job: Job) -> Row:
+    """Find what the simulation gets wrong, name the cause, extend the model, as `hygrokf discover` does."""
+    from hygrokf.cases.case_file import read_case
+    from hygrokf.discovery.library import LIBRARY
+    from hygrokf.discovery.procedure import discover
+    from hygrokf.discovery.results import write_discovery
+    from hygrokf.report.discovery_page import write_discovery_report
+    from hygrokf.report.discovery_text import scored_error
+
+    options = DiscoverOptions(**job.options)
+    own, record = own_causes(options.library), read_case(job.case)
+    discovery = discover(record, starts=options.starts, library=(*LIBRARY, *own))
+    write = write_discovery_report if options.report else write_discovery
+    write(discovery, job.folder)
+    found = discovery.results
+    columns: dict[str, Cell] = {
+        **_of_record(record),
+        "verdict": found.verdict,
+        "causes": " ".join(one.cause for one in found.causes),
+        "confidence": min((one.confidence for one in found.causes), default=math.nan),
+        **_of_time_constants((found.extended or found.baseline).time_constants),
+    }
+    for quantity, column in ERRORS.items():
+        before, after, period = scored_error(found, quantity)
+        columns["scored_period"] = columns.get("scored_period") or period
+        columns |= {column: after if math.isfinite(after) else before, f"base_{column}": before}
+    return columns
+
+
+def _evaluate(job: Job) -> Row:
+    """Score a fitted model on a case, as `hygrokf evaluate` does."""
+    from hygrokf.cases.case_file import read_case
+    from hygrokf.identification.fit_on_record import evaluate
+
+    fit, record = stored_fit(*_model(job)), read_case(job.case)
+    found = evaluate(fit, record)
+    write_text_whole(job.folder / "evaluation.json", result_text(found))
+    columns: dict[str, Cell] = {
+        **_of_record(record),
+        "model": fit.name,
+        **_of_verdicts(found.verdicts),
+        **_of_scores(found),
+    }
+    for quantity, column in ERRORS.items():
+        errors = found.errors(str(columns["scored_period"]), quantity)
+        columns[column.replace("rmse", "rmse_operation")] = errors.operation
+        columns[column.replace("rmse", "rmse_standstill")] = errors.standstill
+        columns[f"{column.partition('_rmse')[0]}_coverage"] = found.band("free_run", quantity).coverage
+    columns["statements"] = BETWEEN.join(found.statements)
+    return columns
+
+
+def _model(job: Job) -> tuple[Path, list[Path]]:
+    """The file of the model that a job uses, and those of the user's causes."""
+    assert job.fit is not None, f"{job.task} needs a fit"
+    return job.fit, [Path(file) for file in job.options["library"]]
+
+
+def _transfer(job: Job) -> Row:
+    """Try a fitted model, or a type, on another turbine's record, as `hygrokf transfer` does."""
+    from hygrokf.cases.case_file import read_case
+    from hygrokf.report.transfer_page import write_transfer
+    from hygrokf.transfer.procedure import transfer_fit
+
+    record = read_case(job.case)
+    transfer = transfer_fit(source_model(*_model(job)), record)
+    write_transfer([transfer], job.folder)
+    results = transfer.results
+    columns: dict[str, Cell] = {
+        **_of_record(record),
+        "model": results.source.name,
+        "transfer": results.verdict,
+        "re_estimate": " ".join(results.re_estimate),
+        "sentence": results.sentence,
+        **_of_verdicts(results.verdicts),
+        "scored_period": results.period,
+    }
+    for quantity, column in ERRORS.items():
+        for which, name in (("re_estimated", column), ("as_is", f"as_is_{column}")):
+            error = results.rmse.get(quantity, {}).get(which)
+            columns[name] = error.total if error is not None else math.nan
+        gains = results.gains.get(quantity, {}).get("re_estimated")
+        gain = gains.over_as_is if gains is not None else None
+        for part, suffix in (("gain", ""), ("lower", "_lower"), ("upper", "_upper")):
+            columns[f"{column.replace('rmse', 'gain')}{suffix}"] = getattr(gain, part, math.nan)
+    return columns
+
+
+def _climate(job: Job) -> Row:
+    """Simulate the climate in a fitted cabinet under the weather and power of a case, as `hygrokf climate`
+    does."""
+    from hygrokf.cases.case_file import read_case
+    from hygrokf.climate.limits import read_limits
+    from hygrokf.climate.procedure import climate_profile
+    from hygrokf.climate.region import Region, read_power
+    from hygrokf.report.climate_page import write_climate_report
+
+    fit, options = stored_fit(*_model(job)), ClimateOptions(**job.options)
+    weather = read_case(job.case, cabinet=False)
+    still = options.standstill or fit.design.power_scale_W is None
+    study = climate_profile(
+        fit,
+        [Region(job.turbine, weather, (job.case.name,))],
+        None if still else read_power(job.case),
+        limits=[limit for file in options.limits for limit in read_limits(file)],
+        members=options.members,
+        seed=options.seed,
+    )
+    write_climate_report(study, job.folder)
+    (region,) = study.regions
+    columns: dict[str, Cell] = {
+        **_of_record(weather),
+        "model": fit.name,
+        **_of_verdicts(study.verdicts),
+        "bounds_hold": region.bounds_hold,
+    }
+    for name in CLIMATE_COLUMNS:
+        statistic = region.year.get(name)
+        for part, suffix in (("value", ""), ("lower", "_lower"), ("upper", "_upper")):
+            columns[f"{name}{suffix}"] = getattr(statistic, part) if statistic else math.nan
+    columns["limits"] = region.verdict
+    columns["wetness_class"] = region.wetness_class or ""
+    columns["statements"] = BETWEEN.join(region.statements)
+    return columns
+
+
+WORK: Mapping[str, Work] = {
+    "fit": _fit,
+    "discover": _discover,
+    "evaluate": _evaluate,
+    "transfer": _transfer,
+    "climate": _climate,
+}
+"""The function of each task of `fleet.tasks.TASKS`."""

@@ -1,0 +1,61 @@
+"""The page of a fleet, and its text at the terminal."""
+
+from __future__ import annotations
+
+import numpy as np
+from builders.fleet_case import departing_rows
+
+from hygrokf.fleet.results import FleetResults
+from hygrokf.report.fleet_page import fleet_page, fleet_text
+
+
+def table(task: str, rows: list[dict], name: str = "park") -> FleetResults:
+    return FleetResults(task, tuple(rows), name, created="2024-05-01T12:00:00")
+
+
+def test_the_page_of_climates_shows_limits_and_numbers_that_are_zero() -> None:
+    rows = []
+    for place in range(7):
+        row: dict = {"turbine": f"W{place}", "status": "done", "limits": "fail" if place == 2 else "pass"}
+        row |= {"wetness_class": "τ2", "statements": "one; more | the other" if place else "one; more"}
+        row |= {"ageing_h": 12.0 + place, "ageing_h_lower": 11.0 + place, "ageing_h_upper": 13.0 + place}
+        row |= {f"wetness_h{end}": v for end, v in (("", 43.5397), ("_lower", 0.0), ("_upper", 116.1))}
+        rows.append(row)
+    rows[6] |= {"wetness_h": 0.0, "wetness_h_upper": 0.0}
+    text = fleet_page(table("climate", rows))
+    assert "Limits: 1 fail, 6 pass." in text and "7 of 7: one; more<" in text and "6 of 7: the other<" in text
+    ranking = text.split("<h2>Ranking</h2>")[1]
+    assert ranking.count("43.5 (0 … 116)") == 6 and "43.5397" not in text
+    assert "above zero on both sides, so not compared: time of wetness of W0, W1" in text
+    assert "W6.</p>" in text  # also the one without any wet hour
+
+
+def test_the_page_shows_failures_outliers_and_ranking() -> None:
+    random = np.random.default_rng(5)
+    rows = []
+    for place in range(9):
+        row: dict = {"turbine": f"W<{place}>", "status": "done", "task": "fit", "synthetic": True}
+        for name, middle in (("thermal", 1.5), ("hygric", 0.3)):
+            value = middle * float(
+                np.exp(0.05 * random.normal() + (1.0 if place == 4 and name == "thermal" else 0.0))
+            )
+            row |= {f"{name}_{k}_h": value * f for k, f in (("lower", 0.9), ("value", 1.0), ("upper", 1.1))}
+        rows.append(row | {"temperature_rmse_K": 1.0 + 0.01 * place, "humidity_rmse_g_m3": 0.4})
+    rows[7] |= {"thermal_upper_h": None, "thermal_statement": "at least 1.2 h"}
+    rows.append({"turbine": "W9", "status": "failed", "reason": "no <file>", "task": "fit"})
+    text = fleet_page(table("fit", rows, "P & Q"))
+    assert "<script" not in text and "W<4>" not in text and "P &amp; Q" in text and "no &lt;file&gt;" in text
+    outliers = text.split("<h2>Turbines that depart from the others</h2>")[1].split("<h2>")[0]
+    assert "W&lt;4&gt;" in outliers and outliers.count("<tr") == 2
+    ranking = text.split("<h2>Ranking</h2>")[1]
+    assert ranking.index("W&lt;8&gt;") < ranking.index("W&lt;1&gt;") and "at least 1.2 h" in ranking
+    assert "9 of 10" in text and text.count("<svg") == 2 and "SYNTHETIC" in text
+    assert "depart from the others" not in fleet_page(table("fit", rows[-1:]))
+
+
+def test_the_terminal_says_who_departs() -> None:
+    rows = departing_rows()
+    text = fleet_text(table("fit", rows))
+    assert "W4 departs: thermal time constant 4.3" in text and text.count("departs:") == 1
+    assert "No turbine departs from the others" in fleet_text(table("fit", rows[:4] + rows[5:]))
+    assert "depart" not in fleet_text(table("fit", rows[:3]))
