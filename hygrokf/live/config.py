@@ -14,15 +14,16 @@ from hygrokf.data.record import Site
 from hygrokf.data.signals import Signal
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import FormFault, Place, across, entry_name, read_form, read_toml, setting
+from hygrokf.identification.fit import Fit
 from hygrokf.identification.results import ResultFault, read_fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import LIMIT
-from hygrokf.live.plan import LATENESS_S, WANDERING, Form, plan
+from hygrokf.live.plan import LATENESS_S, WANDERING, Form, Plan, plan, usual_hold
 from hygrokf.live.properties import standard_errors
 from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.payload import GOOD, Field, PayloadMapping
-from hygrokf.live.sources.streams import Stream
+from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.postgres import url_fault
 from hygrokf.live.turbines import STALE_S, Turbine
 from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings
@@ -78,11 +79,9 @@ class SignalForm(StatedSensor):
             return None
         return 'a mean needs both, stamp = "start", "middle" or "end" and its interval'
 
-    def made(self) -> Field:
+    def to_field(self) -> Field:
         """The field of a payload."""
-        # power, duty and machine speed are constant between readings; all other signals change linearly
-        stepped = self.signal.unit in ("W", "rad/s") or self.signal.name == "preheating"
-        hold = "zero-order" if self.interval_s > 0 or stepped else "linear"
+        hold = "zero-order" if self.interval_s > 0 else usual_hold(self.signal)
         return Field(self.signal.name, self.unit, Form(hold, self.interval_s, **self.settings), self.stamp)
 
 
@@ -117,11 +116,11 @@ class MappingForm:
                 yield f"{name} and {taken[one.signal.name]} are both {one.signal.name}"
             taken[one.signal.name] = name
 
-    def made(self) -> PayloadMapping:
-        """How payloads are read."""
+    def to_mapping(self) -> PayloadMapping:
+        """The mapping, without rows that cannot be used and without turbines yet."""
         valid = {name: one for name, one in self.signals.items() if one.signal and not one.unit_of_signal()}
         return PayloadMapping(
-            {name: one.made() for name, one in valid.items()},
+            {name: one.to_field() for name, one in valid.items()},
             turbine=self.turbine,
             time=self.time,
             quality=self.quality,
@@ -206,7 +205,7 @@ def read_config(path: str | os.PathLike[str]) -> Config:
     """Read a tracker's file; paths in it are relative to its folder.  Raises ConfigFault."""
     file, place = Path(path), Place()
     form = read_form(TrackForm, read_toml(file, ConfigFault)[1], place)
-    mapping = form.mapping.made()
+    mapping = form.mapping.to_mapping()
     turbines, names = _turbines(form, file.parent, mapping, place)
     mapping = replace(mapping, turbines=names)
     streams: list[Stream] = []
@@ -263,23 +262,50 @@ def _turbine(
     """A turbine with its model, or None where that cannot be used."""
     if not form.fit:
         return None
+    return read_turbine(
+        folder / form.fit,
+        place,
+        Surface(**vars(form.cold_surface)),
+        form.humidity_limit,
+        form.stale_s,
+        name=form.name,
+        forms=forms,
+        lateness_s=lateness_s,
+        wandering=rates,
+        site=form.site,
+        rated_power_W=None if form.rated_power_kW is None else 1e3 * form.rated_power_kW,
+    )
+
+
+def read_turbine(
+    path: Path,
+    place: Place,
+    surface: Surface | None = None,
+    limit: float = LIMIT,
+    stale_s: float = STALE_S,
+    **options: Any,
+) -> Turbine | None:
+    """A turbine with the model in a file or folder; None with a fault in `place` where it cannot be used.
+
+    options: of `plan`.
+    """
     try:
-        fit = read_fit(folder / form.fit)
-        made = plan(
-            fit,
-            name=form.name,
-            forms=forms,
-            lateness_s=lateness_s,
-            wandering=rates,
-            site=form.site,
-            rated_power_W=None if form.rated_power_kW is None else 1e3 * form.rated_power_kW,
-        )
+        fit = read_fit(path)
+        return turbine_of(fit, plan(fit, **options), surface, limit, stale_s)
     except (ResultFault, ValueError, KeyError) as fault:
         place.fault(str(fault))
-        return None
     except OSError as fault:
-        place.fault(f"{folder / form.fit}: {fault.strerror}")
-        return None
-    surface = Surface(**vars(form.cold_surface))
-    limits = form.humidity_limit, form.stale_s
-    return Turbine(made, surface, standard_errors(fit), *limits, inherited(fit.results))
+        place.fault(f"{path}: {fault.strerror}")
+    return None
+
+
+def turbine_of(
+    fit: Fit,
+    plan_: Plan,
+    surface: Surface | None = None,
+    limit: float = LIMIT,
+    stale_s: float = STALE_S,
+) -> Turbine:
+    """A turbine tracked by a plan, with standard errors and verdicts of the plan's fit."""
+    errors, verdicts = standard_errors(fit), inherited(fit.results)
+    return Turbine(plan_, surface or Surface(), errors, limit, stale_s, verdicts)

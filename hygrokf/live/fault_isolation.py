@@ -77,7 +77,7 @@ def isolate(plan: Plan, record: Record) -> Iterator[Finding | None]:
     """
     t = prepare_run(plan.design, record).timeline
     likelihood = plan.likelihood(t)
-    still = {**plan.values, **_standing(plan)}
+    still = {**plan.values, **_lowest_rates(plan)}
     base = filtered(likelihood, still).loglik
     end_s = float(t.seconds[-1])
     gains: dict[str, Explanation] = {}
@@ -92,10 +92,10 @@ def isolate(plan: Plan, record: Record) -> Iterator[Finding | None]:
                 if cause not in gains or gain > gains[cause].gain:
                     gains[cause] = Explanation(gain, state, float(found.mean[-1, place]))
                 yield None
-    yield judged_by(gains, end_s)
+    yield finding_from(gains, end_s)
 
 
-def judged_by(gains: Mapping[str, Explanation], time_s: float) -> Finding:
+def finding_from(gains: Mapping[str, Explanation], time_s: float) -> Finding:
     """The finding from the best explanation by each cause."""
     ordered = sorted(gains, key=lambda cause: -gains[cause].gain)
     if not ordered or gains[ordered[0]].gain < LEAST:
@@ -107,7 +107,7 @@ def judged_by(gains: Mapping[str, Explanation], time_s: float) -> Finding:
     return Finding(time_s, best, state, value, gain, lead, alike)
 
 
-def _standing(plan: Plan) -> dict[str, float]:
+def _lowest_rates(plan: Plan) -> dict[str, float]:
     """Drift rates that hold every state constant: the smallest that the model allows."""
     wandering = {f"{state}_rate" for options in STATES.values() for state, _ in options}
     return {p.name: p.lower for p in plan.model.parameters if p.name in wandering}

@@ -12,7 +12,7 @@ import numpy as np
 from hygrokf.data.ambient import AMBIENT_BRIDGE_H
 from hygrokf.data.input_paths import readings_ahead
 from hygrokf.data.record import Site
-from hygrokf.data.signals import SIGNALS
+from hygrokf.data.signals import SIGNALS, Signal
 from hygrokf.data.timestamps import HOUR_S
 from hygrokf.engine.timeline import Timeline, timeline
 from hygrokf.estimation.likelihood import Likelihood
@@ -58,6 +58,12 @@ class Form:
     resolution: float = 0.0
     accuracy: float | None = None
     response_time_s: float | None = None
+
+
+def usual_hold(signal: Signal) -> str:
+    """How a signal runs between instantaneous readings: power, duty and speed stepwise, others linearly."""
+    stepped = signal.unit in ("W", "rad/s") or signal.name == "preheating"
+    return "zero-order" if stepped else "linear"
 
 
 @dataclass(frozen=True)

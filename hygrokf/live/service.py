@@ -17,15 +17,18 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import TypeVar
 
+from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast_job import EVERY_S, forecast_batch, isolation_steps, make_forecast
-from hygrokf.live.sources.streams import SourceState, Stream, taken_from
+from hygrokf.live.sources.stream import Delivery, SourceState, Stream
 from hygrokf.live.storage.retention import Retention
-from hygrokf.live.storage.store import Batch, Store, StoreFault, open_store
-from hygrokf.live.turbines import SOURCE, Delivery, Fleet, Turbine
+from hygrokf.live.storage.store import Store, StoreFault, open_store
+from hygrokf.live.turbines import SOURCE, Fleet, Turbine
 
 LOG = logging.getLogger("hygrokf.track")
+T = TypeVar("T")
 WAITING = 20_000
 """Largest number of waiting deliveries; a faster source is blocked."""
 MOST = 2_000
@@ -175,7 +178,7 @@ class Service:
     def round(self) -> bool:
         """Run one round of deliveries or, without any, of waiting turbines; returns whether there was
         either."""
-        found = taken_from(self._waiting, MOST, 0.0 if self._tracked.waiting else PATIENCE_S)
+        found = take_from(self._waiting, MOST, 0.0 if self._tracked.waiting else PATIENCE_S)
         self.retention.bite(self._opened, self._tracked)
         if not found and self._tracked.waiting:
             self._told(self._kept(lambda: self._tracked.filtered(Batch(), FILTER_S)))
@@ -313,3 +316,15 @@ class Service:
                 )
                 if self.ending.is_set():
                     raise
+
+
+def take_from(waiting: queue.Queue[T], most: int, patience_s: float) -> list[T]:
+    """Take at most `most` items from a queue; waits up to `patience_s` [s] for the first one."""
+    found: list[T] = []
+    try:
+        found.append(waiting.get(timeout=patience_s))
+        while len(found) < most:
+            found.append(waiting.get_nowait())
+    except queue.Empty:
+        pass
+    return found

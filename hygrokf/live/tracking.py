@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 
 from hygrokf.live.config import Config
 from hygrokf.live.service import Service
-from hygrokf.live.sources.streams import SourceFault, TailedFile
+from hygrokf.live.sources.stream import SourceFault
 
 LOG = logging.getLogger("hygrokf.track")
 _OWN = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
@@ -41,8 +41,7 @@ def track(
 
     if until_ended:
         for stream in config.streams:
-            if isinstance(stream, TailedFile):
-                stream.follow = False
+            stream.end_when_read()
     hub = Hub(clock=lambda: service.now)
     service = Service(
         config.turbines,

@@ -13,7 +13,6 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -22,62 +21,40 @@ from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live.alarms import (
     CHANGED,
-    CONDENSATION,
+    ESTIMATE_RULES,
     LOST,
     STALE,
     SUSPECT,
+    Estimated,
     Level,
+    Rule,
     Standing,
-    condensation_level,
-    judged,
-    resting_on,
+    estimate_levels,
+    judge,
     shift_levels,
     source_levels,
     stale_levels,
+    with_doubts,
 )
+from hygrokf.live.batch import Alarm, Batch, Estimates, Observation
 from hygrokf.live.condition import Condition, Surface, air_condition, inputs_of, only
 from hygrokf.live.fault_isolation import EVERY_S as ISOLATE_S
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import LASTING_S, ParameterShift, parameter_shifts, properties, states_of
-from hygrokf.live.sources.payload import Payload, PayloadMapping, Refused, parsed, taken
-from hygrokf.live.storage.store import Alarm, Batch, Estimates, Observation, Store
+from hygrokf.live.sources.payload import PayloadMapping, Refused
+from hygrokf.live.sources.stream import Delivery, SourceState
+from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import SAME_S, Course, Tracker
-
-if TYPE_CHECKING:
-    from hygrokf.live.sources.streams import SourceState
 
 PROPERTY_S = HOUR_S
 """[s] between two stored rows of a property."""
 THIN_S = 600.0
 """[s] between two stored estimates of a cabinet without sensors."""
-WARNED = (CONDENSATION.kind, CHANGED.kind, SUSPECT.kind)
-"""Kinds of alarms that follow from estimates."""
 STALE_S = 2.0 * HOUR_S
 SOURCE = ""
 """Name under which counts, alarms and memories that belong to no turbine are kept."""
-
-
-class Receipt(Protocol):
-    """The source's handle on a delivery, used to acknowledge it."""
-
-    def acknowledge(self) -> None: ...
-
-
-@dataclass(frozen=True)
-class Delivery:
-    """A payload that a source delivers.
-
-    `received`: time of arrival [s]; `topic`: MQTT topic; `place`: position from which the source resumes
-    after this delivery; `token`: the source's receipt, None if there is nothing to acknowledge.
-    """
-
-    content: bytes | str | Payload
-    received: float
-    topic: str = ""
-    place: str = ""
-    token: Receipt | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -153,8 +130,7 @@ class Fleet:
         touched: dict[str, list[Observation]] = defaultdict(list)
         for one in deliveries:
             try:
-                content = parsed(one.content) if isinstance(one.content, bytes | str) else one.content
-                found = taken(content, mapping, one.received, one.topic)
+                found = mapping.read(one.content, one.received, one.topic)
             except Refused as fault:
                 counts[SOURCE, fault.kind] += 1
                 continue
@@ -242,11 +218,9 @@ class Fleet:
         """Judge alarms at every estimate newer than the last one judged."""
         after = self._warned.get(name, -math.inf)
         for i in np.flatnonzero(found.time_s > after):
-            levels = condensation_level(found, int(i)) + shift_levels(
-                self.shifts[name], self.findings.get(name)
-            )
-            levels = resting_on(levels, self.turbines[name].verdicts)
-            self._judge(name, float(found.time_s[i]), levels, WARNED, batch)
+            now = Estimated(found, int(i), self.shifts[name], self.findings.get(name))
+            levels = estimate_levels(now, self.turbines[name].verdicts)
+            self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
         self._warned[name] = max(after, float(found.time_s[-1]))
 
     def tick(self, now: float, sources: Mapping[str, SourceState]) -> Batch:
@@ -255,8 +229,8 @@ class Fleet:
         self._began = min(self._began, now)
         for name, tracker in self.trackers.items():
             ages = {signal: now - time for signal, time in tracker.heard().items()} or {"": now - self._began}
-            self._judge(name, now, stale_levels(ages, self.turbines[name].stale_s), (STALE.kind,), batch)
-        self._judge(SOURCE, now, source_levels(sources), (LOST.kind,), batch)
+            self._judge(name, now, stale_levels(ages, self.turbines[name].stale_s), (STALE,), batch)
+        self._judge(SOURCE, now, source_levels(sources), (LOST,), batch)
         return batch
 
     def isolation_due(self) -> str | None:
@@ -281,9 +255,8 @@ class Fleet:
         """Keep the finding of fault isolation and judge the alarms that it explains."""
         self.findings[name] = finding
         batch = Batch(memories={(name, "finding"): asdict(finding)})
-        levels = shift_levels(self.shifts[name], finding)
-        levels = resting_on(levels, self.turbines[name].verdicts)
-        self._judge(name, finding.time_s, levels, (CHANGED.kind, SUSPECT.kind), batch)
+        levels = with_doubts(shift_levels(self.shifts[name], finding), self.turbines[name].verdicts)
+        self._judge(name, finding.time_s, levels, (CHANGED, SUSPECT), batch)
         return batch
 
     def forecast_due(self, every_s: float) -> str | None:
@@ -298,11 +271,11 @@ class Fleet:
         return best
 
     def _judge(
-        self, name: str, now: float, levels: list[Level], kinds: tuple[str, ...], batch: Batch
+        self, name: str, now: float, levels: list[Level], rules: tuple[Rule, ...], batch: Batch
     ) -> None:
-        """Judge the alarms of some kinds by their levels."""
+        """Judge the alarms of some rules by their levels."""
         before = self.standings[name]
-        after, changed = judged(name, before, now, levels, kinds)
+        after, changed = judge(name, before, now, levels, [rule.kind for rule in rules])
         if after != before:
             self.standings[name] = after
             batch.memories[name, "alarms"] = {key: asdict(one) for key, one in after.items()}

@@ -29,9 +29,10 @@ from hygrokf.live.plan import Form, plan
 from hygrokf.live.service import Service
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.mqtt import Mqtt
+from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.tracker import whole
-from hygrokf.live.turbines import Delivery, Fleet, Turbine, conditions
+from hygrokf.live.turbines import Fleet, Turbine, conditions
 from hygrokf.modelling.inputs import prepare_run
 
 PUBLISHER = Path(__file__).with_name("publisher.py")

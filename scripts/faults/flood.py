@@ -13,7 +13,7 @@ from builders.brokers import mosquitto, peer, publish
 from faults.outcome import Outcome
 from faults.plant import LATENESS_S, Message, Plant, counted, stored
 from faults.tracker import Tracker, mqtt_source, tracking, unacknowledged, until
-from hygrokf.live.sources.streams import disturbed
+from hygrokf.live.sources.local import disturbed
 
 LATE_S = 0.9 * LATENESS_S
 """[s] by which a message comes late at most."""

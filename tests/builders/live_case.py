@@ -15,10 +15,11 @@ from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.data.record import Record
 from hygrokf.identification.fit import Fit
 from hygrokf.live.plan import Form, plan
-from hygrokf.live.sources.streams import Playback
+from hygrokf.live.sources.local import Playback
+from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.tracker import whole
-from hygrokf.live.turbines import Delivery, Turbine
+from hygrokf.live.turbines import Turbine
 from hygrokf.modelling.design import CASCADE, design, merged
 
 SIGNALS = (

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from builders.live_case import Halting
 from hygrokf.data.record import Record
 from hygrokf.live.service import Service
-from hygrokf.live.sources.streams import disturbed, record_mapping, record_messages
-from hygrokf.live.turbines import Delivery
+from hygrokf.live.sources.local import disturbed, record_mapping, record_messages
+from hygrokf.live.sources.stream import Delivery
 
 
 class Acknowledging(Halting):

@@ -229,7 +229,7 @@ def playback(folder: Path) -> str:
     from builders.live_case import live_record, live_turbine
 
     from hygrokf.live.service import Service
-    from hygrokf.live.sources.streams import Playback, record_mapping, record_messages
+    from hygrokf.live.sources.local import Playback, record_mapping, record_messages
     from hygrokf.live.storage.store import open_store
     from hygrokf.live.web.views import turbine_view
 

@@ -12,6 +12,7 @@ import pytest
 from builders.brokers import authority
 
 from hygrokf.data.toml_form import Place, read_form
+from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.broker import (
     EXPIRY_S,
     Broker,
@@ -25,7 +26,6 @@ from hygrokf.live.sources.broker import (
 )
 from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.payload import Field, PayloadMapping
-from hygrokf.live.storage.store import Alarm
 
 MAPPING = PayloadMapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
 SECRET = "pa55-4711"

@@ -37,12 +37,12 @@ from hygrokf.live.doctor import machine as doctor_machine
 from hygrokf.live.doctor import mqtt as doctor_mqtt
 from hygrokf.live.doctor import sources as doctor_sources
 from hygrokf.live.doctor import store as doctor_store
-from hygrokf.live.doctor.check import Check, worst
+from hygrokf.live.doctor.check import Check, server_check, stamp_check, worst
 from hygrokf.live.doctor.examination import examine, page_checks
-from hygrokf.live.doctor.machine import Watch, machine_checks, server_check, stamp_check, validities
+from hygrokf.live.doctor.machine import Watch, machine_checks, validities
 from hygrokf.live.service import Service
 from hygrokf.live.sources.opcua_client import Connection
-from hygrokf.live.sources.streams import several
+from hygrokf.live.sources.stream import several
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.web.page_settings import PageSettings
 

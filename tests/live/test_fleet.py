@@ -11,13 +11,15 @@ import pytest
 from builders.live_case import expect_offline, live_record
 
 from hygrokf.data.record import Record
+from hygrokf.live.batch import Batch
 from hygrokf.live.condition import Surface
 from hygrokf.live.properties import ParameterShift
+from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.streams import record_mapping, record_messages
-from hygrokf.live.storage.store import Batch, Store, open_store
+from hygrokf.live.sources.stream import Delivery
+from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import whole
-from hygrokf.live.turbines import Delivery, Fleet, Turbine, conditions
+from hygrokf.live.turbines import Fleet, Turbine, conditions
 
 SOURCE = "replay:"
 

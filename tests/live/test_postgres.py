@@ -22,12 +22,13 @@ from builders.waiting import eventually
 
 from hygrokf.data.record import Record
 from hygrokf.live import service as module
+from hygrokf.live.batch import Batch
 from hygrokf.live.service import Service
-from hygrokf.live.sources.streams import record_mapping
+from hygrokf.live.sources.local import record_mapping
 from hygrokf.live.storage import database, postgres
 from hygrokf.live.storage.postgres import NO_SECRET, url_fault
 from hygrokf.live.storage.schema import VERSION
-from hygrokf.live.storage.store import Batch, Store, StoreFault, open_store
+from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.turbines import Turbine
 
 

@@ -10,12 +10,13 @@ from builders.service_case import Acknowledging
 from builders.store_case import T0, a_condition, observed
 
 from hygrokf.live import service
+from hygrokf.live.batch import Alarm, Batch, Estimates
 from hygrokf.live.plan import BEFORE
 from hygrokf.live.properties import Property
 from hygrokf.live.service import Service
 from hygrokf.live.storage import retention as module
 from hygrokf.live.storage.retention import Retention, prune
-from hygrokf.live.storage.store import Alarm, Batch, Estimates, Store, open_store
+from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import whole
 from hygrokf.live.turbines import Fleet
 

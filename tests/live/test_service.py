@@ -14,10 +14,11 @@ from builders.waiting import eventually
 from hygrokf.data.record import Record
 from hygrokf.live import service as module
 from hygrokf.live.service import Service
-from hygrokf.live.sources.streams import record_messages
+from hygrokf.live.sources.local import record_messages
+from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage import database
 from hygrokf.live.storage.store import StoreFault, open_store
-from hygrokf.live.turbines import Delivery, Turbine
+from hygrokf.live.turbines import Turbine
 
 
 def test_a_late_and_repeated_playback_ends_in_the_offline_filter(

@@ -22,10 +22,11 @@ from builders.waiting import eventually
 
 from hygrokf.data.record import Record
 from hygrokf.live import service as module
+from hygrokf.live.batch import Batch
 from hygrokf.live.service import Service
 from hygrokf.live.storage import database
 from hygrokf.live.storage.schema import VERSION
-from hygrokf.live.storage.store import Batch, StoreFault, open_store
+from hygrokf.live.storage.store import StoreFault, open_store
 from hygrokf.live.turbines import Turbine
 
 

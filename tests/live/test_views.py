@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hygrokf.live.batch import Alarm, Batch, Estimates, Observation
 from hygrokf.live.condition import Condition, Quantity
 from hygrokf.live.properties import Property
 from hygrokf.live.service import Health
-from hygrokf.live.storage.store import Alarm, Batch, Estimates, Observation, Store, open_store
+from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import Reading
 from hygrokf.live.web.views import MOST, alarms_view, by_hour, fleet_view, health_view, turbine_view
 
@@ -100,8 +101,8 @@ def test_what_a_model_lacks_is_left_out(store: Store) -> None:
 
 
 def test_open_alarms_come_first(store: Store) -> None:
-    assert [a["id"] for a in alarms_view(store)] == ["a", "b"]
-    assert [a["id"] for a in alarms_view(store, "A")] == ["b"]
+    assert [a.id for a in alarms_view(store)] == ["a", "b"]
+    assert [a.id for a in alarms_view(store, "A")] == ["b"]
 
 
 def test_long_courses_are_thinned(store: Store) -> None:
@@ -160,6 +161,6 @@ def test_signals_are_told_in_the_units_that_are_shown(store: Store) -> None:
 
 
 def test_alarms_that_ended_long_ago_are_left_out(store: Store) -> None:
-    assert [a["id"] for a in alarms_view(store, since=T0 + 60.0)] == ["a", "b"]
-    assert [a["id"] for a in alarms_view(store, since=T0 + 61.0)] == ["a"]
+    assert [a.id for a in alarms_view(store, since=T0 + 60.0)] == ["a", "b"]
+    assert [a.id for a in alarms_view(store, since=T0 + 61.0)] == ["a"]
     assert alarms_view(store, "A", T0 + 61.0) == []

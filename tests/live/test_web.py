@@ -17,8 +17,8 @@ from builders.page_case import Case, add_forecast, filled, opened, write_certifi
 from builders.ports import free_port
 from prometheus_client.parser import text_string_to_metric_families
 
+from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.service import Service
-from hygrokf.live.storage.store import Alarm, Batch
 from hygrokf.live.web import access as web_access
 from hygrokf.live.web.access import Attempts, Sessions, host_name
 from hygrokf.live.web.application import STATIC, Page

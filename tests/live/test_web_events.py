@@ -16,8 +16,8 @@ import pytest
 from builders.page_case import Case, filled
 from builders.waiting import eventually
 
+from hygrokf.live.batch import Alarm, Batch, Observation
 from hygrokf.live.service import Service
-from hygrokf.live.storage.store import Alarm, Batch, Observation
 from hygrokf.live.tracker import Reading
 from hygrokf.live.web import server as web_events
 from hygrokf.live.web.application import Page

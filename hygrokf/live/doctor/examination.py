@@ -20,11 +20,10 @@ from hygrokf.identification.verdict import REJECT, handed_on
 from hygrokf.live.config import Config
 from hygrokf.live.doctor.check import LEVELS, Check, doubt, fault, ok, worst
 from hygrokf.live.doctor.machine import Watch, file_checks, machine_checks
-from hygrokf.live.doctor.sources import examined
+from hygrokf.live.doctor.sources import examine_sources
 from hygrokf.live.doctor.store import Kept, store_checks
 from hygrokf.live.plan import Plan
-from hygrokf.live.sources.opcua import OpcUa
-from hygrokf.live.sources.streams import Playback, Stream, several
+from hygrokf.live.sources.stream import Stream, several
 from hygrokf.live.tracker import AMBIENT_HUMIDITIES, Reading, Tracker, record_of
 from hygrokf.live.turbines import Turbine
 from hygrokf.live.web.page_settings import PageFault, PageSettings
@@ -47,8 +46,8 @@ def examine(
     watch, kept = Watch(), Kept()
     # the strictest turbine decides what counts as late
     lateness_s = min((one.plan.lateness_s for one in config.turbines.values()), default=math.inf)
-    sources = examined(config.streams, wait_s, lateness_s)
-    played_back = all(isinstance(one, Playback) for one in config.streams if not one.mapping.weather)
+    sources = examine_sources(config.streams, wait_s, lateness_s)
+    played_back = all(one.played_back for one in config.streams if not one.mapping.weather)
     of_store = list(store_checks(config.store, config.turbines, config.retention_s, played_back, kept))
     came = {name: set(signals) for name, signals in kept.signals.items()}
     for one in sources:
@@ -136,7 +135,7 @@ def model_checks(
     """Check every turbine's model; `came`: turbine → signals of which the store or a source has readings."""
     fine, unheard = [], []
     for name, one in turbines.items():
-        mapped = mapped_signals(name, streams)
+        mapped = set[str]().union(*(stream.signals(name) for stream in streams))
         for part, _, found in handed_on(one.verdicts):
             if found.verdict == REJECT:
                 yield doubt(
@@ -178,20 +177,6 @@ def model_checks(
         )
     if fine:
         yield ok("turbines", f"{len(fine)} have a model that can run, and have delivered all its inputs")
-
-
-def mapped_signals(turbine: str, streams: Sequence[Stream]) -> set[str]:
-    """Signals of a turbine that some source can deliver."""
-    found: set[str] = set()
-    for stream in streams:
-        fields = stream.mapping.fields
-        if stream.mapping.weather:
-            continue
-        if isinstance(stream, OpcUa):
-            found |= {fields[node.field].signal for node in stream.nodes if node.turbine == turbine}
-        elif turbine in stream.mapping.turbines.values():
-            found |= {one.signal for one in fields.values()}
-    return found
 
 
 def lacking(plan: Plan, mapped: Collection[str], came: Collection[str]) -> list[str]:

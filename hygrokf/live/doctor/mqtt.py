@@ -16,12 +16,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok
-from hygrokf.live.doctor.machine import SECRETS, stamp_check, unread_certificate, validities, validity_check
+from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok, payload_checks, stamp_check
+from hygrokf.live.doctor.machine import SECRETS, unread_certificate, validities, validity_check
 from hygrokf.live.sources.broker import Broker, unreached
+from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.mqtt_link import Link
-from hygrokf.live.sources.payload import LARGEST, PayloadMapping, PayloadStatistics
-from hygrokf.live.sources.streams import SourceFault
+from hygrokf.live.sources.payload import LARGEST, PayloadStatistics
+from hygrokf.live.sources.stream import SourceFault
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
@@ -65,10 +66,11 @@ class Listener(Link):
 
 
 def mqtt_checks(
-    broker: Broker, mapping: PayloadMapping, statistics: PayloadStatistics, wait_s: float, lateness_s: float
+    source: Mqtt, statistics: PayloadStatistics, wait_s: float, lateness_s: float
 ) -> Iterator[Check]:
     """Connect, subscribe and listen for `wait_s` [s]; messages that are not retained also go into the
     statistics."""
+    broker, mapping = source.broker, source.mapping
     about = f"source {broker.url}"
     for caution in broker.cautions():
         if not caution.startswith(SECRETS):  # `file_checks` reports these
@@ -188,19 +190,3 @@ def _filter_check(about: str, one: Heard, denied: str | None, wait_s: float) -> 
     return doubt(
         about, f"granted, but no message arrived {within}: a broker may grant and deliver nothing", SILENT
     )
-
-
-def payload_checks(about: str, statistics: PayloadStatistics, what: str = "payloads") -> Iterator[Check]:
-    """Whether payloads gave readings; no check without payloads."""
-    if not statistics.payloads:
-        return
-    found = f"{statistics.used} of {statistics.payloads} {what} gave readings"
-    if statistics.aside:
-        found += f"; not used: {statistics.aside}"
-    remedy = "compare [mapping] and known_as of each [[turbine]] with the delivered payloads"
-    if not statistics.used:
-        yield fault(about, found, remedy)
-    elif statistics.aside:
-        yield doubt(about, found, remedy)
-    else:
-        yield ok(about, found)

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok
-from hygrokf.live.sources.streams import several
-from hygrokf.live.storage.database import StoreUnready
+from hygrokf.live.sources.stream import several
+from hygrokf.live.storage.database import StoreUnready, one_line
 from hygrokf.live.storage.schema import VERSION
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.turbines import Turbine, digest
@@ -54,7 +54,7 @@ def store_checks(
     except store.database.errors as error:
         yield fault(
             "store",
-            f"{url} cannot be read ({' '.join(str(error).split())})",
+            f"{url} cannot be read ({one_line(error)})",
             "restore a copy, or name a new store",
         )
     finally:

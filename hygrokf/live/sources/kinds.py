@@ -8,10 +8,11 @@ from pathlib import Path
 from typing import Any
 
 from hygrokf.data.toml_form import Place, read_form
+from hygrokf.live.sources.local import FileForm, InputForm
 from hygrokf.live.sources.mqtt import MqttForm
-from hygrokf.live.sources.opcua_table import OpcUaForm
+from hygrokf.live.sources.opcua_form import OpcUaForm
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.streams import FileForm, InputForm, Stream
+from hygrokf.live.sources.stream import Stream
 
 KINDS: Mapping[str, Any] = {
     "file": FileForm,

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hygrokf.live.sources.broker import Broker, reason_words, tls_words
 from hygrokf.live.sources.payload import LARGEST
-from hygrokf.live.sources.streams import SourceState
+from hygrokf.live.sources.stream import SourceState
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage, MQTTMessageInfo

@@ -17,12 +17,10 @@ from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from hygrokf.data.structured import Json, JsonObject
-from hygrokf.live.sources.opcua_client import Connection
+from hygrokf.live.sources.opcua_client import Connection, Security, User
 from hygrokf.live.sources.opcua_samples import ConnectionFault, HistoryFault, Node, Rates, Sample, library
-from hygrokf.live.sources.opcua_security import Security, User
 from hygrokf.live.sources.payload import AHEAD_S, EARLIEST_S, PayloadMapping
-from hygrokf.live.sources.streams import PAUSE_S, SourceFault, SourceState, Threaded, several
-from hygrokf.live.turbines import Delivery
+from hygrokf.live.sources.stream import PAUSE_S, Delivery, SourceFault, SourceState, Threaded, several
 
 LOG = logging.getLogger("hygrokf.track")
 RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
@@ -268,6 +266,11 @@ class OpcUa(Threaded):
             self._bad[one.node] = one.word
         else:
             self._bad.pop(one.node, None)
+
+    def signals(self, turbine: str) -> set[str]:
+        """Signals of a turbine that the nodes deliver."""
+        fields = self.mapping.fields
+        return {fields[node.field].signal for node in self.nodes if node.turbine == turbine}
 
     def delivery(self, one: Sample) -> Delivery:
         """The delivery of a sample."""

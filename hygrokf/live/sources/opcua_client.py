@@ -12,6 +12,7 @@ import socket
 import time
 from collections.abc import AsyncIterator, Iterable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
@@ -27,7 +28,6 @@ from hygrokf.live.sources.opcua_samples import (
     sample_of,
     words_of,
 )
-from hygrokf.live.sources.opcua_security import Security, User
 
 if TYPE_CHECKING:
     from asyncua import ua
@@ -52,6 +52,30 @@ AT_ONCE = 500
 PAGE = 1_000
 """Samples per history request."""
 NO_FILTER = ("BadMonitoredItemFilterUnsupported", "BadMonitoredItemFilterInvalid", "BadFilterNotAllowed")
+
+
+@dataclass(frozen=True)
+class Security:
+    """Signing and encryption between this client's key pair and one server's certificate (all DER).
+
+    `application_uri`: URI in the client's certificate; `valid_until`: end of that certificate's validity [s].
+    """
+
+    policy: str
+    mode: str
+    certificate: bytes = field(repr=False)
+    key: bytes = field(repr=False)
+    server_certificate: bytes = field(repr=False)
+    application_uri: str
+    valid_until: float
+
+
+@dataclass(frozen=True)
+class User:
+    """User name and password for the login."""
+
+    name: str
+    password: str = field(repr=False)
 
 
 class Connection:

@@ -11,13 +11,14 @@ import os
 import sqlite3
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.service import Service
-from hygrokf.live.sources.streams import SourceState
+from hygrokf.live.sources.stream import SourceState
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.web.access import Access, client_of, guarded
 from hygrokf.live.web.metrics import exposition
@@ -299,7 +300,7 @@ def reply(
     """A JSON response."""
     from starlette.responses import Response
 
-    text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=asdict)
     return Response(text, status, {"Content-Type": "application/json", **(headers or {})})
 
 

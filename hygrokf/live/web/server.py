@@ -19,7 +19,8 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from hygrokf.data.structured import Json
-from hygrokf.live.storage.store import Batch
+from hygrokf.live.batch import Batch
+from hygrokf.live.sources.endpoint import bracketed
 from hygrokf.live.web.access import answer
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
 
@@ -71,8 +72,8 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        host = f"[{self._settings.host}]" if ":" in self._settings.host else self._settings.host
-        return f"{'https' if self._settings.certificate else 'http'}://{host}:{self.port}/"
+        scheme = "https" if self._settings.certificate else "http"
+        return f"{scheme}://{bracketed(self._settings.host)}:{self.port}/"
 
     def stop(self) -> None:
         """End the event streams, then the server, within `STOP_S`."""

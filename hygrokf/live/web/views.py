@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from types import MappingProxyType
-from typing import Any, TypedDict, TypeVar, cast
+from typing import Any, TypedDict, TypeVar
 
 import numpy as np
 
@@ -19,13 +19,14 @@ from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.identification.verdict import MARKS, PARAMETER_OF, VERDICTS, handed_on
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live.alarms import CHANGED
+from hygrokf.live.batch import Alarm
 from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
 from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.properties import WATCHED
 from hygrokf.live.service import Health
-from hygrokf.live.sources.streams import SourceState
+from hygrokf.live.sources.stream import SourceState
 from hygrokf.live.storage.database import Row
-from hygrokf.live.storage.store import Store
+from hygrokf.live.storage.store import ALARM_COLUMNS, Store
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 DECIMALS = 4
@@ -42,21 +43,6 @@ READ = {"temperature": "cabinet_temperature", "relative_humidity": "cabinet_rela
 Verdicts = Mapping[str, Inherited]
 """A fit's verdicts on the numbers of a turbine's model, by part."""
 T = TypeVar("T")
-
-
-class AlarmRow(TypedDict):
-    """An alarm; times [s]."""
-
-    id: str
-    turbine: str
-    kind: str
-    severity: str
-    began: float
-    ended: float | None
-    acknowledged: float | None
-    acknowledged_by: str | None
-    statement: str
-    remedy: str
 
 
 class Chance(TypedDict):
@@ -87,7 +73,7 @@ class FleetRow(TypedDict):
     condensation: float | None
     forecast: Chance | None
     cabinet: str | None
-    alarms: list[AlarmRow]
+    alarms: list[Alarm]
     model: str | None
     severity: int
 
@@ -180,7 +166,7 @@ class TurbineView(TypedDict):
     readings: dict[str, ReadingCourse]
     forecast: dict[str, Any] | None
     properties: list[PropertyCourse]
-    alarms: list[AlarmRow]
+    alarms: list[Alarm]
     signals: list[SignalRow]
     counts: dict[str, int]
 
@@ -256,9 +242,9 @@ def fleet_view(
         )
     }
     cabinets, highest = _cabinets(store), _highest_forecast(store, now)
-    open_: dict[str, list[AlarmRow]] = {}
+    open_: dict[str, list[Alarm]] = {}
     for alarm in alarms_view(store, since=math.inf):
-        open_.setdefault(alarm["turbine"], []).append(alarm)
+        open_.setdefault(alarm.turbine, []).append(alarm)
     rows: list[FleetRow] = []
     for name in names:
         at, kelvin, kelvin_sd, humidity, humidity_sd, margin, margin_sd, chance = newest.get(name, [None] * 8)
@@ -278,12 +264,10 @@ def fleet_view(
                 "margin_lower": None if margin is None else margin - Z95 * margin_sd,
                 "condensation": chance,
                 "forecast": highest.get(name),
-                "cabinet": "changed"
-                if any(a["kind"] == CHANGED.kind for a in alarms)
-                else cabinets.get(name),
+                "cabinet": "changed" if any(a.kind == CHANGED.kind for a in alarms) else cabinets.get(name),
                 "alarms": alarms,
                 "model": model_view(verdicts.get(name, {}))["verdict"],
-                "severity": max((SEVERITY[a["severity"]] for a in alarms), default=-1),
+                "severity": max((SEVERITY[a.severity] for a in alarms), default=-1),
             }
         )
     rows.sort(key=lambda row: (-row["severity"], -_risk(row), row["turbine"]))
@@ -463,7 +447,7 @@ def _forecast(store: Store, name: str) -> dict[str, Any] | None:
     }
 
 
-def alarms_view(store: Store, turbine: str | None = None, since: float = -math.inf) -> list[AlarmRow]:
+def alarms_view(store: Store, turbine: str | None = None, since: float = -math.inf) -> list[Alarm]:
     """Alarms of one turbine or of all that are open or ended at `since` [s] or later.
 
     Open alarms come first; within each group the most severe come first, and then the newest.
@@ -473,11 +457,9 @@ def alarms_view(store: Store, turbine: str | None = None, since: float = -math.i
     if turbine is not None:
         where += " AND turbine = ?"
         parameters.append(turbine)
-    rows = store.rows(
-        f"SELECT {', '.join(AlarmRow.__annotations__)} FROM alarm {where} ORDER BY began DESC", parameters
-    )
-    found = [cast(AlarmRow, dict(zip(AlarmRow.__annotations__, row, strict=True))) for row in rows]
-    return sorted(found, key=lambda a: (a["ended"] is not None, -SEVERITY[a["severity"]]))
+    rows = store.rows(f"SELECT {', '.join(ALARM_COLUMNS)} FROM alarm {where} ORDER BY began DESC", parameters)
+    found = [Alarm(**dict(zip(ALARM_COLUMNS, row, strict=True))) for row in rows]
+    return sorted(found, key=lambda alarm: (alarm.ended is not None, -SEVERITY[alarm.severity]))
 
 
 def _properties(store: Store, name: str, since: float) -> list[PropertyCourse]:
