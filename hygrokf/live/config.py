@@ -139,6 +139,17 @@ class SurfaceForm:
 
 
 @dataclass(frozen=True)
+class SiteForm(Site):
+    """The table site of a [[turbine]], whose place in a message names the site already."""
+
+    def __post_init__(self) -> None:
+        try:
+            super().__post_init__()
+        except ValueError as fault:
+            raise ValueError(str(fault).removeprefix("site: ")) from None
+
+
+@dataclass(frozen=True)
 class TurbineForm:
     """A [[turbine]]."""
 
@@ -150,7 +161,7 @@ class TurbineForm:
     fit: str = setting(help="its model: fit.json, or the directory of it")
     known_as: tuple[str, ...] | None = setting(None, "names that stand for it in payloads", read=_texts)
     cold_surface: SurfaceForm = setting(SurfaceForm, "its coldest surface")
-    site: Site | None = setting(None, "for models that read the sun")
+    site: SiteForm | None = setting(None, "for models that read the sun")
     rated_power_kW: float | None = setting(None, "of the turbine", above=0.0)
     lateness_s: float | None = setting(None, "as in the file", read=duration)
     humidity_limit: float = setting(LIMIT, "relative humidity that forecasts ask for", above=0.0, most=1.0)
@@ -259,7 +270,7 @@ def _turbine(
     lateness_s: float,
     place: Place,
 ) -> Turbine | None:
-    """A turbine with its model, or None where that cannot be used."""
+    """A turbine with its model; None with a fault where the model cannot be used."""
     if not form.fit:
         return None
     return read_turbine(
@@ -272,7 +283,7 @@ def _turbine(
         forms=forms,
         lateness_s=lateness_s,
         wandering=rates,
-        site=form.site,
+        site=None if form.site is None else Site(**vars(form.site)),
         rated_power_W=None if form.rated_power_kW is None else 1e3 * form.rated_power_kW,
     )
 

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.live.ceiling import filtered
+from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.plan import Plan
 from hygrokf.modelling.inputs import prepare_run
 
@@ -78,7 +78,7 @@ def isolate(plan: Plan, record: Record) -> Iterator[Finding | None]:
     t = prepare_run(plan.design, record).timeline
     likelihood = plan.likelihood(t)
     still = {**plan.values, **_lowest_rates(plan)}
-    base = filtered(likelihood, still).loglik
+    base = censored_trace(likelihood, still).loglik
     end_s = float(t.seconds[-1])
     gains: dict[str, Explanation] = {}
     for cause, options in STATES.items():
@@ -87,7 +87,7 @@ def isolate(plan: Plan, record: Record) -> Iterator[Finding | None]:
                 continue
             place = plan.model.states.index(state)
             for rate in rates:
-                found = filtered(likelihood, {**still, f"{state}_rate": rate})
+                found = censored_trace(likelihood, {**still, f"{state}_rate": rate})
                 gain = found.loglik - base
                 if cause not in gains or gain > gains[cause].gain:
                     gains[cause] = Explanation(gain, state, float(found.mean[-1, place]))

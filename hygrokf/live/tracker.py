@@ -2,8 +2,8 @@
 
 Readings are stored by their own times.  Up to the **point**, about `lateness_s` before the newest reading,
 the estimate is final and kept as a Gaussian; from there on the filter runs again whenever readings come in.
-Final estimates equal those of the offline filter on the same readings (`whole`) bit for bit, because both
-take the same steps: instants and inputs come from `modelling.inputs.prepare_run`, and the inputs at an
+Final estimates equal those of the offline filter on the same readings (`offline_course`) bit for bit, because
+both take the same steps: instants and inputs come from `modelling.inputs.prepare_run`, and the inputs at an
 instant depend only on the readings around it.
 """
 
@@ -23,7 +23,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Trace
-from hygrokf.live.ceiling import filtered
+from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.plan import BEFORE, Plan
 from hygrokf.modelling.inputs import Run, longest_gap_h, prepare_run
 
@@ -222,7 +222,7 @@ class Tracker:
         return None if self.point is None else self.point.state
 
     def _filtered(self, t: Timeline, start: Gaussian | None) -> Trace:
-        return filtered(self.plan.likelihood(t), self.plan.values, start)
+        return censored_trace(self.plan.likelihood(t), self.plan.values, start)
 
     @property
     def _limit(self) -> float:
@@ -298,25 +298,14 @@ def record_of(
             time, value = time[there], value[there]
         if not len(time):
             continue
-        series.append(
-            Series(
-                signal=signal,
-                time=time,
-                value=value,
-                hold=form.hold,
-                interval_s=form.interval_s,
-                resolution=form.resolution,
-                accuracy=form.accuracy,
-                response_time_s=form.response_time_s,
-            )
-        )
+        series.append(Series(signal=signal, time=time, value=value, **vars(form)))
     return Record(plan.name, tuple(series), plan.site, plan.rated_power_W)
 
 
-def whole(plan: Plan, record: Record) -> Course:
+def offline_course(plan: Plan, record: Record) -> Course:
     """The offline filter on a whole record, with the tracker's model and steps; missing readings are
     skipped."""
     times = {s.signal: s.time for s in record.series}
     values = {s.signal: s.value for s in record.series}
     made = prepare_run(plan.design, record_of(plan, times, values))
-    return Course(made, filtered(plan.likelihood(made.timeline), plan.values))
+    return Course(made, censored_trace(plan.likelihood(made.timeline), plan.values))

@@ -93,7 +93,7 @@ class Fleet:
         self._counted: dict[str, Counter[str]] = defaultdict(Counter)
 
     @classmethod
-    def opened(cls, turbines: Mapping[str, Turbine], store: Store) -> Fleet:
+    def from_store(cls, turbines: Mapping[str, Turbine], store: Store) -> Fleet:
         """The fleet in the state that the store holds."""
         store.add_turbines({name: digest(one.plan) for name, one in turbines.items()})
         fleet = cls(turbines)
@@ -130,35 +130,31 @@ class Fleet:
         touched: dict[str, list[Observation]] = defaultdict(list)
         for one in deliveries:
             try:
-                found = mapping.read(one.content, one.received, one.topic)
+                turbine, readings, refused = mapping.read(one.content, one.received, one.topic)
             except Refused as fault:
                 counts[SOURCE, fault.kind] += 1
                 continue
-            for kind, n in found.counts.items():
-                counts[found.turbine, kind] += n
+            counts.update({(turbine, kind): n for kind, n in refused.items()})
             if mapping.weather:
-                batch.weather += [Observation(found.turbine, r, one.received) for r in found.readings]
+                batch.weather += [Observation(turbine, r, one.received) for r in readings]
                 continue
-            tracker = self.trackers[found.turbine]
-            touched[found.turbine] += [
-                Observation(found.turbine, r, one.received, tracker.is_late(r)) for r in found.readings
-            ]
+            is_late = self.trackers[turbine].is_late
+            touched[turbine] += [Observation(turbine, r, one.received, is_late(r)) for r in readings]
         for name, observations in touched.items():
             tracker = self.trackers[name]
             tracker.take(one.reading for one in observations)
             batch.observations += observations
             self.waiting.setdefault(name)
-            if tracker.counts != self._counted[name]:
-                counts.update({(name, kind): n for kind, n in (tracker.counts - self._counted[name]).items()})
-                self._counted[name] = Counter(tracker.counts)
+            counts.update({(name, kind): n for kind, n in (tracker.counts - self._counted[name]).items()})
+            self._counted[name] = Counter(tracker.counts)
         batch.counters = dict(counts)
         places = [one.place for one in deliveries if one.place]
         if source and places:
             batch.place[source] = places[-1]
-        self.filtered(batch, filter_s)
+        self.filter_waiting(batch, filter_s)
         return batch
 
-    def filtered(self, batch: Batch, filter_s: float = math.inf) -> Batch:
+    def filter_waiting(self, batch: Batch, filter_s: float = math.inf) -> Batch:
         """Filter waiting turbines for `filter_s` [s], longest waiting first and at least one; returns the
         batch."""
         end = time.monotonic() + filter_s
@@ -166,17 +162,17 @@ class Fleet:
         while self.waiting:
             name = next(iter(self.waiting))
             del self.waiting[name]
-            course = self._advanced(name)
+            course = self._advance(name)
             if course is not None:
                 courses[name] = course
             if time.monotonic() >= end:
                 break
         found = conditions({name: (self.turbines[name], course) for name, course in courses.items()})
         for name, course in courses.items():
-            self._follow(name, course, found[name], batch)
+            self._add_results(name, course, found[name], batch)
         return batch
 
-    def _advanced(self, name: str) -> Course | None:
+    def _advance(self, name: str) -> Course | None:
         try:
             course = self.trackers[name].advance()
         except ValueError as fault:  # no reading is lost: all are in the tracker and in the batch
@@ -185,7 +181,7 @@ class Fleet:
         self.faults.pop(name, None)
         return course
 
-    def _follow(self, name: str, course: Course, found: Condition, batch: Batch) -> None:
+    def _add_results(self, name: str, course: Course, found: Condition, batch: Batch) -> None:
         """Put estimates, properties and alarms that follow from a course into the batch."""
         point = self.trackers[name].point
         if len(found.time_s):
@@ -194,10 +190,10 @@ class Fleet:
         if point is None:
             return
         batch.points[name] = point
-        self._watch(name, self.turbines[name].plan, course, point.time, batch)
-        self._warn(name, found, batch)
+        self._watch_properties(name, self.turbines[name].plan, course, point.time, batch)
+        self._judge_estimates(name, found, batch)
 
-    def _watch(self, name: str, plan: Plan, course: Course, final_s: float, batch: Batch) -> None:
+    def _watch_properties(self, name: str, plan: Plan, course: Course, final_s: float, batch: Batch) -> None:
         """Update properties and parameter shifts once per hour of final estimates, however many hours came at
         once."""
         slots = np.floor(course.seconds / PROPERTY_S)
@@ -214,7 +210,7 @@ class Fleet:
             self.shifts[name] = parameter_shifts(self.shifts[name], at, states, errors)
             batch.memories[name, "parameter_shifts"] = {k: asdict(d) for k, d in self.shifts[name].items()}
 
-    def _warn(self, name: str, found: Condition, batch: Batch) -> None:
+    def _judge_estimates(self, name: str, found: Condition, batch: Batch) -> None:
         """Judge alarms at every estimate newer than the last one judged."""
         after = self._warned.get(name, -math.inf)
         for i in np.flatnonzero(found.time_s > after):
@@ -288,29 +284,29 @@ def conditions(courses: Mapping[str, tuple[Turbine, Course]]) -> dict[str, Condi
     Turbines of one model are evaluated together, because numpy's overhead exceeds the work for the few
     instants of one.
     """
-    alike: dict[int, list[str]] = defaultdict(list)
-    for name, (one, _) in courses.items():
-        alike[id(one.plan.model)].append(name)
+    by_model: dict[int, list[str]] = defaultdict(list)
+    for name, (turbine, _) in courses.items():
+        by_model[id(turbine.plan.model)].append(name)
     found: dict[str, Condition] = {}
-    for names in alike.values():
-        several = [courses[name] for name in names]
-        model = several[0][0].plan.model
-        kept = [instants_kept(course) for _, course in several]
+    for names in by_model.values():
+        turbines, runs = zip(*(courses[name] for name in names), strict=True)
+        model = turbines[0].plan.model
+        kept = [instants_kept(course) for course in runs]
         counts = [len(places) for places in kept]
-        parts = [inputs_of(model, course.run.timeline) for _, course in several]
+        inputs = [inputs_of(model, course.run.timeline) for course in runs]
         together = air_condition(
             model,
             {
-                p.name: np.repeat([one.plan.values[p.name] for one, _ in several], counts)
+                p.name: np.repeat([one.plan.values[p.name] for one in turbines], counts)
                 for p in model.parameters
             },
-            _joined(course.seconds[k] for (_, course), k in zip(several, kept, strict=True)),
-            {n: _joined(u[n][k] for u, k in zip(parts, kept, strict=True)) for n in model.inputs},
-            _joined(course.trace.mean[k] for (_, course), k in zip(several, kept, strict=True)),
-            _joined(course.trace.covariance[k] for (_, course), k in zip(several, kept, strict=True)),
+            _joined((course.seconds for course in runs), kept),
+            {name: _joined((u[name] for u in inputs), kept) for name in model.inputs},
+            _joined((course.trace.mean for course in runs), kept),
+            _joined((course.trace.covariance for course in runs), kept),
             Surface(
-                np.repeat([one.surface.follows for one, _ in several], counts),
-                np.repeat([one.surface.offset_K for one, _ in several], counts),
+                np.repeat([one.surface.follows for one in turbines], counts),
+                np.repeat([one.surface.offset_K for one in turbines], counts),
             ),
         )
         ends = np.cumsum(counts)
@@ -319,8 +315,9 @@ def conditions(courses: Mapping[str, tuple[Turbine, Course]]) -> dict[str, Condi
     return found
 
 
-def _joined(arrays: Iterable[np.ndarray]) -> np.ndarray:
-    return np.concatenate(list(arrays))
+def _joined(arrays: Iterable[np.ndarray], kept: Sequence[np.ndarray]) -> np.ndarray:
+    """The kept instants of several arrays, one after the other."""
+    return np.concatenate([array[places] for array, places in zip(arrays, kept, strict=True)])
 
 
 def instants_kept(course: Course) -> np.ndarray:

@@ -14,7 +14,7 @@ from hygrokf.data.ambient import ambient_absolute_humidity, at_times
 from hygrokf.data.record import Record, Series
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
-from hygrokf.live.ceiling import filtered
+from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.condition import Surface, condition
 from hygrokf.live.forecast import (
     ENOUGH,
@@ -29,7 +29,7 @@ from hygrokf.live.forecast import (
 )
 from hygrokf.live.plan import Form, Plan, plan
 from hygrokf.live.scenarios import HORIZON_S, Scenarios, grid, persistence
-from hygrokf.live.tracker import Point, whole
+from hygrokf.live.tracker import Point, offline_course
 from hygrokf.modelling.design import design, extended
 from hygrokf.physics.psychrometrics import absolute_humidity
 
@@ -64,7 +64,7 @@ def planned_for(record: Record) -> Plan:
 
 def point_at(plan_: Plan, record: Record, now_s: float = NOW_S) -> Point:
     """The offline filter's estimate after the readings up to now."""
-    course = whole(plan_, record.window(START_S, now_s))
+    course = offline_course(plan_, record.window(START_S, now_s))
     assert course.seconds[-1] == pytest.approx(now_s, abs=1e-3)
     return Point(now_s, course.trace.last)
 
@@ -90,10 +90,10 @@ def future(record: Record, time_s: np.ndarray) -> dict[str, np.ndarray]:
 def unread(plan_: Plan, record: Record) -> tuple:
     """The offline filter over the whole record, with no reading of the cabinet after now: its run, and its
     condition."""
-    made = whole(plan_, record).run
+    made = offline_course(plan_, record).run
     t = made.timeline
     y = np.where((t.origin_s + HOUR_S * t.time > NOW_S + 1.0)[:, None], np.nan, t.y)
-    trace = filtered(plan_.likelihood(t.with_readings(y)), plan_.values)
+    trace = censored_trace(plan_.likelihood(t.with_readings(y)), plan_.values)
     return t, condition(plan_.model, plan_.values, t, trace.mean, trace.covariance, SURFACE)
 
 
@@ -263,7 +263,7 @@ def cabinet(record: Record, *additions: tuple[str, dict], **given: float) -> Pla
 def settled(one: Plan, humidity: float) -> Point:
     """The state after twenty steady days."""
     past = Record("steady", tuple(steady(humidity, NOW_S - 20 * DAY_S, NOW_S).values()), None, RATED_W)
-    return Point(NOW_S, whole(one, past).trace.last)
+    return Point(NOW_S, offline_course(one, past).trace.last)
 
 
 def test_material_that_gives_off_vapour_takes_longer_to_dry(record: Record) -> None:

@@ -62,12 +62,12 @@ def payload_checks(about: str, statistics: PayloadStatistics, what: str = "paylo
     if not statistics.payloads:
         return
     found = f"{statistics.used} of {statistics.payloads} {what} gave readings"
-    if statistics.aside:
-        found += f"; not used: {statistics.aside}"
+    if statistics.rejected:
+        found += f"; not used: {statistics.rejected}"
     remedy = "compare [mapping] and known_as of each [[turbine]] with the delivered payloads"
     if not statistics.used:
         yield fault(about, found, remedy)
-    elif statistics.aside:
+    elif statistics.rejected:
         yield doubt(about, found, remedy)
     else:
         yield ok(about, found)

@@ -21,13 +21,13 @@ from hygrokf.live.config import Config
 from hygrokf.live.doctor.check import LEVELS, Check, doubt, fault, ok, worst
 from hygrokf.live.doctor.machine import Watch, file_checks, machine_checks
 from hygrokf.live.doctor.sources import examine_sources
-from hygrokf.live.doctor.store import Kept, store_checks
+from hygrokf.live.doctor.store import StoreContents, store_checks
 from hygrokf.live.plan import Plan
 from hygrokf.live.sources.stream import Stream, several
 from hygrokf.live.tracker import AMBIENT_HUMIDITIES, Reading, Tracker, record_of
 from hygrokf.live.turbines import Turbine
 from hygrokf.live.web.page_settings import PageFault, PageSettings
-from hygrokf.live.web.server import bound
+from hygrokf.live.web.server import listening_socket
 from hygrokf.modelling.inputs import prepare_run
 
 ANSWER_S = 5.0
@@ -43,18 +43,18 @@ def examine(
 
     Sources that send by themselves are observed for `wait_s` [s], all at the same time.
     """
-    watch, kept = Watch(), Kept()
+    watch, contents = Watch(), StoreContents()
     # the strictest turbine decides what counts as late
     lateness_s = min((one.plan.lateness_s for one in config.turbines.values()), default=math.inf)
     sources = examine_sources(config.streams, wait_s, lateness_s)
     played_back = all(one.played_back for one in config.streams if not one.mapping.weather)
-    of_store = list(store_checks(config.store, config.turbines, config.retention_s, played_back, kept))
-    came = {name: set(signals) for name, signals in kept.signals.items()}
+    of_store = list(store_checks(config.store, config.turbines, config.retention_s, played_back, contents))
+    came = {name: set(signals) for name, signals in contents.signals.items()}
     for one in sources:
         for turbine, signal in one.statistics.newest:
             came.setdefault(turbine, set()).add(signal)
     return [
-        *machine_checks(watch, kept.received_s),
+        *machine_checks(watch, contents.received_s),
         *(file_checks(file) if file is not None else ()),
         *(check for one in sources for check in one.checks),
         *of_store,
@@ -70,7 +70,7 @@ def page_checks(settings: PageSettings) -> Iterator[Check]:
         yield fault(about, "its packages are missing", "pip install 'hygrokf[live]', or start with --no-page")
         return
     try:
-        bound(settings).close()
+        listening_socket(settings).close()
         yield ok(about, "the address is free")
     except PageFault as error:
         said = _page_says(settings)

@@ -94,8 +94,7 @@ class Conversion(NamedTuple):
     high: float
 
 
-@dataclass(frozen=True)
-class TurbineReadings:
+class TurbineReadings(NamedTuple):
     """Readings of one turbine from a payload, and counts of its rejected values by kind."""
 
     turbine: str
@@ -343,10 +342,10 @@ class PayloadStatistics:
             self.lag_s = min(received - time, self.lag_s) if self.lag_s == self.lag_s else received - time
 
     @property
-    def aside(self) -> str:
+    def rejected(self) -> str:
         """Text about the rejected items; empty if there are none."""
-        said = (f"{n} {kind}" + self._reason(kind) for kind, n in self.counts.most_common())
+        said = (f"{n} {kind}" + self._example(kind) for kind, n in self.counts.most_common())
         return ", ".join(said)
 
-    def _reason(self, kind: str) -> str:
+    def _example(self, kind: str) -> str:
         return f" ({self.reasons[kind]})" if kind in self.reasons else ""

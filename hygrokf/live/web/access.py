@@ -1,6 +1,6 @@
 """Access control of the page: host names, token and session, origin of a POST, limit on wrong tokens.
 
-`Access` decides; `guarded` wraps the whole page, so that every response, including errors, carries the
+`Access` decides; `guard` wraps the whole page, so that every response, including errors, carries the
 security headers.
 """
 
@@ -142,9 +142,9 @@ class Access:
         if kind.lower() != "bearer":
             words = "log in, or give the token as Authorization: Bearer"
             return Refusal(401, words, {"WWW-Authenticate": "Bearer"})
-        return self.judged(client_of(scope), given.strip())
+        return self.check_token(client_of(scope), given.strip())
 
-    def judged(self, client: str, given: str) -> Refusal | None:
+    def check_token(self, client: str, given: str) -> Refusal | None:
         """None for the right token, else the refusal; wrong tokens are counted."""
         wait_s = self.attempts.wait_s(client)
         if wait_s > 0.0:
@@ -166,7 +166,7 @@ class Access:
         return name in self.settings.names or (bool(name) and name == server[0])
 
 
-def guarded(app: ASGIApp, access: Access) -> ASGIApp:
+def guard(app: ASGIApp, access: Access) -> ASGIApp:
     """Wrap an ASGI application: refuse a request, or pass it on and add `HEADERS` to the response."""
     fixed = [(name.lower().encode(), value.encode()) for name, value in HEADERS.items()]
 
