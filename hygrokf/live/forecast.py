@@ -229,4 +229,6 @@ def mixture(found: Sequence[Condition]) -> Condition:
         spreads = np.array([getattr(one, name).sd for one in found])
         mixed[name] = Quantity(values.mean(axis=0), np.sqrt(values.var(axis=0) + np.mean(spreads**2, axis=0)))
     chances = [one.condensation for one in found if one.condensation is not None]
-    return replace(first, condensation=np.mean(chances, axis=0) if chances else None, **mixed)
+    return replace(
+        first, time_s=first.time_s, condensation=np.mean(chances, axis=0) if chances else None, **mixed
+    )
