@@ -144,7 +144,7 @@ def demo_turbines(
     fit = read_fit(model)
     changed = _record(folder / "changed", seed, CHANGED)
     date_s = live_s + CHANGED_DAYS * DAY_S
-    series = tuple(_spliced(s, changed[s.signal], date_s) for s in record.series if s.signal in PLAYED)
+    series = tuple(_splice(s, changed[s.signal], date_s) for s in record.series if s.signal in PLAYED)
     played = replace(record, series=series).window(live_s - KNOWN_DAYS * DAY_S, record.end_s)
     forms = {s.signal: form_of(s) for s in series}
     turbines = {
@@ -170,7 +170,7 @@ def _record(folder: Path, seed: int, parameters: SyntheticParameters) -> Record:
     return read_case(write_case(synthetic_turbine(seed=seed, days=DAYS, parameters=parameters), folder))
 
 
-def _spliced(before: Series, after: Series, date_s: float) -> Series:
+def _splice(before: Series, after: Series, date_s: float) -> Series:
     """A cabinet signal that switches from one series to another at a date [s]."""
     if not before.signal.startswith("cabinet_"):
         return before

@@ -112,7 +112,7 @@ def restart(plan: Plan, state: Point, scenarios: Scenarios, surface: Surface, li
     if "preheating" not in plan.model.inputs:
         statement = "the record that identified the model has no pre-heating: its heating power is unknown"
         return Advice(state.time, None, None, limit, statement)
-    found = conditions_by_member(plan, state, scenarios.heated(LONGEST_H + STAYS_H), surface)
+    found = conditions_by_member(plan, state, scenarios.with_preheating(LONGEST_H + STAYS_H), surface)
     humidities = [one.surface_humidity for one in found if one.surface_humidity is not None]
     if not humidities:
         return Advice(state.time, None, None, limit, "the model has no humidity")

@@ -166,9 +166,9 @@ class Tracker:
         Returns None without new instants, while `awaited` names signals, and until the ambient is known over
         some period.
         """
-        if self.awaited() or not self._spanned():
+        if self.awaited() or not self._inputs_overlap():
             return None
-        made = prepare_run(self.plan.design, self._guarded())
+        made = prepare_run(self.plan.design, self._record_with_ended_gaps())
         course = self._course(made)
         if course is None:
             return None
@@ -183,7 +183,7 @@ class Tracker:
             self._forget()
         return course
 
-    def _spanned(self) -> bool:
+    def _inputs_overlap(self) -> bool:
         """Whether the readings of ambient and, if any, cabinet overlap for longer than an averaging
         interval."""
         if self.point is not None:
@@ -208,20 +208,20 @@ class Tracker:
             return None
         part = t.window(first, len(t))
         piece = Run(part, made.operating[first:], made.scored[first:])
-        return Course(piece, self._filtered(part, self._start()))
+        return Course(piece, self._filter(part, self._start()))
 
     def _state_at(self, course: Course, place: int) -> Gaussian:
         """The state from which the filter continues after an instant; the accumulator of a mean that begins
         there is reset."""
         t, trace = course.run.timeline, course.trace
         if t.reset[place]:
-            return self._filtered(t.window(0, place + 1), self._start()).last
+            return self._filter(t.window(0, place + 1), self._start()).last
         return Gaussian(trace.mean[place].copy(), trace.covariance[place].copy(), float(t.time[place]))
 
     def _start(self) -> Gaussian | None:
         return None if self.point is None else self.point.state
 
-    def _filtered(self, t: Timeline, start: Gaussian | None) -> Trace:
+    def _filter(self, t: Timeline, start: Gaussian | None) -> Trace:
         return censored_trace(self.plan.likelihood(t), self.plan.values, start)
 
     @property
@@ -259,7 +259,7 @@ class Tracker:
         usual = middle(np.sort(np.diff(np.array(times))))
         return age > max(bridge_s, 1.5 * usual - self.plan.form(signal).interval_s)
 
-    def _guarded(self) -> Record:
+    def _record_with_ended_gaps(self) -> Record:
         """The readings, with one far ahead for each stale driver, so that its gap is recognised as too
         long."""
         stale = {s for s in self._times if not s.startswith("cabinet_") and self._stale(s)}

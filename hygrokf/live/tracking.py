@@ -74,7 +74,7 @@ def ended_by_signals(service: Service) -> Iterator[None]:
         yield
         return
 
-    def told(number: int, frame: object) -> None:
+    def handle(number: int, frame: object) -> None:
         if service.ending.is_set():
             raise KeyboardInterrupt
         LOG.info(
@@ -83,7 +83,7 @@ def ended_by_signals(service: Service) -> Iterator[None]:
         )
         service.stop()
 
-    before = {number: signal.signal(number, told) for number in (signal.SIGTERM, signal.SIGINT)}
+    before = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
         yield
     finally:

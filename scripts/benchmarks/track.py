@@ -314,7 +314,8 @@ MEMORY = """
 import gc, sys
 from pathlib import Path
 from benchmarks import track_cases as cases
-from hygrokf.live.turbines import Delivery, Fleet
+from hygrokf.live.sources.stream import Delivery
+from hygrokf.live.turbines import Fleet
 def resident():
     gc.collect()
     line = next(l for l in Path("/proc/self/status").read_text().splitlines() if l.startswith("VmRSS"))

@@ -22,7 +22,7 @@ from hygrokf.live.sources.broker import (
     filter_fault,
     reason_words,
     tls_words,
-    unreached,
+    unreachable,
 )
 from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.payload import Field, PayloadMapping
@@ -234,6 +234,6 @@ def test_reasons_in_words() -> None:
         "[SSL: TLSV13_ALERT_CERTIFICATE_REQUIRED] tlsv13 alert"
     )
     assert tls_words("[Errno 104] Connection reset by peer") is None
-    assert unreached(TimeoutError("timed out"), "h:1").startswith("h:1: it does not answer")
-    assert unreached(OSError(113, "No route to host"), "h:1") == "h:1: No route to host"
-    assert unreached(KeyError("x"), "h:1") == "h:1: KeyError: 'x'"
+    assert unreachable(TimeoutError("timed out"), "h:1").startswith("h:1: it does not answer")
+    assert unreachable(OSError(113, "No route to host"), "h:1") == "h:1: No route to host"
+    assert unreachable(KeyError("x"), "h:1") == "h:1: KeyError: 'x'"

@@ -22,7 +22,7 @@ from hygrokf.live.sources.local import (
     Playback,
     StandardInput,
     TailedFile,
-    disturbed,
+    delay_and_repeat,
     file_messages,
     record_mapping,
     record_messages,
@@ -162,8 +162,8 @@ def test_playback_delivers_every_reading_and_goes_on_from_its_place() -> None:
 
 def test_playback_may_be_late_and_repeated() -> None:
     plain = record_messages(some_record(), "T1")
-    found = disturbed(plain, late_s=1800.0, repeated=0.5, seed=3)
-    assert found == disturbed(plain, late_s=1800.0, repeated=0.5, seed=3)
+    found = delay_and_repeat(plain, late_s=1800.0, repeated=0.5, seed=3)
+    assert found == delay_and_repeat(plain, late_s=1800.0, repeated=0.5, seed=3)
     stamps = [content["time"] for _, content in found]
     assert stamps != sorted(stamps) and len({str(content) for _, content in found}) == 99 < len(found) < 199
     assert all(0.0 <= at - stamp < 1800.0 for (at, _), stamp in zip(found, stamps, strict=True))

@@ -199,7 +199,7 @@ from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.service import Service
 from hygrokf.live.storage.store import Store
-from hygrokf.live.sources.streams import record_mapping
+from hygrokf.live.sources.local import record_mapping
 from builders.live_case import live_record, live_turbine, without_preheating
 
 port, folder, store, where, seed, days = sys.argv[1:]

@@ -353,8 +353,8 @@ def test_the_first_start_reads_back_as_far_as_is_stated(peer: Peer, named, start
 @pytest.mark.parametrize("place", ["{", "[1]", '{"other": 1}', '{"%s": "soon"}', '{"%s": 1e12}'])
 def test_a_place_that_says_nothing_is_no_place(place: str) -> None:
     stream = OpcUa("opc.tcp://localhost", [Node("i=1", "T07", "Tcab")], MAPPING)
-    assert stream._begun(place.replace("%s", "i=1")) == {}
-    assert stream._begun('{"i=1": 1.7e9}') == {"i=1": 1.7e9}
+    assert stream._times_reached(place.replace("%s", "i=1")) == {}
+    assert stream._times_reached('{"i=1": 1.7e9}') == {"i=1": 1.7e9}
 
 
 def test_a_stamp_of_the_far_future_does_not_end_reading_back(peer: Peer, named, started) -> None:

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING
 
 from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok, payload_checks, stamp_check
 from hygrokf.live.doctor.machine import SECRETS, unread_certificate, validities, validity_check
-from hygrokf.live.sources.broker import Broker, unreached
+from hygrokf.live.sources.broker import Broker, unreachable
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.mqtt_link import Link
 from hygrokf.live.sources.payload import LARGEST, PayloadStatistics
@@ -82,7 +82,7 @@ def mqtt_checks(
         except SourceFault as error:
             link.lose(str(error))
         except Exception as error:  # of any kind: it is reported
-            link.lose(unreached(error, broker.where))
+            link.lose(unreachable(error, broker.where))
         _await_answer(link)
         if link.lost.is_set() or not link.answered:
             reason = link.reason or f"{broker.where} has not answered within {ANSWER_S:g} s"

@@ -35,17 +35,17 @@ def opcua_checks(
     source: OpcUa, statistics: PayloadStatistics, wait_s: float, lateness_s: float
 ) -> Iterator[Check]:
     """Connect, subscribe, and wait up to `wait_s` [s] for the first values, which go into the statistics."""
-    yield from asyncio.run(_examined(source, statistics, wait_s))
+    yield from asyncio.run(_examine(source, statistics, wait_s))
 
 
-async def _examined(source: OpcUa, statistics: PayloadStatistics, wait_s: float) -> list[Check]:
+async def _examine(source: OpcUa, statistics: PayloadStatistics, wait_s: float) -> list[Check]:
     about, connection = f"source {source.url}", source.connection()
     try:
         await connection.open()
         checks = [ok(about, "connected")]
         checks += await _clock(connection, about)
         refused = await connection.subscribe(source.nodes)
-        first = await _first(connection, set(source.nodes) - set(refused), wait_s)
+        first = await _first_samples(connection, set(source.nodes) - set(refused), wait_s)
         there = [node for node in source.nodes if node not in refused]
         checks += _node_checks(about, source.nodes, refused, first, wait_s)
         checks += await _histories(connection, about, there)
@@ -70,7 +70,7 @@ async def _clock(connection: Connection, about: str) -> list[Check]:
     return [server_check(about, shown - 0.5 * (before + time.time()))]
 
 
-async def _first(connection: Connection, awaited: set[Node], wait_s: float) -> dict[Node, Sample]:
+async def _first_samples(connection: Connection, awaited: set[Node], wait_s: float) -> dict[Node, Sample]:
     """The newest sample of each node, once all nodes have one or the time is over."""
     found: dict[Node, Sample] = {}
     end = time.monotonic() + wait_s

@@ -201,14 +201,14 @@ def _estimates(store: Store, turbines: Mapping[str, Turbine], played_back: bool)
     if old:
         yield doubt(
             "store",
-            f"newest estimates are old: {_aged(old)}",
+            f"newest estimates are old: {_ages_text(old)}",
             "check whether the tracker runs and readings arrive",
         )
     if fresh:
-        yield ok("store", f"newest estimates: {_aged(fresh)}")
+        yield ok("store", f"newest estimates: {_ages_text(fresh)}")
 
 
-def _aged(ages: Mapping[str, float]) -> str:
+def _ages_text(ages: Mapping[str, float]) -> str:
     """Text of turbines with their ages [s], in the given order."""
     return several(f"{name} {lasting(age)} ago" for name, age in ages.items())
 

@@ -343,7 +343,7 @@ def default_client_id(broker: str, folder: Path) -> str:
 
 
 # -- why a connection fails ----------------------------------------------------------------------------------
-def unreached(fault: BaseException, where: str) -> str:
+def unreachable(fault: BaseException, where: str) -> str:
     """Message that says why `where` (HOST:PORT) cannot be reached."""
     if isinstance(fault, ssl.SSLCertVerificationError):
         said = (

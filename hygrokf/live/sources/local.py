@@ -234,7 +234,7 @@ def record_messages(record: Record, turbine: str) -> list[tuple[float, Content]]
     return [(t, {"turbine": turbine, "time": t, signal: v}) for t, signal, v in sorted(rows)]
 
 
-def disturbed(
+def delay_and_repeat(
     messages: Iterable[tuple[float, Content]], late_s: float = 0.0, repeated: float = 0.0, seed: int = 0
 ) -> list[tuple[float, Content]]:
     """Messages with random delays up to `late_s` [s] and a share `repeated` [1] of duplicates, sorted by
@@ -287,7 +287,7 @@ class FileForm:
             place.fault(f"{path}: no row with a time that can be read")
             return None
         url = f"file:{path}?late={self.late_s:g}&repeated={self.repeated:g}&seed={self.seed}"
-        messages = disturbed(rows, self.late_s, self.repeated, self.seed)
+        messages = delay_and_repeat(rows, self.late_s, self.repeated, self.seed)
         return Playback(url, messages, mapping, self.speed)
 
 

@@ -20,8 +20,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from hygrokf.data.toml_form import Place
 from hygrokf.live.batch import Alarm
-from hygrokf.live.sources.broker import Broker, BrokerForm, alarm_topic, unreached
-from hygrokf.live.sources.mqtt_link import Link, paho_fault, published
+from hygrokf.live.sources.broker import Broker, BrokerForm, alarm_topic, unreachable
+from hygrokf.live.sources.mqtt_link import Link, is_confirmed, paho_fault
 from hygrokf.live.sources.payload import PayloadMapping
 from hygrokf.live.sources.stream import Delivery, SourceFault, SourceState, Threaded
 
@@ -127,7 +127,7 @@ class Mqtt(Threaded):
             except SourceFault as fault:
                 link.lose(str(fault))
             except Exception as fault:  # of any kind: the next attempt may succeed
-                link.lose(unreached(fault, self.broker.where))
+                link.lose(unreachable(fault, self.broker.where))
             link.close()
             if self._ended.is_set():
                 break
@@ -174,7 +174,7 @@ class Mqtt(Threaded):
     def _open_ends(self) -> bool:
         """Whether a delivery is still unacknowledged or an alarm still unconfirmed."""
         with self._lock:
-            return self._uncommitted > 0 or not all(published(info) for _, info in self._alarms.values())
+            return self._uncommitted > 0 or not all(is_confirmed(info) for _, info in self._alarms.values())
 
     # -- alarms ----------------------------------------------------------------------------------------------
     def _ready(self, link: Link) -> None:
@@ -187,7 +187,7 @@ class Mqtt(Threaded):
         self._known = True
         with self._lock:
             for topic, (payload, info) in self._alarms.items():
-                if not published(info):
+                if not is_confirmed(info):
                     self._alarms[topic] = (payload, None)
             self._publish(link)
 
@@ -198,7 +198,7 @@ class Mqtt(Threaded):
         for topic, (payload, info) in list(self._alarms.items()):
             if info is None:
                 self._alarms[topic] = (payload, link.publish(topic, payload))
-            elif published(info):
+            elif is_confirmed(info):
                 del self._alarms[topic]
 
 

@@ -145,7 +145,7 @@ class Link:
             self.client.ack(identifier, 1)
 
     def publish(self, topic: str, payload: bytes) -> MQTTMessageInfo:
-        """Publish a retained message; `published` tells when it is confirmed.  Callable from any thread."""
+        """Publish a retained message; see `is_confirmed`.  Callable from any thread."""
         return self.client.publish(topic, payload, qos=1, retain=True)
 
     @property
@@ -331,7 +331,7 @@ class _LastWords(logging.Handler):
         self.text = record.getMessage()
 
 
-def published(info: MQTTMessageInfo | None) -> bool:
+def is_confirmed(info: MQTTMessageInfo | None) -> bool:
     """Whether the broker has confirmed a message sent by `Link.publish`."""
     try:
         return info is not None and info.is_published()

@@ -144,8 +144,8 @@ def open_sqlite(path: Path, read_only: bool = False) -> SqliteDatabase:
     database = None
     try:
         if path.exists():
-            _examine(path, thoroughly=not read_only)
-        database = SqliteDatabase(_connected(path, "ro" if read_only else "rwc"), path)
+            _refuse_damaged(path, thoroughly=not read_only)
+        database = SqliteDatabase(_connect(path, "ro" if read_only else "rwc"), path)
         database.connection.execute("PRAGMA synchronous=FULL")
         database.migrate(read_only)
         if not read_only:
@@ -162,26 +162,26 @@ def open_sqlite(path: Path, read_only: bool = False) -> SqliteDatabase:
         ) from fault
 
 
-def _connected(path: Path, mode: str) -> sqlite3.Connection:
+def _connect(path: Path, mode: str) -> sqlite3.Connection:
     return sqlite3.connect(
         f"{path.absolute().as_uri()}?mode={mode}",
         uri=True, timeout=BUSY_S, isolation_level=None, check_same_thread=False,
     )  # fmt: skip
 
 
-def _examine(path: Path, thoroughly: bool) -> None:
+def _refuse_damaged(path: Path, thoroughly: bool) -> None:
     """Refuse a damaged file or a foreign database; an empty file may become a store.
 
     The connection is read-only because closing a writable one would move pages of the log into the file.
     """
-    with closing(_connected(path, "ro")) as connection:
+    with closing(_connect(path, "ro")) as connection:
         try:
             pages = connection.execute("PRAGMA page_count").fetchone()[0]
         except sqlite3.OperationalError as error:
             if error.sqlite_errorcode != sqlite3.SQLITE_READONLY_ROLLBACK:
                 raise
             # a process died while creating the tables: SQLite rolls that back once a connection may write
-            with closing(_connected(path, "rw")) as other:
+            with closing(_connect(path, "rw")) as other:
                 pages = other.execute("PRAGMA page_count").fetchone()[0]
         if pages == 0:
             return

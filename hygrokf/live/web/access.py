@@ -74,12 +74,12 @@ class Sessions:
         # browsers share cookies between all ports of a host, so the name contains the port
         self.name = f"{'__Host-' if self._encrypted else ''}hygrokf_{settings.port}"
 
-    def begun(self) -> str:
+    def opening_header(self) -> str:
         """The Set-Cookie header that opens a session."""
         said = f"{self._clock() + SESSION_S:.0f}.{secrets.token_hex(8)}"
         return self._header(f"{said}.{self._signature(said)}", SESSION_S)
 
-    def ended(self) -> str:
+    def closing_header(self) -> str:
         """The Set-Cookie header that closes a session."""
         return self._header("", 0.0)
 
@@ -118,7 +118,7 @@ class Access:
         self.sessions = Sessions(settings)
         self.attempts = Attempts()
 
-    def refused(self, scope: Scope) -> Refusal | None:
+    def refusal_of(self, scope: Scope) -> Refusal | None:
         """The refusal of a request; None if it is permitted."""
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         if not self._addressed(scope, headers.get("host", "")):
@@ -183,7 +183,7 @@ def guard(app: ASGIApp, access: Access) -> ASGIApp:
 
         if scope["type"] != "http":
             raise RuntimeError(f"the page speaks http alone, found {scope['type']}")
-        refused = access.refused(scope)
+        refused = access.refusal_of(scope)
         if refused is None:
             await app(scope, receive, headed)
         else:

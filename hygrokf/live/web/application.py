@@ -234,10 +234,10 @@ class Page:
             status, words, headers = refused
             # with a "Bearer" challenge the browser would show its own login prompt
             return refusal(status, words, {k: v for k, v in headers.items() if k != "WWW-Authenticate"})
-        return reply({}, {"Set-Cookie": self.access.sessions.begun()})
+        return reply({}, {"Set-Cookie": self.access.sessions.opening_header()})
 
     async def logout(self, request: Request) -> Response:
-        return reply({}, {"Set-Cookie": self.access.sessions.ended()})
+        return reply({}, {"Set-Cookie": self.access.sessions.closing_header()})
 
     # -- what machines ask -----------------------------------------------------------------------------------
     def metrics(self, request: Request) -> Response:

@@ -310,7 +310,7 @@ def turbine_view(
     store: Store, name: str, since: float, now: float, verdicts: Verdicts = MappingProxyType({})
 ) -> TurbineView:
     """One turbine from `since` [s] on: courses with bounds, readings, properties, alarms, counts."""
-    found = _thinned(
+    found = _thin(
         store.rows(
             f"SELECT {_COLUMNS}, time, final, condensation FROM estimate WHERE turbine = ? AND time >= ? "
             "ORDER BY time",
@@ -320,7 +320,7 @@ def turbine_view(
     readings: dict[str, ReadingCourse] = {}
     for quantity, signal in READ.items():
         shown = COURSES[quantity]
-        rows = _thinned(
+        rows = _thin(
             store.rows(
                 "SELECT time, value FROM observation WHERE turbine = ? AND signal = ? AND time >= ? AND "
                 "contradicted = 0 ORDER BY time",
@@ -497,7 +497,7 @@ def _scaled(
     return None if value is None else round(factor * value + offset + width * (sd or 0.0), DECIMALS)
 
 
-def _thinned(rows: Sequence[T]) -> Sequence[T]:
+def _thin(rows: Sequence[T]) -> Sequence[T]:
     """At most `MOST` evenly spaced rows, including the last one."""
     step = -(-len(rows) // MOST)
     return rows if step <= 1 else rows[(len(rows) - 1) % step :: step]
