@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
+from hygrokf.data.structured import Json
 from hygrokf.live.condition import Condition
 from hygrokf.live.forecast import Forecast
 from hygrokf.live.properties import Property
@@ -65,7 +65,7 @@ class Batch:
     estimates: dict[str, Estimates] = field(default_factory=dict)
     properties: list[tuple[str, float, Sequence[Property]]] = field(default_factory=list)
     alarms: list[Alarm] = field(default_factory=list)
-    memories: dict[tuple[str, str], Any] = field(default_factory=dict)
+    memories: dict[tuple[str, str], Json] = field(default_factory=dict)
     counters: dict[tuple[str, str], int] = field(default_factory=dict)
     place: dict[str, str] = field(default_factory=dict)
     forecasts: dict[str, Forecast | None] = field(default_factory=dict)

@@ -9,6 +9,7 @@ import pytest
 
 from hygrokf.live.batch import Alarm, Batch, Estimates, Observation
 from hygrokf.live.condition import Condition, Quantity
+from hygrokf.live.forecast import LIMIT
 from hygrokf.live.properties import Property
 from hygrokf.live.service import Health
 from hygrokf.live.storage.store import Store, open_store
@@ -103,6 +104,12 @@ def test_what_a_model_lacks_is_left_out(store: Store) -> None:
 def test_open_alarms_come_first(store: Store) -> None:
     assert [a.id for a in alarms_view(store)] == ["a", "b"]
     assert [a.id for a in alarms_view(store, "A")] == ["b"]
+
+
+def test_a_forecast_of_an_older_store_has_the_usual_limit(store: Store) -> None:
+    store.commit(Batch(memories={("A", "forecast"): {"made": T0}}))
+    found = turbine_view(store, "A", T0, T0)
+    assert found["humid"]["limit"] == LIMIT and found["forecast"]["limit"] is None
 
 
 def test_long_courses_are_thinned(store: Store) -> None:

@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from types import MappingProxyType
-from typing import Any, TypedDict, TypeVar
+from typing import TypedDict, TypeVar
 
 import numpy as np
 
 from hygrokf.data.signals import SIGNALS, from_si
-from hygrokf.data.structured import structured
+from hygrokf.data.structured import Json, structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.identification.verdict import MARKS, PARAMETER_OF, VERDICTS, handed_on
 from hygrokf.identification.verdict_terms import Inherited
@@ -148,11 +147,29 @@ class HumidHours(Hourly):
     limit: float
 
 
+class ForecastView(TypedDict):
+    """The newest forecast, from the state at `made` [s] on, of a humidity `limit` [1] (None in stores of
+    earlier versions).
+
+    `weather` describes the scenarios, or says why there is no forecast; the courses are empty then.
+    `condensation` and `above_limit` [1] and `courses` at the instants `time` [s].
+    """
+
+    made: float
+    weather: str
+    limit: float | None
+    time: list[float]
+    condensation: list[float | None]
+    above_limit: list[float | None]
+    courses: dict[str, Course]
+    advice: Json
+
+
 class TurbineView(TypedDict):
     """One turbine on the page.
 
-    `final`: 1 for final estimates; `condensation` [1] and `courses` at the instants `time` [s]; `forecast`:
-    see `_forecast`; `counts`: readings that were not used, by kind.
+    `final`: 1 for final estimates; `condensation` [1] and `courses` at the instants `time` [s];
+    `counts`: readings that were not used, by kind.
     """
 
     turbine: str
@@ -164,7 +181,7 @@ class TurbineView(TypedDict):
     humid: HumidHours
     courses: dict[str, Course]
     readings: dict[str, ReadingCourse]
-    forecast: dict[str, Any] | None
+    forecast: ForecastView | None
     properties: list[PropertyCourse]
     alarms: list[Alarm]
     signals: list[SignalRow]
@@ -334,7 +351,7 @@ def turbine_view(
             }
     time, chances = [row[-3] for row in found], [row[-1] for row in found]
     forecast = _forecast(store, name)
-    limit = forecast.get("limit", LIMIT) if forecast else LIMIT
+    limit = LIMIT if forecast is None or forecast["limit"] is None else forecast["limit"]
     return {
         "turbine": name,
         "model": model_view(verdicts),
@@ -425,20 +442,20 @@ def _courses(rows: Sequence[Row]) -> dict[str, Course]:
     return courses
 
 
-def _forecast(store: Store, name: str) -> dict[str, Any] | None:
-    """The newest forecast: its origin, courses, probabilities and the advice for a restart.
-
-    If no forecast could be made, `weather` says why and the courses are empty.
-    """
-    made = store.memory(name, "forecast")
+def _forecast(store: Store, name: str) -> ForecastView | None:
+    """A turbine's newest forecast and the advice for a restart; None before the first one."""
+    memory = store.memory(name, "forecast")
+    if not memory:
+        return None
+    made = structured(ForecastMade, memory)
     rows = store.rows(
         f"SELECT {_COLUMNS}, time, condensation, above_limit FROM forecast WHERE turbine = ? ORDER BY time",
         (name,),
     )
-    if not made:
-        return None
     return {
-        **asdict(structured(ForecastMade, made)),
+        "made": made.made,
+        "weather": made.weather,
+        "limit": made.limit,
         "time": [row[-3] for row in rows],
         "condensation": [row[-2] for row in rows],
         "above_limit": [row[-1] for row in rows],
