@@ -169,7 +169,7 @@ def test_what_is_said_of_it() -> None:
         "heat_release_change": ParameterShift("heat_release_change", 0.0, True, 2.2),
         "humidity_offset": ParameterShift("humidity_offset", 0.0, True, 0.08),
     }
-    assert shift_levels(lasting) == []  # nobody has looked yet
+    assert shift_levels(lasting, None) == []  # nobody has looked yet
     sensor = Finding(9.0, "temperature_sensor", "temperature_reading_change", 2.9, 200.0, 40.0)
     (one,) = shift_levels(lasting, sensor)
     assert one.kind == SUSPECT.kind and one.subject == "temperature_sensor"
