@@ -36,9 +36,8 @@ from hygrokf.live.config import (
 )
 from hygrokf.live.plan import WANDERING
 from hygrokf.live.sources.broker import BrokerForm
-from hygrokf.live.sources.opcua_security import SecurityForm
-from hygrokf.live.sources.opcua_table import ServerForm
-from hygrokf.live.sources.streams import FileForm
+from hygrokf.live.sources.local import FileForm
+from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm
 from hygrokf.live.tracking import LogLines
 from hygrokf.live.web.page_settings import PageForm
 

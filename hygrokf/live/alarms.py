@@ -8,22 +8,19 @@ that no alarm is raised twice after a crash.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from hygrokf.data.timestamps import HOUR_S, MINUTE_S
 from hygrokf.identification.verdict_terms import Inherited, rests_on
+from hygrokf.live.batch import Alarm
 from hygrokf.live.condition import Condition
 from hygrokf.live.fault_isolation import SENSORS, Finding
 from hygrokf.live.properties import ParameterShift
-from hygrokf.live.storage.store import Alarm
+from hygrokf.live.sources.stream import SourceState
 from hygrokf.modelling.design import PARTS
-
-if TYPE_CHECKING:
-    from hygrokf.live.sources.streams import SourceState
 
 
 @dataclass(frozen=True)
@@ -53,18 +50,20 @@ STALE = Rule(
     "check the logger, its power supply and the data path; the estimate continues without these readings",
 )  # fmt: skip
 LOST = Rule(
-    "source lost",
-    1.0,
-    0.5,
-    MINUTE_S,
-    "alarm",
-    1.0,
+    "source lost", 1.0, 0.5, MINUTE_S, "alarm", 1.0,
     "run `hygrokf doctor` to find out what cannot be reached and why",
-)
+)  # fmt: skip
 SUSPECT = Rule("sensor suspect", 1.0, 0.5, 0.0, "warning", np.inf, "")
-RULES = {rule.kind: rule for rule in (CONDENSATION, CHANGED, SUSPECT, STALE, LOST)}
+ESTIMATE_RULES = (CONDENSATION, CHANGED, SUSPECT)
+"""Rules whose levels follow from estimates; the others watch for missing data."""
+RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, STALE, LOST)}
+"""All rules by kind.
 
-LIKELY = {
+A new kind of alarm that follows from estimates is a rule in `ESTIMATE_RULES` and a function in
+`ESTIMATE_LEVELS`.
+"""
+
+CABINET_CHANGES = {
     ("thermal_time_constant", True): (
         "the cabinet loses its heat more slowly",
         "look for clogged filters, a stopped fan, or added insulation",
@@ -99,7 +98,7 @@ LIKELY = {
     ),
 }
 """(property, whether it increased) -> (statement, what to check)."""
-SENSOR = {
+SENSOR_ERRORS = {
     "temperature_reading_change": (
         "the temperature sensor reads {0:.1f} K too {1}: the humidity readings do not follow it",
         "compare the temperature sensor with another one, and check where it is mounted",
@@ -114,11 +113,12 @@ SENSOR = {
     ),
 }
 """State of a sensor's error -> (statement, what to check)."""
-WORDS = {
+CAUSES = {
     "thermal_time_constant": "a changed heat loss", "hygric_k": "a changed exchange of air",
     "heat_release_change": "a changed heat release", "temperature_sensor": "the temperature sensor",
     "humidity_sensor": "the humidity sensor or a source of moisture",
 }  # fmt: skip
+"""Cause in `fault_isolation.STATES` -> words."""
 
 
 @dataclass(frozen=True)
@@ -144,81 +144,121 @@ class Standing:
     alarm: Alarm | None = None
 
 
-def judged(
-    turbine: str,
-    known: Mapping[str, Standing],
-    now: float,
-    levels: list[Level],
-    kinds: Collection[str] = tuple(RULES),
+def judge(
+    turbine: str, known: Mapping[str, Standing], now: float, levels: Iterable[Level], kinds: Collection[str]
 ) -> tuple[dict[str, Standing], list[Alarm]]:
     """The standings after judging the levels at `now` [s], and the alarms that began, changed or ended.
 
     A missing level of these `kinds` counts as 0; standings of other kinds stay as they are.
     """
-    told = {f"{one.kind} {one.subject}".strip(): one for one in levels}
-    standings = {key: one for key, one in known.items() if _kind(key) not in kinds}
-    changed: list[Alarm] = []
-    for key in dict.fromkeys((*(key for key in known if key not in standings), *told)):
-        before = known.get(key, Standing())
-        level = told.get(key, Level(_kind(key), 0.0, ""))
-        after, alarm = _judged(turbine, key, before, now, level)
+    given = {f"{level.kind} {level.subject}".strip(): level for level in levels}
+    standings = {key: standing for key, standing in known.items() if _kind(key) not in kinds}
+    alarms: list[Alarm] = []
+    for key in dict.fromkeys((*(key for key in known if key not in standings), *given)):
+        level = given.get(key, Level(_kind(key), 0.0, ""))
+        standing, alarm = _judge_level(turbine, key, known.get(key, Standing()), now, level)
         if alarm is not None:
-            changed.append(alarm)
-        if after != Standing():
-            standings[key] = after
-    return standings, changed
+            alarms.append(alarm)
+        if standing != Standing():
+            standings[key] = standing
+    return standings, alarms
 
 
-def _judged(
+def _judge_level(
     turbine: str, key: str, before: Standing, now: float, level: Level
 ) -> tuple[Standing, Alarm | None]:
-    rule = RULES[level.kind]
-    open_ = before.alarm
-    past = level.level < rule.off if open_ is not None else level.level >= rule.on
-    if not past:
-        after = Standing(None, open_)
-    else:
-        since = now if before.since is None else before.since
-        if now - since < rule.hold_s:
-            after = Standing(since, open_)
-        elif open_ is not None:
-            return Standing(), replace(open_, ended=since)
-        else:
-            severity = "alarm" if level.level >= rule.severe else rule.severity
-            made = Alarm(
-                id=f"{turbine}:{key}:{since:.0f}",
-                turbine=turbine,
-                kind=level.kind,
-                severity=severity,
-                began=since,
-                statement=level.statement,
-                remedy=level.remedy or rule.remedy,
-            )
-            return Standing(None, made), made
-    if open_ is not None and level.level >= rule.severe and open_.severity != "alarm":
-        worse = replace(open_, severity="alarm", statement=level.statement)
-        return replace(after, alarm=worse), worse
-    return after, None
+    """The standing after a level at `now` [s], and its alarm if that began, changed or ended."""
+    rule, alarm = RULES[level.kind], before.alarm
+    severity = "alarm" if level.level >= rule.severe else rule.severity
+    past = level.level < rule.off if alarm is not None else level.level >= rule.on
+    since = None if not past else now if before.since is None else before.since
+    if since is not None and now - since >= rule.hold_s:
+        if alarm is not None:
+            return Standing(), replace(alarm, ended=since)
+        begun = Alarm(
+            id=f"{turbine}:{key}:{since:.0f}",
+            turbine=turbine,
+            kind=level.kind,
+            severity=severity,
+            began=since,
+            statement=level.statement,
+            remedy=level.remedy or rule.remedy,
+        )
+        return Standing(None, begun), begun
+    if alarm is not None and severity == "alarm" and alarm.severity != "alarm":
+        worse = replace(alarm, severity="alarm", statement=level.statement)
+        return Standing(since, worse), worse
+    return Standing(since, alarm), None
 
 
 def _kind(key: str) -> str:
     return next(kind for kind in RULES if key == kind or key.startswith(kind + " "))
 
 
-def condensation_level(found: Condition, place: int = -1) -> list[Level]:
-    """The condensation level at one instant: probability that the coldest surface is below the dew point."""
-    margin = found.margin_K
-    if found.condensation is None or margin is None or not len(found.time_s):
+# -- levels that follow from estimates -----------------------------------------------------------------------
+@dataclass(frozen=True)
+class Estimated:
+    """A turbine's estimates: the condition, of which instant `place` is judged, its parameter shifts, and the
+    finding of fault isolation."""
+
+    condition: Condition
+    place: int
+    shifts: Mapping[str, ParameterShift]
+    finding: Finding | None = None
+
+
+def condensation_levels(now: Estimated) -> list[Level]:
+    """The probability of condensation: that the coldest surface is below the dew point."""
+    chances, margin = now.condition.condensation, now.condition.margin_K
+    if chances is None or margin is None:
         return []
-    chance = float(found.condensation[place])
+    chance, place = float(chances[now.place]), now.place
     if chance < CONDENSATION.off:
         return [Level(CONDENSATION.kind, chance, "")]
-    words = (
+    statement = (
         f"water condenses on the coldest surface with a probability of {100 * chance:.0f} %: "
         f"its margin to the dew point is {margin.value[place]:+.1f} K "
         f"({margin.lower[place]:+.1f} … {margin.upper[place]:+.1f})"
     )
-    return [Level(CONDENSATION.kind, chance, words)]
+    return [Level(CONDENSATION.kind, chance, statement)]
+
+
+def shift_levels(shifts: Mapping[str, ParameterShift], finding: Finding | None) -> list[Level]:
+    """Levels for lasting parameter shifts, attributed to the cabinet or to a sensor by fault isolation.
+
+    There is no level before fault isolation has a finding; a finding without a cause gives one level for each
+    property.
+    """
+    lasting = {name: shift for name, shift in shifts.items() if shift.lasting}
+    if not lasting or finding is None:
+        return []
+    if finding.cause in SENSORS:
+        words, remedy = SENSOR_ERRORS[finding.state]
+        size = abs(finding.value) * (1.0 if finding.state.startswith("temperature") else 100.0)
+        statement = words.format(size, "high" if finding.value > 0.0 else "low") + _alternatives(finding)
+        return [Level(SUSPECT.kind, 1.0, statement, remedy, finding.cause)]
+    named = {finding.cause: lasting[finding.cause]} if finding.cause in lasting else lasting
+    return [
+        _shift_level(name, shift.change, finding)
+        for name, shift in named.items()
+        if (name, shift.change > 0.0) in CABINET_CHANGES
+    ]
+
+
+def _shift_level(name: str, change: float, finding: Finding) -> Level:
+    statement, remedy = CABINET_CHANGES[name, change > 0.0]
+    if name == "heat_release_change":
+        size = f"{change:+.1f} K"
+    elif name == "humidity_offset":
+        size = f"{100.0 * change:+.0f} % relative humidity"
+    else:
+        size = f"{100.0 * np.expm1(change):+.0f} %"
+    words = f"{statement}: {name.replace('_', ' ')} {size}{_alternatives(finding)}"
+    return Level(CHANGED.kind, 1.0, words, remedy, name)
+
+
+def _alternatives(finding: Finding) -> str:
+    return f" (or {', '.join(CAUSES[cause] for cause in finding.alike)})" if finding.alike else ""
 
 
 RESTS_ON = {
@@ -228,18 +268,31 @@ RESTS_ON = {
 """Property -> the numbers of the fit on which its shift rests; all other levels rest on both numbers."""
 
 
-def resting_on(levels: list[Level], verdicts: Mapping[str, Inherited]) -> list[Level]:
-    """The levels, with a note in each statement that rests on a rejected number of the fit; `verdicts` are
-    the fit's."""
-    made = []
-    for one in levels:
-        doubt = rests_on(verdicts, RESTS_ON.get(one.subject, PARTS))
-        made.append(replace(one, statement=f"{one.statement}; {doubt}") if one.statement and doubt else one)
-    return made
+def with_doubts(levels: Iterable[Level], verdicts: Mapping[str, Inherited]) -> list[Level]:
+    """The levels, with a note in each statement that rests on a number of the fit that its verdict rejects;
+    `verdicts` are the fit's."""
+    doubts = [(level, rests_on(verdicts, RESTS_ON.get(level.subject, PARTS))) for level in levels]
+    return [
+        replace(level, statement=f"{level.statement}; {doubt}") if level.statement and doubt else level
+        for level, doubt in doubts
+    ]
 
 
+ESTIMATE_LEVELS: tuple[Callable[[Estimated], list[Level]], ...] = (
+    condensation_levels,
+    lambda now: shift_levels(now.shifts, now.finding),
+)
+"""Functions that give the levels of the rules in `ESTIMATE_RULES`."""
+
+
+def estimate_levels(now: Estimated, verdicts: Mapping[str, Inherited]) -> list[Level]:
+    """All levels that follow from a turbine's estimates, with the doubts about its fit (`verdicts`)."""
+    return with_doubts((level for levels in ESTIMATE_LEVELS for level in levels(now)), verdicts)
+
+
+# -- levels of missing data ----------------------------------------------------------------------------------
 def stale_levels(ages_s: Mapping[str, float], limit_s: float) -> list[Level]:
-    """The staleness of a turbine's data: age [s] of its oldest signal as a multiple of the limit [s]."""
+    """The level of stale data: age [s] of a turbine's oldest signal as a multiple of the limit [s]."""
     silent = {signal: age for signal, age in ages_s.items() if age > limit_s}
     if not silent:
         return []
@@ -253,40 +306,6 @@ def source_levels(states: Mapping[str, SourceState]) -> list[Level]:
     """One level for each lost source."""
     return [
         Level(LOST.kind, 1.0, f"{url} cannot be reached: {words}", subject=url)
-        for url, (state, words) in states.items()
-        if state == "lost"
+        for url, (word, words) in states.items()
+        if word == "lost"
     ]
-
-
-def shift_levels(found: Mapping[str, ParameterShift], finding: Finding | None = None) -> list[Level]:
-    """Levels for lasting parameter shifts, attributed to the cabinet or to a sensor by fault isolation.
-
-    There is no level before fault isolation has a finding; a finding without a cause gives one level for each
-    property.
-    """
-    lasting = {name: one for name, one in found.items() if one.lasting}
-    if not lasting or finding is None:
-        return []
-    if finding.cause in SENSORS:
-        said, remedy = SENSOR[finding.state]
-        size = abs(finding.value) * (1.0 if finding.state.startswith("temperature") else 100.0)
-        words = said.format(size, "high" if finding.value > 0.0 else "low") + _others(finding)
-        return [Level(SUSPECT.kind, 1.0, words, remedy, finding.cause)]
-    named = {finding.cause: lasting[finding.cause]} if finding.cause in lasting else lasting
-    return [_changed(name, one, finding) for name, one in named.items() if (name, one.change > 0.0) in LIKELY]
-
-
-def _changed(name: str, one: ParameterShift, finding: Finding) -> Level:
-    said, remedy = LIKELY[name, one.change > 0.0]
-    if name == "heat_release_change":
-        size = f"{one.change:+.1f} K"
-    elif name == "humidity_offset":
-        size = f"{100.0 * one.change:+.0f} % relative humidity"
-    else:
-        size = f"{100.0 * np.expm1(one.change):+.0f} %"
-    words = f"{said}: {name.replace('_', ' ')} {size}{_others(finding)}"
-    return Level(CHANGED.kind, 1.0, words, remedy, name)
-
-
-def _others(finding: Finding) -> str:
-    return f" (or {', '.join(WORDS[cause] for cause in finding.alike)})" if finding.alike else ""

@@ -26,7 +26,9 @@ from hygrokf.estimation.likelihood import Gaussian, Likelihood, Trace
 HUMIDITY = "cabinet_relative_humidity"
 
 
-def filtered(likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None = None) -> Trace:
+def censored_trace(
+    likelihood: Likelihood, values: Mapping[str, float], start: Gaussian | None = None
+) -> Trace:
     """The filter's trace with relative humidity censored from `SATURATED` on, starting from a state or from
     the prior.
 
@@ -41,10 +43,10 @@ def filtered(likelihood: Likelihood, values: Mapping[str, float], start: Gaussia
     first = 0
     for place in (*places, len(t)):
         if place > first:
-            found.append(_on(likelihood, t.window(first, place)).trace(values, start=start))
+            found.append(_with_timeline(likelihood, t.window(first, place)).trace(values, start=start))
             start = found[-1].last
         if place < len(t):
-            found.append(_censored(_on(likelihood, t.window(place, place + 1)), values, start))
+            found.append(_censored(_with_timeline(likelihood, t.window(place, place + 1)), values, start))
             start, first = found[-1].last, place + 1
     return _joined(found)
 
@@ -57,11 +59,11 @@ def _censored(likelihood: Likelihood, values: Mapping[str, float], start: Gaussi
     def read(humidity: float) -> Trace:
         y = t.y.copy()
         y[:, column] = humidity
-        return _on(likelihood, t.with_readings(y)).trace(values, start=start)
+        return _with_timeline(likelihood, t.with_readings(y)).trace(values, start=start)
 
     without = read(np.nan)
     prediction, spread = float(without.prediction[0, column]), float(np.sqrt(without.variance[0, column]))
-    mean, share, chance = truncated((SATURATED - prediction) / spread)
+    mean, share, chance = truncated_moments((SATURATED - prediction) / spread)
     expected = read(prediction + mean * spread)
 
     def partly(unread: np.ndarray, whole: np.ndarray) -> np.ndarray:
@@ -76,7 +78,7 @@ def _censored(likelihood: Likelihood, values: Mapping[str, float], start: Gaussi
     )
 
 
-def truncated(z: float) -> tuple[float, float, float]:
+def truncated_moments(z: float) -> tuple[float, float, float]:
     """λ, δ and ln Φ(−z) for a standard normal x: E(x | x > z), 1 − var(x | x > z), and ln P(x > z)."""
     from scipy.special import erfcx, log_ndtr
 
@@ -85,7 +87,7 @@ def truncated(z: float) -> tuple[float, float, float]:
     return mean, float(np.clip(mean * (mean - z), 0.0, 1.0)), float(log_ndtr(-z))
 
 
-def _on(likelihood: Likelihood, t: Timeline) -> Likelihood:
+def _with_timeline(likelihood: Likelihood, t: Timeline) -> Likelihood:
     return replace(likelihood, timeline=t)
 
 

@@ -15,15 +15,15 @@ from hygrokf.data.result_file import ResultFault
 from hygrokf.data.signals import Signal
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import FormFault, Place, across, entry_name, read_form, read_toml, setting
-from hygrokf.identification.fit import read_fit
+from hygrokf.identification.fit import Fit, read_fit
 from hygrokf.identification.verdict import inherited
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import LIMIT
-from hygrokf.live.plan import LATENESS_S, WANDERING, Form, plan
+from hygrokf.live.plan import LATENESS_S, WANDERING, Form, Plan, plan
 from hygrokf.live.properties import standard_errors
 from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.payload import GOOD, Field, PayloadMapping
-from hygrokf.live.sources.streams import Stream
+from hygrokf.live.sources.stream import Stream
 from hygrokf.live.storage.postgres import url_fault
 from hygrokf.live.turbines import STALE_S, Turbine
 from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings
@@ -80,7 +80,7 @@ class SignalForm(StatedSensor):
             return None
         return 'a mean needs both, stamp = "start", "middle" or "end" and its interval'
 
-    def made(self) -> Field:
+    def to_field(self) -> Field:
         """The field of a payload."""
         hold = ZERO_ORDER if self.interval_s > 0 else self.signal.hold
         return Field(self.signal.name, self.unit, Form(hold, self.interval_s, **self.settings), self.stamp)
@@ -117,11 +117,11 @@ class MappingForm:
                 yield f"{name} and {taken[one.signal.name]} are both {one.signal.name}"
             taken[one.signal.name] = name
 
-    def made(self) -> PayloadMapping:
-        """How payloads are read."""
+    def to_mapping(self) -> PayloadMapping:
+        """The mapping, without rows that cannot be used and without turbines yet."""
         valid = {name: one for name, one in self.signals.items() if one.signal and not one.unit_of_signal()}
         return PayloadMapping(
-            {name: one.made() for name, one in valid.items()},
+            {name: one.to_field() for name, one in valid.items()},
             turbine=self.turbine,
             time=self.time,
             quality=self.quality,
@@ -140,6 +140,17 @@ class SurfaceForm:
 
 
 @dataclass(frozen=True)
+class SiteForm(Site):
+    """The table site of a [[turbine]], whose place in a message names the site already."""
+
+    def __post_init__(self) -> None:
+        try:
+            super().__post_init__()
+        except ValueError as fault:
+            raise ValueError(str(fault).removeprefix("site: ")) from None
+
+
+@dataclass(frozen=True)
 class TurbineForm:
     """A [[turbine]]."""
 
@@ -151,7 +162,7 @@ class TurbineForm:
     fit: str = setting(help="its model: fit.json, or the directory of it")
     known_as: tuple[str, ...] | None = setting(None, "names that stand for it in payloads", read=_texts)
     cold_surface: SurfaceForm = setting(SurfaceForm, "its coldest surface")
-    site: Site | None = setting(None, "for models that read the sun")
+    site: SiteForm | None = setting(None, "for models that read the sun")
     rated_power_kW: float | None = setting(None, "of the turbine", above=0.0)
     lateness_s: float | None = setting(None, "as in the file", read=duration)
     humidity_limit: float = setting(LIMIT, "relative humidity that forecasts ask for", above=0.0, most=1.0)
@@ -206,7 +217,7 @@ def read_config(path: str | os.PathLike[str]) -> Config:
     """Read a tracker's file; paths in it are relative to its folder.  Raises ConfigFault."""
     file, place = Path(path), Place()
     form = read_form(TrackForm, read_toml(file, ConfigFault)[1], place)
-    mapping = form.mapping.made()
+    mapping = form.mapping.to_mapping()
     turbines, names = _turbines(form, file.parent, mapping, place)
     mapping = replace(mapping, turbines=names)
     streams: list[Stream] = []
@@ -260,26 +271,53 @@ def _turbine(
     lateness_s: float,
     place: Place,
 ) -> Turbine | None:
-    """A turbine with its model, or None where that cannot be used."""
+    """A turbine with its model; None with a fault where the model cannot be used."""
     if not form.fit:
         return None
+    return read_turbine(
+        folder / form.fit,
+        place,
+        Surface(**vars(form.cold_surface)),
+        form.humidity_limit,
+        form.stale_s,
+        name=form.name,
+        forms=forms,
+        lateness_s=lateness_s,
+        wandering=rates,
+        site=None if form.site is None else Site(**vars(form.site)),
+        rated_power_W=None if form.rated_power_kW is None else 1e3 * form.rated_power_kW,
+    )
+
+
+def read_turbine(
+    path: Path,
+    place: Place,
+    surface: Surface | None = None,
+    limit: float = LIMIT,
+    stale_s: float = STALE_S,
+    **options: Any,
+) -> Turbine | None:
+    """A turbine with the model in a file or folder; None with a fault in `place` where it cannot be used.
+
+    options: of `plan`.
+    """
     try:
-        fit = read_fit(folder / form.fit)
-        made = plan(
-            fit,
-            name=form.name,
-            forms=forms,
-            lateness_s=lateness_s,
-            wandering=rates,
-            site=form.site,
-            rated_power_W=None if form.rated_power_kW is None else 1e3 * form.rated_power_kW,
-        )
+        fit = read_fit(path)
+        return turbine_of(fit, plan(fit, **options), surface, limit, stale_s)
     except (ResultFault, ValueError, KeyError) as fault:
         place.fault(str(fault))
-        return None
     except OSError as fault:
-        place.fault(f"{folder / form.fit}: {fault.strerror}")
-        return None
-    surface = Surface(**vars(form.cold_surface))
-    limits = form.humidity_limit, form.stale_s
-    return Turbine(made, surface, standard_errors(fit), *limits, inherited(fit.results))
+        place.fault(f"{path}: {fault.strerror}")
+    return None
+
+
+def turbine_of(
+    fit: Fit,
+    plan_: Plan,
+    surface: Surface | None = None,
+    limit: float = LIMIT,
+    stale_s: float = STALE_S,
+) -> Turbine:
+    """A turbine tracked by a plan, with standard errors and verdicts of the plan's fit."""
+    errors, verdicts = standard_errors(fit), inherited(fit.results)
+    return Turbine(plan_, surface or Surface(), errors, limit, stale_s, verdicts)

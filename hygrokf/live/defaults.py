@@ -19,19 +19,16 @@ import numpy as np
 from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import SyntheticParameters, synthetic_turbine, write_case
 from hygrokf.data.record import Record, Series
-from hygrokf.data.result_file import ResultFault
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.data.toml_form import Place
 from hygrokf.identification.fit import read_fit, write_fit
 from hygrokf.identification.procedure import identify
-from hygrokf.identification.verdict import inherited
-from hygrokf.live.config import Config, ConfigFault
+from hygrokf.live.config import Config, ConfigFault, read_turbine, turbine_of
 from hygrokf.live.plan import Form, plan
-from hygrokf.live.properties import standard_errors
 from hygrokf.live.sources.kinds import stream_of
+from hygrokf.live.sources.local import Playback, form_of, record_mapping, record_messages
 from hygrokf.live.sources.payload import Field, PayloadMapping
-from hygrokf.live.sources.streams import Playback, form_of, record_mapping, record_messages
 from hygrokf.live.storage.postgres import SCHEMES, url_fault
 from hygrokf.live.turbines import Turbine
 from hygrokf.live.web.page_settings import PAGE, PageSettings, page_settings
@@ -92,18 +89,13 @@ def default_config(fits: Sequence[Path], sources: Sequence[str], store: str, pag
     forms = {one.signal: one.form for one in mapping.fields.values()}
     turbines: dict[str, Turbine] = {}
     for path in fits:
-        try:
-            fit = read_fit(path)
-            made = plan(fit, forms=forms)
-        except (ResultFault, ValueError, KeyError) as fault:
-            place.fault(str(fault))
+        turbine = read_turbine(path, place, forms=forms)
+        if turbine is None:
             continue
-        except OSError as fault:
-            place.fault(f"{path}: {fault.strerror}")
-            continue
-        if made.name in turbines:
-            place.fault(f"{path}: a second model of {made.name!r}; name turbines in a track.toml")
-        turbines[made.name] = Turbine(made, errors=standard_errors(fit), verdicts=inherited(fit.results))
+        name = turbine.plan.name
+        if name in turbines:
+            place.fault(f"{path}: a second model of {name!r}; name turbines in a track.toml")
+        turbines[name] = turbine
     # payloads need not name the turbine if there is only one
     mapping = replace(
         mapping, turbine="" if len(turbines) == 1 else "turbine", turbines={name: name for name in turbines}
@@ -149,14 +141,12 @@ def demo_turbines(
     fit = read_fit(model)
     changed = _record(folder / "changed", seed, CHANGED)
     date_s = live_s + CHANGED_DAYS * DAY_S
-    series = tuple(_spliced(s, changed[s.signal], date_s) for s in record.series if s.signal in PLAYED)
+    series = tuple(_splice(s, changed[s.signal], date_s) for s in record.series if s.signal in PLAYED)
     played = replace(record, series=series).window(live_s - KNOWN_DAYS * DAY_S, record.end_s)
     forms = {s.signal: form_of(s) for s in series}
     turbines = {
-        name: Turbine(
-            plan(fit, name=name, forms=forms, site=record.site, rated_power_W=record.rated_power_W),
-            errors=standard_errors(fit),
-            verdicts=inherited(fit.results),
+        name: turbine_of(
+            fit, plan(fit, name=name, forms=forms, site=record.site, rated_power_W=record.rated_power_W)
         )
         for name in NAMES
     }
@@ -177,7 +167,7 @@ def _record(folder: Path, seed: int, parameters: SyntheticParameters) -> Record:
     return read_case(write_case(synthetic_turbine(seed=seed, days=DAYS, parameters=parameters), folder))
 
 
-def _spliced(before: Series, after: Series, date_s: float) -> Series:
+def _splice(before: Series, after: Series, date_s: float) -> Series:
     """A cabinet signal that switches from one series to another at a date [s]."""
     if not before.signal.startswith("cabinet_"):
         return before

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.live.ceiling import filtered
+from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.plan import Plan
 from hygrokf.modelling.inputs import prepare_run
 
@@ -77,8 +77,8 @@ def isolate(plan: Plan, record: Record) -> Iterator[Finding | None]:
     """
     t = prepare_run(plan.design, record).timeline
     likelihood = plan.likelihood(t)
-    still = {**plan.values, **_standing(plan)}
-    base = filtered(likelihood, still).loglik
+    still = {**plan.values, **_lowest_rates(plan)}
+    base = censored_trace(likelihood, still).loglik
     end_s = float(t.seconds[-1])
     gains: dict[str, Explanation] = {}
     for cause, options in STATES.items():
@@ -87,15 +87,15 @@ def isolate(plan: Plan, record: Record) -> Iterator[Finding | None]:
                 continue
             place = plan.model.states.index(state)
             for rate in rates:
-                found = filtered(likelihood, {**still, f"{state}_rate": rate})
+                found = censored_trace(likelihood, {**still, f"{state}_rate": rate})
                 gain = found.loglik - base
                 if cause not in gains or gain > gains[cause].gain:
                     gains[cause] = Explanation(gain, state, float(found.mean[-1, place]))
                 yield None
-    yield judged_by(gains, end_s)
+    yield finding_from(gains, end_s)
 
 
-def judged_by(gains: Mapping[str, Explanation], time_s: float) -> Finding:
+def finding_from(gains: Mapping[str, Explanation], time_s: float) -> Finding:
     """The finding from the best explanation by each cause."""
     ordered = sorted(gains, key=lambda cause: -gains[cause].gain)
     if not ordered or gains[ordered[0]].gain < LEAST:
@@ -107,7 +107,7 @@ def judged_by(gains: Mapping[str, Explanation], time_s: float) -> Finding:
     return Finding(time_s, best, state, value, gain, lead, alike)
 
 
-def _standing(plan: Plan) -> dict[str, float]:
+def _lowest_rates(plan: Plan) -> dict[str, float]:
     """Drift rates that hold every state constant: the smallest that the model allows."""
     wandering = {f"{state}_rate" for options in STATES.values() for state, _ in options}
     return {p.name: p.lower for p in plan.model.parameters if p.name in wandering}

@@ -89,7 +89,7 @@ class Advice:
 def forecast(
     plan: Plan, state: Point, scenarios: Scenarios, surface: Surface, limit: float = LIMIT
 ) -> Forecast:
-    """The forecast from the newest state under an scenarios.
+    """The forecast from the newest state under scenarios.
 
     Raises NoForecast if the model uses the cabinet's own readings as inputs, because future readings do not
     exist.
@@ -97,11 +97,9 @@ def forecast(
     found = conditions_by_member(plan, state, scenarios, surface)
     mixed = mixture(found)
     humidities = [one.relative_humidity for one in found if one.relative_humidity is not None]
-    above = (
-        np.mean([probability_above(humidity, limit) for humidity in humidities], axis=0)
-        if humidities
-        else np.full(len(mixed.time_s), np.nan)
-    )
+    above = np.full(len(mixed.time_s), np.nan)
+    if humidities:
+        above = np.mean([probability_above(humidity, limit) for humidity in humidities], axis=0)
     return Forecast(state.time, mixed, above, limit, scenarios.words)
 
 
@@ -114,7 +112,7 @@ def restart(plan: Plan, state: Point, scenarios: Scenarios, surface: Surface, li
     if "preheating" not in plan.model.inputs:
         statement = "the record that identified the model has no pre-heating: its heating power is unknown"
         return Advice(state.time, None, None, limit, statement)
-    found = conditions_by_member(plan, state, scenarios.heated(LONGEST_H + STAYS_H), surface)
+    found = conditions_by_member(plan, state, scenarios.with_preheating(LONGEST_H + STAYS_H), surface)
     humidities = [one.surface_humidity for one in found if one.surface_humidity is not None]
     if not humidities:
         return Advice(state.time, None, None, limit, "the model has no humidity")
@@ -156,9 +154,9 @@ def percent(probability: float) -> str:
 
 
 def conditions_by_member(plan: Plan, state: Point, scenarios: Scenarios, surface: Surface) -> list[Condition]:
-    """The condition at the state's time and at the scenarios's instants after it, one for each member.
+    """The condition at the state's time and at the scenarios' instants after it, one for each member.
 
-    The state's time must be the scenarios's `now_s`.  Raises NoForecast as `forecast` does.
+    The state's time must be the scenarios' `now_s`.  Raises NoForecast as `forecast` does.
     """
     found = []
     for moments in moments_by_member(plan, state, scenarios):
@@ -178,10 +176,10 @@ def moments_by_member(
             "from it"
         )
     for member in scenarios.members:
-        yield _under(plan, state, scenarios, member)
+        yield _member_moments(plan, state, scenarios, member)
 
 
-def _under(
+def _member_moments(
     plan: Plan, state: Point, scenarios: Scenarios, member: Mapping[str, np.ndarray]
 ) -> tuple[Timeline, np.ndarray, np.ndarray]:
     record = Record(
@@ -197,17 +195,15 @@ def _under(
     made = whole.timeline
     seconds = made.seconds
     first = int(np.searchsorted(seconds, state.time + 1e-3, side="right"))
-    later = Run(_unread(made.window(first, len(made))), whole.operating[first:], whole.scored[first:])
+    future = made.window(first, len(made))
+    unread = future.with_readings(np.full_like(future.y, np.nan))
+    later = Run(unread, whole.operating[first:], whole.scored[first:])
     # the state alone decides a switch's initial position; within its hysteresis it starts off
     part = self_switched(plan.design, plan.values, [later], [state.state])[0].timeline
     trace = plan.likelihood(part).trace(plan.values, start=state.state)
     mean = np.concatenate([state.state.mean[None], trace.mean])
     covariance = np.concatenate([state.state.covariance[None], trace.covariance])
     return made.window(first - 1, len(made)), mean, covariance
-
-
-def _unread(t: Timeline) -> Timeline:
-    return t.with_readings(np.full_like(t.y, np.nan))
 
 
 def _series(plan: Plan, signal: str, scenarios: Scenarios, values: np.ndarray) -> Series:

@@ -11,12 +11,13 @@ import numpy as np
 from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S
+from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import BEFORE_S, LONGEST_S, Finding, isolate
 from hygrokf.live.forecast import Advice, Forecast, ForecastMade, NoForecast, forecast, restart
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import ParameterShift
 from hygrokf.live.scenarios import DAYS, NoScenarios, Scenarios, persistence, weather_forecast
-from hygrokf.live.storage.store import Batch, Store
+from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import AMBIENT_HUMIDITIES, Point, Tracker, record_of
 from hygrokf.live.turbines import Turbine
 

@@ -37,18 +37,13 @@ TEMPERATURES = ("cabinet_temperature",)
 HUMIDITIES = ("cabinet_relative_humidity", "cabinet_absolute_humidity")
 WATCHED = (
     Watched(
-        "thermal_time_constant",
-        "log_thermal_change",
-        "thermal_time_constant",
-        "h",
-        math.log(1.15),
-        0.25,
+        "thermal_time_constant", "log_thermal_change", "thermal_time_constant", "h", math.log(1.15), 0.25,
         TEMPERATURES,
     ),
     Watched("hygric_k", "log_hygric_change", "hygric_k", "h", math.log(1.15), 0.25, HUMIDITIES),
     Watched("heat_release_change", "release_change", None, "K", 1.0, 2.0, TEMPERATURES),
     Watched("humidity_offset", "humidity_reading_change", None, "1", 0.04, 0.1, HUMIDITIES[:1]),
-)
+)  # fmt: skip
 """The tracked properties; the smallest shifts that matter are 15 %, 1 K and 4 % relative humidity."""
 SURE = 4.0
 """Number of standard deviations by which a property must differ from the fit's value."""

@@ -69,7 +69,7 @@ class Scenarios:
     members: tuple[Mapping[str, np.ndarray], ...]
     words: str
 
-    def heated(self, hours: float) -> Scenarios:
+    def with_preheating(self, hours: float) -> Scenarios:
         """The scenarios for the next `hours` [h], with the turbine at standstill and the pre-heating on from
         now on."""
         time = np.arange(self.time_s[0], self.now_s + HOUR_S * hours + 1.0, FINE_S)
@@ -129,7 +129,7 @@ def weather_forecast(
         raise NoScenarios(f"the weather forecast has no {' and no '.join(absent)}")
     base, spread = {}, {}
     for name, series in _ambient(history).items():
-        joined, newest = _continued(series, input_path(coming[name]), now_s, log=name == "vapour")
+        joined, newest = _continue_readings(series, input_path(coming[name]), now_s, log=name == "vapour")
         base[name] = at_times(joined, time, AMBIENT_BRIDGE_H)
         spread[name] = np.sqrt(1.0 - np.exp(-2.0 * np.maximum(time - newest, 0.0) / (HOUR_S * ERROR_H)))
     now = int(np.searchsorted(time, now_s))
@@ -157,7 +157,7 @@ def weather_forecast(
     return Scenarios(now_s, time[kept], both, f"a weather forecast; {said}")
 
 
-def _continued(seen: Series, told: Series, now_s: float, log: bool) -> tuple[Series, float]:
+def _continue_readings(seen: Series, told: Series, now_s: float, log: bool) -> tuple[Series, float]:
     """Readings up to now, continued by the forecast, with `log` as logarithms; and the time of the newest
     reading [s].
 
@@ -385,7 +385,7 @@ def _running(
         return [steady] * len(given), "operation as now"
     found = _as_on(alike, given, names)
     for one in found:
-        one["active_power"] = _joined(one["active_power"], level, time, now_s)
+        one["active_power"] = _shift_power(one["active_power"], level, time, now_s)
     return found, "operation as on days that began similarly"
 
 
@@ -433,7 +433,7 @@ def _level(power: np.ndarray, time: np.ndarray, now_s: float) -> float:
     return 0.0 if hour[-1] <= 0.0 else float(np.mean(np.maximum(hour, 0.0)))
 
 
-def _joined(power: np.ndarray, level: float, time: np.ndarray, now_s: float) -> np.ndarray:
+def _shift_power(power: np.ndarray, level: float, time: np.ndarray, now_s: float) -> np.ndarray:
     """Another day's power, shifted to begin at today's level; its standstills are kept."""
     began = _level(power, time, now_s)
     fading = np.exp(-np.maximum(time - now_s, 0.0) / (HOUR_S * LEVEL_H))

@@ -17,15 +17,18 @@ import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from typing import TypeVar
 
+from hygrokf.live.batch import Batch
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast_job import EVERY_S, forecast_batch, isolation_steps, make_forecast
-from hygrokf.live.sources.streams import SourceState, Stream, taken_from
+from hygrokf.live.sources.stream import Delivery, SourceState, Stream
 from hygrokf.live.storage.retention import Retention
-from hygrokf.live.storage.store import Batch, Store, StoreFault, open_store
-from hygrokf.live.turbines import SOURCE, Delivery, Fleet, Turbine
+from hygrokf.live.storage.store import Store, StoreFault, open_store
+from hygrokf.live.turbines import SOURCE, Fleet, Turbine
 
 LOG = logging.getLogger("hygrokf.track")
+T = TypeVar("T")
 WAITING = 20_000
 """Largest number of waiting deliveries; a faster source is blocked."""
 MOST = 2_000
@@ -98,13 +101,13 @@ class Service:
         self.fleet: Fleet | None = None
 
     @property
-    def _opened(self) -> Store:
+    def _open_store(self) -> Store:
         """The open store; a different object after a failure."""
         assert self.store is not None
         return self.store
 
     @property
-    def _tracked(self) -> Fleet:
+    def _open_fleet(self) -> Fleet:
         """The fleet of the open store; a different object after a failure."""
         assert self.fleet is not None
         return self.fleet
@@ -123,12 +126,12 @@ class Service:
         try:
             begun()
             for url, stream in self.streams.items():
-                stream.start(self._opened.place(url), partial(self._put, url))
-                stream.tell(self._tracked.open_alarms())  # alarms told before a crash may not have arrived
+                stream.start(self._open_store.place(url), partial(self._put, url))
+                stream.tell(self._open_fleet.open_alarms())  # alarms told before a crash may not have arrived
             while not self.ending.is_set():
                 idle = not self.round()
                 self._work_between_rounds(idle)
-                if idle and until_ended and self._ended() and not self._busy():
+                if idle and until_ended and self._sources_ended() and not self._busy():
                     break
             for stream in self.streams.values():
                 stream.stop()
@@ -147,7 +150,7 @@ class Service:
         try:
             store.claim("turbine", self.turbines)
             store.claim("source", [url for url in self.streams if store.place(url) is not None])
-            self.fleet = Fleet.opened(self.turbines, store)
+            self.fleet = Fleet.from_store(self.turbines, store)
         except BaseException:
             store.close()
             raise
@@ -163,28 +166,30 @@ class Service:
             except queue.Full:
                 continue
 
-    def _ended(self) -> bool:
+    def _sources_ended(self) -> bool:
         return self._waiting.empty() and all(
             s.state.word in ("ended", "lost", "stopped") for s in self.streams.values()
         )
 
     def _busy(self) -> bool:
         """Whether fault isolation or a forecast is still due."""
-        return bool(self._isolation or self._tracked.isolation_due() or self._tracked.forecast_due(EVERY_S))
+        return bool(
+            self._isolation or self._open_fleet.isolation_due() or self._open_fleet.forecast_due(EVERY_S)
+        )
 
     def round(self) -> bool:
         """Run one round of deliveries or, without any, of waiting turbines; returns whether there was
         either."""
-        found = taken_from(self._waiting, MOST, 0.0 if self._tracked.waiting else PATIENCE_S)
-        self.retention.bite(self._opened, self._tracked)
-        if not found and self._tracked.waiting:
-            self._told(self._kept(lambda: self._tracked.filtered(Batch(), FILTER_S)))
+        found = take_from(self._waiting, MOST, 0.0 if self._open_fleet.waiting else PATIENCE_S)
+        self.retention.bite(self._open_store, self._open_fleet)
+        if not found and self._open_fleet.waiting:
+            self._publish(self._commit(lambda: self._open_fleet.filter_waiting(Batch(), FILTER_S)))
             return True
         by_source: dict[str, list[Delivery]] = {}
         for url, one, _ in found:
             by_source.setdefault(url, []).append(one)
         for url, deliveries in by_source.items():
-            self._committed(url, deliveries)
+            self._process(url, deliveries)
         if found:
             now = time.monotonic()
             self.health.note([now - came for _, _, came in found])
@@ -192,35 +197,35 @@ class Service:
             self.health.deliveries += len(found)
         return bool(found)
 
-    def _committed(self, url: str, deliveries: Sequence[Delivery]) -> None:
+    def _process(self, url: str, deliveries: Sequence[Delivery]) -> None:
         """Process deliveries, commit the resulting batch and acknowledge them."""
         stream = self.streams[url]
-        batch = self._kept(lambda: self._tracked.round(deliveries, stream.mapping, url, FILTER_S), url)
+        batch = self._commit(lambda: self._open_fleet.round(deliveries, stream.mapping, url, FILTER_S), url)
         stream.acknowledge(deliveries)
-        self._told(batch)
+        self._publish(batch)
 
-    def _forecasted(self, name: str) -> Batch:
+    def _forecast(self, name: str) -> Batch:
         """Forecast a turbine; the next forecast is due an hour later, even if none could be made."""
-        one, tracker = self.turbines[name], self._tracked.trackers[name]
-        found = make_forecast(name, one, tracker, self._opened)
+        one, tracker = self.turbines[name], self._open_fleet.trackers[name]
+        found = make_forecast(name, one, tracker, self._open_store)
         if found is None:
             return Batch()
-        self._tracked.forecast_made_s[name] = found.time_s
+        self._open_fleet.forecast_made_s[name] = found.time_s
         return forecast_batch(name, found, one.limit)
 
-    def _kept(self, make: Callable[[], Batch], source: str = "") -> Batch:
+    def _commit(self, make: Callable[[], Batch], source: str = "") -> Batch:
         """Make a batch and commit it, reopening the store (and so the fleet) as often as necessary."""
         attempt, mark = 0, secrets.token_hex(8)
         while True:
             try:
                 # if the mark is stored, the commit succeeded and only its answer was lost
-                if not attempt or not source or self._opened.memory(SOURCE, f"batch of {source}") != mark:
+                if not attempt or not source or self._open_store.memory(SOURCE, f"batch of {source}") != mark:
                     batch = make()
                     if source:
                         batch.memories[SOURCE, f"batch of {source}"] = mark
-                        self._opened.claim("source", batch.place)
+                        self._open_store.claim("source", batch.place)
                     if not batch.empty:
-                        self._opened.commit(batch)
+                        self._open_store.commit(batch)
                 break
             except StoreFault as fault:
                 self.health.store = str(fault).strip()
@@ -230,12 +235,12 @@ class Service:
                 LOG.warning("the store failed", extra={"fault": self.health.store, "attempt": attempt + 1})
                 if attempt and self.ending.is_set():
                     raise
-                attempt = self._reopened(attempt)
+                attempt = self._reopen(attempt)
         self.health.store = ""
         self.health.committed_s = time.time()
         return batch
 
-    def _told(self, batch: Batch) -> None:
+    def _publish(self, batch: Batch) -> None:
         """Publish a committed batch: to the page, and its alarms to the sources that can take them."""
         if batch.empty:
             return
@@ -256,34 +261,34 @@ class Service:
         if begin >= self._tick:
             self._tick = begin + TICK_S
             states = {url: stream.state for url, stream in self.streams.items()}
-            self._noted(states)
-            self._told(self._kept(lambda: self._tracked.tick(self.now, states)))
-        behind = self._tracked.waiting or not self._waiting.empty()
+            self._log_states(states)
+            self._publish(self._commit(lambda: self._open_fleet.tick(self.now, states)))
+        behind = self._open_fleet.waiting or not self._waiting.empty()
         if idle or begin >= (self._latest if behind else self._forecasts):
-            name = self._tracked.forecast_due(EVERY_S)
+            name = self._open_fleet.forecast_due(EVERY_S)
             if name is not None:
-                self._told(self._kept(lambda: self._forecasted(name)))
-            self._isolated()
+                self._publish(self._commit(lambda: self._forecast(name)))
+            self._isolate()
             end = time.monotonic()
             self._forecasts, self._latest = (
                 end + (end - begin) * (1.0 / share - 1.0) for share in (SHARE, LEAST_SHARE)
             )
 
-    def _noted(self, states: Mapping[str, SourceState]) -> None:
+    def _log_states(self, states: Mapping[str, SourceState]) -> None:
         """Log sources whose state has changed."""
         for url, (word, behind) in states.items():
             if self._words.get(url) != word:
                 self._words[url] = word
                 LOG.info("source", extra={"source": url, "state": word, "behind": behind})
 
-    def _isolated(self) -> None:
+    def _isolate(self) -> None:
         """Take one step of the current fault isolation, or start the next one."""
         if self._isolation is None:
-            name = self._tracked.isolation_due()
+            name = self._open_fleet.isolation_due()
             if name is None:
                 return
-            lasting = [one for one in self._tracked.shifts[name].values() if one.lasting]
-            self._isolation = (name, isolation_steps(name, self.turbines[name], lasting, self._opened))
+            lasting = [one for one in self._open_fleet.shifts[name].values() if one.lasting]
+            self._isolation = (name, isolation_steps(name, self.turbines[name], lasting, self._open_store))
         name, steps = self._isolation
         try:
             found = next(steps)
@@ -292,15 +297,15 @@ class Service:
             return
         if found is not None:
             self._isolation = None
-            self._told(self._kept(lambda: self._tracked.keep_finding(name, found)))
+            self._publish(self._commit(lambda: self._open_fleet.keep_finding(name, found)))
 
-    def _reopened(self, attempt: int) -> int:
+    def _reopen(self, attempt: int) -> int:
         """Reopen the store, trying until it succeeds or, once the service is ending, only once.
 
         Returns the number of the attempt that succeeded.
         """
         while True:
-            self._opened.close()
+            self._open_store.close()
             self.ending.wait(RETRY_S[min(attempt, len(RETRY_S) - 1)])
             attempt += 1
             try:
@@ -313,3 +318,15 @@ class Service:
                 )
                 if self.ending.is_set():
                     raise
+
+
+def take_from(waiting: queue.Queue[T], most: int, patience_s: float) -> list[T]:
+    """Take at most `most` items from a queue; waits up to `patience_s` [s] for the first one."""
+    found: list[T] = []
+    try:
+        found.append(waiting.get(timeout=patience_s))
+        while len(found) < most:
+            found.append(waiting.get_nowait())
+    except queue.Empty:
+        pass
+    return found

@@ -2,8 +2,8 @@
 
 Readings are stored by their own times.  Up to the **point**, about `lateness_s` before the newest reading,
 the estimate is final and kept as a Gaussian; from there on the filter runs again whenever readings come in.
-Final estimates equal those of the offline filter on the same readings (`whole`) bit for bit, because both
-take the same steps: instants and inputs come from `modelling.inputs.prepare_run`, and the inputs at an
+Final estimates equal those of the offline filter on the same readings (`offline_course`) bit for bit, because
+both take the same steps: instants and inputs come from `modelling.inputs.prepare_run`, and the inputs at an
 instant depend only on the readings around it.
 """
 
@@ -23,7 +23,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian, Trace
-from hygrokf.live.ceiling import filtered
+from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.plan import BEFORE, Plan
 from hygrokf.modelling.inputs import Run, longest_gap_h, prepare_run
 
@@ -166,9 +166,9 @@ class Tracker:
         Returns None without new instants, while `awaited` names signals, and until the ambient is known over
         some period.
         """
-        if self.awaited() or not self._spanned():
+        if self.awaited() or not self._inputs_overlap():
             return None
-        made = prepare_run(self.plan.design, self._guarded())
+        made = prepare_run(self.plan.design, self._record_with_ended_gaps())
         course = self._course(made)
         if course is None:
             return None
@@ -183,7 +183,7 @@ class Tracker:
             self._forget()
         return course
 
-    def _spanned(self) -> bool:
+    def _inputs_overlap(self) -> bool:
         """Whether the readings of ambient and, if any, cabinet overlap for longer than an averaging
         interval."""
         if self.point is not None:
@@ -208,21 +208,21 @@ class Tracker:
             return None
         part = t.window(first, len(t))
         piece = Run(part, made.operating[first:], made.scored[first:])
-        return Course(piece, self._filtered(part, self._start()))
+        return Course(piece, self._filter(part, self._start()))
 
     def _state_at(self, course: Course, place: int) -> Gaussian:
         """The state from which the filter continues after an instant; the accumulator of a mean that begins
         there is reset."""
         t, trace = course.run.timeline, course.trace
         if t.reset[place]:
-            return self._filtered(t.window(0, place + 1), self._start()).last
+            return self._filter(t.window(0, place + 1), self._start()).last
         return Gaussian(trace.mean[place].copy(), trace.covariance[place].copy(), float(t.time[place]))
 
     def _start(self) -> Gaussian | None:
         return None if self.point is None else self.point.state
 
-    def _filtered(self, t: Timeline, start: Gaussian | None) -> Trace:
-        return filtered(self.plan.likelihood(t), self.plan.values, start)
+    def _filter(self, t: Timeline, start: Gaussian | None) -> Trace:
+        return censored_trace(self.plan.likelihood(t), self.plan.values, start)
 
     @property
     def _limit(self) -> float:
@@ -259,7 +259,7 @@ class Tracker:
         usual = middle(np.sort(np.diff(np.array(times))))
         return age > max(bridge_s, 1.5 * usual - self.plan.form(signal).interval_s)
 
-    def _guarded(self) -> Record:
+    def _record_with_ended_gaps(self) -> Record:
         """The readings, with one far ahead for each stale driver, so that its gap is recognised as too
         long."""
         stale = {s for s in self._times if not s.startswith("cabinet_") and self._stale(s)}
@@ -298,25 +298,14 @@ def record_of(
             time, value = time[there], value[there]
         if not len(time):
             continue
-        series.append(
-            Series(
-                signal=signal,
-                time=time,
-                value=value,
-                hold=form.hold,
-                interval_s=form.interval_s,
-                resolution=form.resolution,
-                accuracy=form.accuracy,
-                response_time_s=form.response_time_s,
-            )
-        )
+        series.append(Series(signal=signal, time=time, value=value, **vars(form)))
     return Record(plan.name, tuple(series), plan.site, plan.rated_power_W)
 
 
-def whole(plan: Plan, record: Record) -> Course:
+def offline_course(plan: Plan, record: Record) -> Course:
     """The offline filter on a whole record, with the tracker's model and steps; missing readings are
     skipped."""
     times = {s.signal: s.time for s in record.series}
     values = {s.signal: s.value for s in record.series}
     made = prepare_run(plan.design, record_of(plan, times, values))
-    return Course(made, filtered(plan.likelihood(made.timeline), plan.values))
+    return Course(made, censored_trace(plan.likelihood(made.timeline), plan.values))

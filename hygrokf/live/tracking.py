@@ -17,7 +17,7 @@ from datetime import UTC, datetime
 
 from hygrokf.live.config import Config
 from hygrokf.live.service import Service
-from hygrokf.live.sources.streams import SourceFault, TailedFile
+from hygrokf.live.sources.stream import SourceFault
 
 LOG = logging.getLogger("hygrokf.track")
 _OWN = frozenset(vars(logging.makeLogRecord({}))) | {"message", "asctime", "taskName"}
@@ -41,8 +41,7 @@ def track(
 
     if until_ended:
         for stream in config.streams:
-            if isinstance(stream, TailedFile):
-                stream.follow = False
+            stream.end_when_read()
     hub = Hub(clock=lambda: service.now)
     service = Service(
         config.turbines,
@@ -75,7 +74,7 @@ def ended_by_signals(service: Service) -> Iterator[None]:
         yield
         return
 
-    def told(number: int, frame: object) -> None:
+    def handle(number: int, frame: object) -> None:
         if service.ending.is_set():
             raise KeyboardInterrupt
         LOG.info(
@@ -84,7 +83,7 @@ def ended_by_signals(service: Service) -> Iterator[None]:
         )
         service.stop()
 
-    before = {number: signal.signal(number, told) for number in (signal.SIGTERM, signal.SIGINT)}
+    before = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
         yield
     finally:

@@ -13,7 +13,6 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
-from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 
@@ -22,62 +21,40 @@ from hygrokf.data.timestamps import HOUR_S
 from hygrokf.identification.verdict_terms import Inherited
 from hygrokf.live.alarms import (
     CHANGED,
-    CONDENSATION,
+    ESTIMATE_RULES,
     LOST,
     STALE,
     SUSPECT,
+    Estimated,
     Level,
+    Rule,
     Standing,
-    condensation_level,
-    judged,
-    resting_on,
+    estimate_levels,
+    judge,
     shift_levels,
     source_levels,
     stale_levels,
+    with_doubts,
 )
+from hygrokf.live.batch import Alarm, Batch, Estimates, Observation
 from hygrokf.live.condition import Condition, Surface, air_condition, inputs_of, only
 from hygrokf.live.fault_isolation import EVERY_S as ISOLATE_S
 from hygrokf.live.fault_isolation import Finding
 from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.plan import Plan
 from hygrokf.live.properties import LASTING_S, ParameterShift, parameter_shifts, properties, states_of
-from hygrokf.live.sources.payload import Payload, PayloadMapping, Refused, parsed, taken
-from hygrokf.live.storage.store import Alarm, Batch, Estimates, Observation, Store
+from hygrokf.live.sources.payload import PayloadMapping, Refused
+from hygrokf.live.sources.stream import Delivery, SourceState
+from hygrokf.live.storage.store import Store
 from hygrokf.live.tracker import SAME_S, Course, Tracker
-
-if TYPE_CHECKING:
-    from hygrokf.live.sources.streams import SourceState
 
 PROPERTY_S = HOUR_S
 """[s] between two stored rows of a property."""
 THIN_S = 600.0
 """[s] between two stored estimates of a cabinet without sensors."""
-WARNED = (CONDENSATION.kind, CHANGED.kind, SUSPECT.kind)
-"""Kinds of alarms that follow from estimates."""
 STALE_S = 2.0 * HOUR_S
 SOURCE = ""
 """Name under which counts, alarms and memories that belong to no turbine are kept."""
-
-
-class Receipt(Protocol):
-    """The source's handle on a delivery, used to acknowledge it."""
-
-    def acknowledge(self) -> None: ...
-
-
-@dataclass(frozen=True)
-class Delivery:
-    """A payload that a source delivers.
-
-    `received`: time of arrival [s]; `topic`: MQTT topic; `place`: position from which the source resumes
-    after this delivery; `token`: the source's receipt, None if there is nothing to acknowledge.
-    """
-
-    content: bytes | str | Payload
-    received: float
-    topic: str = ""
-    place: str = ""
-    token: Receipt | None = field(default=None, compare=False)
 
 
 @dataclass(frozen=True)
@@ -116,7 +93,7 @@ class Fleet:
         self._counted: dict[str, Counter[str]] = defaultdict(Counter)
 
     @classmethod
-    def opened(cls, turbines: Mapping[str, Turbine], store: Store) -> Fleet:
+    def from_store(cls, turbines: Mapping[str, Turbine], store: Store) -> Fleet:
         """The fleet in the state that the store holds."""
         store.add_turbines({name: digest(one.plan) for name, one in turbines.items()})
         fleet = cls(turbines)
@@ -153,36 +130,31 @@ class Fleet:
         touched: dict[str, list[Observation]] = defaultdict(list)
         for one in deliveries:
             try:
-                content = parsed(one.content) if isinstance(one.content, bytes | str) else one.content
-                found = taken(content, mapping, one.received, one.topic)
+                turbine, readings, refused = mapping.read(one.content, one.received, one.topic)
             except Refused as fault:
                 counts[SOURCE, fault.kind] += 1
                 continue
-            for kind, n in found.counts.items():
-                counts[found.turbine, kind] += n
+            counts.update({(turbine, kind): n for kind, n in refused.items()})
             if mapping.weather:
-                batch.weather += [Observation(found.turbine, r, one.received) for r in found.readings]
+                batch.weather += [Observation(turbine, r, one.received) for r in readings]
                 continue
-            tracker = self.trackers[found.turbine]
-            touched[found.turbine] += [
-                Observation(found.turbine, r, one.received, tracker.is_late(r)) for r in found.readings
-            ]
+            is_late = self.trackers[turbine].is_late
+            touched[turbine] += [Observation(turbine, r, one.received, is_late(r)) for r in readings]
         for name, observations in touched.items():
             tracker = self.trackers[name]
             tracker.take(one.reading for one in observations)
             batch.observations += observations
             self.waiting.setdefault(name)
-            if tracker.counts != self._counted[name]:
-                counts.update({(name, kind): n for kind, n in (tracker.counts - self._counted[name]).items()})
-                self._counted[name] = Counter(tracker.counts)
+            counts.update({(name, kind): n for kind, n in (tracker.counts - self._counted[name]).items()})
+            self._counted[name] = Counter(tracker.counts)
         batch.counters = dict(counts)
         places = [one.place for one in deliveries if one.place]
         if source and places:
             batch.place[source] = places[-1]
-        self.filtered(batch, filter_s)
+        self.filter_waiting(batch, filter_s)
         return batch
 
-    def filtered(self, batch: Batch, filter_s: float = math.inf) -> Batch:
+    def filter_waiting(self, batch: Batch, filter_s: float = math.inf) -> Batch:
         """Filter waiting turbines for `filter_s` [s], longest waiting first and at least one; returns the
         batch."""
         end = time.monotonic() + filter_s
@@ -190,17 +162,17 @@ class Fleet:
         while self.waiting:
             name = next(iter(self.waiting))
             del self.waiting[name]
-            course = self._advanced(name)
+            course = self._advance(name)
             if course is not None:
                 courses[name] = course
             if time.monotonic() >= end:
                 break
         found = conditions({name: (self.turbines[name], course) for name, course in courses.items()})
         for name, course in courses.items():
-            self._follow(name, course, found[name], batch)
+            self._add_results(name, course, found[name], batch)
         return batch
 
-    def _advanced(self, name: str) -> Course | None:
+    def _advance(self, name: str) -> Course | None:
         try:
             course = self.trackers[name].advance()
         except ValueError as fault:  # no reading is lost: all are in the tracker and in the batch
@@ -209,7 +181,7 @@ class Fleet:
         self.faults.pop(name, None)
         return course
 
-    def _follow(self, name: str, course: Course, found: Condition, batch: Batch) -> None:
+    def _add_results(self, name: str, course: Course, found: Condition, batch: Batch) -> None:
         """Put estimates, properties and alarms that follow from a course into the batch."""
         point = self.trackers[name].point
         if len(found.time_s):
@@ -218,10 +190,10 @@ class Fleet:
         if point is None:
             return
         batch.points[name] = point
-        self._watch(name, self.turbines[name].plan, course, point.time, batch)
-        self._warn(name, found, batch)
+        self._watch_properties(name, self.turbines[name].plan, course, point.time, batch)
+        self._judge_estimates(name, found, batch)
 
-    def _watch(self, name: str, plan: Plan, course: Course, final_s: float, batch: Batch) -> None:
+    def _watch_properties(self, name: str, plan: Plan, course: Course, final_s: float, batch: Batch) -> None:
         """Update properties and parameter shifts once per hour of final estimates, however many hours came at
         once."""
         slots = np.floor(course.seconds / PROPERTY_S)
@@ -238,15 +210,13 @@ class Fleet:
             self.shifts[name] = parameter_shifts(self.shifts[name], at, states, errors)
             batch.memories[name, "parameter_shifts"] = {k: asdict(d) for k, d in self.shifts[name].items()}
 
-    def _warn(self, name: str, found: Condition, batch: Batch) -> None:
+    def _judge_estimates(self, name: str, found: Condition, batch: Batch) -> None:
         """Judge alarms at every estimate newer than the last one judged."""
         after = self._warned.get(name, -math.inf)
         for i in np.flatnonzero(found.time_s > after):
-            levels = condensation_level(found, int(i)) + shift_levels(
-                self.shifts[name], self.findings.get(name)
-            )
-            levels = resting_on(levels, self.turbines[name].verdicts)
-            self._judge(name, float(found.time_s[i]), levels, WARNED, batch)
+            now = Estimated(found, int(i), self.shifts[name], self.findings.get(name))
+            levels = estimate_levels(now, self.turbines[name].verdicts)
+            self._judge(name, float(found.time_s[i]), levels, ESTIMATE_RULES, batch)
         self._warned[name] = max(after, float(found.time_s[-1]))
 
     def tick(self, now: float, sources: Mapping[str, SourceState]) -> Batch:
@@ -255,8 +225,8 @@ class Fleet:
         self._began = min(self._began, now)
         for name, tracker in self.trackers.items():
             ages = {signal: now - time for signal, time in tracker.heard().items()} or {"": now - self._began}
-            self._judge(name, now, stale_levels(ages, self.turbines[name].stale_s), (STALE.kind,), batch)
-        self._judge(SOURCE, now, source_levels(sources), (LOST.kind,), batch)
+            self._judge(name, now, stale_levels(ages, self.turbines[name].stale_s), (STALE,), batch)
+        self._judge(SOURCE, now, source_levels(sources), (LOST,), batch)
         return batch
 
     def isolation_due(self) -> str | None:
@@ -281,9 +251,8 @@ class Fleet:
         """Keep the finding of fault isolation and judge the alarms that it explains."""
         self.findings[name] = finding
         batch = Batch(memories={(name, "finding"): asdict(finding)})
-        levels = shift_levels(self.shifts[name], finding)
-        levels = resting_on(levels, self.turbines[name].verdicts)
-        self._judge(name, finding.time_s, levels, (CHANGED.kind, SUSPECT.kind), batch)
+        levels = with_doubts(shift_levels(self.shifts[name], finding), self.turbines[name].verdicts)
+        self._judge(name, finding.time_s, levels, (CHANGED, SUSPECT), batch)
         return batch
 
     def forecast_due(self, every_s: float) -> str | None:
@@ -298,11 +267,11 @@ class Fleet:
         return best
 
     def _judge(
-        self, name: str, now: float, levels: list[Level], kinds: tuple[str, ...], batch: Batch
+        self, name: str, now: float, levels: list[Level], rules: tuple[Rule, ...], batch: Batch
     ) -> None:
-        """Judge the alarms of some kinds by their levels."""
+        """Judge the alarms of some rules by their levels."""
         before = self.standings[name]
-        after, changed = judged(name, before, now, levels, kinds)
+        after, changed = judge(name, before, now, levels, [rule.kind for rule in rules])
         if after != before:
             self.standings[name] = after
             batch.memories[name, "alarms"] = {key: asdict(one) for key, one in after.items()}
@@ -315,29 +284,29 @@ def conditions(courses: Mapping[str, tuple[Turbine, Course]]) -> dict[str, Condi
     Turbines of one model are evaluated together, because numpy's overhead exceeds the work for the few
     instants of one.
     """
-    alike: dict[int, list[str]] = defaultdict(list)
-    for name, (one, _) in courses.items():
-        alike[id(one.plan.model)].append(name)
+    by_model: dict[int, list[str]] = defaultdict(list)
+    for name, (turbine, _) in courses.items():
+        by_model[id(turbine.plan.model)].append(name)
     found: dict[str, Condition] = {}
-    for names in alike.values():
-        several = [courses[name] for name in names]
-        model = several[0][0].plan.model
-        kept = [instants_kept(course) for _, course in several]
+    for names in by_model.values():
+        turbines, runs = zip(*(courses[name] for name in names), strict=True)
+        model = turbines[0].plan.model
+        kept = [instants_kept(course) for course in runs]
         counts = [len(places) for places in kept]
-        parts = [inputs_of(model, course.run.timeline) for _, course in several]
+        inputs = [inputs_of(model, course.run.timeline) for course in runs]
         together = air_condition(
             model,
             {
-                p.name: np.repeat([one.plan.values[p.name] for one, _ in several], counts)
+                p.name: np.repeat([one.plan.values[p.name] for one in turbines], counts)
                 for p in model.parameters
             },
-            _joined(course.seconds[k] for (_, course), k in zip(several, kept, strict=True)),
-            {n: _joined(u[n][k] for u, k in zip(parts, kept, strict=True)) for n in model.inputs},
-            _joined(course.trace.mean[k] for (_, course), k in zip(several, kept, strict=True)),
-            _joined(course.trace.covariance[k] for (_, course), k in zip(several, kept, strict=True)),
+            _joined((course.seconds for course in runs), kept),
+            {name: _joined((u[name] for u in inputs), kept) for name in model.inputs},
+            _joined((course.trace.mean for course in runs), kept),
+            _joined((course.trace.covariance for course in runs), kept),
             Surface(
-                np.repeat([one.surface.follows for one, _ in several], counts),
-                np.repeat([one.surface.offset_K for one, _ in several], counts),
+                np.repeat([one.surface.follows for one in turbines], counts),
+                np.repeat([one.surface.offset_K for one in turbines], counts),
             ),
         )
         ends = np.cumsum(counts)
@@ -346,8 +315,9 @@ def conditions(courses: Mapping[str, tuple[Turbine, Course]]) -> dict[str, Condi
     return found
 
 
-def _joined(arrays: Iterable[np.ndarray]) -> np.ndarray:
-    return np.concatenate(list(arrays))
+def _joined(arrays: Iterable[np.ndarray], kept: Sequence[np.ndarray]) -> np.ndarray:
+    """The kept instants of several arrays, one after the other."""
+    return np.concatenate([array[places] for array, places in zip(arrays, kept, strict=True)])
 
 
 def instants_kept(course: Course) -> np.ndarray:

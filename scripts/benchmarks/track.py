@@ -29,9 +29,10 @@ from hygrokf.live.plan import Form, plan
 from hygrokf.live.service import Service
 from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.mqtt import Mqtt
+from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
-from hygrokf.live.tracker import whole
-from hygrokf.live.turbines import Delivery, Fleet, Turbine, conditions
+from hygrokf.live.tracker import offline_course
+from hygrokf.live.turbines import Fleet, Turbine, conditions
 from hygrokf.modelling.inputs import prepare_run
 
 PUBLISHER = Path(__file__).with_name("publisher.py")
@@ -57,7 +58,7 @@ def update(quick: bool) -> Iterator[Figure]:
     for count in (1,) if quick else (1, 100):
         with tempfile.TemporaryDirectory() as folder:
             store = open_store(f"sqlite:{folder}/live.db")
-            fleet = Fleet.opened(cases.turbines(count), store)
+            fleet = Fleet.from_store(cases.turbines(count), store)
             cases.fill(store, fleet, stamps[:-more])
             how, taken, committed = cases.mapping(list(fleet.turbines)), [], []
             for stamp in stamps[-more:]:
@@ -116,7 +117,7 @@ def _side_by_side(count: int, wandering: Mapping | None) -> tuple[SideBySide, Ca
     fit = cases.fit()
     forms = {s.signal: Form(s.hold, s.interval_s) for s in made.series}
     own = plan(fit, forms=forms, site=made.site, rated_power_W=made.rated_power_W, wandering=wandering)
-    course = whole(own, made)
+    course = offline_course(own, made)
     line, last = course.run.timeline, len(course.run.timeline) - 1
     state = Gaussian(course.trace.mean[last], course.trace.covariance[last])
     values = [{**own.values, "hygric_k": 0.4 + 0.2 * number / count} for number in range(count)]
@@ -179,7 +180,7 @@ def filled(count: int, days: float, end_s: float) -> Iterator[tuple[Path, dict[s
     with tempfile.TemporaryDirectory() as folder:
         url, turbines = f"sqlite:{folder}/live.db", cases.turbines(count)
         store = open_store(url)
-        cases.fill(store, Fleet.opened(turbines, store), _stamps(days, end_s))
+        cases.fill(store, Fleet.from_store(turbines, store), _stamps(days, end_s))
         store.close()
         yield Path(folder), turbines, url
 
@@ -313,7 +314,8 @@ MEMORY = """
 import gc, sys
 from pathlib import Path
 from benchmarks import track_cases as cases
-from hygrokf.live.turbines import Delivery, Fleet
+from hygrokf.live.sources.stream import Delivery
+from hygrokf.live.turbines import Fleet
 def resident():
     gc.collect()
     line = next(l for l in Path("/proc/self/status").read_text().splitlines() if l.startswith("VmRSS"))

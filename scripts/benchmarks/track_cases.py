@@ -14,9 +14,10 @@ from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import SIGNALS
 from hygrokf.identification.fit import Fit, write_fit
 from hygrokf.live.plan import WANDERING, Form, plan
-from hygrokf.live.sources.streams import record_mapping
+from hygrokf.live.sources.local import record_mapping
+from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import Store
-from hygrokf.live.turbines import Delivery, Fleet, Turbine
+from hygrokf.live.turbines import Fleet, Turbine
 from hygrokf.modelling.design import CASCADE, design, merged
 from hygrokf.physics.psychrometrics import relative_humidity
 from hygrokf.version import __version__

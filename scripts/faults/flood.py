@@ -13,7 +13,7 @@ from builders.brokers import mosquitto, peer, publish
 from faults.outcome import Outcome
 from faults.plant import LATENESS_S, Message, Plant, counted, stored
 from faults.tracker import Tracker, mqtt_source, tracking, unacknowledged, until
-from hygrokf.live.sources.streams import disturbed
+from hygrokf.live.sources.local import delay_and_repeat
 
 LATE_S = 0.9 * LATENESS_S
 """[s] by which a message comes late at most."""
@@ -39,7 +39,7 @@ def flood(folder: Path, seed: int, count: int = 50_000, turbines: int = 10, thro
     shares = (1.0 + TWICE) * 1.1
     plant = Plant(folder, days=count / shares / turbines / A_DAY, turbines=turbines)
     store = f"sqlite:{folder / 'live.db'}"
-    messages = [message for _, message in disturbed(plant.timed(), LATE_S, TWICE, seed)]
+    messages = [message for _, message in delay_and_repeat(plant.timed(), LATE_S, TWICE, seed)]
     whole = len(set(messages))
     messages += messages[-len(messages) // 10 :]
     memory: list[tuple[int, int]] = []

@@ -23,7 +23,7 @@ from faults.tracker import (
     unacknowledged,
     until,
 )
-from hygrokf.live.sources.streams import record_messages
+from hygrokf.live.sources.local import record_messages
 
 FLOW_S = 1.5
 """[s] over which a part of the messages is published; the kill comes at a random moment after the first

@@ -19,7 +19,7 @@ from hygrokf.data.structured import structured
 from hygrokf.identification.fit import write_fit
 from hygrokf.identification.fit_results import FitResults
 from hygrokf.live.config import read_config
-from hygrokf.live.sources.streams import record_messages
+from hygrokf.live.sources.local import record_messages
 from hygrokf.live.storage.store import StoreFault, open_store
 
 LATENESS_S = 1800.0

@@ -17,7 +17,7 @@ from hygrokf.identification.procedure import identify
 from hygrokf.live.condition import Surface
 from hygrokf.live.plan import Form, Plan, plan
 from hygrokf.live.scenarios import DAYS, Scenarios, persistence
-from hygrokf.live.tracker import Course, Point, whole
+from hygrokf.live.tracker import Course, Point, offline_course
 from hygrokf.physics.psychrometrics import (
     GAS_CONSTANT_VAPOUR,
     ZERO_CELSIUS_K,
@@ -71,7 +71,7 @@ def tracked(made: Plant, until_s: float) -> Tracked:
     """A plant that is identified on its readings up to `until_s` [s]."""
     record = to_record(made)
     found = plan_of(identified(record, until_s), record)
-    course = whole(found, record)
+    course = offline_course(found, record)
     return Tracked(made, record, found, course, course.seconds)
 
 

@@ -25,7 +25,7 @@ from hygrokf.live.properties import (
     standard_errors,
     states_of,
 )
-from hygrokf.live.tracker import Course, whole
+from hygrokf.live.tracker import Course, offline_course
 from hygrokf.live.turbines import PROPERTY_S
 from trials.cabinets import DAY_S, identified, plan_of
 
@@ -142,7 +142,7 @@ def lasting(plan: Plan, record: Record, errors: Mapping[str, float]) -> list:
     begin = record.start_s
     found: list[list] = []
     before: dict[str, ParameterShift] = {}
-    for time, known in followed(plan, whole(plan, record), errors):
+    for time, known in followed(plan, offline_course(plan, record), errors):
         for name, one in known.items():
             if one.lasting and not (name in before and before[name].lasting):
                 found.append([name, (one.since - begin) / DAY_S, (time - begin) / DAY_S, one.change])

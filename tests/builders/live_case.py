@@ -15,10 +15,11 @@ from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.data.record import Record
 from hygrokf.identification.fit import Fit
 from hygrokf.live.plan import Form, plan
-from hygrokf.live.sources.streams import Playback
+from hygrokf.live.sources.local import Playback
+from hygrokf.live.sources.stream import Delivery
 from hygrokf.live.storage.store import open_store
-from hygrokf.live.tracker import whole
-from hygrokf.live.turbines import Delivery, Turbine
+from hygrokf.live.tracker import offline_course
+from hygrokf.live.turbines import Turbine
 from hygrokf.modelling.design import CASCADE, design, merged
 
 SIGNALS = (
@@ -56,7 +57,7 @@ def count_of(record: Record) -> int:
 def expect_offline(url: str, record: Record, turbine: Turbine, name: str = "T1") -> None:
     """Every reading is in the store once, and the state is the offline filter's, bit for bit."""
     store = open_store(url)
-    offline = whole(turbine.plan, record)
+    offline = offline_course(turbine.plan, record)
     assert store.rows("SELECT COUNT(*) FROM observation WHERE turbine = ?", (name,)) == [(count_of(record),)]
     assert store.rows("SELECT COUNT(*) FROM observation WHERE late = 1 OR contradicted = 1") == [(0,)]
     point = store.point(name)

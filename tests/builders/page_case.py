@@ -26,10 +26,10 @@ from hygrokf.data.record import Record
 from hygrokf.live.condition import Surface
 from hygrokf.live.forecast import LIMIT
 from hygrokf.live.service import Service
+from hygrokf.live.sources.local import Playback, record_mapping, record_messages
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.streams import Playback, Threaded, record_mapping, record_messages
+from hygrokf.live.sources.stream import Delivery, Threaded
 from hygrokf.live.storage.store import Store, open_store
-from hygrokf.live.turbines import Delivery
 
 HOUR_S = 3600.0
 

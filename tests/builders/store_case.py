@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from hygrokf.estimation.likelihood import Gaussian
+from hygrokf.live.batch import Alarm, Batch, Estimates, Observation
 from hygrokf.live.condition import Condition, Quantity
 from hygrokf.live.properties import Property
-from hygrokf.live.storage.store import Alarm, Batch, Estimates, Observation, StoreFault, open_store
+from hygrokf.live.storage.store import StoreFault, open_store
 from hygrokf.live.tracker import Point, Reading
 
 T0 = 1.7e9

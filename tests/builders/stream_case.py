@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from builders.waiting import eventually
-from hygrokf.live.turbines import Delivery
+from hygrokf.live.sources.stream import Delivery
 
 
 class Collected:

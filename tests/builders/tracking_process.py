@@ -73,7 +73,7 @@ def track(case: str, url: str, speed: str, halt: str) -> None:
     from builders.live_case import SIGNALS, Halting, live_turbine
     from hygrokf.cases.case_file import read_case
     from hygrokf.live import service
-    from hygrokf.live.sources.streams import record_mapping, record_messages
+    from hygrokf.live.sources.local import record_mapping, record_messages
 
     made = read_case(case)
     record = replace(made, series=tuple(s for s in made.series if s.signal in SIGNALS))

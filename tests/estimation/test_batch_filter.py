@@ -13,7 +13,7 @@ from hygrokf.estimation.batch_filter import SideBySide
 from hygrokf.estimation.likelihood import Gaussian, Likelihood
 from hygrokf.estimation.smoother import filterpy_filter
 from hygrokf.live.plan import Plan, plan
-from hygrokf.live.tracker import Course, whole
+from hygrokf.live.tracker import Course, offline_course
 from hygrokf.physics.expression import maximum, minimum
 from hygrokf.physics.model import Mechanism
 
@@ -44,7 +44,7 @@ def at(course: Course, name: str, i: int) -> float:
 def test_every_run_is_its_own_filter(records: list[Record]) -> None:
     """Three turbines with other weather, other steps and other parameters; 1e-9 is a thousand roundings."""
     plans = [planned(records[0], tau_h) for tau_h in (0.9, 1.5, 2.6)]
-    courses = [whole(p, r) for p, r in zip(plans, records, strict=True)]
+    courses = [offline_course(p, r) for p, r in zip(plans, records, strict=True)]
     model, begin = plans[0].model, 20
     starts = [Gaussian(c.trace.mean[begin], c.trace.covariance[begin]) for c in courses]
     runs = SideBySide(model, [p.values for p in plans], starts, [p.fastest for p in plans])
@@ -65,7 +65,7 @@ def test_every_run_is_its_own_filter(records: list[Record]) -> None:
 
 def test_without_readings_it_is_a_forecast(records: list[Record]) -> None:
     one = planned(records[0], 1.5)
-    course = whole(one, records[0])
+    course = offline_course(one, records[0])
     t = course.run.timeline.window(31, 80)
     free = Likelihood(one.model, t.with_readings(np.full_like(t.y, np.nan)), fastest=one.fastest)
     start = Gaussian(course.trace.mean[30], course.trace.covariance[30])
@@ -96,7 +96,7 @@ def test_filterpy_the_tracker_and_runs_side_by_side_agree(records: list[Record])
     """The tracked model, all its wandering properties included, in filterpy's own algebra: to 1e-9 over 150
     instants."""
     one = planned(records[1], 1.7)
-    course = whole(one, records[1])
+    course = offline_course(one, records[1])
     t = course.run.timeline.window(0, 150)
     object_ = filterpy_filter(Likelihood(one.model, t, fastest=one.fastest), one.values)
     runs = None

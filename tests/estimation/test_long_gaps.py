@@ -30,7 +30,7 @@ from hygrokf.estimation.likelihood import Gaussian, Likelihood, RatesFault, Trac
 from hygrokf.estimation.smoother import smooth, transition
 from hygrokf.evaluation.simulation import simulate
 from hygrokf.live.plan import Plan
-from hygrokf.live.tracker import Tracker, whole
+from hygrokf.live.tracker import Tracker, offline_course
 from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.cold_surface import Surface
 from hygrokf.physics.mechanisms import wandering_exchange, wandering_release, wandering_time_constant
@@ -324,7 +324,7 @@ def test_the_tracker_is_the_offline_filter_across_a_gap_bit_for_bit(
     for first in range(0, len(readings), batch):
         tracker.take(readings[first : first + batch])
         course = tracker.advance() or course
-    offline = whole(model, record)
+    offline = offline_course(model, record)
     assert not tracker.counts["late"]
     last = int(np.searchsorted(offline.seconds, tracker.point.time + 1e-3, side="right"))
     there = Likelihood(model.model, offline.run.timeline.window(0, last), fastest=model.fastest)

@@ -229,7 +229,7 @@ def playback(folder: Path) -> str:
     from builders.live_case import live_record, live_turbine
 
     from hygrokf.live.service import Service
-    from hygrokf.live.sources.streams import Playback, record_mapping, record_messages
+    from hygrokf.live.sources.local import Playback, record_mapping, record_messages
     from hygrokf.live.storage.store import open_store
     from hygrokf.live.web.views import turbine_view
 
@@ -240,9 +240,7 @@ def playback(folder: Path) -> str:
     store = open_store(url)
     last = float(store.rows("SELECT MAX(time) FROM observation")[0][0])
     view = turbine_view(store, "T1", last - 86400.0, last)
-    view["alarms"] = [
-        one["kind"] for one in view["alarms"]
-    ]  # when one began depends on the rounds of messages
+    view["alarms"] = [one.kind for one in view["alarms"]]  # when one began depends on the rounds of messages
     store.close()
     return json.dumps(view, indent=1, sort_keys=True)
 

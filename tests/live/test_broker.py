@@ -12,6 +12,7 @@ import pytest
 from builders.brokers import authority
 
 from hygrokf.data.toml_form import Place, read_form
+from hygrokf.live.batch import Alarm
 from hygrokf.live.sources.broker import (
     EXPIRY_S,
     Broker,
@@ -21,11 +22,10 @@ from hygrokf.live.sources.broker import (
     filter_fault,
     reason_words,
     tls_words,
-    unreached,
+    unreachable,
 )
 from hygrokf.live.sources.kinds import stream_of
 from hygrokf.live.sources.payload import Field, PayloadMapping
-from hygrokf.live.storage.store import Alarm
 
 MAPPING = PayloadMapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
 SECRET = "pa55-4711"
@@ -234,6 +234,6 @@ def test_reasons_in_words() -> None:
         "[SSL: TLSV13_ALERT_CERTIFICATE_REQUIRED] tlsv13 alert"
     )
     assert tls_words("[Errno 104] Connection reset by peer") is None
-    assert unreached(TimeoutError("timed out"), "h:1").startswith("h:1: it does not answer")
-    assert unreached(OSError(113, "No route to host"), "h:1") == "h:1: No route to host"
-    assert unreached(KeyError("x"), "h:1") == "h:1: KeyError: 'x'"
+    assert unreachable(TimeoutError("timed out"), "h:1").startswith("h:1: it does not answer")
+    assert unreachable(OSError(113, "No route to host"), "h:1") == "h:1: No route to host"
+    assert unreachable(KeyError("x"), "h:1") == "h:1: KeyError: 'x'"

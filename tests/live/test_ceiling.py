@@ -16,9 +16,9 @@ from hygrokf.data.record import Record
 from hygrokf.engine.timeline import Timeline
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.estimation.smoother import observation
-from hygrokf.live.ceiling import HUMIDITY, filtered, truncated
+from hygrokf.live.ceiling import HUMIDITY, censored_trace, truncated_moments
 from hygrokf.live.plan import Form, Plan, plan
-from hygrokf.live.tracker import whole
+from hygrokf.live.tracker import offline_course
 
 
 @pytest.fixture(scope="module")
@@ -37,7 +37,7 @@ def planned(moist: Record) -> Plan:
 
 @pytest.mark.parametrize("z", [-6.0, -1.3, 0.0, 0.7, 3.0, 9.0, 25.0])
 def test_moments_are_those_of_a_truncated_normal_distribution(z: float) -> None:
-    mean, share, chance = truncated(z)
+    mean, share, chance = truncated_moments(z)
     oracle = truncnorm(z, np.inf)
     assert mean == pytest.approx(oracle.mean(), rel=1e-6, abs=1e-12)
     assert 1.0 - share == pytest.approx(oracle.var(), rel=2e-3)
@@ -53,12 +53,12 @@ def _log_above(z: float) -> float:
 def censored_instant(moist: Record, planned: Plan) -> tuple[Timeline, Gaussian]:
     """The one instant with a reading at the ceiling of which just that was expected, and the state before
     it."""
-    course = whole(planned, moist)
+    course = offline_course(planned, moist)
     t = course.run.timeline
     high = t.reading(HUMIDITY) >= SATURATED
     off = np.where(high, np.abs(course.trace.prediction[:, t.outputs.index(HUMIDITY)] - SATURATED), np.inf)
     place = int(np.argmin(off))
-    before = filtered(planned.likelihood(t.window(0, place)), planned.values).last
+    before = censored_trace(planned.likelihood(t.window(0, place)), planned.values).last
     return t.window(place, place + 1), before
 
 
@@ -75,7 +75,7 @@ def test_a_reading_at_the_ceiling_leaves_what_drawn_readings_leave(moist: Record
     prior = likelihood.trace(planned.values, start=before).last
     column = t.outputs.index(HUMIDITY)
     predicted, row, variance = observation(likelihood, planned.values, 0, column, prior.mean)
-    found = filtered(planned.likelihood(t), planned.values, before).last
+    found = censored_trace(planned.likelihood(t), planned.values, before).last
     random = np.random.default_rng(8)
     drawn = random.multivariate_normal(prior.mean, prior.covariance, 400_000, method="eigh")
     shown = predicted + (drawn - prior.mean) @ row + np.sqrt(variance) * random.standard_normal(len(drawn))
@@ -92,7 +92,7 @@ def test_a_reading_at_the_ceiling_leaves_what_drawn_readings_leave(moist: Record
 
 def test_its_likelihood_is_the_chance_of_such_a_reading(moist: Record, planned: Plan) -> None:
     t, before = censored_instant(moist, planned)
-    found = filtered(planned.likelihood(t), planned.values, before)
+    found = censored_trace(planned.likelihood(t), planned.values, before)
     without = planned.likelihood(unread(t)).trace(planned.values, start=before)
     column = t.outputs.index(HUMIDITY)
     z = (SATURATED - without.prediction[0, column]) / np.sqrt(without.variance[0, column])
@@ -102,18 +102,20 @@ def test_its_likelihood_is_the_chance_of_such_a_reading(moist: Record, planned: 
 def test_readings_below_the_ceiling_are_the_filter_s_own(moist: Record, planned: Plan) -> None:
     series = moist[HUMIDITY]
     dry = moist.replace_series(replace(series, value=np.minimum(series.value, SATURATED - 1e-6)))
-    course = whole(planned, dry)
+    course = offline_course(planned, dry)
     plain = planned.likelihood(course.run.timeline).trace(planned.values)
     assert np.array_equal(course.trace.mean, plain.mean) and course.trace.loglik == plain.loglik
 
 
 def test_pieces_end_in_the_whole_bit_for_bit(moist: Record, planned: Plan) -> None:
-    course = whole(planned, moist)
+    course = offline_course(planned, moist)
     t = course.run.timeline
     assert (t.reading(HUMIDITY) >= SATURATED).sum() > 100
     state = None
     for first in range(0, len(t), 37):
-        part = filtered(planned.likelihood(t.window(first, min(first + 37, len(t)))), planned.values, state)
+        part = censored_trace(
+            planned.likelihood(t.window(first, min(first + 37, len(t)))), planned.values, state
+        )
         assert np.array_equal(part.mean, course.trace.mean[first : first + 37])
         assert np.array_equal(part.covariance, course.trace.covariance[first : first + 37])
         state = part.last
@@ -126,5 +128,8 @@ def test_how_far_above_the_ceiling_a_sensor_reads_says_nothing(moist: Record, pl
     series = moist[HUMIDITY]
     random = np.random.default_rng(3)
     more = np.where(series.value >= SATURATED, 1.0 + 0.04 * random.random(len(series)), series.value)
-    one, other = whole(planned, moist), whole(planned, moist.replace_series(replace(series, value=more)))
+    one, other = (
+        offline_course(planned, moist),
+        offline_course(planned, moist.replace_series(replace(series, value=more))),
+    )
     assert np.array_equal(one.trace.mean, other.trace.mean)

@@ -13,7 +13,6 @@ from hygrokf.data.signals import SIGNALS
 from hygrokf.identification.fit import write_fit
 from hygrokf.live.config import ConfigFault
 from hygrokf.live.defaults import default_config, default_mapping, page_at, table_of
-from hygrokf.live.sources.payload import taken
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.modelling.design import HOLDS
 
@@ -39,7 +38,7 @@ def test_the_only_turbine_needs_no_name(models: list[Path]) -> None:
         "cabinet_relative_humidity": 50.0,
         "active_power": 800.0,
     }
-    readings = taken(content, found.streams[0].mapping, 1.6e9)
+    readings = found.streams[0].mapping.read(content, 1.6e9)
     assert readings.turbine == "T1"
     assert {r.signal: r.value for r in readings.readings} == {
         "cabinet_temperature": pytest.approx(293.15), "cabinet_relative_humidity": pytest.approx(0.5),
@@ -51,7 +50,7 @@ def test_several_are_told_apart_by_their_names(models: list[Path]) -> None:
     found = config(models, "stdin", "mqtt://user@127.0.0.1:1884/scada/+/#")
     assert set(found.turbines) == {"T1", "T2"}
     mapping = found.streams[0].mapping
-    assert taken({"turbine": "T2", "time": 1.6e9, "rain": 0.1}, mapping, 1.6e9).turbine == "T2"
+    assert mapping.read({"turbine": "T2", "time": 1.6e9, "rain": 0.1}, 1.6e9).turbine == "T2"
     assert found.streams[1].url.startswith("mqtt://127.0.0.1:1884")
 
 

@@ -34,15 +34,15 @@ from builders.waiting import PATIENCE_S, eventually
 from hygrokf.commands.main import main
 from hygrokf.live.config import read_config
 from hygrokf.live.doctor import machine as doctor_machine
-from hygrokf.live.doctor import mqtt as doctor_mqtt
 from hygrokf.live.doctor import sources as doctor_sources
 from hygrokf.live.doctor import store as doctor_store
-from hygrokf.live.doctor.check import Check, worst
+from hygrokf.live.doctor.check import Check, server_check, stamp_check, worst
 from hygrokf.live.doctor.examination import examine, page_checks
-from hygrokf.live.doctor.machine import Watch, machine_checks, server_check, stamp_check, validities
+from hygrokf.live.doctor.machine import Watch, machine_checks, validities
+from hygrokf.live.doctor.mqtt import plain_filter
 from hygrokf.live.service import Service
 from hygrokf.live.sources.opcua_client import Connection
-from hygrokf.live.sources.streams import several
+from hygrokf.live.sources.stream import several
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.web.page_settings import PageSettings
 
@@ -724,7 +724,10 @@ def test_a_broker_by_tls(at_broker: Callable[..., list[Check]], tmp_path: Path, 
         said(found, "doubt", "the broker's certificate is valid for 12 d", "order a new certificate")
         said(found, "doubt", "[[source]] 1 ca: ", "order a new certificate")
         said(at_broker(mqtt_source(one.url, '["a"]'), 0.2), "fault", "mqtts://")
-    assert doctor_mqtt.plain("$share/g/a/b") == "a/b" and doctor_mqtt.plain("a/b") == "a/b"
+
+
+def test_the_doctor_listens_without_a_share() -> None:
+    assert [plain_filter(one) for one in ("$share/g/a/b", "a/b")] == ["a/b", "a/b"]
 
 
 # -- OPC UA --------------------------------------------------------------------------------------------------

@@ -17,10 +17,10 @@ from hygrokf.data.record import Record, Series
 from hygrokf.identification.procedure import identify
 from hygrokf.live.alarms import CHANGED, SUSPECT, shift_levels
 from hygrokf.live.defaults import SIGNALS
-from hygrokf.live.fault_isolation import CLOSE, LEAST, Explanation, Finding, isolate, judged_by
+from hygrokf.live.fault_isolation import CLOSE, LEAST, Explanation, Finding, finding_from, isolate
 from hygrokf.live.plan import Plan, plan
 from hygrokf.live.properties import ParameterShift
-from hygrokf.live.sources.streams import form_of
+from hygrokf.live.sources.local import form_of
 from hygrokf.physics.psychrometrics import saturation_pressure_water
 
 SEED, DAYS, FITTED, CHANGE = 21, 75.0, 45.0, 60.0
@@ -152,16 +152,16 @@ def test_without_a_humidity_sensor_a_thermometer_that_drifts_is_like_heat(
 
 
 def test_judgement_at_its_edges() -> None:
-    assert judged_by({}, 5.0) == Finding(5.0, "")
-    assert judged_by({"hygric_k": Explanation(LEAST - 0.01, "log_hygric_change", 0.4)}, 5.0).cause == ""
+    assert finding_from({}, 5.0) == Finding(5.0, "")
+    assert finding_from({"hygric_k": Explanation(LEAST - 0.01, "log_hygric_change", 0.4)}, 5.0).cause == ""
     two = {
         "hygric_k": Explanation(20.0, "log_hygric_change", 0.4),
         "humidity_sensor": Explanation(18.0, "humidity_scale_change", 0.1),
     }
-    found = judged_by(two, 5.0)
+    found = finding_from(two, 5.0)
     assert (found.cause, found.alike, found.lead) == ("hygric_k", ("humidity_sensor",), 2.0)
     far = {**two, "humidity_sensor": Explanation(20.0 - CLOSE - 0.01, "humidity_scale_change", 0.1)}
-    assert judged_by(far, 5.0).alike == ()
+    assert finding_from(far, 5.0).alike == ()
 
 
 def test_what_is_said_of_it() -> None:
@@ -169,7 +169,7 @@ def test_what_is_said_of_it() -> None:
         "heat_release_change": ParameterShift("heat_release_change", 0.0, True, 2.2),
         "humidity_offset": ParameterShift("humidity_offset", 0.0, True, 0.08),
     }
-    assert shift_levels(lasting) == []  # nobody has looked yet
+    assert shift_levels(lasting, None) == []  # nobody has looked yet
     sensor = Finding(9.0, "temperature_sensor", "temperature_reading_change", 2.9, 200.0, 40.0)
     (one,) = shift_levels(lasting, sensor)
     assert one.kind == SUSPECT.kind and one.subject == "temperature_sensor"

@@ -11,13 +11,15 @@ import pytest
 from builders.live_case import expect_offline, live_record
 
 from hygrokf.data.record import Record
+from hygrokf.live.batch import Batch
 from hygrokf.live.condition import Surface
 from hygrokf.live.properties import ParameterShift
+from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.streams import record_mapping, record_messages
-from hygrokf.live.storage.store import Batch, Store, open_store
-from hygrokf.live.tracker import whole
-from hygrokf.live.turbines import Delivery, Fleet, Turbine, conditions
+from hygrokf.live.sources.stream import Delivery
+from hygrokf.live.storage.store import Store, open_store
+from hygrokf.live.tracker import offline_course
+from hygrokf.live.turbines import Fleet, Turbine, conditions
 
 SOURCE = "replay:"
 
@@ -48,7 +50,7 @@ def test_rounds_end_in_the_offline_filter(
     tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
 ) -> None:
     store, messages = opened(tmp_path), deliveries(record)
-    fleet = Fleet.opened({"T1": turbine}, store)
+    fleet = Fleet.from_store({"T1": turbine}, store)
     for first in range(0, len(messages), 37):
         store.commit(fleet.round(messages[first : first + 37], mapping, SOURCE))
     expect_offline(store.url, record, turbine)
@@ -67,7 +69,7 @@ def test_a_crash_anywhere_loses_nothing_and_counts_nothing_twice(
     some more."""
     random = np.random.default_rng(seed)
     store, messages = opened(tmp_path), deliveries(record)
-    fleet, first, crashes = Fleet.opened({"T1": turbine}, store), 0, 0
+    fleet, first, crashes = Fleet.from_store({"T1": turbine}, store), 0, 0
     while first < len(messages):
         count = int(random.integers(1, 120))
         batch = fleet.round(messages[first : first + count], mapping, SOURCE)
@@ -78,7 +80,7 @@ def test_a_crash_anywhere_loses_nothing_and_counts_nothing_twice(
             crashes += 1
             store.close()
             store = opened(tmp_path)
-            fleet = Fleet.opened({"T1": turbine}, store)
+            fleet = Fleet.from_store({"T1": turbine}, store)
             # at least once: a broker may deliver again what was committed and not acknowledged
             first = max(int(store.place(SOURCE) or 0) - int(random.integers(0, 60)), 0)
         else:
@@ -101,7 +103,7 @@ def test_turbines_that_find_no_time_wait_and_lose_nothing(
     ]
     messages = [Delivery(content, at + 2.0, place=str(i + 1)) for i, (at, content) in enumerate(rows)]
     store = opened(tmp_path)
-    fleet, waited = Fleet.opened(turbines, store), 0
+    fleet, waited = Fleet.from_store(turbines, store), 0
     for number, first in enumerate(range(0, len(messages), 97)):
         piece = messages[first : first + 97]
         batch = fleet.round(piece, mapping, SOURCE, filter_s=0.0)
@@ -111,11 +113,11 @@ def test_turbines_that_find_no_time_wait_and_lose_nothing(
         if number % 20 == 19:
             store.close()
             store = opened(tmp_path)
-            fleet = Fleet.opened(turbines, store)
+            fleet = Fleet.from_store(turbines, store)
             assert list(fleet.waiting) == list(names)
     assert waited > 20
     while fleet.waiting:
-        store.commit(fleet.filtered(Batch(), filter_s=0.0))
+        store.commit(fleet.filter_waiting(Batch(), filter_s=0.0))
     for name in names:
         expect_offline(store.url, record, turbine, name)
     store.close()
@@ -130,9 +132,9 @@ def test_turbines_of_one_model_are_looked_at_together(record: Record, turbine: T
     )
     blind = replace(record, series=tuple(s for s in record.series if not s.signal.startswith("cabinet_")))
     courses = {
-        "T1": (turbine, whole(turbine.plan, record)),
-        "T2": (other, whole(other.plan, record.window(record.start_s, record.start_s + 86400.0))),
-        "T3": (turbine, whole(turbine.plan, blind)),
+        "T1": (turbine, offline_course(turbine.plan, record)),
+        "T2": (other, offline_course(other.plan, record.window(record.start_s, record.start_s + 86400.0))),
+        "T3": (turbine, offline_course(turbine.plan, blind)),
     }
     assert turbine.plan.model is other.plan.model
     together = conditions(courses)
@@ -152,7 +154,7 @@ def test_what_is_refused_is_counted_and_changes_nothing(
     tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
 ) -> None:
     store, messages = opened(tmp_path), deliveries(record)[:600]
-    clean = Fleet.opened({"T1": turbine}, store)
+    clean = Fleet.from_store({"T1": turbine}, store)
     dirty = Fleet({"T1": turbine})
     rubbish = [
         Delivery(b"\x00\xff", 1e9), Delivery('{"turbine": "T2", "time": 1.6e9}', 1.7e9),
@@ -177,15 +179,15 @@ def test_another_model_is_filtered_anew_from_what_is_stored(
     tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
 ) -> None:
     store, messages = opened(tmp_path), deliveries(record)
-    fleet = Fleet.opened({"T1": turbine}, store)
+    fleet = Fleet.from_store({"T1": turbine}, store)
     for first in range(0, 2000, 100):
         store.commit(fleet.round(messages[first : first + 100], mapping))
     other = replace(turbine, plan=replace(turbine.plan, values={**turbine.plan.values, "hygric_k": 0.7}))
-    again = Fleet.opened({"T1": other}, store)
+    again = Fleet.from_store({"T1": other}, store)
     assert again.trackers["T1"].point is None
     for first in range(2000, len(messages), 100):
         store.commit(again.round(messages[first : first + 100], mapping))
-    offline = whole(other.plan, record)
+    offline = offline_course(other.plan, record)
     point = store.point("T1")
     last = int(np.searchsorted(offline.seconds, point.time + 1e-3, side="right")) - 1
     assert np.array_equal(point.state.mean, offline.trace.mean[last])
@@ -196,7 +198,7 @@ def test_data_that_stop_and_a_source_that_is_lost_raise_alarms(
     tmp_path: Path, record: Record, turbine: Turbine, mapping: PayloadMapping
 ) -> None:
     store = opened(tmp_path)
-    fleet = Fleet.opened({"T1": turbine, "T2": turbine}, store)
+    fleet = Fleet.from_store({"T1": turbine, "T2": turbine}, store)
     store.commit(fleet.round(deliveries(record), mapping))
     end, hour = record.end_s, 3600.0
 
@@ -212,7 +214,7 @@ def test_data_that_stop_and_a_source_that_is_lost_raise_alarms(
     assert ("T1", "data stale", True) in found and ("", "source lost", True) in found
     # a turbine that never delivered is stale from the first look on
     assert ("T2", "data stale", True) in ticked(end + 2.8 * hour, "lost") + ticked(end + 2.9 * hour, "lost")
-    again = Fleet.opened({"T1": turbine, "T2": turbine}, store)
+    again = Fleet.from_store({"T1": turbine, "T2": turbine}, store)
     assert sorted(a.kind for a in again.open_alarms()) == ["data stale", "data stale", "source lost"]
     (stale,) = store.rows("SELECT statement, remedy FROM alarm WHERE turbine = 'T1'")
     assert stale[0].startswith("no signal has arrived for 2.") and "logger" in stale[1]
@@ -229,7 +231,7 @@ def test_a_weather_forecast_is_kept_for_one_turbine_or_for_all(
     from dataclasses import replace
 
     store = opened(tmp_path)
-    fleet = Fleet.opened({"T1": turbine}, store)
+    fleet = Fleet.from_store({"T1": turbine}, store)
     coming = replace(mapping, weather=True)
     now = record.end_s
 
@@ -256,7 +258,7 @@ def test_shifts_are_resumed_also_under_the_key_of_older_stores(
 ) -> None:
     shift = ParameterShift("hygric_k", 1.6e9, True, 0.4)
     store = opened(tmp_path)
-    Fleet.opened({"T1": turbine}, store)
+    Fleet.from_store({"T1": turbine}, store)
     store.commit(Batch(memories={("T1", key): {"hygric_k": asdict(shift)}}))
-    assert Fleet.opened({"T1": turbine}, store).shifts["T1"] == {"hygric_k": shift}
+    assert Fleet.from_store({"T1": turbine}, store).shifts["T1"] == {"hygric_k": shift}
     store.close()

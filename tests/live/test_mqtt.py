@@ -35,14 +35,16 @@ from builders.live_case import (
 from builders.waiting import eventually
 
 from hygrokf.data.record import Record
+from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.service import Service
 from hygrokf.live.sources import mqtt, mqtt_link
 from hygrokf.live.sources.broker import Broker
+from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.mqtt import Mqtt
-from hygrokf.live.sources.payload import LARGEST, Field, PayloadMapping, Refused, parsed
-from hygrokf.live.sources.streams import record_mapping, record_messages
-from hygrokf.live.storage.store import Alarm, Batch, open_store
-from hygrokf.live.turbines import Delivery, Turbine
+from hygrokf.live.sources.payload import LARGEST, Field, PayloadMapping, Refused
+from hygrokf.live.sources.stream import Delivery
+from hygrokf.live.storage.store import open_store
+from hygrokf.live.turbines import Turbine
 
 pytestmark = needs_mosquitto
 
@@ -197,7 +199,7 @@ from hygrokf.live.sources.broker import Broker
 from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.service import Service
 from hygrokf.live.storage.store import Store
-from hygrokf.live.sources.streams import record_mapping
+from hygrokf.live.sources.local import record_mapping
 from builders.live_case import live_record, live_turbine, without_preheating
 
 port, folder, store, where, seed, days = sys.argv[1:]
@@ -372,7 +374,7 @@ def test_messages_that_are_too_large_are_cut_or_stay_at_the_broker(
         eventually(lambda: len(taken.found) == 3)
         assert [len(one) for one in taken.contents] == [LARGEST + 1, LARGEST, 10]
         with pytest.raises(Refused, match="at most") as fault:
-            parsed(taken.contents[0])
+            MAPPING.read(taken.contents[0], 0.0)
         assert fault.value.kind == "too large"
         stream.acknowledge(taken.found)
         publish(other, [(TOPIC, b"y")] * 20)

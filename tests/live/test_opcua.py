@@ -29,12 +29,12 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources import opcua as module
 from hygrokf.live.sources import opcua_client
 from hygrokf.live.sources.kinds import stream_of
+from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.sources.opcua import OpcUa
+from hygrokf.live.sources.opcua_client import User
+from hygrokf.live.sources.opcua_form import SecurityForm, ServerForm, security_of
 from hygrokf.live.sources.opcua_samples import ConnectionFault, Node, Rates, node_fault, sample_of
-from hygrokf.live.sources.opcua_security import SecurityForm, User, security_of
-from hygrokf.live.sources.opcua_table import ServerForm
-from hygrokf.live.sources.payload import Field, PayloadMapping, taken
-from hygrokf.live.sources.streams import record_mapping, record_messages
+from hygrokf.live.sources.payload import Field, PayloadMapping
 from hygrokf.live.storage.store import open_store
 from hygrokf.live.turbines import Turbine
 
@@ -261,7 +261,7 @@ def test_bad_values_are_counted_and_never_used(peer: Peer, named, started) -> No
         if one["time"] is None:
             counts["no time"] += 1
             continue
-        found = taken(one, run.stream.mapping, time.time())
+        found = run.stream.mapping.read(one, time.time())
         counts += found.counts
         used += [r.time - T0 for r in found.readings if r.signal == "cabinet_temperature"]
     assert counts == {"bad quality": 3, "no number": 1, "no time": 3} and used == [1, 5, 6]
@@ -311,7 +311,7 @@ def test_uncertain_values_are_used_where_that_is_stated() -> None:
     payload = {"turbine": "T07", "time": T0, "quality": "uncertain", "Tcab": 30.0}
     for stated, count in ((False, 0), (True, 1)):
         stream = made({**table, "uncertain": stated})
-        assert len(taken(payload, stream.mapping, T0 + 9.0).readings) == count
+        assert len(stream.mapping.read(payload, T0 + 9.0).readings) == count
 
 
 # -- what is missed ------------------------------------------------------------------------------------------
@@ -353,8 +353,8 @@ def test_the_first_start_reads_back_as_far_as_is_stated(peer: Peer, named, start
 @pytest.mark.parametrize("place", ["{", "[1]", '{"other": 1}', '{"%s": "soon"}', '{"%s": 1e12}'])
 def test_a_place_that_says_nothing_is_no_place(place: str) -> None:
     stream = OpcUa("opc.tcp://localhost", [Node("i=1", "T07", "Tcab")], MAPPING)
-    assert stream._begun(place.replace("%s", "i=1")) == {}
-    assert stream._begun('{"i=1": 1.7e9}') == {"i=1": 1.7e9}
+    assert stream._times_reached(place.replace("%s", "i=1")) == {}
+    assert stream._times_reached('{"i=1": 1.7e9}') == {"i=1": 1.7e9}
 
 
 def test_a_stamp_of_the_far_future_does_not_end_reading_back(peer: Peer, named, started) -> None:
@@ -792,7 +792,7 @@ def test_without_asyncua_the_extra_is_named(started, monkeypatch: pytest.MonkeyP
 
 def test_nothing_of_it_can_write_or_call() -> None:
     folder = Path(module.__file__).parent
-    for file in ("opcua.py", "opcua_client.py", "opcua_samples.py", "opcua_table.py", "opcua_security.py"):
+    for file in ("opcua.py", "opcua_client.py", "opcua_samples.py", "opcua_form.py"):
         text = (folder / file).read_text(encoding="utf-8")
         assert not [
             word

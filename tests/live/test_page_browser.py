@@ -21,10 +21,10 @@ from builders.waiting import eventually
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
 from hygrokf.identification.verdict_terms import REJECT, Inherited, Reason
+from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.condition import Surface
 from hygrokf.live.service import Service
-from hygrokf.live.sources.streams import record_mapping, record_messages
-from hygrokf.live.storage.store import Alarm, Batch
+from hygrokf.live.sources.local import record_mapping, record_messages
 from hygrokf.live.web.application import Page as LivePage
 from hygrokf.live.web.page_settings import PageSettings
 from hygrokf.live.web.server import Hub, PageServer, serve

@@ -9,7 +9,8 @@ import pytest
 from builders.page_case import write_certificate
 
 from hygrokf.data.toml_form import Place
-from hygrokf.live.web.page_settings import PageSettings, address, is_loopback, page_settings
+from hygrokf.live.sources.endpoint import is_loopback
+from hygrokf.live.web.page_settings import PageSettings, address, page_settings
 
 TOKEN = "correct-horse-battery"
 

@@ -16,10 +16,8 @@ from hygrokf.live.sources.payload import (
     Field,
     PayloadMapping,
     Refused,
-    Taken,
-    parsed,
+    TurbineReadings,
     seconds,
-    taken,
 )
 
 NOW = 1_772_367_000.0  # 2026-03-01T12:10:00Z
@@ -37,14 +35,14 @@ WIDE = PayloadMapping(
 )
 
 
-def one(**changed: object) -> Taken:
+def one(**changed: object) -> TurbineReadings:
     content = {"turbine": "T07", "time": STAMP, "Tcab": 31.2, **changed}
-    return taken(parsed(json.dumps(content)), WIDE, NOW)
+    return WIDE.read(json.dumps(content), NOW)
 
 
-def refusal(text: bytes | str | dict, mapping: PayloadMapping = WIDE) -> str:
+def refusal(text: bytes | str | dict) -> str:
     with pytest.raises(Refused) as fault:
-        taken(parsed(text if isinstance(text, bytes | str) else json.dumps(text)), mapping, NOW)
+        WIDE.read(text if isinstance(text, bytes | str) else json.dumps(text), NOW)
     assert "\n" not in str(fault.value) and len(str(fault.value)) < 200
     return fault.value.kind
 
@@ -123,11 +121,11 @@ def test_payloads_that_are_refused(text: bytes | str | dict, kind: str) -> None:
 
 def test_one_reading_a_payload() -> None:
     narrow = PayloadMapping(WIDE.fields, turbine="{1}", time="t", tag="tag", value="v", turbines={"7": "T07"})
-    found = taken({"t": NOW, "tag": "RHcab", "v": 55}, narrow, NOW, "plant/7/data")
+    found = narrow.read({"t": NOW, "tag": "RHcab", "v": 55}, NOW, "plant/7/data")
     assert found.turbine == "T07" and found.readings[0].value == pytest.approx(0.55)
-    assert taken({"t": NOW, "tag": "Oil", "v": 55}, narrow, NOW, "plant/7/data").counts == {"unknown tag": 1}
+    assert narrow.read({"t": NOW, "tag": "Oil", "v": 55}, NOW, "plant/7/data").counts == {"unknown tag": 1}
     with pytest.raises(Refused, match="turbine 'None'"):
-        taken({"t": NOW, "tag": "RHcab", "v": 55}, narrow, NOW, "plant")
+        narrow.read({"t": NOW, "tag": "RHcab", "v": 55}, NOW, "plant")
 
 
 def test_a_field_must_fit_its_signal() -> None:
@@ -151,7 +149,7 @@ keys = st.sampled_from(["turbine", "time", "Tcab", "RHcab", "P", "env", "env.T",
 def test_nothing_from_outside_breaks_it(content: dict | bytes) -> None:
     text = content if isinstance(content, bytes) else json.dumps(content)
     try:
-        found = taken(parsed(text), WIDE, NOW)
+        found = WIDE.read(text, NOW)
     except Refused as fault:
         assert fault.kind
         return

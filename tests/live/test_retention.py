@@ -10,13 +10,14 @@ from builders.service_case import Acknowledging
 from builders.store_case import T0, a_condition, observed
 
 from hygrokf.live import service
+from hygrokf.live.batch import Alarm, Batch, Estimates
 from hygrokf.live.plan import BEFORE
 from hygrokf.live.properties import Property
 from hygrokf.live.service import Service
 from hygrokf.live.storage import retention as module
 from hygrokf.live.storage.retention import Retention, prune
-from hygrokf.live.storage.store import Alarm, Batch, Estimates, Store, open_store
-from hygrokf.live.tracker import whole
+from hygrokf.live.storage.store import Store, open_store
+from hygrokf.live.tracker import offline_course
 from hygrokf.live.turbines import Fleet
 
 
@@ -105,7 +106,7 @@ def test_a_pruned_store_ends_in_the_offline_filter(
     assert stream.acknowledged[-1] == str(total)
     store = open_store(store_url)
     point = store.point("T1")
-    offline = whole(turbine.plan, record)
+    offline = offline_course(turbine.plan, record)
     row = int(np.searchsorted(offline.seconds, point.time + 1e-3, side="right")) - 1
     assert np.array_equal(point.state.mean, offline.trace.mean[row])
     assert np.array_equal(point.state.covariance, offline.trace.covariance[row])

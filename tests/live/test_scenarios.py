@@ -145,14 +145,14 @@ def test_too_little_history_gives_words(days: float, known: int) -> None:
 
 def test_what_is_not_known_gives_words(record: Record) -> None:
     for absent in ("ambient_temperature", "ambient_relative_humidity"):
-        with pytest.raises(NoScenarios, match="no readings of the ambient's temperature and humidity"):
+        with pytest.raises(NoScenarios, match="ambient's temperature and humidity"):
             persistence(without(record, absent), NOW_S)
-    with pytest.raises(NoScenarios, match="the model needs rain, wind_speed, of which there are no readings"):
+    with pytest.raises(NoScenarios, match="rain, wind_speed"):
         persistence(record, NOW_S, ("wind_speed", "rain"))
     for signal in ("ambient_temperature", "ambient_relative_humidity"):
         with pytest.raises(NoScenarios, match=r"found 0$"):
             persistence(changed(record, signal, np.nan), NOW_S)
-        with pytest.raises(NoScenarios, match="no readings of the ambient within the last 6 h"):
+        with pytest.raises(NoScenarios, match="ambient within the last 6 h"):
             persistence(changed(record, signal, np.nan, NOW_S - 7 * HOUR_S), NOW_S)
     with pytest.raises(NoScenarios, match="within the last 6 h"):
         persistence(record, NOW_S + 3 * DAY_S)
@@ -234,7 +234,7 @@ def test_a_standstill_that_no_other_was_like_may_last_as_long_again(record: Reco
     steady = changed(changed(record, "active_power", 0.5 * RATED_W), "preheating", 0.0)
     stands = changed(steady, "active_power", -5e3, NOW_S - 5 * HOUR_S)
     found = persistence(stands, NOW_S)
-    assert found.words.endswith("standstill that may end, as 0 earlier ones of this length did")
+    assert "standstill" in found.words and "0 earlier ones" in found.words
     ahead = (found.time_s - NOW_S) / HOUR_S
     still = (courses(found, "active_power") <= 0.0).mean(axis=0)
     for hours in (0.5, 5.0, 20.0, 48.0):
@@ -322,7 +322,7 @@ def test_other_signals_are_those_of_the_same_days(record: Record) -> None:
 
 def test_heating_from_now_on(record: Record) -> None:
     for given in (record, without(record, "preheating", "active_power")):
-        found = persistence(given, NOW_S).heated(25.0)
+        found = persistence(given, NOW_S).with_preheating(25.0)
         assert np.all(np.diff(found.time_s) == FINE_S) and found.time_s[-1] == NOW_S + 25 * HOUR_S
         after = found.time_s > NOW_S
         for member in found.members:

@@ -13,8 +13,9 @@ import pytest
 from builders.databases import Server
 from builders.store_case import T0, a_condition, everything, observed
 
-from hygrokf.live.storage.schema import SQLITE, TABLES, VERSION, VIEWS, migration
-from hygrokf.live.storage.store import Alarm, Batch, Estimates, Store, open_store
+from hygrokf.live.batch import Alarm, Batch, Estimates
+from hygrokf.live.storage.schema import SQLITE, TABLES, VERSION, VIEWS, created_views, migration
+from hygrokf.live.storage.store import Store, open_store
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "live_store.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```sql\n(.*?)^```", PAGE, re.DOTALL | re.MULTILINE)
@@ -117,6 +118,8 @@ def plain() -> Iterator[sqlite3.Connection]:
         for version in range(VERSION):
             for statement in migration(version + 1, SQLITE):
                 connection.execute(statement)
+        for statement in created_views(SQLITE):
+            connection.execute(statement)
         yield connection
 
 

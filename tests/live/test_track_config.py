@@ -5,10 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 
 import pytest
-from builders.fit_case import bare_fit
-from builders.track_case import MODEL
+from builders.track_case import write_model
 
-from hygrokf.identification.fit import write_fit
 from hygrokf.live.config import Config, ConfigFault, read_config
 from hygrokf.live.web.page_settings import PageSettings
 
@@ -49,8 +47,7 @@ url = "stdin"
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
-    values = {p.name: p.start for p in MODEL.model.parameters}
-    write_fit(bare_fit("one", MODEL, values), tmp_path / "T07")
+    write_model(tmp_path / "T07")
     return tmp_path
 
 
@@ -116,7 +113,7 @@ def test_a_whole_file(folder: Path) -> None:
         (('stale = "30min"', 'stale = "never"'), "stale"),
         (("follows = 0.1", "follows = 1.5"), "within 0 … 1"),
         (("follows = 0.1", 'follows = "much"'), "must be a number"),
-        (("latitude_deg = 54.0", "latitude_deg = 154.0"), "latitude_deg"),
+        (("latitude_deg = 54.0", "latitude_deg = 154.0"), "[[turbine]] 1 site: latitude_deg must"),
         (('known_as = ["plant/7", "T-07"]', 'known_as = ["T08"]'), "already stands for 'T07'"),
         (('signal = "cabinet_temperature"', 'signal = "cabinet_temprature"'), "cabinet_temperature"),
         (('unit = "degC", accuracy', 'unit = "kPa", accuracy'), "kPa"),

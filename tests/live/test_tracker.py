@@ -13,9 +13,9 @@ from hygrokf.cases.case_file import read_case
 from hygrokf.cases.synthetic import synthetic_turbine, write_case
 from hygrokf.data.masks import SATURATED
 from hygrokf.data.record import Record, Series
-from hygrokf.live.ceiling import filtered
+from hygrokf.live.ceiling import censored_trace
 from hygrokf.live.plan import BEFORE, Form, Plan
-from hygrokf.live.tracker import Reading, Tracker, whole
+from hygrokf.live.tracker import Reading, Tracker, offline_course
 
 HOUR_S = 3600.0
 
@@ -164,14 +164,14 @@ def test_what_is_final_is_the_offline_filter_bit_for_bit(
     }
     model = replace(model, forms=forms)
     tracker, course = followed(model, arriving(readings_of(shaped), seed, late_s), batch)
-    offline = whole(model, shaped)
+    offline = offline_course(model, shaped)
     assert tracker.counts["late"] == tracker.counts["contradicting"] == 0
     # what follows the pre-heating is final when its gap is known
     waits_s = HOUR_S + (6.0 * HOUR_S if shape is rarely_told else 0.0)
     assert tracker.point is not None and tracker.newest - tracker.point.time < LATENESS_S + waits_s
     last = int(np.searchsorted(offline.seconds, tracker.point.time + 1e-3, side="right"))
     t = offline.run.timeline
-    there = filtered(model.likelihood(t.window(0, last)), model.values)
+    there = censored_trace(model.likelihood(t.window(0, last)), model.values)
     if shape in (saturated, saturated_means):
         assert 50 < (t.reading("cabinet_relative_humidity") >= SATURATED).sum() < 0.3 * t.n_readings
     assert np.array_equal(tracker.point.state.mean, there.last.mean)
@@ -204,7 +204,7 @@ def test_readings_that_contradict_each_other_are_both_left_out(record: Record) -
     assert tracker.counts["contradicting"] == 2
     series = record["cabinet_temperature"]
     masked = np.where(series.time == wrong.time, np.nan, series.value)
-    offline = whole(model, record.replace_series(replace(series, value=masked)))
+    offline = offline_course(model, record.replace_series(replace(series, value=masked)))
     assert np.array_equal(course.trace.mean[-1], offline.trace.mean[-1])
 
 

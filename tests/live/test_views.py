@@ -7,10 +7,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hygrokf.live.batch import Alarm, Batch, Estimates, Observation
 from hygrokf.live.condition import Condition, Quantity
+from hygrokf.live.forecast import LIMIT
 from hygrokf.live.properties import Property
 from hygrokf.live.service import Health
-from hygrokf.live.storage.store import Alarm, Batch, Estimates, Observation, Store, open_store
+from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.tracker import Reading
 from hygrokf.live.web.views import MOST, alarms_view, by_hour, fleet_view, health_view, turbine_view
 
@@ -100,8 +102,14 @@ def test_what_a_model_lacks_is_left_out(store: Store) -> None:
 
 
 def test_open_alarms_come_first(store: Store) -> None:
-    assert [a["id"] for a in alarms_view(store)] == ["a", "b"]
-    assert [a["id"] for a in alarms_view(store, "A")] == ["b"]
+    assert [a.id for a in alarms_view(store)] == ["a", "b"]
+    assert [a.id for a in alarms_view(store, "A")] == ["b"]
+
+
+def test_a_forecast_of_an_older_store_has_the_usual_limit(store: Store) -> None:
+    store.commit(Batch(memories={("A", "forecast"): {"made": T0}}))
+    found = turbine_view(store, "A", T0, T0)
+    assert found["humid"]["limit"] == LIMIT and found["forecast"]["limit"] is None
 
 
 def test_long_courses_are_thinned(store: Store) -> None:
@@ -160,6 +168,6 @@ def test_signals_are_told_in_the_units_that_are_shown(store: Store) -> None:
 
 
 def test_alarms_that_ended_long_ago_are_left_out(store: Store) -> None:
-    assert [a["id"] for a in alarms_view(store, since=T0 + 60.0)] == ["a", "b"]
-    assert [a["id"] for a in alarms_view(store, since=T0 + 61.0)] == ["a"]
+    assert [a.id for a in alarms_view(store, since=T0 + 60.0)] == ["a", "b"]
+    assert [a.id for a in alarms_view(store, since=T0 + 61.0)] == ["a"]
     assert alarms_view(store, "A", T0 + 61.0) == []

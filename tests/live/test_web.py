@@ -17,8 +17,8 @@ from builders.page_case import Case, add_forecast, filled, opened, write_certifi
 from builders.ports import free_port
 from prometheus_client.parser import text_string_to_metric_families
 
+from hygrokf.live.batch import Alarm, Batch
 from hygrokf.live.service import Service
-from hygrokf.live.storage.store import Alarm, Batch
 from hygrokf.live.web import access as web_access
 from hygrokf.live.web.access import Attempts, Sessions, host_name
 from hygrokf.live.web.application import STATIC, Page
@@ -355,7 +355,7 @@ def test_a_browser_logs_in_and_out(service: Service, locked: httpx.Client) -> No
 def test_a_session_ends() -> None:
     now = [1e9]
     sessions = Sessions(LOCKED, lambda: now[0])
-    cookie = sessions.begun().partition(";")[0]
+    cookie = sessions.opening_header().partition(";")[0]
     assert sessions.valid(cookie) and not sessions.valid(cookie.replace("=1", "=9"))
     now[0] += web_access.SESSION_S + 1.0
     assert not sessions.valid(cookie)

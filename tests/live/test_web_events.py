@@ -16,13 +16,13 @@ import pytest
 from builders.page_case import Case, filled
 from builders.waiting import eventually
 
+from hygrokf.live.batch import Alarm, Batch, Observation
 from hygrokf.live.service import Service
-from hygrokf.live.storage.store import Alarm, Batch, Observation
 from hygrokf.live.tracker import Reading
 from hygrokf.live.web import server as web_events
 from hygrokf.live.web.application import Page
 from hygrokf.live.web.page_settings import PageSettings
-from hygrokf.live.web.server import STOP_S, Hub, PageServer, changed_by, serve
+from hygrokf.live.web.server import STOP_S, Hub, PageServer, changed_turbines, serve
 
 LOCAL = PageSettings(port=0)
 
@@ -103,7 +103,7 @@ def test_what_a_batch_changes() -> None:
         memories={("D", "forecast"): {}},
         counters={("E", "late"): 1, ("", "malformed"): 1},
     )
-    assert changed_by(batch) == set("ABCDE") and changed_by(Batch()) == set()
+    assert changed_turbines(batch) == set("ABCDE") and changed_turbines(Batch()) == set()
 
 
 def test_silence_is_broken_by_signs_of_life(

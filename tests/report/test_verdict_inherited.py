@@ -31,7 +31,7 @@ from hygrokf.identification.turbine_type import TypeFault, pool_types
 from hygrokf.identification.verdict import inherited, verdicts
 from hygrokf.identification.verdict_terms import BELIEVE, CAUTION, REJECT, Reason, Verdict
 from hygrokf.identification.wording import sentence
-from hygrokf.live.alarms import Level, resting_on
+from hygrokf.live.alarms import Level, with_doubts
 from hygrokf.live.defaults import default_config
 from hygrokf.live.storage.store import Store, open_store
 from hygrokf.live.web.page_settings import PageSettings
@@ -257,12 +257,12 @@ def test_an_alarm_that_rests_on_a_rejected_number_says_so(fit: Fit) -> None:
         Level("cabinet changed", 1.0, "loses heat", subject="thermal_time_constant"),
         Level("cabinet changed", 1.0, "exchanges air", subject="hygric_k"),
     ]
-    said = [one.statement for one in resting_on(levels, known)]
+    said = [one.statement for one in with_doubts(levels, known)]
     assert said == [f"water condenses{tail}", "", f"loses heat{tail}", "exchanges air"]
     assert (
-        resting_on(levels, inherited(replace(fit.results, time_constants={})))
+        with_doubts(levels, inherited(replace(fit.results, time_constants={})))
         == levels
-        == resting_on(levels, {})
+        == with_doubts(levels, {})
     )
 
 

@@ -20,15 +20,14 @@ from hygrokf.identification.verdict_terms import REJECT
 from hygrokf.live.config import Config
 from hygrokf.live.doctor.check import LEVELS, Check, doubt, fault, ok, worst
 from hygrokf.live.doctor.machine import Watch, file_checks, machine_checks
-from hygrokf.live.doctor.sources import examined
-from hygrokf.live.doctor.store import Kept, store_checks
+from hygrokf.live.doctor.sources import examine_sources
+from hygrokf.live.doctor.store import StoreContents, store_checks
 from hygrokf.live.plan import Plan
-from hygrokf.live.sources.opcua import OpcUa
-from hygrokf.live.sources.streams import Playback, Stream, several
+from hygrokf.live.sources.stream import Stream, several
 from hygrokf.live.tracker import AMBIENT_HUMIDITIES, Reading, Tracker, record_of
 from hygrokf.live.turbines import Turbine
 from hygrokf.live.web.page_settings import PageFault, PageSettings
-from hygrokf.live.web.server import bound
+from hygrokf.live.web.server import listening_socket
 from hygrokf.modelling.inputs import prepare_run
 
 ANSWER_S = 5.0
@@ -44,18 +43,18 @@ def examine(
 
     Sources that send by themselves are observed for `wait_s` [s], all at the same time.
     """
-    watch, kept = Watch(), Kept()
+    watch, contents = Watch(), StoreContents()
     # the strictest turbine decides what counts as late
     lateness_s = min((one.plan.lateness_s for one in config.turbines.values()), default=math.inf)
-    sources = examined(config.streams, wait_s, lateness_s)
-    played_back = all(isinstance(one, Playback) for one in config.streams if not one.mapping.weather)
-    of_store = list(store_checks(config.store, config.turbines, config.retention_s, played_back, kept))
-    came = {name: set(signals) for name, signals in kept.signals.items()}
+    sources = examine_sources(config.streams, wait_s, lateness_s)
+    played_back = all(one.played_back for one in config.streams if not one.mapping.weather)
+    of_store = list(store_checks(config.store, config.turbines, config.retention_s, played_back, contents))
+    came = {name: set(signals) for name, signals in contents.signals.items()}
     for one in sources:
         for turbine, signal in one.statistics.newest:
             came.setdefault(turbine, set()).add(signal)
     return [
-        *machine_checks(watch, kept.received_s),
+        *machine_checks(watch, contents.received_s),
         *(file_checks(file) if file is not None else ()),
         *(check for one in sources for check in one.checks),
         *of_store,
@@ -71,7 +70,7 @@ def page_checks(settings: PageSettings) -> Iterator[Check]:
         yield fault(about, "its packages are missing", "pip install 'hygrokf[live]', or start with --no-page")
         return
     try:
-        bound(settings).close()
+        listening_socket(settings).close()
         yield ok(about, "the address is free")
     except PageFault as error:
         said = _page_says(settings)
@@ -136,7 +135,7 @@ def model_checks(
     """Check every turbine's model; `came`: turbine → signals of which the store or a source has readings."""
     fine, unheard = [], []
     for name, one in turbines.items():
-        mapped = mapped_signals(name, streams)
+        mapped = set[str]().union(*(stream.signals(name) for stream in streams))
         for part, found in one.verdicts.items():
             if found.verdict == REJECT:
                 yield doubt(
@@ -178,20 +177,6 @@ def model_checks(
         )
     if fine:
         yield ok("turbines", f"{len(fine)} have a model that can run, and have delivered all its inputs")
-
-
-def mapped_signals(turbine: str, streams: Sequence[Stream]) -> set[str]:
-    """Signals of a turbine that some source can deliver."""
-    found: set[str] = set()
-    for stream in streams:
-        fields = stream.mapping.fields
-        if stream.mapping.weather:
-            continue
-        if isinstance(stream, OpcUa):
-            found |= {fields[node.field].signal for node in stream.nodes if node.turbine == turbine}
-        elif turbine in stream.mapping.turbines.values():
-            found |= {one.signal for one in fields.values()}
-    return found
 
 
 def lacking(plan: Plan, mapped: Collection[str], came: Collection[str]) -> list[str]:

@@ -1,9 +1,8 @@
-"""Checks of clocks, certificates and secret files: agreement with other clocks, validity, permissions."""
+"""Checks of this machine's clock, and of the certificates and secret files that a tracker's file names."""
 
 from __future__ import annotations
 
 import ctypes
-import math
 import os
 import time
 from collections.abc import Iterator, Mapping
@@ -11,19 +10,13 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from hygrokf.data.timestamps import DAY_S, HOUR_S, stamp_text
+from hygrokf.data.timestamps import DAY_S, stamp_text
 from hygrokf.data.toml_form import read_toml
-from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok
-from hygrokf.live.sources.broker import OTHERS_READ
-from hygrokf.live.sources.payload import AHEAD_S
+from hygrokf.live.doctor.check import CLOSE_S, Check, doubt, fault, lasting, ok
+from hygrokf.live.sources.endpoint import OTHERS_READ
 
-CLOSE_S = 60.0
-"""Tolerated difference of two clocks [s]."""
 JUMP_S = 0.5
 """Tolerated jump of this machine's clock against elapsed time [s]."""
-LARGEST_ZONE_H = 14
-SHARP_S = 300.0
-"""Tolerance [s] within which a lag counts as whole hours."""
 _ERROR = 5
 """Return value of adjtimex if the kernel's clock is not synchronised (TIME_ERROR)."""
 _SET = "synchronise this machine's clock by NTP (timedatectl set-ntp true, or chrony)"
@@ -74,49 +67,6 @@ def machine_checks(watch: Watch, received_s: float) -> Iterator[Check]:
             "clock",
             "it is synchronised by NTP" if known else "it runs evenly; whether it is synchronised is unknown",
         )
-
-
-def stamp_check(about: str, lag_s: float, lateness_s: float = math.inf, fresh: bool = True) -> Check | None:
-    """Judge a source's clock by the lag [s] from its newest stamp to its arrival; None if the lag is not
-    finite.
-
-    `lateness_s`: tolerated lateness of readings [s]; without `fresh` an old stamp says nothing about the
-    clock.
-    """
-    if not math.isfinite(lag_s):
-        return None
-    if lag_s < -CLOSE_S:
-        found = f"its newest stamp is {lasting(-lag_s)} ahead of this machine's clock"
-        remedy = "compare both clocks; stamps in local time need their offset from UTC"
-        if lag_s < -AHEAD_S:
-            return fault(about, f"{found}; readings more than {lasting(AHEAD_S)} ahead are refused", remedy)
-        return doubt(about, found, remedy)
-    found = f"its newest stamp is {lasting(max(lag_s, 0.0))} old"
-    if not fresh:
-        return ok(about, found)
-    hours = round(lag_s / HOUR_S)
-    if 1 <= hours <= LARGEST_ZONE_H and abs(lag_s - hours * HOUR_S) < SHARP_S:
-        return doubt(
-            about,
-            f"{found} on arrival: {hours} whole hours",
-            "check whether local time is stamped as UTC: stamps need their offset",
-        )
-    if lag_s > lateness_s:
-        return doubt(
-            about,
-            f"{found} on arrival, more than the lateness allows ({lasting(lateness_s)})",
-            "set the source's clock, or state a larger lateness if its readings do arrive so late",
-        )
-    return ok(about, found)
-
-
-def server_check(about: str, difference_s: float) -> Check:
-    """Judge a server's clock by its difference from this machine's clock [s]; positive if it is ahead."""
-    if abs(difference_s) <= CLOSE_S:
-        return ok(about, f"its clock agrees with this machine's within {CLOSE_S:.0f} s")
-    side = "ahead of" if difference_s > 0.0 else "behind"
-    said = f"its clock is {lasting(abs(difference_s))} {side} this machine's clock"
-    return (fault if difference_s > AHEAD_S else doubt)(about, said, "synchronise both clocks by NTP")
 
 
 # -- certificates and secrets --------------------------------------------------------------------------------

@@ -16,12 +16,13 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok
-from hygrokf.live.doctor.machine import SECRETS, stamp_check, unread_certificate, validities, validity_check
-from hygrokf.live.sources.broker import Broker, unreached
+from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok, payload_checks, stamp_check
+from hygrokf.live.doctor.machine import SECRETS, unread_certificate, validities, validity_check
+from hygrokf.live.sources.broker import Broker, unreachable
+from hygrokf.live.sources.mqtt import Mqtt
 from hygrokf.live.sources.mqtt_link import Link
-from hygrokf.live.sources.payload import LARGEST, PayloadMapping, PayloadStatistics
-from hygrokf.live.sources.streams import SourceFault
+from hygrokf.live.sources.payload import LARGEST, PayloadStatistics
+from hygrokf.live.sources.stream import SourceFault
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, MQTTMessage
@@ -33,7 +34,7 @@ SILENT = "check topic, publisher and the rights of this user; wait longer (--wai
 
 
 @dataclass
-class Heard:
+class MessageCounts:
     """Numbers of messages under one filter: `live`, of these `unkept` (published at QoS 0), and
     `retained`."""
 
@@ -65,23 +66,24 @@ class Listener(Link):
 
 
 def mqtt_checks(
-    broker: Broker, mapping: PayloadMapping, statistics: PayloadStatistics, wait_s: float, lateness_s: float
+    source: Mqtt, statistics: PayloadStatistics, wait_s: float, lateness_s: float
 ) -> Iterator[Check]:
     """Connect, subscribe and listen for `wait_s` [s]; messages that are not retained also go into the
     statistics."""
+    broker, mapping = source.broker, source.mapping
     about = f"source {broker.url}"
     for caution in broker.cautions():
         if not caution.startswith(SECRETS):  # `file_checks` reports these
             yield doubt(about, *caution.split(": ", 1))
-    link = Listener(listening(broker))
+    link = Listener(doctor_session(broker))
     try:
         try:
             link.open()
         except SourceFault as error:
             link.lose(str(error))
         except Exception as error:  # of any kind: it is reported
-            link.lose(unreached(error, broker.where))
-        _answered(link)
+            link.lose(unreachable(error, broker.where))
+        _await_answer(link)
         if link.lost.is_set() or not link.answered:
             reason = link.reason or f"{broker.where} has not answered within {ANSWER_S:g} s"
             yield fault(about, reason, REACH)
@@ -92,7 +94,7 @@ def mqtt_checks(
         )
         yield from _certificate(link, about)
         retained = PayloadStatistics(mapping)
-        heard = _listened(link, statistics, retained, wait_s)
+        heard = _count_messages(link, statistics, retained, wait_s)
         if link.lost.is_set():
             yield fault(about, f"the connection was lost: {link.reason}", REACH)
         denied = link.denied
@@ -108,21 +110,21 @@ def mqtt_checks(
         yield found
 
 
-def listening(broker: Broker) -> Broker:
+def doctor_session(broker: Broker) -> Broker:
     """The broker with the doctor's own session, which ends with the connection.
 
     A shared subscription is replaced by a plain one, because messages dealt to it would be missing elsewhere.
     """
-    topics = tuple(dict.fromkeys(plain(one) for one in broker.topics))
+    topics = tuple(dict.fromkeys(plain_filter(one) for one in broker.topics))
     return replace(broker, client_id=f"hygrokf-doctor-{secrets.token_hex(4)}", expiry_s=0.0, topics=topics)
 
 
-def plain(topics: str) -> str:
+def plain_filter(topics: str) -> str:
     """A topic filter without its share: FILTER of $share/GROUP/FILTER."""
     return topics.split("/", 2)[2] if topics.startswith("$share/") else topics
 
 
-def _answered(link: Link) -> None:
+def _await_answer(link: Link) -> None:
     """Wait until the broker has answered the subscription or the link is lost."""
     end = time.monotonic() + ANSWER_S
     while not (link.answered or link.lost.is_set()) and time.monotonic() < end:
@@ -141,13 +143,13 @@ def _certificate(link: Link, about: str) -> Iterator[Check]:
             yield unread_certificate(about, where)
 
 
-def _listened(
+def _count_messages(
     link: Listener, statistics: PayloadStatistics, retained: PayloadStatistics, wait_s: float
-) -> dict[str, Heard]:
+) -> dict[str, MessageCounts]:
     """Take messages for `wait_s` [s]; returns their numbers under each filter."""
     from paho.mqtt.client import topic_matches_sub
 
-    heard = {topics: Heard() for topics in link.broker.topics}
+    heard = {topics: MessageCounts() for topics in link.broker.topics}
     end = time.monotonic() + wait_s
     while (left := end - time.monotonic()) > 0.0:
         with suppress(queue.Empty):
@@ -166,7 +168,7 @@ def _listened(
     return heard
 
 
-def _filter_check(about: str, one: Heard, denied: str | None, wait_s: float) -> Check:
+def _filter_check(about: str, one: MessageCounts, denied: str | None, wait_s: float) -> Check:
     within = f"within {lasting(wait_s)}"
     if denied is not None:
         return fault(
@@ -188,19 +190,3 @@ def _filter_check(about: str, one: Heard, denied: str | None, wait_s: float) -> 
     return doubt(
         about, f"granted, but no message arrived {within}: a broker may grant and deliver nothing", SILENT
     )
-
-
-def payload_checks(about: str, statistics: PayloadStatistics, what: str = "payloads") -> Iterator[Check]:
-    """Whether payloads gave readings; no check without payloads."""
-    if not statistics.payloads:
-        return
-    found = f"{statistics.used} of {statistics.payloads} {what} gave readings"
-    if statistics.aside:
-        found += f"; not used: {statistics.aside}"
-    remedy = "compare [mapping] and known_as of each [[turbine]] with the delivered payloads"
-    if not statistics.used:
-        yield fault(about, found, remedy)
-    elif statistics.aside:
-        yield doubt(about, found, remedy)
-    else:
-        yield ok(about, found)

@@ -13,8 +13,8 @@ from pathlib import Path
 
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.doctor.check import Check, doubt, fault, lasting, ok
-from hygrokf.live.sources.streams import several
-from hygrokf.live.storage.database import StoreUnready
+from hygrokf.live.sources.stream import several
+from hygrokf.live.storage.database import StoreUnready, one_line
 from hygrokf.live.storage.schema import VERSION
 from hygrokf.live.storage.store import Store, StoreFault, open_store
 from hygrokf.live.turbines import Turbine, digest
@@ -27,7 +27,7 @@ SOON_D = 30.0
 
 
 @dataclass
-class Kept:
+class StoreContents:
     """Contents of the store: turbine -> signals ever received, and the arrival of the newest reading [s]."""
 
     signals: dict[str, set[str]] = field(default_factory=dict)
@@ -35,9 +35,9 @@ class Kept:
 
 
 def store_checks(
-    url: str, turbines: Mapping[str, Turbine], retention_s: float, played_back: bool, kept: Kept
+    url: str, turbines: Mapping[str, Turbine], retention_s: float, played_back: bool, contents: StoreContents
 ) -> Iterator[Check]:
-    """Check the store at a URL; its contents go to `kept`.  With `played_back` the age of data is not
+    """Check the store at a URL; its contents go to `contents`.  With `played_back` the age of data is not
     judged."""
     try:
         store = open_store(url, read_only=True)
@@ -45,23 +45,23 @@ def store_checks(
         yield from _before_the_start(url, found.version)
         return
     except StoreFault as error:
-        yield fault("store", *_parted(str(error)))
+        yield fault("store", *_finding_and_remedy(str(error)))
         return
     try:
-        yield from _contents(store, turbines, retention_s, played_back, kept)
+        yield from _contents(store, turbines, retention_s, played_back, contents)
     except StoreFault as error:
-        yield fault("store", *_parted(str(error)))
+        yield fault("store", *_finding_and_remedy(str(error)))
     except store.database.errors as error:
         yield fault(
             "store",
-            f"{url} cannot be read ({' '.join(str(error).split())})",
+            f"{url} cannot be read ({one_line(error)})",
             "restore a copy, or name a new store",
         )
     finally:
         store.close()
 
 
-def _parted(words: str) -> tuple[str, str]:
+def _finding_and_remedy(words: str) -> tuple[str, str]:
     """Split a fault's message into the finding and the remedy after the first semicolon; `REACH` without
     one."""
     found, _, remedy = words.partition("; ")
@@ -87,7 +87,11 @@ def path_of(url: str) -> Path:
 
 
 def _contents(
-    store: Store, turbines: Mapping[str, Turbine], retention_s: float, played_back: bool, kept: Kept
+    store: Store,
+    turbines: Mapping[str, Turbine],
+    retention_s: float,
+    played_back: bool,
+    contents: StoreContents,
 ) -> Iterator[Check]:
     damages = store.database.faults()
     if damages:
@@ -99,7 +103,7 @@ def _contents(
     yield ok("store", f"{store.url} is reached and intact; version {VERSION}, {_bytes(size)}")
     if not store.database.may_write():
         yield fault("store", "this user may not write into it", "grant the tracker's user write permission")
-    spans = _look(store, turbines, kept)
+    spans = _read_contents(store, turbines, contents)
     if store.url.startswith("sqlite:"):
         free = shutil.disk_usage(path_of(store.url).parent).free
         yield _room(size, free, max(spans.values(), default=0.0), retention_s)
@@ -108,16 +112,18 @@ def _contents(
     yield from _estimates(store, turbines, played_back)
 
 
-def _look(store: Store, turbines: Mapping[str, Turbine], kept: Kept) -> dict[str, float]:
-    """Note the signals of each turbine in `kept`; returns turbine → time span of its readings [s]."""
+def _read_contents(
+    store: Store, turbines: Mapping[str, Turbine], contents: StoreContents
+) -> dict[str, float]:
+    """Note the signals of each turbine in `contents`; returns turbine → time span of its readings [s]."""
     spans = {}
     for name in turbines:
-        kept.signals[name] = set(store.signals(name))
+        contents.signals[name] = set(store.signals(name))
         rows = store.rows(
             "SELECT time, received FROM observation WHERE turbine = ? ORDER BY time DESC LIMIT 1", (name,)
         )
         for newest, received in rows:
-            kept.received_s = max(kept.received_s, received)
+            contents.received_s = max(contents.received_s, received)
             oldest = store.rows("SELECT MIN(time) FROM observation WHERE turbine = ?", (name,))[0][0]
             spans[name] = newest - oldest
     return spans
@@ -195,14 +201,14 @@ def _estimates(store: Store, turbines: Mapping[str, Turbine], played_back: bool)
     if old:
         yield doubt(
             "store",
-            f"newest estimates are old: {_aged(old)}",
+            f"newest estimates are old: {_ages_text(old)}",
             "check whether the tracker runs and readings arrive",
         )
     if fresh:
-        yield ok("store", f"newest estimates: {_aged(fresh)}")
+        yield ok("store", f"newest estimates: {_ages_text(fresh)}")
 
 
-def _aged(ages: Mapping[str, float]) -> str:
+def _ages_text(ages: Mapping[str, float]) -> str:
     """Text of turbines with their ages [s], in the given order."""
     return several(f"{name} {lasting(age)} ago" for name, age in ages.items())
 

@@ -19,8 +19,15 @@ from urllib.parse import quote, unquote, urlsplit
 
 from hygrokf.data.timestamps import DAY_S, duration
 from hygrokf.data.toml_form import Place, across, setting
-from hygrokf.live.sources.streams import NO_PASSWORD_HERE, WEATHER_HELP, SourceFault, password_of
-from hygrokf.live.storage.store import Alarm
+from hygrokf.live.batch import Alarm
+from hygrokf.live.sources.endpoint import (
+    NO_PASSWORD_HERE,
+    OTHERS_READ,
+    bracketed,
+    is_loopback,
+    password_of,
+)
+from hygrokf.live.sources.stream import WEATHER_HELP, SourceFault
 
 PORTS = {"mqtt": 1883, "mqtts": 8883}
 """Scheme of a URL -> default port."""
@@ -30,9 +37,6 @@ LEAST_EXPIRY_S, MOST_EXPIRY_S = 60.0, 2.0**32 - 2.0
 LONGEST_TOPIC = 65_535
 """Longest topic [bytes in UTF-8]."""
 LONGEST_NAME = 100
-OTHERS_READ = 0o004
-"""Mode bit of a file that every user of the machine may read."""
-
 _TLS = ("ca", "certificate", "key")
 _TOPICS = 'a list of topic filters such as ["scada/+/cabinet"]'
 _CERTIFICATE_ERRORS = {
@@ -105,7 +109,7 @@ class Broker:
     @property
     def where(self) -> str:
         """HOST:PORT as in a URL."""
-        return f"{_bracketed(self.host)}:{self.port}"
+        return f"{bracketed(self.host)}:{self.port}"
 
     @property
     def url(self) -> str:
@@ -143,7 +147,7 @@ class Broker:
             if path is not None and os.name == "posix" and path.exists():
                 if path.stat().st_mode & OTHERS_READ:
                     yield f"{name}: every user of this machine can read {path}: chmod o-rwx {path}"
-        if self.user and not self.tls and self.host not in ("localhost", "127.0.0.1", "::1"):
+        if self.user and not self.tls and not is_loopback(self.host):
             yield f"user and password go to {self.where} in plain text: use mqtts://"
 
 
@@ -162,10 +166,6 @@ def _file_words(fault: OSError, expected: str) -> str:
     if isinstance(fault, ssl.SSLError):
         return f"expected {expected}, found {fault.reason or 'nothing of the kind'}"
     return fault.strerror or str(fault)
-
-
-def _bracketed(host: str) -> str:
-    return f"[{host}]" if ":" in host else host
 
 
 # -- topics --------------------------------------------------------------------------------------------------
@@ -343,7 +343,7 @@ def default_client_id(broker: str, folder: Path) -> str:
 
 
 # -- why a connection fails ----------------------------------------------------------------------------------
-def unreached(fault: BaseException, where: str) -> str:
+def unreachable(fault: BaseException, where: str) -> str:
     """Message that says why `where` (HOST:PORT) cannot be reached."""
     if isinstance(fault, ssl.SSLCertVerificationError):
         said = (

@@ -5,22 +5,33 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Protocol
 
 from hygrokf.data.toml_form import Place, read_form
+from hygrokf.live.sources.local import FileForm, InputForm
 from hygrokf.live.sources.mqtt import MqttForm
-from hygrokf.live.sources.opcua_table import OpcUaForm
+from hygrokf.live.sources.opcua_form import OpcUaForm
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.streams import FileForm, InputForm, Stream
+from hygrokf.live.sources.stream import Stream
 
-KINDS: Mapping[str, Any] = {
+
+class SourceForm(Protocol):
+    """The form of a [[source]] table, which makes its stream or gives None with faults in `place`."""
+
+    @property
+    def weather(self) -> bool: ...
+
+    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> Stream | None: ...
+
+
+KINDS: Mapping[str, type[SourceForm]] = {
     "file": FileForm,
     "stdin": InputForm,
     "mqtt": MqttForm,
     "mqtts": MqttForm,
     "opc.tcp": OpcUaForm,
 }
-"""Scheme of a URL -> form of the table; its method `stream` makes the stream, or gives None with faults."""
+"""Scheme of a URL -> form of the table."""
 
 
 def stream_of(

@@ -13,18 +13,17 @@ import queue
 import random
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from hygrokf.data.toml_form import Place
-from hygrokf.live.sources.broker import Broker, BrokerForm, alarm_topic, unreached
-from hygrokf.live.sources.mqtt_link import Link, paho_fault, published
+from hygrokf.live.batch import Alarm
+from hygrokf.live.sources.broker import Broker, BrokerForm, alarm_topic, unreachable
+from hygrokf.live.sources.mqtt_link import Link, is_confirmed, paho_fault
 from hygrokf.live.sources.payload import PayloadMapping
-from hygrokf.live.sources.streams import SourceFault, SourceState
-from hygrokf.live.storage.store import Alarm
-from hygrokf.live.turbines import Delivery
+from hygrokf.live.sources.stream import Delivery, SourceFault, SourceState, Threaded
 
 if TYPE_CHECKING:
     from paho.mqtt.client import MQTTMessageInfo
@@ -48,7 +47,7 @@ class MqttReceipt(NamedTuple):
         self.link.acknowledge(self.identifier)
 
 
-class Mqtt:
+class Mqtt(Threaded):
     """The messages of some topics of a broker; reconnects indefinitely, with pauses that grow to a minute.
 
     The place in the store is the list of filters, so that the session can be unsubscribed from filters no
@@ -56,27 +55,23 @@ class Mqtt:
     """
 
     def __init__(self, broker: Broker, mapping: PayloadMapping) -> None:
+        super().__init__(mapping)
         self.broker = broker
         self.url = broker.url
-        self.mapping = mapping
         self._link: Link | None = None
         self._known = False
         self._reason = ""
         self._uncommitted = 0
         self._alarms: dict[str, tuple[bytes, MQTTMessageInfo | None]] = {}
         self._lock = threading.Lock()
-        self._ended, self._closing = threading.Event(), threading.Event()
-        self._thread: threading.Thread | None = None
-        self._state = SourceState("idle", "not started")
+        self._closing = threading.Event()
 
     def start(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         for caution in self.broker.cautions():
             LOG.warning(caution, extra={"source": self.url})
         self._state = SourceState("waiting", f"connecting to {self.broker.where}")
         self._known = bool(place)
-        former = [one for one in (place or "").split("\n") if one and one not in self.broker.topics]
-        self._thread = threading.Thread(target=self._run, args=(former, put), name=self.url, daemon=True)
-        self._thread.start()
+        super().start(place, put)
 
     def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
         count = 0
@@ -86,10 +81,6 @@ class Mqtt:
             count += 1
         with self._lock:
             self._uncommitted -= count
-
-    def now(self) -> float:
-        """The time [s] against which the age of the data is judged."""
-        return time.time()
 
     def tell(self, alarms: Iterable[Alarm]) -> None:
         """Publish each alarm as a retained message at its own topic, now or once connected; later states
@@ -124,7 +115,8 @@ class Mqtt:
         return SourceState("lost", self._reason) if found.word == "waiting" and self._reason else found
 
     # -- the source's own thread -----------------------------------------------------------------------------
-    def _run(self, former: Sequence[str], put: Callable[[Delivery], None]) -> None:
+    def _run(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        former = [one for one in (place or "").split("\n") if one and one not in self.broker.topics]
         pause, longest = BACK_OFF_S
         while not self._ended.is_set():
             began = time.monotonic()
@@ -135,7 +127,7 @@ class Mqtt:
             except SourceFault as fault:
                 link.lose(str(fault))
             except Exception as fault:  # of any kind: the next attempt may succeed
-                link.lose(unreached(fault, self.broker.where))
+                link.lose(unreachable(fault, self.broker.where))
             link.close()
             if self._ended.is_set():
                 break
@@ -182,7 +174,7 @@ class Mqtt:
     def _open_ends(self) -> bool:
         """Whether a delivery is still unacknowledged or an alarm still unconfirmed."""
         with self._lock:
-            return self._uncommitted > 0 or not all(published(info) for _, info in self._alarms.values())
+            return self._uncommitted > 0 or not all(is_confirmed(info) for _, info in self._alarms.values())
 
     # -- alarms ----------------------------------------------------------------------------------------------
     def _ready(self, link: Link) -> None:
@@ -195,7 +187,7 @@ class Mqtt:
         self._known = True
         with self._lock:
             for topic, (payload, info) in self._alarms.items():
-                if not published(info):
+                if not is_confirmed(info):
                     self._alarms[topic] = (payload, None)
             self._publish(link)
 
@@ -206,7 +198,7 @@ class Mqtt:
         for topic, (payload, info) in list(self._alarms.items()):
             if info is None:
                 self._alarms[topic] = (payload, link.publish(topic, payload))
-            elif published(info):
+            elif is_confirmed(info):
                 del self._alarms[topic]
 
 

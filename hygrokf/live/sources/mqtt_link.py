@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hygrokf.live.sources.broker import Broker, reason_words, tls_words
 from hygrokf.live.sources.payload import LARGEST
-from hygrokf.live.sources.streams import SourceState
+from hygrokf.live.sources.stream import SourceState
 
 if TYPE_CHECKING:
     from paho.mqtt.client import Client, ConnectFlags, DisconnectFlags, MQTTMessage, MQTTMessageInfo
@@ -145,7 +145,7 @@ class Link:
             self.client.ack(identifier, 1)
 
     def publish(self, topic: str, payload: bytes) -> MQTTMessageInfo:
-        """Publish a retained message; `published` tells when it is confirmed.  Callable from any thread."""
+        """Publish a retained message; see `is_confirmed`.  Callable from any thread."""
         return self.client.publish(topic, payload, qos=1, retain=True)
 
     @property
@@ -331,7 +331,7 @@ class _LastWords(logging.Handler):
         self.text = record.getMessage()
 
 
-def published(info: MQTTMessageInfo | None) -> bool:
+def is_confirmed(info: MQTTMessageInfo | None) -> bool:
     """Whether the broker has confirmed a message sent by `Link.publish`."""
     try:
         return info is not None and info.is_published()

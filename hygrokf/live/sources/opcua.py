@@ -17,12 +17,10 @@ from collections.abc import AsyncIterator, Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
 
 from hygrokf.data.structured import Json, JsonObject
-from hygrokf.live.sources.opcua_client import Connection
+from hygrokf.live.sources.opcua_client import Connection, Security, User
 from hygrokf.live.sources.opcua_samples import ConnectionFault, HistoryFault, Node, Rates, Sample, library
-from hygrokf.live.sources.opcua_security import Security, User
 from hygrokf.live.sources.payload import AHEAD_S, EARLIEST_S, PayloadMapping
-from hygrokf.live.sources.streams import PAUSE_S, SourceFault, SourceState, Threaded, several
-from hygrokf.live.turbines import Delivery
+from hygrokf.live.sources.stream import PAUSE_S, Delivery, SourceFault, SourceState, Threaded, several
 
 LOG = logging.getLogger("hygrokf.track")
 RETRY_S = (0.5, 1.0, 2.0, 5.0, 10.0, 30.0)
@@ -79,9 +77,9 @@ class OpcUa(Threaded):
             return self._state
         notes = [
             "reading missed samples from the history" if self._reading else "",
-            _named("missing or denied", self._refused),
-            _named("bad now", self._bad),
-            _named("no history, missed samples are lost", self._unread),
+            _nodes_text("missing or denied", self._refused),
+            _nodes_text("bad now", self._bad),
+            _nodes_text("no history, missed samples are lost", self._unread),
             "the server reports changes only" if self._changes_only else "",
             *(f"the queue {where} overflowed {n} times" for where, n in self._overflows.items() if n),
         ]
@@ -90,7 +88,7 @@ class OpcUa(Threaded):
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         self._state = SourceState("waiting", "not connected yet")
         self._put = put
-        self._reached = self._begun(place)
+        self._reached = self._times_reached(place)
         self._since_s = time.time() - self._look_back_s
         try:
             library()
@@ -98,7 +96,7 @@ class OpcUa(Threaded):
             raise SourceFault(str(fault)) from None
         asyncio.run(self._follow())
 
-    def _begun(self, place: str | None) -> dict[str, float]:
+    def _times_reached(self, place: str | None) -> dict[str, float]:
         """Node id -> time [s] up to which the node was delivered, from the place; nodes without a valid time
         are left out."""
         try:
@@ -198,7 +196,7 @@ class OpcUa(Threaded):
         nodes: node -> time [s] at which the next deliveries begin and the history ends, None for all of it.
         """
         self._owed |= set(nodes)
-        histories = [self._missed(connection, node, until_s) for node, until_s in nodes.items()]
+        histories = [self._missed_samples(connection, node, until_s) for node, until_s in nodes.items()]
         batch: list[Sample] = []
         self._reading = bool(histories)
         async for sample in in_order(histories):
@@ -212,7 +210,7 @@ class OpcUa(Threaded):
         await self._hand_over(batch, from_history=True)
         self._reading = False
 
-    async def _missed(
+    async def _missed_samples(
         self, connection: Connection, node: Node, until_s: float | None
     ) -> AsyncIterator[Sample]:
         """A node's history since its last delivered sample; a node that cannot be read stays owed unless the
@@ -269,6 +267,11 @@ class OpcUa(Threaded):
         else:
             self._bad.pop(one.node, None)
 
+    def signals(self, turbine: str) -> set[str]:
+        """Signals of a turbine that the nodes deliver."""
+        fields = self.mapping.fields
+        return {fields[node.field].signal for node in self.nodes if node.turbine == turbine}
+
     def delivery(self, one: Sample) -> Delivery:
         """The delivery of a sample."""
         content: JsonObject = {"turbine": one.node.turbine, "time": one.time, "quality": one.quality}
@@ -309,7 +312,7 @@ def _time(sample: Sample) -> float:
     return sample.time
 
 
-def _named(words: str, nodes: Mapping[Node, str]) -> str:
+def _nodes_text(words: str, nodes: Mapping[Node, str]) -> str:
     """Text of some nodes with the server's reason for each; empty without nodes."""
     # another thread may change the nodes meanwhile
     found = [f"{node.id} ({word})" for node, word in tuple(nodes.items())]

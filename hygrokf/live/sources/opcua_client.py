@@ -12,6 +12,7 @@ import socket
 import time
 from collections.abc import AsyncIterator, Iterable, Sequence
 from contextlib import suppress
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
@@ -27,7 +28,6 @@ from hygrokf.live.sources.opcua_samples import (
     sample_of,
     words_of,
 )
-from hygrokf.live.sources.opcua_security import Security, User
 
 if TYPE_CHECKING:
     from asyncua import ua
@@ -52,6 +52,30 @@ AT_ONCE = 500
 PAGE = 1_000
 """Samples per history request."""
 NO_FILTER = ("BadMonitoredItemFilterUnsupported", "BadMonitoredItemFilterInvalid", "BadFilterNotAllowed")
+
+
+@dataclass(frozen=True)
+class Security:
+    """Signing and encryption between this client's key pair and one server's certificate (all DER).
+
+    `application_uri`: URI in the client's certificate; `valid_until`: end of that certificate's validity [s].
+    """
+
+    policy: str
+    mode: str
+    certificate: bytes = field(repr=False)
+    key: bytes = field(repr=False)
+    server_certificate: bytes = field(repr=False)
+    application_uri: str
+    valid_until: float
+
+
+@dataclass(frozen=True)
+class User:
+    """User name and password for the login."""
+
+    name: str
+    password: str = field(repr=False)
 
 
 class Connection:
@@ -84,29 +108,29 @@ class Connection:
     async def open(self) -> None:
         """Connect, log in and create an empty subscription.  Raises ConnectionFault."""
         try:
-            client = self._client = await self._made()
+            client = self._client = await self._new_client()
             await client.connect()
-            await self._subscribed(client)
+            await self._create_subscription(client)
             assert client.uaclient.protocol is not None
             client.uaclient.protocol.timeout = HISTORY_S
         except Exception as fault:  # asyncua raises many exceptions, also while decoding
-            words = await self._explained(fault)
+            words = await self._explain(fault)
             await self.close()
             raise ConnectionFault(words) from None
 
     @property
-    def _server(self) -> Client:
+    def _open_client(self) -> Client:
         """The client of an open connection."""
         assert self._client is not None
         return self._client
 
     @property
-    def _published(self) -> Subscription:
+    def _open_subscription(self) -> Subscription:
         """The subscription of an open connection."""
         assert self._subscription is not None
         return self._subscription
 
-    async def _made(self) -> Client:
+    async def _new_client(self) -> Client:
         """A client with this connection's security and user, not connected yet."""
         from asyncua.crypto import security_policies
         from asyncua.crypto.uacrypto import CertProperties
@@ -130,7 +154,7 @@ class Connection:
             client.set_password(self._user.password)
         return client
 
-    async def _subscribed(self, client: Client) -> None:
+    async def _create_subscription(self, client: Client) -> None:
         """Create the subscription without asyncua's automatic renewal, which would not read back missed
         samples."""
         from asyncua.common.subscription import Subscription
@@ -160,7 +184,7 @@ class Connection:
 
     def check(self) -> None:
         """Raises ConnectionFault if the connection is lost or the server has stopped publishing."""
-        last = self._published.last_publish_at
+        last = self._open_subscription.last_publish_at
         silent_s = 0.0 if last is None else time.monotonic() - last
         if not self._lost and silent_s > self._stale_s:
             self._lost = f"the server has not published for {silent_s:.0f} s"
@@ -170,7 +194,9 @@ class Connection:
     async def server_time(self) -> float:
         """The server's clock [s].  Raises ConnectionFault."""
         try:
-            node = self._server.get_node(self._ua.NodeId(self._ua.ObjectIds.Server_ServerStatus_CurrentTime))
+            node = self._open_client.get_node(
+                self._ua.NodeId(self._ua.ObjectIds.Server_ServerStatus_CurrentTime)
+            )
             found = await node.read_value()
             return (found if found.tzinfo else found.replace(tzinfo=UTC)).timestamp()
         except Exception as fault:
@@ -179,7 +205,7 @@ class Connection:
     async def _note_loss(self, fault: Exception) -> None:
         self._lost = self._lost or f"the connection is lost ({words_of(fault)})"
 
-    async def _explained(self, fault: Exception) -> str:
+    async def _explain(self, fault: Exception) -> str:
         """Why a connection failed, including a mismatch with the endpoints that the server offers to
         anyone."""
         words = words_of(fault)
@@ -219,7 +245,7 @@ class Connection:
     async def subscribe(self, nodes: Sequence[Node]) -> dict[Node, str]:
         """Subscribe to nodes; returns the refused nodes with the server's reason.  Raises ConnectionFault."""
         try:
-            refused = await self._identified(nodes)
+            refused = await self._look_up_ids(nodes)
             for filtered in (True, False):
                 asked = [
                     node
@@ -228,7 +254,7 @@ class Connection:
                 ]
                 for start in range(0, len(asked), AT_ONCE):
                     part = asked[start : start + AT_ONCE]
-                    results = await self._published.create_monitored_items(
+                    results = await self._open_subscription.create_monitored_items(
                         [self._item(node, filtered) for node in part]
                     )
                     for node, result in zip(part, results, strict=True):
@@ -240,14 +266,14 @@ class Connection:
             raise ConnectionFault(words_of(fault)) from None
         return refused
 
-    async def _identified(self, nodes: Iterable[Node]) -> dict[Node, str]:
+    async def _look_up_ids(self, nodes: Iterable[Node]) -> dict[Node, str]:
         """Look up the ids of nodes, because some servers renumber their namespaces at a restart; returns
         unknown nodes."""
         ua = self._ua
         refused: dict[Node, str] = {}
         found = {node: ua.NodeId.from_string(node.id) for node in nodes}
         named = [one for one in found.values() if getattr(one, "NamespaceUri", None)]
-        namespaces = await self._server.get_namespace_array() if named else []
+        namespaces = await self._open_client.get_namespace_array() if named else []
         for node, one in found.items():
             uri = getattr(one, "NamespaceUri", None)
             if uri and uri not in namespaces:
@@ -325,13 +351,13 @@ class Connection:
         value = ua.HistoryReadValueId(NodeId=self._ids[node])
         wanted = ua.HistoryReadParameters(details, ua.TimestampsToReturn.Both, False, [value])
         try:
-            (found,) = await self._server.uaclient.history_read(wanted)
+            (found,) = await self._open_client.uaclient.history_read(wanted)
             more = found.ContinuationPoint
             if more:
                 value.ContinuationPoint = more
                 wanted.ReleaseContinuationPoints = True
                 with suppress(ua.UaStatusCodeError):
-                    await self._server.uaclient.history_read(wanted)
+                    await self._open_client.uaclient.history_read(wanted)
             found.StatusCode.check()
         except ua.UaStatusCodeError as fault:
             raise HistoryFault(name_of(fault)) from None

@@ -94,6 +94,14 @@ class Conversion(NamedTuple):
     high: float
 
 
+class TurbineReadings(NamedTuple):
+    """Readings of one turbine from a payload, and counts of its rejected values by kind."""
+
+    turbine: str
+    readings: tuple[Reading, ...]
+    counts: Counter[str]
+
+
 @dataclass(frozen=True)
 class PayloadMapping:
     """Describes the layout of payloads.
@@ -127,18 +135,79 @@ class PayloadMapping:
             )
         object.__setattr__(self, "conversions", rows)
 
+    def read(self, content: bytes | str | Payload, received: float, topic: str = "") -> TurbineReadings:
+        """The readings of a payload received at a time [s].  Raises Refused if none of it can be used.
 
-@dataclass(frozen=True)
-class Taken:
-    """Readings of one turbine from a payload, and counts of its rejected values by kind."""
+        Stamps that are ahead of the arrival by more than `AHEAD_S`, for a weather forecast by more than
+        `FORECAST_S`, are refused.
+        """
+        payload = parse_payload(content)
+        turbine = self._turbine(payload, topic)
+        stamp = _value_at(payload, self.time, topic)
+        time = seconds(stamp)
+        if time is None:
+            raise Refused(
+                "no time",
+                f"expected a time as ISO 8601 with offset or as seconds since 1970, found {_quoted(stamp)}",
+            )
+        if not EARLIEST_S <= time <= received + (FORECAST_S if self.weather else AHEAD_S):
+            raise Refused(
+                "impossible time", f"time {_quoted(stamp)} is before 1990 or ahead of this machine's clock"
+            )
+        if self.quality:
+            mark = _value_at(payload, self.quality, topic)
+            if mark is not None and str(mark).strip().lower() not in self.good:
+                return TurbineReadings(turbine, (), Counter({"bad quality": 1}))
+        counts: Counter[str] = Counter()
+        readings = []
+        for name, raw in self._values(payload, topic, counts):
+            if raw is None or raw == "":
+                continue
+            signal, factor, offset, shift, low, high = self.conversions[name]
+            number = _number(raw)
+            if number is None:
+                counts["no number"] += 1
+                continue
+            value = factor * number + offset
+            if not low <= value <= high:
+                counts["impossible value"] += 1
+                continue
+            readings.append(Reading(signal, time + shift, value))
+        return TurbineReadings(turbine, tuple(readings), counts)
 
-    turbine: str
-    readings: tuple[Reading, ...]
-    counts: Counter[str]
+    def stamp(self, content: bytes | str | Payload) -> float | None:
+        """The time [s] stated by a payload; None if it has no readable time."""
+        try:
+            return seconds(_value_at(parse_payload(content), self.time, ""))
+        except Refused:
+            return None
+
+    def _turbine(self, payload: Payload, topic: str) -> str:
+        name = _value_at(payload, self.turbine, topic) if self.turbine else None
+        if name is None and self.weather:
+            return EVERYONE
+        if not self.turbine and len(set(self.turbines.values())) == 1:
+            return next(iter(self.turbines.values()))
+        turbine = self.turbines.get(str(name)[:LONGEST]) if name is not None else None
+        if turbine is None:
+            raise Refused("unknown turbine", f"turbine {_quoted(name)} is not tracked")
+        return turbine
+
+    def _values(self, payload: Payload, topic: str, counts: Counter[str]) -> list[tuple[str, Json]]:
+        """(field, value) of every field, or of the only one that a payload with a tag holds."""
+        if not self.tag:
+            return [(name, _value_at(payload, name, topic)) for name in self.conversions]
+        tag = str(_value_at(payload, self.tag, topic))
+        if tag in self.conversions:
+            return [(tag, _value_at(payload, self.value, topic))]
+        counts["unknown tag"] += 1
+        return []
 
 
-def parsed(text: bytes | str) -> JsonObject:
-    """Parse a JSON object of limited size and depth.  Raises Refused."""
+def parse_payload(text: bytes | str | Payload) -> Payload:
+    """A payload that may still be text: a JSON object of limited size and depth.  Raises Refused."""
+    if isinstance(text, Mapping):
+        return text
     if len(text) > LARGEST:
         raise Refused("too large", f"a payload of {len(text)} bytes; at most {LARGEST} are read")
     if isinstance(text, str):
@@ -182,75 +251,7 @@ def _depth(text: bytes) -> int:
     return deepest
 
 
-def taken(content: Payload, mapping: PayloadMapping, now: float, topic: str = "") -> Taken:
-    """The readings of a payload.  Raises Refused if none of it can be used.
-
-    `now`: this machine's clock [s]; stamps ahead of it by more than `AHEAD_S` are refused.
-    """
-    turbine = _turbine(content, mapping, topic)
-    stamp = _found(content, mapping.time, topic)
-    time = seconds(stamp)
-    if time is None:
-        raise Refused(
-            "no time",
-            f"expected a time as ISO 8601 with offset or as seconds since 1970, found {_shown(stamp)}",
-        )
-    if not EARLIEST_S <= time <= now + (FORECAST_S if mapping.weather else AHEAD_S):
-        raise Refused(
-            "impossible time", f"time {_shown(stamp)} is before 1990 or ahead of this machine's clock"
-        )
-    counts: Counter[str] = Counter()
-    if mapping.quality:
-        mark = _found(content, mapping.quality, topic)
-        if mark is not None and str(mark).strip().lower() not in mapping.good:
-            return Taken(turbine, (), Counter({"bad quality": 1}))
-    rows = mapping.conversions
-    if mapping.tag:
-        tag = _found(content, mapping.tag, topic)
-        pairs = [(str(tag), _found(content, mapping.value, topic))] if str(tag) in rows else []
-        if not pairs:
-            counts["unknown tag"] += 1
-    else:
-        pairs = [(name, _found(content, name, topic)) for name in rows]
-    readings = []
-    for key, raw in pairs:
-        if raw is None or raw == "":
-            continue
-        signal, factor, offset, shift, low, high = rows[key]
-        number = _number(raw)
-        if number is None:
-            counts["no number"] += 1
-            continue
-        value = factor * number + offset
-        if not low <= value <= high:
-            counts["impossible value"] += 1
-            continue
-        readings.append(Reading(signal, time + shift, value))
-    return Taken(turbine, tuple(readings), counts)
-
-
-def _turbine(content: Payload, mapping: PayloadMapping, topic: str) -> str:
-    name = _found(content, mapping.turbine, topic) if mapping.turbine else None
-    if name is None and mapping.weather:
-        return EVERYONE
-    if not mapping.turbine and len(set(mapping.turbines.values())) == 1:
-        return next(iter(mapping.turbines.values()))
-    turbine = mapping.turbines.get(str(name)[:LONGEST]) if name is not None else None
-    if turbine is None:
-        raise Refused("unknown turbine", f"turbine {_shown(name)} is not tracked")
-    return turbine
-
-
-def stamp_of(content: Payload | bytes | str, mapping: PayloadMapping) -> float | None:
-    """The time [s] stated by a payload; None if it has no readable time."""
-    try:
-        found = parsed(content) if isinstance(content, bytes | str) else content
-    except Refused:
-        return None
-    return seconds(_found(found, mapping.time, ""))
-
-
-def _found(content: Payload, path: str, topic: str) -> Json:
+def _value_at(content: Payload, path: str, topic: str) -> Json:
     """The value at a path of names or at a level of the topic; None if there is none."""
     if path.startswith("{") and path.endswith("}"):
         levels = topic.split("/")
@@ -294,7 +295,7 @@ def seconds(stamp: Json) -> float | None:
     return number / 1e3 if number > 1e11 else number
 
 
-def _shown(value: Json) -> str:
+def _quoted(value: Json) -> str:
     """An external value for a message: shortened and quoted."""
     return repr(str(value)[:40])
 
@@ -320,12 +321,11 @@ class PayloadStatistics:
         """Count a payload received at a time [s]."""
         self.payloads += 1
         try:
-            content = parsed(content) if isinstance(content, bytes | str) else content
-            found = taken(content, self.mapping, received, topic)
+            found = self.mapping.read(content, received, topic)
         except Refused as fault:
             self.counts[fault.kind] += 1
             self.reasons.setdefault(fault.kind, str(fault))
-            stamp = stamp_of(content, self.mapping) if fault.kind == "impossible time" else None
+            stamp = self.mapping.stamp(content) if fault.kind == "impossible time" else None
             self._note(stamp, received)
             return
         self.counts += found.counts
@@ -342,10 +342,10 @@ class PayloadStatistics:
             self.lag_s = min(received - time, self.lag_s) if self.lag_s == self.lag_s else received - time
 
     @property
-    def aside(self) -> str:
+    def rejected(self) -> str:
         """Text about the rejected items; empty if there are none."""
-        said = (f"{n} {kind}" + self._reason(kind) for kind, n in self.counts.most_common())
+        said = (f"{n} {kind}" + self._example(kind) for kind, n in self.counts.most_common())
         return ", ".join(said)
 
-    def _reason(self, kind: str) -> str:
+    def _example(self, kind: str) -> str:
         return f" ({self.reasons[kind]})" if kind in self.reasons else ""

@@ -15,7 +15,7 @@ from contextlib import contextmanager, suppress
 from typing import Any, Protocol, TypeAlias
 
 from hygrokf.errors import HygrokfError
-from hygrokf.live.storage.schema import VERSION, migration
+from hygrokf.live.storage.schema import VERSION, created_views, dropped_views, migration
 
 CLAIM_S = 3.0
 """[s] a claim waits for the previous holder to go: the end of a process is noticed with a delay."""
@@ -102,7 +102,7 @@ class Database:
         """Within a transaction: wait until no other process creates tables or claims, and keep others out
         until it ends."""
 
-    def taken(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
+    def try_claim(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
         """Claim all (kind, name) pairs, or none if another process holds one of them.
 
         Returns None, or (kind, name, holder) of a pair that is held.
@@ -132,7 +132,7 @@ class Database:
 
     def rows(self, statement: str, parameters: Sequence[SqlValue] = ()) -> list[Row]:
         """The rows that a query returns."""
-        with self._told():
+        with self._translated():
             cursor = self.connection.cursor()
             try:
                 cursor.execute(self.text(statement), tuple(parameters))
@@ -144,7 +144,7 @@ class Database:
     @contextmanager
     def transaction(self) -> Iterator[Cursor]:
         """A cursor whose statements take effect together at the end of the block, or not at all."""
-        with self._told():
+        with self._translated():
             cursor = self.connection.cursor()
             try:
                 cursor.execute(self.begin)
@@ -159,12 +159,13 @@ class Database:
                     cursor.close()
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
+    def _translated(self) -> Iterator[None]:
+        """Raise StoreFault in place of a driver's exception with an external cause."""
         try:
             yield
         except self.errors as error:
             if self.is_trouble(error):
-                raise StoreFault(f"{self.url}: {' '.join(str(error).split())}") from error
+                raise StoreFault(f"{self.url}: {one_line(error)}") from error
             raise
 
     def version(self) -> int:
@@ -185,17 +186,12 @@ class Database:
                 with self.transaction() as cursor:
                     self.take_turn(cursor)
                     found = self.version()
-                    for version in range(found, VERSION):
-                        for statement in migration(version + 1, self.words):
-                            cursor.execute(statement)
-                        cursor.execute(
-                            self.text("INSERT INTO schema_version (version, applied) VALUES (?, ?)"),
-                            (version + 1, time.time()),
-                        )
+                    if found < VERSION:
+                        self._migrate(cursor, found)
                 found = max(found, VERSION)
         except (self.errors, TypeError, ValueError) as error:
             raise StoreFault(
-                f"{self.url}: the store's tables cannot be read or made ({' '.join(str(error).split())}); "
+                f"{self.url}: the store's tables cannot be read or made ({one_line(error)}); "
                 "nothing was changed. Name a separate database"
             ) from error
         if found > VERSION:
@@ -210,6 +206,20 @@ class Database:
                 found,
             )
 
+    def _migrate(self, cursor: Cursor, found: int) -> None:
+        """Migrate the tables from the version found."""
+        for statement in dropped_views():
+            cursor.execute(statement)
+        for version in range(found + 1, VERSION + 1):
+            for statement in migration(version, self.words):
+                cursor.execute(statement)
+            cursor.execute(
+                self.text("INSERT INTO schema_version (version, applied) VALUES (?, ?)"),
+                (version, time.time()),
+            )
+        for statement in created_views(self.words):
+            cursor.execute(statement)
+
     def claim(self, kind: str, names: Iterable[str]) -> None:
         """Claim turbines or sources for this process alone, until the connection is closed or the process
         dies.
@@ -221,7 +231,7 @@ class Database:
         if not wanted:
             return
         end = time.monotonic() + CLAIM_S
-        while (other := self.taken(wanted)) is not None:
+        while (other := self.try_claim(wanted)) is not None:
             if time.monotonic() > end:
                 kind, name, who = other
                 raise StoreFault(
@@ -234,6 +244,11 @@ class Database:
     def close(self) -> None:
         with suppress(Exception):
             self.connection.close()
+
+
+def one_line(error: BaseException) -> str:
+    """The text of a driver's exception in one line."""
+    return " ".join(str(error).split())
 
 
 def this_process() -> str:

@@ -11,7 +11,7 @@ import time
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-from hygrokf.live.storage.database import Cursor, Database, Row, StoreFault, this_process
+from hygrokf.live.storage.database import Cursor, Database, Row, StoreFault, one_line, this_process
 from hygrokf.live.storage.schema import POSTGRESQL
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ class PostgresDatabase(Database):
     def take_turn(self, cursor: Cursor) -> None:
         cursor.execute(f"SELECT pg_advisory_xact_lock({TURN})")
 
-    def taken(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
+    def try_claim(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
         """The session holds one advisory lock, and each claim stores its key, so that the claims end with the
         session.
 
@@ -148,7 +148,7 @@ def open_postgres(url: str, read_only: bool = False) -> PostgresDatabase:
     try:
         said = conninfo_to_dict(url)
     except psycopg.Error as error:
-        raise StoreFault(f"the store's URL cannot be read: {' '.join(str(error).split())}") from None
+        raise StoreFault(f"the store's URL cannot be read: {one_line(error)}") from None
     if set(SECRETS) & set(said):
         raise StoreFault(NO_SECRET)
     settings: dict[str, Any] = {**DEFAULTS, **said}  # libpq's parameters, which are text or numbers
@@ -158,7 +158,7 @@ def open_postgres(url: str, read_only: bool = False) -> PostgresDatabase:
         connection = psycopg.connect(**settings, autocommit=True)
     except psycopg.Error as error:
         raise StoreFault(
-            f"{url}: cannot be reached ({' '.join(str(error).split())}); check the server, its host and "
+            f"{url}: cannot be reached ({one_line(error)}); check the server, its host and "
             "port, the database, the user, and the password in ~/.pgpass or PGPASSWORD"
         ) from None
     database = PostgresDatabase(connection, url)
@@ -176,7 +176,7 @@ def open_postgres(url: str, read_only: bool = False) -> PostgresDatabase:
         database.migrate(read_only)
     except psycopg.Error as error:
         database.close()
-        raise StoreFault(f"{url}: {' '.join(str(error).split())}") from error
+        raise StoreFault(f"{url}: {one_line(error)}") from error
     except BaseException:
         database.close()
         raise

@@ -132,66 +132,73 @@ MIGRATIONS: tuple[tuple[str, ...], ...] = (
             since DOUBLE PRECISION NOT NULL,
             PRIMARY KEY (kind, name))""",
     ),
-    (
-        f"""CREATE VIEW estimate_readable AS
-            SELECT turbine, time, UTC(time) AS time_utc, final, {_CONDITION} FROM estimate""",
-        f"""CREATE VIEW forecast_readable AS
-            SELECT turbine, time, UTC(time) AS time_utc, UTC(made) AS made_utc, {_CONDITION},
-            100.0 * above_limit AS above_limit_percent FROM forecast""",
-        f"""CREATE VIEW alarm_open AS
-            SELECT id, turbine, kind, severity, {_RANK} AS severity_rank, began, UTC(began) AS began_utc,
-            UTC(acknowledged) AS acknowledged_utc, acknowledged_by, statement, remedy
-            FROM alarm WHERE ended IS NULL""",
-        # CROSS JOIN fixes SQLite's join order: it looks up each turbine's newest time instead of scanning
-        # every row
-        """CREATE VIEW property_now AS
-            SELECT p.turbine, p.name, p.unit, p.time, UTC(p.time) AS time_utc, p.value, p.lower_bound,
-            p.upper_bound, p.reference, p.observable
-            FROM (SELECT name, (SELECT MAX(n.time) FROM property n WHERE n.turbine = turbine.name) AS newest
-            FROM turbine) t
-            CROSS JOIN property p WHERE p.turbine = t.name AND p.time = t.newest""",
-        """CREATE VIEW turbine_now AS
-            SELECT t.name AS turbine, h.heard, UTC(h.heard) AS heard_utc, e.time, e.time_utc,
-            e.temperature_celsius, e.temperature_lower_celsius, e.temperature_upper_celsius,
-            e.relative_humidity_percent, e.relative_humidity_lower_percent, e.relative_humidity_upper_percent,
-            e.dew_point_celsius, e.margin_kelvin, e.margin_lower_kelvin, e.condensation_percent,
-            (SELECT COUNT(*) FROM alarm a WHERE a.turbine = t.name AND a.ended IS NULL) AS open_alarms,
-            COALESCE((SELECT MAX(o.severity_rank) FROM alarm_open o WHERE o.turbine = t.name), 0)
-            AS severity_rank
-            FROM turbine t
-            JOIN (SELECT name, (SELECT MAX(o.time) FROM observation o WHERE o.turbine = name) AS heard
-            FROM turbine) h
-            ON h.name = t.name
-            LEFT JOIN estimate_readable e ON e.turbine = t.name
-            AND e.time = (SELECT MAX(n.time) FROM estimate n WHERE n.turbine = t.name)""",
-        """CREATE VIEW observation_hourly AS
-            SELECT turbine, signal, hour AS time, UTC(hour) AS time_utc, AVG(value) AS mean,
-            MIN(value) AS lowest,
-            MAX(value) AS highest, COUNT(*) AS readings
-            FROM (SELECT turbine, signal, HOUR(time) AS hour, value FROM observation
-            WHERE contradicted = 0) o
-            GROUP BY turbine, signal, hour""",
-    ),
+    (),
 )
-"""One tuple of statements per version; a released version is never changed, only followed by another."""
+"""One tuple of statements per version that create and change tables, from 1 on; a released version is never
+changed, only followed by another.  Version 2 added the views.
+
+A new column is a field of what the store writes (`batch`, `condition.QUANTITIES`) and an ALTER TABLE here.
+"""
 VERSION = len(MIGRATIONS)
+VIEWS = {
+    "estimate_readable": f"""SELECT turbine, time, UTC(time) AS time_utc, final, {_CONDITION}
+        FROM estimate""",
+    "forecast_readable": f"""SELECT turbine, time, UTC(time) AS time_utc, UTC(made) AS made_utc, {_CONDITION},
+        100.0 * above_limit AS above_limit_percent FROM forecast""",
+    "alarm_open": f"""SELECT id, turbine, kind, severity, {_RANK} AS severity_rank,
+        began, UTC(began) AS began_utc,
+        UTC(acknowledged) AS acknowledged_utc, acknowledged_by, statement, remedy
+        FROM alarm WHERE ended IS NULL""",
+    # CROSS JOIN fixes SQLite's join order: it looks up each turbine's newest time instead of scanning
+    # every row
+    "property_now": """SELECT p.turbine, p.name, p.unit, p.time, UTC(p.time) AS time_utc, p.value,
+        p.lower_bound, p.upper_bound, p.reference, p.observable
+        FROM (SELECT name, (SELECT MAX(n.time) FROM property n WHERE n.turbine = turbine.name) AS newest
+        FROM turbine) t
+        CROSS JOIN property p WHERE p.turbine = t.name AND p.time = t.newest""",
+    "turbine_now": """SELECT t.name AS turbine, h.heard, UTC(h.heard) AS heard_utc, e.time, e.time_utc,
+        e.temperature_celsius, e.temperature_lower_celsius, e.temperature_upper_celsius,
+        e.relative_humidity_percent, e.relative_humidity_lower_percent, e.relative_humidity_upper_percent,
+        e.dew_point_celsius, e.margin_kelvin, e.margin_lower_kelvin, e.condensation_percent,
+        (SELECT COUNT(*) FROM alarm a WHERE a.turbine = t.name AND a.ended IS NULL) AS open_alarms,
+        COALESCE((SELECT MAX(o.severity_rank) FROM alarm_open o WHERE o.turbine = t.name), 0)
+        AS severity_rank
+        FROM turbine t
+        JOIN (SELECT name, (SELECT MAX(o.time) FROM observation o WHERE o.turbine = name) AS heard
+        FROM turbine) h
+        ON h.name = t.name
+        LEFT JOIN estimate_readable e ON e.turbine = t.name
+        AND e.time = (SELECT MAX(n.time) FROM estimate n WHERE n.turbine = t.name)""",
+    "observation_hourly": """SELECT turbine, signal, hour AS time, UTC(hour) AS time_utc, AVG(value) AS mean,
+        MIN(value) AS lowest, MAX(value) AS highest, COUNT(*) AS readings
+        FROM (SELECT turbine, signal, HOUR(time) AS hour, value FROM observation
+        WHERE contradicted = 0) o
+        GROUP BY turbine, signal, hour""",
+}
+"""View -> its query; a view stands after those that it uses.  A migration drops and creates all views."""
 TABLES = (
     "turbine", "observation", "point", "estimate", "forecast", "weather", "property", "alarm", "memory",
-    "counter", "source",
-    "claim",
+    "counter", "source", "claim",
 )  # fmt: skip
 """All tables except the one that records the schema's version."""
-VIEWS = (
-    "estimate_readable", "forecast_readable", "alarm_open", "property_now", "turbine_now",
-    "observation_hourly"
-)  # fmt: skip
 
 
 def migration(version: int, words: Mapping[str, str]) -> list[str]:
     """Statements of a version in one database's SQL dialect; the first migration also creates
     `schema_version`."""
     own = ["CREATE TABLE schema_version (version INTEGER PRIMARY KEY, applied DOUBLE PRECISION NOT NULL)"]
-    return [
-        re.sub(r"\b(UTC|HOUR)\(([\w.]+)\)", lambda said: words[said[1]].format(said[2]), statement)
-        for statement in (own if version == 1 else []) + list(MIGRATIONS[version - 1])
-    ]
+    return [_in_dialect(one, words) for one in (own if version == 1 else []) + list(MIGRATIONS[version - 1])]
+
+
+def dropped_views() -> list[str]:
+    """Statements that drop all views, which would stand in the way of a changed column."""
+    return [f"DROP VIEW IF EXISTS {name}" for name in reversed(VIEWS)]
+
+
+def created_views(words: Mapping[str, str]) -> list[str]:
+    """Statements that create all views in one database's SQL dialect."""
+    return [_in_dialect(f"CREATE VIEW {name} AS {query}", words) for name, query in VIEWS.items()]
+
+
+def _in_dialect(statement: str, words: Mapping[str, str]) -> str:
+    return re.sub(r"\b(UTC|HOUR)\(([\w.]+)\)", lambda found: words[found[1]].format(found[2]), statement)

@@ -50,10 +50,10 @@ class SqliteDatabase(Database):
         """BEGIN IMMEDIATE has waited already, so only mark the file as a store."""
         cursor.execute(f"PRAGMA application_id={APPLICATION_ID}")
 
-    def taken(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
+    def try_claim(self, wanted: Sequence[tuple[str, str]]) -> tuple[str, str, str] | None:
         """One file has one tracker: the lock file covers everything that it tracks."""
         if self._lock is None:
-            self._lock = locked(lock_of(self._path))
+            self._lock = lock_file(lock_path(self._path))
             if self._lock is None:
                 found = self.rows("SELECT who FROM claim ORDER BY since DESC LIMIT 1")
                 return (*wanted[0], found[0][0] if found else "another process")
@@ -69,7 +69,7 @@ class SqliteDatabase(Database):
     def claims(self) -> dict[tuple[str, str], str]:
         """The claims of a killed process stay in the table, its lock does not: without a lock there are no
         claims."""
-        if self._lock is None and not is_locked(lock_of(self._path)):
+        if self._lock is None and not is_locked(lock_path(self._path)):
             return {}
         return {(kind, name): who for kind, name, who in self.rows("SELECT kind, name, who FROM claim")}
 
@@ -90,7 +90,7 @@ class SqliteDatabase(Database):
             self._lock = None
 
 
-def lock_of(path: Path) -> Path:
+def lock_path(path: Path) -> Path:
     """Path of the lock file beside a store's file."""
     return Path(f"{os.path.realpath(path)}.lock")
 
@@ -99,13 +99,13 @@ def is_locked(path: Path) -> bool:
     """Whether a process holds the lock file; the file is not created."""
     if not path.exists():
         return False
-    file = locked(path, "rb")
+    file = lock_file(path, "rb")
     if file is not None:
         file.close()
     return file is None
 
 
-def locked(path: Path, mode: str = "ab") -> IO[bytes] | None:
+def lock_file(path: Path, mode: str = "ab") -> IO[bytes] | None:
     """Open and lock the file until it is closed, creating it if need be; None if another process holds it."""
     try:
         file = path.open(mode)
@@ -144,8 +144,8 @@ def open_sqlite(path: Path, read_only: bool = False) -> SqliteDatabase:
     database = None
     try:
         if path.exists():
-            _examine(path, thoroughly=not read_only)
-        database = SqliteDatabase(_connected(path, "ro" if read_only else "rwc"), path)
+            _refuse_damaged(path, thoroughly=not read_only)
+        database = SqliteDatabase(_connect(path, "ro" if read_only else "rwc"), path)
         database.connection.execute("PRAGMA synchronous=FULL")
         database.migrate(read_only)
         if not read_only:
@@ -162,26 +162,26 @@ def open_sqlite(path: Path, read_only: bool = False) -> SqliteDatabase:
         ) from fault
 
 
-def _connected(path: Path, mode: str) -> sqlite3.Connection:
+def _connect(path: Path, mode: str) -> sqlite3.Connection:
     return sqlite3.connect(
         f"{path.absolute().as_uri()}?mode={mode}",
         uri=True, timeout=BUSY_S, isolation_level=None, check_same_thread=False,
     )  # fmt: skip
 
 
-def _examine(path: Path, thoroughly: bool) -> None:
+def _refuse_damaged(path: Path, thoroughly: bool) -> None:
     """Refuse a damaged file or a foreign database; an empty file may become a store.
 
     The connection is read-only because closing a writable one would move pages of the log into the file.
     """
-    with closing(_connected(path, "ro")) as connection:
+    with closing(_connect(path, "ro")) as connection:
         try:
             pages = connection.execute("PRAGMA page_count").fetchone()[0]
         except sqlite3.OperationalError as error:
             if error.sqlite_errorcode != sqlite3.SQLITE_READONLY_ROLLBACK:
                 raise
             # a process died while creating the tables: SQLite rolls that back once a connection may write
-            with closing(_connected(path, "rw")) as other:
+            with closing(_connect(path, "rw")) as other:
                 pages = other.execute("PRAGMA page_count").fetchone()[0]
         if pages == 0:
             return

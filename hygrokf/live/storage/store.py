@@ -12,7 +12,7 @@ import json
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import AbstractContextManager
-from dataclasses import dataclass, field
+from dataclasses import astuple, fields
 from pathlib import Path
 from typing import Any
 
@@ -21,81 +21,16 @@ import numpy as np
 from hygrokf.data.structured import Json, JsonObject
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.estimation.likelihood import Gaussian
+from hygrokf.live.batch import Alarm, Batch, Observation
 from hygrokf.live.condition import QUANTITIES, Condition, Quantity
 from hygrokf.live.forecast import Forecast
 from hygrokf.live.plan import BEFORE
-from hygrokf.live.properties import Property
 from hygrokf.live.storage.database import Cursor, Database, Row, SqlValue
 from hygrokf.live.storage.database import StoreFault as StoreFault
 from hygrokf.live.storage.postgres import SCHEMES, open_postgres
 from hygrokf.live.storage.schema import TABLES
 from hygrokf.live.storage.sqlite import open_sqlite
 from hygrokf.live.tracker import Point, Reading
-
-
-@dataclass(frozen=True)
-class Observation:
-    """A reading of a turbine, the time it was `received` [s], and whether it came too `late` to be used."""
-
-    turbine: str
-    reading: Reading
-    received: float
-    late: bool = False
-
-
-@dataclass(frozen=True)
-class Alarm:
-    """An alarm: `began`, `ended`, `acknowledged` [s]; `severity` "notice", "warning" or "alarm"."""
-
-    id: str
-    turbine: str
-    kind: str
-    severity: str
-    began: float
-    statement: str
-    remedy: str
-    ended: float | None = None
-    acknowledged: float | None = None
-    acknowledged_by: str | None = None
-
-
-@dataclass(frozen=True)
-class Estimates:
-    """The condition at new instants, of which the first `final` are final.
-
-    It replaces provisional estimates from `since` [s] on.
-    """
-
-    condition: Condition
-    final: int
-    since: float
-
-
-@dataclass
-class Batch:
-    """The results of one round.
-
-    `estimates`: by turbine; `properties`: (turbine, time [s], properties); `memories`: (turbine, name) → JSON
-    data that the tracker resumes from; `counters`: (turbine, name) → increase; `place`: source → position to
-    resume from; `forecasts`: turbine → forecast that replaces the previous one, None to delete it; `weather`:
-    values of a weather forecast.
-    """
-
-    observations: list[Observation] = field(default_factory=list)
-    points: dict[str, Point] = field(default_factory=dict)
-    estimates: dict[str, Estimates] = field(default_factory=dict)
-    properties: list[tuple[str, float, Sequence[Property]]] = field(default_factory=list)
-    alarms: list[Alarm] = field(default_factory=list)
-    memories: dict[tuple[str, str], Any] = field(default_factory=dict)
-    counters: dict[tuple[str, str], int] = field(default_factory=dict)
-    place: dict[str, str] = field(default_factory=dict)
-    forecasts: dict[str, Forecast | None] = field(default_factory=dict)
-    weather: list[Observation] = field(default_factory=list)
-
-    @property
-    def empty(self) -> bool:
-        return not any(vars(self).values())
-
 
 ESTIMATE_COLUMNS = (
     "turbine", "time", "final", *(name for q in QUANTITIES for name in (q.column, q.sd_column)),
@@ -119,6 +54,11 @@ ORDER BY o.signal, o.time
 FORGOTTEN_S = 3 * DAY_S
 """[s] a value of a weather forecast is kept after its time."""
 FORECAST_COLUMNS = ("turbine", "time", "made", *ESTIMATE_COLUMNS[3:], "above_limit")
+READING_COLUMNS = ("turbine", "signal", "time", "value", "received")
+PROPERTY_COLUMNS = (
+    "turbine", "time", "name", "unit", "value", "lower_bound", "upper_bound", "reference", "observable"
+)  # fmt: skip
+ALARM_COLUMNS = tuple(one.name for one in fields(Alarm))
 
 
 class Store:
@@ -167,27 +107,20 @@ class Store:
         contradicted."""
         self._many(
             cursor,
-            "INSERT INTO observation (turbine, signal, time, value, received, late, contradicted) "
-            "VALUES (?, ?, ?, ?, ?, ?, 0) ON CONFLICT (turbine, signal, time) DO UPDATE SET contradicted = "
+            inserting("observation", (*READING_COLUMNS, "late", "contradicted"))
+            + " ON CONFLICT (turbine, signal, time) DO UPDATE SET contradicted = "
             "CASE WHEN observation.value = excluded.value OR excluded.late = 1 THEN observation.contradicted "
             "ELSE 1 END",
-            [
-                (o.turbine, o.reading.signal, o.reading.time, o.reading.value, o.received, int(o.late))
-                for o in batch.observations
-            ],
+            [(*_reading_row(one), int(one.late), 0) for one in batch.observations],
         )
         self._many(
             cursor,
-            "INSERT INTO point (turbine, time, state) VALUES (?, ?, ?) "
-            "ON CONFLICT (turbine) DO UPDATE SET time = excluded.time, state = excluded.state",
+            replacing("point", ("turbine", "time", "state"), key=("turbine",)),
             [(turbine, p.time, state_text(p.state)) for turbine, p in batch.points.items()],
         )
 
     def _write_estimates(self, cursor: Cursor, batch: Batch) -> None:
         """Write estimates in place of the provisional ones."""
-        names = ", ".join(ESTIMATE_COLUMNS)
-        marks = ", ".join("?" * len(ESTIMATE_COLUMNS))
-        changed = ", ".join(f"{n} = excluded.{n}" for n in ESTIMATE_COLUMNS[2:])
         self._many(
             cursor,
             "DELETE FROM estimate WHERE turbine = ? AND time >= ? AND final = 0",
@@ -195,8 +128,7 @@ class Store:
         )
         self._many(
             cursor,
-            f"INSERT INTO estimate ({names}) VALUES ({marks}) "
-            f"ON CONFLICT (turbine, time) DO UPDATE SET {changed}",
+            replacing("estimate", ESTIMATE_COLUMNS, key=ESTIMATE_COLUMNS[:2]),
             [
                 row
                 for turbine, one in batch.estimates.items()
@@ -208,74 +140,56 @@ class Store:
         """Write properties and alarms."""
         self._many(
             cursor,
-            "INSERT INTO property (turbine, time, name, unit, value, lower_bound, upper_bound, reference, "
-            "observable) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (turbine, name, time) DO UPDATE SET "
-            "value = excluded.value, lower_bound = excluded.lower_bound, upper_bound = excluded.upper_bound, "
-            "observable = excluded.observable",
+            replacing("property", PROPERTY_COLUMNS, key=("turbine", "name", "time")),
             [
                 (turbine, at, p.name, p.unit, p.value, p.lower, p.upper, p.reference, int(p.observable))
-                for turbine, at, found in batch.properties
-                for p in found
+                for turbine, at, properties in batch.properties
+                for p in properties
             ],
         )
         self._many(
             cursor,
-            "INSERT INTO alarm (id, turbine, kind, severity, began, ended, acknowledged, acknowledged_by, "
-            "statement, remedy) VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?) ON CONFLICT (id) DO UPDATE SET "
-            "severity = excluded.severity, ended = excluded.ended, statement = excluded.statement, remedy = "
-            "excluded.remedy",
-            [
-                (a.id, a.turbine, a.kind, a.severity, a.began, a.ended, a.acknowledged, a.acknowledged_by,
-                 a.statement, a.remedy)
-                for a in batch.alarms
-            ],
-        )  # fmt: skip
+            # an acknowledgement, which the page writes, stays
+            replacing("alarm", ALARM_COLUMNS, key=("id",), kept=("acknowledged", "acknowledged_by")),
+            [astuple(alarm) for alarm in batch.alarms],
+        )
 
     def _write_memories(self, cursor: Cursor, batch: Batch) -> None:
         """Write the data that trackers and sources resume from, and counters."""
         self._many(
             cursor,
-            "INSERT INTO memory (turbine, name, content) VALUES (?, ?, ?) "
-            "ON CONFLICT (turbine, name) DO UPDATE SET content = excluded.content",
+            replacing("memory", ("turbine", "name", "content"), key=("turbine", "name")),
             [(turbine, name, json.dumps(data)) for (turbine, name), data in batch.memories.items()],
         )
         self._many(
             cursor,
-            "INSERT INTO counter (turbine, name, count) VALUES (?, ?, ?) "
-            "ON CONFLICT (turbine, name) DO UPDATE SET count = counter.count + excluded.count",
+            inserting("counter", ("turbine", "name", "count"))
+            + " ON CONFLICT (turbine, name) DO UPDATE SET count = counter.count + excluded.count",
             [(turbine, name, count) for (turbine, name), count in batch.counters.items() if count],
         )
-        self._many(
-            cursor,
-            "INSERT INTO source (url, place) VALUES (?, ?) ON CONFLICT (url) DO UPDATE SET place = "
-            "excluded.place",
-            list(batch.place.items()),
-        )
+        self._many(cursor, replacing("source", ("url", "place"), key=("url",)), list(batch.place.items()))
 
     def _write_forecasts(self, cursor: Cursor, batch: Batch) -> None:
         """Write the cabinets' forecasts, and the weather forecasts that they are based on."""
-        for turbine, made in batch.forecasts.items():
-            cursor.execute(self._text("DELETE FROM forecast WHERE turbine = ?"), (turbine,))
-            if made is None:
-                continue
-            columns = FORECAST_COLUMNS
-            self._many(
-                cursor,
-                f"INSERT INTO forecast ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})",
-                forecast_rows(turbine, made),
-            )
+        self._many(cursor, "DELETE FROM forecast WHERE turbine = ?", [(name,) for name in batch.forecasts])
+        self._many(
+            cursor,
+            inserting("forecast", FORECAST_COLUMNS),
+            [
+                row
+                for turbine, forecast in batch.forecasts.items()
+                if forecast is not None
+                for row in forecast_rows(turbine, forecast)
+            ],
+        )
         if batch.weather:  # forecast values of the past are of no use
-            old = min(o.received for o in batch.weather) - FORGOTTEN_S
+            old = min(one.received for one in batch.weather) - FORGOTTEN_S
             cursor.execute(self._text("DELETE FROM weather WHERE time < ?"), (old,))
         self._many(
             cursor,
-            "INSERT INTO weather (turbine, signal, time, value, received) VALUES (?, ?, ?, ?, ?) ON CONFLICT "
-            "(turbine, signal, time) DO UPDATE SET value = excluded.value, received = excluded.received "
-            "WHERE excluded.received >= weather.received",
-            [
-                (o.turbine, o.reading.signal, o.reading.time, o.reading.value, o.received)
-                for o in batch.weather
-            ],
+            replacing("weather", READING_COLUMNS, key=("turbine", "signal", "time"))
+            + " WHERE excluded.received >= weather.received",
+            [_reading_row(one) for one in batch.weather],
         )
 
     def _many(self, cursor: Cursor, statement: str, rows: Sequence[Row]) -> None:
@@ -381,6 +295,23 @@ class Store:
 
     def close(self) -> None:
         self.database.close()
+
+
+def inserting(table: str, columns: Sequence[str]) -> str:
+    """The statement that inserts a row."""
+    return f"INSERT INTO {table} ({', '.join(columns)}) VALUES ({', '.join('?' * len(columns))})"
+
+
+def replacing(table: str, columns: Sequence[str], key: Sequence[str], kept: Sequence[str] = ()) -> str:
+    """The statement that inserts a row or, where one with its key exists, replaces all but the `kept`
+    columns."""
+    changed = [f"{name} = excluded.{name}" for name in columns if name not in (*key, *kept)]
+    return f"{inserting(table, columns)} ON CONFLICT ({', '.join(key)}) DO UPDATE SET {', '.join(changed)}"
+
+
+def _reading_row(one: Observation) -> Row:
+    """The row of a reading, in the order of `READING_COLUMNS`."""
+    return (one.turbine, one.reading.signal, one.reading.time, one.reading.value, one.received)
 
 
 def state_text(state: Gaussian) -> str:

@@ -1,6 +1,6 @@
 """Access control of the page: host names, token and session, origin of a POST, limit on wrong tokens.
 
-`Access` decides; `guarded` wraps the whole page, so that every response, including errors, carries the
+`Access` decides; `guard` wraps the whole page, so that every response, including errors, carries the
 security headers.
 """
 
@@ -74,12 +74,12 @@ class Sessions:
         # browsers share cookies between all ports of a host, so the name contains the port
         self.name = f"{'__Host-' if self._encrypted else ''}hygrokf_{settings.port}"
 
-    def begun(self) -> str:
+    def opening_header(self) -> str:
         """The Set-Cookie header that opens a session."""
         said = f"{self._clock() + SESSION_S:.0f}.{secrets.token_hex(8)}"
         return self._header(f"{said}.{self._signature(said)}", SESSION_S)
 
-    def ended(self) -> str:
+    def closing_header(self) -> str:
         """The Set-Cookie header that closes a session."""
         return self._header("", 0.0)
 
@@ -118,7 +118,7 @@ class Access:
         self.sessions = Sessions(settings)
         self.attempts = Attempts()
 
-    def refused(self, scope: Scope) -> Refusal | None:
+    def refusal_of(self, scope: Scope) -> Refusal | None:
         """The refusal of a request; None if it is permitted."""
         headers = {name.decode("latin-1"): value.decode("latin-1") for name, value in scope["headers"]}
         if not self._addressed(scope, headers.get("host", "")):
@@ -142,9 +142,9 @@ class Access:
         if kind.lower() != "bearer":
             words = "log in, or give the token as Authorization: Bearer"
             return Refusal(401, words, {"WWW-Authenticate": "Bearer"})
-        return self.judged(client_of(scope), given.strip())
+        return self.check_token(client_of(scope), given.strip())
 
-    def judged(self, client: str, given: str) -> Refusal | None:
+    def check_token(self, client: str, given: str) -> Refusal | None:
         """None for the right token, else the refusal; wrong tokens are counted."""
         wait_s = self.attempts.wait_s(client)
         if wait_s > 0.0:
@@ -166,7 +166,7 @@ class Access:
         return name in self.settings.names or (bool(name) and name == server[0])
 
 
-def guarded(app: ASGIApp, access: Access) -> ASGIApp:
+def guard(app: ASGIApp, access: Access) -> ASGIApp:
     """Wrap an ASGI application: refuse a request, or pass it on and add `HEADERS` to the response."""
     fixed = [(name.lower().encode(), value.encode()) for name, value in HEADERS.items()]
 
@@ -183,7 +183,7 @@ def guarded(app: ASGIApp, access: Access) -> ASGIApp:
 
         if scope["type"] != "http":
             raise RuntimeError(f"the page speaks http alone, found {scope['type']}")
-        refused = access.refused(scope)
+        refused = access.refusal_of(scope)
         if refused is None:
             await app(scope, receive, headed)
         else:

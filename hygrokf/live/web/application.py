@@ -11,15 +11,16 @@ import os
 import sqlite3
 import threading
 from collections.abc import Callable, Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from hygrokf.data.structured import JsonObject
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.live.service import Service
-from hygrokf.live.sources.streams import SourceState
+from hygrokf.live.sources.stream import SourceState
 from hygrokf.live.storage.store import Store, StoreFault, open_store
-from hygrokf.live.web.access import Access, client_of, guarded
+from hygrokf.live.web.access import Access, client_of, guard
 from hygrokf.live.web.metrics import exposition
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
 from hygrokf.live.web.server import EventStream, Hub
@@ -68,7 +69,7 @@ class Reader:
                 found = view(self._store)
             except Exception as fault:
                 self._close()
-                if not of_the_store(fault):
+                if not is_store_error(fault):
                     raise
                 if not self._failed:
                     LOG.warning("the page cannot reach the store", extra={"fault": str(fault).strip()})
@@ -88,7 +89,7 @@ class Reader:
             self._store = None
 
 
-def of_the_store(fault: Exception) -> bool:
+def is_store_error(fault: Exception) -> bool:
     """Whether an exception comes from the database, of either kind, and not from a bug in the program."""
     return isinstance(fault, StoreFault | sqlite3.Error | OSError) or type(fault).__module__.startswith(
         "psycopg"
@@ -155,7 +156,7 @@ class Page:
                 kind: lambda request, fault: refusal(503, str(fault)) for kind in (StoreFault, PageFault)
             },
         )
-        return guarded(made, self.access)
+        return guard(made, self.access)
 
     # -- what is shown ---------------------------------------------------------------------------------------
     def fleet(self, request: Request) -> Response:
@@ -207,7 +208,7 @@ class Page:
     async def acknowledge(self, request: Request) -> Response:
         from starlette.concurrency import run_in_threadpool
 
-        given = await posted(request)
+        given = await posted_json(request)
         alarm, by = given.get("id"), given.get("by")
         by = by.strip() if isinstance(by, str) else ""
         if not isinstance(alarm, str) or not 0 < len(alarm) <= LONGEST_ID:
@@ -225,18 +226,18 @@ class Page:
         return reply({"turbine": done})
 
     async def login(self, request: Request) -> Response:
-        token = (await posted(request)).get("token")
+        token = (await posted_json(request)).get("token")
         if not self.access.settings.token:
             return reply({})
-        refused = self.access.judged(client_of(request.scope), token if isinstance(token, str) else "")
+        refused = self.access.check_token(client_of(request.scope), token if isinstance(token, str) else "")
         if refused is not None:
             status, words, headers = refused
             # with a "Bearer" challenge the browser would show its own login prompt
             return refusal(status, words, {k: v for k, v in headers.items() if k != "WWW-Authenticate"})
-        return reply({}, {"Set-Cookie": self.access.sessions.begun()})
+        return reply({}, {"Set-Cookie": self.access.sessions.opening_header()})
 
     async def logout(self, request: Request) -> Response:
-        return reply({}, {"Set-Cookie": self.access.sessions.ended()})
+        return reply({}, {"Set-Cookie": self.access.sessions.closing_header()})
 
     # -- what machines ask -----------------------------------------------------------------------------------
     def metrics(self, request: Request) -> Response:
@@ -279,7 +280,7 @@ def alarm_turbine(store: Store, alarm: str) -> str:
     return store.rows("SELECT turbine FROM alarm WHERE id = ?", (alarm,))[0][0]
 
 
-async def posted(request: Request) -> JsonObject:
+async def posted_json(request: Request) -> JsonObject:
     """The posted JSON object; empty if the body is no object or too large."""
     body = b""
     async for part in request.stream():
@@ -299,7 +300,7 @@ def reply(
     """A JSON response."""
     from starlette.responses import Response
 
-    text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"))
+    text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":"), default=asdict)
     return Response(text, status, {"Content-Type": "application/json", **(headers or {})})
 
 

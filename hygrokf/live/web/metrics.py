@@ -12,7 +12,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 from hygrokf.live.service import Health
-from hygrokf.live.sources.streams import SourceState
+from hygrokf.live.sources.stream import SourceState
 from hygrokf.live.web.page_settings import NEEDED, PageFault
 from hygrokf.live.web.views import FleetRow
 
@@ -126,7 +126,7 @@ def _turbines(now: float, fleet: Sequence[FleetRow]) -> Iterator[Metric]:
     yield from (heard, chance, margin)
     alarms = GaugeMetricFamily("hygrokf_open_alarms", "Open alarms", labels=["kind", "severity"])
     for (kind, severity), count in sorted(
-        Counter((a["kind"], a["severity"]) for row in fleet for a in row["alarms"]).items()
+        Counter((a.kind, a.severity) for row in fleet for a in row["alarms"]).items()
     ):
         alarms.add_metric([kind, severity], count)
     yield alarms

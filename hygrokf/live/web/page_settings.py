@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ipaddress
 import os
 import ssl
 from collections.abc import Mapping
@@ -11,6 +10,7 @@ from pathlib import Path
 
 from hygrokf.data.toml_form import Place, across, read_form, setting
 from hygrokf.errors import HygrokfError
+from hygrokf.live.sources.endpoint import is_loopback
 
 PAGE = "127.0.0.1:8080"
 SHORTEST = 16
@@ -119,14 +119,6 @@ def address(text: str) -> tuple[str, int] | None:
     if not host or not port.isdecimal() or not 0 <= int(port) < 65536:
         return None
     return host.strip("[]"), int(port)
-
-
-def is_loopback(host: str) -> bool:
-    """Whether only this machine can reach an address."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _token(form: PageForm, folder: Path, place: Place) -> str:

@@ -19,7 +19,8 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from hygrokf.data.structured import Json
-from hygrokf.live.storage.store import Batch
+from hygrokf.live.batch import Batch
+from hygrokf.live.sources.endpoint import bracketed
 from hygrokf.live.web.access import answer
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
 
@@ -71,8 +72,8 @@ class PageServer:
 
     @property
     def url(self) -> str:
-        host = f"[{self._settings.host}]" if ":" in self._settings.host else self._settings.host
-        return f"{'https' if self._settings.certificate else 'http'}://{host}:{self.port}/"
+        scheme = "https" if self._settings.certificate else "http"
+        return f"{scheme}://{bracketed(self._settings.host)}:{self.port}/"
 
     def stop(self) -> None:
         """End the event streams, then the server, within `STOP_S`."""
@@ -97,7 +98,7 @@ def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> PageServer:
         import uvicorn
     except ImportError:
         raise PageFault(NEEDED) from None
-    listening = bound(settings)
+    listening = listening_socket(settings)
     server = uvicorn.Server(
         uvicorn.Config(
             app,
@@ -135,7 +136,7 @@ def serve(app: ASGIApp, settings: PageSettings, hub: Hub) -> PageServer:
     return made
 
 
-def bound(settings: PageSettings) -> socket.socket:
+def listening_socket(settings: PageSettings) -> socket.socket:
     """A socket listening at the page's address.  Raises PageFault."""
     try:
         found = socket.getaddrinfo(
@@ -149,7 +150,7 @@ def bound(settings: PageSettings) -> socket.socket:
 
 
 # -- events --------------------------------------------------------------------------------------------------
-def changed_by(batch: Batch) -> set[str]:
+def changed_turbines(batch: Batch) -> set[str]:
     """Turbines for which a batch changes the page."""
     named = {o.turbine for o in batch.observations} | {a.turbine for a in batch.alarms} | set(batch.estimates)
     named |= {name for name, *_ in batch.properties}
@@ -164,7 +165,7 @@ class Client:
         self.names: set[str] = set()
         self.wake = asyncio.Event()
 
-    def taken(self) -> set[str]:
+    def take(self) -> set[str]:
         names, self.names = self.names, set()
         self.wake.clear()
         return names
@@ -190,7 +191,7 @@ class Hub:
 
     def settle(self, batch: Batch) -> None:
         """Announce a committed batch; called by the tracker."""
-        self.changed(changed_by(batch))
+        self.changed(changed_turbines(batch))
 
     def changed(self, names: Iterable[str]) -> None:
         """Tell all clients that turbines changed; callable from any thread."""
@@ -207,7 +208,7 @@ class Hub:
             loop = self._loop
         self._call(loop, self._spread, frozenset())
 
-    def joined(self) -> Client | None:
+    def join(self) -> Client | None:
         """A new client in the running loop; None if there are too many or the hub is closed."""
         with self._lock:
             self._loop = asyncio.get_running_loop()
@@ -217,7 +218,7 @@ class Hub:
         self._clients.add(client)
         return client
 
-    def left(self, client: Client) -> None:
+    def leave(self, client: Client) -> None:
         self._clients.discard(client)
 
     def _spread(self, names: frozenset[str]) -> None:
@@ -248,7 +249,7 @@ class EventStream:
         self.hub = hub
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        client = self.hub.joined()
+        client = self.hub.join()
         if client is None:
             await answer(send, 503, "too many pages are open", {"Retry-After": "10"})
             return
@@ -258,28 +259,28 @@ class EventStream:
             await send(
                 {**start, "headers": [(b"content-type", b"text/event-stream"), (b"x-accel-buffering", b"no")]}
             )
-            await self._told(send, f"retry: {RETRY_MS}\n\n".encode() + message("alive", now=self.hub.clock()))
+            await self._send(send, f"retry: {RETRY_MS}\n\n".encode() + message("alive", now=self.hub.clock()))
             while not self.hub.closed and not gone.done():
-                await self._waited(client, gone)
-                names = client.taken()
+                await self._wait(client, gone)
+                names = client.take()
                 if names:
                     named = sorted(names) if len(names) <= NAMED else None
-                    await self._told(send, message("changed", now=self.hub.clock(), turbines=named))
+                    await self._send(send, message("changed", now=self.hub.clock(), turbines=named))
                     await asyncio.wait([gone], timeout=0.0 if self.hub.closed else PACE_S)
                 elif not self.hub.closed and not gone.done():
-                    await self._told(send, message("alive", now=self.hub.clock()))
-            await self._told(send, b"", more=False)
+                    await self._send(send, message("alive", now=self.hub.clock()))
+            await self._send(send, b"", more=False)
         except TimeoutError:
             LOG.warning("dropped a page that accepted no data for %g s", SLOW_S)
         finally:
-            self.hub.left(client)
+            self.hub.leave(client)
             gone.cancel()
 
-    async def _told(self, send: Send, body: bytes, more: bool = True) -> None:
+    async def _send(self, send: Send, body: bytes, more: bool = True) -> None:
         async with asyncio.timeout(SLOW_S):
             await send({"type": "http.response.body", "body": body, "more_body": more})
 
-    async def _waited(self, client: Client, gone: asyncio.Task[None]) -> None:
+    async def _wait(self, client: Client, gone: asyncio.Task[None]) -> None:
         """Wait until there is something to send, the client has gone, or a heartbeat is due."""
         waking = asyncio.ensure_future(client.wake.wait())
         try:

@@ -7,24 +7,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from types import MappingProxyType
-from typing import Any, TypedDict, TypeVar, cast
+from typing import TypedDict, TypeVar
 
 import numpy as np
 
 from hygrokf.data.signals import SIGNALS, from_si
-from hygrokf.data.structured import structured
+from hygrokf.data.structured import Json, structured
 from hygrokf.data.timestamps import DAY_S, HOUR_S
 from hygrokf.identification.verdict_terms import MARKS, PARAMETER_OF, VERDICTS, Inherited
 from hygrokf.live.alarms import CHANGED
+from hygrokf.live.batch import Alarm
 from hygrokf.live.condition import QUANTITIES, Z95, Quantity, probability_above
 from hygrokf.live.forecast import LIMIT, ForecastMade
 from hygrokf.live.properties import WATCHED
 from hygrokf.live.service import Health
-from hygrokf.live.sources.streams import SourceState
+from hygrokf.live.sources.stream import SourceState
 from hygrokf.live.storage.database import Row
-from hygrokf.live.storage.store import Store
+from hygrokf.live.storage.store import ALARM_COLUMNS, Store
 from hygrokf.physics.psychrometrics import ZERO_CELSIUS_K
 
 DECIMALS = 4
@@ -41,21 +41,6 @@ READ = {"temperature": "cabinet_temperature", "relative_humidity": "cabinet_rela
 Verdicts = Mapping[str, Inherited]
 """A fit's verdicts on the numbers of a turbine's model, by part."""
 T = TypeVar("T")
-
-
-class AlarmRow(TypedDict):
-    """An alarm; times [s]."""
-
-    id: str
-    turbine: str
-    kind: str
-    severity: str
-    began: float
-    ended: float | None
-    acknowledged: float | None
-    acknowledged_by: str | None
-    statement: str
-    remedy: str
 
 
 class Chance(TypedDict):
@@ -86,7 +71,7 @@ class FleetRow(TypedDict):
     condensation: float | None
     forecast: Chance | None
     cabinet: str | None
-    alarms: list[AlarmRow]
+    alarms: list[Alarm]
     model: str | None
     severity: int
 
@@ -161,11 +146,29 @@ class HumidHours(Hourly):
     limit: float
 
 
+class ForecastView(TypedDict):
+    """The newest forecast, from the state at `made` [s] on, of a humidity `limit` [1] (None in stores of
+    earlier versions).
+
+    `weather` describes the scenarios, or says why there is no forecast; the courses are empty then.
+    `condensation` and `above_limit` [1] and `courses` at the instants `time` [s].
+    """
+
+    made: float
+    weather: str
+    limit: float | None
+    time: list[float]
+    condensation: list[float | None]
+    above_limit: list[float | None]
+    courses: dict[str, Course]
+    advice: Json
+
+
 class TurbineView(TypedDict):
     """One turbine on the page.
 
-    `final`: 1 for final estimates; `condensation` [1] and `courses` at the instants `time` [s]; `forecast`:
-    see `_forecast`; `counts`: readings that were not used, by kind.
+    `final`: 1 for final estimates; `condensation` [1] and `courses` at the instants `time` [s];
+    `counts`: readings that were not used, by kind.
     """
 
     turbine: str
@@ -177,9 +180,9 @@ class TurbineView(TypedDict):
     humid: HumidHours
     courses: dict[str, Course]
     readings: dict[str, ReadingCourse]
-    forecast: dict[str, Any] | None
+    forecast: ForecastView | None
     properties: list[PropertyCourse]
-    alarms: list[AlarmRow]
+    alarms: list[Alarm]
     signals: list[SignalRow]
     counts: dict[str, int]
 
@@ -255,9 +258,9 @@ def fleet_view(
         )
     }
     cabinets, highest = _cabinets(store), _highest_forecast(store, now)
-    open_: dict[str, list[AlarmRow]] = {}
+    open_: dict[str, list[Alarm]] = {}
     for alarm in alarms_view(store, since=math.inf):
-        open_.setdefault(alarm["turbine"], []).append(alarm)
+        open_.setdefault(alarm.turbine, []).append(alarm)
     rows: list[FleetRow] = []
     for name in names:
         at, kelvin, kelvin_sd, humidity, humidity_sd, margin, margin_sd, chance = newest.get(name, [None] * 8)
@@ -277,12 +280,10 @@ def fleet_view(
                 "margin_lower": None if margin is None else margin - Z95 * margin_sd,
                 "condensation": chance,
                 "forecast": highest.get(name),
-                "cabinet": "changed"
-                if any(a["kind"] == CHANGED.kind for a in alarms)
-                else cabinets.get(name),
+                "cabinet": "changed" if any(a.kind == CHANGED.kind for a in alarms) else cabinets.get(name),
                 "alarms": alarms,
                 "model": model_view(verdicts.get(name, {}))["verdict"],
-                "severity": max((SEVERITY[a["severity"]] for a in alarms), default=-1),
+                "severity": max((SEVERITY[a.severity] for a in alarms), default=-1),
             }
         )
     rows.sort(key=lambda row: (-row["severity"], -_risk(row), row["turbine"]))
@@ -325,7 +326,7 @@ def turbine_view(
     store: Store, name: str, since: float, now: float, verdicts: Verdicts = MappingProxyType({})
 ) -> TurbineView:
     """One turbine from `since` [s] on: courses with bounds, readings, properties, alarms, counts."""
-    found = _thinned(
+    found = _thin(
         store.rows(
             f"SELECT {_COLUMNS}, time, final, condensation FROM estimate WHERE turbine = ? AND time >= ? "
             "ORDER BY time",
@@ -335,7 +336,7 @@ def turbine_view(
     readings: dict[str, ReadingCourse] = {}
     for quantity, signal in READ.items():
         shown = COURSES[quantity]
-        rows = _thinned(
+        rows = _thin(
             store.rows(
                 "SELECT time, value FROM observation WHERE turbine = ? AND signal = ? AND time >= ? AND "
                 "contradicted = 0 ORDER BY time",
@@ -349,7 +350,7 @@ def turbine_view(
             }
     time, chances = [row[-3] for row in found], [row[-1] for row in found]
     forecast = _forecast(store, name)
-    limit = forecast.get("limit", LIMIT) if forecast else LIMIT
+    limit = LIMIT if forecast is None or forecast["limit"] is None else forecast["limit"]
     return {
         "turbine": name,
         "model": model_view(verdicts),
@@ -440,20 +441,20 @@ def _courses(rows: Sequence[Row]) -> dict[str, Course]:
     return courses
 
 
-def _forecast(store: Store, name: str) -> dict[str, Any] | None:
-    """The newest forecast: its origin, courses, probabilities and the advice for a restart.
-
-    If no forecast could be made, `weather` says why and the courses are empty.
-    """
-    made = store.memory(name, "forecast")
+def _forecast(store: Store, name: str) -> ForecastView | None:
+    """A turbine's newest forecast and the advice for a restart; None before the first one."""
+    memory = store.memory(name, "forecast")
+    if not memory:
+        return None
+    made = structured(ForecastMade, memory)
     rows = store.rows(
         f"SELECT {_COLUMNS}, time, condensation, above_limit FROM forecast WHERE turbine = ? ORDER BY time",
         (name,),
     )
-    if not made:
-        return None
     return {
-        **asdict(structured(ForecastMade, made)),
+        "made": made.made,
+        "weather": made.weather,
+        "limit": made.limit,
         "time": [row[-3] for row in rows],
         "condensation": [row[-2] for row in rows],
         "above_limit": [row[-1] for row in rows],
@@ -462,7 +463,7 @@ def _forecast(store: Store, name: str) -> dict[str, Any] | None:
     }
 
 
-def alarms_view(store: Store, turbine: str | None = None, since: float = -math.inf) -> list[AlarmRow]:
+def alarms_view(store: Store, turbine: str | None = None, since: float = -math.inf) -> list[Alarm]:
     """Alarms of one turbine or of all that are open or ended at `since` [s] or later.
 
     Open alarms come first; within each group the most severe come first, and then the newest.
@@ -472,11 +473,9 @@ def alarms_view(store: Store, turbine: str | None = None, since: float = -math.i
     if turbine is not None:
         where += " AND turbine = ?"
         parameters.append(turbine)
-    rows = store.rows(
-        f"SELECT {', '.join(AlarmRow.__annotations__)} FROM alarm {where} ORDER BY began DESC", parameters
-    )
-    found = [cast(AlarmRow, dict(zip(AlarmRow.__annotations__, row, strict=True))) for row in rows]
-    return sorted(found, key=lambda a: (a["ended"] is not None, -SEVERITY[a["severity"]]))
+    rows = store.rows(f"SELECT {', '.join(ALARM_COLUMNS)} FROM alarm {where} ORDER BY began DESC", parameters)
+    found = [Alarm(**dict(zip(ALARM_COLUMNS, row, strict=True))) for row in rows]
+    return sorted(found, key=lambda alarm: (alarm.ended is not None, -SEVERITY[alarm.severity]))
 
 
 def _properties(store: Store, name: str, since: float) -> list[PropertyCourse]:
@@ -514,7 +513,7 @@ def _scaled(
     return None if value is None else round(factor * value + offset + width * (sd or 0.0), DECIMALS)
 
 
-def _thinned(rows: Sequence[T]) -> Sequence[T]:
+def _thin(rows: Sequence[T]) -> Sequence[T]:
     """At most `MOST` evenly spaced rows, including the last one."""
     step = -(-len(rows) // MOST)
     return rows if step <= 1 else rows[(len(rows) - 1) % step :: step]

@@ -1,51 +1,37 @@
-"""Security of an OPC UA connection from the tracker's file: policy, certificates and user.
+"""A [[source]] that is an OPC UA server: its nodes, the security of its connection and its user.
 
 Certificates and keys are read once, together with the tracker's file, which never contains a password.
 """
 
 from __future__ import annotations
 
-import ipaddress
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
+from urllib.parse import urlsplit
 
-from hygrokf.data.toml_form import Place, across, setting
-from hygrokf.live.sources.streams import NO_PASSWORD_HERE, SourceFault, password_of
+from hygrokf.data.timestamps import duration
+from hygrokf.data.toml_form import Place, across, entry_name, setting
+from hygrokf.errors import suggestion
+from hygrokf.live.sources.endpoint import NO_PASSWORD_HERE, bracketed, is_loopback, password_of
+from hygrokf.live.sources.opcua import OpcUa
+from hygrokf.live.sources.opcua_client import HELD, Security, User
+from hygrokf.live.sources.opcua_samples import ConnectionFault, Node, Rates, node_fault
+from hygrokf.live.sources.payload import PayloadMapping
+from hygrokf.live.sources.stream import WEATHER_HELP, SourceFault
 
 if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.rsa import RSAPrivateKey
     from cryptography.x509 import Certificate
 
 T = TypeVar("T")
+PORT = 4840
+"""OPC UA's default port."""
+_PLAIN = ("turbine", "time", "quality")
 POLICIES = ("Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss")
 MODES = ("SignAndEncrypt", "Sign")
 FILES = ("certificate", "key", "server_certificate")
-
-
-@dataclass(frozen=True)
-class Security:
-    """Signing and encryption between this client's key pair and one server's certificate (all DER).
-
-    `application_uri`: URI in the client's certificate; `valid_until`: end of that certificate's validity [s].
-    """
-
-    policy: str
-    mode: str
-    certificate: bytes = field(repr=False)
-    key: bytes = field(repr=False)
-    server_certificate: bytes = field(repr=False)
-    application_uri: str
-    valid_until: float
-
-
-@dataclass(frozen=True)
-class User:
-    """User name and password for the login."""
-
-    name: str
-    password: str = field(repr=False)
 
 
 @dataclass(frozen=True)
@@ -94,6 +80,114 @@ class SecurityForm:
             yield "user and its password_file or password_env belong together"
 
 
+@dataclass(frozen=True)
+class NodeForm:
+    """An entry of `nodes`."""
+
+    id: str = entry_name()
+    turbine: str = setting(help="its turbine")
+    field: str = setting(help="its field of [mapping.signals]")
+
+
+@dataclass(frozen=True)
+class ServerForm:
+    """A server and its nodes."""
+
+    url: str = setting(help="opc.tcp://HOST:PORT/PATH")
+    nodes: Mapping[str, NodeForm] = setting(dict, "node ids, each with turbine and field")
+    sampling_s: float = setting(Rates.sampling_s, "how often the server looks at a value", read=duration)
+    publishing_s: float = setting(
+        Rates.publishing_s,
+        "how often it sends what has come",
+        read=duration,
+        least=0.01,
+        most=60.0,
+        expected='within "0.01s" … "1min"',
+    )
+    queue: int = setting(Rates.queue, "values of one node that it keeps in between", least=2, most=HELD)
+    look_back_s: float = setting(0.0, "how far back the history of a new node is read", read=duration)
+    uncertain: bool = setting(False, "whether values with an uncertain status are used")
+
+    @across("url")
+    def url_form(self) -> str | None:
+        return _address(self.url)[2]
+
+    @across("nodes")
+    def any_node(self) -> str | None:
+        if self.nodes:
+            return None
+        return 'no nodes: add nodes = { "ns=2;s=T07.CabinetTemp" = { turbine = "T07", field = "Tcab" } }'
+
+
+@dataclass(frozen=True)
+class OpcUaForm(SecurityForm, ServerForm):
+    """A [[source]] of `opc.tcp://HOST:PORT/PATH`."""
+
+    weather: bool = setting(False, WEATHER_HELP)
+
+    def stream(self, folder: Path, mapping: PayloadMapping, place: Place) -> OpcUa:
+        """The stream; faults of its nodes and files go to `place`."""
+        url, host, _ = _address(self.url)
+        security, user = security_of(self, host, folder, place)
+        try:
+            _check_nodes(self.nodes, mapping, place)
+        except ConnectionFault as fault:
+            place.fault(str(fault))
+        nodes = [Node(id, one.turbine, one.field) for id, one in self.nodes.items()]
+        own = replace(
+            mapping,
+            turbine="turbine",
+            time="time",
+            quality="quality",
+            tag="",
+            value="",
+            good=("good", "uncertain") if self.uncertain else ("good",),
+            turbines={one.turbine: one.turbine for one in nodes},
+        )
+        rates = Rates(self.sampling_s, self.publishing_s, self.queue)
+        return OpcUa(url, nodes, own, rates, self.look_back_s, security, user)
+
+
+def _address(url: str) -> tuple[str, str, str | None]:
+    """URL with the port filled in, host, and what is wrong with it."""
+    try:
+        parts = urlsplit(url)
+        host, port = parts.hostname or "", parts.port or PORT
+    except ValueError:
+        return "", "", "url must be opc.tcp://HOST:PORT/PATH"
+    fault = None
+    if host and "@" in parts.netloc:
+        fault = "a user does not belong in the url: state user, and password_file or password_env"
+    elif not host or parts.query or parts.fragment:
+        fault = "url must be opc.tcp://HOST:PORT/PATH"
+    return (f"opc.tcp://{bracketed(host)}:{port}{parts.path}" if host else ""), host, fault
+
+
+def _check_nodes(nodes: Mapping[str, NodeForm], mapping: PayloadMapping, place: Place) -> None:
+    """Faults of nodes that the mapping does not know, or that stand for one field twice.
+
+    Raises ConnectionFault without asyncua.
+    """
+    turbines = tuple(set(mapping.turbines.values()))
+    taken: dict[tuple[str, str], str] = {}
+    for id, one in nodes.items():
+        inside = place.inside("nodes", entry=repr(id))
+        if (wrong := node_fault(id)) is not None:
+            inside.fault(wrong)
+        for key, value, known, where in (
+            ("turbine", one.turbine, turbines, "[[turbine]]"),
+            ("field", one.field, tuple(mapping.fields), "[mapping.signals]"),
+        ):
+            if value and value not in known:
+                inside.fault(f"{key}: {where} has no {value!r}{suggestion(value, known)}")
+        if one.field in _PLAIN:
+            inside.fault(f"a field must not be named {one.field!r} here: rename it in [mapping.signals]")
+        other = taken.setdefault((one.turbine, one.field), id)
+        if other != id:
+            inside.fault(f"{other!r} already is {one.field} of {one.turbine}")
+
+
+# -- security ------------------------------------------------------------------------------------------------
 def security_of(
     form: SecurityForm, host: str, folder: Path, place: Place
 ) -> tuple[Security | None, User | None]:
@@ -104,7 +198,7 @@ def security_of(
     """
     security = _security(form, folder, place) if form.stated and form.security != "none" else None
     user = _user(form, folder, place)
-    if not form.stated and not is_this_machine(host):
+    if not form.stated and not is_loopback(host):
         if form.security != "none":
             place.fault(
                 f"a connection to another host needs {', '.join(FILES)}; "
@@ -113,14 +207,6 @@ def security_of(
         if user is not None:
             place.fault(f"a password to another host needs {', '.join(FILES)}: it would be sent readable")
     return security, user
-
-
-def is_this_machine(host: str) -> bool:
-    """Whether a host is the loopback address, so that nothing leaves this machine."""
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def _security(form: SecurityForm, folder: Path, place: Place) -> Security | None:

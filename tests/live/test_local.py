@@ -15,20 +15,20 @@ from builders.stream_case import Collected
 from builders.waiting import eventually
 
 from hygrokf.data.record import Record, Series
-from hygrokf.live.sources import streams
-from hygrokf.live.sources.payload import Field, PayloadMapping
-from hygrokf.live.sources.streams import (
+from hygrokf.live.service import take_from
+from hygrokf.live.sources import local
+from hygrokf.live.sources.local import (
     Lines,
     Playback,
     StandardInput,
     TailedFile,
-    disturbed,
+    delay_and_repeat,
     file_messages,
     record_mapping,
     record_messages,
-    taken_from,
 )
-from hygrokf.live.turbines import Delivery
+from hygrokf.live.sources.payload import Field, PayloadMapping
+from hygrokf.live.sources.stream import Delivery
 
 MAPPING = PayloadMapping({"Tcab": Field("cabinet_temperature", "degC")}, turbines={"T1": "T1"})
 
@@ -162,8 +162,8 @@ def test_playback_delivers_every_reading_and_goes_on_from_its_place() -> None:
 
 def test_playback_may_be_late_and_repeated() -> None:
     plain = record_messages(some_record(), "T1")
-    found = disturbed(plain, late_s=1800.0, repeated=0.5, seed=3)
-    assert found == disturbed(plain, late_s=1800.0, repeated=0.5, seed=3)
+    found = delay_and_repeat(plain, late_s=1800.0, repeated=0.5, seed=3)
+    assert found == delay_and_repeat(plain, late_s=1800.0, repeated=0.5, seed=3)
     stamps = [content["time"] for _, content in found]
     assert stamps != sorted(stamps) and len({str(content) for _, content in found}) == 99 < len(found) < 199
     assert all(0.0 <= at - stamp < 1800.0 for (at, _), stamp in zip(found, stamps, strict=True))
@@ -192,7 +192,7 @@ def test_playback_does_not_fall_behind(monkeypatch: pytest.MonkeyPatch) -> None:
         came.append((clock[0] - 100.0, one.received - 1.6e9))
         clock[0] += 0.25 if len(came) == 10 else 0.0
 
-    monkeypatch.setattr(streams, "time", SimpleNamespace(monotonic=lambda: clock[0]))
+    monkeypatch.setattr(local, "time", SimpleNamespace(monotonic=lambda: clock[0]))
     monkeypatch.setattr(stream._ended, "wait", wait)
     stream._deliver(None, put)
     late_until = came[9][0] + 0.25
@@ -206,6 +206,6 @@ def test_deliveries_are_taken_in_bounded_rounds() -> None:
     waiting: queue.Queue = queue.Queue()
     for number in range(7):
         waiting.put(Delivery(str(number), 0.0))
-    assert [one.content for one in taken_from(waiting, 5, 0.1)] == list("01234")
-    assert [one.content for one in taken_from(waiting, 5, 0.1)] == list("56")
-    assert taken_from(waiting, 5, 0.01) == []
+    assert [one.content for one in take_from(waiting, 5, 0.1)] == list("01234")
+    assert [one.content for one in take_from(waiting, 5, 0.1)] == list("56")
+    assert take_from(waiting, 5, 0.01) == []

@@ -1,22 +1,16 @@
-"""Sources without a server: a growing file, standard input and a played-back record.
-
-Every source is a `Stream`: its own thread hands deliveries to the service, and `acknowledge` tells it which
-of them the store has committed.
-"""
+"""Sources on this machine: a growing file, standard input, and a record that is played back."""
 
 from __future__ import annotations
 
 import csv
 import math
 import os
-import queue
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import BinaryIO, NamedTuple, Protocol, TypeVar
+from typing import BinaryIO
 
 import numpy as np
 
@@ -24,114 +18,22 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.signals import SIGNALS
 from hygrokf.data.timestamps import duration
 from hygrokf.data.toml_form import Place, across, setting
-from hygrokf.errors import HygrokfError
 from hygrokf.live.plan import Form
-from hygrokf.live.sources.payload import Field, Payload, PayloadMapping, stamp_of
-from hygrokf.live.storage.store import Alarm
-from hygrokf.live.turbines import Delivery
+from hygrokf.live.sources.payload import Field, Payload, PayloadMapping
+from hygrokf.live.sources.stream import (
+    PAUSE_S,
+    WEATHER_HELP,
+    Delivery,
+    SourceFault,
+    SourceState,
+    Stream,
+    Threaded,
+)
 
-PAUSE_S = 0.2
-"""[s] between two checks of a file that has not grown."""
 LONGEST_LINE = 65_536
 """[bytes] read as one line at most."""
-NO_PASSWORD_HERE = (
-    "a password must not be in this file: put it into a separate file and name that as password_file, "
-    "or into an environment variable and name that as password_env"
-)
-NAMED = 5
-"""Names of a list that are shown; further names are only counted."""
 Content = str | Payload
 """A row of a source: JSON text, or cells by column name."""
-T = TypeVar("T")
-WEATHER_HELP = "whether it brings weather forecasts, not readings"
-
-
-class SourceFault(HygrokfError):
-    """A source cannot be read; the message tells the operator why."""
-
-
-class SourceState(NamedTuple):
-    """The state of a source: one `word` ("connected", "waiting", "lost", "ended", "stopped", "idle") and its
-    explanation."""
-
-    word: str
-    words: str
-
-
-class Stream(Protocol):
-    """A source of deliveries.
-
-    `url` identifies the source in the store and never contains a secret; `mapping` tells how to read its
-    payloads; `start` resumes after `place` (None: from the beginning, or from the position that the source
-    itself keeps); `tell` passes on alarms that began, changed or ended, if the source can publish them; `now`
-    is the time [s] against which the age of its data is judged; `state` is shown on the page and by
-    the doctor.
-    """
-
-    url: str
-    mapping: PayloadMapping
-
-    def start(self, place: str | None, put: Callable[[Delivery], None]) -> None: ...
-
-    def acknowledge(self, deliveries: Iterable[Delivery]) -> None: ...
-
-    def tell(self, alarms: Iterable[Alarm]) -> None: ...
-
-    def stop(self) -> None: ...
-
-    def now(self) -> float: ...
-
-    @property
-    def state(self) -> SourceState: ...
-
-
-class Threaded:
-    """Base of streams with their own thread, which runs `_deliver` until it returns or `_ended` is set."""
-
-    url = ""
-
-    def __init__(self, mapping: PayloadMapping) -> None:
-        self.mapping = mapping
-        self._ended = threading.Event()
-        self._thread: threading.Thread | None = None
-        self._state = SourceState("idle", "not started")
-
-    def start(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        self._thread = threading.Thread(target=self._run, args=(place, put), name=self.url, daemon=True)
-        self._thread.start()
-
-    def _run(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        try:
-            self._state = SourceState("connected", self.url)
-            self._deliver(place, put)
-            ended = SourceState("ended", "read to its end")
-            self._state = SourceState("stopped", "") if self._ended.is_set() else ended
-        except SourceFault as fault:
-            self._state = SourceState("lost", str(fault))
-        except OSError as fault:
-            self._state = SourceState("lost", f"{self.url}: {fault.strerror or fault}")
-
-    def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
-        raise NotImplementedError
-
-    def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
-        """Does nothing: the store's place is enough to resume."""
-
-    def tell(self, alarms: Iterable[Alarm]) -> None:
-        """Does nothing: these sources cannot publish alarms."""
-
-    def now(self) -> float:
-        """The time [s] against which the age of the data is judged."""
-        return time.time()
-
-    def stop(self) -> None:
-        self._ended.set()
-        if self._thread is not None:
-            self._thread.join(timeout=10.0)
-
-    @property
-    def state(self) -> SourceState:
-        return self._state
 
 
 class Lines:
@@ -141,8 +43,17 @@ class Lines:
         self.header: list[str] = []
         self._separator = ","
 
-    def content(self, line: str) -> Content | None:
+    def read_header(self, file: BinaryIO) -> None:
+        """Read a file up to its header, which later rows need, or to its first content without one."""
+        while not self.header:
+            line = file.readline(LONGEST_LINE)
+            if not line or self.content(line):
+                break
+
+    def content(self, line: bytes | str) -> Content | None:
         """Content of a line; None for an empty line, a comment or a header."""
+        if isinstance(line, bytes):
+            line = line.decode("utf-8", "replace")
         text = line.strip("\ufeff\r\n")
         if not text.strip() or text.startswith("#"):
             return None
@@ -171,6 +82,10 @@ class TailedFile(Threaded):
         self.url = f"file:{self.path}"
         self.follow = follow
 
+    def end_when_read(self) -> None:
+        """End at the file's present end instead of following it."""
+        self.follow = False
+
     def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
         while not self._ended.is_set():
             try:
@@ -191,24 +106,19 @@ class TailedFile(Threaded):
         replaced."""
         self._state = SourceState("connected", self.url)
         lines = Lines()
-        while offset and not lines.header:  # later rows need the header
-            line = file.readline(LONGEST_LINE)
-            if not line or lines.content(line.decode("utf-8", "replace")):
-                break
+        if offset:
+            lines.read_header(file)
         file.seek(offset)
         while not self._ended.is_set():
             line = file.readline(LONGEST_LINE)
-            if line.endswith(b"\n") or (len(line) == LONGEST_LINE):
+            whole = line.endswith(b"\n") or len(line) == LONGEST_LINE
+            if whole or not self.follow:
                 offset += len(line)
-                content = lines.content(line.decode("utf-8", "replace"))
+                content = lines.content(line)
                 if content is not None:
                     put(Delivery(content, time.time(), place=f"{identity} {offset}"))
-                continue
-            if not self.follow:
-                if line.strip():
-                    content = lines.content(line.decode("utf-8", "replace"))
-                    if content is not None:
-                        put(Delivery(content, time.time(), place=f"{identity} {offset + len(line)}"))
+                if whole:
+                    continue
                 return True
             file.seek(offset)
             self._ended.wait(PAUSE_S)
@@ -252,6 +162,8 @@ class Playback(Threaded):
     messages before this time [s] are always played as fast as possible.  The place is the number of delivered
     messages.
     """
+
+    played_back = True
 
     def __init__(
         self,
@@ -322,7 +234,7 @@ def record_messages(record: Record, turbine: str) -> list[tuple[float, Content]]
     return [(t, {"turbine": turbine, "time": t, signal: v}) for t, signal, v in sorted(rows)]
 
 
-def disturbed(
+def delay_and_repeat(
     messages: Iterable[tuple[float, Content]], late_s: float = 0.0, repeated: float = 0.0, seed: int = 0
 ) -> list[tuple[float, Content]]:
     """Messages with random delays up to `late_s` [s] and a share `repeated` [1] of duplicates, sorted by
@@ -336,45 +248,6 @@ def disturbed(
         for _ in range(1 + int(random.random() < repeated)):
             found.append((at + late_s * float(random.random()), len(found), content))
     return [(at, content) for at, _, content in sorted(found, key=lambda one: one[:2])]
-
-
-def password_of(file: Path | None, variable: str) -> str | None:
-    """The password in a file or an environment variable, None if neither is named.  Raises SourceFault."""
-    if variable:
-        found = os.environ.get(variable, "")
-        if not found:
-            raise SourceFault(f"password_env: the environment variable {variable} is not set or empty")
-        return found
-    if file is None:
-        return None
-    try:
-        found = file.read_text(encoding="utf-8").rstrip("\r\n")
-    except OSError as fault:
-        raise SourceFault(f"password_file: {file}: {fault.strerror}") from None
-    except UnicodeDecodeError:
-        raise SourceFault(f"password_file: {file}: expected text in UTF-8") from None
-    if not found or "\n" in found:
-        raise SourceFault(f"password_file: {file}: expected one line, the password, and nothing else")
-    return found
-
-
-def several(names: Iterable[str]) -> str:
-    """The first `NAMED` names in one line, and the number of further ones."""
-    found = list(names)
-    more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
-    return f"{', '.join(found[:NAMED])}{more}"
-
-
-def taken_from(waiting: queue.Queue[T], most: int, patience_s: float) -> list[T]:
-    """Take at most `most` items from a queue; waits up to `patience_s` [s] for the first one."""
-    found: list[T] = []
-    try:
-        found.append(waiting.get(timeout=patience_s))
-        while len(found) < most:
-            found.append(waiting.get_nowait())
-    except queue.Empty:
-        pass
-    return found
 
 
 # -- from the tracker's file ---------------------------------------------------------------------------------
@@ -414,7 +287,7 @@ class FileForm:
             place.fault(f"{path}: no row with a time that can be read")
             return None
         url = f"file:{path}?late={self.late_s:g}&repeated={self.repeated:g}&seed={self.seed}"
-        messages = disturbed(rows, self.late_s, self.repeated, self.seed)
+        messages = delay_and_repeat(rows, self.late_s, self.repeated, self.seed)
         return Playback(url, messages, mapping, self.speed)
 
 
@@ -439,7 +312,7 @@ def file_messages(path: Path, mapping: PayloadMapping) -> list[tuple[float, Cont
             content = lines.content(line)
             if content is None:
                 continue
-            at = stamp_of(content, mapping)
+            at = mapping.stamp(content)
             if at is not None:
                 found.append((at, content))
     return sorted(found, key=lambda one: one[0])

@@ -1,0 +1,49 @@
+"""Both ends of a connection: hosts, and passwords that are kept outside of the tracker's file."""
+
+from __future__ import annotations
+
+import ipaddress
+import os
+from pathlib import Path
+
+from hygrokf.live.sources.stream import SourceFault
+
+OTHERS_READ = 0o004
+"""Mode bit of a file that every user of the machine may read."""
+NO_PASSWORD_HERE = (
+    "a password must not be in this file: put it into a separate file and name that as password_file, "
+    "or into an environment variable and name that as password_env"
+)
+
+
+def is_loopback(host: str) -> bool:
+    """Whether only this machine can reach a host, so that nothing sent there leaves this machine."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def bracketed(host: str) -> str:
+    """A host as it stands in a URL: an IPv6 address in brackets."""
+    return f"[{host}]" if ":" in host else host
+
+
+def password_of(file: Path | None, variable: str) -> str | None:
+    """The password in a file or an environment variable, None if neither is named.  Raises SourceFault."""
+    if variable:
+        found = os.environ.get(variable, "")
+        if not found:
+            raise SourceFault(f"password_env: the environment variable {variable} is not set or empty")
+        return found
+    if file is None:
+        return None
+    try:
+        found = file.read_text(encoding="utf-8").rstrip("\r\n")
+    except OSError as fault:
+        raise SourceFault(f"password_file: {file}: {fault.strerror}") from None
+    except UnicodeDecodeError:
+        raise SourceFault(f"password_file: {file}: expected text in UTF-8") from None
+    if not found or "\n" in found:
+        raise SourceFault(f"password_file: {file}: expected one line, the password, and nothing else")
+    return found

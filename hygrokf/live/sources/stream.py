@@ -1,0 +1,156 @@
+"""What a source is to the tracker: a `Stream` of deliveries, with a state.
+
+Every source hands deliveries to the service from its own thread, and `acknowledge` tells it which of them the
+store has committed.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, field
+from typing import NamedTuple, Protocol
+
+from hygrokf.errors import HygrokfError
+from hygrokf.live.batch import Alarm
+from hygrokf.live.sources.payload import Payload, PayloadMapping
+
+WEATHER_HELP = "whether it brings weather forecasts, not readings"
+"""Help of the key `weather`, which every source has."""
+PAUSE_S = 0.2
+"""[s] between two looks at a source that has nothing new."""
+NAMED = 5
+"""Names of a list that are shown; further names are only counted."""
+
+
+class Receipt(Protocol):
+    """The source's handle on a delivery, used to acknowledge it."""
+
+    def acknowledge(self) -> None: ...
+
+
+@dataclass(frozen=True)
+class Delivery:
+    """A payload that a source delivers.
+
+    `received`: time of arrival [s]; `topic`: MQTT topic; `place`: position from which the source resumes
+    after this delivery; `token`: the source's receipt, None if there is nothing to acknowledge.
+    """
+
+    content: bytes | str | Payload
+    received: float
+    topic: str = ""
+    place: str = ""
+    token: Receipt | None = field(default=None, compare=False)
+
+
+class SourceFault(HygrokfError):
+    """A source cannot be read; the message tells the operator why."""
+
+
+class SourceState(NamedTuple):
+    """The state of a source: one `word` ("connected", "waiting", "lost", "ended", "stopped", "idle") and its
+    explanation."""
+
+    word: str
+    words: str
+
+
+class Stream(Protocol):
+    """A source of deliveries.
+
+    `url` identifies the source in the store and never contains a secret; `mapping` tells how to read its
+    payloads; `played_back` whether it repeats a record, whose age says nothing.  `start` resumes after
+    `place` (None: from the beginning, or from the position that the source itself keeps); `end_when_read`
+    lets a growing source end at its present end; `tell` passes on alarms that began, changed or ended, if the
+    source can publish them; `now` is the time [s] against which the age of its data is judged; `state` is
+    shown on the page and by the doctor; `signals` are those of a turbine that the source can deliver.
+    """
+
+    url: str
+    mapping: PayloadMapping
+    played_back: bool
+
+    def start(self, place: str | None, put: Callable[[Delivery], None]) -> None: ...
+
+    def end_when_read(self) -> None: ...
+
+    def acknowledge(self, deliveries: Iterable[Delivery]) -> None: ...
+
+    def tell(self, alarms: Iterable[Alarm]) -> None: ...
+
+    def stop(self) -> None: ...
+
+    def now(self) -> float: ...
+
+    @property
+    def state(self) -> SourceState: ...
+
+    def signals(self, turbine: str) -> set[str]: ...
+
+
+class Threaded:
+    """What the streams have in common: a thread that runs `_deliver` until it returns or `_ended` is set."""
+
+    url = ""
+    played_back = False
+
+    def __init__(self, mapping: PayloadMapping) -> None:
+        self.mapping = mapping
+        self._ended = threading.Event()
+        self._thread: threading.Thread | None = None
+        self._state = SourceState("idle", "not started")
+
+    def start(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        self._thread = threading.Thread(target=self._run, args=(place, put), name=self.url, daemon=True)
+        self._thread.start()
+
+    def _run(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        try:
+            self._state = SourceState("connected", self.url)
+            self._deliver(place, put)
+            ended = SourceState("ended", "read to its end")
+            self._state = SourceState("stopped", "") if self._ended.is_set() else ended
+        except SourceFault as fault:
+            self._state = SourceState("lost", str(fault))
+        except OSError as fault:
+            self._state = SourceState("lost", f"{self.url}: {fault.strerror or fault}")
+
+    def _deliver(self, place: str | None, put: Callable[[Delivery], None]) -> None:
+        raise NotImplementedError
+
+    def end_when_read(self) -> None:
+        """Does nothing: only a growing file has a present end."""
+
+    def acknowledge(self, deliveries: Iterable[Delivery]) -> None:
+        """Does nothing: the store's place is enough to resume."""
+
+    def tell(self, alarms: Iterable[Alarm]) -> None:
+        """Does nothing: these sources cannot publish alarms."""
+
+    def now(self) -> float:
+        """The time [s] against which the age of the data is judged."""
+        return time.time()
+
+    def stop(self) -> None:
+        self._ended.set()
+        if self._thread is not None:
+            self._thread.join(timeout=10.0)
+
+    @property
+    def state(self) -> SourceState:
+        return self._state
+
+    def signals(self, turbine: str) -> set[str]:
+        """Signals of a turbine that this source can deliver as readings."""
+        if self.mapping.weather or turbine not in self.mapping.turbines.values():
+            return set()
+        return {field.signal for field in self.mapping.fields.values()}
+
+
+def several(names: Iterable[str]) -> str:
+    """The first `NAMED` names in one line, and the number of further ones."""
+    found = list(names)
+    more = f" and {len(found) - NAMED} more" if len(found) > NAMED else ""
+    return f"{', '.join(found[:NAMED])}{more}"
