@@ -306,12 +306,7 @@ def test_disturbances_are_independent_of_every_driver() -> None:
         )
         heat, vapour = one.forcing.heat_W - release, one.forcing.vapour_kg_s
         each = [heat, vapour]
-        for driver in (
-            drivers.ambient_K,
-            drivers.ambient_kg_m3,
-            drivers.power_W,
-            drivers.irradiance_W_m2,
-        ):
+        for driver in (drivers.ambient_K, drivers.ambient_kg_m3, drivers.power_W, drivers.irradiance_W_m2):
             each.append(driver[:steps])
         table = np.corrcoef(np.array(each)[:, ::10])
         rows.append([*table[0, 1:], *table[1, 2:]])

@@ -14,8 +14,7 @@ from plants.hidden import hidden_plant
 
 from hygrokf.cases.case_file import read_case
 from hygrokf.data.record import Record, Series
-from hygrokf.discovery.baseline import baseline
-from hygrokf.discovery.budget import Budget, BudgetSpent
+from hygrokf.discovery.baseline import Budget, BudgetSpent, baseline
 from hygrokf.discovery.candidate import attempt
 from hygrokf.discovery.held_out import Model, Simulated, difference_bounds, gain_of, refutes
 from hygrokf.discovery.library import named

@@ -717,14 +717,7 @@ def test_the_papers_case_and_what_only_looks_like_it(decoy: str | None) -> None:
     assert hidden.reached == pytest.approx(1.0, abs=0.1)
     assert 0.9 <= hidden.parameters["peak_g_m3"] <= 2.4
     bare = hidden_plant(
-        2,
-        "none",
-        days=84.0,
-        operation="plain",
-        preheating=False,
-        faults=0,
-        tau_h=1.5,
-        hygric_h=0.3,
+        2, "none", days=84.0, operation="plain", preheating=False, faults=0, tau_h=1.5, hygric_h=0.3
     )
     extra = 1e3 * (made.trajectory.cabinet_kg_m3 - bare.trajectory.cabinet_kg_m3)
     assert extra[heated].max() > 0.5
@@ -809,13 +802,7 @@ def test_injected_sorption_answers_a_step_as_the_equations_do() -> None:
     kelvin = np.full(HOURS.size, 293.15)
     humidity = np.where(np.arange(HOURS.size) < 10, 0.4, 0.7)
     _, told = inject(
-        HOURS,
-        humidity,
-        "sorption",
-        kelvin=kelvin,
-        capacity_kg_m3=0.1,
-        time_constant_h=12.0,
-        exchange_h=3.0,
+        HOURS, humidity, "sorption", kelvin=kelvin, capacity_kg_m3=0.1, time_constant_h=12.0, exchange_h=3.0
     )
     dense = float(concentration(saturation_pressure(kelvin[:1]), kelvin[:1])[0])
     step, water, extra, found = 20.0, 0.1 * 0.4, 0.0, []
