@@ -257,6 +257,9 @@ def gain_sentence(gain: Gain | None) -> str:
             f"fit's "
             "page"
         )
+    elif math.isfinite(own[0]) != math.isfinite(own[1]):
+        which = "with" if math.isfinite(own[0]) else "without"
+        said += f". As identified, the model {which} the cause diverges in the free run and has no error"
     if gain.period == "identification":
         said += "; there is no held-out period, so the same data choose the cause and score it"
     return said

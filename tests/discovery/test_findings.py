@@ -410,31 +410,27 @@ def test_skewness_is_judged_by_blocks() -> None:
 # --- fitted plants ---------------------------------------------------------------------------
 
 
-def absolute(record: Record) -> np.ndarray:
-    """Readings' relative humidity as vapour pressure at saturation [Pa], to turn vapour into relative
-    humidity."""
+def saturated(record: Record) -> np.ndarray:
+    """Vapour [kg/m³] of saturated air at the instants of the humidity readings."""
     humidity, temperature = record["cabinet_relative_humidity"], record["cabinet_temperature"]
-    there = ~temperature.missing
-    return np.interp(humidity.time, temperature.time[there], temperature.value[there])
+    known = ~temperature.missing
+    kelvin = np.interp(humidity.time, temperature.time[known], temperature.value[known])
+    return saturation_pressure(kelvin) / (461.5 * kelvin)
 
 
 def heated(record: Record, kelvin: np.ndarray) -> Record:
     """Cabinet readings that are warmer [K] and hold the same vapour."""
-    old = record["cabinet_temperature"]
+    old, humidity = record["cabinet_temperature"], record["cabinet_relative_humidity"]
     warm = record.replace_series(replace(old, value=old.value + kelvin))
-    ratio = saturation_pressure(absolute(record)) / absolute(record)
-    ratio = ratio / (saturation_pressure(absolute(warm)) / absolute(warm))
-    humidity = record["cabinet_relative_humidity"]
-    return warm.replace_series(replace(humidity, value=np.clip(humidity.value * ratio, 0.005, 1.05)))
+    damp = humidity.value * saturated(record) / saturated(warm)
+    return warm.replace_series(replace(humidity, value=np.clip(damp, 0.005, 1.05)))
 
 
 def moistened(record: Record, kg_m3: np.ndarray) -> Record:
     """Humidity readings with more vapour [kg/m³]."""
     humidity = record["cabinet_relative_humidity"]
-    saturated = saturation_pressure(absolute(record)) / (461.5 * absolute(record))
-    return record.replace_series(
-        replace(humidity, value=np.clip(humidity.value + kg_m3 / saturated, 0.005, 1.05))
-    )
+    damp = humidity.value + kg_m3 / saturated(record)
+    return record.replace_series(replace(humidity, value=np.clip(damp, 0.005, 1.05)))
 
 
 @cache
