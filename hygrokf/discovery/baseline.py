@@ -13,7 +13,7 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.submodel import HYGRIC, THERMAL, Submodel, searching, submodel_of, temper, with_error
+from hygrokf.discovery.submodel import HYGRIC, THERMAL, Submodel, searching, submodel_of, temper
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Objective, climb
 from hygrokf.identification.estimation import Progress, estimated, formed, smoothed_temperature
@@ -176,7 +176,7 @@ def refitted(
         hopeful = reached > submodel.objective + HOPE
     best = climb(objective, coordinates.start(first[0]), passes=10 if hopeful else 2, tolerance=0.5)
     values = coordinates.values(best.z)
-    return with_error(submodel.name, record, wider, run, values, best.objective, best.converged)
+    return Submodel(submodel.name, record, wider, run, values, best.objective, best.converged)
 
 
 def climbed(submodel: Submodel, budget: Budget | None = None) -> Submodel:
@@ -185,9 +185,7 @@ def climbed(submodel: Submodel, budget: Budget | None = None) -> Submodel:
     objective = _Timed(submodel.likelihood, coordinates, budget)
     best = climb(objective, coordinates.start(submodel.values), passes=40, tolerance=0.02)
     values = coordinates.values(best.z)
-    return with_error(
-        submodel.name, submodel.record, submodel.base, submodel.run, values, best.objective, best.converged
-    )
+    return replace(submodel, values=values, objective=best.objective, converged=best.converged)
 
 
 def disturbances(model: Model) -> dict[str, float]:

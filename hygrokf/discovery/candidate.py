@@ -12,7 +12,7 @@ from hygrokf.discovery.baseline import Baseline, climbed, refitted
 from hygrokf.discovery.cause import Variant, penalty
 from hygrokf.discovery.clocks import Shift, best_shift, ordinary_shift
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.submodel import Submodel, searching, self_driven
+from hygrokf.discovery.submodel import Submodel, searching, self_driven_error
 from hygrokf.modelling.design import Design, extended
 from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.switches import SWITCHES
@@ -216,8 +216,8 @@ def candidate_of(baseline: Baseline, variant: Variant, submodels: Mapping[str, S
     gain, lasting, often, z = {}, {}, {}, {}
     own = sum(lrs.values()) > SHOWN and bool(set(SWITCHES) & set(variant.features))
     for name, submodel in submodels.items():
-        before, after = baseline.submodels[name], self_driven(submodel) if own else submodel
-        squares = daily_squares(before, after)
+        before = baseline.submodels[name]
+        squares = daily_squares(before, submodel, self_driven_error(submodel) if own else submodel.error)
         often[name], z[name] = episodes(*squares), standard_errors(*squares)
         count += submodel.parameters - before.parameters
         n += before.n
@@ -236,12 +236,12 @@ def _gained(baseline: Baseline, submodels: Mapping[str, Submodel]) -> dict[str, 
     }
 
 
-def daily_squares(before: Submodel, after: Submodel) -> tuple[np.ndarray, np.ndarray]:
-    """Squared free-run errors (D,) summed by day, before and after."""
+def daily_squares(before: Submodel, after: Submodel, error: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Squared free-run errors (D,) summed by day, before and after; error: of the latter (T,)."""
     count = int(max(before.days.max(), after.days.max())) + 1
     old, new = (
-        np.bincount(m.days[np.isfinite(m.error)], m.error[np.isfinite(m.error)] ** 2, count)
-        for m in (before, after)
+        np.bincount(days[np.isfinite(e)], e[np.isfinite(e)] ** 2, count)
+        for days, e in ((before.days, before.error), (after.days, error))
     )
     return old, new
 

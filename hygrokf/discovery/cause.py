@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import wraps
 from typing import Any, TypeAlias
 
 from hygrokf.discovery.baseline import Baseline
@@ -69,6 +70,16 @@ class Cause:
     event: bool = False
     mechanisms: Mapping[str, Callable[..., Mechanism]] = field(default_factory=dict)
     features: Mapping[str, tuple[Callable[..., Any], str]] = field(default_factory=dict)
+
+
+def needs_humidity(variants: Callable[[Baseline], list[Variant]]) -> Callable[[Baseline], list[Variant]]:
+    """Variants that exist only where the baseline has a hygric submodel."""
+
+    @wraps(variants)
+    def where_there_is(baseline: Baseline) -> list[Variant]:
+        return variants(baseline) if HYGRIC in baseline.submodels else []
+
+    return where_there_is
 
 
 def penalty(variant: Variant, parameters: int, n: int) -> float:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from hygrokf.discovery.baseline import Baseline
-from hygrokf.discovery.cause import Variant, at_setting
+from hygrokf.discovery.cause import Variant, at_setting, needs_humidity
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.grids import SETTLING_DAYS, best_date, best_hours, best_switch, inside
 from hygrokf.discovery.scan import Probe, abrupt
@@ -19,9 +19,8 @@ USUAL_EXCHANGE_H = 3.0
 """[h] time constant of the vapour exchange beyond which films and driers are looked for at lower rates."""
 
 
+@needs_humidity
 def sorption(baseline: Baseline) -> list[Variant]:
-    if HYGRIC not in baseline.submodels:
-        return []
     found = []
     for uptake, activated in (("uptake faster when warm", True), ("uptake alike at all temperatures", False)):
         thin, slab = (
@@ -45,9 +44,8 @@ def _pace(baseline: Baseline) -> float:
     return min(1.0, USUAL_EXCHANGE_H / baseline.submodels[HYGRIC].values["hygric_k"])
 
 
+@needs_humidity
 def condensation(baseline: Baseline) -> list[Variant]:
-    if HYGRIC not in baseline.submodels:
-        return []
     pace = _pace(baseline)
 
     def starts(*undercooling: float) -> tuple[Settings, ...]:
@@ -77,8 +75,9 @@ def condensation(baseline: Baseline) -> list[Variant]:
     ]  # fmt: skip
 
 
+@needs_humidity
 def rain(baseline: Baseline) -> list[Variant]:
-    if "rain" not in baseline.record or HYGRIC not in baseline.submodels:
+    if "rain" not in baseline.record:
         return []
     series = baseline.record["rain"]
     step_s = series.interval_s if series.interval_s > 0 else float(np.median(np.diff(series.time)))
@@ -95,9 +94,8 @@ def rain(baseline: Baseline) -> list[Variant]:
     ]  # fmt: skip
 
 
+@needs_humidity
 def source(baseline: Baseline) -> list[Variant]:
-    if HYGRIC not in baseline.submodels:
-        return []
     start = ({"moisture_source": 0.02}, {"moisture_source": 0.3}, {"moisture_source": 2.0})
 
     def variant(form: str, when: str, setting: Settings | None = None, searched: float = 3.0) -> Variant:
@@ -131,8 +129,9 @@ def source(baseline: Baseline) -> list[Variant]:
     return found
 
 
+@needs_humidity
 def drier(baseline: Baseline) -> list[Variant]:
-    if HYGRIC not in baseline.submodels or "cabinet_relative_humidity" not in baseline.record:
+    if "cabinet_relative_humidity" not in baseline.record:
         return []
     levels = np.quantile(inside(baseline, "cabinet_relative_humidity"), np.linspace(0.3, 0.95, 9))
     starts = tuple(

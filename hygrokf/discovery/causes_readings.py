@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 
 from hygrokf.discovery.baseline import Baseline
-from hygrokf.discovery.cause import MechanismSettings, Variant, additions_of
+from hygrokf.discovery.cause import MechanismSettings, Variant, additions_of, needs_humidity
 from hygrokf.discovery.clocks import SHIFTS_MIN, Shift, sources, turns_within
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.grids import best_date, inside, span
@@ -42,8 +42,9 @@ def temperature_offset(baseline: Baseline) -> list[Variant]:
     return found
 
 
+@needs_humidity
 def humidity_drift(baseline: Baseline) -> list[Variant]:
-    if HYGRIC not in baseline.submodels or "cabinet_relative_humidity" not in baseline.record:
+    if "cabinet_relative_humidity" not in baseline.record:
         return []
     lowest, *levels = np.quantile(inside(baseline, "cabinet_relative_humidity"), (SOUND, 0.5, 0.8, 0.95))
     sticks = tuple({"humidity_lost": 0.5, "humidity_ceiling": float(a)} for a in levels)
@@ -62,14 +63,13 @@ def humidity_drift(baseline: Baseline) -> list[Variant]:
     ]  # fmt: skip
 
 
+@needs_humidity
 def response(baseline: Baseline) -> list[Variant]:
     """A humidity sensor that follows slowly: the temperature sensor beside it distinguishes the delay from a
     slow exchange of air.
 
     None where the fit has estimated the response already.
     """
-    if HYGRIC not in baseline.submodels:
-        return []
     sensors = dict(baseline.submodels[HYGRIC].base.mechanisms)
     return [
         Variant(

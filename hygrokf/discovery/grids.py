@@ -38,14 +38,14 @@ def silences(record: Record) -> list[tuple[float, float]]:
     return [(float(time[i]), float(time[i + 1])) for i in np.flatnonzero(np.diff(time) > DAY_S)]
 
 
-def dates(record: Record, every_days: float = 1.0) -> tuple[list[float], float]:
-    """(dates [s] for a change, their distance [s]): every `every_days` days with readings, `MOST_DATES` of
-    them at most, five percent of these days away from the record's ends.  All dates within a silence are the
-    same to the readings."""
+def dates(record: Record) -> tuple[list[float], float]:
+    """(dates [s] for a change, their distance [s]): every day with readings, `MOST_DATES` of them at most,
+    five percent of these days away from the record's ends.  All dates within a silence are the same to the
+    readings."""
     gaps = silences(record)
     end = record.end_s - sum(last - first for first, last in gaps)
     margin = 0.05 * (end - record.start_s)
-    count = min(max(int((end - record.start_s - 2 * margin) / (every_days * DAY_S)), 3), MOST_DATES)
+    count = min(max(int((end - record.start_s - 2 * margin) / DAY_S), 3), MOST_DATES)
     found = np.linspace(record.start_s + margin, end - margin, count)
     step = float(found[1]) - float(found[0])
     for first, last in gaps:

@@ -83,8 +83,7 @@ def trial_baseline() -> Baseline:
         run = prepare_run(base, record)
         values = {p.name: p.start for p in base.model.parameters}
         objective = Likelihood(base.model, run.timeline).value(values)
-        error = np.zeros(len(run.timeline))
-        submodels[name] = Submodel(name, record, base, run, values, objective, True, error)
+        submodels[name] = Submodel(name, record, base, run, values, objective, True)
     return Baseline(record, submodels)
 
 

@@ -10,7 +10,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -45,7 +46,6 @@ class Submodel:
     humidity with the smoothed temperature as its input.
 
     objective: ln L + ln prior.  values: of its parameters.
-    error: (T,) reading − free run [K], [g/m³]; NaN without a reading and where the instant is not scored.
     """
 
     name: str
@@ -55,7 +55,11 @@ class Submodel:
     values: Mapping[str, float]
     objective: float
     converged: bool
-    error: np.ndarray
+
+    @cached_property
+    def error(self) -> np.ndarray:
+        """Reading − free run (T,) [K], [g/m³]; NaN without a reading and where the instant is not scored."""
+        return free_run_error(self.base, self.run, self.values)
 
     @property
     def n(self) -> int:
@@ -84,24 +88,8 @@ class Submodel:
 
 def submodel_of(name: str, record: Record, found: Estimated | Stage) -> Submodel:
     """A stage of an identification as a submodel."""
-    estimate = found.estimate
-    return with_error(
-        name, record, found.base, found.run, estimate.values, estimate.objective, estimate.converged
-    )
-
-
-def with_error(
-    name: str,
-    record: Record,
-    base: Design,
-    run: Run,
-    values: Mapping[str, float],
-    objective: float,
-    converged: bool,
-) -> Submodel:
-    """A submodel with its free-run error."""
-    error = free_run_error(base, run, values)
-    return Submodel(name, record, base, run, dict(values), objective, converged, error)
+    made = found.estimate
+    return Submodel(name, record, found.base, found.run, made.values, made.objective, made.converged)
 
 
 def searching(model: Model, timeline: Timeline) -> Likelihood:
@@ -164,15 +152,13 @@ def simulating(submodel: Submodel) -> dict[str, float]:
     return _best(_descended(submodel, start, STEPS, own=True) for start in starts).values
 
 
-def self_driven(submodel: Submodel) -> Submodel:
-    """The submodel with the error of a free run in which its switches follow the simulation; unchanged where
-    it has none."""
+def self_driven_error(submodel: Submodel) -> np.ndarray:
+    """The error (T,) of a free run in which the submodel's switches follow the simulation."""
     if not switches_of(submodel.base):
-        return submodel
+        return submodel.error
     starts = (submodel.values, _descended(submodel, submodel.values, 1, own=False).values)
     best = _best(_descended(submodel, start, 0, own=True) for start in starts)
-    further = _descended(submodel, best.stepped, 0, own=True)
-    return replace(submodel, error=_best((best, further)).error)
+    return _best((best, _descended(submodel, best.stepped, 0, own=True))).error
 
 
 @dataclass(frozen=True)
