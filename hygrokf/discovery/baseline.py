@@ -13,7 +13,7 @@ import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.submodel import HYGRIC, THERMAL, Submodel, searching, submodel_of, temper
+from hygrokf.discovery.submodel import HYGRIC, THERMAL, Submodel, search_likelihood, submodel_of, temper
 from hygrokf.estimation.likelihood import Likelihood
 from hygrokf.estimation.optimiser import Objective, climb
 from hygrokf.identification.estimation import Progress, estimated, formed, smoothed_temperature
@@ -28,7 +28,7 @@ SECONDS = 120.0
 FOR_CANDIDATES = 0.6
 """[1] share of it for candidates; the rest is for the final estimates and the held-out period."""
 SCOUTED = 4
-"""Starts that are followed for a few passes: of more, those with the largest likelihood as they stand."""
+"""Starts that are followed for a few passes; of more starts, those with the largest likelihood."""
 WANDERS_H = 24.0
 """[h] memory from which a disturbance may stand for a lasting effect."""
 HOPE = 0.3
@@ -153,7 +153,7 @@ def refitted(
     wider = extended(submodel.base, additions, features=features)
     record = submodel.record if record is None else record
     run = prepare_run(wider, record)
-    likelihood = searching(wider.model, run.timeline)
+    likelihood = search_likelihood(wider.model, run.timeline)
     coordinates = Coordinates(wider.model.parameters)
     objective = _Timed(likelihood, coordinates, budget)
     given = {p.name: p.start for p in wider.model.parameters} | dict(submodel.values)

@@ -1,4 +1,4 @@
-"""One variant of a cause put to the test: all parameters estimated again with it, and what that gained."""
+"""A variant of a cause as a candidate: all parameters estimated again with it, and the gain of that."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hygrokf.discovery.baseline import Baseline, climbed, refitted
 from hygrokf.discovery.cause import Variant, penalty
 from hygrokf.discovery.clocks import Shift, best_shift, ordinary_shift
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.submodel import Submodel, searching, self_driven_error
+from hygrokf.discovery.submodel import Submodel, search_likelihood, self_driven_error
 from hygrokf.modelling.design import Design, extended
 from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.switches import SWITCHES
@@ -26,7 +26,7 @@ SHOWN = 40.0
 """2 ln L from which a switch is worth a simulation in which it follows the simulation, which takes
 seconds."""
 SENSOR_ERRORS = ("humidity_drift_total", "humidity_scale_error", "temperature_offset", "thermometer_offset")
-"""Parameters whose bounds are what a sensor can be off by."""
+"""Parameters whose bounds are the largest error that a sensor can have."""
 AT_BOUND = 1e-4
 """[1] share of the largest error within which an estimate stands at that bound."""
 EPISODE_GAP = 3
@@ -106,7 +106,7 @@ class Candidate:
         return self.episodes.get(self.submodel, 2) < 2
 
 
-def added(variant: Variant) -> set[str]:
+def added_mechanisms(variant: Variant) -> set[str]:
     """Names of the mechanisms that a variant brings."""
     return {mechanism for pairs in variant.additions.values() for mechanism, _ in pairs}
 
@@ -184,7 +184,7 @@ def refined(
     return found, replace(baseline, submodels={**baseline.submodels, **after})
 
 
-def started(baseline: Baseline, candidate: Candidate) -> Variant:
+def restarted(baseline: Baseline, candidate: Candidate) -> Variant:
     """The variant of a candidate, to be tried again from its estimate."""
     if candidate.variant.shift is not None:
         return candidate.variant
@@ -290,7 +290,7 @@ def probability(candidate: Candidate) -> float:
     from scipy.stats import chi2
 
     lr, df = max(candidate.lr, 0.0), candidate.parameters
-    names = added(candidate.variant)
+    names = added_mechanisms(candidate.variant)
     bounded = any(
         p.null is not None and p.null <= p.lower
         for submodel in candidate.submodels.values()
@@ -316,7 +316,7 @@ def score_statistic(baseline: Baseline, variant: Variant) -> float | None:
             continue
         submodel = baseline.submodels[name]
         wider = extended(submodel.base, additions, features=variant.features)
-        likelihood = searching(wider.model, prepare_run(wider, submodel.record).timeline)
+        likelihood = search_likelihood(wider.model, prepare_run(wider, submodel.record).timeline)
         parameters = wider.model.parameters
         given = variant.starts[0] if variant.starts else {}
         at = {p.name: given.get(p.name, p.start) for p in parameters} | dict(submodel.values)

@@ -11,7 +11,7 @@ from hygrokf.data.input_paths import input_path
 from hygrokf.discovery.baseline import Baseline
 from hygrokf.discovery.cause import Additions, MechanismSettings, Variant, additions_of, at_setting
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.grids import SETTLING_DAYS, best_date, best_hours, best_switch, inside, span
+from hygrokf.discovery.grids import SETTLING_DAYS, best_date, best_hours, best_switch, readings_of, span
 from hygrokf.discovery.scan import Probe, local_scan, scan
 from hygrokf.discovery.submodel import HYGRIC, THERMAL
 from hygrokf.modelling.derived_inputs import operating
@@ -53,7 +53,7 @@ def cooling(baseline: Baseline) -> list[Variant]:
 
 def _stage(baseline: Baseline) -> list[Variant]:
     """A stage with two set-points, in a closed cabinet or with exchange of air."""
-    levels = np.quantile(inside(baseline, "cabinet_temperature"), np.linspace(0.4, 0.97, 10))
+    levels = np.quantile(readings_of(baseline, "cabinet_temperature"), np.linspace(0.4, 0.97, 10))
     grid = [{"on_K": float(a), "off_K": float(a - width)} for a in levels for width in (1.0, 3.0, 6.0)]
     loss: MechanismSettings = ("cooling_loss", {})
     probe = Probe(THERMAL, loss, "cooling_conductance")
@@ -98,7 +98,7 @@ def _bands(baseline: Baseline, falling: bool = False) -> Iterator[Settings]:
     names = ("cabinet_temperature",) if falling else tuple(STEPS)
     for name in names:
         if name in baseline.record:
-            for start in np.quantile(inside(baseline, name), (0.1, 0.3, 0.5, 0.7, 0.85, 0.95)):
+            for start in np.quantile(readings_of(baseline, name), (0.1, 0.3, 0.5, 0.7, 0.85, 0.95)):
                 for width in (1.5 * STEPS[name], 4.0 * STEPS[name]):
                     full = start - width if falling else start + width
                     yield {"reads": name, "start": float(start), "full": float(full)}

@@ -9,7 +9,7 @@ import numpy as np
 from hygrokf.discovery.baseline import Baseline
 from hygrokf.discovery.cause import Variant, at_setting, needs_humidity
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.grids import SETTLING_DAYS, best_date, best_hours, best_switch, inside
+from hygrokf.discovery.grids import SETTLING_DAYS, best_date, best_hours, best_switch, readings_of
 from hygrokf.discovery.scan import Probe, abrupt
 from hygrokf.discovery.submodel import HYGRIC, THERMAL
 
@@ -133,7 +133,7 @@ def source(baseline: Baseline) -> list[Variant]:
 def drier(baseline: Baseline) -> list[Variant]:
     if "cabinet_relative_humidity" not in baseline.record:
         return []
-    levels = np.quantile(inside(baseline, "cabinet_relative_humidity"), np.linspace(0.3, 0.95, 9))
+    levels = np.quantile(readings_of(baseline, "cabinet_relative_humidity"), np.linspace(0.3, 0.95, 9))
     starts = tuple(
         {"dehumidifier_rate": _pace(baseline), "dehumidifier_setpoint": float(a)} for a in levels[[1, 4, 7]]
     )

@@ -9,7 +9,7 @@ from hygrokf.discovery.baseline import Baseline
 from hygrokf.discovery.cause import MechanismSettings, Variant, additions_of, needs_humidity
 from hygrokf.discovery.clocks import SHIFTS_MIN, Shift, sources, turns_within
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.grids import best_date, inside, span
+from hygrokf.discovery.grids import best_date, readings_of, span
 from hygrokf.discovery.scan import Probe, abrupt
 from hygrokf.discovery.submodel import HYGRIC, THERMAL
 from hygrokf.identification.forms import LONGEST_RESPONSE_H, UNSTATED
@@ -46,7 +46,7 @@ def temperature_offset(baseline: Baseline) -> list[Variant]:
 def humidity_drift(baseline: Baseline) -> list[Variant]:
     if "cabinet_relative_humidity" not in baseline.record:
         return []
-    lowest, *levels = np.quantile(inside(baseline, "cabinet_relative_humidity"), (SOUND, 0.5, 0.8, 0.95))
+    lowest, *levels = np.quantile(readings_of(baseline, "cabinet_relative_humidity"), (SOUND, 0.5, 0.8, 0.95))
     sticks = tuple({"humidity_lost": 0.5, "humidity_ceiling": float(a)} for a in levels)
     forms: tuple[tuple[str, str, Settings, Settings, tuple[Settings, ...]], ...] = (
         ("drift", "humidity_drift", {}, {"elapsed": span(baseline)}, ({},)),

@@ -15,7 +15,7 @@ from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S, HOUR_S, summer_time
 from hygrokf.discovery.baseline import Baseline, refitted
 from hygrokf.discovery.scan import standardised
-from hygrokf.discovery.submodel import Submodel, searching, seconds
+from hygrokf.discovery.submodel import Submodel, search_likelihood, seconds
 from hygrokf.engine.timeline import Timeline
 from hygrokf.modelling.inputs import prepare_run
 
@@ -134,7 +134,7 @@ def _unestimated(baseline: Baseline, shift: Shift) -> float:
     found = 0.0
     for submodel in baseline.submodels.values():
         moved = prepare_run(submodel.base, shifted(submodel.record, shift)).timeline
-        found += searching(submodel.base.model, moved).value(submodel.values)
+        found += search_likelihood(submodel.base.model, moved).value(submodel.values)
     return found
 
 
@@ -214,7 +214,7 @@ def shift_gains(submodel: Submodel, source: str, shifts: np.ndarray) -> np.ndarr
     result = []
     for shift in shifts:
         moved = prepare_run(submodel.base, shifted(submodel.record, Shift(source, float(shift)))).timeline
-        read, _, e = standardised(moved, searching(model, moved).trace(at))
+        read, _, e = standardised(moved, search_likelihood(model, moved).trace(at))
         place = _match(base_time, _times(moved, read) - (shift if moves else 0.0))
         inside = place >= 0
         own = base_e.copy()

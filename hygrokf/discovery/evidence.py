@@ -6,7 +6,7 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 
 from hygrokf.discovery.baseline import Baseline
-from hygrokf.discovery.candidate import Candidate, added, probability, score_statistic
+from hygrokf.discovery.candidate import Candidate, added_mechanisms, probability, score_statistic
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.discovery_results import CauseFound, CauseParameter, Evidence, Gain
 from hygrokf.discovery.library import named
@@ -152,7 +152,7 @@ def _parameters(
     candidate: Candidate, stages: Sequence[Stage], known: Collection[str]
 ) -> dict[str, CauseParameter]:
     """The cause's own parameters in the extended model, with bounds; `known` those of the base model."""
-    names = added(candidate.variant)
+    names = added_mechanisms(candidate.variant)
     altered = {name for changes in candidate.variant.altered.values() for name in changes}
     found = {}
     for stage in stages:

@@ -129,7 +129,7 @@ def best_hours(baseline: Baseline, probes: Sequence[Probe], feature: str) -> tup
     return {"start_h": float(start), "hours": float(long), "workdays": bool(kind)}, scanned.effective
 
 
-def inside(baseline: Baseline, name: str) -> np.ndarray:
+def readings_of(baseline: Baseline, name: str) -> np.ndarray:
     """Readings of a signal in the cabinet, NaN left out."""
     value = baseline.record[name].value
     return value[np.isfinite(value)]
@@ -152,7 +152,7 @@ def best_switch(
     first_run = next(baseline.submodels[p.submodel] for p in probes if p.submodel in baseline.submodels)
     searched, best, chosen = 0.0, -math.inf, grid[0]
     for factor in (1.0, 0.4, 0.0):
-        grid = [one for one in grid if starts(first_run, feature, one) >= FEWEST_STARTS]
+        grid = [one for one in grid if count_starts(first_run, feature, one) >= FEWEST_STARTS]
         if not grid:
             break
         scanned = _together(_looks(scan, baseline, probes, feature, grid))
@@ -171,7 +171,7 @@ def best_switch(
     return (chosen, searched) if best > -math.inf else None
 
 
-def starts(submodel: Submodel, name: str, settings: Settings) -> int:
+def count_starts(submodel: Submodel, name: str, settings: Settings) -> int:
     """How often a controller starts by the readings in a submodel's run."""
     on = feature(submodel.record, name, settings, submodel.time_s) > 0.0
     return int(np.sum(on[1:] & ~on[:-1]))

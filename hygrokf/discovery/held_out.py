@@ -17,12 +17,12 @@ import numpy as np
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
 from hygrokf.discovery.baseline import Baseline
-from hygrokf.discovery.candidate import Candidate, added, attempt, clock_shifts, started
+from hygrokf.discovery.candidate import Candidate, added_mechanisms, attempt, clock_shifts, restarted
 from hygrokf.discovery.clocks import cabinet_moved, shifted
 from hygrokf.discovery.discovery_results import Gain
 from hygrokf.discovery.model_selection import WORSE, Accepted, Selection, with_candidate
 from hygrokf.discovery.residuals import root_mean_square
-from hygrokf.discovery.submodel import HYGRIC, THERMAL, Submodel, seconds, simulating
+from hygrokf.discovery.submodel import HYGRIC, THERMAL, Submodel, seconds, simulation_values
 from hygrokf.evaluation.bootstrap import resampled
 from hygrokf.evaluation.simulation import QUANTITIES, measured, simulate
 from hygrokf.modelling.design import merged
@@ -152,7 +152,7 @@ def model_of(baseline: Baseline, record: Record, candidates: Sequence[Candidate]
 
     submodels = baseline.submodels.values()
     identified = {name: value for submodel in submodels for name, value in submodel.values.items()}
-    moved = {name: value for submodel in submodels for name, value in simulating(submodel).items()}
+    moved = {name: value for submodel in submodels for name, value in simulation_values(submodel).items()}
     return Model(simulated(identified), simulated(moved))
 
 
@@ -236,10 +236,10 @@ def _with(baseline: Baseline, candidate: Candidate) -> Baseline:
     is the same."""
     same = candidate.variant.shift is None and all(
         submodel.record is baseline.submodels[name].record
-        and _added(submodel, baseline.submodels[name]) == added(candidate.variant)
+        and _added(submodel, baseline.submodels[name]) == added_mechanisms(candidate.variant)
         for name, submodel in candidate.submodels.items()
     )
-    return with_candidate(baseline, candidate if same else attempt(baseline, started(baseline, candidate)))
+    return with_candidate(baseline, candidate if same else attempt(baseline, restarted(baseline, candidate)))
 
 
 def _added(wider: Submodel, submodel: Submodel) -> set[str]:

@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.discovery.baseline import Baseline, Budget, BudgetSpent, redriven
-from hygrokf.discovery.candidate import MATERIAL, Candidate, attempt, polished, refined, started
+from hygrokf.discovery.candidate import MATERIAL, Candidate, attempt, polished, refined, restarted
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.strata import SATURATED
@@ -127,7 +127,7 @@ def _settled(baseline: Baseline, candidate: Candidate) -> Candidate:
     return polished(baseline, candidate)
 
 
-def switches(candidate: Candidate) -> bool:
+def brings_switch(candidate: Candidate) -> bool:
     """Whether a candidate brings a switch."""
     return bool(SWITCHES.keys() & set(candidate.variant.features))
 
@@ -166,7 +166,7 @@ def select(
             stale.remove(cause)
             candidates = [t for t in candidates if t.variant.cause != cause]
             with suppress(BudgetSpent):
-                candidates.append(attempt(baseline, started(baseline, best)))
+                candidates.append(attempt(baseline, restarted(baseline, best)))
             continue
         with suppress(BudgetSpent):
             best = polished(baseline, best)
@@ -367,7 +367,7 @@ def _again(
             return candidate
         try:
             baseline.budget.check()
-            return _settled(baseline, attempt(baseline, started(baseline, candidate)))
+            return _settled(baseline, attempt(baseline, restarted(baseline, candidate)))
         except BudgetSpent:
             return None
 
@@ -396,7 +396,7 @@ def _needed(
         others = [*accepted[:place], *accepted[place + 1 :]]
         without = base
         for other in others:
-            without = with_candidate(without, attempt(without, started(without, other)))
+            without = with_candidate(without, attempt(without, restarted(without, other)))
         lost = sum(
             2.0 * (submodel.objective - without.submodels[name].objective)
             for name, submodel in baseline.submodels.items()

@@ -25,12 +25,12 @@ from hygrokf.discovery.evidence import cause_entry, evidence
 from hygrokf.discovery.findings import findings
 from hygrokf.discovery.held_out import SIMULATION_STEP, HeldOut, model_of, without_refuted
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.model_selection import Selection, select, switches
+from hygrokf.discovery.model_selection import Selection, brings_switch, select
 from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.repeats import REPEATED, repeated_text, without_repeats
 from hygrokf.discovery.residual_structure import remaining
 from hygrokf.discovery.residuals import Residuals, residuals
-from hygrokf.discovery.submodel import HYGRIC, SEARCH_STEP, THERMAL, simulating, submodel_of
+from hygrokf.discovery.submodel import HYGRIC, SEARCH_STEP, THERMAL, simulation_values, submodel_of
 from hygrokf.estimation.optimiser import climbed_on
 from hygrokf.identification.estimation import Estimated, Progress, Stage, judged, output_errors
 from hygrokf.identification.fit import Fit
@@ -154,7 +154,7 @@ def _simulating(basis: Basis, baseline: Baseline) -> Basis:
     """The basis with parameters moved toward the least free-run error of each submodel."""
     stages = []
     for name, stage in zip((THERMAL, HYGRIC), basis.stages, strict=False):
-        values = simulating(replace(baseline.submodels[name], values=stage.estimate.values))
+        values = simulation_values(replace(baseline.submodels[name], values=stage.estimate.values))
         stages.append(replace(stage, estimate=replace(stage.estimate, values=values)))
     return replace(basis, stages=tuple(stages))
 
@@ -191,7 +191,7 @@ def verdict(
         repeated readings were set aside.  Both overrule the accepted causes, `foreign` unless a switch is
         among them: a simulated switch loses its phase, and the errors of its cycles also go to one side.
     """
-    overruled = repeated or (foreign and not any(switches(candidate) for candidate in accepted))
+    overruled = repeated or (foreign and not any(brings_switch(candidate) for candidate in accepted))
     if accepted and not overruled:
         return "named"
     return "none" if rest is None else "unexplained"

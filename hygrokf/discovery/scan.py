@@ -19,7 +19,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.submodel import Submodel, searching, seconds
+from hygrokf.discovery.submodel import Submodel, search_likelihood, seconds
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.parallel import mapped
 from hygrokf.engine.timeline import Timeline
@@ -198,7 +198,7 @@ def _bench(submodel: Submodel, probe: Probe, name: str, setting: Settings) -> _B
     directions = np.zeros((len(own), len(base)))
     for place, p in enumerate(base):
         directions[own.index(p.name), place] = p.slope(at[p.name])
-    likelihood = searching(model, t)
+    likelihood = search_likelihood(model, t)
     read, root, e = standardised(t, likelihood.trace(at))
     x0 = (_slopes(likelihood, at, directions) / root[..., None])[read]
     basis, _ = np.linalg.qr(x0[:, np.abs(x0).max(axis=0) > 1e-12])
@@ -292,7 +292,7 @@ def _responses(submodel: Submodel, probe: Probe, name: str) -> tuple[np.ndarray,
     t = prepare_run(wider, submodel.record).timeline
     at = _null_values(wider.model, submodel, probe.nulls)
     along = np.array([[float(p.name == probe.parameter)] for p in wider.model.parameters])
-    likelihood = searching(wider.model, t)
+    likelihood = search_likelihood(wider.model, t)
     read, root, e = standardised(t, likelihood.trace(at))
     x = (_slopes(likelihood, at, along)[..., 0] / root)[read]
     return e, x, np.broadcast_to(seconds(t)[:, None], t.y.shape)[read]

@@ -40,7 +40,7 @@ EDGE = 0.07
 """[1] share of the record at either end in which no step is looked for."""
 SECTORS = 12
 SHORTEST_H = 6.0
-"""[h] for which a condition must hold to be asked about."""
+"""[h] shortest time for which a condition must hold to be tested."""
 LARGEST_PART = 0.6
 """[1] largest share of the hours that a finding may hold for: beyond it, the rest is the exception."""
 GROUPS = {

@@ -73,7 +73,7 @@ class Submodel:
 
     @property
     def likelihood(self) -> Likelihood:
-        return searching(self.base.model, self.run.timeline)
+        return search_likelihood(self.base.model, self.run.timeline)
 
     @property
     def time_s(self) -> np.ndarray:
@@ -92,7 +92,7 @@ def submodel_of(name: str, record: Record, found: Estimated | Stage) -> Submodel
     return Submodel(name, record, found.base, found.run, made.values, made.objective, made.converged)
 
 
-def searching(model: Model, timeline: Timeline) -> Likelihood:
+def search_likelihood(model: Model, timeline: Timeline) -> Likelihood:
     """The likelihood that candidates use."""
     return Likelihood(model, timeline, rate_step=SEARCH_STEP)
 
@@ -138,7 +138,7 @@ def free_run_error(base: Design, run: Run, values: Mapping[str, float]) -> np.nd
     return found.predicted if np.nansum(found.predicted**2) < found.square else found.error
 
 
-def simulating(submodel: Submodel) -> dict[str, float]:
+def simulation_values(submodel: Submodel) -> dict[str, float]:
     """Values of a submodel's parameters after `STEPS` steps toward the least free-run error, sensors within
     their accuracy.
 
@@ -192,7 +192,7 @@ def _descended(submodel: Submodel, values: Mapping[str, float], steps: int, own:
 
 def _free_run(base: Design, run: Run, values: Mapping[str, float]) -> _FreeRun:
     model, t = base.model, run.timeline
-    likelihood = searching(model, t)
+    likelihood = search_likelihood(model, t)
     own = [i for i, p in enumerate(model.parameters) if not p.noise]
     held, units = dict(values), np.ones(len(own))
     directions = np.zeros((len(model.parameters), len(own)))

@@ -20,9 +20,9 @@ from hygrokf.discovery.candidate import (
     attempt,
     ordinary_shift,
     refined,
+    restarted,
     score_statistic,
     standard_errors,
-    started,
 )
 from hygrokf.discovery.cause import Variant
 from hygrokf.discovery.clocks import Shift
@@ -332,7 +332,7 @@ def test_what_a_coarse_form_leaves_behind_is_no_further_cause(monkeypatch: pytes
         "_again",
         lambda baseline, candidates, accepted, *rest: [t for t in candidates if t not in accepted],
     )
-    monkeypatch.setattr(selection, "started", lambda baseline, one: one.variant)
+    monkeypatch.setattr(selection, "restarted", lambda baseline, one: one.variant)
     monkeypatch.setattr(selection, "refined", finer)
     library = tuple(
         replace(named(name), variants=lambda baseline, one=one: [one.variant])
@@ -353,7 +353,7 @@ def test_a_switch_is_refined_without_losing_its_hysteresis(monkeypatch: pytest.M
         return SimpleNamespace(root=1.0 / np.abs(width), effective=1.0)
 
     monkeypatch.setattr(grids, "scan", narrowest)
-    monkeypatch.setattr(grids, "starts", lambda submodel, name, settings: 99)
+    monkeypatch.setattr(grids, "count_starts", lambda submodel, name, settings: 99)
     first = [{"on": a, "off": a - width} for a in (0.6644, 0.8572) for width in (0.03, 0.08)]
     probe = Probe(HYGRIC, ("drier", {}), "rate")
     bare = Baseline(Record("bare", ()), {HYGRIC: SimpleNamespace()})
@@ -373,8 +373,8 @@ def test_what_turns_with_the_seasons_is_no_switch(monkeypatch: pytest.MonkeyPatc
     submodel = SimpleNamespace(
         time_s=time, record=Record("roof", (Series("cabinet_temperature", time, warm + daily),))
     )
-    assert grids.starts(submodel, "cooling", {"on_K": 292.0, "off_K": 291.0}) > 20
-    assert grids.starts(submodel, "cooling", {"on_K": 296.0, "off_K": 288.5}) == 1
+    assert grids.count_starts(submodel, "cooling", {"on_K": 292.0, "off_K": 291.0}) > 20
+    assert grids.count_starts(submodel, "cooling", {"on_K": 296.0, "off_K": 288.5}) == 1
     monkeypatch.setattr(
         grids, "scan", lambda *args: SimpleNamespace(root=np.ones(len(args[3])), effective=1.0)
     )
@@ -491,7 +491,7 @@ def test_a_source_is_found_behind_a_disturbance_that_stands_for_it(monkeypatch: 
     always = named("internal_moisture_source").variants(made)[0]
     found = attempt(made, always)
     assert found.lr > 12.0
-    assert attempt(made, started(made, found)).lr > 12.0
+    assert attempt(made, restarted(made, found)).lr > 12.0
     monkeypatch.setattr("hygrokf.discovery.baseline.disturbances", lambda model: {})
     assert attempt(made, replace(always, starts=always.starts[:2])).lr < 5.0
 

@@ -28,7 +28,7 @@ from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.model_selection import difference, select, verdict_on
 from hygrokf.discovery.procedure import discover
 from hygrokf.discovery.scan import Probe, Scanned, scan, slow_scan
-from hygrokf.discovery.submodel import HYGRIC, THERMAL, free_run_error, rmse, searching
+from hygrokf.discovery.submodel import HYGRIC, THERMAL, free_run_error, rmse, search_likelihood
 from hygrokf.identification.results import dump
 from hygrokf.report.discovery_page import discovery_text
 
@@ -231,7 +231,7 @@ def test_a_free_run_that_grows_beyond_all_numbers_is_no_fault(
 
     class Wild:
         def __init__(self, model: object, timeline: object) -> None:
-            self.likelihood = searching(model, timeline)  # type: ignore[arg-type]
+            self.likelihood = search_likelihood(model, timeline)  # type: ignore[arg-type]
 
         def residuals(self, values: dict, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             error, slopes = self.likelihood.residuals(values, directions)
@@ -239,7 +239,7 @@ def test_a_free_run_that_grows_beyond_all_numbers_is_no_fault(
             slopes[-1, :, 1] = np.inf
             return error, slopes
 
-    monkeypatch.setattr(submodel_module, "searching", Wild)
+    monkeypatch.setattr(submodel_module, "search_likelihood", Wild)
     found = free_run_error(submodel.base, submodel.run, submodel.values)
     assert np.isfinite(found[np.isfinite(plain)]).all()
     assert np.nansum(found**2) <= np.nansum(plain**2) * 4.0
