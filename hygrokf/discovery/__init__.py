@@ -1,4 +1,4 @@
-"""What a model's simulation gets wrong, the causes that may explain it, and what naming one gains.
+"""The errors of a model's simulation, the causes that may explain them, and the gain of naming a cause.
 
-Science only: pages and tables are in `report`.
+Pages and tables are in `report`.
 """

@@ -6,20 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from hygrokf.discovery.baseline import HYGRIC, THERMAL, Baseline
-from hygrokf.discovery.cause import Additions, Variant
+from hygrokf.discovery.baseline import Baseline
+from hygrokf.discovery.cause import Variant, at_setting, needs_humidity
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.grids import Probe, best_date, best_hours, best_switch, inside
-from hygrokf.discovery.scan import abrupt
+from hygrokf.discovery.grids import SETTLING_DAYS, best_date, best_hours, best_switch, readings_of
+from hygrokf.discovery.scan import Probe, abrupt
+from hygrokf.discovery.submodel import HYGRIC, THERMAL
 
-FADING_DAYS = (8.0, 20.0, 50.0)
+HEAVY_MM_H = 1.0
+"""[mm/h] of rain that counts as heavy."""
 USUAL_EXCHANGE_H = 3.0
-"""[h] time constant of the vapour's exchange beyond which films and driers are looked for at lower rates."""
+"""[h] time constant of the vapour exchange beyond which films and driers are looked for at lower rates."""
 
 
+@needs_humidity
 def sorption(baseline: Baseline) -> list[Variant]:
-    if HYGRIC not in baseline.parts:
-        return []
     found = []
     for uptake, activated in (("uptake faster when warm", True), ("uptake alike at all temperatures", False)):
         thin, slab = (
@@ -31,27 +32,24 @@ def sorption(baseline: Baseline) -> list[Variant]:
             for material in ("thin", "slab")
         )  # fmt: skip
         starts = tuple({"sorption_capacity": 0.5, "sorption_time": time} for time in (3.0, 15.0, 60.0))
-        # in its first hours a slab takes up water like thin material of a fifth of its capacity that is as
-        # much faster
+        # in its first hours a slab takes up water like thin material with a fifth of its capacity and a
+        # shorter time constant
         slab = replace(slab, scaled={"sorption_capacity": 5.0, "sorption_time": 18.0})
         found.append(replace(thin, starts=starts, finer=slab))
     return found
 
 
 def _pace(baseline: Baseline) -> float:
-    """Factor of rates that are looked for: what matters in a tight cabinet is slow, as its own exchange
-    is."""
-    return min(1.0, USUAL_EXCHANGE_H / baseline.parts[HYGRIC].values["hygric_k"])
+    """Factor of the start rates: in a tight cabinet, whose own exchange is slow, slow rates matter."""
+    return min(1.0, USUAL_EXCHANGE_H / baseline.submodels[HYGRIC].values["hygric_k"])
 
 
+@needs_humidity
 def condensation(baseline: Baseline) -> list[Variant]:
-    if HYGRIC not in baseline.parts:
-        return []
-
     pace = _pace(baseline)
 
     def starts(*undercooling: float) -> tuple[Settings, ...]:
-        # a film is there or not: the likelihood has many maxima
+        # with a film that is there or not, the likelihood has many maxima
         return tuple(
             {
                 "condensation_rate": rate * pace,
@@ -77,11 +75,9 @@ def condensation(baseline: Baseline) -> list[Variant]:
     ]  # fmt: skip
 
 
-HEAVY_MM_H = 1.0
-
-
+@needs_humidity
 def rain(baseline: Baseline) -> list[Variant]:
-    if "rain" not in baseline.record or HYGRIC not in baseline.parts:
+    if "rain" not in baseline.record:
         return []
     series = baseline.record["rain"]
     step_s = series.interval_s if series.interval_s > 0 else float(np.median(np.diff(series.time)))
@@ -98,44 +94,46 @@ def rain(baseline: Baseline) -> list[Variant]:
     ]  # fmt: skip
 
 
+@needs_humidity
 def source(baseline: Baseline) -> list[Variant]:
-    if HYGRIC not in baseline.parts:
-        return []
     start = ({"moisture_source": 0.02}, {"moisture_source": 0.3}, {"moisture_source": 2.0})
 
-    def variant(form: str, when: str, features: Settings, searched: float) -> Variant:
-        additions: Additions = {HYGRIC: (("internal_moisture_source", {"when": when}),)}
-        settings: Settings = next(iter(features.values()), {})
-        return Variant("internal_moisture_source", form, additions, features, start, settings, searched)
+    def variant(form: str, when: str, setting: Settings | None = None, searched: float = 3.0) -> Variant:
+        features = {} if when == "always" else {when: setting or {}}
+        additions = {HYGRIC: (("internal_moisture_source", {"when": when}),)}
+        return Variant("internal_moisture_source", form, additions, features, start, setting or {}, searched)
 
-    wet: Additions = {HYGRIC: (("wet_surface", {}),)}
     rates = tuple({"evaporation_rate": rate * _pace(baseline)} for rate in (0.02, 0.2, 2.0))
     found = [
-        variant("always", "always", {}, 3),
-        Variant("internal_moisture_source", "from a wet surface", wet, starts=rates, searched=3),
-    ]
+        variant("always", "always"),
+        Variant(
+            "internal_moisture_source", "from a wet surface", {HYGRIC: (("wet_surface", {}),)}, starts=rates,
+            searched=3,
+        ),
+    ]  # fmt: skip
     if "active_power" in baseline.record:
-        found.append(variant("at standstill", "standstill", {"standstill": {}}, 3))
-    late = ("internal_moisture_source", {"when": "fading"})
-    probe = Probe(HYGRIC, late, "moisture_source", {"moisture_source": 1e-4})
-    # where the air is exchanged fast, vapour jumps when the source begins: a date that is an hour off gains
-    # nothing
-    setting, tried = best_date(
-        baseline, "fading", [probe], abrupt(baseline.parts[HYGRIC]), days=FADING_DAYS, sudden=True
-    )
-    found.append(variant("drying out from a date on", "fading", {"fading": setting}, tried))
-    timed = ("internal_moisture_source", {"when": "scheduled"})
-    probe = Probe(HYGRIC, timed, "moisture_source", {"moisture_source": 1e-4})
-    setting, tried = best_hours(baseline, [probe])
-    form = "by the clock, on workdays" if setting["workdays"] else "by the clock, every day"
-    found.append(variant(form, "scheduled", {"scheduled": setting}, tried))
+        found.append(variant("at standstill", "standstill"))
+
+    def probe(when: str) -> list[Probe]:
+        mechanism = ("internal_moisture_source", {"when": when})
+        return [Probe(HYGRIC, mechanism, "moisture_source", {"moisture_source": 1e-4})]
+
+    # where the air is exchanged fast, vapour jumps when the source begins: with a date that is an hour off
+    # nothing is gained
+    jumps = abrupt(baseline.submodels[HYGRIC])
+    date = best_date(baseline, "fading", probe("fading"), jumps, days=SETTLING_DAYS, sudden=True)
+    found.append(variant("drying out from a date on", "fading", *date))
+    hours = best_hours(baseline, probe("scheduled"), "scheduled")
+    form = "by the clock, on workdays" if hours[0]["workdays"] else "by the clock, every day"
+    found.append(variant(form, "scheduled", *hours))
     return found
 
 
+@needs_humidity
 def drier(baseline: Baseline) -> list[Variant]:
-    if HYGRIC not in baseline.parts or "cabinet_relative_humidity" not in baseline.record:
+    if "cabinet_relative_humidity" not in baseline.record:
         return []
-    levels = np.quantile(inside(baseline, "cabinet_relative_humidity"), np.linspace(0.3, 0.95, 9))
+    levels = np.quantile(readings_of(baseline, "cabinet_relative_humidity"), np.linspace(0.3, 0.95, 9))
     starts = tuple(
         {"dehumidifier_rate": _pace(baseline), "dehumidifier_setpoint": float(a)} for a in levels[[1, 4, 7]]
     )
@@ -146,19 +144,14 @@ def drier(baseline: Baseline) -> list[Variant]:
     switched = best_switch(baseline, "drying", [probe], grid, {"": 0.02})
     if switched is None:
         return found
-    chosen, tried = switched
-    forms: list[tuple[str, bool, Settings]] = [
-        ("two-point, cold plate", True, {}),
-        ("two-point, desiccant", False, {}),
-    ]
-    if THERMAL in baseline.parts:
-        forms.append(("two-point, cold plate, heats the air", True, {THERMAL: (("drying_heat", {}),)}))
-    for form, plate, also in forms:
-        found.append(
-            Variant(
-                "dehumidifier", form, {HYGRIC: (("switched_drying", {"plate": plate}),), **also},
-                {"drying": chosen},
-                ({"drying_rate": 0.02}, {"drying_rate": 0.2}), chosen, tried, joint=bool(also),
-            )
-        )  # fmt: skip
+    for form, plate, heats in (
+        ("two-point, cold plate", True, False),
+        ("two-point, desiccant", False, False),
+        ("two-point, cold plate, heats the air", True, True),
+    ):
+        additions = {HYGRIC: (("switched_drying", {"plate": plate}),)}
+        if heats:
+            additions[THERMAL] = (("drying_heat", {}),)
+        rates = ({"drying_rate": 0.02}, {"drying_rate": 0.2})
+        found.append(at_setting("dehumidifier", form, additions, "drying", switched, rates, joint=heats))
     return found

@@ -1,33 +1,38 @@
-"""Variants of the causes that leave the cabinet alone and spoil what is known of it: sensors, clocks,
-ambient."""
+"""Variants of the causes that do not act on the cabinet but on its readings: sensors, clocks, ambient
+series."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from hygrokf.discovery.baseline import HYGRIC, THERMAL, Baseline
-from hygrokf.discovery.cause import Variant, additions_of
-from hygrokf.discovery.clocks import Shift, sources, turns_within
+from hygrokf.discovery.baseline import Baseline
+from hygrokf.discovery.cause import MechanismSettings, Variant, additions_of, needs_humidity
+from hygrokf.discovery.clocks import SHIFTS_MIN, Shift, sources, turns_within
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.grids import Probe, best_date, inside, span
-from hygrokf.discovery.scan import abrupt
+from hygrokf.discovery.grids import best_date, readings_of, span
+from hygrokf.discovery.scan import Probe, abrupt
+from hygrokf.discovery.submodel import HYGRIC, THERMAL
 from hygrokf.identification.forms import LONGEST_RESPONSE_H, UNSTATED
+
+SOUND = 0.25
+"""[1] share of the readings that a ceiling leaves alone at least: a sensor that follows nothing is no sensor
+with a ceiling."""
 
 
 def temperature_offset(baseline: Baseline) -> list[Variant]:
-    found = []
-    if THERMAL in baseline.parts:
-        probe = Probe(THERMAL, ("temperature_step", {}), "temperature_offset")
-        setting, tried = best_date(baseline, "after_step", [probe], abrupt(baseline.parts[THERMAL]))
-        # a humidity sensor has a temperature of its own: only what the hygric part is told moves
-        told = {HYGRIC: {"measured_air": {"step": True}}} if HYGRIC in baseline.parts else {}
-        found.append(
-            Variant(
-                "temperature_sensor_offset", "from a date on", {THERMAL: (("temperature_step", {}),)},
-                {"after_step": setting}, settings=setting, searched=tried, altered=told,
-            )
-        )  # fmt: skip
-    if HYGRIC in baseline.parts:
+    step: MechanismSettings = ("temperature_step", {})
+    probe = Probe(THERMAL, step, "temperature_offset")
+    jumps = abrupt(baseline.submodels[THERMAL])
+    setting, tried = best_date(baseline, "after_step", [probe], jumps)
+    # a humidity sensor has a temperature of its own: only the input of the hygric submodel moves
+    moved = {HYGRIC: {"measured_air": {"step": True}}} if HYGRIC in baseline.submodels else {}
+    found = [
+        Variant(
+            "temperature_sensor_offset", "from a date on", {THERMAL: (step,)}, {"after_step": setting},
+            settings=setting, searched=tried, altered=moved,
+        )
+    ]  # fmt: skip
+    if HYGRIC in baseline.submodels:
         found.append(
             Variant(
                 "temperature_sensor_offset", "constant", {HYGRIC: (("thermometer_offset", {}),)},
@@ -37,15 +42,11 @@ def temperature_offset(baseline: Baseline) -> list[Variant]:
     return found
 
 
-SOUND = 0.25
-"""Share of the readings that a ceiling leaves alone at least; a sensor that follows nothing is no sensor with
-a ceiling."""
-
-
+@needs_humidity
 def humidity_drift(baseline: Baseline) -> list[Variant]:
-    if HYGRIC not in baseline.parts or "cabinet_relative_humidity" not in baseline.record:
+    if "cabinet_relative_humidity" not in baseline.record:
         return []
-    lowest, *levels = np.quantile(inside(baseline, "cabinet_relative_humidity"), (SOUND, 0.5, 0.8, 0.95))
+    lowest, *levels = np.quantile(readings_of(baseline, "cabinet_relative_humidity"), (SOUND, 0.5, 0.8, 0.95))
     sticks = tuple({"humidity_lost": 0.5, "humidity_ceiling": float(a)} for a in levels)
     forms: tuple[tuple[str, str, Settings, Settings, tuple[Settings, ...]], ...] = (
         ("drift", "humidity_drift", {}, {"elapsed": span(baseline)}, ({},)),
@@ -62,15 +63,14 @@ def humidity_drift(baseline: Baseline) -> list[Variant]:
     ]  # fmt: skip
 
 
+@needs_humidity
 def response(baseline: Baseline) -> list[Variant]:
-    """A humidity sensor that follows slowly: the temperature beside it tells its delay from a slow exchange
-    of air.
+    """A humidity sensor that follows slowly: the temperature sensor beside it distinguishes the delay from a
+    slow exchange of air.
 
-    Where the fit has estimated the response already, nothing is left to find.
+    None where the fit has estimated the response already.
     """
-    if HYGRIC not in baseline.parts:
-        return []
-    sensors = dict(baseline.parts[HYGRIC].base.mechanisms)
+    sensors = dict(baseline.submodels[HYGRIC].base.mechanisms)
     return [
         Variant(
             "sensor_response", "humidity",
@@ -86,7 +86,7 @@ def breathed(baseline: Baseline) -> list[Variant]:
     """Offsets of the ambient's sensors, a lag of the breathed air, and a series that was smoothed."""
     found = []
     forms = ("vapour", "temperature", "humidity")
-    if HYGRIC in baseline.parts:
+    if HYGRIC in baseline.submodels:
         found += [
             Variant("ambient_bias", form, {HYGRIC: (("breathed_air", {"form": form}),)}, searched=len(forms))
             for form in forms
@@ -97,33 +97,30 @@ def breathed(baseline: Baseline) -> list[Variant]:
         "breathed_lag_share": 0.5,
         "breathed_lag_time": 3.0,
     }
-    both = additions_of(baseline, thermal=(("lagged_ambient", {}),), hygric=(("breathed_lag", {}),))
+    both = additions_of(baseline, ("lagged_ambient", {}), ("breathed_lag", {}))
     found += [
-        Variant("ambient_bias", f"the {part} air lags", {part: pairs}, starts=({}, lag), searched=3)
-        for part, pairs in both.items()
+        Variant("ambient_bias", f"the {name} air lags", {name: pairs}, starts=({}, lag), searched=3)
+        for name, pairs in both.items()
     ]
-    leads = additions_of(baseline, thermal=(("leading_ambient", {}),), hygric=(("breathed_lead", {}),))
+    leads = additions_of(baseline, ("leading_ambient", {}), ("breathed_lead", {}))
     rates = {THERMAL: "ambient_temperature_rate", HYGRIC: "ambient_vapour_rate"}
-    # beside a smoothed series the base's own time constants shrink to nothing: one start has them as usual
+    # beside a smoothed series the base's own time constants shrink towards 0: one start has usual ones
     usual = {"ambient_lead": 0.8, "breathed_lead": 0.8, "thermal_time_constant": 1.5, "hygric_k": 0.3}
     found.append(
         Variant(
-            "ambient_bias", "smoothed series", leads, {rates[part]: {} for part in leads}, ({}, usual),
+            "ambient_bias", "smoothed series", leads, {rates[name]: {} for name in leads}, ({}, usual),
             searched=3
         )
     )  # fmt: skip
     return found
 
 
-SHIFTS_MIN = (-60.0, -30.0, -10.0, 10.0, 30.0, 60.0)
-
-
 def clock(baseline: Baseline) -> list[Variant]:
-    told = ("cabinet_temperature", "ambient_temperature", "active_power")
+    main = {"cabinet_temperature", "ambient_temperature", "active_power"}
     clocks = sources(baseline.record)
-    names = [name for name, signals in clocks.items() if set(told) & set(signals)]
+    names = [name for name, signals in clocks.items() if main & set(signals)]
     settings = {}
-    if len(clocks) == 2:  # to move the one is to move the other the opposite way
+    if len(clocks) == 2:  # moving one is moving the other the opposite way
         settings = {"relative_to": names[-1]} if len(names) == 2 else {}
         names = names[:1]
     found = [

@@ -1,8 +1,9 @@
-"""What lasts: drifts, changes of the mean at an unknown date, and sharp jumps between two readings.
+"""The course of errors in time: drifts, changes of the mean at an unknown date, sharp jumps between two
+readings, periods of any length, and growth.
 
-A lasting change raises the estimated memory of the errors, and so its own p, if it is taken for noise: the
-noise is judged without it.  And slow wandering looks like a change: so both are held against how the errors'
-partial sums wander beside it (self-normalisation).
+If a lasting change is taken for noise, it raises the estimated memory of the errors and its own p with it:
+the noise is judged without it.  And slow wandering looks like a change.  Both are therefore compared with
+how the partial sums of the errors wander beside them (self-normalisation).
 
 Shapes: n bins or readings, B surrogates, m candidate dates.
 """
@@ -15,23 +16,35 @@ from dataclasses import dataclass
 import numpy as np
 
 from hygrokf.discovery.significance import Null, centred, tail
-from hygrokf.evaluation.bootstrap import autoregression
+from hygrokf.evaluation.bootstrap import autoregression, bridged
 
 LEAST_LEAD = -4.0
 CLEAR_LEAD = 2.0
-"""Twice the log-likelihood by which a lasting jump leads a stray reading or a kick: tolerable, and clear."""
+"""Twice the log-likelihood by which a lasting jump must lead a stray reading or a kick: to be considered,
+and to be clear."""
 FEWEST_STEP = 200
 """Readings below which no jump between two of them is looked for."""
 EDGE = 0.05
 """[1] share of the record at either end in which no jump is looked for."""
+FEWEST_CYCLES = 8
+"""Cycles within a record from which a period is looked for."""
+PADDED = 4
+"""Frequencies for each independent one: a line between two of them would lose half of its power."""
+AROUND = 40
+"""Independent frequencies to either side whose median power is the background of a frequency."""
+HARMONICS = 4
+MOST_PEAKS = 40
+"""Frequencies whose course is looked at: a course that is no sine has its harmonics among the lines."""
+GROWS = 2.0
+"""[1] ratio of the errors' size at the end of a record to that at its beginning from which they grow."""
 
 
 def change_p(null: Null, candidates: np.ndarray) -> tuple[float, int]:
     """p that the clearest lasting change of the mean is chance, over candidate bins (m,), and its first bin.
 
-    Self-normalised CUSUM: the difference between after and before is held against how the partial sums wander
-    on either side of the date itself, so that slow wandering is not taken for a change, and a large change
-    not for wandering. The law comes from surrogates of the noise without the change.
+    Self-normalised CUSUM: the difference between after and before is compared with how the partial sums
+    wander on either side of the date, so that slow wandering is not taken for a change, nor a large change
+    for wandering.  The law comes from surrogates of the noise without the change.
 
     Source: Shao & Zhang 2010, doi:10.1198/jasa.2010.tm10103.
     """
@@ -94,9 +107,10 @@ def drift_p(null: Null, trend: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class Step:
-    """A lasting jump of readings: at which one, how large [unit of the series], z, p over all dates.
+    """A lasting jump of readings: at which reading, its size [unit of the series], z, and p over all dates.
 
-    lead: twice the log-likelihood by which it explains the readings around it better than what does not last.
+    lead: twice the log-likelihood by which it explains the readings around it better than an effect that does
+        not last.
     """
 
     place: int
@@ -107,7 +121,7 @@ class Step:
 
     @property
     def clear(self) -> bool:
-        """Whether the jump's surroundings alone tell it from a stray reading or a kick."""
+        """Whether the readings around the jump distinguish it from a stray reading or a kick."""
         return self.lead >= CLEAR_LEAD
 
 
@@ -115,11 +129,11 @@ def sharp_step(values: np.ndarray) -> Step | None:
     """The likeliest lasting jump between two readings of a series (n,) at equal steps, by generalised least
     squares.
 
-    Free of its memory, a jump of the readings is a pattern of its own: neither a stray reading nor a kick
-    that the memory forgets, both of which are tried beside it.  So a jump of 0.6 K stands out from a
-    cabinet's smooth errors of 1.5 K, where the means before and after hardly differ.  The tails of the
-    errors' law are those of the pattern at all other dates.  None where there are too few readings, or
-    another pattern explains them clearly better.
+    Without the memory of the series a jump has a pattern of its own, different from those of a stray reading
+    and of a kick that the memory forgets; both are tried beside it.  So a jump of 0.6 K stands out from a
+    cabinet's smooth errors of 1.5 K, where the means before and after hardly differ.  The tails of the law
+    are those of the pattern at all other dates.  None where there are too few readings, or where another
+    pattern explains them clearly better.
     """
     from scipy.stats import norm
 
@@ -136,19 +150,19 @@ def sharp_step(values: np.ndarray) -> Step | None:
     sharp, rest = course[:-1], course[-1]
     margin = max(p + 1, round(EDGE * n))
     dates = np.arange(margin, n - margin)
-    head = _ahead(w, sharp)
+    head = _sums_ahead(w, sharp)
     after = np.concatenate([np.cumsum(w[::-1])[::-1], np.zeros(p + 1)])
     number = np.concatenate([np.cumsum(there[::-1])[::-1], np.zeros(p + 1)])
-    # regressors: the jump, free of its memory, and the constant that the mean before it takes
+    # regressors: the jump without memory, and the constant of the mean before it
     constant = max(rest**2 * number[0], 1e-300)
     xw = head[dates] + rest * after[dates + p]
-    x1 = rest * (_ahead(there, sharp)[dates] + rest * number[dates + p])
-    xx = _ahead(there, sharp**2)[dates] + rest**2 * number[dates + p] - x1**2 / constant
+    x1 = rest * (_sums_ahead(there, sharp)[dates] + rest * number[dates + p])
+    xx = _sums_ahead(there, sharp**2)[dates] + rest**2 * number[dates + p] - x1**2 / constant
     beta = (xw - x1 * rest * after[0] / constant) / np.maximum(xx, 1e-300)
     z = beta * np.sqrt(np.maximum(xx, 0.0))
     best = int(np.argmax(np.abs(z)))
     near = slice(max(0, dates[best] - 2), dates[best] + 3)
-    stray = (_ahead(w, kernel) / math.sqrt(float(kernel @ kernel)))[near]
+    stray = (_sums_ahead(w, kernel) / math.sqrt(float(kernel @ kernel)))[near]
     rival = max(float(np.max(stray**2)), float(np.max(w[near] ** 2)))
     lead = float(z[best]) ** 2 - rival
     if lead < LEAST_LEAD:
@@ -161,8 +175,94 @@ def sharp_step(values: np.ndarray) -> Step | None:
     return Step(int(dates[best]), float(beta[best]) * scale, float(z[best]), min(1.0, chance), lead)
 
 
-def _ahead(values: np.ndarray, pattern: np.ndarray) -> np.ndarray:
+def _sums_ahead(values: np.ndarray, pattern: np.ndarray) -> np.ndarray:
     """Σ_j pattern[j] values[t + j] for every t."""
     if not len(pattern):
         return np.zeros(len(values))
     return np.correlate(values, pattern, "full")[len(pattern) - 1 :]
+
+
+# --- periods and growth -----------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Period:
+    """A line in the errors' spectrum: its period [h], the root mean square of its course [unit of the errors]
+    and p."""
+
+    hours: float
+    size: float
+    p: float
+
+
+def period(values: np.ndarray, step_h: float, level: float) -> Period | None:
+    """The strongest line with p below `level` in the spectrum of a series (n,), NaN = missing; None where
+    there is none.
+
+    The power of a windowed periodogram over the median power around it has an exponential law where the
+    spectrum is smooth; p counts all frequencies.  The day, the year and their harmonics are left to the
+    strata of hour and season.
+    """
+    known = np.isfinite(values)
+    n = len(values)
+    if known.sum() < 2 * AROUND or n * step_h < FEWEST_CYCLES * 24.0:
+        return None
+    window = np.hanning(n) * known
+    filled = bridged(values) * known
+    # a line stands out of a flat spectrum: the slope of a red one is taken out first
+    phi, _ = autoregression(values, 1)
+    frequency = np.fft.rfftfreq(PADDED * n, step_h)
+    power = np.abs(np.fft.rfft(window * filled, PADDED * n)) ** 2
+    power *= np.abs(1.0 - (phi[0] if len(phi) else 0.0) * np.exp(-2j * np.pi * frequency * step_h)) ** 2
+    background = _median(power[::PADDED], AROUND) / math.log(2.0)
+    ratio = power / np.interp(frequency, frequency[::PADDED], background)
+    apart = 2.0 / (n * step_h)
+    days = np.round(frequency * 24.0)
+    daily = (days > 0) & (np.abs(frequency - days / 24.0) < apart)
+    allowed = ~daily & (frequency > FEWEST_CYCLES / (n * step_h)) & (frequency < 0.45 / step_h)
+    if not allowed.any():
+        return None
+    # frequencies between the independent ones double the chance of a peak
+    number = allowed.sum() / PADDED * 2.0
+    p = -np.expm1(number * np.log1p(-np.exp(-np.maximum(ratio, 1e-9))))
+    peaks = np.flatnonzero(allowed & (p < level))
+    peaks = peaks[np.argsort(-ratio[peaks])][:MOST_PEAKS]
+    lines = [
+        Period(h, _size(values, step_h, h), float(p[i])) for i in peaks if (h := 1.0 / float(frequency[i]))
+    ]
+    return max(lines, key=lambda one: one.size, default=None)
+
+
+def _median(values: np.ndarray, around: int) -> np.ndarray:
+    """Running median (n,) of `around` values to either side, fewer at the ends."""
+    from scipy.ndimage import median_filter
+
+    return median_filter(values, size=2 * around + 1, mode="reflect")
+
+
+def _size(values: np.ndarray, step_h: float, hours: float) -> float:
+    """Root mean square of the course with a period [h] in a series (n,), its harmonics included."""
+    known = np.isfinite(values)
+    phase = 2.0 * np.pi * step_h * np.arange(len(values))[known] / hours
+    count = max(1, min(HARMONICS, int(hours / (2.0 * step_h))))
+    waves = [f(k * phase) for k in range(1, count + 1) for f in (np.cos, np.sin)]
+    basis = np.column_stack([np.ones(len(phase)), *waves])
+    found, *_ = np.linalg.lstsq(basis, values[known], rcond=None)
+    return float(np.std(basis[:, 1:] @ found[1:]))
+
+
+def growth(values: np.ndarray, step_h: float) -> tuple[float, float]:
+    """(ratio of the errors' size at the end of a series (n,) to that at its beginning, p that this is
+    chance)."""
+    day = np.floor(step_h * np.arange(len(values)) / 24.0).astype(int)
+    known = np.isfinite(values)
+    number = np.bincount(day[known], minlength=day[-1] + 1)
+    square = np.bincount(day[known], values[known] ** 2, day[-1] + 1)
+    full = number >= 0.5 * 24.0 / step_h
+    if full.sum() < 2 * FEWEST_CYCLES:
+        return 1.0, 1.0
+    size = np.full(len(number), np.nan)
+    size[full] = 0.5 * np.log(np.maximum(square[full] / number[full], 1e-30))
+    trend = (np.arange(len(size)) / (len(size) - 1.0))[:, None]
+    slope = np.polyfit(trend[full, 0], size[full], 1)[0]
+    return math.exp(slope), drift_p(Null.of(size, 24.0), trend)

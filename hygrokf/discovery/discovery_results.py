@@ -1,5 +1,5 @@
-"""What `discovery.json` holds, as dataclasses: findings, causes with their evidence and gain, and what was
-left out.
+"""The content of `discovery.json` as dataclasses: findings, causes with their evidence and gain, and the
+causes that were left out.
 
 Numbers that do not exist are NaN here and null in the file.
 """
@@ -20,17 +20,16 @@ if TYPE_CHECKING:
     import pandas
 
 LASTING_KINDS = ("step", "drift", "season")
-"""Kinds of a condition that begins once and lasts: it need not come again."""
+"""Kinds of a condition that begins once and lasts, so that it need not recur."""
 Verdict: TypeAlias = Literal["none", "named", "unexplained"]
-"""Nothing is missing that the record shows; a cause is named; something is missing and its cause is not
-known."""
+"""The record shows no missing effect; a cause is named; an effect is missing and its cause is unknown."""
 Settings: TypeAlias = Mapping[str, Any]
-"""What a search over a grid set: numbers, names, and spans of time [s]."""
+"""Settings of a mechanism, a feature or a search: numbers, names, and spans of time [s]."""
 
 
 @dataclass(frozen=True)
 class Finding:
-    """Something that the free run gets wrong in the identification period.
+    """An error of the free run in the identification period.
 
     quantity: "temperature" or "humidity"; unit: K or g/m³.
     where, when: the condition in words, empty for any.
@@ -65,13 +64,13 @@ class Finding:
 
     @property
     def once(self) -> bool:
-        """Whether there was a single occasion for it: nothing says that it would come again."""
+        """Whether there was a single occasion for it, so that nothing shows that it recurs."""
         return self.n_possible == 1 and self.kind not in LASTING_KINDS
 
 
 @dataclass(frozen=True)
-class Remainder:
-    """Structure that is left in the errors: what it is, and the driver and lag [h] that it goes with most."""
+class ResidualStructure:
+    """Structure that is left in the errors, and the driver and lag [h] with which it correlates most."""
 
     quantity: str
     kind: str
@@ -85,11 +84,11 @@ class Remainder:
 
 @dataclass(frozen=True)
 class Gain:
-    """How much better the free run is with a cause than without it: RMSE [K] or [g/m³], and the 95 % bounds
-    of their difference.
+    """How much better the free run is with a cause than without it: RMSE [K] or [g/m³] of the better
+    simulators, and the 95 % bounds of their difference.
 
-    `identified_before`, `identified_after`: errors of the models as they were estimated by innovations, which
-    tables and other pages show.
+    identified_before, identified_after: errors of the models as estimated by innovations, which tables and
+        other pages show; NaN where that model's free run diverges.
     """
 
     quantity: str
@@ -109,10 +108,13 @@ class Gain:
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a cause's best form found: `lr` = 2 ln L gained by `df` parameters, p corrected for all that was
-    tried, `bic_gain` the evidence less the price of parameters and settings, `score_statistic`, and the
-    shares [1] of the free run's squared error that are gone by part, in all and without the days that gained
-    most."""
+    """Evidence of a cause's best form.
+
+    lr: 2 ln L gained by `df` parameters.  p_adjusted: corrected for all that was tried.
+    bic_gain: the evidence less the price of parameters and settings.
+    free_run_gain: [1] share of the free run's squared error that is gone, by submodel; lasting_gain: the same
+        without the days that gained most.
+    """
 
     lr: float = math.nan
     df: float = math.nan
@@ -174,7 +176,7 @@ class Rejected:
 
 @dataclass(frozen=True)
 class Refuted:
-    """A cause that the identification period showed and the held-out period refutes."""
+    """A cause that the identification period shows and the held-out period refutes."""
 
     cause: str
     form: str = ""
@@ -183,8 +185,11 @@ class Refuted:
 
 @dataclass(frozen=True)
 class NotTried:
-    """What the time, `budget_s` [s] (NaN: unlimited), did not last for: causes, and whether any was tried
-    beside those accepted."""
+    """What the time did not allow.
+
+    causes: not tried at all; beside: whether no cause was tried beside the accepted ones; budget_s: [s], NaN
+        where the time was unlimited.
+    """
 
     causes: tuple[str, ...] = ()
     beside: bool = False
@@ -203,7 +208,7 @@ class ModelScores:
 
     @cached_property
     def fit(self) -> FitResults:
-        """These numbers as the results of a fit, for what reads those."""
+        """These numbers as the results of a fit, for functions that take those."""
         return FitResults(
             rmse=self.rmse,
             baselines=self.baselines,
@@ -215,12 +220,12 @@ class ModelScores:
 
 @dataclass(frozen=True)
 class DiscoveryResults:
-    """What a discovery found.
+    """The results of a discovery.
 
-    `baseline`, `extended`: the model before and after, the second None where no cause was accepted;
-    `findings`: what the free run gets wrong, worst first; `causes` in the order in which they were accepted;
-    `rejected`, `refuted`: tried and left out; `unexplained`: structure that is left, or None; `own_causes`:
-    where causes of a user's come from.
+    baseline, extended: the model before and after; `extended` is None where no cause was accepted.
+    findings: errors of the free run, worst first; causes: in the order in which they were accepted.
+    rejected, refuted: causes that were tried and left out; unexplained: structure that is left, or None.
+    own_causes: origin of the user's causes.
     """
 
     name: str
@@ -232,7 +237,7 @@ class DiscoveryResults:
     causes: tuple[CauseFound, ...] = ()
     rejected: tuple[Rejected, ...] = ()
     refuted: tuple[Refuted, ...] = ()
-    unexplained: Remainder | None = None
+    unexplained: ResidualStructure | None = None
     not_tried: NotTried = field(default_factory=NotTried)
     own_causes: Mapping[str, Any] = field(default_factory=dict)
     findings: tuple[Finding, ...] = renamed("misfits", default=())

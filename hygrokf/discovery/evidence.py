@@ -1,5 +1,4 @@
-"""What speaks for an accepted cause, evidence, parameters, gain,
-confidence."""
+"""What speaks for an accepted cause: evidence, parameters, gain, confidence."""
 
 from __future__ import annotations
 
@@ -7,16 +6,17 @@ import math
 from collections.abc import Collection, Mapping, Sequence
 
 from hygrokf.discovery.baseline import Baseline
-from hygrokf.discovery.candidate import Candidate, added, probability, score_statistic
+from hygrokf.discovery.candidate import Candidate, added_mechanisms, probability, score_statistic
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.discovery_results import CauseFound, CauseParameter, Evidence, Gain
 from hygrokf.discovery.library import named
+from hygrokf.discovery.model_selection import Accepted
 from hygrokf.estimation.confidence import standard_error, wald_bounds
 from hygrokf.identification.estimation import Stage
 
 ONCE_AT_MOST = 0.6
-"""Confidence of a cause that was seen in one episode only, or has no amplitude whose bounds leave its null
-value out."""
+"""[1] largest confidence of a cause that was seen in one episode only, or whose amplitudes all have bounds
+that include their null value."""
 ONCE = "seen in one episode only: what it would gain at another time cannot be said"
 EVENT = (
     "an event that nobody logged is no prediction: it gains nothing outside the stretch in which it was found"
@@ -26,15 +26,15 @@ VAGUE = (
     "the base model lacks in form"
 )
 WEIGHTS = {"level": 0.1, "margin": 2.3, "lasting": 3.5}
-"""Logistic weights of what `confidence` reads, from the causes accepted in simulated plants
+"""Logistic weights of `confidence`, from the causes accepted in simulated plants
 (docs/discover_measured.md)."""
 
 
 def evidence(baseline: Baseline, candidate: Candidate, tried: int) -> Evidence:
-    """What a candidate found, in numbers.
+    """The numbers of a candidate.
 
-    `baseline` of the base model; `tried`: how many variants were tried: their number and that of the settings
-    correct p.
+    baseline: the base model's; tried: number of variants; p is corrected for it and for the number of
+        settings.
     """
     chance = probability(candidate) * max(candidate.variant.searched, 1.0) * max(tried, 1)
     score = score_statistic(baseline, candidate.variant)
@@ -52,23 +52,24 @@ def evidence(baseline: Baseline, candidate: Candidate, tried: int) -> Evidence:
 
 def cause_entry(
     baseline: Baseline,
-    candidate: Candidate,
-    rivals: Sequence[Candidate],
-    margin: float,
+    accepted: Accepted,
     gain: Gain | None,
     known: Collection[str],
     stages: Sequence[Stage],
     library: Sequence[Cause],
     tried: int,
 ) -> CauseFound:
-    """One entry of `causes`.  `margin`: see `confidence`; `gain`: its own on the held-out period, beside
-    those accepted before it; `known`: parameters of the base model.
+    """One entry of `causes`.
+
+    gain: of this cause on the held-out period, beside those accepted before it; known: parameters of the base
+        model; tried: number of variants.
     """
+    candidate = accepted.candidate
     cause = named(candidate.variant.cause, library)
     statement = f"{cause.meaning} ({candidate.variant.form}){_clock(candidate)}"
     parameters = _parameters(candidate, stages, known)
     notes = reservations(cause.event, seen_once(candidate), parameters)
-    sure = confidence(candidate, margin)
+    sure = confidence(candidate, accepted.margin)
     if VAGUE in notes:
         sure = min(sure, ONCE_AT_MOST)
     if {ONCE, EVENT} & set(notes):
@@ -77,13 +78,13 @@ def cause_entry(
         cause=cause.name,
         form=candidate.variant.form,
         confidence=sure,
-        margin=margin,
+        margin=accepted.margin,
         statement="; ".join((statement, *notes)),
         parameters=parameters,
         settings=dict(candidate.variant.settings),
         evidence=evidence(baseline, candidate, tried),
         gain=gain,
-        ambiguous_with=tuple(t.variant.cause for t in rivals),
+        ambiguous_with=tuple(t.variant.cause for t in accepted.rivals),
         separate_by=cause.separate_by,
         remedy=_remedy(cause, candidate),
     )
@@ -100,9 +101,9 @@ def reservations(event: bool, once: bool, parameters: Mapping[str, CauseParamete
 
 
 def vague(parameters: Mapping[str, CauseParameter]) -> bool:
-    """Whether a cause's amplitudes all have bounds that reach over their null value.
+    """Whether a cause's amplitudes all have bounds that include their null value.
 
-    Bounds hold where the model is wrong in its form too, as a gain in likelihood does not.
+    The bounds also hold where the model's form is wrong; a gain in likelihood does not.
     """
     amplitudes = [
         (one.lower, one.null, one.upper)
@@ -113,7 +114,7 @@ def vague(parameters: Mapping[str, CauseParameter]) -> bool:
 
 
 def _clock(candidate: Candidate) -> str:
-    """By how much a clock is off, and against which other one where there are but two."""
+    """By how much a clock is off, and against which other clock where there are only two."""
     shift = candidate.variant.shift
     if shift is None:
         return ""
@@ -134,11 +135,8 @@ def _remedy(cause: Cause, candidate: Candidate) -> str:
 
 
 def confidence(candidate: Candidate, margin: float) -> float:
-    """Probability [1] that the cause, or one of its class, is the right name.
-
-    margin: [1] share of its evidence by which the best cause outside its class stays behind.  Logistic in the
-    margin and the lasting gain of the free run.
-    """
+    """Probability [1] that the cause, or one of its class, is the right name: logistic in the margin (see
+    `Accepted`) and in the lasting gain of the free run."""
     score = WEIGHTS["level"] + WEIGHTS["margin"] * min(max(margin, -1.0), 1.0)
     score += WEIGHTS["lasting"] * min(max(candidate.best_lasting, 0.0), 0.5)
     found = 1.0 / (1.0 + math.exp(-score))
@@ -146,7 +144,7 @@ def confidence(candidate: Candidate, margin: float) -> float:
 
 
 def seen_once(candidate: Candidate) -> bool:
-    """Whether one episode, or one window alone, speaks for the cause."""
+    """Whether a single episode or a single window speaks for the cause."""
     return candidate.once or len(candidate.variant.settings.get("spans", (1, 2))) == 1
 
 
@@ -154,7 +152,7 @@ def _parameters(
     candidate: Candidate, stages: Sequence[Stage], known: Collection[str]
 ) -> dict[str, CauseParameter]:
     """The cause's own parameters in the extended model, with bounds; `known` those of the base model."""
-    names = added(candidate.variant)
+    names = added_mechanisms(candidate.variant)
     altered = {name for changes in candidate.variant.altered.values() for name in changes}
     found = {}
     for stage in stages:

@@ -1,4 +1,4 @@
-"""What the simulation gets wrong: where, when and by how much, in plain words; worst first."""
+"""The errors of a simulation: where, when and by how much, in words; worst first."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ from hygrokf.discovery.residuals import (
     Hours,
     Residuals,
     closed,
+    date_text,
     duration_h,
     hourly,
     reading_grid,
+    root_mean_square,
     run_lengths,
 )
 from hygrokf.discovery.significance import Null, Prewhitened, benjamini_hochberg, centred, largest_p, linear_p
@@ -28,29 +30,30 @@ from hygrokf.discovery.strata import Stratum, dummies, strata
 
 LEVEL = 0.05
 MATERIAL = 0.2
-"""[1] share of the free run's RMSE below which a misfit is not worth telling, however significant."""
+"""[1] share of the free run's RMSE below which a finding is immaterial, however significant."""
 SENSORS = 0.6
-"""[1] share of a misfit's square that the sensors may explain; beyond it the misfit is theirs."""
+"""[1] share of a finding's square that the sensors may explain; beyond it the error is theirs."""
 CONCORDANT = 0.05
 """[1] p that the free run itself must reach where another view of the errors is the significant one."""
 CERTAIN = 1e-8
 UNSURE = 0.05
+"""[1] p between which the noise is judged again without the condition's own effect."""
 DOUBTS = 3
-"""[1] p between which the noise is judged again without the condition's own effect, for so many
-conditions."""
+"""Conditions for which this is done."""
 MOST = 8
+"""Findings that are reported."""
 PASSES = 6
 SAME_HOURS = 0.4
-"""[1] hours in common over hours in either, beyond which two misfits of one direction tell the same."""
+"""[1] hours in common over hours in either, beyond which two findings of one direction are the same."""
 SEEN = 0.5
-"""[1] share of its size by which a misfit counts as seen in an episode."""
+"""[1] share of its size by which a finding counts as seen in an episode."""
 LASTING = 0.25
 """[1] share of a step between two readings that the means before and after must show; twice that where a kick
-of the cabinet, soon forgotten, would explain the readings as well."""
+of the cabinet that is soon forgotten would explain the readings as well."""
 NAMES = {"temperature": "temperature", "humidity": "absolute humidity"}
 
 
-# --- how surely ------------------------------------------------------------------------------
+# --- significance ----------------------------------------------------------------------------
 
 
 @dataclass(frozen=True)
@@ -58,7 +61,7 @@ class _Answer:
     """p over all views of the errors, p of the free run alone; the date of a change, or the step between two
     readings.
 
-    sharp: whether errors free of their memory say most.
+    sharp: whether the errors without their memory give the smallest p.
     """
 
     p: float
@@ -70,43 +73,46 @@ class _Answer:
 
 @dataclass
 class _State:
-    """What is left of the errors of one quantity after the misfits found so far."""
+    """The errors of one quantity that are left after the findings so far; described: hours and size of
+    these."""
 
     error: np.ndarray
     innovation: np.ndarray
     step: Step | None
     rmse: float
-    told: list[tuple[np.ndarray, float]] = field(default_factory=list)
+    described: list[tuple[np.ndarray, float]] = field(default_factory=list)
 
 
-def _answers(state: _State, asked: Sequence[Stratum], step_h: float) -> list[_Answer]:
-    """Every condition is asked of the free run, of the innovations and, where it sets in sharply, free of
-    memory."""
+def _answers(state: _State, conditions: Sequence[Stratum], step_h: float) -> list[_Answer]:
+    """Test every condition on the free run, on the innovations and, where it sets in sharply, on the errors
+    without their memory."""
     views = [Null.of(state.error, step_h)]
     if np.isfinite(state.innovation).sum() >= FEWEST_HOURS:
         views.append(Null.of(state.innovation, step_h))
-    linear = [i for i, one in enumerate(asked) if one.law == "linear"]
-    p = np.ones((len(asked), len(views) + 1))
+    linear = [i for i, one in enumerate(conditions) if one.law == "linear"]
+    p = np.ones((len(conditions), len(views) + 1))
     date = -1
     for view, null in enumerate(views):
-        p[linear, view] = linear_p(null, [asked[i].basis for i in linear])
-    for i, one in enumerate(asked):
+        p[linear, view] = linear_p(null, [conditions[i].basis for i in linear])
+    for i, one in enumerate(conditions):
         if one.law == "largest":
-            p[i, : len(views)] = [largest_p(null, one.basis)[0] for null in views]
+            p[i, : len(views)] = [largest_p(null, one.basis) for null in views]
         elif one.law == "trend":
             p[i, 0] = drift_p(views[0], one.basis)
         elif one.law == "change":
             p[i, 0], date = change_p(views[0], one.basis[:, 0].astype(int))
             p[i, -1] = state.step.p if state.step is not None else 1.0
-    unsure = [i for i in linear if CERTAIN < p[i, 0] < UNSURE and asked[i].kind != "season"]
+    unsure = [i for i in linear if CERTAIN < p[i, 0] < UNSURE and conditions[i].kind != "season"]
     for i in sorted(unsure, key=lambda i: p[i, 0])[:DOUBTS]:
-        p[i, 0] = linear_p(views[0].without(asked[i].basis), [asked[i].basis])[0]
-    sudden = [i for i in linear if asked[i].sharp]
+        p[i, 0] = linear_p(views[0].without(conditions[i].basis), [conditions[i].basis])[0]
+    sudden = [i for i in linear if conditions[i].sharp]
     if sudden:
         free = Prewhitened.of(state.error)
-        p[sudden, -1] = linear_p(Null.of(free.errors, step_h), [free.basis(asked[i].basis) for i in sudden])
+        p[sudden, -1] = linear_p(
+            Null.of(free.errors, step_h), [free.basis(conditions[i].basis) for i in sudden]
+        )
     result = []
-    for i, one in enumerate(asked):
+    for i, one in enumerate(conditions):
         looks = {"change": 2, "trend": 1}.get(one.law, len(views) + one.sharp)
         best = int(np.argmin(p[i]))
         last = best == len(views) and p[i, -1] < 1.0
@@ -116,9 +122,11 @@ def _answers(state: _State, asked: Sequence[Stratum], step_h: float) -> list[_An
     return result
 
 
-def _adjusted(answers: Mapping[str, Sequence[_Answer]], asked: Sequence[Stratum]) -> dict[str, np.ndarray]:
-    """q (J,) by quantity: groups of conditions have equal shares of the level."""
-    groups = [one.group for one in asked]
+def _adjusted(
+    answers: Mapping[str, Sequence[_Answer]], conditions: Sequence[Stratum]
+) -> dict[str, np.ndarray]:
+    """q (J,) by quantity; groups of conditions have equal shares of the level."""
+    groups = [one.group for one in conditions]
     weights = np.array([1.0 / groups.count(group) for group in groups])
     p = np.array([one.p for found in answers.values() for one in found])
     q = benjamini_hochberg(p, np.tile(weights, len(answers)))
@@ -126,20 +134,22 @@ def _adjusted(answers: Mapping[str, Sequence[_Answer]], asked: Sequence[Stratum]
 
 
 def findings(residuals: Residuals, level: float = LEVEL) -> list[Finding]:
-    """What the free run gets wrong in the identification period, worst (in units of its RMSE) first, at most
+    """The errors of the free run in the identification period, worst (in units of its RMSE) first, at most
     eight.
 
-    level: [1] share of false discoveries.  Each condition (episodes, regimes, hours since a change, hour,
-    season, level, rate and lag of every driver, drift and step, saturation) is asked of the free run's errors
-    and of the innovations. The surest is described and taken out of the errors, then all is asked again: what
-    one condition explains is not told under another.  A misfit must be significant (weighted
-    Benjamini–Hochberg: episodes, hour, calendar and drivers have equal shares of the level), material (0.2
-    RMSE) and more than the sensors' accuracy explains.
+    level: [1] share of false discoveries.
 
-    A quantity with errors in fewer than 72 hours has no misfits.
+    Each condition (episodes, regimes, hours since a change, hour, season, level, rate and lag of every
+    driver, drift and step, saturation) is tested on the free run's errors and on the innovations.  The
+    surest is described and taken out of the errors, then all are tested again: an effect that one condition
+    explains is not reported under another.  A finding must be significant (weighted Benjamini–Hochberg:
+    episodes, hour, calendar and drivers have equal shares of the level), material (0.2 RMSE) and more than
+    the sensors' accuracy explains.
+
+    A quantity with errors in fewer than 72 hours has no findings.
     """
     hours = hourly(residuals)
-    asked = strata(hours)
+    conditions = strata(hours)
     states = {
         quantity: _State(
             hours.error[quantity].copy(),
@@ -151,23 +161,25 @@ def findings(residuals: Residuals, level: float = LEVEL) -> list[Finding]:
         if np.isfinite(hours.error[quantity]).sum() >= FEWEST_HOURS
     }
     found: list[Finding] = []
-    spent: set[tuple[str, int]] = set()
+    done: set[tuple[str, int]] = set()
     answers: dict[str, list[_Answer]] = {}
     changed = list(states)
     for _ in range(PASSES):
         for quantity in changed:
-            answers[quantity] = _answers(states[quantity], asked, hours.step_h)
-        q = _adjusted(answers, asked) if answers else {}
+            answers[quantity] = _answers(states[quantity], conditions, hours.step_h)
+        q = _adjusted(answers, conditions) if answers else {}
         changed = []
         for quantity, state in states.items():
             for i in np.argsort([one.p for one in answers[quantity]], kind="stable"):
                 answer = answers[quantity][i]
-                if (quantity, i) in spent or q[quantity][i] > level:
+                if (quantity, i) in done or q[quantity][i] > level:
                     continue
                 if answer.p_run > CONCORDANT and answer.step is None:
                     continue
-                spent.add((quantity, i))
-                one = _told(residuals, hours, quantity, state, asked, int(i), answer, float(q[quantity][i]))
+                done.add((quantity, i))
+                one = _described(
+                    residuals, hours, quantity, state, conditions, int(i), answer, float(q[quantity][i])
+                )
                 if one is not None:
                     found.append(one)
                     changed.append(quantity)
@@ -178,22 +190,22 @@ def findings(residuals: Residuals, level: float = LEVEL) -> list[Finding]:
     return found[:MOST]
 
 
-# --- what it is ------------------------------------------------------------------------------
+# --- description -----------------------------------------------------------------------------
 
 
-def _told(
+def _described(
     residuals: Residuals,
     hours: Hours,
     quantity: str,
     state: _State,
-    asked: Sequence[Stratum],
+    conditions: Sequence[Stratum],
     number: int,
     answer: _Answer,
     q: float,
 ) -> Finding | None:
-    """The misfit in numbers and words, taken out of the state; None where it is immaterial or told
+    """The finding in numbers and words, taken out of the state; None where it is immaterial or described
     already."""
-    stratum = _strongest(asked[number], asked, state.error)
+    stratum = _strongest(conditions[number], conditions, state.error)
     if stratum.law == "change":
         stratum = _since(residuals, hours, quantity, stratum, answer)
     error = state.error
@@ -215,11 +227,11 @@ def _told(
         if sudden * size <= 0:
             return None
         size = sudden
-    sensors = _rms(hours.sensor_error[quantity][inside])
+    sensors = float(np.nan_to_num(root_mean_square(hours.sensor_error[quantity][inside])))
     share = min(1.0, (sensors / size) ** 2) if size else 1.0
     if abs(size) < MATERIAL * state.rmse or share > SENSORS:
         return None
-    for other, direction in state.told:
+    for other, direction in state.described:
         if direction * size > 0 and (inside & other).sum() > SAME_HOURS * (inside | other).sum():
             return None
     episodes = [(a, b) for a, b in run_lengths(closed(inside, hours.step_h)) if under[a:b].any()]
@@ -230,19 +242,15 @@ def _told(
         duration = duration_h(np.sign(size) * (error - elsewhere), episodes, hours.step_h)
     where, when = stratum.phrase(first, last)
     curve = stratum.curve(error, hours.step_h)
-    state.told.append((inside, size))
+    state.described.append((inside, size))
     if answer.sharp:
         state.error = error - size * stratum.basis[:, 0]
-    _take_out(
-        state,
-        stratum,
-        [one for one in asked if one.driver == stratum.driver and one.driver],
-        answer.sharp,
-    )
+    kin = [one for one in conditions if one.driver and one.driver == stratum.driver]
+    _take_out(state, stratum, kin, answer.sharp)
     if answer.step is not None or stratum.kind == "step":
         state.step = None
     sign = "too low" if size > 0 else "too high"
-    made = Finding(
+    found = Finding(
         quantity, where, when, abs(size), UNITS[quantity], sign, duration, seen, len(episodes), share, "",
         answer.p, q, stratum.driver or None, stratum.kind, curve,
         tuple(
@@ -251,14 +259,14 @@ def _told(
             for a, b in (episodes[i] for i in np.argsort(-means * np.sign(size), kind="stable"))
         ),
     )  # fmt: skip
-    return replace(made, statement=_statement(made, sensors))
+    return replace(found, statement=_statement(found, sensors))
 
 
-def _strongest(stratum: Stratum, asked: Sequence[Stratum], error: np.ndarray) -> Stratum:
-    """Of all ways in which an error may go with a driver the one whose bins explain most of it."""
+def _strongest(stratum: Stratum, conditions: Sequence[Stratum], error: np.ndarray) -> Stratum:
+    """Of all conditions on the same driver, the one whose bins explain most of the error."""
     if not stratum.driver:
         return stratum
-    kin = [one for one in asked if one.driver == stratum.driver]
+    kin = [one for one in conditions if one.driver == stratum.driver]
     return max((part for one in kin for part in one.columns or (one,)), key=lambda one: one.explained(error))
 
 
@@ -274,20 +282,15 @@ def _statement(one: Finding, sensors: float) -> str:
 
 
 def digits(size: float) -> str:
-    """A size with the digits that it is known to."""
+    """A size with its significant digits."""
     return f"{size:.1f}" if size >= 0.95 else f"{size:.2f}" if size < 0.1 else f"{size:.2g}"
-
-
-def _rms(values: np.ndarray) -> float:
-    there = values[np.isfinite(values)]
-    return float(np.sqrt(np.mean(there**2))) if len(there) else 0.0
 
 
 def _since(residuals: Residuals, hours: Hours, quantity: str, stratum: Stratum, answer: _Answer) -> Stratum:
     """The step at its date as a condition: after it, against before."""
     if answer.step is None:
         date = hours.start_s + 3600.0 * hours.step_h * answer.date
-        words = f"since about {datetime.fromtimestamp(date, UTC):%-d %B %Y}"
+        words = f"since about {date_text(date)}"
     else:
         start, step, _ = reading_grid(residuals, quantity)
         date = start + step * answer.step.place
@@ -301,19 +304,20 @@ def _since(residuals: Residuals, hours: Hours, quantity: str, stratum: Stratum, 
 
 
 def _take_out(state: _State, stratum: Stratum, kin: Sequence[Stratum], kept: bool) -> None:
-    """What the condition, and its driver in any other way, explains leaves the errors, unless they are to be
-    kept.
-
-    From the innovations goes also what the changes of these explain.
-    """
+    """Take out of the errors (unless they are `kept`) and of the innovations the part that the condition and
+    the others on its driver explain; of the innovations also the part that changes of these explain."""
     basis = np.column_stack([stratum.basis, dummies(stratum.bins), *(one.basis for one in kin)])
     changes = np.vstack([np.zeros((1, basis.shape[1])), np.diff(np.nan_to_num(basis), axis=0)])
-    for name, columns in (("error", basis), ("innovation", np.column_stack([basis, changes]))):
-        if kept and name == "error":
-            continue
-        values = getattr(state, name)
-        known = np.isfinite(values)
-        if known.sum() > columns.shape[1]:
-            x = centred(columns, known)
-            effect, *_ = np.linalg.lstsq(x[known], values[known], rcond=None)
-            setattr(state, name, values - x @ effect)
+    if not kept:
+        state.error = _unexplained(state.error, basis)
+    state.innovation = _unexplained(state.innovation, np.column_stack([basis, changes]))
+
+
+def _unexplained(values: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """Values (n,) less their regression on columns (n, k); unchanged where there are too few."""
+    known = np.isfinite(values)
+    if known.sum() <= columns.shape[1]:
+        return values
+    x = centred(columns, known)
+    effect, *_ = np.linalg.lstsq(x[known], values[known], rcond=None)
+    return values - x @ effect

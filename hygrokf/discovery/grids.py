@@ -6,28 +6,30 @@ import functools
 import math
 import operator
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from hygrokf.data.record import Record
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.baseline import Baseline, Part
+from hygrokf.discovery.baseline import Baseline
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.scan import Scanned, scan, slow_scan
+from hygrokf.discovery.scan import Probe, Scanned, scan, slow_scan
+from hygrokf.discovery.submodel import Submodel
 from hygrokf.modelling.derived_inputs import feature
 
 MOST_DATES = 90
-"""Dates of the first look at a record; the next look goes between the best one and its neighbours."""
+"""Dates of the first look at a record; the next look goes between the best of them and its neighbours."""
+SETTLING_DAYS = (8.0, 20.0, 50.0)
+"""[d] that a change at a date may take."""
 PACES = (0.6, 0.8, 1.0, 1.25, 1.6)
 """Factors by which the days that a change takes are refined."""
 SUDDEN = (0.2, 0.03)
 """Widths, in days of the grid, to which the date of a jump is narrowed down: to 45 min, then to 7 min."""
 FEWEST_STARTS = 6
-"""Times that a switch must have started by the readings: one that turns with the seasons is none."""
+"""Times that a switch must have started by the readings; a setting that turns with the seasons is no
+switch."""
 NARROWEST = 0.05
 """Share of its hysteresis that a switch keeps at least when its set-points are refined."""
-Look = Callable[..., Scanned]
 
 
 def silences(record: Record) -> list[tuple[float, float]]:
@@ -36,19 +38,14 @@ def silences(record: Record) -> list[tuple[float, float]]:
     return [(float(time[i]), float(time[i + 1])) for i in np.flatnonzero(np.diff(time) > DAY_S)]
 
 
-def dates(record: Record, every_days: float = 1.0) -> list[float]:
-    """Dates [s] for a change: every day with readings, `MOST_DATES` of them at most, five percent of these
-    days away from the record's ends.
-    """
-    return _spaced(record, every_days)[0]
-
-
-def _spaced(record: Record, every_days: float) -> tuple[list[float], float]:
-    """The dates of `dates`, and their distance [s].  All dates within a silence are one to the readings."""
+def dates(record: Record) -> tuple[list[float], float]:
+    """(dates [s] for a change, their distance [s]): every day with readings, `MOST_DATES` of them at most,
+    five percent of these days away from the record's ends.  All dates within a silence are the same to the
+    readings."""
     gaps = silences(record)
     end = record.end_s - sum(last - first for first, last in gaps)
     margin = 0.05 * (end - record.start_s)
-    count = min(max(int((end - record.start_s - 2 * margin) / (every_days * DAY_S)), 3), MOST_DATES)
+    count = min(max(int((end - record.start_s - 2 * margin) / DAY_S), 3), MOST_DATES)
     found = np.linspace(record.start_s + margin, end - margin, count)
     step = float(found[1]) - float(found[0])
     for first, last in gaps:
@@ -56,14 +53,24 @@ def _spaced(record: Record, every_days: float) -> tuple[list[float], float]:
     return [float(d) for d in found], step
 
 
-@dataclass(frozen=True)
-class Probe:
-    """A mechanism of one part whose parameter a scan of dates looks for."""
+def _looks(
+    look: Callable[..., Scanned],
+    baseline: Baseline,
+    probes: Sequence[Probe],
+    feature: str,
+    settings: Sequence[Settings],
+    *sums: np.ndarray,
+) -> list[Scanned]:
+    """Score statistics of the settings by each probe whose submodel the baseline has."""
+    return [
+        look(baseline.submodels[probe.submodel], probe, feature, settings, *sums)
+        for probe in probes
+        if probe.submodel in baseline.submodels
+    ]
 
-    part: str
-    mechanism: tuple[str, Settings]
-    parameter: str
-    nulls: Mapping[str, float] = field(default_factory=dict)
+
+def _together(looks: Sequence[Scanned]) -> Scanned:
+    return functools.reduce(operator.add, looks)
 
 
 def best_date(
@@ -74,43 +81,36 @@ def best_date(
     days: Sequence[float] = (),
     sudden: bool = False,
 ) -> tuple[Settings, float]:
-    """(settings of the feature, effective number searched) of the change that the parts' score statistics ask
-    for most.
+    """(settings of the feature, effective number searched) of the change for which the submodels' score
+    statistics are largest.
 
-    `more` dates [s] that are looked at exactly; `days` in which the change takes place, for features that
-    have such; `sudden` for one whose beginning is a jump, which is dated to minutes.
+    more: dates [s] that are also looked at.  days: [d] that the change may take, for features with such a
+        setting.  sudden: whether the feature begins with a jump, which is dated to minutes.
     """
-    spacing, step = _spaced(baseline.record, 1.0)
+    spacing, step = dates(baseline.record)
     searched = 0.0
 
-    def asked_for(look: Look, settings: Sequence[Settings]) -> Settings:
+    def best(look: Callable[..., Scanned], settings: Sequence[Settings]) -> Settings:
         nonlocal searched
-        looks = [
-            look(baseline.parts[one.part], one.mechanism, one.parameter, feature, settings, one.nulls)
-            for one in probes
-            if one.part in baseline.parts
-        ]
-        scanned = functools.reduce(operator.add, looks)
+        scanned = _together(_looks(look, baseline, probes, feature, settings))
         searched += scanned.effective
         return dict(settings[int(np.argmax(scanned.root**2))])
 
     paces = [{"days": d} for d in days] or [{}]
-    found = asked_for(slow_scan, [{"date_s": d, **pace} for pace in paces for d in spacing])
+    found = best(slow_scan, [{"date_s": d, **pace} for pace in paces for d in spacing])
     near = [found["date_s"] + step * f for f in np.linspace(-1.5, 1.5, 13)]
-    found = asked_for(scan, [{**found, "date_s": float(d)} for d in (*near, *more)])
+    found = best(scan, [{**found, "date_s": float(d)} for d in (*near, *more)])
     for width in SUDDEN if sudden else ():
         near = [found["date_s"] + step * width * f for f in np.linspace(-1.0, 1.0, 13)]
-        found = asked_for(scan, [{**found, "date_s": float(d)} for d in near])
+        found = best(scan, [{**found, "date_s": float(d)} for d in near])
     if len(days) > 1:
-        found = asked_for(scan, [{**found, "days": found["days"] * factor} for factor in PACES])
+        found = best(scan, [{**found, "days": found["days"] * factor} for factor in PACES])
     return found, searched
 
 
-def best_hours(
-    baseline: Baseline, probes: Sequence[Probe], name: str = "scheduled"
-) -> tuple[Settings, float]:
-    """(settings of a feature `name` like `scheduled`, effective number searched): the hours of the day, or of
-    workdays, in which the parts' score statistics ask most for more of an effect.
+def best_hours(baseline: Baseline, probes: Sequence[Probe], feature: str) -> tuple[Settings, float]:
+    """(settings of a feature such as `scheduled`, effective number searched): the hours of the day, or of
+    workdays, in which the submodels' score statistics ask most for more of an effect.
     """
     hours = [
         {"start_h": float(h), "hours": 1.0, "workdays": only} for only in (False, True) for h in range(24)
@@ -121,19 +121,15 @@ def best_hours(
         for kind in (0, 1):
             rows = 24 * kind + (start + np.arange(long)) % 24
             sums[rows, kind * len(windows) + column] = 1.0
-    looks = [
-        scan(baseline.parts[one.part], one.mechanism, one.parameter, name, hours, one.nulls, sums)
-        for one in probes
-        if one.part in baseline.parts
-    ]
+    looks = _looks(scan, baseline, probes, feature, hours, sums)
     wanted = np.minimum.reduce([np.sign(one.root) for one in looks])
-    scanned = functools.reduce(operator.add, looks)
+    scanned = _together(looks)
     kind, place = divmod(int(np.argmax(np.where(wanted > 0.0, scanned.root, -1.0))), len(windows))
     start, long = windows[place]
     return {"start_h": float(start), "hours": float(long), "workdays": bool(kind)}, scanned.effective
 
 
-def inside(baseline: Baseline, name: str) -> np.ndarray:
+def readings_of(baseline: Baseline, name: str) -> np.ndarray:
     """Readings of a signal in the cabinet, NaN left out."""
     value = baseline.record[name].value
     return value[np.isfinite(value)]
@@ -146,22 +142,20 @@ def best_switch(
     grid: Sequence[Settings],
     steps: Mapping[str, float],
 ) -> tuple[Settings, float] | None:
-    """(setting of a controller that the parts' score statistics ask for most, effective number searched).
+    """(setting of a controller for which the submodels' score statistics are largest, effective number
+    searched).
 
-    grid: settings with two bounds each, numbers; refined twice by `steps`, of a setting's `reads` or of any.
+    grid: settings with two numbers each, the bounds, refined twice by the step of the reading that a setting
+        `reads`, else by the first of `steps`.
     None where no setting lets the controller start often enough.
     """
-    probes = [one for one in probes if one.part in baseline.parts]
+    first_run = next(baseline.submodels[p.submodel] for p in probes if p.submodel in baseline.submodels)
     searched, best, chosen = 0.0, -math.inf, grid[0]
     for factor in (1.0, 0.4, 0.0):
-        grid = [one for one in grid if starts(baseline.parts[probes[0].part], feature, one) >= FEWEST_STARTS]
+        grid = [one for one in grid if count_starts(first_run, feature, one) >= FEWEST_STARTS]
         if not grid:
             break
-        looks = [
-            scan(baseline.parts[one.part], one.mechanism, one.parameter, feature, grid, one.nulls)
-            for one in probes
-        ]
-        scanned = functools.reduce(operator.add, looks)
+        scanned = _together(_looks(scan, baseline, probes, feature, grid))
         searched += scanned.effective
         if scanned.root.max() > best:
             best, chosen = float(scanned.root.max()), grid[int(np.argmax(scanned.root))]
@@ -177,9 +171,9 @@ def best_switch(
     return (chosen, searched) if best > -math.inf else None
 
 
-def starts(part: Part, name: str, settings: Settings) -> int:
-    """How often a controller starts by the readings of the part's run."""
-    on = feature(part.record, name, settings, part.time_s) > 0.0
+def count_starts(submodel: Submodel, name: str, settings: Settings) -> int:
+    """How often a controller starts by the readings in a submodel's run."""
+    on = feature(submodel.record, name, settings, submodel.time_s) > 0.0
     return int(np.sum(on[1:] & ~on[:-1]))
 
 

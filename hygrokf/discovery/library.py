@@ -1,12 +1,11 @@
-"""The library of causes: what each of them is, what to check in the turbine, what would tell it from its
-rivals."""
+"""The library of causes: what each cause is, what to check in the turbine, which measurement tells it from
+its rivals."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hygrokf.discovery.baseline import THERMAL
-from hygrokf.discovery.cause import Cause, one_mechanism
+from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.causes_heat import (
     by_the_clock,
     cooling,
@@ -15,14 +14,15 @@ from hygrokf.discovery.causes_heat import (
     heat_drift,
     heater,
     sun,
+    wall,
     wind,
 )
 from hygrokf.discovery.causes_moisture import condensation, drier, rain, sorption, source
 from hygrokf.discovery.causes_readings import breathed, clock, humidity_drift, response, temperature_offset
 
 ODD = 30.0
-"""Evidence that is enough for causes that hardly show in the free run; on plants without any it stays below
-10."""
+"""Evidence that is enough for causes that hardly show in the free run; on plants without such a cause it
+stays below 10."""
 SWITCHED = 60.0
 """The same for switches, whose thresholds are searched."""
 
@@ -44,8 +44,7 @@ LIBRARY: tuple[Cause, ...] = (
     Cause(
         "wall_thermal_mass", "a second thermal mass stores heat beside the converter",
         "none needed; use the extended model", "a temperature sensor on the inner wall",
-        one_mechanism("wall_thermal_mass", THERMAL, "wall_thermal_mass",
-             *({"wall_conductance": 0.02, "wall_time_constant": t} for t in (3.0, 20.0))),
+        wall,
     ),
     Cause(
         "solar_gain", "the sun heats the cabinet or the tower around it",
@@ -115,7 +114,7 @@ LIBRARY: tuple[Cause, ...] = (
         "compare the weather series with a sensor at the air inlet", "temperature and humidity at the inlet",
         breathed,
     ),
-    # hours and set-points are searched longest: what a budget does not last for is looked for last
+    # the searches of hours and set-points take longest: they come last, where the time may not suffice
     Cause(
         "unlogged_heater", "a heater that no signal reports runs",
         "find the heater and its thermostat or humidistat; log its state", "current of the heater",

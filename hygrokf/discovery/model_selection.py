@@ -4,17 +4,18 @@ from __future__ import annotations
 
 import functools
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from hygrokf.discovery.baseline import HYGRIC, THERMAL, Baseline, redriven
-from hygrokf.discovery.budget import Budget, BudgetSpent
-from hygrokf.discovery.candidate import MATERIAL, Candidate, attempt, polished, refined, started
+from hygrokf.discovery.baseline import Baseline, Budget, BudgetSpent, redriven
+from hygrokf.discovery.candidate import MATERIAL, Candidate, attempt, polished, refined, restarted
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.library import LIBRARY, named
+from hygrokf.discovery.strata import SATURATED
+from hygrokf.discovery.submodel import HYGRIC, THERMAL
 from hygrokf.engine.parallel import mapped
 from hygrokf.identification.estimation import Progress
 from hygrokf.physics.switches import SWITCHES
@@ -22,24 +23,21 @@ from hygrokf.physics.switches import SWITCHES
 EVIDENCE = 10.0
 """Gain in 2 ln L beyond the price of parameters and grid (BIC) that counts as strong."""
 WORSE = -0.02
-"""A cause that makes the free run of a part worse by more than this share is no cause."""
-SATURATION = 0.97
-"""[1] relative humidity from which a ceiling is no fault of a sensor: saturated air, read with a sensor's
-accuracy."""
+"""[1] a cause that increases the squared free-run error of a submodel by more than this share is refused."""
 CLOSE = 10.0
-"""Difference in evidence below which two acceptable causes are not told apart."""
+"""Difference in evidence below which two acceptable causes cannot be told apart."""
 HALF = 0.5
-"""Two causes are alike where their free runs differ by less than this share of what the better one changes in
-them, and the other has at least this share of its evidence."""
+"""[1] two causes are alike where their free runs differ by less than this share of the change that the better
+one makes, and the other has at least this share of its evidence."""
 SAME = 0.25
-"""Acceptable causes whose free runs differ by less than this share are alike whatever their evidence."""
+"""[1] acceptable causes whose free runs differ by less than this share are alike whatever their evidence."""
 MOST_CAUSES = 3
 SHARE = 0.06
-"""Share of an accepted cause's evidence that a further cause of the same part must have: the true form is
-never known, and what it differs in is left behind."""
+"""[1] share of an accepted cause's evidence that a further cause of the same submodel must have: the true
+form is never known, and its difference from the assumed form stays in the errors."""
 OVERWHELMING = 200.0
-"""Evidence that is enough for any cause, however little the free run gains; in 36 cabinets that hide nothing
-the most was 88."""
+"""Evidence that is enough for any cause, however little the free run gains; the most in 36 cabinets without a
+hidden cause was 88."""
 EXPLAINED = "what it explains is explained by the accepted causes"
 NO_BETTER = "beside the accepted causes it does not simulate better"
 RETRY = 8.0
@@ -47,46 +45,57 @@ RETRY = 8.0
 
 
 @dataclass(frozen=True)
-class Selection:
-    """Accepted candidates in order with the candidates that rivalled each, all others with the reason, and
-    the last baseline.
+class Accepted:
+    """An accepted candidate, the candidates of other causes that cannot be told from it, and the margin [1]:
+    the share of its evidence by which the best cause outside this class stays behind."""
 
-    `margins`: share of its evidence by which the best cause outside its class stayed behind each accepted
-    one; `tried`: number of variants that were tried; `untried` causes for which the time did not last; `cut`:
-    whether it did not last for looking beside what was accepted.
+    candidate: Candidate
+    rivals: tuple[Candidate, ...] = ()
+    margin: float = math.nan
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The outcome of a selection.
+
+    accepted: in order; rejected: all other causes, with the reason; baseline: with the accepted causes.
+    tried: number of variants; untried: causes for which there was no time; cut: whether there was no time to
+        look beside the accepted causes.
     """
 
-    accepted: tuple[Candidate, ...]
-    rivals: tuple[tuple[Candidate, ...], ...]
-    margins: tuple[float, ...]
+    accepted: tuple[Accepted, ...]
     tried: int
     rejected: tuple[tuple[Candidate, str], ...]
     baseline: Baseline
     untried: tuple[str, ...] = ()
     cut: bool = False
 
+    @property
+    def candidates(self) -> tuple[Candidate, ...]:
+        """The accepted candidates, in order."""
+        return tuple(one.candidate for one in self.accepted)
+
 
 def verdict_on(candidate: Candidate, cause: Cause, tried: int = 1) -> str:
-    """Why a candidate, one of so many that were `tried`, is not acceptable; empty where it is."""
-    if candidate.lr <= 0.0 or not candidate.parts:
+    """Why a candidate is not acceptable, empty where it is; tried: number of variants."""
+    if candidate.lr <= 0.0 or not candidate.submodels:
         return "it gains no likelihood"
     certain = candidate.bic_gain >= EVIDENCE
-    if not certain and not all(part.converged for part in candidate.parts.values()):
+    if not certain and not all(submodel.converged for submodel in candidate.submodels.values()):
         return "the estimate did not converge, and what it reached is no evidence"
     if not certain and not simulates(candidate, tried):
         return "its gain in likelihood does not pay for its parameters and the settings searched"
     if candidate.beyond:
         return f"{candidate.beyond.replace('_', ' ')} would have to be larger than is physically possible"
-    if candidate.variant.joint and min(candidate.lrs.values()) < math.log(
-        min(p.n for p in candidate.parts.values())
-    ):
+    readings = min(submodel.n for submodel in candidate.submodels.values())
+    if candidate.variant.joint and min(candidate.lrs.values()) < math.log(readings):
         return "it acts on heat and vapour, and one of them does not show"
     if min(candidate.gain.values(), default=0.0) < WORSE:
         return "it makes the free run worse"
     stated = candidate.variant.settings
     if cause.name == "clock_shift" and abs(float(stated["shift_s"])) < float(stated["ordinary_s"]):
         return "a clock error of this size is ordinary"
-    if candidate.value("humidity_ceiling", 0.0) > SATURATION:
+    if candidate.value("humidity_ceiling", 0.0) > SATURATED:
         return "a ceiling as near to saturation as that is one of the air, not of the sensor"
     if not worth_having(candidate) and candidate.bic_gain < min(cause.alone, OVERWHELMING):
         return "significant, but the free run gains too little, or on a few days alone"
@@ -94,10 +103,10 @@ def verdict_on(candidate: Candidate, cause: Cause, tried: int = 1) -> str:
 
 
 def simulates(candidate: Candidate, tried: int) -> bool:
-    """Whether the free run of a part gains a material share beyond what chance makes of so many candidates
-    and their settings.
+    """Whether the free run of a submodel gains a material share, more than chance gives the best of so many
+    candidates and their settings.
 
-    Where the model is far from right the likelihood knows little, and this speaks for a cause by itself.
+    Where the model is far from right the likelihood is a poor judge, and this alone speaks for a cause.
     """
     if candidate.lr - candidate.price < EVIDENCE:
         return False
@@ -106,114 +115,123 @@ def simulates(candidate: Candidate, tried: int) -> bool:
 
 
 def worth_having(candidate: Candidate) -> bool:
-    """Whether the free run gains a material share without its best days."""
+    """Whether the free run gains a material share even without its best days."""
     return candidate.best_lasting >= MATERIAL
 
 
 def _settled(baseline: Baseline, candidate: Candidate) -> Candidate:
-    """A candidate that simulates better but was cut short, climbed on; others as they are."""
-    done = all(part.converged for part in candidate.parts.values())
+    """A candidate that improved the free run but stopped before converging, refitted; others unchanged."""
+    done = all(submodel.converged for submodel in candidate.submodels.values())
     if done or candidate.bic_gain >= EVIDENCE or candidate.best_lasting < MATERIAL:
         return candidate
     return polished(baseline, candidate)
 
 
-def switches(candidate: Candidate) -> bool:
-    """Whether what was tried is a switch."""
+def brings_switch(candidate: Candidate) -> bool:
+    """Whether a candidate brings a switch."""
     return bool(SWITCHES.keys() & set(candidate.variant.features))
 
 
-def worth(candidate: Candidate) -> float:
-    """What acceptable candidates are ranked by: evidence in the likelihood."""
-    return candidate.bic_gain
+def _by_evidence(candidates: Iterable[Candidate]) -> list[Candidate]:
+    """The candidates, the best first."""
+    return sorted(candidates, key=lambda one: one.bic_gain, reverse=True)
 
 
 def select(
     baseline: Baseline, library: Sequence[Cause] = LIBRARY, say: Progress = lambda text: None
 ) -> Selection:
-    """Add causes while one is both significant and worth having; take back those that a later one replaces.
+    """Add causes while one is both significant and worth having; remove earlier ones that a later one
+    replaces.
 
-    Once the baseline's budget is spent no further candidate is begun, and those that run end; what was found
-    by then is decided on as it stands.
+    Once the baseline's budget is spent no further candidate is begun and running ones end; the candidates
+    that are done by then are decided on.
     """
     base, budget, cut = baseline, baseline.budget, False
     accepted: list[Candidate] = []
-    rivals: list[tuple[Candidate, ...]] = []
-    margins: list[float] = []
+    classes: dict[str, tuple[tuple[Candidate, ...], float]] = {}
     behind: dict[str, str] = {}
     stale: set[str] = set()
 
     candidates, untried = _first_candidates(baseline, library, say)
     tried = len(candidates)
-    first = {t.variant.cause: t for t in sorted(candidates, key=worth)}  # the best of each cause comes last
+    first = _best_of_each(candidates)
     while True:
         kept = [t for t in candidates if t.variant.cause not in behind]
-        good = [t for t in kept if not _reason(t, tried, accepted, library)]
-        good.sort(key=worth, reverse=True)
+        good = _by_evidence(t for t in kept if not reason_against(t, tried, accepted, library))
         if not good:
             break
         best = good[0]
-        if best.variant.cause in stale:  # beside a coarser form than is accepted now
-            stale.remove(best.variant.cause)
-            candidates = [t for t in candidates if t.variant.cause != best.variant.cause]
+        cause = best.variant.cause
+        if cause in stale:  # tried beside a coarser form than is accepted now
+            stale.remove(cause)
+            candidates = [t for t in candidates if t.variant.cause != cause]
             with suppress(BudgetSpent):
-                candidates.append(attempt(baseline, started(baseline, best)))
+                candidates.append(attempt(baseline, restarted(baseline, best)))
             continue
         with suppress(BudgetSpent):
             best = polished(baseline, best)
-        class_ = _class(baseline, best, good, candidates)
-        ahead = _ahead(best, class_, candidates)
-        slipped = _reason(best, tried, accepted, library)  # at its maximum it may gain less than on the way
-        if slipped:
-            behind[best.variant.cause] = slipped
+        reason = reason_against(best, tried, accepted, library)
+        if reason:  # at its maximum it may gain less than before
+            behind[cause] = reason
             continue
         before = baseline
         rough = _rough(accepted, best)
-        if rough is not None and not budget.spent:  # what a coarse form leaves behind is no other cause
+        if rough is not None and not budget.spent:  # the error of a coarse form is no further cause
             with suppress(BudgetSpent):
                 accepted[rough], baseline = _finest(base, baseline, accepted, rough)
             if baseline is not before:
-                behind, stale = {}, {t.variant.cause for t in candidates if set(t.parts) & set(best.parts)}
+                behind = {}
+                stale = {t.variant.cause for t in candidates if set(t.submodels) & set(best.submodels)}
             continue
-        behind = {}
-        rivals.append(class_)
-        margins.append(ahead)
+        behind, stale = {}, set()
+        rivals = _class(baseline, best, good, candidates)
+        classes[cause] = rivals, _margin(best, rivals, candidates)
         accepted.append(best)
         baseline = with_candidate(baseline, best)
-        changed = {name for name, part in baseline.parts.items() if part is not before.parts[name]}
+        changed = {n for n, submodel in baseline.submodels.items() if submodel is not before.submodels[n]}
         if len(accepted) > 1:
             with suppress(BudgetSpent):
-                keep, baseline = _needed(base, accepted, baseline, say)
-                if len(keep) < len(accepted):
-                    changed = set(baseline.parts)
-                accepted, rivals = [accepted[i] for i in keep], [rivals[i] for i in keep]
-                margins = [margins[i] for i in keep]
+                needed, baseline = _needed(base, accepted, baseline, say)
+                if len(needed) < len(accepted):
+                    accepted, changed = needed, set(baseline.submodels)
         if len(accepted) == MOST_CAUSES or budget.spent:
             cut = cut or len(accepted) < MOST_CAUSES
             break
-        candidates, stale = _again(baseline, candidates, accepted, changed, say), set()
+        candidates = _again(baseline, candidates, accepted, changed, say)
         cut = budget.spent
     for place in range(len(accepted)):
         with suppress(BudgetSpent):
             accepted[place], baseline = _finest(base, baseline, accepted, place)
+    last = {c: reason_against(t, tried, accepted, library) for c, t in _best_of_each(candidates).items()}
     names = {t.variant.cause for t in accepted}
-    # what was accepted beside a cause is no longer another name for it
-    apart = tuple(tuple(t for t in one if t.variant.cause not in names) for one in rivals)
-    last = {t.variant.cause: _reason(t, tried, accepted, library) for t in sorted(candidates, key=worth)}
-    others = [t for name, t in first.items() if name not in names and name not in untried]
-    rejected = [(t, _why_left_out(t, tried, library, last | behind)) for t in others]
-    untried = [name for name in untried if name not in names]
-    untried.sort(key=[cause.name for cause in library].index)
-    baseline = replace(baseline, budget=Budget())  # what follows has time of its own
+    others = [t for cause, t in first.items() if cause not in names and cause not in untried]
     return Selection(
-        tuple(accepted), apart, tuple(margins), tried, tuple(rejected), baseline, tuple(untried), cut
+        accepted=tuple(_accepted(t, *classes[t.variant.cause], names) for t in accepted),
+        tried=tried,
+        rejected=tuple((t, _why_left_out(t, tried, library, last | behind)) for t in others),
+        baseline=replace(baseline, budget=Budget()),  # the steps after the selection are not limited
+        untried=tuple(cause.name for cause in library if cause.name in set(untried) - names),
+        cut=cut,
     )
+
+
+def _best_of_each(candidates: Iterable[Candidate]) -> dict[str, Candidate]:
+    """The best candidate of each cause, by the cause's name."""
+    return {t.variant.cause: t for t in sorted(candidates, key=lambda one: one.bic_gain)}
+
+
+def _accepted(
+    candidate: Candidate, rivals: Sequence[Candidate], margin: float, names: Collection[str]
+) -> Accepted:
+    """A candidate with its class; a cause that was accepted beside it (`names`) is not another name for
+    it."""
+    return Accepted(candidate, tuple(t for t in rivals if t.variant.cause not in names), margin)
 
 
 def _why_left_out(
     candidate: Candidate, tried: int, library: Sequence[Cause], reasons: Mapping[str, str]
 ) -> str:
-    """Why a cause is not among the accepted ones: by its first candidate, else by what it was in the end."""
+    """Why a cause is not among the accepted ones: by its first candidate, else by its last."""
     cause = candidate.variant.cause
     return verdict_on(candidate, named(cause, library), tried) or reasons.get(cause) or EXPLAINED
 
@@ -239,9 +257,9 @@ def _first_candidates(
 
 
 def _rough(accepted: Sequence[Candidate], other: Candidate) -> int | None:
-    """Place of an accepted cause of the same part whose finer form was not tried yet."""
+    """Place of an accepted cause of the same submodel whose finer form was not tried yet."""
     for place, one in enumerate(accepted):
-        if one.variant.finer is not None and set(one.parts) & set(other.parts):
+        if one.variant.finer is not None and set(one.submodels) & set(other.submodels):
             return place
     return None
 
@@ -249,42 +267,41 @@ def _rough(accepted: Sequence[Candidate], other: Candidate) -> int | None:
 def _finest(
     base: Baseline, baseline: Baseline, accepted: Sequence[Candidate], place: int
 ) -> tuple[Candidate, Baseline]:
-    """An accepted candidate in its finer form where that gains, and the baseline with it; it is
-    tried once."""
+    """An accepted candidate in its finer form where that gains, and the baseline with it; tried once."""
     candidate = accepted[place]
     others = [*accepted[:place], *accepted[place + 1 :]]
-    beside = {name for other in others for name in other.parts}
+    beside = {name for other in others for name in other.submodels}
     ground = base
     if any(drives(other) for other in others):
-        ground = redriven(replace(base, parts={**base.parts, THERMAL: baseline.parts[THERMAL]}))
-    found, baseline = refined(ground, baseline, candidate, alone=not beside & set(candidate.parts))
+        ground = redriven(replace(base, submodels={**base.submodels, THERMAL: baseline.submodels[THERMAL]}))
+    found, baseline = refined(ground, baseline, candidate, alone=not beside & set(candidate.submodels))
     return replace(found, variant=replace(found.variant, finer=None)), baseline
 
 
 def with_candidate(baseline: Baseline, candidate: Candidate) -> Baseline:
-    """The baseline with what a candidate changed, the humidity on the temperature that is known by it."""
-    wider = replace(baseline, parts={**baseline.parts, **candidate.parts})
+    """The baseline with a candidate's submodels, its humidity driven by the temperature that they know."""
+    wider = replace(baseline, submodels={**baseline.submodels, **candidate.submodels})
     return redriven(wider) if drives(candidate) else wider
 
 
 def drives(candidate: Candidate) -> bool:
-    """Whether the air temperature is better known by a candidate: by all that changes its model, but for
-    errors of its readings that the hygric part is told by itself.
+    """Whether a candidate changes the known air temperature: where it changes the thermal model, unless it is
+    an error of the readings that the hygric submodel has as an input of its own.
     """
-    return THERMAL in candidate.parts and HYGRIC not in candidate.variant.altered
+    return THERMAL in candidate.submodels and HYGRIC not in candidate.variant.altered
 
 
 def _class(
     baseline: Baseline, best: Candidate, good: Sequence[Candidate], candidates: Sequence[Candidate]
 ) -> tuple[Candidate, ...]:
-    """The best candidate of every other cause that is not told apart from the chosen one.
+    """The best candidate of every other cause that cannot be told from the chosen one.
 
-    Acceptable ones are compared by evidence and free run; of others that are worth having those that simulate
-    the same: a source that always runs and an offset of the ambient differ by how the exchange depends on the
-    temperature alone, and no cabinet keeps that law as the library writes it.
+    Acceptable candidates are compared by evidence and free run.  Others that are worth having belong to the
+    class where they simulate the same: a source that always runs and an offset of the ambient differ only in
+    how the exchange depends on the temperature, and no cabinet keeps that law exactly.
     """
     others = {t.variant.cause: t for t in reversed(good)}
-    for t in sorted(candidates, key=worth, reverse=True):
+    for t in _by_evidence(candidates):
         close = t.lr > 0.0 and worth_having(t) and not t.beyond
         if close and t.variant.cause not in others and difference(baseline, best, t) < SAME:
             others[t.variant.cause] = t
@@ -293,22 +310,24 @@ def _class(
     return tuple(t for cause, t in others.items() if cause not in acceptable or alike(baseline, best, t))
 
 
-def _ahead(best: Candidate, class_: Sequence[Candidate], candidates: Sequence[Candidate]) -> float:
+def _margin(best: Candidate, rivals: Sequence[Candidate], candidates: Sequence[Candidate]) -> float:
     """Share of its evidence by which the best cause outside its class stays behind."""
-    alike_to_it = {best.variant.cause, *(t.variant.cause for t in class_)}
-    behind = max((worth(t) for t in candidates if t.variant.cause not in alike_to_it), default=0.0)
-    return 1.0 - max(behind, 0.0) / max(worth(best), behind, 1e-9)
+    class_ = {best.variant.cause, *(t.variant.cause for t in rivals)}
+    behind = max((t.bic_gain for t in candidates if t.variant.cause not in class_), default=0.0)
+    return 1.0 - max(behind, 0.0) / max(best.bic_gain, behind, 1e-9)
 
 
-def _reason(candidate: Candidate, tried: int, accepted: Sequence[Candidate], library: Sequence[Cause]) -> str:
-    """Why a candidate is not acceptable beside the accepted ones."""
+def reason_against(
+    candidate: Candidate, tried: int, accepted: Sequence[Candidate], library: Sequence[Cause]
+) -> str:
+    """Why a candidate is not acceptable beside the accepted ones; empty where it is."""
     reason = verdict_on(candidate, named(candidate.variant.cause, library), tried)
     if reason:
         return reason
     if accepted and not worth_having(candidate):
         return NO_BETTER
     for other in accepted:
-        common = set(other.parts) & set(candidate.parts)
+        common = set(other.submodels) & set(candidate.submodels)
         if common and candidate.bic_in(common) < SHARE * other.bic_in(common):
             return "no more than what a stronger cause of another form than assumed leaves behind"
     return ""
@@ -321,22 +340,22 @@ def _again(
     changed: set[str],
     say: Progress,
 ) -> list[Candidate]:
-    """The hopeful ones of the last round, two variants of a cause at most, tried beside what was accepted.
+    """The hopeful candidates of the last round, two variants of a cause at most, tried beside the accepted
+    ones.
 
-    changed: parts that are others now; where a candidate has none of them, nothing about it is.  What the
-        budget
-    does not last for is left out.
+    changed: names of the submodels that are new; a candidate with none of them stays as it is.  Candidates
+        that the budget does not reach are left out.
     """
     say("others beside it")
     done = {t.variant.cause for t in accepted}
-    taken = {name: setting for t in accepted for name, setting in t.variant.features.items()}
+    used = {name: setting for t in accepted for name, setting in t.variant.features.items()}
     hopeful: list[Candidate] = []
     count: dict[str, int] = {}
-    for candidate in sorted(candidates, key=worth, reverse=True):
+    for candidate in _by_evidence(candidates):
         cause, features = candidate.variant.cause, candidate.variant.features
         if candidate.lr <= RETRY or cause in done or count.get(cause, 0) == 2:
             continue
-        if any(name in taken and taken[name] != setting for name, setting in features.items()):
+        if any(name in used and used[name] != setting for name, setting in features.items()):
             continue  # one setting of a feature at a time: two dates need two names
         if any(_controls(candidate) & _controls(one) for one in accepted):
             continue
@@ -344,11 +363,11 @@ def _again(
         hopeful.append(candidate)
 
     def beside(candidate: Candidate) -> Candidate | None:
-        if not changed & set(candidate.parts):
+        if not changed & set(candidate.submodels):
             return candidate
         try:
             baseline.budget.check()
-            return _settled(baseline, attempt(baseline, started(baseline, candidate)))
+            return _settled(baseline, attempt(baseline, restarted(baseline, candidate)))
         except BudgetSpent:
             return None
 
@@ -356,55 +375,54 @@ def _again(
 
 
 def _controls(candidate: Candidate) -> set[tuple[str, str]]:
-    """(part, reading) of the controllers that a candidate brings.
+    """(submodel, reading) of the controllers that a candidate brings.
 
-    Of two that follow the same reading the second is what the first one's form leaves behind.
+    A second controller that follows the same reading explains what the form of the first leaves behind.
     """
     return {
-        (part, SWITCHES[name](**settings).reads)
+        (submodel, SWITCHES[name](**settings).reads)
         for name, settings in candidate.variant.features.items()
         if name in SWITCHES
-        for part in candidate.parts
+        for submodel in candidate.submodels
     }
 
 
 def _needed(
     base: Baseline, accepted: Sequence[Candidate], baseline: Baseline, say: Progress
-) -> tuple[list[int], Baseline]:
-    """Places of the causes that are still needed beside the last one, and the baseline with them alone."""
+) -> tuple[list[Candidate], Baseline]:
+    """The causes that are still needed beside the last one, and the baseline with them alone."""
     say("earlier causes again")
-    places = list(range(len(accepted)))
-    for place in places[:-1]:
-        others = [i for i in places if i != place]
+    for place, candidate in enumerate(accepted[:-1]):
+        others = [*accepted[:place], *accepted[place + 1 :]]
         without = base
-        for i in others:
-            again = attempt(without, started(without, accepted[i]))
-            without = with_candidate(without, again)
+        for other in others:
+            without = with_candidate(without, attempt(without, restarted(without, other)))
         lost = sum(
-            2.0 * (baseline.parts[name].objective - without.parts[name].objective) for name in baseline.parts
+            2.0 * (submodel.objective - without.submodels[name].objective)
+            for name, submodel in baseline.submodels.items()
         )
-        if lost - accepted[place].price < EVIDENCE:
+        if lost - candidate.price < EVIDENCE:
             return others, without
-    return places, baseline
+    return list(accepted), baseline
 
 
 def alike(baseline: Baseline, best: Candidate, other: Candidate) -> bool:
     """Whether two acceptable causes cannot be told apart on this record."""
-    if worth(best) - worth(other) < CLOSE:
+    if best.bic_gain - other.bic_gain < CLOSE:
         return True
-    return difference(baseline, best, other) < (HALF if worth(other) >= HALF * worth(best) else SAME)
+    return difference(baseline, best, other) < (HALF if other.bic_gain >= HALF * best.bic_gain else SAME)
 
 
 def difference(baseline: Baseline, best: Candidate, other: Candidate) -> float:
-    """RMS difference of two causes' free runs over the RMS change that `best` makes [1], parts in units of
-    their error.
+    """RMS difference of two causes' free runs over the RMS change that `best` makes [1], each submodel in
+    units of its error.
 
-    At the readings that all three have; a shifted clock of the cabinet leaves none, and the causes are taken
-    as different.
+    Compared at the readings that all three runs share; infinite where these are few, as with a shifted clock
+    of the cabinet.
     """
     apart, change = 0.0, 0.0
-    for name, part in baseline.parts.items():
-        runs = [part, *(candidate.parts.get(name, part) for candidate in (best, other))]
+    for name, submodel in baseline.submodels.items():
+        runs = [submodel, *(candidate.submodels.get(name, submodel) for candidate in (best, other))]
         known = [np.round(one.time_s[np.isfinite(one.error)]) for one in runs]
         shared = functools.reduce(np.intersect1d, known)
         if len(shared) < 0.5 * len(known[0]):

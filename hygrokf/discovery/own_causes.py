@@ -1,7 +1,7 @@
-"""A user's own causes: made from a factory, loaded from a file or an installed package, checked, and taken
-into the tables.
+"""A user's own causes: made from a factory, loaded from a file or an installed package, checked, and
+registered.
 
-A file is executed as it stands: load what you trust.
+A file is executed: load only files that you trust.
 """
 
 from __future__ import annotations
@@ -20,11 +20,12 @@ from types import ModuleType
 from typing import Any
 
 from hygrokf.data.ambient import ambient_absolute_humidity
-from hygrokf.discovery.baseline import HYGRIC, THERMAL, Baseline
+from hygrokf.discovery.baseline import Baseline
 from hygrokf.discovery.cause import Additions, Cause, Variant
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.plugin_validation import form_faults, is_feature, told, variant_faults
+from hygrokf.discovery.plugin_validation import exception_text, form_faults, is_feature, variant_faults
+from hygrokf.discovery.submodel import HYGRIC, THERMAL
 from hygrokf.errors import HygrokfError
 from hygrokf.modelling.registry import Origin, admit, origins, withdraw
 from hygrokf.physics.model import Mechanism
@@ -59,25 +60,26 @@ def cause_of(
     needs: Sequence[str] = (),
     alone: float = math.inf,
 ) -> Cause:
-    """A cause that is one mechanism of the thermal part, of the hygric part, or one of each.
+    """A cause that is one mechanism of the thermal submodel, of the hygric submodel, or one of each.
 
     name: identifier.  thermal, hygric: factories of the mechanism, called without arguments.
     meaning, remedy, separate_by: one sentence each: what the cause is, what to check in the turbine, and
         which measurement tells it from its rivals.
-    starts: values of parameters to start from; several are tried, the best is followed.
-    features: inputs that are no signals: (function(record, time), hold) for one of your own, settings for one
-        of the package's (`{"standstill": {}}`).
+    starts: start values of parameters; of several the best is followed.
+    features: inputs that are no signals: (function(record, time), hold) for a feature of your own, settings
+        for one of the package's (`{"standstill": {}}`).
     needs: signals that your own features read.  On a record that lacks one the cause is not tried.
     alone: gain in evidence that is enough without a better free run.
 
     Returns the cause, for the `library` of `discover`.  For grids of dates or thresholds make a `Cause` with
-    `variants` of your own.  Raises ValueError without a factory, TypeError where one returns no mechanism.
+    `variants` of your own.  Raises ValueError without a factory, TypeError where a factory returns no
+    mechanism.
     """
-    factories = {part: one for part, one in ((THERMAL, thermal), (HYGRIC, hygric)) if one is not None}
+    factories = {key: one for key, one in ((THERMAL, thermal), (HYGRIC, hygric)) if one is not None}
     if not factories:
         raise ValueError(f"cause {name!r}: expected a factory for thermal, hygric or both, found none")
-    made = {part: factory() for part, factory in factories.items()}
-    wrong = [part for part, one in made.items() if not isinstance(one, Mechanism)]
+    mechanisms = {key: factory() for key, factory in factories.items()}
+    wrong = [key for key, one in mechanisms.items() if not isinstance(one, Mechanism)]
     if wrong:
         raise TypeError(f"cause {name!r}: expected factories that return a Mechanism: {', '.join(wrong)}")
     features = dict(features or {})
@@ -86,66 +88,62 @@ def cause_of(
     first = (starts,) if isinstance(starts, Mapping) else tuple(starts)
 
     def variants(baseline: Baseline) -> list[Variant]:
-        there = {part: one for part, one in made.items() if part in baseline.parts}
-        if any(_lacking(baseline, part, one, settings, needs) for part, one in there.items()) or not there:
+        there = {key: one for key, one in mechanisms.items() if key in baseline.submodels}
+        if not there or any(_lacking(baseline, key, one, settings, needs) for key, one in there.items()):
             return []
-        additions: Additions = {part: ((one.name, {}),) for part, one in there.items()}
+        additions: Additions = {key: ((one.name, {}),) for key, one in there.items()}
         return [Variant(name, "as given", additions, settings, first or ({},))]
 
-    inputs = {key for one in made.values() for key in one.inputs} - set(settings)
+    inputs = {key for one in mechanisms.values() for key in one.inputs} - set(settings)
     return Cause(
         name, meaning, remedy, separate_by, variants, ", ".join(sorted({*inputs, *needs})), alone,
-        mechanisms={made[part].name: factory for part, factory in factories.items()}, features=own,
+        mechanisms={mechanisms[key].name: factory for key, factory in factories.items()}, features=own,
     )  # fmt: skip
 
 
 def _lacking(
     baseline: Baseline,
-    part: str,
+    submodel: str,
     mechanism: Mechanism,
     features: Mapping[str, Settings],
     needs: Sequence[str],
 ) -> set[str]:
     """Signals that a mechanism or its features read and a record does not have."""
-    there = {
-        *ALWAYS,
-        *features,
-        *baseline.record.signals,
-        *baseline.parts[part].base.model.inputs,
-    }
+    inputs = baseline.submodels[submodel].base.model.inputs
+    there = {*ALWAYS, *features, *baseline.record.signals, *inputs}
     if ambient_absolute_humidity(baseline.record) is not None:
         there.add("ambient_absolute_humidity")
     return {*mechanism.inputs, *needs} - there
 
 
-# -- into the tables -----------------------------------------------------------------------------------------
+# -- registration --------------------------------------------------------------------------------------------
 def adopt(causes: Iterable[Cause]) -> None:
-    """Check causes that bring mechanisms or features, and take these into the package's tables.
+    """Check causes that bring mechanisms or features, and register these in the package's tables.
 
-    What is adopted already is left alone.  Raises LibraryFault with everything that is wrong.
+    Causes that are registered already are left alone.  Raises LibraryFault that lists all faults.
     """
     causes = list(causes)
     new = [c for c in causes if (c.mechanisms or c.features) and _adopted.get(c.name) is not c]
-    faults = _doubles([("", c) for c in causes])
-    faults += [fault for cause in new for fault in _taken_in(cause, cause, _made_in(cause))]
+    faults = _duplicates([("", c) for c in causes])
+    faults += [fault for cause in new for fault in _registered(cause, cause, _origin_in_python(cause))]
     if faults:
         raise LibraryFault(faults)
 
 
-def _taken_in(cause: Cause, shown: Cause, origin: Origin) -> list[str]:
-    """Faults of a cause; without any it is in the tables, with the functions of `shown`."""
+def _registered(cause: Cause, guarded: Cause, origin: Origin) -> list[str]:
+    """Faults of a cause; a cause without faults is registered, with the functions of `guarded`."""
     faults = form_faults(cause)
     if not faults:
         names = {*cause.mechanisms, *cause.features}
         for name in [n for n, old in _adopted.items() if names & {*old.mechanisms, *old.features}]:
-            del _adopted[name]  # its functions give way to these
+            del _adopted[name]  # these functions replace its own
         admit(cause.mechanisms, cause.features, origin)
         faults = variant_faults(cause)
         if faults:
             withdraw(names)
         else:
-            admit(shown.mechanisms, shown.features, origin)
-            _adopted[cause.name] = shown
+            admit(guarded.mechanisms, guarded.features, origin)
+            _adopted[cause.name] = guarded
     return [f"cause {cause.name!r}: {fault}" for fault in faults]
 
 
@@ -154,7 +152,7 @@ def origins_of(cause: Cause) -> dict[str, dict[str, str]]:
     return origins((*cause.mechanisms, *cause.features))
 
 
-def _made_in(cause: Cause) -> dict[str, str]:
+def _origin_in_python(cause: Cause) -> dict[str, str]:
     """Origin of a cause that was made in Python: the file of its first function, else the module."""
     functions = [*_mapping(cause.mechanisms).values()]
     functions += [pair[0] for pair in _mapping(cause.features).values() if is_feature(pair)]
@@ -166,12 +164,12 @@ def _made_in(cause: Cause) -> dict[str, str]:
 
 
 def _mapping(value: object) -> Settings:
-    """The value where it is a mapping, else an empty one: that it is none is told as a fault."""
+    """The value where it is a mapping, else an empty mapping; `form_faults` reports other values."""
     return value if isinstance(value, Mapping) else {}
 
 
-def _doubles(pairs: Sequence[tuple[str, Cause]]) -> list[str]:
-    """Names that two causes bring: of causes, and of mechanisms and features that are not the same
+def _duplicates(pairs: Sequence[tuple[str, Cause]]) -> list[str]:
+    """Names of causes that two causes share, and of mechanisms and features that are not the same
     function."""
     faults: list[str] = []
     seen: dict[tuple[bool, str], Any] = {}
@@ -191,13 +189,14 @@ def _doubles(pairs: Sequence[tuple[str, Cause]]) -> list[str]:
 
 # -- from files and packages ---------------------------------------------------------------------------------
 def load_library(*files: str | Path, installed: bool = False) -> tuple[Cause, ...]:
-    """Read causes of a user's from Python files.
+    """Read a user's causes from Python files.
 
-    paths: each file defines one `Cause` or several at its top level (`cause_of` makes them).
+    files: each defines one `Cause` or several at its top level (`cause_of` makes them).
+    installed: also from installed packages, by their entry points.
 
     Returns the causes, in the order of the files, for the `library` of `discover`.  Their mechanisms are
-    known from then on, so that `read_fit` reads models with them.
-    Raises LibraryFault with all faults of all files.
+    registered, so that `read_fit` reads models with them.
+    Raises LibraryFault that lists all faults of all files.
     """
     faults: list[str] = []
     found: list[tuple[str, Cause, Cause, Origin]] = []
@@ -214,12 +213,12 @@ def load_library(*files: str | Path, installed: bool = False) -> tuple[Cause, ..
             found += [(label, cause, _guarded(cause), origin) for cause in _causes_of(entry)]
         except LibraryFault as fault:
             faults += [f"{label}: {one}" for one in fault.faults]
-    faults += _doubles([(source, cause) for source, cause, *_ in found])
-    for source, cause, shown, origin in found:
-        faults += [f"{source}: {fault}" for fault in _taken_in(cause, shown, origin)]
+    faults += _duplicates([(source, cause) for source, cause, *_ in found])
+    for source, cause, guarded, origin in found:
+        faults += [f"{source}: {fault}" for fault in _registered(cause, guarded, origin)]
     if faults:
         raise LibraryFault(faults)
-    return tuple(shown for _, _, shown, _ in found)
+    return tuple(guarded for _, _, guarded, _ in found)
 
 
 def _causes_in(path: Path) -> tuple[list[Cause], Origin]:
@@ -239,16 +238,13 @@ def _causes_in(path: Path) -> tuple[list[Cause], Origin]:
         raise LibraryFault([f"expected a Python file, found {reason}{where}"]) from None
     sys.modules[module.__name__] = module  # dataclasses look their module up
     try:
-        with redirect_stdout(sys.stderr):  # what it prints must not mix with --json
+        with redirect_stdout(sys.stderr):  # its prints must not mix with --json
             exec(code, module.__dict__)
     except KeyboardInterrupt:
         raise
-    except ImportError as fault:
-        raise LibraryFault(
-            [f"cannot be run: {told(fault, str(path))}; a library is one file: install what it imports"]
-        ) from fault
     except BaseException as fault:  # also SystemExit
-        raise LibraryFault([f"cannot be run: {told(fault, str(path))}"]) from fault
+        advice = "; a library is one file: install what it imports" if isinstance(fault, ImportError) else ""
+        raise LibraryFault([f"cannot be run: {exception_text(fault, str(path))}{advice}"]) from fault
     return _causes_at_top(module), {"file": path.name, "sha256": sha256}
 
 
@@ -256,12 +252,8 @@ def _causes_at_top(module: object) -> list[Cause]:
     found = {id(one): one for one in vars(module).values() if isinstance(one, Cause)}
     own = [one for one in found.values() if all(one is not known for known in LIBRARY)]
     if not own:
-        raise LibraryFault(
-            [
-                "expected a hygrokf.Cause at the top level, found none: NAME = hygrokf.cause_of(…), "
-                "docs/own_cause.md"
-            ]
-        )
+        text = "expected a hygrokf.Cause at the top level, found none: NAME = hygrokf.cause_of(…), "
+        raise LibraryFault([text + "docs/own_cause.md"])
     return own
 
 
@@ -272,7 +264,7 @@ def _causes_of(entry: EntryPoint) -> list[Cause]:
     except KeyboardInterrupt:
         raise
     except BaseException as fault:
-        raise LibraryFault([f"cannot be loaded: {told(fault)}; mend or uninstall it"]) from fault
+        raise LibraryFault([f"cannot be loaded: {exception_text(fault)}; mend or uninstall it"]) from fault
     if isinstance(loaded, Cause):
         return [loaded]
     if isinstance(loaded, ModuleType):
@@ -282,14 +274,11 @@ def _causes_of(entry: EntryPoint) -> list[Cause]:
 
 def _origin_of(entry: EntryPoint) -> tuple[str, Origin]:
     name, version = (entry.dist.name, entry.dist.version) if entry.dist else (entry.value, "?")
-    return f"package {name} (entry point {entry.name})", {
-        "package": name,
-        "version": version,
-    }
+    return f"package {name} (entry point {entry.name})", {"package": name, "version": version}
 
 
 def _guarded(cause: Cause, file: Path | None = None) -> Cause:
-    """The cause with functions whose exceptions are told as faults of its file, not of the package."""
+    """The cause with functions whose exceptions are reported as faults of its file, not of the package."""
     place = file.name if file else "a package"
 
     def guard(function: Callable[..., Any], what: str) -> Callable[..., Any]:
@@ -298,7 +287,7 @@ def _guarded(cause: Cause, file: Path | None = None) -> Cause:
             try:
                 return function(*arguments, **settings)
             except Exception as fault:
-                text = told(fault, str(file) if file else None)
+                text = exception_text(fault, str(file) if file else None)
                 raise LibraryFault([f"{place}: cause {cause.name!r}: {what} fails: {text}"]) from fault
 
         return called

@@ -1,9 +1,8 @@
-"""Whether a user's cause can take part: its words and names, its variants, and that it is nested in the base
-models.
+"""Checks of a user's cause: its sentences and names, its variants, and that it is nested in the base models.
 
 Everything is tried on a small record with every signal of the table (30 days, hourly, made of sines).  At the
-null value of a mechanism the free run of the extended model must be that of the base, away from it something
-must change.
+null value of a mechanism the free run of the extended model must be that of the base; away from it the free
+run must change.
 """
 
 from __future__ import annotations
@@ -21,10 +20,11 @@ import numpy as np
 
 from hygrokf.data.record import Record, Series, Site
 from hygrokf.data.signals import SIGNALS
-from hygrokf.discovery.baseline import HYGRIC, THERMAL, Baseline, Part
+from hygrokf.discovery.baseline import Baseline
 from hygrokf.discovery.cause import Cause, Variant
 from hygrokf.discovery.discovery_results import Settings
 from hygrokf.discovery.library import LIBRARY
+from hygrokf.discovery.submodel import HYGRIC, THERMAL, Submodel
 from hygrokf.engine.timeline import Timeline
 from hygrokf.errors import suggestion
 from hygrokf.estimation.likelihood import Likelihood
@@ -38,8 +38,8 @@ from hygrokf.physics.mechanisms import LIBRARY as MECHANISMS
 from hygrokf.physics.model import SUMS, Mechanism
 
 SAME = 1e-5
-"""Largest difference of two free runs that count as one, as a share of the spread of the base's; sub-steps
-may differ."""
+"""[1] largest difference of two free runs that count as equal, as a share of the spread of the base's;
+sub-steps may differ."""
 DAYS = 30
 IDENTIFIER = re.compile(r"[a-z][a-z0-9_]*")
 _RANGES: Mapping[str, tuple[float, float]] = {
@@ -55,8 +55,7 @@ _RANGES: Mapping[str, tuple[float, float]] = {
 def trial_record() -> Record:
     """A record with every signal: sines of many periods in ordinary ranges.
 
-    The door is open too seldom to be an input of the base model: else there would be no opening left to look
-    for.
+    The door is open too seldom to be an input of the base model; otherwise no opening would be left to find.
     """
     hour = np.arange(24 * DAYS + 1.0)
     series = []
@@ -76,24 +75,21 @@ def trial_record() -> Record:
 
 @lru_cache(maxsize=1)
 def trial_baseline() -> Baseline:
-    """Both parts of the base model on the candidate record, at their start values: nothing is estimated."""
+    """Both submodels of the base model on the trial record, at their start values: nothing is estimated."""
     record = trial_record()
-    parts = {}
+    submodels = {}
     for name, kind in ((THERMAL, THERMAL), (HYGRIC, CASCADE)):
         base = design(record, kind=kind)
-        made = prepare_run(base, record)
+        run = prepare_run(base, record)
         values = {p.name: p.start for p in base.model.parameters}
-        parts[name] = Part(
-            name=name, record=record, base=base, run=made, values=values,
-            objective=Likelihood(base.model, made.timeline).value(values), converged=True,
-            error=np.zeros(len(made.timeline)),
-        )  # fmt: skip
-    return Baseline(record, parts)
+        objective = Likelihood(base.model, run.timeline).value(values)
+        submodels[name] = Submodel(name, record, base, run, values, objective, True)
+    return Baseline(record, submodels)
 
 
-# -- faults, before anything is taken into the tables --------------------------------------------------------
+# -- faults, before anything is registered ------------------------------------------------------------------
 def form_faults(cause: Cause) -> list[str]:
-    """What is wrong with a cause's words, names, factories and features, as sentences."""
+    """Faults of a cause's sentences, names, factories and features."""
     faults = [
         f"{word}: expected a sentence, found {getattr(cause, word)!r}"
         for word in ("meaning", "remedy", "separate_by")
@@ -106,7 +102,7 @@ def form_faults(cause: Cause) -> list[str]:
     if cause.name in {own.name for own in LIBRARY}:
         faults.append("the package has a cause of that name; choose another one")
     if not callable(cause.variants):
-        faults.append(f"variants: expected a function of a scene, found {cause.variants!r}")
+        faults.append(f"variants: expected a function of a baseline, found {cause.variants!r}")
     odd = [word for word in ("mechanisms", "features") if not isinstance(getattr(cause, word), Mapping)]
     if odd:
         return faults + [
@@ -136,7 +132,7 @@ def _factory_faults(
     try:
         made = factory()
     except Exception as fault:
-        yield f"mechanism {name!r}: its factory, called without arguments, fails: {told(fault)}"
+        yield f"mechanism {name!r}: its factory, called without arguments, fails: {exception_text(fault)}"
         return
     if not isinstance(made, Mechanism) or made.name != name:
         found = f"one named {made.name!r}" if isinstance(made, Mechanism) else repr(made)
@@ -169,20 +165,20 @@ def _factory_faults(
 @lru_cache(maxsize=1)
 def _package_names() -> frozenset[str]:
     """Parameters and states of the base models and of the package's further mechanisms."""
-    parts = trial_baseline().parts.values()
-    models = [m for part in parts for m in part.base.model.mechanisms]
+    submodels = trial_baseline().submodels.values()
+    models = [m for submodel in submodels for m in submodel.base.model.mechanisms]
     models += [factory() for factory in (*LOGGED, *FURTHER)]
     return frozenset(name for m in models for name in (*(p.name for p in m.parameters), *m.states))
 
 
-# -- faults of its variants, with its mechanisms in the tables -----------------------------------------------
+# -- faults of its variants, with its mechanisms registered -------------------------------------------------
 def variant_faults(cause: Cause) -> list[str]:
-    """What is wrong with a cause's variants in the candidate baseline: names, starts, equations, nesting."""
+    """Faults of a cause's variants on the trial baseline: names, start values, equations, nesting."""
     baseline = trial_baseline()
     try:
         variants = list(cause.variants(baseline))
     except Exception as fault:
-        return [f"variants fails on a record with every signal: {told(fault)}"]
+        return [f"variants fails on a record with every signal: {exception_text(fault)}"]
     if not variants:
         return [
             "variants gives none on a record with every signal (30 days, hourly); expected at least one there"
@@ -198,9 +194,9 @@ def variant_faults(cause: Cause) -> list[str]:
 
 def _faults_of(variant: Variant, baseline: Baseline) -> list[str]:
     faults = [f"feature {fault}" for fault in feature_faults(variant.features)]
-    for part, pairs in variant.additions.items():
-        if part not in baseline.parts:
-            faults.append(f"part {part!r}: expected {THERMAL} or {HYGRIC}")
+    for submodel, pairs in variant.additions.items():
+        if submodel not in baseline.submodels:
+            faults.append(f"submodel {submodel!r}: expected {THERMAL} or {HYGRIC}")
         faults += [
             f"unknown mechanism {name!r}: name one of the package, or add it to the cause's mechanisms"
             for name, _ in pairs
@@ -209,15 +205,15 @@ def _faults_of(variant: Variant, baseline: Baseline) -> list[str]:
     if faults or not variant.additions:
         return faults
     names: set[str] = set()
-    for part, pairs in variant.additions.items():
+    for submodel, pairs in variant.additions.items():
         try:
-            names |= _nested(baseline.parts[part], pairs, variant.features)
+            names |= _nested(baseline.submodels[submodel], pairs, variant.features)
         except _Unnested as fault:
-            faults.append(f"{part} part: {fault}")
+            faults.append(f"{submodel} submodel: {fault}")
         except Exception as fault:
-            faults.append(f"{part} part: {told(fault)}")
+            faults.append(f"{submodel} submodel: {exception_text(fault)}")
     if not faults:
-        known = names | {name for part in baseline.parts.values() for name in part.values}
+        known = names | {name for submodel in baseline.submodels.values() for name in submodel.values}
         unknown = sorted({name for start in variant.starts for name in start} - known)
         if unknown:
             faults.append(
@@ -227,26 +223,26 @@ def _faults_of(variant: Variant, baseline: Baseline) -> list[str]:
 
 
 class _Unnested(Exception):
-    """A mechanism that is not nested in the base, in words."""
+    """A mechanism that is not nested in the base."""
 
 
 def _nested(
-    part: Part, pairs: tuple[tuple[str, Settings], ...], features: Mapping[str, Settings]
+    submodel: Submodel, pairs: tuple[tuple[str, Settings], ...], features: Mapping[str, Settings]
 ) -> set[str]:
-    """Names of the parameters that mechanisms add to a part; raises where they are not nested in it."""
-    wider = extended(part.base, pairs, features=features)
+    """Names of the parameters that mechanisms add to a submodel; raises where they are not nested in it."""
+    wider = extended(submodel.base, pairs, features=features)
     added = [m for m in wider.model.mechanisms if m.name in {name for name, _ in pairs}]
     own = {p.name: p for m in added for p in m.parameters}
     null = {name: value for m in added for name, value in m.null.items()}
-    base = Likelihood(part.base.model, part.run.timeline)
-    made = prepare_run(wider, part.record).timeline
+    base = Likelihood(submodel.base.model, submodel.run.timeline)
+    made = prepare_run(wider, submodel.record).timeline
     longer = Likelihood(wider.model, made)
-    before = base.trace(part.values, gain=False).prediction
+    before = base.trace(submodel.values, gain=False).prediction
     scale = np.nanstd(before, axis=0)
 
-    def departure(values: Mapping[str, float], extended_one: Likelihood = longer) -> float:
+    def departure(values: Mapping[str, float], likelihood: Likelihood = longer) -> float:
         """Largest difference of the free runs, as a share of the base's spread."""
-        after = extended_one.trace({**part.values, **values}, gain=False).prediction
+        after = likelihood.trace({**submodel.values, **values}, gain=False).prediction
         return float(np.max(np.abs(after - before) / scale))
 
     start = {name: p.start for name, p in own.items()}
@@ -254,9 +250,9 @@ def _nested(
     for given in (start, other):
         found = departure({**given, **null})
         if not found <= SAME:
-            said = ", ".join(f"{name} = {value:g}" for name, value in null.items())
+            at = ", ".join(f"{name} = {value:g}" for name, value in null.items())
             raise _Unnested(
-                f"expected the base model at the null value ({said}), found a free run that differs by "
+                f"expected the base model at the null value ({at}), found a free run that differs by "
                 f"{100.0 * found:.3g} % of its spread; every effect must vanish there"
             )
     acting = {name: value for name, value in other.items() if name in null}
@@ -266,7 +262,7 @@ def _nested(
             "it changes nothing in the free run, whatever its parameters; contribute to one of "
             + ", ".join(SUMS)
         )
-    value, score = longer.score({**part.values, **start, **acting})
+    value, score = longer.score({**submodel.values, **start, **acting})
     if not (math.isfinite(value) and np.all(np.isfinite(score))):
         raise _Unnested(
             "its likelihood is not finite near the start values; check divisions, logarithms and bounds"
@@ -275,7 +271,7 @@ def _nested(
 
 
 def _with_waves(made: Timeline, features: Mapping[str, Settings]) -> Timeline:
-    """The run with waves for features that are constant on it: a threshold that this record never reaches, a
+    """The run with waves for features that are constant in it: a threshold that this record never reaches, a
     late date."""
     u = made.u.copy()
     for column, name in enumerate(made.varying):
@@ -294,17 +290,15 @@ def _away(start: float, lower: float, upper: float, positive: bool) -> float:
 
 _PACKAGE = str(Path(__file__).parents[1])
 _FUNCTOOLS = functools.__file__
-"""Stands between the package and a user's code where a property of the package is computed once."""
+"""Its frames stand between the package and a user's code where the package caches a property."""
 
 
-def told(fault: BaseException, file: str | None = None) -> str:
-    """An exception in a user's code as a phrase: its kind, its text, and the line where it was last in that
-    code."""
+def exception_text(fault: BaseException, file: str | None = None) -> str:
+    """An exception in a user's code as a phrase: its kind, its text, and the last line of that code."""
     frames = traceback.extract_tb(fault.__traceback__)
-    inside = [
-        f
-        for f in frames
-        if (f.filename == file if file else not f.filename.startswith((_PACKAGE, _FUNCTOOLS)))
-    ]
+    if file:
+        inside = [f for f in frames if f.filename == file]
+    else:
+        inside = [f for f in frames if not f.filename.startswith((_PACKAGE, _FUNCTOOLS))]
     where = f" (line {inside[-1].lineno} of {Path(inside[-1].filename).name})" if inside else ""
     return f"{type(fault).__name__}: {fault}{where}"

@@ -1,5 +1,5 @@
-"""From a record to its discovery: what the simulation gets wrong, the cause, the extended model, and what
-that gained."""
+"""From a record to its discovery: the errors of the simulation, their cause, the extended model, and its
+gain."""
 
 from __future__ import annotations
 
@@ -8,19 +8,8 @@ from dataclasses import dataclass, replace
 
 from hygrokf.data.record import Record
 from hygrokf.data.structured import JsonObject, plain
-from hygrokf.discovery import held_out
-from hygrokf.discovery.baseline import (
-    HYGRIC,
-    SEARCH_STEP,
-    SIMULATION_STEP,
-    THERMAL,
-    Baseline,
-    part_of,
-    searching,
-    simulating,
-)
-from hygrokf.discovery.budget import SECONDS, Budget
-from hygrokf.discovery.candidate import Candidate
+from hygrokf.discovery.baseline import SECONDS, Baseline, Budget
+from hygrokf.discovery.candidate import Candidate, clock_shifts
 from hygrokf.discovery.cause import Cause
 from hygrokf.discovery.clocks import shifted
 from hygrokf.discovery.discovery_results import (
@@ -29,17 +18,19 @@ from hygrokf.discovery.discovery_results import (
     NotTried,
     Refuted,
     Rejected,
-    Remainder,
+    ResidualStructure,
     Verdict,
 )
 from hygrokf.discovery.evidence import cause_entry, evidence
 from hygrokf.discovery.findings import findings
+from hygrokf.discovery.held_out import SIMULATION_STEP, HeldOut, model_of, without_refuted
 from hygrokf.discovery.library import LIBRARY
-from hygrokf.discovery.model_selection import Selection, select, switches
+from hygrokf.discovery.model_selection import Selection, brings_switch, select
 from hygrokf.discovery.own_causes import adopt, origins_of
 from hygrokf.discovery.repeats import REPEATED, repeated_text, without_repeats
 from hygrokf.discovery.residual_structure import remaining
 from hygrokf.discovery.residuals import Residuals, residuals
+from hygrokf.discovery.submodel import HYGRIC, SEARCH_STEP, THERMAL, simulation_values, submodel_of
 from hygrokf.estimation.optimiser import refine
 from hygrokf.identification.estimation import DesignEstimate, Progress, Stage, assess_stage, output_errors
 from hygrokf.identification.fit import Fit
@@ -52,15 +43,15 @@ REFUTED = (
     "lacks something else"
 )
 UNEXPLAINED_AT_MOST = 0.5
-"""Confidence of a cause under a verdict that says that the cause is not known."""
+"""[1] largest confidence of a cause under the verdict "unexplained"."""
 
 
 @dataclass(frozen=True)
 class Discovery:
-    """The base fit, the extended one where a cause was accepted, and what was found.
+    """The base fit, the extended fit where a cause was accepted, and the results.
 
-    `results`: what `discovery.json` says; `results.to_frame()` lists every cause that was tried.  `before`,
-    `after`: residuals of both models, for pictures.  A discovery can be pickled.
+    `results`: the data of `discovery.json`; `results.to_frame()` lists every cause that was tried.  `before`,
+    `after`: residuals of both models, for figures.  A discovery can be pickled.
     """
 
     base: Fit
@@ -95,20 +86,20 @@ def discover(
     progress: Progress | None = None,
     budget_s: float = SECONDS,
 ) -> Discovery:
-    """Find what the identified model of a record lacks, and name the cause out of a library.
+    """Find what the identified model of a record lacks, and name the cause from a library.
 
-    All choices use the identification period; the validation period can refute them, and gives the reported
+    All choices use the identification period; the validation period can refute them and gives the reported
     gain.
 
     record: as for `identify`.
     library: the causes to try; `load_library` reads further ones from a file.
     starts: number of start points of each maximisation.
-    progress: is told each step in words.
+    progress: receives each step in words.
     budget_s: [s] of wall-clock time.  `not_tried` of the results lists what was left out; `math.inf` gives
         results that do not depend on the machine.
 
     Returns the base fit, the extended fit where a cause was accepted, and `results` as in discovery.json.
-    Raises ValueError as `identify` does, and LibraryFault for causes of a user's that cannot take part.
+    Raises ValueError as `identify` does, and LibraryFault for user causes that cannot be used.
     """
     budget = Budget(budget_s)
     adopt(library)
@@ -122,7 +113,7 @@ def discover(
     baseline = Baseline(
         early,
         {
-            name: part_of(name, driven, DesignEstimate(stage.base, stage.run, stage.estimate))
+            name: submodel_of(name, driven, stage)
             for name, driven, stage in zip(names, basis.records, basis.stages, strict=True)
         },
         budget,
@@ -133,77 +124,74 @@ def discover(
     baseline = replace(baseline, budget=Budget())
     if selection.accepted:
         say("held-out period")
-    tested = held_out.judged(baseline, selection, record)
-    wider, extended, simulator_after = basis, None, simulator
+    tested = without_refuted(baseline, selection, record)
+    wider = basis
     while tested.selection.accepted:
         say("extended model")
         selection = tested.selection
         wider = replace(basis, stages=_stages(basis, selection, not budget.spent, say))
-        ended = held_out.model_of(_ended(selection.baseline, wider.stages), record, selection.accepted)
+        ended = model_of(_ended(selection.baseline, wider.stages), record, selection.candidates)
         tested = tested.ending(ended)
         if tested.selection is selection:
             break
-    selection, moved = tested.selection, record
+    selection = tested.selection
+    before = after = residuals(base, record)
+    corrected = shifted(record, *clock_shifts(selection.candidates))
+    extended, stages = None, basis.stages
     if selection.accepted:
-        for candidate in selection.accepted:
-            if candidate.variant.shift is not None:
-                moved = shifted(moved, candidate.variant.shift)
-        extended = assemble_fit(moved, wider, {}, say=say, rate_step=SIMULATION_STEP)
-        simulating = _simulating(wider, selection.baseline)
-        simulator_after = assemble_fit(moved, simulating, {}, say=say, rate_step=SIMULATION_STEP)
-    stages = wider.stages if selection.accepted else basis.stages
+        stages = wider.stages
+        extended = assemble_fit(corrected, wider, {}, say=say, rate_step=SIMULATION_STEP)
+        wider = _simulating(wider, selection.baseline)
+        simulator = assemble_fit(corrected, wider, {}, say=say, rate_step=SIMULATION_STEP)
+        after = residuals(extended, corrected)
     say("what is left")
-    before = residuals(base, record)
-    after = before if extended is None else residuals(extended, moved)
-    left = remaining((after, residuals(simulator_after, moved)))
+    left = remaining((after, residuals(simulator, corrected)))
     results = _results(baseline, before, left, base, extended, tested, stages, library, repeated, budget_s)
-    return Discovery(base, extended, results, before, after if extended is not None else None)
+    return Discovery(base, extended, results, before, None if extended is None else after)
 
 
 def _simulating(basis: Basis, baseline: Baseline) -> Basis:
-    """The basis with parameters moved toward the least free-run error of each part."""
+    """The basis with parameters moved toward the least free-run error of each submodel."""
     stages = []
     for name, stage in zip((THERMAL, HYGRIC), basis.stages, strict=False):
-        values = simulating(replace(baseline.parts[name], values=stage.estimate.values))
+        values = simulation_values(replace(baseline.submodels[name], values=stage.estimate.values))
         stages.append(replace(stage, estimate=replace(stage.estimate, values=values)))
     return replace(basis, stages=tuple(stages))
 
 
 def _stages(basis: Basis, selection: Selection, profiles: bool, say: Progress) -> tuple[Stage, ...]:
-    """The stages with the accepted causes in them, climbed to the end and judged, by `profiles` or Wald
-    bounds."""
+    """The stages with the accepted causes, estimated to the end, with bounds by profiles or (without
+    `profiles`) Wald bounds."""
     found: list[Stage] = []
     for name, stage in zip((THERMAL, HYGRIC), basis.stages, strict=False):
-        part = selection.baseline.parts[name]
-        if part.base is stage.base and part.record is basis.records[len(found)]:
-            found.append(stage)
-            continue
-        estimate = refine(searching(part.base.model, part.run.timeline), part.values)
-        found.append(
-            assess_stage(
-                part.record, DesignEstimate(part.base, part.run, estimate, SEARCH_STEP), profiles, say
-            )
-        )
+        submodel = selection.baseline.submodels[name]
+        if submodel.base is not stage.base or submodel.record is not basis.records[len(found)]:
+            estimate = refine(submodel.likelihood, submodel.values)
+            estimated = DesignEstimate(submodel.base, submodel.run, estimate, SEARCH_STEP)
+            stage = assess_stage(submodel.record, estimated, profiles, say)
+        found.append(stage)
     return tuple(found)
 
 
 def _ended(baseline: Baseline, stages: Sequence[Stage]) -> Baseline:
-    """The baseline with its parts as the stages have them in the end."""
-    parts = {
-        name: part_of(name, part.record, DesignEstimate(stage.base, stage.run, stage.estimate))
-        for (name, part), stage in zip(baseline.parts.items(), stages, strict=True)
+    """The baseline with its submodels at the stages' final estimates."""
+    submodels = {
+        name: submodel_of(name, submodel.record, stage)
+        for (name, submodel), stage in zip(baseline.submodels.items(), stages, strict=True)
     }
-    return replace(baseline, parts=parts)
+    return replace(baseline, submodels=submodels)
 
 
-def verdict(accepted: Sequence[Candidate], rest: Remainder | None, foreign: bool, repeated: bool) -> Verdict:
+def verdict(
+    accepted: Sequence[Candidate], rest: ResidualStructure | None, foreign: bool, repeated: bool
+) -> Verdict:
     """`none`, `named` or `unexplained`.
 
-    rest: structure that is left; foreign: whether nobody logs what makes it; repeated: whether readings were
-    set aside.  Both overrule what was accepted, the first but for switches: simulated ones lose their phase,
-    and what their cycles leave goes to one side too.
+    rest: structure that is left in the errors; foreign: whether no logged signal makes it; repeated: whether
+        repeated readings were set aside.  Both overrule the accepted causes, `foreign` unless a switch is
+        among them: a simulated switch loses its phase, and the errors of its cycles also go to one side.
     """
-    overruled = repeated or (foreign and not any(switches(candidate) for candidate in accepted))
+    overruled = repeated or (foreign and not any(brings_switch(candidate) for candidate in accepted))
     if accepted and not overruled:
         return "named"
     return "none" if rest is None else "unexplained"
@@ -212,10 +200,10 @@ def verdict(accepted: Sequence[Candidate], rest: Remainder | None, foreign: bool
 def _results(
     baseline: Baseline,
     before: Residuals,
-    left: tuple[Remainder | None, bool],
+    left: tuple[ResidualStructure | None, bool],
     base: Fit,
     extended: Fit | None,
-    tested: held_out.Judged,
+    tested: HeldOut,
     stages: Sequence[Stage],
     library: Sequence[Cause],
     repeated: Mapping[str, list[tuple[float, float]]],
@@ -224,16 +212,14 @@ def _results(
     selection = tested.selection
     rest, foreign = left
     if repeated:
-        rest = Remainder("readings", REPEATED, repeated_text(repeated))
+        rest = ResidualStructure("readings", REPEATED, repeated_text(repeated))
     elif rest is None and tested.refuted and not selection.accepted:
-        rest = Remainder(tested.refuted[0][1].quantity, "refuted", REFUTED)
-    said = verdict(selection.accepted, rest, foreign, bool(repeated))
+        rest = ResidualStructure(tested.refuted[0][1].quantity, "refuted", REFUTED)
+    said = verdict(selection.candidates, rest, foreign, bool(repeated))
     known = {p.name for p in base.design.model.parameters}
     causes = [
-        cause_entry(baseline, candidate, rivals, margin, gain, known, stages, library, selection.tried)
-        for candidate, rivals, margin, gain in zip(
-            selection.accepted, selection.rivals, selection.margins, tested.gains, strict=True
-        )
+        cause_entry(baseline, accepted, gain, known, stages, library, selection.tried)
+        for accepted, gain in zip(selection.accepted, tested.gains, strict=True)
     ]
     if said == "unexplained":
         causes = [replace(one, confidence=min(one.confidence, UNEXPLAINED_AT_MOST)) for one in causes]

@@ -1,31 +1,30 @@
-"""Readings that repeat those of the day before: a logger's fault, to be set aside before anything is
+"""Readings that repeat those of the day before: a fault of the logger.  They are set aside before errors are
 explained by physics."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from datetime import UTC, datetime
 
 import numpy as np
 
 from hygrokf.data.record import Record, Series
 from hygrokf.data.timestamps import DAY_S
-from hygrokf.discovery.residuals import run_lengths
+from hygrokf.discovery.residuals import first_dates, run_lengths
 
 REPEATED = "repeated readings"
-"""What such a remainder is called in `discovery.json`."""
+"""Kind of the residual structure in `discovery.json`."""
 SHORTEST_S = 3600.0
-"""[s] of a stretch at least."""
+"""[s] shortest stretch."""
 FEWEST_REPEATED = 6
-"""Readings of a stretch at least."""
+"""Fewest readings of a stretch."""
 BEYOND = 1.5
-"""A stretch must be so many times longer than the longest that chance makes: that of readings which equal
-others some steps more or less than a day before."""
+"""A stretch must be this many times as long as the longest that chance makes: that of readings which equal
+readings some steps more or less than a day before."""
 PAUSE_S = 7200.0
 """[s] between two stretches that belong to one: readings that were missing a day before."""
 OTHERS = 40
-"""Other lags that are looked at."""
+"""Other lags that show what chance makes."""
 MOVING = 0.25
 """[1] share of steps with a change below which readings stand still: saturated or frozen ones equal each
 other anyway."""
@@ -70,8 +69,8 @@ def _equal(grid: np.ndarray, lag: int, tolerance: float) -> list[tuple[int, int]
 def without_repeats(record: Record) -> tuple[Record, dict[str, list[tuple[float, float]]]]:
     """The record with the cabinet's repeated readings missing, and the stretches [s] by signal.
 
-    A logger repeats all that it logs: what one signal shows is missing in every signal of its source, pauses
-    too.
+    A logger repeats all that it logs: the stretches of one signal go missing in every signal of its source,
+    with the pauses between them.
     """
     own = [series for series in record.series if series.signal.startswith("cabinet_")]
     spans = {series.signal: found for series in own if (found := repeats(series))}
@@ -89,7 +88,7 @@ def without_repeats(record: Record) -> tuple[Record, dict[str, list[tuple[float,
 
 
 def _joined(spans: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
-    """Stretches with pauses of up to `PAUSE_S` between them taken as one."""
+    """Stretches joined over pauses of up to `PAUSE_S`."""
     found: list[tuple[float, float]] = []
     for first, last in sorted(spans):
         if found and first - found[-1][1] <= PAUSE_S:
@@ -102,11 +101,10 @@ def _joined(spans: Iterable[tuple[float, float]]) -> list[tuple[float, float]]:
 def repeated_text(spans: Mapping[str, list[tuple[float, float]]]) -> str:
     """The repeats in one sentence."""
     name, found = max(spans.items(), key=lambda pair: len(pair[1]))
-    days = list(dict.fromkeys(f"{datetime.fromtimestamp(first, UTC):%-d %B %Y}" for first, _ in found))
-    rest = len(days) - 3
-    more = f" and {rest} more day{'s' if rest > 1 else ''}" if rest > 0 else ""
+    days, rest = first_dates(first for first, _ in found)
+    more = f" and {rest} more day{'s' if rest > 1 else ''}" if rest else ""
     hours = sum(last - first for first, last in found) / 3600.0
     return (
         f"readings of {name.replace('_', ' ')} repeat those of the day before, {hours:.0f} h in all: "
-        f"{', '.join(days[:3])}{more}; they were set aside"
+        f"{days}{more}; they were set aside"
     )

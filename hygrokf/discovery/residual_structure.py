@@ -1,16 +1,16 @@
-"""What structure is left in the errors of a free run: under a condition, to one side, or in time alone."""
+"""The structure that is left in the errors of a free run: under a condition, to one side, or in time
+alone."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from datetime import UTC, datetime
+from collections.abc import Callable
 
 import numpy as np
 
-from hygrokf.discovery.discovery_results import Finding, Remainder
+from hygrokf.discovery.changes import GROWS, growth, period
+from hygrokf.discovery.discovery_results import ResidualStructure
 from hygrokf.discovery.findings import LEVEL, MATERIAL, NAMES, digits, findings
-from hygrokf.discovery.regularity import GROWS, growth, period
 from hygrokf.discovery.residuals import (
     FEWEST_HOURS,
     HUMIDITY,
@@ -20,6 +20,7 @@ from hygrokf.discovery.residuals import (
     Hours,
     Residuals,
     closed,
+    first_dates,
     hourly,
     run_lengths,
 )
@@ -27,43 +28,41 @@ from hygrokf.discovery.strata import LAGS_H
 from hygrokf.evaluation.bootstrap import block_h
 
 BLOCK_H = 3.0
+"""[h] blocks in which unrest is looked for."""
 WANDERS_H = 24.0
-"""Standard deviation of the bell by which the error's slow course is taken out: what comes and goes lasts for
-hours."""
+"""[h] standard deviation of the bell by which the error's slow course is taken out: effects that come and go
+last for hours."""
 APART = 24
-"""Blocks, three days, by which two series are moved apart at least to see what chance makes of them."""
+"""Fewest blocks (three days) by which two series are moved apart to see what chance makes of them."""
 RESTLESS = {(TEMPERATURE, 1): 2.4, (TEMPERATURE, -1): 3.6, (HUMIDITY, 1): 3.0, (HUMIDITY, -1): 3.0}
 """(quantity, side) -> standard errors beyond which unrest goes with that side of the error.  A cabinet is
-warmer than the air around it, so that an ordinary exchange that is restless goes with errors to the cold
-side."""
+warmer than the air around it, so an ordinary restless exchange makes errors to the cold side."""
 UNSTEADY = 1.3
-"""Variance of the innovations' size below which there is no unrest to speak of."""
+"""[1] variance of the innovations' size below which there is no unrest."""
 REGULAR = 1e-3
-"""p below which errors have a period; slow errors of 20 cabinets that hide nothing came down to 0.005."""
+"""p below which errors have a period; slow errors of 20 cabinets without a hidden cause came down to
+0.005."""
 CHANCE = 0.01
-"""p below which errors grow or come in bursts, as far as `GROWS` and `PEAKED` say that it matters."""
+"""p below which errors grow or come in bursts, if they also exceed `GROWS` or `PEAKED`."""
 PEAKED = 6.0
 """[1] kurtosis of the errors from which they come in bursts, twice that of a Gaussian disturbance."""
 SKEWED = 0.5
-"""[1] skewness of the errors below which nothing is called one-sided."""
+"""[1] skewness below which errors are not called one-sided."""
 
 
-def structure(
-    residuals: Residuals, level: float = LEVEL, found: Sequence[Finding] | None = None
-) -> Remainder | None:
-    """The strongest structure left in the errors, or None: quantity, when, what it goes with, p.
+def structure(residuals: Residuals, level: float = LEVEL) -> ResidualStructure | None:
+    """The strongest structure left in the errors, or None.
 
-    level: [1] chance of an answer where there is none.  found: `findings(residuals)` if at hand.  Looked for
-    are misfits under any condition that came more than once, and excursions to one side under no condition
-    that was logged.  `driver`, `lag_h` and `correlation` name the driver that the error follows best.
+    level: [1] chance of a structure where there is none.
+
+    Either a finding under a condition that came more than once, or excursions to one side under no logged
+    condition.  `driver`, `lag_h` and `correlation` name the driver that the error follows best.
     """
-    found = findings(residuals, level) if found is None else found
-    recurring = [one for one in found if not one.once]
     hours = hourly(residuals)
-    if recurring:
-        one = recurring[0]
+    one = next((finding for finding in findings(residuals, level) if not finding.once), None)
+    if one is not None:
         when = ", ".join(part for part in (one.when, one.where) if part)
-        return _left(hours, one.quantity, "condition", when, one.statement, one.p_adjusted, one.driver)
+        return _with_driver(hours, one.quantity, "condition", when, one.statement, one.p_adjusted, one.driver)
     for quantity in QUANTITIES:
         error = hours.error[quantity]
         if np.isfinite(error).sum() < FEWEST_HOURS:
@@ -76,17 +75,18 @@ def structure(
         size = float(np.nanquantile(side * error, 0.99))
         spans = [(a, b) for a, b in run_lengths(closed(side * error > 0.5 * size, hours.step_h)) if b - a > 1]
         spans = sorted(spans, key=lambda span: -float(np.nansum(side * error[slice(*span)])))
-        when = _dates([float(hours.time_s[a]) for a, _ in spans])
-        words = (
+        when, rest = first_dates(float(hours.time_s[a]) for a, _ in spans)
+        when += f" and {rest} more" if rest else ""
+        text = (
             f"in {len(spans)} episodes, under no condition that is logged, simulated {NAMES[quantity]} is up "
             f"to {digits(size)} {UNITS[quantity]} {'too low' if side > 0 else 'too high'}: {when}"
         )
-        return _left(hours, quantity, "one-sided excursions", when, words, p)
+        return _with_driver(hours, quantity, "one-sided excursions", when, text, p)
     return None
 
 
-def _in_time(hours: Hours, quantity: str) -> Remainder | None:
-    """A period, growth or bursts of a quantity's errors, as `structure` gives it, or None."""
+def _course(hours: Hours, quantity: str) -> ResidualStructure | None:
+    """A period, growth or bursts of a quantity's errors, or None."""
     error, name, unit = hours.error[quantity], NAMES[quantity], UNITS[quantity]
     scale = float(np.nanstd(error))
     line = period(error, hours.step_h, REGULAR)
@@ -96,29 +96,29 @@ def _in_time(hours: Hours, quantity: str) -> Remainder | None:
             f"simulated {name} errs with a period of {text}, by {digits(line.size)} {unit} (root mean "
             "square); something that nobody logs follows a timer or a cycle of its own"
         )
-        return _left(hours, quantity, "period", f"every {text}", words, line.p)
+        return _with_driver(hours, quantity, "period", f"every {text}", words, line.p)
     ratio, p = growth(error, hours.step_h)
     if p < CHANCE and max(ratio, 1.0 / ratio) > GROWS:
         change = f"grow to {ratio:.1f} times" if ratio > 1.0 else f"shrink to {ratio:.2f} times"
         words = f"the errors of the simulated {name} {change} their size over the record"
-        return _left(hours, quantity, "growth", "from beginning to end", words, p)
+        return _with_driver(hours, quantity, "growth", "from beginning to end", words, p)
     peaked, p = bursts(error, hours.step_h)
     if p < CHANCE and peaked > PEAKED:
         words = (
             f"the errors of the simulated {name} come in bursts (kurtosis {peaked:.1f}, 3 for a disturbance "
             "that is always there), under no condition that is logged"
         )
-        return _left(hours, quantity, "bursts", "now and then", words, p)
+        return _with_driver(hours, quantity, "bursts", "now and then", words, p)
     return None
 
 
-def remaining(pair: tuple[Residuals, Residuals]) -> tuple[Remainder | None, bool]:
-    """(structure that is left or None, whether nobody logs what makes it) in the errors of a model's two
-    versions.
+def remaining(pair: tuple[Residuals, Residuals]) -> tuple[ResidualStructure | None, bool]:
+    """(structure that is left in the errors of two versions of a model or None, whether no logged signal
+    makes it).
 
-    pair: as estimated by innovations, and moved toward its least free-run error.  What the second one does
-    not show is a poor simulator's, and no effect: a model that is wrong in its form is estimated to foretell
-    the next reading.
+    pair: as estimated by innovations, and moved toward the least free-run error.  Structure that the second
+        version does not show comes from a poor simulator: a model of a wrong form is estimated to predict the
+        next reading.
     """
     first, second = (unlogged(one) for one in pair)
     if first and second and first.quantity == second.quantity:
@@ -126,10 +126,9 @@ def remaining(pair: tuple[Residuals, Residuals]) -> tuple[Remainder | None, bool
     return (structure(pair[1]) if structure(pair[0]) else None), False
 
 
-def unlogged(residuals: Residuals) -> Remainder | None:
-    """Unrest to one side, a period, growth or bursts, as `structure` gives it, or None: something that nobody
-    logs acts, whatever else was found.
-    """
+def unlogged(residuals: Residuals) -> ResidualStructure | None:
+    """Unrest to one side, a period, growth or bursts, or None: an effect that no logged signal explains,
+    whatever else was found."""
     hours = hourly(residuals)
     for quantity in QUANTITIES:
         z, unsteady = unrest(residuals, quantity)
@@ -139,24 +138,30 @@ def unlogged(residuals: Residuals) -> Remainder | None:
                 f"restless while it is simulated too {'low' if z > 0 else 'high'} (rank correlation {z:.1f} "
                 "standard errors; none is expected of a disturbance that knows no side)"
             )
-            return _left(hours, quantity, "restless to one side", "now and then", words, _two_sided(z))
+            return _with_driver(
+                hours,
+                quantity,
+                "restless to one side",
+                "now and then",
+                words,
+                math.erfc(abs(z) / math.sqrt(2.0)),
+            )
         if np.isfinite(hours.error[quantity]).sum() >= FEWEST_HOURS:
-            course = _in_time(hours, quantity)
+            course = _course(hours, quantity)
             if course is not None:
                 return course
     return None
 
 
 def unrest(residuals: Residuals, quantity: str) -> tuple[float, float]:
-    """(z, u) of a quantity's innovations in blocks of three hours: does their size go with the side of the
-    error?
+    """(z, u) of a quantity: whether the size of its innovations goes with the side of its error.
 
-    z: rank correlation of the mean squared innovation and the mean error of blocks, in standard errors; the
-    error's slow course and the mean course over the day are taken out.  The error of z is that of the same
-    series moved against each other by days.  Ordinary disturbances, also those that come in shots or with the
-    hour, know no side: |z| is that of a standard normal variate.  What acts now and then, and then to one
-    side, makes it large.
-    u: variance of the mean squared innovations over that of a Gaussian's, 1 for a steady one.
+    z: rank correlation of the mean squared innovation and the mean error in blocks of three hours, in
+        standard errors; the error's slow course and the mean course over the day are taken out.  The standard
+        error is that of the same series moved against each other by days.  Ordinary disturbances, also shots
+        or those that go with the hour, have no side: z is a standard normal variate.  An effect that acts now
+        and then, to one side, makes |z| large.
+    u: variance of the mean squared innovations over that of a steady Gaussian's, 1 for a steady disturbance.
     """
     e = residuals.innovation(quantity)
     error = residuals.error(quantity)
@@ -177,8 +182,7 @@ def unrest(residuals: Residuals, quantity: str) -> tuple[float, float]:
     parts = np.zeros((2, len(hour)))
     for row, one in enumerate((rank, mean - _slow(mean, full))):
         parts[row, full] = _without_course(one, hour[full])
-    # both have a memory: how far chance takes their product is seen where one is moved against the other by
-    # days
+    # both have a memory: their product by chance is seen where one is moved against the other by days
     spectrum = np.fft.rfft(parts)
     products = np.fft.irfft(spectrum[0] * np.conj(spectrum[1]), len(hour))
     apart = products[APART : len(hour) - APART]
@@ -187,8 +191,7 @@ def unrest(residuals: Residuals, quantity: str) -> tuple[float, float]:
 
 
 def _slow(mean: np.ndarray, full: np.ndarray) -> np.ndarray:
-    """Slow course of block means (n,) that belong to the blocks flagged by `full` (N,): their mean under a
-    bell."""
+    """Slow course of block means (n,) of the blocks flagged by `full` (N,): their mean under a bell."""
     sd = round(WANDERS_H / BLOCK_H)
     bell = np.exp(-0.5 * (np.arange(-3 * sd, 3 * sd + 1) / sd) ** 2)
     spread = np.zeros(len(full))
@@ -205,16 +208,13 @@ def _without_course(value: np.ndarray, hour: np.ndarray) -> np.ndarray:
     return value - (sums / np.maximum(np.bincount(hour), 1))[hour]
 
 
-def _two_sided(z: float) -> float:
-    return math.erfc(abs(z) / math.sqrt(2.0))
-
-
-def _left(
-    hours: Hours, quantity: str, kind: str, when: str, words: str, p: float, driver: str | None = None
-) -> Remainder:
-    """A structure in words, with the driver and lag of the largest correlation with the error."""
+def _with_driver(
+    hours: Hours, quantity: str, kind: str, when: str, text: str, p: float, driver: str | None = None
+) -> ResidualStructure:
+    """A structure with the driver (of all, or the given one) and lag of the largest correlation with the
+    error."""
     error = hours.error[quantity]
-    best: tuple[float, str | None, float | None] = (0.0, None, None)
+    best: tuple[float, str | None, float] = (0.0, None, math.nan)
     for name, value in hours.drivers.items():
         if driver not in (None, name):
             continue
@@ -226,16 +226,7 @@ def _left(
             r = float(np.corrcoef(error[both], before[both])[0, 1])
             if abs(r) > abs(best[0]):
                 best = (r, name, lag * hours.step_h)
-    return Remainder(
-        quantity, kind, words, when, best[1], math.nan if best[2] is None else best[2], best[0], p
-    )
-
-
-def _dates(instants_s: Sequence[float]) -> str:
-    """Dates in words: the first three, and how many more."""
-    days = list(dict.fromkeys(f"{datetime.fromtimestamp(one, UTC):%-d %B %Y}" for one in instants_s))
-    more = f" and {len(days) - 3} more" if len(days) > 3 else ""
-    return ", ".join(days[:3]) + more
+    return ResidualStructure(quantity, kind, text, when, best[1], best[2], best[0], p)
 
 
 def one_sided(values: np.ndarray, step_h: float = 1.0) -> tuple[float, float]:
@@ -251,9 +242,9 @@ def bursts(values: np.ndarray, step_h: float = 1.0) -> tuple[float, float]:
 def _moment(
     values: np.ndarray, step_h: float, order: int, polynomial: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[float, float]:
-    """Standardised moment of an order, and p that it is that of a Gaussian series; blocks are the witnesses.
+    """Standardised moment of an order, and p that it is that of a Gaussian series, by the scatter of blocks.
 
-    The Hermite polynomial of the order has no mean, and hardly any error from the estimated mean and
+    The Hermite polynomial of the order has mean zero, and hardly any error from the estimated mean and
     variance.
     """
     from scipy.stats import t as t_law

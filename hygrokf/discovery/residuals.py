@@ -1,4 +1,4 @@
-"""Errors of the free run and of the one-step prediction, beside everything that they might go with.
+"""Errors of the free run and of the one-step prediction, and all drivers that they may depend on.
 
 Shapes: T instants of a fit's series, n bins of an hour.
 """
@@ -6,8 +6,9 @@ Shapes: T instants of a fit's series, n bins of an hour.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import UTC, datetime
 
 import numpy as np
 
@@ -27,23 +28,24 @@ UNITS = {TEMPERATURE: "K", HUMIDITY: "g/m³"}
 SERIES = {TEMPERATURE: "temperature", HUMIDITY: "absolute_humidity"}
 """Quantity -> stem of its names in a fit's series."""
 RESPONSES = ("cabinet_", "converter_")
-"""Signals that answer to the cabinet instead of driving it."""
+"""Signals that respond to the cabinet instead of driving it."""
 SAME_AIR = ("ambient_dew_point_temperature", "ambient_absolute_humidity", "ambient_temperature")
-"""Signals that a fit's series tell already."""
+"""Signals that a fit's series have already."""
 KNOWN = 0.5
 """[1] share of the instants at which a driver must be known."""
 NORMAL_95 = 1.96
+"""[1] standard deviations of a normal variate within which 95 % of its values are."""
 PAUSE_H = 3.0
 """[h] below which a pause does not end an episode."""
 LONGEST_DURATION_H = 48.0
-"""[h] episodes that are longer have no duration but their own."""
+"""[h] longer episodes have no common duration."""
 FEWEST_HOURS = 72
 """[h] bins with an error below which there is nothing to analyse."""
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """Reading minus prediction at the instants of a fit, and what may go with it.
+    """Reading minus prediction at the instants of a fit, and the drivers that it may depend on.
 
     time_h: [h] (T,) since `origin_s` [s] (Unix epoch).
     temperature_error [K], humidity_error [g/m³]: (T,) reading − free run; NaN where there is none, or not
@@ -82,11 +84,6 @@ class Residuals:
         """Instants (T,) [s] since 1970-01-01T00:00Z."""
         return self.origin_s + 3600.0 * self.time_h
 
-    @property
-    def sensor_sd(self) -> dict[str, float]:
-        """Error that the sensors' accuracy explains, root mean square over the record: [K], [g/m³]."""
-        return {name: _rms(self.sensor_error[name]) for name in QUANTITIES if name in self.sensor_error}
-
     def error(self, quantity: str) -> np.ndarray:
         """Reading − free run (T,) of "temperature" [K] or "humidity" [g/m³]."""
         return self.temperature_error if quantity == TEMPERATURE else self.humidity_error
@@ -95,13 +92,13 @@ class Residuals:
         """Standardised innovations (T,) [1] of "temperature" or "humidity"."""
         return self.temperature_innovation if quantity == TEMPERATURE else self.humidity_innovation
 
-    def rmse(self, quantity: str, validation: bool = False) -> float:
-        """Root mean square of the free run's error [K], [g/m³] in the identification or the validation
-        period."""
-        return _rms(self.error(quantity)[self.validation == validation])
+    def rmse(self, quantity: str) -> float:
+        """Root mean square of the free run's error [K], [g/m³] in the identification period."""
+        return root_mean_square(self.error(quantity)[~self.validation])
 
 
-def _rms(values: np.ndarray) -> float:
+def root_mean_square(values: np.ndarray) -> float:
+    """Root mean square of the finite values; NaN where there are none."""
     there = values[np.isfinite(values)]
     return float(np.sqrt(np.mean(there**2))) if len(there) else math.nan
 
@@ -145,7 +142,7 @@ def residuals(fit: Fit, record: Record) -> Residuals:
 
 
 def _drivers(s: Mapping[str, np.ndarray], record: Record, time: np.ndarray) -> dict[str, np.ndarray]:
-    """Everything known that is not the cabinet's own answer, and varies."""
+    """Every known signal that varies and is no response of the cabinet."""
     found = {
         name: np.asarray(s[name], dtype=float)
         for name in ("ambient_temperature", "ambient_absolute_humidity", "power", "preheating")
@@ -211,7 +208,7 @@ _CABINET_SIBLING = {
 
 
 def _ambient_sd(record: Record, name: str) -> float:
-    """That of the ambient sensor; one without a stated accuracy is taken to be as good as the cabinet's."""
+    """Standard deviation of an ambient sensor; without a stated accuracy that of the cabinet's sensor."""
     if name not in record:
         return 0.0
     stated = accuracy_of(record[name])
@@ -220,7 +217,7 @@ def _ambient_sd(record: Record, name: str) -> float:
     return stated / NORMAL_95
 
 
-# --- drivers in words ------------------------------------------------------------------------
+# --- in words --------------------------------------------------------------------------------
 
 _SYMBOLS = {"degC": "°C", "deg": "°", "W/m2": "W/m²", "g/m3": "g/m³", "1": ""}
 
@@ -230,8 +227,19 @@ def words(driver: str) -> str:
     return driver.replace("_", " ").replace("cabinet ", "simulated cabinet ")
 
 
-def shown(driver: str, value: np.ndarray, difference: bool = False) -> tuple[np.ndarray, str]:
-    """Values of a driver, or differences of them, in the unit in which people read them, and that unit."""
+def date_text(instant_s: float) -> str:
+    """The date [s] of an instant, UTC."""
+    return f"{datetime.fromtimestamp(instant_s, UTC):%-d %B %Y}"
+
+
+def first_dates(instants_s: Iterable[float]) -> tuple[str, int]:
+    """(the first three dates of instants [s], how many more there are)."""
+    days = list(dict.fromkeys(map(date_text, instants_s)))
+    return ", ".join(days[:3]), max(0, len(days) - 3)
+
+
+def displayed(driver: str, value: np.ndarray, difference: bool = False) -> tuple[np.ndarray, str]:
+    """(values of a driver, or differences of them, in the unit in which it is displayed; that unit)."""
     if driver == "power":
         return 100.0 * value, "% of the rated power"
     if driver == "ambient_absolute_humidity":
@@ -251,7 +259,7 @@ def shown(driver: str, value: np.ndarray, difference: bool = False) -> tuple[np.
 
 @dataclass(frozen=True)
 class Hours:
-    """Residuals in bins of equal length (n,), as all conditions are looked at.
+    """Residuals in bins of equal length (n,).
 
     start_s: [s] beginning of the first bin; step_h: [h] length of a bin.
     error [K], [g/m³] and innovation [1]: quantity -> (n,); innovations keep unit variance. NaN without a
@@ -284,10 +292,9 @@ class Hours:
         return (self.time_s / 3600.0) % 24.0
 
 
-def hourly(residuals: Residuals, validation: bool = False) -> Hours:
-    """The identification (or validation) period in bins of an hour, or of the readings' step where that is
-    longer."""
-    chosen = residuals.validation == validation
+def hourly(residuals: Residuals) -> Hours:
+    """The identification period in bins of an hour, or of the readings' step where that is longer."""
+    chosen = ~residuals.validation
     time = residuals.time_s[chosen]
     if not len(time):
         raise ValueError("hourly: the period has no instants")
@@ -328,15 +335,10 @@ def hourly(residuals: Residuals, validation: bool = False) -> Hours:
     )
 
 
-def reading_grid(
-    residuals: Residuals, quantity: str, values: np.ndarray | None = None
-) -> tuple[float, float, np.ndarray]:
-    """Start [s], step [s] and values (n,) of the identification period at the readings' own step, NaN =
-    missing.
-
-    values: (T,), the free run's errors if not given.
-    """
-    values = residuals.error(quantity) if values is None else values
+def reading_grid(residuals: Residuals, quantity: str) -> tuple[float, float, np.ndarray]:
+    """Start [s], step [s] and errors (n,) of the free run in the identification period at the readings' own
+    step, NaN = missing."""
+    values = residuals.error(quantity)
     chosen = ~residuals.validation & np.isfinite(values)
     time, value = residuals.time_s[chosen], values[chosen]
     if len(time) < 3:
@@ -362,7 +364,7 @@ def run_lengths(flag: np.ndarray) -> list[tuple[int, int]]:
 
 
 def closed(inside: np.ndarray, step_h: float) -> np.ndarray:
-    """Hours (n,) of a condition with pauses of less than three hours filled: what is one episode."""
+    """Hours (n,) of a condition with pauses of less than three hours filled: its episodes."""
     result = inside.copy()
     for first, last in run_lengths(~inside):
         if first > 0 and last < len(inside) and (last - first) * step_h < PAUSE_H:

@@ -29,7 +29,7 @@ AGAIN = "run `hygrokf discover` with --out on this directory first"
 
 @dataclass(frozen=True)
 class Discovered:
-    """What a page of a discovery is made from: its results, and the residuals of both models."""
+    """The content of a discovery's page: its results, and the residuals of both models."""
 
     results: DiscoveryResults
     before: Residuals | None = None
@@ -88,7 +88,7 @@ def _arrays(found: Discovery) -> dict[str, np.ndarray]:
 
 
 def _residuals(arrays: Mapping[str, np.ndarray], which: str) -> Residuals | None:
-    """Residuals from what `_arrays` gave; None where there are none."""
+    """Residuals from the arrays of `_arrays`; None where there are none."""
     found: dict[str, Any] = {}
     for key, array in arrays.items():
         head, *path = key.split("/", 2)

@@ -1,5 +1,5 @@
-"""Score statistics of one-parameter effects at the base model's maximum: which date, threshold or delay to
-refit.
+"""Score statistics of one-parameter effects at the base model's maximum: the date, threshold or delay to
+refit with.
 
 With e the standardised innovations of the base, x their slopes along the effect's parameter at its null value
 and X those along the base's parameters,
@@ -13,20 +13,44 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
 
-from hygrokf.discovery.baseline import Part, searching
 from hygrokf.discovery.discovery_results import Settings
+from hygrokf.discovery.submodel import Submodel, search_likelihood, seconds
 from hygrokf.engine.llvm_writer import LANES
 from hygrokf.engine.parallel import mapped
-from hygrokf.estimation.likelihood import Likelihood
+from hygrokf.engine.timeline import Timeline
+from hygrokf.estimation.likelihood import Likelihood, Trace
 from hygrokf.modelling.derived_inputs import feature
 from hygrokf.modelling.design import extended
 from hygrokf.modelling.inputs import prepare_run
 from hygrokf.physics.model import Mechanism, Model, compose
+
+DRAWS = 4000
+TAIL = 0.02
+"""[1] tail of the simulated maxima at which independent settings are counted."""
+STEP_S = 1800.0
+"""[s] resolution of windows."""
+WINDOWS_H = (3.0, 8.0, 24.0, 72.0)
+PRICE = 25.0
+"""LM that a window must bring: of some thousand windows tried on noise the largest is seldom above 16."""
+MOST_WINDOWS = 12
+
+
+@dataclass(frozen=True)
+class Probe:
+    """A mechanism of one submodel and the parameter whose score statistic is wanted.
+
+    nulls: values of its other parameters, by name; null or start values where not given.
+    """
+
+    submodel: str
+    mechanism: tuple[str, Settings]
+    parameter: str
+    nulls: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -39,7 +63,7 @@ class Scanned:
     factor: np.ndarray
 
     def __add__(self, other: Scanned) -> Scanned:
-        """Both of two independent looks at the same settings, for statistics that add up as squares."""
+        """Two independent looks at the same settings together: the statistics add up as squares."""
         root = np.sqrt(self.root**2 + other.root**2)
         return Scanned(root, math.sqrt(0.5) * np.hstack([self.factor, other.factor]))
 
@@ -58,11 +82,11 @@ class Scanned:
 
 @dataclass(frozen=True)
 class _Bench:
-    """A part with an effect at its null value, as often as the model has copies of the effect's mechanism.
+    """A submodel with an effect at its null value, and copies of the effect's mechanism beside it.
 
-    `e` (n,) standardised innovations at the readings, `basis` (n, d) what the base's parameters explain of
-    them; `along` (parameters, L) the directions of the copies' parameters, `columns` the places of their
-    features among the inputs.
+    `e` (n,) standardised innovations at the readings, `basis` (n, d) the directions in which the base's
+    parameters move them; `along` (parameters, L) the directions of the copies' parameters, `columns` the
+    places of their features among the inputs.
     """
 
     likelihood: Likelihood
@@ -75,9 +99,8 @@ class _Bench:
     basis: np.ndarray
 
     @property
-    def seconds(self) -> np.ndarray:
-        t = self.likelihood.timeline
-        return t.origin_s + 3600.0 * t.time
+    def time_s(self) -> np.ndarray:
+        return seconds(self.likelihood.timeline)
 
     def slopes(self, courses: Sequence[np.ndarray]) -> np.ndarray:
         """Slopes (n, S) along the effect with each of S courses (T,) of its feature, in one pass of the
@@ -104,13 +127,26 @@ class _Bench:
         return Scanned(score * scale, factor * scale[:, None])
 
 
+def standardised(t: Timeline, trace: Trace) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(readings (T, k) bool, standard deviations (T, k) of the predictions, standardised innovations (N,) at
+    the readings)."""
+    read, root = np.isfinite(t.y), np.sqrt(trace.variance)
+    return read, root, ((t.y - trace.prediction) / root)[read]
+
+
+def _null_values(model: Model, submodel: Submodel, nulls: Mapping[str, float]) -> dict[str, float]:
+    """Values of an extended model's parameters at which it is the submodel."""
+    at = {p.name: p.null if p.null is not None else p.start for p in model.parameters}
+    return at | dict(submodel.values) | dict(nulls)
+
+
 def _abreast(
     model: Model, mechanism: Mechanism, parameter: str, name: str
 ) -> tuple[Model, list[str], list[str]]:
     """(the model with as many copies of a mechanism as the filter takes directions at once, their parameters,
     their features).
 
-    At the parameter's null value a copy changes nothing, so slopes along all of them are had in one pass.  A
+    At the parameter's null value a copy changes nothing, so one pass gives the slopes along all of them.  A
     mechanism that brings a state or a shared quantity stays alone.
     """
     count = 1 if mechanism.states or mechanism.quantities else LANES
@@ -142,18 +178,11 @@ def _copy(mechanism: Mechanism, names: Mapping[str, str]) -> Mechanism:
     )
 
 
-def _bench(
-    part: Part,
-    mechanism: tuple[str, Settings],
-    parameter: str,
-    name: str,
-    setting: Settings,
-    nulls: Settings | None,
-) -> _Bench:
-    wider = extended(part.base, [mechanism], features={name: dict(setting)})
-    t = prepare_run(wider, part.record).timeline
-    added = wider.model.mechanism(mechanism[0])
-    model, parameters, names = _abreast(wider.model, added, parameter, name)
+def _bench(submodel: Submodel, probe: Probe, name: str, setting: Settings) -> _Bench:
+    wider = extended(submodel.base, [probe.mechanism], features={name: dict(setting)})
+    t = prepare_run(wider, submodel.record).timeline
+    added = wider.model.mechanism(probe.mechanism[0])
+    model, parameters, names = _abreast(wider.model, added, probe.parameter, name)
     column = t.u[:, t.varying.index(name)]
     more = names[1:]
     t = replace(
@@ -162,20 +191,15 @@ def _bench(
         varying=(*t.varying, *more),
         whole={**t.whole, **{one: t.whole[name] for one in more}},
     )
-    at = {p.name: p.null if p.null is not None else p.start for p in model.parameters}
-    at |= dict(part.values) | dict(nulls or {})
-    at |= {one: at[parameter] for one in parameters}
+    at = _null_values(model, submodel, probe.nulls)
+    at |= {one: at[probe.parameter] for one in parameters}
     own = [p.name for p in model.parameters]
-    base = [own.index(p.name) for p in part.base.model.parameters if p.name in own]
-    slopes = {p.name: p.slope(at[p.name]) for p in part.base.model.parameters}
+    base = [p for p in submodel.base.model.parameters if p.name in own]
     directions = np.zeros((len(own), len(base)))
-    for place, row in enumerate(base):
-        directions[row, place] = slopes[own[row]]
-    likelihood = searching(model, t)
-    trace = likelihood.trace(at)
-    read = np.isfinite(t.y)
-    root = np.sqrt(trace.variance)
-    e = ((t.y - trace.prediction) / root)[read]
+    for place, p in enumerate(base):
+        directions[own.index(p.name), place] = p.slope(at[p.name])
+    likelihood = search_likelihood(model, t)
+    read, root, e = standardised(t, likelihood.trace(at))
     x0 = (_slopes(likelihood, at, directions) / root[..., None])[read]
     basis, _ = np.linalg.qr(x0[:, np.abs(x0).max(axis=0) > 1e-12])
     along = np.zeros((len(own), len(parameters)))
@@ -186,44 +210,30 @@ def _bench(
 
 
 def scan(
-    part: Part,
-    mechanism: tuple[str, Settings],
-    parameter: str,
-    name: str,
-    settings: Sequence[Settings],
-    nulls: Mapping[str, float] | None = None,
-    sums: np.ndarray | None = None,
+    submodel: Submodel, probe: Probe, name: str, settings: Sequence[Settings], sums: np.ndarray | None = None
 ) -> Scanned:
-    """Score statistics of S settings of the feature `name`.
+    """Score statistics of S settings of the feature `name`, which the probe's mechanism reads.
 
-    `mechanism` (name, settings) brings the parameter and reads the feature; `nulls` values of its other
-    parameters.  With `sums` (S, W) those of W features that are sums of the settings' own: slopes are linear
-    in the feature.
+    With `sums` (S, W) those of W features that are sums of the settings' own: slopes are linear in the
+    feature.
     """
-    bench = _bench(part, mechanism, parameter, name, settings[0], nulls)
-    courses = [feature(part.record, name, one, bench.seconds) for one in settings]
+    bench = _bench(submodel, probe, name, settings[0])
+    courses = [feature(submodel.record, name, one, bench.time_s) for one in settings]
     width = len(bench.columns)
     together = [courses[k : k + width] for k in range(0, len(courses), width)]
     return bench.scanned(np.hstack(mapped(bench.slopes, together)), sums)
 
 
-def slow_scan(
-    part: Part,
-    mechanism: tuple[str, Settings],
-    parameter: str,
-    name: str,
-    settings: Sequence[Settings],
-    nulls: Mapping[str, float] | None = None,
-) -> Scanned:
+def slow_scan(submodel: Submodel, probe: Probe, name: str, settings: Sequence[Settings]) -> Scanned:
     """The same for a feature that changes slowly, by one pass of the filter for all settings.
 
     A filter forgets within hours: slopes along an effect that comes and goes over days are those along a
-    lasting one times its course.  What happens in the hours after a sudden change is missed; `scan` refines.
+    lasting effect times its course.  The hours after a sudden change are missed; `scan` refines.
     """
-    bench = _bench(part, mechanism, parameter, name, settings[0], nulls)
-    lasting = bench.slopes([np.ones(len(bench.seconds))])
-    at = np.broadcast_to(np.arange(len(bench.seconds))[:, None], bench.read.shape)[bench.read]
-    courses = np.column_stack([feature(part.record, name, one, bench.seconds)[at] for one in settings])
+    bench = _bench(submodel, probe, name, settings[0])
+    lasting = bench.slopes([np.ones(len(bench.time_s))])
+    at = np.broadcast_to(np.arange(len(bench.time_s))[:, None], bench.read.shape)[bench.read]
+    courses = np.column_stack([feature(submodel.record, name, one, bench.time_s)[at] for one in settings])
     return bench.scanned(lasting * courses)
 
 
@@ -232,10 +242,10 @@ def _slopes(likelihood: Likelihood, values: Mapping[str, float], directions: np.
     return -likelihood.slopes(values, directions)
 
 
-def abrupt(part: Part, count: int = 12) -> list[float]:
-    """Dates [s] just before the largest innovations of a part: where a reading may have jumped."""
-    t = part.run.timeline
-    trace = searching(part.base.model, t).trace(part.values)
+def abrupt(submodel: Submodel, count: int = 12) -> list[float]:
+    """Dates [s] just before the largest innovations of a submodel: where a reading may have jumped."""
+    t = submodel.run.timeline
+    trace = submodel.likelihood.trace(submodel.values)
     size = np.abs(t.y - trace.prediction)[:, 0] / np.sqrt(trace.variance)[:, 0]
     order = np.argsort(np.where(np.isfinite(size), -size, 0.0))[:count]
     read = np.flatnonzero(np.isfinite(size))
@@ -244,70 +254,45 @@ def abrupt(part: Part, count: int = 12) -> list[float]:
     return sorted(float(t.origin_s + 3600.0 * m) for m in middle)
 
 
-DRAWS = 4000
-TAIL = 0.02
-"""[1] tail of the simulated maxima at which independent settings are counted."""
-WINDOWS_H = (3.0, 8.0, 24.0, 72.0)
-PRICE = 25.0
-"""LM that a window must bring: of some thousand windows tried on noise the largest is seldom above 16."""
-MOST_WINDOWS = 12
+def local_scan(submodels: Mapping[str, Submodel], probes: Sequence[Probe], name: str) -> list[list[float]]:
+    """Windows [start, end] [s] in which the submodels' innovations ask for effects that share the flag
+    `name`, the strongest first; none overlaps.
 
-
-def local_scan(probes: Mapping[str, tuple[Part, str, str]], name: str) -> list[list[float]]:
-    """Windows [start, end] [s] in which the parts' innovations ask for an effect, the strongest first; none
-    overlaps.
-
-    The response to an effect within a window is taken as that to a lasting one, cut to the window: a filter
-    forgets within hours.  `probes`: part → (part, mechanism, parameter) of effects that share the flag
-    `name`.
+    The response to an effect within a window is taken as that to a lasting effect, cut to the window: a
+    filter forgets within hours.
     """
-    step = 1800.0
-    products, squares, start = np.zeros((0, 0)), np.zeros((0, 0)), 0.0
-    for part, mechanism, parameter in probes.values():
-        e, x, seconds = _responses(part, mechanism, parameter, name)
-        if not products.size:
-            start, count = float(seconds[0]), int((seconds[-1] - seconds[0]) / step) + 2
-            products, squares = np.zeros((len(probes), count)), np.zeros((len(probes), count))
-        row = list(probes).index(part.name)
-        place = np.clip(((seconds - start) / step).astype(int), 0, products.shape[1] - 1)
+    looks = [_responses(submodels[p.submodel], p, name) for p in probes if p.submodel in submodels]
+    start, end = (float(looks[0][2][k]) for k in (0, -1))
+    products, squares = np.zeros((2, len(looks), int((end - start) / STEP_S) + 2))
+    for row, (e, x, time_s) in enumerate(looks):
+        place = np.clip(((time_s - start) / STEP_S).astype(int), 0, products.shape[1] - 1)
         np.add.at(products[row], place, e * x)
         np.add.at(squares[row], place, x * x)
-    if not products.size:
-        return []
-    found: list[list[float]] = []
-    taken = np.zeros(products.shape[1], bool)
     sums = [np.cumsum(np.pad(a, ((0, 0), (1, 0))), axis=1) for a in (products, squares)]
     candidates = []
     for hours in WINDOWS_H:
-        width = int(hours * 3600.0 / step)
+        width = int(hours * 3600.0 / STEP_S)
         p, q = (s[:, width:] - s[:, :-width] for s in sums)
         gain = np.sum(np.where((p > 0) & (q > 1e-12), p * p / np.maximum(q, 1e-12), 0.0), axis=0)
         candidates += [(float(gain[i]), i, width) for i in np.flatnonzero(gain > PRICE)]
+    found: list[list[float]] = []
+    used = np.zeros(products.shape[1], bool)
     for _, first, width in sorted(candidates, reverse=True):
         if len(found) >= MOST_WINDOWS:
             break
-        if not taken[first : first + width].any():
-            taken[first : first + width] = True
-            found.append([start + step * first, start + step * (first + width)])
+        if not used[first : first + width].any():
+            used[first : first + width] = True
+            found.append([start + STEP_S * first, start + STEP_S * (first + width)])
     return sorted(found)
 
 
-def _responses(
-    part: Part, mechanism: str, parameter: str, name: str
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _responses(submodel: Submodel, probe: Probe, name: str) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Standardised innovations, their slopes along a lasting effect, and their times [s], at the readings."""
-    wider = extended(part.base, [(mechanism, {})], features={name: {"spans": [[-1e18, 1e18]]}})
-    made = prepare_run(wider, part.record)
-    t = made.timeline
-    at = {p.name: p.null if p.null is not None else p.start for p in wider.model.parameters}
-    at |= dict(part.values)
-    likelihood = searching(wider.model, t)
-    trace = likelihood.trace(at)
-    along = np.zeros((len(at), 1))
-    along[[p.name for p in wider.model.parameters].index(parameter), 0] = 1.0
-    root = np.sqrt(trace.variance)
-    read = np.isfinite(t.y)
+    wider = extended(submodel.base, [probe.mechanism], features={name: {"spans": [[-1e18, 1e18]]}})
+    t = prepare_run(wider, submodel.record).timeline
+    at = _null_values(wider.model, submodel, probe.nulls)
+    along = np.array([[float(p.name == probe.parameter)] for p in wider.model.parameters])
+    likelihood = search_likelihood(wider.model, t)
+    read, root, e = standardised(t, likelihood.trace(at))
     x = (_slopes(likelihood, at, along)[..., 0] / root)[read]
-    e = ((t.y - trace.prediction) / root)[read]
-    seconds = np.broadcast_to((t.origin_s + 3600.0 * t.time)[:, None], t.y.shape)[read]
-    return e, x, seconds
+    return e, x, np.broadcast_to(seconds(t)[:, None], t.y.shape)[read]

@@ -1,11 +1,11 @@
-"""Whether errors that remember their past go with a condition: block bootstrap, effective size, false
-discoveries.
+"""Whether correlated errors depend on a condition: block bootstrap, effective size, false discoveries.
 
-The errors of a free run are correlated over half a day and more, so readings are no independent witnesses.
-The surrogates here are post-blackened (`resampling`): blocks of the raw errors would lose a share τ/L of the
-variance of their means (τ integral time, L block), which at the far tail doubles or triples p.
+The errors of a free run are correlated over half a day and more, so readings are not independent.  The
+surrogates are post-blackened (`evaluation.bootstrap`): blocks of the raw errors would lose a share τ/L of
+the variance of their means (τ integral time, L block), which changes p in the far tail by a factor of two or
+three.
 
-Shapes: n bins of equal length, k columns of a basis, B surrogates, J questions.
+Shapes: n bins of equal length, k columns of a basis, B surrogates, J tests.
 
 Source: Künsch 1989, doi:10.1214/aos/1176347265; Politis & Romano 1992 (circular blocks); Davison & Hinkley
 1997, section 8.2.3 (post-blackening); Benjamini & Hochberg 1995, doi:10.1111/j.2517-6161.1995.tb02031.x.
@@ -26,19 +26,15 @@ SECOND_LOOK = 200
 FEWEST_CLUSTERS = 10.0
 """Effective number of blocks from which a condition's own scatter can be judged."""
 LIVELY = 1.5
-"""Ratio of variances from which errors are livelier under a condition; then the blocks' number is what
-counts."""
-
-
-# --- one condition ---------------------------------------------------------------------------
+"""Ratio of variances from which errors are livelier under a condition; then the number of blocks counts."""
 
 
 @dataclass(frozen=True)
 class Null:
-    """A series (n,), surrogates of its noise (B, n), and how much they know.
+    """A series (n,), surrogates of its noise (B, n), its degrees of freedom, and the length of its blocks.
 
-    Of a series with a large effect, the surrogates take the effect for noise, and its significance has a
-    ceiling: `without` the effect they do not.
+    Surrogates of a series with a large effect take the effect for noise, which limits its significance; those
+    `without` the effect do not.
     """
 
     values: np.ndarray
@@ -49,7 +45,7 @@ class Null:
 
     @classmethod
     def of(cls, values: np.ndarray, step_h: float = 1.0, count: int = SURROGATES) -> Null:
-        """The null world of a series: same memory, no condition."""
+        """Surrogates of a series: the same memory, no condition."""
         known = np.isfinite(values)
         freedom = max(4.0, effective_size(values, step_h))
         block = max(1, round(block_h(values, step_h) / step_h))
@@ -63,7 +59,7 @@ class Null:
         return np.where(known, self.values - float(np.mean(self.values[known])), 0.0)
 
     def without(self, basis: np.ndarray) -> Null:
-        """The same series, its noise judged after what a basis (n, k) explains has been taken out."""
+        """The same series, its noise estimated without the part that a basis (n, k) explains."""
         x, e = centred(basis, np.isfinite(self.values)), self.deviations
         effect, *_ = np.linalg.lstsq(x, e, rcond=None)
         noise = np.where(np.isfinite(self.values), e - x @ effect, np.nan)
@@ -81,9 +77,9 @@ def centred(basis: np.ndarray, known: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Prewhitened:
-    """A series (n,) free of its memory: its prediction errors, and the same operation for a basis.
+    """A series (n,) without its memory: its prediction errors, and the same operation for a basis.
 
-    Where a condition sets in within an hour, it stands out from errors that change slowly (generalised least
+    A condition that sets in within an hour stands out from errors that change slowly (generalised least
     squares).
     """
 
@@ -96,7 +92,7 @@ class Prewhitened:
         return cls(*autoregression(values))
 
     def basis(self, basis: np.ndarray) -> np.ndarray:
-        """Columns (n, k) free of the same memory."""
+        """Columns (n, k) without the same memory."""
         from scipy.signal import lfilter
 
         return lfilter(np.concatenate([[1.0], -self.phi]), [1.0], basis, axis=0)
@@ -111,10 +107,9 @@ class Prewhitened:
 def linear_p(null: Null, bases: Sequence[np.ndarray]) -> np.ndarray:
     """p (J,) that a series is free of each basis (n, k_j): Hotelling's T² with the surrogates' covariance.
 
-    The statistic is (X'e)' Σ⁻¹ (X'e); its law F(k, ν) with ν the smaller of the surrogates' number and the
-    series' effective size.  Where a condition is met in a dozen blocks or more, the scatter between the
-    blocks is looked at too, and the larger variance counts: errors may be livelier under that condition than
-    elsewhere.
+    The statistic is (X'e)' Σ⁻¹ (X'e); its law is F(k, ν) with ν the smaller of the surrogates' number and the
+    series' effective size.  Where a condition holds in ten blocks or more, the scatter between the blocks is
+    also estimated, and the larger variance counts: errors may be livelier under that condition.
     """
     from scipy.stats import f as f_law
 
@@ -154,8 +149,8 @@ def _whitening(covariance: np.ndarray) -> np.ndarray | None:
 
 
 def _inflation(x: np.ndarray, e: np.ndarray, root: np.ndarray, block: int) -> tuple[float, float]:
-    """Scatter of the blocks' shares in the score over what the surrogates say, at least 1; effective number
-    of blocks."""
+    """Scatter of the blocks' shares in the score over that of the surrogates, at least 1; effective number of
+    blocks."""
     effect, *_ = np.linalg.lstsq(x, e, rcond=None)
     starts = np.arange(0, len(e), block)
     weight = np.add.reduceat(((x @ root.T) ** 2).sum(axis=1), starts)
@@ -166,25 +161,20 @@ def _inflation(x: np.ndarray, e: np.ndarray, root: np.ndarray, block: int) -> tu
     return max(1.0, float((shares**2).sum()) / root.shape[0]), clusters
 
 
-def largest_p(null: Null, table: np.ndarray) -> tuple[float, int, float]:
-    """p that the largest of many columns' |z| is chance, its column, and its z: table (n, m)."""
+def largest_p(null: Null, table: np.ndarray) -> float:
+    """p that the largest |z| of many columns (n, m) is chance."""
     x = centred(table, np.isfinite(null.values))
-    return _largest(x.T @ null.deviations, null.made @ x, null.freedom)
-
-
-def _largest(score: np.ndarray, world: np.ndarray, freedom: float) -> tuple[float, int, float]:
+    score, world = x.T @ null.deviations, null.made @ x
     scale = np.sqrt(np.mean(world**2, axis=0))
     scale = np.where(scale > 0, scale, np.inf)
-    z = score / scale
-    place = int(np.argmax(np.abs(z)))
-    # a t-like tail: the scale itself is known from `freedom` values only
-    shrunk = abs(float(z[place])) / math.sqrt(1.0 + 0.5 * float(z[place]) ** 2 / freedom)
-    return tail(shrunk, np.abs(world / scale).max(axis=1)), place, float(z[place])
+    z = float(np.abs(score / scale).max())
+    # a tail like that of t: the scale itself is known from `freedom` values only
+    shrunk = z / math.sqrt(1.0 + 0.5 * z**2 / null.freedom)
+    return tail(shrunk, np.abs(world / scale).max(axis=1))
 
 
 def tail(observed: float, simulated: np.ndarray) -> float:
-    """p of a value among simulated ones (B,): counted, or beyond the tenth largest from a fitted gamma
-    law."""
+    """p of a value among simulated ones (B,): counted, or beyond the tenth largest by a fitted gamma law."""
     exceeding = int((simulated >= observed).sum())
     if exceeding >= 10:
         return (exceeding + 1.0) / (len(simulated) + 1.0)
@@ -203,11 +193,11 @@ def tail(observed: float, simulated: np.ndarray) -> float:
 def benjamini_hochberg(p: np.ndarray, weights: np.ndarray | None = None) -> np.ndarray:
     """q (J,): the share of false discoveries among all that are at least as significant.
 
-    weights: (J,) laid down beforehand, of mean 1 (they are scaled to it); p is divided by them.  Holds for
-    independent and for positively dependent tests.  Here the same hours are asked under overlapping
-    conditions, so that the squares of the statistics go up and down together: positive dependence, which
-    needs no factor Σ 1/j (Benjamini & Yekutieli 2001, doi:10.1214/aos/1013699998).  The false alarms on
-    plants without any hidden cause are counted in the tests.
+    weights: (J,) fixed beforehand, of mean 1 (they are scaled to it); p is divided by them.  Holds for
+    independent and for positively dependent tests.  Here overlapping conditions share hours, so the squares
+    of the statistics rise and fall together: positive dependence, which needs no factor Σ 1/j (Benjamini &
+    Yekutieli 2001, doi:10.1214/aos/1013699998).  The tests count the false alarms on plants without a hidden
+    cause.
 
     Source: Genovese, Roeder & Wasserman 2006, doi:10.1093/biomet/93.3.509 (weights).
     """

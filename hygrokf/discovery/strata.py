@@ -1,4 +1,4 @@
-"""Conditions that errors may go with: episodes, regimes, hours, season, level, rate and lag of drivers,
+"""Conditions on which errors may depend: episodes, regimes, hours, season, level, rate and lag of drivers,
 dates.
 
 A condition is a basis that is tested, and bins in which its worst part is described.  All are made from
@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from hygrokf.discovery.discovery_results import Settings
-from hygrokf.discovery.residuals import Hours, run_lengths, shown, words
+from hygrokf.discovery.residuals import NORMAL_95, Hours, displayed, run_lengths, words
 from hygrokf.evaluation.bootstrap import block_h
 
 LAGS_H = (1.0, 2.0, 3.0, 4.0, 6.0, 9.0, 12.0, 18.0, 24.0)
@@ -24,9 +24,9 @@ RATE_H = 3.0
 STANDSTILL_H = 6.0
 LONG_STANDSTILL_H = 24.0
 AFTERWARDS_H = 6.0
-"""[h] for which an episode's end is looked at."""
+"""[h] after an episode that count as its end."""
 SATURATED = 0.97
-"""[1] relative humidity from which readings are censored."""
+"""[1] relative humidity from which air counts as saturated: a sensor reads no more, within its accuracy."""
 SINCE_H = (3.0, 6.0, 12.0, 24.0)
 LEVELS = (0.1, 0.3, 0.5, 0.7, 0.9)
 RATES = (0.1, 0.3, 0.7, 0.9)
@@ -40,32 +40,32 @@ EDGE = 0.07
 """[1] share of the record at either end in which no step is looked for."""
 SECTORS = 12
 SHORTEST_H = 6.0
-"""[h] for which a condition must hold to be asked about."""
+"""[h] shortest time for which a condition must hold to be tested."""
 LARGEST_PART = 0.6
-"""[1] of the hours that a misfit may hold for: beyond, the rest is the exception."""
+"""[1] largest share of the hours that a finding may hold for: beyond it, the rest is the exception."""
 GROUPS = {
     "regime": "episodes", "episode": "episodes", "since": "episodes", "saturation": "episodes",
     "hour": "hour",
     "season": "calendar", "drift": "calendar", "step": "calendar",
     "level": "drivers", "rate": "drivers", "lag": "drivers",
 }  # fmt: skip
-"""Kind -> group; groups have equal shares of the false discoveries that are allowed."""
+"""Kind -> group; each group may make an equal share of the false discoveries."""
 
 Phrase = Callable[[int, int], tuple[str, str]]
 
 
 @dataclass(frozen=True)
 class Stratum:
-    """What errors may go with.
+    """A condition on which errors may depend.
 
-    kind: one of `GROUPS`. driver: the signal, or "". basis: (n, k), NaN = unknown.
+    kind: one of `GROUPS`.  driver: the signal, or "".  basis: (n, k), NaN = unknown.
     law: "linear" (all columns together), "largest" (the best column), "trend", "change" (column 0 lists
         candidate dates, evenly spaced from bin 0).
-    bins: (n,) number of the bin 0 … m − 1, −1 = none. x: (n,) what the bins are made from, in people's units;
-        axis: label.
-    phrase: first and last bin -> (where, when). flag: bin 0 is the condition, bin 1 the rest.
-    circular: bins close a circle. sharp: sets in and ends within an hour. columns: conditions of single
-        columns.
+    bins: (n,) number of the bin 0 … m − 1, −1 = none.  x: (n,) the values that are binned, in display units;
+        axis: their label.
+    phrase: first and last bin -> (where, when).  flag: bin 0 is the condition, bin 1 the rest.
+    circular: the bins close a circle.  sharp: the condition begins and ends within an hour.
+    columns: conditions of single columns.
     """
 
     kind: str
@@ -83,15 +83,12 @@ class Stratum:
 
     @property
     def group(self) -> str:
-        """Group that shares a part of the false discoveries."""
+        """Group with which it shares the false discoveries."""
         return GROUPS[self.kind]
 
     def worst(self, error: np.ndarray) -> tuple[int, int, np.ndarray] | None:
-        """First and last bin of the stretch of bins that stands out most from the rest, and its hours (n,)
-        bool.
-
-        error: (n,), NaN = unknown.  None without errors on both sides.
-        """
+        """First and last bin of the stretch of bins whose error (n,) differs most from the rest, and its
+        hours (n,) bool; None without errors on both sides."""
         there = np.isfinite(error) & (self.bins >= 0)
         count = int(self.bins.max()) + 1
         number = np.bincount(self.bins[there], minlength=count).astype(float)
@@ -112,7 +109,7 @@ class Stratum:
         return chosen
 
     def explained(self, error: np.ndarray) -> float:
-        """Sum of squares of the error (n,) that the bins' means explain; hours without a bin count as one
+        """Sum of squares of the error (n,) that the bins' means explain; hours without a bin count as a
         bin."""
         there = np.isfinite(error)
         number = np.bincount(self.bins[there] + 1).astype(float)
@@ -120,8 +117,7 @@ class Stratum:
         return float((total**2 / np.maximum(number, 1.0)).sum())
 
     def curve(self, error: np.ndarray, step_h: float) -> Settings:
-        """Mean error by bin, in the error's own sign, with a 95 % band that counts blocks instead of
-        hours."""
+        """Mean error by bin, with its sign, and a 95 % band that counts blocks instead of hours."""
         there = np.isfinite(error) & (self.bins >= 0)
         block = np.arange(len(error)) // max(1, round(block_h(error, step_h) / step_h))
         rows = []
@@ -129,14 +125,14 @@ class Stratum:
             part = there & (self.bins == one)
             mean = float(error[part].mean())
             shares = np.bincount(block[part], weights=error[part] - mean)
-            half = 1.96 * math.sqrt(float((shares**2).sum())) / int(part.sum())
+            half = NORMAL_95 * math.sqrt(float((shares**2).sum())) / int(part.sum())
             rows.append((float(np.nanmedian(self.x[part])), mean, mean - half, mean + half, int(part.sum())))
         names = ("x", "error", "lower", "upper", "hours")
         return {"axis": self.axis} | {name: [row[place] for row in rows] for place, name in enumerate(names)}
 
 
 def strata(hours: Hours) -> list[Stratum]:
-    """All conditions that a record can answer for: those that hold for at least six hours."""
+    """All conditions that a record can show: those that hold for at least six hours."""
     made = [*_regimes(hours), *_preheating(hours), _hour(hours), *_calendar(hours)]
     humidity = hours.drivers.get("cabinet_relative_humidity")
     if humidity is not None:
@@ -156,7 +152,7 @@ def _held(one: Stratum, step_h: float) -> bool:
 def _flag(
     kind: str, flag: np.ndarray, where: str, when: str = "", share: np.ndarray | None = None
 ) -> Stratum:
-    """A condition that holds or not; share: (n,) of each bin for which it does, where that is known."""
+    """A condition that holds or not; share: (n,) of each bin for which it holds, where that is known."""
     flag = np.asarray(flag, dtype=bool)
     column = flag.astype(float) if share is None else share
     return Stratum(
@@ -184,7 +180,7 @@ def _filled(spans: Iterable[tuple[int, int]], count: int) -> np.ndarray:
 
 
 def _regimes(hours: Hours) -> list[Stratum]:
-    """Standstill, its longer episodes, the hours after power-ups, hours since the last change."""
+    """Standstill, its longer episodes, the hours after starts, hours since the last change."""
     count, step, running = len(hours), hours.step_h, hours.operating
     if running.all() or not running.any():
         return []
@@ -216,7 +212,7 @@ def _regimes(hours: Hours) -> list[Stratum]:
 
 
 def _preheating(hours: Hours) -> list[Stratum]:
-    """Pre-heating, after long standstills and after any, and what comes after it."""
+    """Pre-heating, after long standstills and after any, and the hours after it."""
     count, step = len(hours), hours.step_h
     heated = run_lengths(hours.preheating)
     if not heated:
@@ -343,7 +339,7 @@ def _binned(
     if len(edges) == 0:
         return None
     bins = np.where(np.isfinite(value), np.digitize(value, edges), -1)
-    marks, unit = shown(name, edges, rate)
+    marks, unit = displayed(name, edges, rate)
     unit = f" {unit}/h" if rate else f" {unit}" if unit else ""
     last = len(edges)
 
@@ -356,7 +352,7 @@ def _binned(
             return f"{opening} above {number(marks[a - 1])}{unit}", ""
         return f"{opening} between {number(marks[a - 1])} and {number(marks[b])}{unit}", ""
 
-    x, _ = shown(name, value, rate)
+    x, _ = displayed(name, value, rate)
     axis = f"{'change of ' if rate else ''}{words(name)} [{unit.strip() or '1'}]"
     scaled = (value - known.mean()) / known.std()
     return Stratum(kind, name, scaled[:, None], bins, x, phrase, axis)
@@ -388,6 +384,6 @@ def _edges(known: np.ndarray, quantiles: tuple[float, ...], rate: bool) -> np.nd
 
 
 def number(value: float) -> str:
-    """A number with two digits that count, as people write it."""
+    """A number with two significant digits, as in a sentence."""
     text = f"{value:.0f}" if abs(value) >= 10.0 else f"{value:.2g}"
     return ("0" if "e" in text else text).replace("-", "−")

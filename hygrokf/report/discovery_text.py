@@ -250,6 +250,9 @@ def gain_sentence(gain: Gain | None) -> str:
             ". Both models are compared here with the parameters that simulate better; as identified, their "
             f"errors are {fixed(own[0])} and {fixed(own[1])} {symbol}, as in the tables and on the fit's page"
         )
+    elif math.isfinite(own[0]) != math.isfinite(own[1]):
+        which = "with" if math.isfinite(own[0]) else "without"
+        said += f". As identified, the model {which} the cause diverges in the free run and has no error"
     if gain.period == "identification":
         said += "; there is no held-out period, so the cause is scored on the data that it was chosen on"
     return said

@@ -266,16 +266,17 @@ def gained(
 
 def _chosen(record: Record, truth: list[dict], starts: int | None) -> dict:
     """Scene and choice alone: no bounds, gains on the identification period."""
-    from hygrokf.discovery.baseline import baseline, rmse
+    from hygrokf.discovery.baseline import baseline
     from hygrokf.discovery.evidence import confidence
     from hygrokf.discovery.model_selection import select
+    from hygrokf.discovery.submodel import rmse
 
     base = baseline(record, **({} if starts is None else {"starts": starts}))
     choice = select(base)
     for account in truth:
         part = PART.get(account.get("quantity", ""))
-        if part in base.parts:
-            before, after = rmse(base.parts[part]), rmse(choice.baseline.parts[part])
+        if part in base.submodels:
+            before, after = rmse(base.submodels[part]), rmse(choice.baseline.submodels[part])
             account |= gained(account, before, after, "identification", "errors of both models")
 
     def told(trial) -> dict:
@@ -290,17 +291,18 @@ def _chosen(record: Record, truth: list[dict], starts: int | None) -> dict:
         }
 
     causes = []
-    for trial, rivals, margin in zip(choice.accepted, choice.rivals, choice.margins, strict=True):
+    for accepted in choice.accepted:
+        trial = accepted.candidate
         values = {
             name: {"value": value}
-            for part, found in trial.parts.items()
+            for part, found in trial.submodels.items()
             for name, value in found.values.items()
-            if name not in base.parts[part].values
+            if name not in base.submodels[part].values
         }
-        named = [other.variant.cause for other in rivals]
+        named = [other.variant.cause for other in accepted.rivals]
         told_more = {
-            "confidence": confidence(trial, margin),
-            "margin": margin,
+            "confidence": confidence(trial, accepted.margin),
+            "margin": accepted.margin,
             "once": trial.once,
         }
         causes.append({**told(trial), **told_more, "ambiguous_with": named, "parameters": values})

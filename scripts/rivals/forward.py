@@ -36,7 +36,7 @@ class Search:
 
 def log_p(candidate: Candidate) -> float:
     """ln p of 2 Δ ln L by the χ² law of the parameters added; 0 where nothing was gained."""
-    if candidate.lr <= 0.0 or not candidate.parts:
+    if candidate.lr <= 0.0 or not candidate.submodels:
         return 0.0
     return float(chi2.logsf(candidate.lr, candidate.parameters))
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from hygrokf.data.ambient import ambient_absolute_humidity
 from hygrokf.data.record import Record, Series
-from hygrokf.discovery.baseline import HYGRIC, Baseline, baseline
+from hygrokf.discovery.baseline import Baseline, baseline
 from hygrokf.discovery.held_out import Model, model_of
+from hygrokf.discovery.submodel import HYGRIC
 from hygrokf.evaluation.simulation import measured
 from hygrokf.modelling.derived_inputs import clear_sky
 from hygrokf.modelling.design import merged
@@ -53,7 +54,7 @@ class Ground:
 
     @property
     def quantities(self) -> tuple[str, ...]:
-        return (TEMPERATURE, HUMIDITY) if HYGRIC in self.base.parts else (TEMPERATURE,)
+        return (TEMPERATURE, HUMIDITY) if HYGRIC in self.base.submodels else (TEMPERATURE,)
 
     def held_out(self, simulated: Model | None = None) -> dict[str, float | None]:
         """Errors of the free run [K], [g/m³] on the validation period, of the base or of another model, as
@@ -71,7 +72,7 @@ def ground(record: Record) -> Ground:
     begin = time.process_time()
     base = baseline(record, starts=STARTS)
     spent = time.process_time() - begin
-    made = prepare_run(merged([part.base for part in base.parts.values()]), record)
+    made = prepare_run(merged([submodel.base for submodel in base.submodels.values()]), record)
     seconds = made.timeline.origin_s + 3600.0 * made.timeline.time
     readings = {}
     for quantity, values in measured(made).items():

@@ -238,8 +238,8 @@ def test_a_climate_has_actuators_off_or_as_the_power_s_record_has_them(all_logge
 def test_discovery_takes_what_is_logged_as_known() -> None:
     record, _, _ = actuated(41002, "heater_duty", "door_open", days=40.0)
     found = baseline(record.identification(), starts=1)
-    assert {"heater_duty", "door_open"} <= set(found.parts["thermal"].base.model.inputs)
-    assert "door_open" in found.parts["hygric"].base.model.inputs
+    assert {"heater_duty", "door_open"} <= set(found.submodels["thermal"].base.model.inputs)
+    assert "door_open" in found.submodels["hygric"].base.model.inputs
     from hygrokf.discovery.causes_heat import door
 
     assert door(found) == []

@@ -14,22 +14,24 @@ from plants.hidden import hidden_plant
 from hygrokf.data.record import Record, Series
 from hygrokf.discovery import evidence, grids
 from hygrokf.discovery import model_selection as selection
-from hygrokf.discovery.baseline import HYGRIC, THERMAL, Baseline, baseline
+from hygrokf.discovery.baseline import Baseline, baseline
 from hygrokf.discovery.candidate import (
     Candidate,
     attempt,
     ordinary_shift,
     refined,
+    restarted,
     score_statistic,
     standard_errors,
-    started,
 )
 from hygrokf.discovery.cause import Variant
 from hygrokf.discovery.clocks import Shift
 from hygrokf.discovery.discovery_results import CauseParameter
 from hygrokf.discovery.library import LIBRARY, named
-from hygrokf.discovery.model_selection import NO_BETTER, _reason, select, verdict_on, with_candidate
+from hygrokf.discovery.model_selection import NO_BETTER, reason_against, select, verdict_on, with_candidate
 from hygrokf.discovery.procedure import verdict as verdict_of
+from hygrokf.discovery.scan import Probe
+from hygrokf.discovery.submodel import HYGRIC, THERMAL
 from hygrokf.evaluation.simulation import simulate
 from hygrokf.modelling.design import Design, extended, merged
 from hygrokf.modelling.inputs import prepare_run
@@ -38,8 +40,8 @@ from hygrokf.physics.model import Mechanism
 from hygrokf.physics.psychrometrics import saturation_pressure_water
 
 
-def part_of(*mechanisms: Mechanism, converged: bool = True, **values: float) -> SimpleNamespace:
-    """What a choice reads of a part."""
+def submodel_of(*mechanisms: Mechanism, converged: bool = True, **values: float) -> SimpleNamespace:
+    """What a choice reads of a submodel."""
     parameters = [p for mechanism in mechanisms for p in mechanism.parameters]
     base = SimpleNamespace(model=SimpleNamespace(parameters=parameters))
     return SimpleNamespace(base=base, values=values, converged=converged, n=5000)
@@ -49,19 +51,19 @@ def candidate(
     cause: str,
     bic: float,
     lasting: float,
-    part: str = HYGRIC,
+    submodel: str = HYGRIC,
     features: dict | None = None,
     converged: bool = True,
 ) -> Candidate:
     return Candidate(
         Variant(cause, "by hand", features=features or {}, settings={"shift_s": 900.0, "ordinary_s": 240.0}),
-        {part: part_of(converged=converged)},
-        {part: bic + 20.0},
+        {submodel: submodel_of(converged=converged)},
+        {submodel: bic + 20.0},
         2,
         bic,
-        {part: lasting},
-        {part: lasting},
-        {part: 9},
+        {submodel: lasting},
+        {submodel: lasting},
+        {submodel: 9},
     )
 
 
@@ -103,7 +105,7 @@ def test_a_sensor_that_is_off_beyond_what_is_possible_is_no_cause(
 ) -> None:
     one = candidate("humidity_sensor_drift", 900.0, 0.3)
     variant = replace(one.variant, additions={HYGRIC: ((mechanism.name, {}),)})
-    one = replace(one, variant=variant, parts={HYGRIC: part_of(mechanism, **values)})
+    one = replace(one, variant=variant, submodels={HYGRIC: submodel_of(mechanism, **values)})
     assert ("physically possible" in verdict(one)) == beyond
     assert not candidate("humidity_sensor_drift", 900.0, 0.3).beyond
 
@@ -126,11 +128,11 @@ def test_what_simulates_worse_in_any_part_is_no_cause() -> None:
 
 
 @pytest.mark.parametrize(
-    ("cause", "form", "strength", "seed", "part"),
+    ("cause", "form", "strength", "seed", "submodel"),
     [("unlogged_heater", 0, 0.5, 9521, THERMAL), ("cooling_switching", 1, 1.0, 9026, THERMAL)],
 )
 def test_a_switch_that_drives_itself_simulates_better(
-    cause: str, form: int, strength: float, seed: int, part: str
+    cause: str, form: int, strength: float, seed: int, submodel: str
 ) -> None:
     """With the readings' course the free run of these plants was worse by a third and by 4 %; by its own it
     gains."""
@@ -138,10 +140,12 @@ def test_a_switch_that_drives_itself_simulates_better(
     shared = baseline(record, starts=1)
     candidates = [attempt(shared, variant) for variant in named(cause).variants(shared)]
     best = max(candidates, key=lambda one: one.lr)
-    assert best.lr > 100.0 and best.lasting[part] > 0.05 and verdict(best) == ""
-    # the candidate's parts keep the errors by readings, which later candidates beside it are held against
-    by_readings = 1.0 - np.nansum(best.parts[part].error ** 2) / np.nansum(shared.parts[part].error ** 2)
-    assert best.gain[part] > by_readings + 0.05
+    assert best.lr > 100.0 and best.lasting[submodel] > 0.05 and verdict(best) == ""
+    # the candidate's submodels keep the errors by readings, which later candidates beside it are held against
+    by_readings = 1.0 - np.nansum(best.submodels[submodel].error ** 2) / np.nansum(
+        shared.submodels[submodel].error ** 2
+    )
+    assert best.gain[submodel] > by_readings + 0.05
 
 
 def test_a_small_clock_error_is_ordinary() -> None:
@@ -174,8 +178,8 @@ def test_half_an_interval_is_what_the_place_of_a_stamp_looks_like(
 def test_a_ceiling_at_saturation_is_the_airs() -> None:
     one = candidate("humidity_sensor_drift", 900.0, 0.3)
     for ceiling, named_so in ((0.9, True), (0.96, True), (0.98, False), (1.0, False)):
-        parts = {HYGRIC: part_of(humidity_ceiling(), humidity_lost=1.0, humidity_ceiling=ceiling)}
-        found = verdict(replace(one, parts=parts))
+        submodels = {HYGRIC: submodel_of(humidity_ceiling(), humidity_lost=1.0, humidity_ceiling=ceiling)}
+        found = verdict(replace(one, submodels=submodels))
         assert ("saturation" not in found) == named_so
 
 
@@ -210,9 +214,11 @@ def test_standard_errors_of_a_gain_come_from_blocks_of_days() -> None:
 def test_what_exchanges_air_must_show_in_heat_and_vapour() -> None:
     one = candidate("cooling_switching", 900.0, 0.2)
     both = replace(
-        one, variant=replace(one.variant, joint=True), parts={THERMAL: part_of(), HYGRIC: part_of()},
+        one,
+        variant=replace(one.variant, joint=True),
+        submodels={THERMAL: submodel_of(), HYGRIC: submodel_of()},
         lrs={THERMAL: 600.0, HYGRIC: 300.0},
-    )  # fmt: skip
+    )
     assert verdict(both) == ""
     for name in (THERMAL, HYGRIC):
         assert "one of them does not show" in verdict(replace(both, lrs={**both.lrs, name: 3.0}))
@@ -232,16 +238,16 @@ def test_what_a_form_leaves_behind_is_no_further_cause() -> None:
     """A thermometer 1.7 K off beside a drier had 9 % of its evidence; a drier that sorption's form leaves
     behind, 5 %."""
     first = candidate("moisture_sorption", 1000.0, 0.2)
-    assert _reason(candidate("temperature_sensor_offset", 90.0, 0.1), 1, [first], LIBRARY) == ""
-    assert "leaves behind" in _reason(candidate("dehumidifier", 50.0, 0.1), 1, [first], LIBRARY)
-    assert _reason(candidate("wall_thermal_mass", 20.0, 0.1, THERMAL), 1, [first], LIBRARY) == ""
+    assert reason_against(candidate("temperature_sensor_offset", 90.0, 0.1), 1, [first], LIBRARY) == ""
+    assert "leaves behind" in reason_against(candidate("dehumidifier", 50.0, 0.1), 1, [first], LIBRARY)
+    assert reason_against(candidate("wall_thermal_mass", 20.0, 0.1, THERMAL), 1, [first], LIBRARY) == ""
 
 
 def test_a_further_cause_simulates_better() -> None:
     """Evidence alone is enough for the first one."""
     clock = candidate("clock_shift", 1200.0, 0.0)
-    assert _reason(clock, 1, [], LIBRARY) == ""
-    assert _reason(clock, 1, [candidate("moisture_sorption", 400.0, 0.3)], LIBRARY) == NO_BETTER
+    assert reason_against(clock, 1, [], LIBRARY) == ""
+    assert reason_against(clock, 1, [candidate("moisture_sorption", 400.0, 0.3)], LIBRARY) == NO_BETTER
 
 
 def test_evidence_is_compared_in_the_part_that_causes_share() -> None:
@@ -249,13 +255,13 @@ def test_evidence_is_compared_in_the_part_that_causes_share() -> None:
     vapour."""
     fan = replace(
         candidate("cooling_switching", 930.0, 0.3, THERMAL),
-        parts={THERMAL: part_of(), HYGRIC: part_of()},
+        submodels={THERMAL: submodel_of(), HYGRIC: submodel_of()},
         lrs={THERMAL: 750.0, HYGRIC: 200.0},
     )
     assert fan.lr == 950.0 and fan.bic_in([HYGRIC]) == pytest.approx(930.0 * 200.0 / 950.0)
-    assert _reason(candidate("rain_ingress", 36.0, 0.14), 1, [fan], LIBRARY) == ""
-    alone = replace(fan, parts={HYGRIC: part_of()}, lrs={HYGRIC: 950.0})
-    assert "leaves behind" in _reason(candidate("rain_ingress", 36.0, 0.14), 1, [alone], LIBRARY)
+    assert reason_against(candidate("rain_ingress", 36.0, 0.14), 1, [fan], LIBRARY) == ""
+    alone = replace(fan, submodels={HYGRIC: submodel_of()}, lrs={HYGRIC: 950.0})
+    assert "leaves behind" in reason_against(candidate("rain_ingress", 36.0, 0.14), 1, [alone], LIBRARY)
     assert candidate("rain_ingress", -30.0, 0.0).bic_in([HYGRIC]) == 0.0
 
 
@@ -296,7 +302,7 @@ def test_a_cause_is_judged_at_its_maximum(monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(selection, "difference", lambda baseline, best, other: math.inf)
     monkeypatch.setattr(selection, "MOST_CAUSES", 1)
     both = select(Baseline(None, {HYGRIC: SimpleNamespace()}), library)  # type: ignore[arg-type]
-    assert [one.variant.cause for one in both.accepted] == ["ambient_bias"]
+    assert [one.variant.cause for one in both.candidates] == ["ambient_bias"]
 
 
 def test_what_a_coarse_form_leaves_behind_is_no_further_cause(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -314,7 +320,7 @@ def test_what_a_coarse_form_leaves_behind_is_no_further_cause(monkeypatch: pytes
 
     def finer(base: object, baseline: Baseline, one: Candidate, alone: bool) -> tuple[Candidate, Baseline]:
         return replace(one, lrs={HYGRIC: 970.0}), replace(
-            baseline, parts={HYGRIC: SimpleNamespace(values={})}
+            baseline, submodels={HYGRIC: SimpleNamespace(values={})}
         )
 
     monkeypatch.setattr(selection, "attempt", attempted)
@@ -326,30 +332,30 @@ def test_what_a_coarse_form_leaves_behind_is_no_further_cause(monkeypatch: pytes
         "_again",
         lambda baseline, candidates, accepted, *rest: [t for t in candidates if t not in accepted],
     )
-    monkeypatch.setattr(selection, "started", lambda baseline, one: one.variant)
+    monkeypatch.setattr(selection, "restarted", lambda baseline, one: one.variant)
     monkeypatch.setattr(selection, "refined", finer)
     library = tuple(
         replace(named(name), variants=lambda baseline, one=one: [one.variant])
         for name, one in {"moisture_sorption": coarse, "ambient_bias": leftover}.items()
     )
     found = select(Baseline(None, {HYGRIC: SimpleNamespace(values={})}), library)  # type: ignore[arg-type]
-    assert [one.variant.cause for one in found.accepted] == ["moisture_sorption"]
-    assert found.accepted[0].lr == 970.0
+    assert [one.variant.cause for one in found.candidates] == ["moisture_sorption"]
+    assert found.candidates[0].lr == 970.0
     assert asked.count("ambient_bias") == 2 and asked.count("moisture_sorption") == 1
 
 
 def test_a_switch_is_refined_without_losing_its_hysteresis(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[dict] = []
 
-    def narrowest(part: object, mechanism: object, parameter: str, feature: str, grid: list, nulls: object):
+    def narrowest(submodel: object, probe: Probe, feature: str, grid: list) -> SimpleNamespace:
         seen.extend(grid)
         width = np.array([one["on"] - one["off"] for one in grid])
         return SimpleNamespace(root=1.0 / np.abs(width), effective=1.0)
 
     monkeypatch.setattr(grids, "scan", narrowest)
-    monkeypatch.setattr(grids, "starts", lambda part, name, settings: 99)
+    monkeypatch.setattr(grids, "count_starts", lambda submodel, name, settings: 99)
     first = [{"on": a, "off": a - width} for a in (0.6644, 0.8572) for width in (0.03, 0.08)]
-    probe = grids.Probe(HYGRIC, ("drier", {}), "rate")
+    probe = Probe(HYGRIC, ("drier", {}), "rate")
     bare = Baseline(Record("bare", ()), {HYGRIC: SimpleNamespace()})
     chosen, searched = grids.best_switch(bare, "drying", [probe], first, {"": 0.02})
     # steps of 0.01 and 0.02 bring on and off together but for rounding: such a pair is no switch
@@ -364,16 +370,16 @@ def test_what_turns_with_the_seasons_is_no_switch(monkeypatch: pytest.MonkeyPatc
     days = (time - time[0]) / 86400.0
     warm = 285.0 + 15.0 * days / 120.0
     daily = 3.0 * np.sin(2.0 * np.pi * days)
-    part = SimpleNamespace(
+    submodel = SimpleNamespace(
         time_s=time, record=Record("roof", (Series("cabinet_temperature", time, warm + daily),))
     )
-    assert grids.starts(part, "cooling", {"on_K": 292.0, "off_K": 291.0}) > 20
-    assert grids.starts(part, "cooling", {"on_K": 296.0, "off_K": 288.5}) == 1
+    assert grids.count_starts(submodel, "cooling", {"on_K": 292.0, "off_K": 291.0}) > 20
+    assert grids.count_starts(submodel, "cooling", {"on_K": 296.0, "off_K": 288.5}) == 1
     monkeypatch.setattr(
-        grids, "scan", lambda *args: SimpleNamespace(root=np.ones(len(args[4])), effective=1.0)
+        grids, "scan", lambda *args: SimpleNamespace(root=np.ones(len(args[3])), effective=1.0)
     )
-    probe = grids.Probe(THERMAL, ("cooling_loss", {}), "cooling_conductance")
-    roof = Baseline(part.record, {THERMAL: part})
+    probe = Probe(THERMAL, ("cooling_loss", {}), "cooling_conductance")
+    roof = Baseline(submodel.record, {THERMAL: submodel})
     seldom, often = {"on_K": 296.0, "off_K": 288.5}, {"on_K": 292.0, "off_K": 291.0}
     assert grids.best_switch(roof, "cooling", [probe], [seldom], {"": 0.5}) is None
     setting, _ = grids.best_switch(roof, "cooling", [probe], [seldom, often], {"": 0.1})
@@ -405,12 +411,15 @@ def test_finer_forms_are_tried_in_the_end() -> None:
     made = baseline(to_record(hidden_plant(813, "moisture_sorption", form=1, days=50.0)), starts=1)
     thin = named("moisture_sorption").variants(made)[0]
     candidate = attempt(made, thin)
-    beside = replace(made, parts={**made.parts, **candidate.parts})
+    beside = replace(made, submodels={**made.submodels, **candidate.submodels})
     found, after = refined(made, beside, candidate, alone=True)
     assert found.variant.form.startswith("slab") and found.bic_gain > candidate.bic_gain + 10.0
     assert found.lasting[HYGRIC] > candidate.lasting[HYGRIC]
-    assert after.parts[HYGRIC].base.mechanisms[-1] == ("moisture_sorption", {"activated": True, "slab": True})
-    assert len(after.parts[HYGRIC].values) == len(beside.parts[HYGRIC].values)
+    assert after.submodels[HYGRIC].base.mechanisms[-1] == (
+        "moisture_sorption",
+        {"activated": True, "slab": True},
+    )
+    assert len(after.submodels[HYGRIC].values) == len(beside.submodels[HYGRIC].values)
     again, same = refined(made, after, found, alone=True)
     assert again is found and same is after
     # beside others only what the form gains is its own, or another's evidence would be counted here too
@@ -461,17 +470,17 @@ def test_humidity_is_driven_by_the_temperature_that_a_cause_makes_known() -> Non
         (attempt(base, one) for one in named("unlogged_heater").variants(base)), key=lambda t: t.bic_gain
     )
     driven = with_candidate(base, found)
-    assert driven.parts[THERMAL] is found.parts[THERMAL]
-    assert driven.parts[HYGRIC].objective > base.parts[HYGRIC].objective + 50.0
+    assert driven.submodels[THERMAL] is found.submodels[THERMAL]
+    assert driven.submodels[HYGRIC].objective > base.submodels[HYGRIC].objective + 50.0
     before, after = (
         max(attempt(one, variant).lr for variant in named("dehumidifier").variants(one))
         for one in (base, driven)
     )
     assert before > 12.0 > after + 5.0
-    # an error of the thermometer is none of the air's, and the hygric part is told of it by itself
+    # an error of the thermometer is none of the air's, and the hygric submodel is told of it by itself
     told = {HYGRIC: {"measured_air": {"step": True}}}
     offset = replace(found, variant=replace(found.variant, altered=told))
-    assert with_candidate(base, offset).parts[HYGRIC] is base.parts[HYGRIC]
+    assert with_candidate(base, offset).submodels[HYGRIC] is base.submodels[HYGRIC]
 
 
 def test_a_source_is_found_behind_a_disturbance_that_stands_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -482,30 +491,30 @@ def test_a_source_is_found_behind_a_disturbance_that_stands_for_it(monkeypatch: 
     always = named("internal_moisture_source").variants(made)[0]
     found = attempt(made, always)
     assert found.lr > 12.0
-    assert attempt(made, started(made, found)).lr > 12.0
+    assert attempt(made, restarted(made, found)).lr > 12.0
     monkeypatch.setattr("hygrokf.discovery.baseline.disturbances", lambda model: {})
     assert attempt(made, replace(always, starts=always.starts[:2])).lr < 5.0
 
 
 def test_a_thermometer_off_by_a_constant_is_simulated_as_it_is_read() -> None:
-    """The reading 1.5 K too warm is told; so is the joint simulation, whose thermal part has the readings'
-    temperature."""
+    """The reading 1.5 K too warm is told; so is the joint simulation, whose thermal submodel has the
+    readings' temperature."""
     made = baseline(to_record(hidden_plant(941, "none", days=40.0)), starts=1)
-    part, kelvin = made.parts[HYGRIC], 1.5
-    wider = extended(part.base, [("thermometer_offset", {})])
-    values = {**part.values, "thermometer_offset": kelvin}
+    submodel, kelvin = made.submodels[HYGRIC], 1.5
+    wider = extended(submodel.base, [("thermometer_offset", {})])
+    values = {**submodel.values, "thermometer_offset": kelvin}
 
     def humidity(base: Design, at: dict, record: Record) -> np.ndarray:
         return simulate(base, at, prepare_run(base, record)).relative_humidity[0]
 
-    told = humidity(wider, values, part.record)
-    air = part.record["cabinet_temperature"]
-    cooler = part.record.replace_series(replace(air, value=air.value - kelvin))
+    told = humidity(wider, values, submodel.record)
+    air = submodel.record["cabinet_temperature"]
+    cooler = submodel.record.replace_series(replace(air, value=air.value - kelvin))
     # the exchange goes with T, half a per cent of it
-    assert told == pytest.approx(humidity(part.base, dict(part.values), cooler), rel=0.01)
-    thermal = made.parts[THERMAL]
+    assert told == pytest.approx(humidity(submodel.base, dict(submodel.values), cooler), rel=0.01)
+    thermal = made.submodels[THERMAL]
     both = {**thermal.values, **values}
-    joint, plain = merged([thermal.base, wider]), merged([thermal.base, part.base])
+    joint, plain = merged([thermal.base, wider]), merged([thermal.base, submodel.base])
     ratio = humidity(joint, both, made.record) / humidity(plain, both, made.record)
     simulated = simulate(joint, both, prepare_run(joint, made.record)).temperature[0]
     expected = saturation_pressure_water(simulated) / saturation_pressure_water(simulated - kelvin)

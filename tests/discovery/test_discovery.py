@@ -12,36 +12,28 @@ from plants.hidden import hidden_plant
 
 from hygrokf.data.record import Record
 from hygrokf.data.result_file import result_text
-from hygrokf.discovery import baseline as scene_module
-from hygrokf.discovery.baseline import (
-    HYGRIC,
-    THERMAL,
-    Baseline,
-    baseline,
-    free_run_error,
-    refitted,
-    rmse,
-    searching,
-)
+from hygrokf.discovery import submodel as submodel_module
+from hygrokf.discovery.baseline import Baseline, baseline, refitted
 from hygrokf.discovery.candidate import (
     MATERIAL,
     attempt,
+    candidate_of,
     episodes,
-    judged,
     probability,
     score_statistic,
-    shift_gains,
 )
 from hygrokf.discovery.cause import Variant, penalty
-from hygrokf.discovery.clocks import Shift, shifted, sources
+from hygrokf.discovery.clocks import Shift, shift_gains, shifted, sources
 from hygrokf.discovery.grids import dates
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.model_selection import difference, select, verdict_on
 from hygrokf.discovery.procedure import discover
-from hygrokf.discovery.scan import Scanned, scan, slow_scan
+from hygrokf.discovery.scan import Probe, Scanned, scan, slow_scan
+from hygrokf.discovery.submodel import HYGRIC, THERMAL, free_run_error, rmse, search_likelihood
 from hygrokf.report.discovery_page import discovery_text
 
 DAY_S = 86400.0
+DRIFT = Probe(THERMAL, ("release_drift", {"flag": "since"}), "heat_drift")
 IDENTIFIERS = """moisture_sorption condensation wall_thermal_mass solar_gain wind_driven_exchange
 exchange_step heat_release_drift humidity_sensor_drift temperature_sensor_offset sensor_response
 clock_shift rain_ingress door_opening dehumidifier internal_moisture_source ambient_bias unlogged_heater
@@ -77,37 +69,33 @@ def test_the_library_has_every_identifier_with_words_for_it() -> None:
 
 def test_score_statistics_are_standard_normal_where_there_is_no_effect(quiet: Baseline) -> None:
     """Neighbouring dates go together: their mean square is that of a few independent ones."""
-    grid = [{"date_s": d} for d in dates(quiet.record, every_days=1.0)]
+    grid = [{"date_s": d} for d in dates(quiet.record)[0]]
     probes = (
-        (THERMAL, "stepped_loss", "conductance_change"),
-        (THERMAL, "temperature_step", "temperature_offset"),
-        (HYGRIC, "stepped_exchange", "exchange_change"),
+        Probe(THERMAL, ("stepped_loss", {}), "conductance_change"),
+        Probe(THERMAL, ("temperature_step", {}), "temperature_offset"),
+        Probe(HYGRIC, ("stepped_exchange", {}), "exchange_change"),
     )
-    z = np.concatenate(
-        [
-            scan(quiet.parts[part], (name, {}), parameter, "after_step", grid).root
-            for part, name, parameter in probes
-        ]
-    )
+    z = np.concatenate([scan(quiet.submodels[one.submodel], one, "after_step", grid).root for one in probes])
     assert 0.2 < np.mean(z**2) < 2.5
     assert np.abs(z).max() < 4.5
 
 
 def test_a_score_statistic_promises_what_the_refit_gains(quiet: Baseline) -> None:
-    part = quiet.parts[THERMAL]
-    date = dates(quiet.record)[3]
-    (z,) = scan(part, ("temperature_step", {}), "temperature_offset", "after_step", [{"date_s": date}]).root
-    found = refitted(part, [("temperature_step", {})], {"after_step": {"date_s": date}}, ())
-    assert 2.0 * (found.objective - part.objective) == pytest.approx(z * z, abs=0.6)
+    submodel = quiet.submodels[THERMAL]
+    date = dates(quiet.record)[0][3]
+    probe = Probe(THERMAL, ("temperature_step", {}), "temperature_offset")
+    (z,) = scan(submodel, probe, "after_step", [{"date_s": date}]).root
+    found = refitted(submodel, [("temperature_step", {})], {"after_step": {"date_s": date}}, ())
+    assert 2.0 * (found.objective - submodel.objective) == pytest.approx(z * z, abs=0.6)
     assert np.sign(found.values["temperature_offset"]) == np.sign(z)
 
 
 def test_slow_effects_are_scanned_in_one_pass(quiet: Baseline) -> None:
     """A release that drifts: the response to a lasting effect times its course is nearly the response
     itself."""
-    part = quiet.parts[THERMAL]
-    settings = [{"date_s": d, "days": 10.0} for d in dates(quiet.record, every_days=4.0)]
-    probe = part, ("release_drift", {"flag": "since"}), "heat_drift", "since", settings
+    submodel = quiet.submodels[THERMAL]
+    settings = [{"date_s": d, "days": 10.0} for d in dates(quiet.record)[0][::4]]
+    probe = submodel, DRIFT, "since", settings
     exact, quick = scan(*probe), slow_scan(*probe)
     assert np.max(np.abs(exact.root - quick.root)) < 0.3
     assert np.max(np.abs(exact.factor @ exact.factor.T - quick.factor @ quick.factor.T)) < 0.1
@@ -115,10 +103,10 @@ def test_slow_effects_are_scanned_in_one_pass(quiet: Baseline) -> None:
 
 def test_settings_beside_each_other_give_what_each_gives_alone(quiet: Baseline) -> None:
     """Eight copies of a mechanism in one pass, and a last pass that is not full."""
-    part = quiet.parts[THERMAL]
-    settings = [{"date_s": d, "days": 1.0} for d in dates(quiet.record, every_days=4.0)]
+    submodel = quiet.submodels[THERMAL]
+    settings = [{"date_s": d, "days": 1.0} for d in dates(quiet.record)[0][::4]]
     assert len(settings) % 8
-    probe = part, ("release_drift", {"flag": "since"}), "heat_drift", "since"
+    probe = submodel, DRIFT, "since"
     together = scan(*probe, settings)
     alone = [scan(*probe, [one]).root[0] for one in settings]
     assert together.root == pytest.approx(alone, abs=1e-8)
@@ -142,15 +130,15 @@ def test_a_step_in_the_readings_is_dated(quiet: Baseline) -> None:
     date = float(series.time[0] + 21.3 * DAY_S)
     moved = replace(series, value=series.value + (series.time > date))
     stepped = replace(quiet, record=quiet.record.replace_series(moved))
-    part = replace(quiet.parts[THERMAL], record=stepped.record)
-    part = refitted(part, (), {}, ())
-    stepped = replace(stepped, parts={THERMAL: part})
+    submodel = replace(quiet.submodels[THERMAL], record=stepped.record)
+    submodel = refitted(submodel, (), {}, ())
+    stepped = replace(stepped, submodels={THERMAL: submodel})
     variant = next(
         v for v in named("temperature_sensor_offset").variants(stepped) if v.form == "from a date on"
     )
     assert abs(variant.settings["date_s"] - date) < 3600.0
     assert attempt(stepped, variant).bic_gain > 10.0
-    found = refitted(part, [("temperature_step", {})], {"after_step": {"date_s": date}}, ())
+    found = refitted(submodel, [("temperature_step", {})], {"after_step": {"date_s": date}}, ())
     assert found.values["temperature_offset"] == pytest.approx(1.0, abs=0.35)
 
 
@@ -159,12 +147,12 @@ def test_a_shifted_clock_is_measured(quiet: Baseline, source: str) -> None:
     """A source 20 minutes late: moving it back by that is what the innovations ask for."""
     name = next(n for n, signals in sources(quiet.record).items() if f"{source}_temperature" in signals)
     late = shifted(quiet.record, Shift(name, 1200.0))
-    part = refitted(replace(quiet.parts[THERMAL], record=late), (), {}, ())
+    submodel = refitted(replace(quiet.submodels[THERMAL], record=late), (), {}, ())
     shifts = np.array([-2400.0, -1200.0, -600.0, 600.0])
-    gains = shift_gains(part, name, shifts)
+    gains = shift_gains(submodel, name, shifts)
     assert shifts[int(np.argmax(gains))] == -1200.0
     assert gains.max() > 20.0
-    alone = Baseline(late, {THERMAL: part})
+    alone = Baseline(late, {THERMAL: submodel})
     variant = next(
         v for v in named("clock_shift").variants(alone) if v.shift is not None and v.shift.source == name
     )
@@ -176,17 +164,17 @@ def test_a_shifted_clock_is_measured(quiet: Baseline, source: str) -> None:
 def test_a_trial_counts_its_price_and_its_days(sorbing: Baseline) -> None:
     variant = named("moisture_sorption").variants(sorbing)[0]
     candidate = attempt(sorbing, variant)
-    before = sorbing.parts[HYGRIC]
+    before = sorbing.submodels[HYGRIC]
     assert candidate.parameters == 2
     assert candidate.price == pytest.approx(2 * np.log(before.n) + 2 * np.log(4))
     assert candidate.bic_gain == pytest.approx(candidate.lr / sorbing.tempers[HYGRIC] - candidate.price)
-    after = candidate.parts[HYGRIC]
+    after = candidate.submodels[HYGRIC]
     assert candidate.gain[HYGRIC] == pytest.approx(1.0 - (rmse(after) / rmse(before)) ** 2, abs=1e-9)
     assert candidate.lasting[HYGRIC] < candidate.gain[HYGRIC]
-    assert candidate.part == HYGRIC and candidate.episodes[HYGRIC] >= 2 and not candidate.once
+    assert candidate.submodel == HYGRIC and candidate.episodes[HYGRIC] >= 2 and not candidate.once
     assert probability(candidate) < 1e-6
     assert score_statistic(sorbing, variant) > 10.0
-    same = judged(sorbing, variant, {HYGRIC: before})
+    same = candidate_of(sorbing, variant, {HYGRIC: before})
     assert (same.lr, same.gain[HYGRIC]) == (0.0, 0.0)
     assert verdict_on(same, named("moisture_sorption")) == "it gains no likelihood"
 
@@ -204,14 +192,14 @@ def test_episodes_are_counted_by_the_days_that_gained() -> None:
 def test_an_amplitude_at_its_boundary_has_half_a_chance(quiet: Baseline) -> None:
     """p of a sorption that gains 3.84: half of χ² with two and half with one degree of freedom."""
     sun = Variant("moisture_sorption", "x", {HYGRIC: (("moisture_sorption", {}),)})
-    part = refitted(quiet.parts[HYGRIC], sun.additions[HYGRIC], {}, ({},))
-    candidate = replace(judged(quiet, sun, {HYGRIC: part}), lrs={HYGRIC: 3.84})
+    submodel = refitted(quiet.submodels[HYGRIC], sun.additions[HYGRIC], {}, ({},))
+    candidate = replace(candidate_of(quiet, sun, {HYGRIC: submodel}), lrs={HYGRIC: 3.84})
     assert candidate.parameters == 2
     assert probability(candidate) == pytest.approx(0.5 * (0.05004 + 0.14661), abs=1e-4)
     drift = Variant("humidity_sensor_drift", "x", {HYGRIC: (("humidity_drift", {}),)})
     span = {"elapsed": {"start_s": quiet.record.start_s, "end_s": quiet.record.end_s}}
-    part = refitted(quiet.parts[HYGRIC], drift.additions[HYGRIC], span, ({},))
-    candidate = replace(judged(quiet, drift, {HYGRIC: part}), lrs={HYGRIC: 3.84})
+    submodel = refitted(quiet.submodels[HYGRIC], drift.additions[HYGRIC], span, ({},))
+    candidate = replace(candidate_of(quiet, drift, {HYGRIC: submodel}), lrs={HYGRIC: 3.84})
     assert probability(candidate) == pytest.approx(0.05004, abs=1e-4)
 
 
@@ -223,23 +211,27 @@ def test_a_cause_is_like_itself_and_unlike_one_of_another_part(sorbing: Baseline
 
 
 def test_sensors_are_no_worse_than_their_accuracy_in_a_free_run(quiet: Baseline) -> None:
-    part = quiet.parts[HYGRIC]
-    far = {**part.values, "cabinet_relative_humidity_bias": 0.5}
-    held = free_run_error(part.base, part.run, far)
-    sd = next(p for p in part.base.model.parameters if p.name == "cabinet_relative_humidity_bias").prior.sd
-    clipped = free_run_error(part.base, part.run, {**far, "cabinet_relative_humidity_bias": 1.96 * sd})
+    submodel = quiet.submodels[HYGRIC]
+    far = {**submodel.values, "cabinet_relative_humidity_bias": 0.5}
+    held = free_run_error(submodel.base, submodel.run, far)
+    sd = next(
+        p for p in submodel.base.model.parameters if p.name == "cabinet_relative_humidity_bias"
+    ).prior.sd
+    clipped = free_run_error(
+        submodel.base, submodel.run, {**far, "cabinet_relative_humidity_bias": 1.96 * sd}
+    )
     assert held == pytest.approx(clipped, abs=1e-9, nan_ok=True)
 
 
 def test_a_free_run_that_grows_beyond_all_numbers_is_no_fault(
     quiet: Baseline, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    part = quiet.parts[HYGRIC]
-    plain = free_run_error(part.base, part.run, part.values)
+    submodel = quiet.submodels[HYGRIC]
+    plain = free_run_error(submodel.base, submodel.run, submodel.values)
 
     class Wild:
         def __init__(self, model: object, timeline: object) -> None:
-            self.likelihood = searching(model, timeline)  # type: ignore[arg-type]
+            self.likelihood = search_likelihood(model, timeline)  # type: ignore[arg-type]
 
         def residuals(self, values: dict, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             error, slopes = self.likelihood.residuals(values, directions)
@@ -247,8 +239,8 @@ def test_a_free_run_that_grows_beyond_all_numbers_is_no_fault(
             slopes[-1, :, 1] = np.inf
             return error, slopes
 
-    monkeypatch.setattr(scene_module, "searching", Wild)
-    found = free_run_error(part.base, part.run, part.values)
+    monkeypatch.setattr(submodel_module, "search_likelihood", Wild)
+    found = free_run_error(submodel.base, submodel.run, submodel.values)
     assert np.isfinite(found[np.isfinite(plain)]).all()
     assert np.nansum(found**2) <= np.nansum(plain**2) * 4.0
 
@@ -267,7 +259,7 @@ def test_sorption_is_named_among_its_rivals(sorbing: Baseline) -> None:
     selection = select(
         sorbing, library("moisture_sorption", "dehumidifier", "internal_moisture_source", "ambient_bias")
     )
-    first = selection.accepted[0]
+    first = selection.candidates[0]
     assert first.variant.cause == "moisture_sorption"
     assert first.lasting[HYGRIC] > MATERIAL and first.bic_gain > 50.0
 

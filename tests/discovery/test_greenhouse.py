@@ -11,7 +11,8 @@ from builders import greenhouse
 from hygrokf import discover
 from hygrokf.data.actuators import ACTUATORS
 from hygrokf.data.record import Record
-from hygrokf.discovery.baseline import HYGRIC, THERMAL, Baseline, part_of
+from hygrokf.discovery.baseline import Baseline
+from hygrokf.discovery.submodel import HYGRIC, THERMAL, submodel_of
 from hygrokf.identification.procedure import identify_stages
 from hygrokf.modelling.design import CASCADE
 
@@ -26,7 +27,7 @@ def base_scene(measured: Record) -> Baseline:
     early = measured.identification()
     basis = identify_stages(early, CASCADE, 2, True, lambda text: None)
     stages = zip((THERMAL, HYGRIC), basis.records, basis.stages, strict=True)
-    return Baseline(early, {name: part_of(name, driven, stage) for name, driven, stage in stages})
+    return Baseline(early, {name: submodel_of(name, driven, stage) for name, driven, stage in stages})
 
 
 @pytest.fixture(scope="module")

@@ -21,10 +21,11 @@ from hygrokf.commands.main import main
 from hygrokf.data.result_file import ResultFault
 from hygrokf.data.signals import SIGNALS
 from hygrokf.discovery import own_causes
-from hygrokf.discovery.baseline import THERMAL, Baseline
+from hygrokf.discovery.baseline import Baseline
 from hygrokf.discovery.library import LIBRARY, named
 from hygrokf.discovery.own_causes import LibraryFault, adopt, cause_of, load_library
 from hygrokf.discovery.plugin_validation import trial_baseline, trial_record, variant_faults
+from hygrokf.discovery.submodel import THERMAL
 from hygrokf.identification.fit import LibraryAbsent, read_fit
 from hygrokf.modelling import registry as additions
 from hygrokf.modelling.derived_inputs import FEATURES
@@ -70,11 +71,7 @@ def _as_it_was() -> Iterator[None]:
 
 def documented() -> str:
     """transformer.py as the page has it."""
-    return re.search(
-        r"^```python\n(.*?)^```",
-        PAGE.read_text(encoding="utf-8"),
-        re.DOTALL | re.MULTILINE,
-    )[1]
+    return re.search(r"^```python\n(.*?)^```", PAGE.read_text(encoding="utf-8"), re.DOTALL | re.MULTILINE)[1]
 
 
 @pytest.fixture
@@ -111,9 +108,7 @@ def test_a_file_brings_its_cause(file: Path) -> None:
     assert load_library() == ()
 
 
-def test_the_extended_model_is_the_base_at_the_null_value_on_another_record(
-    file: Path,
-) -> None:
+def test_the_extended_model_is_the_base_at_the_null_value_on_another_record(file: Path) -> None:
     load_library(file)
     record = trial_record()
     base = design(record, kind="thermal")
@@ -180,31 +175,16 @@ def test_the_packages_own_causes_pass_the_check_that_users_causes_must_pass() ->
     ("content", "words"),
     [
         (b"\x00\x01\xff\xfe", "expected a Python file, found"),
-        (
-            b"def broken(:\n    pass\n",
-            "expected a Python file, found invalid syntax in line 1",
-        ),
-        (
-            b"import no_such_module_anywhere\n",
-            "No module named 'no_such_module_anywhere' (line 1 of own.py)",
-        ),
-        (
-            b"import sys\nsys.exit(3)\n",
-            "cannot be run: SystemExit: 3 (line 2 of own.py)",
-        ),
-        (
-            b"a = 1\nb = a / 0\n",
-            "cannot be run: ZeroDivisionError: division by zero (line 2 of own.py)",
-        ),
+        (b"def broken(:\n    pass\n", "expected a Python file, found invalid syntax in line 1"),
+        (b"import no_such_module_anywhere\n", "No module named 'no_such_module_anywhere' (line 1 of own.py)"),
+        (b"import sys\nsys.exit(3)\n", "cannot be run: SystemExit: 3 (line 2 of own.py)"),
+        (b"a = 1\nb = a / 0\n", "cannot be run: ZeroDivisionError: division by zero (line 2 of own.py)"),
         (b"a = 1\n", "expected a hygrokf.Cause at the top level, found none"),
         (
             b"from hygrokf.discovery.library import LIBRARY\nSUN = LIBRARY[3]\n",
             "at the top level, found none",
         ),
-        (
-            b"import hygrokf\nC = hygrokf.cause_of('a', meaning='', remedy='', separate_by='')",
-            "found none",
-        ),
+        (b"import hygrokf\nC = hygrokf.cause_of('a', meaning='', remedy='', separate_by='')", "found none"),
         (
             b"import hygrokf\nC = hygrokf.cause_of('a', thermal=list, meaning='', remedy='', separate_by='')",
             "expected factories that return a Mechanism: thermal (line 2 of own.py)",
@@ -243,8 +223,8 @@ CAUSE = "C = hygrokf.cause_of('stove', thermal=made({effect}), **WORDS)\n"
         ),
         (
             "C = hygrokf.cause_of('stove', hygric=made(stove), **WORDS)",
-            "hygric part: it changes nothing in the free run, whatever its parameters; contribute to one of "
-            "heat_release",
+            "hygric submodel: it changes nothing in the free run, whatever its parameters; contribute to one "
+            "of heat_release",
         ),
         (
             "C = hygrokf.cause_of('stove', thermal=made(stove, (parameter('stove_heat', None),)), **WORDS)",
@@ -271,13 +251,13 @@ CAUSE = "C = hygrokf.cause_of('stove', thermal=made({effect}), **WORDS)\n"
         (
             "import numpy as np\nC = hygrokf.cause_of('stove', thermal=made(lambda p, x, u, q: "
             "{'heat_release': np.maximum(p.stove_heat * u.auxiliary_power, 0.0)}), **WORDS)",
-            "thermal part: TypeError",
+            "thermal submodel: TypeError",
         ),
         (
             "C = hygrokf.cause_of('stove', thermal=made(lambda p, x, u, q: {'heat_release': p.heat}), "
             "**WORDS)",
-            "thermal part: AttributeError: 'types.SimpleNamespace' object has no attribute 'heat' (line 21 "
-            "of own.py)",
+            "thermal submodel: AttributeError: 'types.SimpleNamespace' object has no attribute 'heat' (line "
+            "21 of own.py)",
         ),
         (
             "C = hygrokf.cause_of('stove', thermal=made(stove), starts={'stov_heat': 2.0}, **WORDS)",
@@ -381,21 +361,13 @@ def test_all_faults_of_all_files_come_in_one_message(tmp_path: Path) -> None:
     assert said.count("third.py: cause 'Oven': ") == 3
 
 
-def test_a_later_file_of_the_same_name_gives_way_and_a_faulty_one_leaves_nothing(
-    tmp_path: Path,
-) -> None:
-    good = written(
-        tmp_path,
-        "C = hygrokf.cause_of('stove', thermal=made(stove), **WORDS)",
-        "good.py",
-    )
+def test_a_later_file_of_the_same_name_gives_way_and_a_faulty_one_leaves_nothing(tmp_path: Path) -> None:
+    good = written(tmp_path, "C = hygrokf.cause_of('stove', thermal=made(stove), **WORDS)", "good.py")
     (first,) = load_library(good)
     (second,) = load_library(good)
     assert MECHANISMS["stove"] is second.mechanisms["stove"] is not first.mechanisms["stove"]
     bad = written(
-        tmp_path,
-        "C = hygrokf.cause_of('stove', thermal=made(lambda p, x, u, q: {}), **WORDS)",
-        "bad.py",
+        tmp_path, "C = hygrokf.cause_of('stove', thermal=made(lambda p, x, u, q: {}), **WORDS)", "bad.py"
     )
     faults_of(bad)
     assert "stove" not in MECHANISMS
@@ -420,28 +392,21 @@ def test_an_own_feature_is_an_input(tmp_path: Path) -> None:
     (cause,) = load_library(written(tmp_path, GLOWING.replace("NEEDS", "needs=('rain',),")))
     assert cause.needs == "rain"
     record = trial_record()
-    wider = extended(
-        design(record, kind="thermal"),
-        [("stove", {})],
-        features={"glow": {"share": 2.0}},
-    )
+    wider = extended(design(record, kind="thermal"), [("stove", {})], features={"glow": {"share": 2.0}})
     assert wider.model.holds["glow"] == "linear"
     np.testing.assert_allclose(prepare_run(wider, record).timeline.input("glow"), 2.0 * record["rain"].value)
     assert set(wider.to_json()["origins"]) == {"stove", "glow"}
     dry = replace(record, series=tuple(s for s in record.series if s.signal != "rain"))
-    assert cause.variants(Baseline(dry, trial_baseline().parts)) == []
+    assert cause.variants(Baseline(dry, trial_baseline().submodels)) == []
 
 
-def test_a_function_that_fails_on_a_record_is_a_fault_of_its_file(
-    tmp_path: Path,
-) -> None:
+def test_a_function_that_fails_on_a_record_is_a_fault_of_its_file(tmp_path: Path) -> None:
     load_library(written(tmp_path, GLOWING.replace("NEEDS", "")))
     record = trial_record()
     dry = replace(record, series=tuple(s for s in record.series if s.signal != "rain"))
     wider = extended(design(record, kind="thermal"), [("stove", {})], features={"glow": {}})
     with pytest.raises(
-        LibraryFault,
-        match=r"own\.py: cause 'glowing': feature 'glow' fails: KeyError: .*no rain",
+        LibraryFault, match=r"own\.py: cause 'glowing': feature 'glow' fails: KeyError: .*no rain"
     ):
         prepare_run(wider, dry)
     text = "C = hygrokf.Cause('odd', 'a', 'b', 'c', lambda s: [Variant('odd', 'f', " \
@@ -540,14 +505,10 @@ def warmed_case(directory: Path, auxiliary: bool = True) -> Path:
 
 
 def test_the_whole_way_from_a_case_to_a_simulation(
-    tmp_path: Path,
-    file: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture,
+    tmp_path: Path, file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture
 ) -> None:
     monkeypatch.setattr(
-        "hygrokf.discovery.library.LIBRARY",
-        (named("solar_gain"), named("wall_thermal_mass")),
+        "hygrokf.discovery.library.LIBRARY", (named("solar_gain"), named("wall_thermal_mass"))
     )
     case, out = warmed_case(tmp_path / "turbine"), tmp_path / "found"
 
@@ -566,18 +527,7 @@ def test_the_whole_way_from_a_case_to_a_simulation(
         "**WORDS)"
     )
     other = written(tmp_path, text)
-    status, said = told(
-        "discover",
-        case,
-        "--out",
-        out,
-        "--starts",
-        1,
-        "--library",
-        file,
-        "--library",
-        other,
-    )
+    status, said = told("discover", case, "--out", out, "--starts", 1, "--library", file, "--library", other)
     assert status == 0
     assert (
         "note: stove was not tried: this record cannot show it; it needs auxiliary_power, heater_power"
@@ -606,10 +556,7 @@ def test_the_whole_way_from_a_case_to_a_simulation(
     status, said = told("evaluate", out, case, "--library", file)
     assert status == 2 and "found that of transformer.py (SHA-256 " in said
     stored = json.loads((out / "fit.json").read_text())
-    stored["design"]["origins"]["transformer_heat"] = {
-        "package": "turbine-causes",
-        "version": "2.1",
-    }
+    stored["design"]["origins"]["transformer_heat"] = {"package": "turbine-causes", "version": "2.1"}
     (out / "fit.json").write_text(json.dumps(stored))
     status, said = told("evaluate", out, case)
     assert status == 2 and "of the package turbine-causes 2.1, found none of that name; install that" in said
@@ -621,8 +568,7 @@ def test_the_whole_way_from_a_case_to_a_simulation(
 
 
 @pytest.mark.parametrize(
-    "command",
-    ["discover {case} --out {out}", "simulate {case} {case} --out {out}/x.csv"],
+    "command", ["discover {case} --out {out}", "simulate {case} {case} --out {out}/x.csv"]
 )
 def test_a_faulty_library_is_told_before_the_work(
     tmp_path: Path, capsys: pytest.CaptureFixture, command: str

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from other_make import ROWS, make_plant
 from other_make.as_record import to_record
+from plants.chance import ornstein_uhlenbeck
 
 from hygrokf.data.record import Record
-from hygrokf.discovery.regularity import growth, period
+from hygrokf.discovery.changes import growth, period
 from hygrokf.discovery.residual_structure import bursts, unlogged
 from hygrokf.discovery.residuals import residuals
 from hygrokf.identification.procedure import identify
@@ -23,13 +24,7 @@ LEVEL = 1e-3
 
 def coloured(seed: int, memory_h: float = 8.0) -> np.ndarray:
     """An Ornstein–Uhlenbeck series of unit variance, by the hour."""
-    random = np.random.default_rng(seed)
-    keep = np.exp(-1.0 / memory_h)
-    made = np.empty(HOURS)
-    made[0] = random.standard_normal()
-    for k in range(1, HOURS):
-        made[k] = keep * made[k - 1] + np.sqrt(1.0 - keep**2) * random.standard_normal()
-    return made
+    return ornstein_uhlenbeck(np.random.default_rng(seed), HOURS, 1.0, memory_h)
 
 
 def test_ordinary_errors_have_no_period_do_not_grow_and_do_not_burst() -> None:

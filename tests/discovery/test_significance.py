@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from plants.chance import ornstein_uhlenbeck
 
 from hygrokf.discovery.changes import change_p, drift_p, sharp_step
 from hygrokf.discovery.significance import Null, Prewhitened, benjamini_hochberg, largest_p, linear_p, tail
@@ -16,15 +17,8 @@ from hygrokf.evaluation.bootstrap import autoregression, effective_size, integra
 
 
 def remembering(seed: int, size: int, time_h: float, step_h: float = 1.0) -> np.ndarray:
-    """Ornstein–Uhlenbeck series of variance 1, by its own recursion."""
-    random = np.random.default_rng(seed)
-    gain = math.exp(-step_h / time_h)
-    kicks = math.sqrt(1.0 - gain**2) * random.standard_normal(size)
-    values = np.empty(size)
-    values[0] = random.standard_normal()
-    for i in range(1, size):
-        values[i] = gain * values[i - 1] + kicks[i]
-    return values
+    """Ornstein–Uhlenbeck series of variance 1."""
+    return ornstein_uhlenbeck(np.random.default_rng(seed), size, step_h, time_h)
 
 
 def weekend(size: int) -> np.ndarray:
@@ -117,15 +111,12 @@ def test_an_effect_is_found_and_one_column_too_many_does_no_harm() -> None:
     assert nothing == 1.0
 
 
-def test_the_largest_of_many_columns_is_named_and_paid_for() -> None:
+def test_the_largest_of_many_columns_is_paid_for() -> None:
     values = remembering(12, 2000, 6.0)
     driver = remembering(13, 2030, 20.0)
     table = np.column_stack([driver[30 - lag : 2030 - lag] for lag in range(0, 30, 3)])
-    nothing, _, _ = largest_p(Null.of(values), table)
-    p, place, z = largest_p(Null.of(values + 0.9 * table[:, 4]), table)
-    assert nothing > 0.02
-    assert (p < 1e-4, place) == (True, 4)
-    assert z > 0
+    assert largest_p(Null.of(values), table) > 0.02
+    assert largest_p(Null.of(values + 0.9 * table[:, 4]), table) < 1e-4
 
 
 # --- what lasts ------------------------------------------------------------------------------

@@ -48,9 +48,7 @@ def to_record(made: Plant, *, until_s: float | None = None, clock_uncertainty_s:
             for one in made.series
         ),
         site=Site(
-            latitude_deg=made.drivers.latitude_deg,
-            longitude_deg=made.drivers.longitude_deg,
-            altitude_m=None,
+            latitude_deg=made.drivers.latitude_deg, longitude_deg=made.drivers.longitude_deg, altitude_m=None
         ),
         rated_power_W=made.cabinet.rated_W,
         until_s=until_s,

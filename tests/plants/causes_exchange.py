@@ -11,10 +11,7 @@ from plants.scene import AIR_J_M3_K, Change, Law, Scene
 
 def _exchange(scene: Scene, factor: np.ndarray) -> dict[str, np.ndarray]:
     """Vapour exchange times a factor, and the heat that the further air carries."""
-    return {
-        "exchange": factor,
-        "conductance_W_K": AIR_J_M3_K * scene.air_flow_m3_s * (factor - 1.0),
-    }
+    return {"exchange": factor, "conductance_W_K": AIR_J_M3_K * scene.air_flow_m3_s * (factor - 1.0)}
 
 
 def _full_factor(random: np.random.Generator) -> float:

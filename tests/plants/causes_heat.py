@@ -38,12 +38,7 @@ def two_walls(random: np.random.Generator, scene: Scene) -> Law:
     def change(ratio: float) -> Change:
         heavy = ratio * scene.cabinet.heat_capacity
         beyond = scene.cabinet.outer_resistance * (1.0 - inner - middle)
-        terms = {
-            "wall_J_K": skin,
-            "wall_place": inner,
-            "outer_wall_J_K": heavy,
-            "outer_wall_place": middle,
-        }
+        terms = {"wall_J_K": skin, "wall_place": inner, "outer_wall_J_K": heavy, "outer_wall_place": middle}
         parameters = {
             "inner_share": inner,
             "middle_share": middle,

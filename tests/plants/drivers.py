@@ -104,11 +104,7 @@ def _wind_and_power(
 
 
 def stop_turbine(
-    random: np.random.Generator,
-    time: np.ndarray,
-    power_W: np.ndarray,
-    faults: int,
-    preheating: bool,
+    random: np.random.Generator, time: np.ndarray, power_W: np.ndarray, faults: int, preheating: bool
 ) -> tuple[np.ndarray, np.ndarray]:
     """Power [W] and pre-heating [-] with fault standstills of two to six days at random places."""
     power_W, heaters = power_W.copy(), np.zeros(time.size)

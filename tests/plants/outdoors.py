@@ -120,12 +120,7 @@ def _interval_means(values: np.ndarray, first: int, step: int, count: int) -> np
 
 
 def optional_series(
-    random: np.random.Generator,
-    drivers: Drivers,
-    sky: Outdoors,
-    *,
-    irradiance: bool,
-    rain: bool,
+    random: np.random.Generator, drivers: Drivers, sky: Outdoors, *, irradiance: bool, rain: bool
 ) -> tuple[PlantSeries, ...]:
     """Wind speed, and irradiance and rain on demand, as instruments of a wind farm log them.
 

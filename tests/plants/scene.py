@@ -88,10 +88,7 @@ class Scene:
         first = slice(0, round(10.0 * 86400.0 / self.step_s))
         drivers = self.drivers
         return usual_activity(
-            self.cabinet,
-            drivers.ambient_K[first],
-            drivers.ambient_kg_m3[first],
-            self.forcing.heat_W[first],
+            self.cabinet, drivers.ambient_K[first], drivers.ambient_kg_m3[first], self.forcing.heat_W[first]
         )
 
 

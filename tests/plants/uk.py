@@ -22,7 +22,6 @@ UK_DRIVERS = (
 )
 """Hourly weather and power of 2018 and 2019; tests skip where it is absent."""
 
-_HOUR_S = 3600.0
 _TURBINE = "P_K2_kW"
 
 

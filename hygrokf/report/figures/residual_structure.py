@@ -21,8 +21,8 @@ from hygrokf.discovery.residuals import (
     UNITS,
     Hours,
     Residuals,
+    displayed,
     hourly,
-    shown,
     words,
 )
 from hygrokf.evaluation.diagnosis import CrossCorrelation, OutputDiagnosis, Periodogram
@@ -105,11 +105,11 @@ def figure_drivers(
             for column, name in enumerate(chosen):
                 axes = figure.add_subplot(grid[row, column])
                 axes.axhline(0.0, color=INK, linewidth=0.7)
-                value, unit = shown(name, early.drivers[name])
+                value, unit = displayed(name, early.drivers[name])
                 edges = _shares(value[np.isfinite(error)])
                 _bands(axes, value, error, edges)
                 if late is not None and name in late.drivers:
-                    other, _ = shown(name, late.drivers[name])
+                    other, _ = displayed(name, late.drivers[name])
                     x, middle = _medians(other, -late.error[quantity], edges)
                     axes.plot(x, middle, color=AFTER, linewidth=1.4, marker="o", markersize=2.4)
                 axes.set_ylim(-reach, reach)
