@@ -22,8 +22,9 @@ from hygrokf.data.result_file import ResultFault
 from hygrokf.data.signals import SIGNALS
 from hygrokf.discovery import own_causes
 from hygrokf.discovery.baseline import Baseline
+from hygrokf.discovery.cause import cause_of
 from hygrokf.discovery.library import LIBRARY, named
-from hygrokf.discovery.own_causes import LibraryFault, adopt, cause_of, load_library
+from hygrokf.discovery.own_causes import LibraryFault, adopt, load_library
 from hygrokf.discovery.plugin_validation import trial_baseline, trial_record, variant_faults
 from hygrokf.discovery.submodel import THERMAL
 from hygrokf.identification.fit import LibraryAbsent, read_fit
