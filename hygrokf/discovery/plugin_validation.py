@@ -138,7 +138,13 @@ def _factory_faults(
         found = f"one named {made.name!r}" if isinstance(made, Mechanism) else repr(made)
         yield f"mechanism {name!r}: expected its factory to return a Mechanism of that name, found {found}"
         return
-    known = {*HOLDS, *features}
+    absent = [one for one in made.features if one not in features]
+    if absent:
+        yield (
+            f"mechanism {name!r}: expected its features {', '.join(absent)} in features= of the Cause too, "
+            "found none there; state them, or make the cause with cause_of"
+        )
+    known = {*HOLDS, *features, *made.features}
     for one in made.inputs:
         if one not in known:
             yield (

@@ -238,7 +238,7 @@ def _results(
         refuted=tuple(Refuted(t.variant.cause, t.variant.form, gain) for t, gain in tested.refuted),
         unexplained=rest,
         not_tried=NotTried(tuple(selection.untried), selection.cut, budget_s),
-        own_causes={cause.name: origins_of(cause) for cause in library if cause.mechanisms or cause.features},
+        own_causes={cause.name: found for cause in library if (found := origins_of(cause))},
         findings=tuple(findings(before)),
     )
 

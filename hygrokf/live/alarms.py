@@ -60,7 +60,7 @@ RULES = {rule.kind: rule for rule in (*ESTIMATE_RULES, STALE, LOST)}
 """All rules by kind.
 
 A new kind of alarm that follows from estimates is a rule in `ESTIMATE_RULES` and a function in
-`ESTIMATE_LEVELS`.
+`ESTIMATE_LEVELS`; docs/live.md has an example.
 """
 
 CABINET_CHANGES = {
@@ -192,7 +192,7 @@ def _judge_level(
 
 
 def _kind(key: str) -> str:
-    return next(kind for kind in RULES if key == kind or key.startswith(kind + " "))
+    return max((kind for kind in RULES if key == kind or key.startswith(kind + " ")), key=len)
 
 
 # -- levels that follow from estimates -----------------------------------------------------------------------
@@ -265,13 +265,16 @@ RESTS_ON = {
     "thermal_time_constant": PARTS[:1], "heat_release_change": PARTS[:1], "hygric_k": PARTS[1:],
     "humidity_offset": PARTS[1:],
 }  # fmt: skip
-"""Property -> the numbers of the fit on which its shift rests; all other levels rest on both numbers."""
+"""Property, or kind of alarm -> the numbers of the fit on which its level rests; all others rest on both."""
 
 
 def with_doubts(levels: Iterable[Level], verdicts: Mapping[str, Inherited]) -> list[Level]:
     """The levels, with a note in each statement that rests on a number of the fit that its verdict rejects;
     `verdicts` are the fit's."""
-    doubts = [(level, rests_on(verdicts, RESTS_ON.get(level.subject, PARTS))) for level in levels]
+    doubts = [
+        (level, rests_on(verdicts, RESTS_ON.get(level.subject, RESTS_ON.get(level.kind, PARTS))))
+        for level in levels
+    ]
     return [
         replace(level, statement=f"{level.statement}; {doubt}") if level.statement and doubt else level
         for level, doubt in doubts

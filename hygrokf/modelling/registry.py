@@ -10,14 +10,25 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 
 from hygrokf.data.signals import SIGNALS
-from hygrokf.modelling.derived_inputs import FEATURES, Feature
+from hygrokf.modelling.derived_inputs import FEATURES
 from hygrokf.physics.mechanisms import LIBRARY, Factory
+from hygrokf.physics.model import Feature
 
 Origin = Mapping[str, str]
 
 _PACKAGE = frozenset({*LIBRARY, *FEATURES, *SIGNALS})
 _origins: dict[str, Origin] = {}
 """Origins of the mechanisms and features that users brought, by name."""
+
+
+def is_package_mechanism(name: str, factory: Factory) -> bool:
+    """Whether this factory is the package's own of that name."""
+    return name in _PACKAGE and LIBRARY.get(name) is factory
+
+
+def is_package_feature(name: str, feature: Feature) -> bool:
+    """Whether this feature is the package's own of that name."""
+    return name in _PACKAGE and FEATURES.get(name) == feature
 
 
 def name_faults(mechanisms: Iterable[str], features: Iterable[str]) -> list[str]:

@@ -30,6 +30,9 @@ Space = SimpleNamespace
 sums."""
 Values = Mapping[str, Value]
 """Values by name."""
+Feature = tuple[Callable[..., np.ndarray], str]
+"""A function (record, time, **settings) -> values (T,) at `time` (T,) [s], and the hold of the input that it
+gives."""
 Pair = tuple[Value, Value]
 """A mean, or a prediction, and its variance."""
 Initial = Callable[[Space, Space], Mapping[str, Pair]]
@@ -67,6 +70,7 @@ class Mechanism:
         initial(p, u)                  their (mean, variance) at the first instant
         outputs[name](p, x, u, q, s)   expected reading, and the variance of its noise
 
+    `features` are those inputs that no signal gives and that this mechanism brings with it, by name.
     `amounts` are states that cannot be negative; simulations enforce this, the filter does not.
     `settings` are the arguments that the mechanism was made with; `library[name](**settings)` makes it again.
     `leaves` describes what its absence leaves in the residuals, `source` cites the origin of the equations.
@@ -85,6 +89,7 @@ class Mechanism:
     initial: Initial | None = None
     outputs: Mapping[str, Output] = field(default_factory=dict)
     amounts: tuple[str, ...] = ()
+    features: Mapping[str, Feature] = field(default_factory=dict)
     settings: Mapping[str, Any] = field(default_factory=dict)
     meaning: str = ""
     leaves: str = ""

@@ -274,3 +274,9 @@ def thermometer_offset() -> Mechanism:
         leaves="humidity that is off by 6 to 7 % of itself for each kelvin",
         source=OWN_ERROR,
     )  # fmt: skip
+
+
+# fmt: off
+BASE = (temperature_sensor, humidity_sensor, absolute_humidity_sensor)
+FURTHER = (humidity_drift, humidity_scale, humidity_ceiling, temperature_step, thermometer_offset)
+# fmt: on
