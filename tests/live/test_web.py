@@ -53,7 +53,7 @@ def served(
         httpx.Client(base_url=server.url, timeout=60.0) as client,
     ):
         yield client, hub, server
-    page.reader.close()
+    page.close()
 
 
 @pytest.fixture(scope="module")
@@ -361,16 +361,6 @@ def test_a_session_ends() -> None:
     assert not sessions.valid(cookie)
     for cookies in ("", "hygrokf_0=", "hygrokf_0=.", "hygrokf_0=nan.x", "hygrokf_0", "\x00", "=;=;"):
         assert not sessions.valid(cookies)
-
-
-def test_guessing_is_slowed_down(service: Service) -> None:
-    with served(service, LOCKED) as (client, _, _):
-        for _ in range(web_access.GUESSES // 2):
-            assert client.post("/api/login", json={"token": "wrong"}).status_code == 401
-            assert client.get("/api/fleet", headers={"Authorization": "Bearer wrong"}).status_code == 401
-        answer = client.post("/api/login", json={"token": TOKEN})
-        assert answer.status_code == 429 and int(answer.headers["retry-after"]) > 200
-        assert client.get("/api/fleet", headers={"Authorization": f"Bearer {TOKEN}"}).status_code == 429
 
 
 def test_attempts_are_forgotten_and_bounded(monkeypatch: pytest.MonkeyPatch) -> None:
