@@ -59,12 +59,16 @@ def connected(stack: ExitStack, server: PageServer, sent: bytes = b"") -> socket
 
 def is_closed(one: socket.socket) -> bool:
     """Whether the server has ended a connection without a word."""
+    before = one.gettimeout()
+    one.settimeout(0.0)
     try:
-        return one.recv(1, socket.MSG_DONTWAIT) == b""
+        return one.recv(1, socket.MSG_PEEK) == b""
     except BlockingIOError:
         return False
     except ConnectionError:
         return True
+    finally:
+        one.settimeout(before)
 
 
 def health(server: PageServer) -> float:
