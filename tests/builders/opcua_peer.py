@@ -61,7 +61,8 @@ class Peer:
         """Add nodes, with a value (None: nobody has measured yet).
 
         Their history is "kept", "none" (there never is any, which their access level says), "refused" or
-        "failing" (it is kept, and cannot be read now). Without `filters` their changes are told as they are by default.
+        "failing" (it is kept, and cannot be read now). Without `filters`
+        their changes are told as they are by default.
         """
         what = {"nodes": list(nodes), "history": history, "value": value, "filters": filters}
         self._ask({"do": "add", **what})
