@@ -8,6 +8,7 @@ from __future__ import annotations
 import asyncio
 import json
 import logging
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import asdict
@@ -20,7 +21,7 @@ from hygrokf.live.service import Service
 from hygrokf.live.sources.stream import SourceState
 from hygrokf.live.storage.store import Store, StoreFault
 from hygrokf.live.web.access import Access, client_of, guard
-from hygrokf.live.web.metrics import exposition
+from hygrokf.live.web.metrics import Snapshot, exposition
 from hygrokf.live.web.page_settings import NEEDED, PageFault, PageSettings
 from hygrokf.live.web.reader import Reader, StoreAnswers
 from hygrokf.live.web.server import EventStream, Hub
@@ -201,10 +202,14 @@ class Page:
 
         now = self.service.now
         try:
-            rows, counters = self.rows(now), self.reader.read(Store.counters)
+            rows: list[FleetRow] | None = self.rows(now)
+            counters, alarms = self.reader.read(
+                lambda store: (store.counters(), alarms_view(store, since=math.inf))
+            )
         except StoreFault:
-            rows, counters = None, {}
-        text, kind = exposition(now, self.service.health, self._sources(), len(self.hub), rows, counters)
+            rows, counters, alarms = None, {}, []
+        sources, clients = self._sources(), len(self.hub)
+        text, kind = exposition(Snapshot(now, self.service.health, sources, clients, rows, alarms, counters))
         return Response(text, headers={"Content-Type": kind})
 
     async def healthz(self, request: Request) -> Response:
