@@ -8,13 +8,11 @@ import sqlite3
 import threading
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING, TypeVar
+from concurrent.futures import Future
+from typing import TypeVar
 
 from hygrokf.live.service import Service
 from hygrokf.live.storage.store import Store, StoreFault, open_store
-
-if TYPE_CHECKING:
-    import anyio
 
 LOG = logging.getLogger("hygrokf.page")
 PATIENCE_S = 0.5
@@ -83,15 +81,14 @@ class StoreAnswers:
 
     def __init__(self, service: Service) -> None:
         self._reader = Reader(service)
-        self._limiter: anyio.CapacityLimiter | None = None
-        self._asked: asyncio.Task[str] | None = None
+        self._asked: asyncio.Future[str] | None = None
         self._began = 0.0
         self._fault = ""
 
     async def fault(self) -> str:
         """Why the store does not answer, empty if it does; known within `PATIENCE_S`."""
         if self._asked is None or self._asked.done():
-            self._asked, self._began = asyncio.create_task(self._ask()), time.monotonic()
+            self._asked, self._began = self._ask(), time.monotonic()
         asked = self._asked
         await asyncio.wait([asked], timeout=PATIENCE_S)
         if asked.done():
@@ -100,11 +97,18 @@ class StoreAnswers:
             self._fault = f"the store has not answered for {SILENT_S:g} s"
         return self._fault
 
-    async def _ask(self) -> str:
-        import anyio
+    def _ask(self) -> asyncio.Future[str]:
+        """Start a thread that asks the store; the end of the program does not wait for it."""
+        found: Future[str] = Future()
 
-        self._limiter = self._limiter or anyio.CapacityLimiter(1)
-        return await anyio.to_thread.run_sync(self._look, limiter=self._limiter)
+        def ask() -> None:
+            try:
+                found.set_result(self._look())
+            except BaseException as fault:
+                found.set_exception(fault)
+
+        threading.Thread(target=ask, name="page health", daemon=True).start()
+        return asyncio.wrap_future(found)
 
     def _look(self) -> str:
         try:
